@@ -13,14 +13,17 @@ from hypothesis import HealthCheck, settings
 
 from rn_testing.domain import free_ros_domain
 
-settings.register_profile("busy-machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.register_profile(
+    "busy-machine", deadline=None, suppress_health_check=[HealthCheck.too_slow]
+)
 settings.load_profile("busy-machine")
 
 
 def pytest_configure(config: pytest.Config) -> None:
     """Give this process a ROS domain of its own: what runs side by side on one machine never meets.
 
-    A worker of pytest-xdist inherits the domain of the process that distributes the tests, and so would its neighbour.
+    A worker of pytest-xdist inherits the domain of the process that distributes the tests, and so
+    would its neighbour.
     """
     if hasattr(config, "workerinput") or "ROS_DOMAIN_ID" not in os.environ:
         os.environ["ROS_DOMAIN_ID"] = str(free_ros_domain())
@@ -30,7 +33,8 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.fixture(autouse=True, scope="module")
 def _pauses_of_the_interpreter() -> Iterator[None]:
-    """Modules and servers freeze what they have loaded, since they live as long as their process; tests do not.
+    """Modules and servers freeze what they have loaded, since they live as long as their process;
+    tests do not.
 
     Frozen ROS contexts are never collected: they keep their sockets, threads and shared memory.
     """
@@ -43,7 +47,8 @@ def _pauses_of_the_interpreter() -> Iterator[None]:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_report_to_serializable() -> Generator[None, Any, Any]:
-    """Let a worker of pytest-xdist report whatever a test logged: what execnet cannot send would end the whole run.
+    """Let a worker of pytest-xdist report whatever a test logged: what execnet cannot send would
+    end the whole run.
 
     Half of a surrogate pair in a log line is enough for that, even in a test that passes.
     """
@@ -64,7 +69,9 @@ def _sendable(value: Any) -> Any:
 
 
 def pytest_internalerror(excrepr: object) -> None:
-    """Remember the first error of pytest itself; those that follow from it are printed last and hide it."""
+    """Remember the first error of pytest itself; those that follow from it are printed last and
+    hide it.
+    """
     _internal_errors.append(str(excrepr))
 
 

@@ -1,13 +1,15 @@
-"""Attention over a whole prompt on the CPU, as the runtime "torch" computes it, beside its floor in the same run.
+"""Attention over a whole prompt on the CPU, as the runtime "torch" computes it, beside its floor in
+the same run.
 
     python benchmarks/bench_attention.py [--threads 1] [--repeat 20]
 
-One layer of real width, batch 1: OpenVLA's decoder (280 positions, causal, keys and values in the cache) and OFT's (600
-positions, each sees all). "products" is the floor: the FLOP of both matrix products at the speed of a square product of
-the same type; all scores count, also those that a causal prompt masks, because the kernel computes them. "softmax" is
-torch's softmax of the scores, which that floor leaves out. "separately" is product, softmax, product, one after the
-other. Times are the best of `--repeat`, in turns: processor time on one thread, which others on a shared machine
-disturb less, else wall time.
+One layer of real width, batch 1: OpenVLA's decoder (280 positions, causal, keys and values in the
+    cache) and OFT's (600
+positions, each sees all). "products" is the floor: the FLOP of both matrix products at the speed of
+a square product of the same type; all scores count, also those that a causal prompt masks, because
+the kernel computes them. "softmax" is torch's softmax of the scores, which that floor leaves out.
+"separately" is product, softmax, product, one after the other. Times are the best of `--repeat`, in
+turns: processor time on one thread, which others on a shared machine disturb less, else wall time.
 """
 
 from __future__ import annotations
@@ -60,11 +62,15 @@ def measure(name: str, dtype: torch.dtype, repeat: int) -> str:
     count, causal = PROMPTS[name]
     with torch.device("meta"):
         layer = DecoderLayer(LLAMA)
-    query, key, value = (torch.randn(1, LLAMA.heads, count, LLAMA.head_width).to(dtype) for _ in range(3))
+    query, key, value = (
+        torch.randn(1, LLAMA.heads, count, LLAMA.head_width).to(dtype) for _ in range(3)
+    )
     if causal:
         key, value = KeyValueCache(LLAMA, LLAMA.max_positions, CPU, dtype).start(0, key, value)
     left, right = (torch.randn(SQUARE, SQUARE).to(dtype) for _ in range(2))
-    scores, mixed = (torch.empty(LLAMA.heads, count, width, dtype=dtype) for width in (count, LLAMA.head_width))
+    scores, mixed = (
+        torch.empty(LLAMA.heads, count, width, dtype=dtype) for width in (count, LLAMA.head_width)
+    )
 
     def separately() -> None:
         torch.bmm(query[0], key[0].transpose(1, 2), out=scores)
@@ -84,7 +90,10 @@ def measure(name: str, dtype: torch.dtype, repeat: int) -> str:
     cells = [floor_ms, took_ms["softmax"], took_ms["separately"], took_ms["ours"]]
     cells += [took_ms["ours"] / floor_ms, took_ms["ours"] / (floor_ms + took_ms["softmax"])]
     words = " | ".join(f"{cell:.2f}" for cell in cells)
-    return f"| {name}, {count} {'causal' if causal else 'all'} | {str(dtype).removeprefix('torch.')} | {words} |"
+    return (
+        f"| {name}, {count} {'causal' if causal else 'all'} | "
+        f"{str(dtype).removeprefix('torch.')} | {words} |"
+    )
 
 
 def check_same(ours: Tensor, query: Tensor, key: Tensor, value: Tensor, causal: bool) -> None:
@@ -92,14 +101,18 @@ def check_same(ours: Tensor, query: Tensor, key: Tensor, value: Tensor, causal: 
     query, key, value = (tensor.double() for tensor in (query, key, value))
     scores = query @ key.transpose(-1, -2) / query.shape[-1] ** 0.5
     if causal:
-        scores = scores.masked_fill(torch.ones(scores.shape[-2:], dtype=torch.bool).triu(1), float("-inf"))
+        scores = scores.masked_fill(
+            torch.ones(scores.shape[-2:], dtype=torch.bool).triu(1), float("-inf")
+        )
     off = (ours.double() - scores.softmax(dim=-1) @ value).abs().max().item()
     assert off < TOLERANCE[ours.dtype], f"attention is off by {off}"
 
 
 def main() -> None:
     """Measure and print one Markdown table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--repeat", type=int, default=20)
     options = parser.parse_args()
@@ -107,7 +120,8 @@ def main() -> None:
     torch.manual_seed(0)
     amx = torch.cpu._is_amx_tile_supported()
     print(
-        f"{platform.machine()} CPU with {torch.backends.cpu.get_cpu_capability()}{' and AMX' if amx else ''}, "
+        f"{platform.machine()} CPU with "
+        f"{torch.backends.cpu.get_cpu_capability()}{' and AMX' if amx else ''}, "
         f"{options.threads} threads, torch {torch.__version__}; one layer of 32 heads of 128, "
         f"best of {options.repeat}\n"
     )

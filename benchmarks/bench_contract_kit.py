@@ -2,8 +2,9 @@
 
     python benchmarks/bench_contract_kit.py [--only WORD] [--good]
 
-Every mutant of plugins/rn-testing/tests/mutants runs in a process of its own (many of them change the process), first
-under the rule that is named for it, then under the others of its kind until one fails. `--good` counts false alarms
+Every mutant of plugins/rn-testing/tests/mutants runs in a process of its own (many of them change
+the process), first under the rule that is named for it, then under the others of its kind until one
+fails. `--good` counts false alarms
 instead: every rule on everything that is installed, as `roboneuron plugins check` runs it.
 """
 
@@ -37,7 +38,9 @@ def finds(case: Any, named: str, kind: str) -> bool:
 
 
 def try_apart(work: Any) -> bool:
-    """Run `work` in a forked process; whether it returned true. One that dies has shown its mistake."""
+    """Run `work` in a forked process; whether it returned true. One that dies has shown its
+    mistake.
+    """
     child = os.fork()
     if child == 0:
         status = MISSED
@@ -57,7 +60,10 @@ def count_mutants(word: str) -> None:
     tests = importlib.import_module("test_every_rule_can_fail")
 
     effects.RELEASE_S = 0.5
-    mutants = {**tests.MUTANTS, **{f"unclaimed:{n}": m for n, m in mutants_unclaimed.MUTANTS.items()}}
+    mutants = {
+        **tests.MUTANTS,
+        **{f"unclaimed:{n}": m for n, m in mutants_unclaimed.MUTANTS.items()},
+    }
     tests.MUTANTS.update(mutants)
     found: Counter[str] = Counter()
     count: Counter[str] = Counter()
@@ -66,7 +72,11 @@ def count_mutants(word: str) -> None:
             continue
         module, kind = name.partition(":")[0], tests.kind_of(mutant.rule)
         count[module] += 1
-        if try_apart(lambda name=name, mutant=mutant, kind=kind: finds(tests.make_case(name), mutant.rule, kind)):
+        if try_apart(
+            lambda name=name, mutant=mutant, kind=kind: finds(
+                tests.make_case(name), mutant.rule, kind
+            )
+        ):
             found[module] += 1
         else:
             print(f"missed: {name}", flush=True)
@@ -85,23 +95,36 @@ def count_false_alarms() -> int:
         case = make_case(offer.spec, {})
         if isinstance(case, FeatureCase):
             installed = discover().specs(FeatureSpec)
-            case = replace(case, needs=tuple(installed[n] for n in case.spec.needs if n in installed))
+            case = replace(
+                case, needs=tuple(installed[n] for n in case.spec.needs if n in installed)
+            )
         for rule in rules_of(offer.spec.kind):
             outcome = verify(rule, case)
             outcomes[outcome.verdict] += 1
             if outcome.verdict is Verdict.FAILED:
                 print(
-                    f"false alarm: {offer.spec.kind} {offer.spec.name}: {rule.id}: {outcome.detail[:200]}", flush=True
+                    f"false alarm: {offer.spec.kind} {offer.spec.name}: {rule.id}: "
+                    f"{outcome.detail[:200]}",
+                    flush=True,
                 )
-    print(f"{outcomes[Verdict.FAILED]} of {sum(outcomes.values())} rules fail, {outcomes[Verdict.SKIPPED]} skipped")
+    print(
+        f"{outcomes[Verdict.FAILED]} of {sum(outcomes.values())} rules fail, "
+        f"{outcomes[Verdict.SKIPPED]} skipped"
+    )
     return outcomes[Verdict.FAILED]
 
 
 def main() -> None:
     """Count one or the other."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--good", action="store_true", help="count false alarms on installed plugins")
-    parser.add_argument("--only", default="", metavar="WORD", help="only mutants with this in their name")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--good", action="store_true", help="count false alarms on installed plugins"
+    )
+    parser.add_argument(
+        "--only", default="", metavar="WORD", help="only mutants with this in their name"
+    )
     arguments = parser.parse_args()
     if arguments.good:
         sys.exit(count_false_alarms() > 0)

@@ -1,16 +1,20 @@
-"""Direct path: from the agent's call to the message at a subscriber in another process, beside its two floors.
+"""Direct path: from the agent's call to the message at a subscriber in another process, beside its
+two floors.
 
     python benchmarks/bench_direct.py [--calls 300] [--stops 100] [--starts 3] [--sizes 3 100 1000]
 
-Floors, in the same run and in turns with ours: a tool that does nothing, on the same transport as ours (stdio, MCP SDK,
-our line reader and writer), and a bare rclpy publish to the same subscriber. The tool is timed twice: until it answers,
-and one way, until its handler is entered. Ours is timed until the message is at the subscriber, and until it answers.
-"overhead" is ours minus the sum of both floors at the same percentile; the one that counts is "one way", because in the
-other the floor's way back flatters us.
-Times are taken on one host with one clock (CLOCK_MONOTONIC), from just before the call to the subscriber's callback.
-The start of the server is timed from the spawn of its process to the answer of `initialize`, of the first `tools/list`,
-and to the first message at the subscriber (which waits for ROS to be joined and matched).
-The stop is measured from the emergency_stop call to the zero message at the subscriber, during a 10 s sequence.
+Floors, in the same run and in turns with ours: a tool that does nothing, on the same transport as
+    ours (stdio, MCP SDK,
+our line reader and writer), and a bare rclpy publish to the same subscriber. The tool is timed
+twice: until it answers, and one way, until its handler is entered. Ours is timed until the message
+    is at the subscriber, and until it answers.
+"overhead" is ours minus the sum of both floors at the same percentile; the one that counts is "one
+way", because in the other the floor's way back flatters us.
+Times are taken on one host with one clock (CLOCK_MONOTONIC), from just before the call to the
+subscriber's callback. The start of the server is timed from the spawn of its process to the answer
+of `initialize`, of the first `tools/list`, and to the first message at the subscriber (which waits
+for ROS to be joined and matched). The stop is measured from the emergency_stop call to the zero
+message at the subscriber, during a 10 s sequence.
 """
 
 from __future__ import annotations
@@ -63,7 +67,7 @@ async def main():
     await server.run(reader, MessageWriter(writer, reader), server.create_initialization_options())
 
 anyio.run(main)
-"""
+"""  # noqa: E501
 SUBSCRIBER = """
 import sys, time
 import rclpy
@@ -134,7 +138,9 @@ def configuration(folder: Path, endpoints: int, repeat: bool) -> Path:
     twist = 'kind = "publish"\ntype = "geometry_msgs/msg/Twist"'
     stop = 'stop_message = "zero"\nrepeat_hz = 20.0' if repeat else 'stop_message = ""'
     for index in range(endpoints):
-        name, topic = ("velocity", "cmd_vel") if index == 0 else (f"wheel_{index}", f"part_{index}/cmd_vel")
+        name, topic = (
+            ("velocity", "cmd_vel") if index == 0 else (f"wheel_{index}", f"part_{index}/cmd_vel")
+        )
         bounds = 'bounds = { "linear.x" = [-1, 1], "angular.z" = [-2, 2] }'
         lines += [
             "[[expose]]",
@@ -150,7 +156,8 @@ def configuration(folder: Path, endpoints: int, repeat: bool) -> Path:
 
 
 SERVE = (
-    "import gc, logging, sys\ngc.disable()\nlogging.basicConfig(level='ERROR')\nfrom pathlib import Path\n"
+    "import gc, logging, sys\ngc.disable()\nlogging.basicConfig(level='ERROR')\nfrom pathlib "
+    "import Path\n"
     "from roboneuron.config import load_config\n"
     "from roboneuron.cli.serve import divert_standard_streams\nwire = divert_standard_streams()\n"
     "import roboneuron.server.app as app\nimport roboneuron.server.serving as serving\n"
@@ -160,8 +167,12 @@ SERVE = (
 
 
 def server(path: Path) -> StdioServerParameters:
-    """Our server, quiet; the check that the robot's plugin is installed is left out, because the robot is none."""
-    return StdioServerParameters(command=sys.executable, args=["-c", SERVE, str(path)], env=dict(os.environ))
+    """Our server, quiet; the check that the robot's plugin is installed is left out, because
+    the robot is none.
+    """
+    return StdioServerParameters(
+        command=sys.executable, args=["-c", SERVE, str(path)], env=dict(os.environ)
+    )
 
 
 def bounded(parameters: StdioServerParameters) -> Client:
@@ -198,15 +209,30 @@ def publisher() -> Iterator[Any]:
 
 
 def percentile(values: list[float], share: float) -> float:
-    """The smallest value that this share of them does not exceed: of 100 values, p99 is the second largest."""
+    """The smallest value that this share of them does not exceed: of 100 values, p99 is the
+    second largest.
+    """
     return sorted(values)[max(0, math.ceil(share * len(values)) - 1)]
 
 
-async def measure(size: int, calls: int, listener: Listener, folder: Path, publish: Any) -> dict[str, list[float]]:
+async def measure(
+    size: int, calls: int, listener: Listener, folder: Path, publish: Any
+) -> dict[str, list[float]]:
     """Milliseconds of ours and both floors, one after the other in each round."""
-    times: dict[str, list[float]] = {"tool": [], "entered": [], "publish": [], "ours": [], "round trip": []}
-    trivial = StdioServerParameters(command=sys.executable, args=["-c", TRIVIAL], env=dict(os.environ))
-    async with bounded(trivial) as floor, bounded(server(configuration(folder, size, False))) as client:
+    times: dict[str, list[float]] = {
+        "tool": [],
+        "entered": [],
+        "publish": [],
+        "ours": [],
+        "round trip": [],
+    }
+    trivial = StdioServerParameters(
+        command=sys.executable, args=["-c", TRIVIAL], env=dict(os.environ)
+    )
+    async with (
+        bounded(trivial) as floor,
+        bounded(server(configuration(folder, size, False))) as client,
+    ):
         started = time.monotonic()
         listed = await client.list_tools()
         times["list"] = [(time.monotonic() - started) * 1e3]
@@ -227,7 +253,9 @@ async def measure(size: int, calls: int, listener: Listener, folder: Path, publi
             if direct:
                 answer = await client.call_tool("publish_velocity", arguments)
             else:
-                answer = await client.call_tool("call_endpoint", {"tool": "publish_velocity", "arguments": arguments})
+                answer = await client.call_tool(
+                    "call_endpoint", {"tool": "publish_velocity", "arguments": arguments}
+                )
             ended = time.monotonic_ns()
             assert not answer.is_error, answer.content
             ours = listener.arrival_ns(mark)
@@ -239,29 +267,40 @@ async def measure(size: int, calls: int, listener: Listener, folder: Path, publi
                 times["round trip"].append((ended - begun) / 1e6)
         if not direct:
             begun_s = time.monotonic()
-            await client.call_tool("find_tools", {"query": f"wheel {size // 2}", "schemas": True, "limit": 3})
+            await client.call_tool(
+                "find_tools", {"query": f"wheel {size // 2}", "schemas": True, "limit": 3}
+            )
             times["find"] = [(time.monotonic() - begun_s) * 1e3]
     return times
 
 
-async def measure_stops(count: int, listener: Listener, folder: Path) -> tuple[list[float], list[float]]:
-    """Milliseconds from the call of emergency_stop, and from cancelling the sequence, to the zero message."""
+async def measure_stops(
+    count: int, listener: Listener, folder: Path
+) -> tuple[list[float], list[float]]:
+    """Milliseconds from the call of emergency_stop, and from cancelling the sequence, to the
+    zero message.
+    """
     stops: list[float] = []
     cancels: list[float] = []
     steps = [{"message": {"linear": {"x": x}}, "duration_s": 5.0} for x in (0.5, 0.25)]
     async with bounded(server(configuration(folder, 3, True))) as client:
         await client.list_tools()
         for index in range(count * 2):
-            with anyio.fail_after(30):  # until the motion before has let go of the robot, and its last message is here
+            # until the motion before has let go of the robot, and its last message is here
+            with anyio.fail_after(30):
                 while not (
-                    await client.call_tool("publish_velocity_sequence", {"steps": steps, "dry_run": True})
+                    await client.call_tool(
+                        "publish_velocity_sequence", {"steps": steps, "dry_run": True}
+                    )
                 ).structured_content["allowed"]:
                     await anyio.sleep(0.01)
             await anyio.sleep(0.1)
             seen = len(listener.poll())
             with anyio.CancelScope() as scope:
                 async with anyio.create_task_group() as group:
-                    group.start_soon(lambda: client.call_tool("publish_velocity_sequence", {"steps": steps}))
+                    group.start_soon(
+                        lambda: client.call_tool("publish_velocity_sequence", {"steps": steps})
+                    )
                     with anyio.fail_after(30):
                         while len(listener.poll()) <= seen:
                             await anyio.sleep(0.005)
@@ -276,14 +315,18 @@ async def measure_stops(count: int, listener: Listener, folder: Path) -> tuple[l
             while found is None and time.monotonic() < end_s:
                 found = next((at for at, x, _ in listener.poll() if at > begun and x == 0.0), None)
                 await anyio.sleep(0.001)
-            (cancels if index % 2 else stops).append((found - begun) / 1e6 if found else float("inf"))
+            (cancels if index % 2 else stops).append(
+                (found - begun) / 1e6 if found else float("inf")
+            )
             if not index % 2:
                 await client.call_tool("reset_emergency_stop", {})
     return stops, cancels
 
 
 async def measure_start(size: int, listener: Listener, folder: Path) -> tuple[float, float, float]:
-    """Seconds from the spawn to the answer of initialize, of tools/list, and to the first message."""
+    """Seconds from the spawn to the answer of initialize, of tools/list, and to the first
+    message.
+    """
     mark = time.monotonic()
     begun = time.monotonic_ns()
     async with bounded(server(configuration(folder, size, False))) as client:
@@ -310,18 +353,44 @@ def show_starts(console: Console, rows: dict[int, list[tuple[float, float, float
 
 def show_delivery(console: Console, rows: dict[int, dict[str, list[float]]]) -> None:
     """Both tables of the first measurement."""
-    table = Table(title="Call to message at a subscriber in another process [ms]", title_justify="left")
-    columns = ("endpoints", "", "tool", "tool one way", "publish", "ours", "overhead", "one way", "answered", "budget")
+    table = Table(
+        title="Call to message at a subscriber in another process [ms]", title_justify="left"
+    )
+    columns = (
+        "endpoints",
+        "",
+        "tool",
+        "tool one way",
+        "publish",
+        "ours",
+        "overhead",
+        "one way",
+        "answered",
+        "budget",
+    )
     for column in columns:
         table.add_column(column, justify="right")
     for size, times in rows.items():
         for word, share in (("median", 0.5), ("p99", 0.99)):
             tool, entered, publish, ours, answered = (
-                percentile(times[key], share) for key in ("tool", "entered", "publish", "ours", "round trip")
+                percentile(times[key], share)
+                for key in ("tool", "entered", "publish", "ours", "round trip")
             )
             one_way = ours - entered - publish
-            budget = f"{BUDGET_MS} {'kept' if one_way <= BUDGET_MS else 'missed'}" if word == "median" else ""
-            values = (tool, entered, publish, ours, ours - tool - publish, one_way, answered - tool - publish)
+            budget = (
+                f"{BUDGET_MS} {'kept' if one_way <= BUDGET_MS else 'missed'}"
+                if word == "median"
+                else ""
+            )
+            values = (
+                tool,
+                entered,
+                publish,
+                ours,
+                ours - tool - publish,
+                one_way,
+                answered - tool - publish,
+            )
             table.add_row(str(size), word, *(f"{v:.2f}" for v in values), budget)
     console.print(table)
     usable = Table(title="What the agent reads", title_justify="left")
@@ -329,13 +398,17 @@ def show_delivery(console: Console, rows: dict[int, dict[str, list[float]]]) -> 
         usable.add_column(column, justify="right")
     for size, times in rows.items():
         find = f"{times['find'][0]:.1f}" if "find" in times else "not needed"
-        usable.add_row(str(size), f"{times['list_bytes'][0] / 1e3:.0f}", f"{times['list'][0]:.0f}", find)
+        usable.add_row(
+            str(size), f"{times['list_bytes'][0] / 1e3:.0f}", f"{times['list'][0]:.0f}", find
+        )
     console.print(usable)
 
 
 def main() -> int:
     """Run both measurements; status 1 when a message was lost."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--calls", type=int, default=300)
     parser.add_argument("--stops", type=int, default=100)
     parser.add_argument("--starts", type=int, default=3)
@@ -350,18 +423,25 @@ def main() -> int:
         listener = Listener(folder)
         try:
             with publisher() as publish:
-                rows = {size: anyio.run(measure, size, arguments.calls, listener, folder, publish)
-                        for size in arguments.sizes}  # fmt: skip
+                rows = {
+                    size: anyio.run(measure, size, arguments.calls, listener, folder, publish)
+                    for size in arguments.sizes
+                }
             show_delivery(console, rows)
             starts = {
-                size: [anyio.run(measure_start, size, listener, folder) for _ in range(arguments.starts)]
+                size: [
+                    anyio.run(measure_start, size, listener, folder)
+                    for _ in range(arguments.starts)
+                ]
                 for size in arguments.sizes
             }
             show_starts(console, starts)
             stops, cancels = anyio.run(measure_stops, arguments.stops, listener, folder)
         finally:
             listener.close()
-    table = Table(title="From the call to the zero message, during a 10 s sequence [ms]", title_justify="left")
+    table = Table(
+        title="From the call to the zero message, during a 10 s sequence [ms]", title_justify="left"
+    )
     for column in ("", "n", "median", "p99", "max", "budget"):
         table.add_column(column, justify="right")
     for word, values in (("emergency_stop", stops), ("cancelled call", cancels)):
@@ -369,7 +449,9 @@ def main() -> int:
         table.add_row(word, str(len(values)), *(f"{v:.1f}" for v in row), "50")
     console.print(table)
     if arguments.json:
-        arguments.json.write_text(json.dumps({"delivery": rows, "starts": starts, "stops": stops, "cancels": cancels}))
+        arguments.json.write_text(
+            json.dumps({"delivery": rows, "starts": starts, "stops": stops, "cancels": cancels})
+        )
     lost = sum(arguments.calls - len(times["ours"]) for times in rows.values())
     if lost:
         console.print(f"{lost} messages did not arrive.")

@@ -1,11 +1,13 @@
-"""How many participants on one host find each other: each node in a participant of its own, as a module's is.
+"""How many participants on one host find each other: each node in a participant of its own, as a
+module's is.
 
     python benchmarks/bench_discovery.py [--participants 24 48] [--probed 32 96]
 
-With discovery in the range LOCALHOST a participant announces itself to as many ports of this host as the Fast DDS
-profile says (`maxInitialPeersRange`, which RoboNeuron's profile takes from ROBONEURON_PARTICIPANTS). Two that both have
-a higher number than that never hear of each other. A row says which share of all pairs have found each other, and which
-share of a core all of them take while they do nothing but announce themselves.
+With discovery in the range LOCALHOST a participant announces itself to as many ports of this host
+as the Fast DDS profile says (`maxInitialPeersRange`, which RoboNeuron's profile takes from
+ROBONEURON_PARTICIPANTS). Two that both have a higher number than that never hear of each other. A
+row says which share of all pairs have found each other, and which share of a core all of them take
+while they do nothing but announce themselves.
 """
 
 from __future__ import annotations
@@ -47,20 +49,27 @@ print(json.dumps({"used_s": used_s, "found": found}), flush=True)
 for node in nodes:
     node.destroy_node()
     rclpy.shutdown(context=node.context)
-"""
+"""  # noqa: E501
 
 
 def measure(participants: int, probed: int, seconds: float) -> tuple[float, float]:
     """Share of the pairs that have found each other, and share of a core that all took together."""
-    environment = {**os.environ, "ROS_DOMAIN_ID": str(free_ros_domain()), "ROBONEURON_PARTICIPANTS": str(probed)}
+    environment = {
+        **os.environ,
+        "ROS_DOMAIN_ID": str(free_ros_domain()),
+        "ROBONEURON_PARTICIPANTS": str(probed),
+    }
     processes = []
     with ExitStack() as stack:
         for first in range(0, participants, NODES_A_PROCESS):
             count = min(NODES_A_PROCESS, participants - first)
             process = subprocess.Popen(
                 [sys.executable, "-c", NODES, str(first), str(count), str(seconds)],
-                stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment, text=True,
-            )  # fmt: skip
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                env=environment,
+                text=True,
+            )
             stack.callback(process.kill)
             processes.append(process)
         for process in processes:
@@ -81,7 +90,9 @@ def measure(participants: int, probed: int, seconds: float) -> tuple[float, floa
             answers.append(json.loads(out))
     found = {name: set(names) for answer in answers for name, names in answer["found"].items()}
     pairs = sum(len(names - {name}) for name, names in found.items())
-    return pairs / (participants * (participants - 1)), sum(answer["used_s"] for answer in answers) / seconds
+    return pairs / (participants * (participants - 1)), sum(
+        answer["used_s"] for answer in answers
+    ) / seconds
 
 
 def main() -> int:
@@ -93,7 +104,10 @@ def main() -> int:
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
         prepare_environment(Path(scratch))
-        print("| participants | probed | pairs that found each other | share of a core |\n|---|---|---|---|")
+        print(
+            "| participants | probed | pairs that found each other | share of a core "
+            "|\n|---|---|---|---|"
+        )
         for participants in arguments.participants:
             for probed in arguments.probed:
                 share, used = measure(participants, probed, arguments.seconds)

@@ -1,10 +1,11 @@
-"""What `roboneuron eval` costs beside a plain loop over the same simulator and policy, and what a second worker brings.
+"""What `roboneuron eval` costs beside a plain loop over the same simulator and policy, and what a
+second worker brings.
 
     python benchmarks/bench_eval.py [--episodes 8] [--workers 2]
 
-The plain loop opens the same scene, renders, predicts, computes the joint command and steps the physics, nothing else.
-Loop and evaluation alternate episode by episode; compared is the CPU time of the process, which other load disturbs
-least.
+The plain loop opens the same scene, renders, predicts, computes the joint command and steps the
+physics, nothing else. Loop and evaluation alternate episode by episode; compared is the CPU time of
+the process, which other load disturbs least.
 """
 
 from __future__ import annotations
@@ -33,13 +34,18 @@ from roboneuron.plugins.discovery import discover
 def plan_of(episodes: int) -> EvalPlan:
     """The suite `cubes` with the policy `servo`."""
     return EvalPlan(
-        suite="cubes", backend="servo", config=load_config(None).model_dump(mode="json"), episodes=episodes,
+        suite="cubes",
+        backend="servo",
+        config=load_config(None).model_dump(mode="json"),
+        episodes=episodes,
         strips="none",
-    )  # fmt: skip
+    )
 
 
 def plain_episode(runner: Runner, episode: Episode, *, with_limits: bool) -> int:
-    """Play an episode without the evaluation's clock, ledger and statistics; returns the number of steps."""
+    """Play an episode without the evaluation's clock, ledger and statistics; returns the number
+    of steps.
+    """
     policy, setup = runner._policy_of("none"), runner._setup
     policy.reset()
     scene: Scene = runner._suite.open(episode, setup)
@@ -87,13 +93,18 @@ def overhead(count: int) -> None:
                     done = plain_episode(runner, job.episode, with_limits=name != "plain")
                 spent[name].append((time.process_time() - begun_s) / done)
                 steps[name].append(done)
-    print("| one episode of cubes, servo policy | CPU ms a step | steps | to plain | to plain + limits |")
+    print(
+        "| one episode of cubes, servo policy | CPU ms a step | steps | to plain | to plain + "
+        "limits |"
+    )
     print("|---|---|---|---|---|")
     medians = {name: 1e3 * statistics.median(values[1:]) for name, values in spent.items()}
     for name, value in medians.items():
         count_of = statistics.mean(steps[name][1:])
-        ratios = [statistics.median(a / b for a, b in zip(spent[name][1:], spent[base][1:], strict=True))
-                  for base in ("plain", "plain + limits")]  # fmt: skip
+        ratios = [
+            statistics.median(a / b for a, b in zip(spent[name][1:], spent[base][1:], strict=True))
+            for base in ("plain", "plain + limits")
+        ]
         print(f"| {name} | {value:.2f} | {count_of:.1f} | {ratios[0]:.3f} | {ratios[1]:.3f} |")
 
 
@@ -115,7 +126,10 @@ def scaling(count: int, workers: int) -> None:
         evaluate(plan, Path(folder), lambda: InProcess(plan), quiet)
         rates[0] = 60 * count / (time.monotonic() - begun_s)
     load = os.getloadavg()[0]
-    print(f"\n| workers | episodes a minute | to one worker |  load {load:.1f} on {os.cpu_count()} cores")
+    print(
+        f"\n| workers | episodes a minute | to one worker |  load {load:.1f} on {os.cpu_count()} "
+        "cores"
+    )
     print("|---|---|---|")
     for number, rate in sorted(rates.items()):
         name = "this process" if number == 0 else f"{number} on Ray"

@@ -1,18 +1,22 @@
-"""Chunks executed in real time: which share of its rate a policy that answers late keeps, mode by mode.
+"""Chunks executed in real time: which share of its rate a policy that answers late keeps, mode by
+mode.
 
     python benchmarks/bench_execution.py [--seconds 12]
     python benchmarks/bench_execution.py --virtual [--seeds 3] [--duration 45]
 
-The policy follows a target that circles in either sense, so that two chunks disagree; rows are 50 ms long.
+The policy follows a target that circles in either sense, so that two chunks disagree; rows are 50
+ms long.
 
-Without --virtual our inference module runs in its process, the benchmark is its camera and its arm, and the policy
-sleeps until its latency has passed (lognormal, 20 %). Each case is run in each mode in turns, with the same trial by
-the virtual clock beside it. Rate, starved periods and longest gap are those of the action topic; jumps are the
-status's. "Late ticks" are those of a thread that only sleeps 50 ms at a time: what comes half a period late there is
-the machine's doing, and starved periods of about that number are too.
+Without --virtual our inference module runs in its process, the benchmark is its camera and its arm,
+and the policy sleeps until its latency has passed (lognormal, 20 %). Each case is run in each mode
+in turns, with the same trial by the virtual clock beside it. Rate, starved periods and longest gap
+are those of the action topic; jumps are the status's. "Late ticks" are those of a thread that only
+sleeps 50 ms at a time: what comes half a period late there is the machine's doing, and starved
+    periods of about that number are too.
 
-With --virtual the executor runs by a virtual clock, without processes: the table of docs/benchmarks.md. "sequential"
-is the baseline in both tables; the ideal is the rate that the chunks ask for, 20 Hz.
+With --virtual the executor runs by a virtual clock, without processes: the table of
+docs/benchmarks.md. "sequential" is the baseline in both tables; the ideal is the rate that the
+chunks ask for, 20 Hz.
 """
 
 from __future__ import annotations
@@ -61,12 +65,18 @@ WAYS = (
     Way(name="sequential", mode="sequential", abilities=Abilities()),
     Way(name="auto", mode=None, abilities=Abilities()),
     Way(name="rtc", mode="rtc", abilities=Abilities(conditions_on_rows=True)),
-    Way(name="predicted-state", mode="predicted-state", abilities=Abilities(takes_predicted_state=True)),
+    Way(
+        name="predicted-state",
+        mode="predicted-state",
+        abilities=Abilities(takes_predicted_state=True),
+    ),
 )
 REAL_WAYS = WAYS[:3]
 
 
-def virtual_trials(horizon: int, latency_ms: float, way: Way, *, seeds: int, duration_s: float) -> list[Outcomes]:
+def virtual_trials(
+    horizon: int, latency_ms: float, way: Way, *, seeds: int, duration_s: float
+) -> list[Outcomes]:
     """The trials of one row."""
     return [
         run(
@@ -95,9 +105,14 @@ def chosen(way: Way, mode: str) -> str:
 
 
 def virtual_cells(trials: list[Outcomes], duration_s: float) -> list[str]:
-    """Rate, starved periods per minute, longest gap, border and inner jump, ratio, image age, error."""
+    """Rate, starved periods per minute, longest gap, border and inner jump, ratio, image age,
+    error.
+    """
     deliveries = [trial.delivery for trial in trials]
-    border_mm, inner_mm = mean(d.border_jump_mm for d in deliveries), mean(d.inner_jump_mm for d in deliveries)
+    border_mm, inner_mm = (
+        mean(d.border_jump_mm for d in deliveries),
+        mean(d.inner_jump_mm for d in deliveries),
+    )
     return [
         f"{mean(trial.rate for trial in trials):.1%}",
         f"{mean(d.starved_periods for d in deliveries) * 60 / duration_s:.0f}",
@@ -111,7 +126,10 @@ def virtual_cells(trials: list[Outcomes], duration_s: float) -> list[str]:
 
 def virtual_table(seeds: int, duration_s: float) -> Table:
     """Every horizon, latency and mode, by the virtual clock."""
-    table = Table(title=f"Virtual clock, rows of 50 ms, latency with 20 % jitter, {seeds} runs of {duration_s:g} s")
+    table = Table(
+        title=f"Virtual clock, rows of 50 ms, latency with 20 % jitter, {seeds} runs of "
+        f"{duration_s:g} s"
+    )
     for column in (
         "rows",
         "latency ms",
@@ -128,19 +146,24 @@ def virtual_table(seeds: int, duration_s: float) -> Table:
     for horizon in HORIZONS:
         for latency_ms in LATENCIES_MS:
             for way in WAYS:
-                trials = virtual_trials(horizon, latency_ms, way, seeds=seeds, duration_s=duration_s)
+                trials = virtual_trials(
+                    horizon, latency_ms, way, seeds=seeds, duration_s=duration_s
+                )
                 cells = virtual_cells(trials, duration_s)
                 table.add_row(str(horizon), f"{latency_ms:g}", chosen(way, trials[-1].mode), *cells)
             table.add_section()
     return table
 
 
-def measure(horizon: int, latency_ms: float, way: Way, cell: Cell, folder: Path, seconds: float) -> Measured:
+def measure(
+    horizon: int, latency_ms: float, way: Way, cell: Cell, folder: Path, seconds: float
+) -> Measured:
     """Run our inference module on one case."""
     backend = "late-rtc" if way.abilities.conditions_on_rows else "late"
     configuration = (
         '[robot]\nname = "bench"\n'
-        f'[inference]\nbackend = "{backend}"\ninstruction = "go"\nexecution = "{way.mode or "auto"}"\n'
+        f'[inference]\nbackend = "{backend}"\ninstruction = "go"\nexecution = '
+        f'"{way.mode or "auto"}"\n'
         f"max_image_age_s = {MAX_IMAGE_AGE_S}\n"
         f"[plugins.{backend}]\nrows = {horizon}\nlatency_ms = {latency_ms}\n"
         f"conditions_on_rows = {str(way.abilities.conditions_on_rows).lower()}\n"
@@ -154,7 +177,9 @@ def measure(horizon: int, latency_ms: float, way: Way, cell: Cell, folder: Path,
 
 def real_cells(measured: Measured, seconds: float) -> list[str]:
     """As `virtual_cells`; the error is not measured."""
-    border_mm, inner_mm = (float(measured.status.get(f"{name}_jump_mm", "nan")) for name in ("border", "inner"))
+    border_mm, inner_mm = (
+        float(measured.status.get(f"{name}_jump_mm", "nan")) for name in ("border", "inner")
+    )
     return [
         f"{measured.rate:.1%}",
         f"{measured.starved_periods * 60 / seconds:.0f}",
@@ -166,7 +191,9 @@ def real_cells(measured: Measured, seconds: float) -> list[str]:
 
 def real_table(seconds: float, folder: Path) -> Table:
     """Real processes, each case beside the same one by the virtual clock."""
-    table = Table(title=f"Real processes, {seconds:g} s each, rows of 50 ms, latency with 20 % jitter")
+    table = Table(
+        title=f"Real processes, {seconds:g} s each, rows of 50 ms, latency with 20 % jitter"
+    )
     for column in (
         "rows",
         "latency ms",
@@ -191,13 +218,26 @@ def real_table(seconds: float, folder: Path) -> Table:
                     for way in REAL_WAYS:
                         measured = measure(horizon, latency_ms, way, cell, folder, seconds)
                         status = measured.status
-                        latency = " / ".join(f"{float(status[f'latency_{p}_ms']):.0f}" for p in ("p50", "p99"))
+                        latency = " / ".join(
+                            f"{float(status[f'latency_{p}_ms']):.0f}" for p in ("p50", "p99")
+                        )
                         name = chosen(way, status["mode"])
                         case = (str(horizon), f"{latency_ms:g}", name)
                         load, late = os.getloadavg()[0], f"{measured.late_ticks * 60 / seconds:.0f}"
-                        table.add_row(*case, "real", *real_cells(measured, seconds), latency, late, f"{load:.1f}")
-                        trials = virtual_trials(horizon, latency_ms, way, seeds=1, duration_s=seconds)
-                        table.add_row("", "", "", "virtual", *virtual_cells(trials, seconds)[:5], "", "", "")
+                        table.add_row(
+                            *case,
+                            "real",
+                            *real_cells(measured, seconds),
+                            latency,
+                            late,
+                            f"{load:.1f}",
+                        )
+                        trials = virtual_trials(
+                            horizon, latency_ms, way, seeds=1, duration_s=seconds
+                        )
+                        table.add_row(
+                            "", "", "", "virtual", *virtual_cells(trials, seconds)[:5], "", "", ""
+                        )
                     table.add_section()
         finally:
             cell.close()
@@ -207,10 +247,16 @@ def real_table(seconds: float, folder: Path) -> Table:
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--virtual", action="store_true", help="by a virtual clock only, without processes")
+    parser.add_argument(
+        "--virtual", action="store_true", help="by a virtual clock only, without processes"
+    )
     parser.add_argument("--seeds", type=int, default=3, help="virtual runs per row (default 3)")
-    parser.add_argument("--duration", type=float, default=45.0, help="simulated seconds per run (default 45)")
-    parser.add_argument("--seconds", type=float, default=12.0, help="measured seconds per real case (default 12)")
+    parser.add_argument(
+        "--duration", type=float, default=45.0, help="simulated seconds per run (default 45)"
+    )
+    parser.add_argument(
+        "--seconds", type=float, default=12.0, help="measured seconds per real case (default 12)"
+    )
     arguments = parser.parse_args()
     console = Console(width=150)
     if arguments.virtual:

@@ -1,16 +1,19 @@
-"""How soon a fault is noticed, and how soon the arm stands: crashes and emergency stops of a moving arm, in one run.
+"""How soon a fault is noticed, and how soon the arm stands: crashes and emergency stops of a moving
+arm, in one run.
 
     python benchmarks/bench_faults.py [--trials 100] [--rows 16 --delay-ms 100] [--json out.json]
 
-An arm swings at 30 Hz. Each trial waits until it moves, does one thing, and looks at what the joints did: "last motion"
-is the time from the fault to the last change of the measured joints; "noticed" is when the supervisor's watch told its
-listeners; "hold" is when control commanded, or the driver reported, a hold. Only the module that was killed is started
-again. The gantry reaches each command at once, so that its last motion is the last command's; an arm with inertia adds
-its braking. With --rows the backend answers with chunks, which are executed as `auto` decides.
-The floor is how long it takes this process to learn that a bare child was killed.
+An arm swings at 30 Hz. Each trial waits until it moves, does one thing, and looks at what the
+    joints did: "last motion"
+is the time from the fault to the last change of the measured joints; "noticed" is when the
+supervisor's watch told its listeners; "hold" is when control commanded, or the driver reported, a
+hold. Only the module that was killed is started again. The gantry reaches each command at once, so
+that its last motion is the last command's; an arm with inertia adds its braking. With --rows the
+backend answers with chunks, which are executed as `auto` decides. The floor is how long it takes
+this process to learn that a bare child was killed.
 
-A trial in which something did not come within its wait is told as missed and has no times; the cell is brought up again
-and the next trial goes on. Exit status 1 when no trial of a fault succeeded.
+A trial in which something did not come within its wait is told as missed and has no times; the cell
+is brought up again and the next trial goes on. Exit status 1 when no trial of a fault succeeded.
 """
 
 from __future__ import annotations
@@ -115,21 +118,31 @@ class Bench:
     def noticed_s(self, kind: str, health: Health, since_s: float) -> float:
         """When the watch told that a module is so."""
         return self._first(
-            lambda: next((at for at, k, h in self._told if at >= since_s and (k, h) == (kind, health)), None),
+            lambda: next(
+                (at for at, k, h in self._told if at >= since_s and (k, h) == (kind, health)), None
+            ),
             3.0,
             f"{kind} is {health}",
         )
 
     def held_s(self, since_s: float) -> float:
         """When control commanded a hold."""
-        return self._first(lambda: next((at for at in self._holds if at >= since_s), None), 3.0, "control holds")
+        return self._first(
+            lambda: next((at for at in self._holds if at >= since_s), None), 3.0, "control holds"
+        )
 
     def driver_held_s(self, since_s: float) -> float:
-        """When the driver's hold was reported; reports come every 0.2 s, so that older ones tell of the time before."""
+        """When the driver's hold was reported; reports come every 0.2 s, so that older ones
+        tell of the time before.
+        """
 
         def holding() -> bool:
             report = self.loop.supervisor.view("robot").report
-            return report is not None and report.received_s > since_s + 0.4 and report.note == "holding: no command"
+            return (
+                report is not None
+                and report.received_s > since_s + 0.4
+                and report.note == "holding: no command"
+            )
 
         if not self.loop.supervisor.changes.wait_for(holding, 3.0):
             raise NotSeen("not within 3 s: the driver holds")
@@ -170,7 +183,11 @@ class Bench:
         at_s = time.monotonic()
         os.kill(process.pid, signal.SIGKILL)
         self.note(fault, NOTICE, self.noticed_s(kind, "exited", at_s) - at_s)
-        self.note(fault, HOLD, (self.driver_held_s(at_s) if kind == "control" else self.held_s(at_s)) - at_s)
+        self.note(
+            fault,
+            HOLD,
+            (self.driver_held_s(at_s) if kind == "control" else self.held_s(at_s)) - at_s,
+        )
         self.note(fault, MOTION, self.stood_s(at_s))
         self._start(kind)
 
@@ -181,7 +198,10 @@ class Bench:
 
     def _swing(self) -> None:
         """A restart and a release start no motion."""
-        if self.loop.supervisor.view("inference").phase == "running" and not self.loop.starts.instruction:
+        if (
+            self.loop.supervisor.view("inference").phase == "running"
+            and not self.loop.starts.instruction
+        ):
             self.loop.set_instruction("swing", 10.0)
 
     def attempt(self, what: str, trial: Callable[[], None]) -> None:
@@ -203,7 +223,9 @@ class Bench:
         at_s = time.monotonic()
         os.kill(process.pid, signal.SIGSTOP)
         try:
-            self.note("inference frozen", NOTICE, self.noticed_s("inference", "silent", at_s) - at_s)
+            self.note(
+                "inference frozen", NOTICE, self.noticed_s("inference", "silent", at_s) - at_s
+            )
             self.note("inference frozen", HOLD, self.held_s(at_s) - at_s)
             self.note("inference frozen", MOTION, self.stood_s(at_s))
         finally:
@@ -256,16 +278,25 @@ def floor_s(trials: int) -> list[float]:
 
 def main() -> int:
     """Run every trial and print one table; returns the exit status."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--trials", type=int, default=100, help="of each fault")
-    parser.add_argument("--rows", type=int, default=1, metavar="N", help="actions of a chunk, one each period")
-    parser.add_argument("--delay-ms", type=float, default=0.0, metavar="MS", help="time that a prediction takes")
+    parser.add_argument(
+        "--rows", type=int, default=1, metavar="N", help="actions of a chunk, one each period"
+    )
+    parser.add_argument(
+        "--delay-ms", type=float, default=0.0, metavar="MS", help="time that a prediction takes"
+    )
     parser.add_argument("--json", type=Path, help="write the raw seconds here")
     arguments = parser.parse_args()
     progress = Console(stderr=True)
     with tempfile.TemporaryDirectory() as scratch:
         policy = chunks(arguments.rows, arguments.delay_ms, RATE_HZ)
-        with moving_cell(Path(scratch), RATE_HZ, backend="steady", policy=policy) as (loop, witness):
+        with moving_cell(Path(scratch), RATE_HZ, backend="steady", policy=policy) as (
+            loop,
+            witness,
+        ):
             bench = Bench(loop, witness)
             try:
                 for trial in range(arguments.trials):
@@ -284,11 +315,18 @@ def main() -> int:
         median, p99, most = np.percentile(values, [50, 99, 100]) * 1e3
         bound_s = BOUNDS_S.get((fault, word))
         table.add_row(
-            fault, word, f"{median:.0f}", f"{p99:.0f}", f"{most:.0f}", "" if bound_s is None else f"{bound_s * 1e3:.0f}"
+            fault,
+            word,
+            f"{median:.0f}",
+            f"{p99:.0f}",
+            f"{most:.0f}",
+            "" if bound_s is None else f"{bound_s * 1e3:.0f}",
         )
     Console(width=130).print(table)
     if arguments.json:
-        arguments.json.write_text(json.dumps({f"{fault}: {word}": values for (fault, word), values in times.items()}))
+        arguments.json.write_text(
+            json.dumps({f"{fault}: {word}": values for (fault, word), values in times.items()})
+        )
     unseen = sorted({fault for fault, _ in BOUNDS_S} - {fault for fault, _ in times})
     for fault in unseen:
         print(f"no trial of {fault!r} succeeded")

@@ -1,4 +1,5 @@
-"""The driver `fci` against franka-sim with both enforcement flags: accuracy, stopping, latency, load, lost processes.
+"""The driver `fci` against franka-sim with both enforcement flags: accuracy, stopping, latency,
+load, lost processes.
 
     make bench-fci ARGS="--targets 500 --stops 100 --stream-s 1800"
 
@@ -53,7 +54,9 @@ def tcp(joints: Any) -> Any:
 
 def open_driver(host: str, factor: float = 0.5) -> FciDriver:
     """A driver that is connected."""
-    options = FciDriverOptions(host=host, realtime="ignored", gripper=False, dynamics_factor=factor, watchdog_s=5.0)
+    options = FciDriverOptions(
+        host=host, realtime="ignored", gripper=False, dynamics_factor=factor, watchdog_s=5.0
+    )
     driver = FciDriver(options, profile(), MemoryTopics())
     driver.open()
     return driver
@@ -91,7 +94,9 @@ def wait(driver: FciDriver | None, check: Callable[[], bool], limit_s: float = 2
 
 
 def arrived(driver: FciDriver, sim: FrankaSim, target: Any) -> bool:
-    """Wait until it stands at the target; False when a fault came between, which is recovered from."""
+    """Wait until it stands at the target; False when a fault came between, which is recovered
+    from.
+    """
 
     def is_over() -> bool:
         if driver.read().detail["fault"]:
@@ -123,19 +128,27 @@ def accuracy(driver: FciDriver, sim: FrankaSim, count: int) -> None:
             go(driver, target, 0.1)
         time.sleep(0.15)
         off = tcp(joints(sim)).actInv(tcp(target))
-        errors.append((np.linalg.norm(off.translation) * 1e3, np.linalg.norm(pinocchio.log3(off.rotation)) * 1e3))
+        errors.append(
+            (
+                np.linalg.norm(off.translation) * 1e3,
+                np.linalg.norm(pinocchio.log3(off.rotation)) * 1e3,
+            )
+        )
         if number % 100 and number < count:
             continue
         median, worst = np.median(errors, axis=0), np.max(errors, axis=0)
         print(
             f"| {number} random targets within 5 cm: final TCP error | median {median[0]:.4f} mm, "
-            f"{median[1]:.4f} mrad; worst {worst[0]:.4f} mm, {worst[1]:.4f} mrad; {faults} faults on the way |",
+            f"{median[1]:.4f} mrad; worst {worst[0]:.4f} mm, {worst[1]:.4f} mrad; {faults} faults "
+            "on the way |",
             flush=True,
         )
 
 
 def stops(driver: FciDriver, sim: FrankaSim, record: Path, count: int) -> None:
-    """From hold() to rest, by the simulator's record: time, way, and how far the arm went back afterwards."""
+    """From hold() to rest, by the simulator's record: time, way, and how far the arm went back
+    afterwards.
+    """
     random, side, within, rows = np.random.default_rng(2), 1.0, 0, []
     faults = 0
     for _ in range(count):
@@ -152,9 +165,11 @@ def stops(driver: FciDriver, sim: FrankaSim, record: Path, count: int) -> None:
         did = read_record(record, 3.0).since(held_s)
         speed = np.abs(did.velocity[0])
         gone = (did.position - did.position[0]) * np.sign(did.velocity[0])
-        # braking at 10 rad/s2, the ramps of the jerk, 10 ms from hold() to the robot, 2 mrad by which the servo lags
+        # braking at 10 rad/s2, the ramps of the jerk, 10 ms from hold() to the robot, 2 mrad by
+        # which the servo lags
         allowed = speed**2 / 20.0 + speed * (0.010 + 10.0 / JERK_LIMIT_RAD_S3) + 2e-3
-        allowed[1] += speed[1] ** 2 * (1.0 / 14.8 - 1.0 / 20.0)  # the client library allows joint 2 no more
+        # the client library allows joint 2 no more
+        allowed[1] += speed[1] ** 2 * (1.0 / 14.8 - 1.0 / 20.0)
         is_within = bool((gone.max(axis=0) <= allowed).all())
         within += is_within
         rows.append(
@@ -169,20 +184,27 @@ def stops(driver: FciDriver, sim: FrankaSim, record: Path, count: int) -> None:
         f"| {count} times hold() at {speeds_rad_s.min():.2f} to {speeds_rad_s.max():.2f} rad/s | "
         f"way within what 10 rad/s2 allows (+10 ms): {within} of {count}; "
         f"at rest after {np.median(took_ms):.0f} ms, worst {took_ms.max():.0f} ms; "
-        f"goes back {np.median(back_rad) * 1e3:.1f} mrad, worst {back_rad.max() * 1e3:.1f}; {faults} faults |",
+        f"goes back {np.median(back_rad) * 1e3:.1f} mrad, worst {back_rad.max() * 1e3:.1f}; "
+        f"{faults} faults |",
         flush=True,
     )
 
 
-def latency(driver: FciDriver, sim: FrankaSim, record: Path, count: int, is_running: bool) -> list[float]:
-    """From send() to the first step of the simulator in which a joint moves, by its own record [ms].
+def latency(
+    driver: FciDriver, sim: FrankaSim, record: Path, count: int, is_running: bool
+) -> list[float]:
+    """From send() to the first step of the simulator in which a joint moves, by its own record
+    [ms].
 
-    `is_running`: the control loop runs already, as it does under a policy; otherwise it has to be started.
+    `is_running`: the control loop runs already, as it does under a policy; otherwise it has to be
+    started.
     """
     sent: list[float] = []
     for index in range(count):
         still = (
-            (lambda: bool(speeds(sim).max() < 2e-4)) if is_running else (lambda: driver.read().detail["mode"] == "Idle")
+            (lambda: bool(speeds(sim).max() < 2e-4))
+            if is_running
+            else (lambda: driver.read().detail["mode"] == "Idle")
         )
         wait(driver, still)
         time.sleep(0.1 + 0.01 * np.random.default_rng(index).random())
@@ -196,7 +218,9 @@ def latency(driver: FciDriver, sim: FrankaSim, record: Path, count: int, is_runn
     for at_s in sent:
         begin = int(np.searchsorted(rows[:, 0], at_s))
         speed = np.abs(rows[begin : begin + 500, 8:15]).max(axis=1)
-        found.append((rows[begin + int(np.argmax(speed > max(2e-4, 2 * speed[0]))), 0] - at_s) * 1e3)
+        found.append(
+            (rows[begin + int(np.argmax(speed > max(2e-4, 2 * speed[0]))), 0] - at_s) * 1e3
+        )
     return found
 
 
@@ -214,7 +238,8 @@ def stream(driver: FciDriver, sim: FrankaSim, limit_s: float, what: str) -> None
         time.sleep(0.05)
         rates.append(float(driver.read().detail["control_success_rate"]))
     print(
-        f"| {limit_s:.0f} s of random targets at 20 Hz, {what} | {faults} faults; control success rate: "
+        f"| {limit_s:.0f} s of random targets at 20 Hz, {what} | {faults} faults; control success "
+        "rate: "
         f"worst {min(rates[10:]):.2f}, median {np.median(rates[10:]):.2f} |",
         flush=True,
     )
@@ -232,7 +257,11 @@ def child(host: str) -> None:
 
 def lost_processes(sim: FrankaSim, log: Path, trials: int) -> None:
     """What the arm does when the process of the driver is gone or frozen while it moves."""
-    for number, name in ((signal.SIGKILL, "kill -9"), (signal.SIGSTOP, "SIGSTOP"), (signal.SIGTERM, "kill")):
+    for number, name in (
+        (signal.SIGKILL, "kill -9"),
+        (signal.SIGSTOP, "SIGSTOP"),
+        (signal.SIGTERM, "kill"),
+    ):
         took_ms, rest, watchdog = list[float](), 0.0, 0
         for _ in range(trials):
             told = len(log.read_bytes())
@@ -250,8 +279,10 @@ def lost_processes(sim: FrankaSim, log: Path, trials: int) -> None:
             watchdog += b"communication_constraints_violation" in log.read_bytes()[told:]
             time.sleep(2.0)
         print(
-            f"| {trials} times {name} of the driver's process while it moves | at rest after {np.median(took_ms):.0f} "
-            f"ms, worst {max(took_ms):.0f} ms; {watchdog} by the arm's communication watchdog, {trials - watchdog} by "
+            f"| {trials} times {name} of the driver's process while it moves | at rest after "
+            f"{np.median(took_ms):.0f} "
+            f"ms, worst {max(took_ms):.0f} ms; {watchdog} by the arm's communication watchdog, "
+            f"{trials - watchdog} by "
             f"the end of the connection; stays (at most {rest:.4f} rad/s) |",
             flush=True,
         )
@@ -273,7 +304,10 @@ def main() -> None:
         child(arguments.child)
     parts = arguments.parts.split(",")
     log, record = OUT / "franka-sim.log", OUT / "record.bin"
-    print(f"load average {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores; franka-sim 1.1.7 {' '.join(STRICT)}")
+    print(
+        f"load average {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores; franka-sim 1.1.7 "
+        f"{' '.join(STRICT)}"
+    )
     options = (*STRICT, "--no-gripper", "--record", str(record))
     with FrankaSim(PYTHON, seed=1, options=options, log=log) as sim:
         driver = open_driver(sim.host)
@@ -283,7 +317,8 @@ def main() -> None:
             for is_running in (False, True):
                 found = latency(driver, sim, record, arguments.trials, is_running)
                 print(
-                    f"| {len(found)} times send() -> first motion, control loop {'running' if is_running else 'idle'} "
+                    f"| {len(found)} times send() -> first motion, control loop "
+                    f"{'running' if is_running else 'idle'} "
                     f"before | median {np.median(found):.1f} ms, worst {max(found):.1f} ms |",
                     flush=True,
                 )
@@ -291,9 +326,14 @@ def main() -> None:
             stops(driver, sim, record, arguments.stops)
         if "stream" in parts:
             stream(driver, sim, arguments.stream_s, "nothing started beside it")
-            busy = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(arguments.load)]
+            busy = [
+                subprocess.Popen([sys.executable, "-c", "while True: pass"])
+                for _ in range(arguments.load)
+            ]
             try:
-                stream(driver, sim, arguments.stream_s, f"{arguments.load} busy processes beside it")
+                stream(
+                    driver, sim, arguments.stream_s, f"{arguments.load} busy processes beside it"
+                )
             finally:
                 for process in busy:
                     process.kill()

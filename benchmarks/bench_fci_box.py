@@ -1,11 +1,14 @@
-"""A policy moves the FR3 through a strict control box that loses packets; each command is judged by published limits.
+"""A policy moves the FR3 through a strict control box that loses packets; each command is judged by
+published limits.
 
-    python benchmarks/bench_fci_box.py --minutes 60 [--loss 0,1,2,5] [--duplicate 0] [--reorder 0] [--delay 0]
+    python benchmarks/bench_fci_box.py --minutes 60 [--loss 0,1,2,5] [--duplicate 0] [--reorder 0]
+    [--delay 0]
 
-A served FR3 (server, perception, policy at 20 Hz, control, robot) behind `rn_robot_fr3.fci.box` and franka-sim. The
-losses [%] of both directions take turns of `TURN_S` each. What the arm counts as commanded, extrapolated cycles
-included, is judged for velocity at its place, acceleration and jerk. A line per turn goes to
-out/bench-fci/box/turns.jsonl; a run that was ended goes on where it was, `--judge` only prints, `--fresh` begins anew.
+A served FR3 (server, perception, policy at 20 Hz, control, robot) behind `rn_robot_fr3.fci.box` and
+franka-sim. The losses [%] of both directions take turns of `TURN_S` each. What the arm counts as
+commanded, extrapolated cycles included, is judged for velocity at its place, acceleration and jerk.
+A line per turn goes to out/bench-fci/box/turns.jsonl; a run that was ended goes on where it was,
+`--judge` only prints, `--fresh` begins anew.
 """
 
 from __future__ import annotations
@@ -29,7 +32,9 @@ OUT = Path("out/bench-fci/box")
 TURN_S = 30.0
 _LOOK_S = 0.25
 STANDS_S = 6.0
-"""The policy never stands so long by itself: on a busy machine modules end, and are started again."""
+"""The policy never stands so long by itself: on a busy machine modules end, and are started
+again.
+"""
 SUMS = ("commands", "extrapolated", "violations", "late", "repeated", "states")
 WORST = ("longest_gap", "worst_velocity", "worst_acceleration", "worst_jerk")
 
@@ -81,10 +86,17 @@ def restart(cell: FciCell) -> None:
 
 def report(rows: list[dict[str, Any]]) -> int:
     """Rows of the table; returns how many commands were beyond a limit."""
-    print("| loss each way | time, moving | commands; cycles extrapolated; longest gap | beyond a limit |", end="")
+    print(
+        "| loss each way | time, moving | commands; cycles extrapolated; longest gap | beyond a "
+        "limit |",
+        end="",
+    )
     print(" greatest share of the limit: velocity, acceleration, jerk | faults |")
     print("|---|---|---|---|---|---|")
-    stood, rows = [row for row in rows if row["moving"] == 0.0], [row for row in rows if row["moving"] > 0.0]
+    stood, rows = (
+        [row for row in rows if row["moving"] == 0.0],
+        [row for row in rows if row["moving"] > 0.0],
+    )
     if not rows:
         print("nothing was measured")
         return 1
@@ -96,8 +108,10 @@ def report(rows: list[dict[str, Any]]) -> int:
         moving = sum(row["moving"] * row["lasts_s"] for row in part) / lasted_s
         shares = ", ".join(f"{worst[name]:.0%}" for name in WORST[1:])
         print(
-            f"| {loss:.0%} | {lasted_s / 60.0:.1f} min, {moving:.0%} | {sums['commands']}; {sums['extrapolated']}; "
-            f"{worst['longest_gap']} | {sums['violations']} | {shares} | {sum(len(row['faults']) for row in part)} |"
+            f"| {loss:.0%} | {lasted_s / 60.0:.1f} min, {moving:.0%} | {sums['commands']}; "
+            f"{sums['extrapolated']}; "
+            f"{worst['longest_gap']} | {sums['violations']} | {shares} | "
+            f"{sum(len(row['faults']) for row in part)} |"
         )
     for row in rows:
         for text in (*row["beyond"], *row["faults"]):
@@ -105,7 +119,10 @@ def report(rows: list[dict[str, Any]]) -> int:
     loads = [row["load"] for row in rows]
     repeated = sum(row["repeated"] for row in rows)
     load = f"load average {min(loads):.1f} to {max(loads):.1f} on {os.cpu_count()} cores"
-    print(f"{repeated} commands repeated a number; {load}; {len(stood)} turns in which the policy stood are left out")
+    print(
+        f"{repeated} commands repeated a number; {load}; {len(stood)} turns in which the policy "
+        "stood are left out"
+    )
     return sum(row["violations"] + row["repeated"] for row in rows)
 
 
@@ -131,7 +148,11 @@ def main() -> int:
     others = {name: getattr(arguments, name) / 100.0 for name in ("duplicate", "reorder", "delay")}
     if (
         not arguments.judge
-        and (left_s := 60.0 * arguments.minutes - sum(row["lasts_s"] for row in rows if row["moving"])) > 1.0
+        and (
+            left_s := 60.0 * arguments.minutes
+            - sum(row["lasts_s"] for row in rows if row["moving"])
+        )
+        > 1.0
     ):
         folder = (arguments.out / f"cell-{len(rows)}").resolve()
         shutil.rmtree(folder, ignore_errors=True)

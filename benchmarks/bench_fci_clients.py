@@ -1,10 +1,12 @@
-"""Three client libraries of the FCI side by side: targets at 20 Hz to franka-sim with both enforcement flags.
+"""Three client libraries of the FCI side by side: targets at 20 Hz to franka-sim with both
+enforcement flags.
 
     python benchmarks/bench_fci_clients.py --clients DIR/bin/python
 
-DIR is an environment with franky-control==2.0.0, pylibfranka==0.21.3 and franka-rs==0.4.0. Each client follows the same
-sine of 0.25 rad on seven joints, alone, and with another Python thread that keeps the interpreter for 50 ms three times
-per second, as a garbage collection or a slow import does. "aborted" is the simulated robot's own verdict.
+DIR is an environment with franky-control==2.0.0, pylibfranka==0.21.3 and franka-rs==0.4.0. Each
+client follows the same sine of 0.25 rad on seven joints, alone, and with another Python thread that
+keeps the interpreter for 50 ms three times per second, as a garbage collection or a slow import
+does. "aborted" is the simulated robot's own verdict.
 """
 
 from __future__ import annotations
@@ -70,7 +72,11 @@ def python_client() -> tuple[list[float], Callable[[Any], None], Callable[[], An
             control = robot.start_joint_position_control(pylibfranka.ControllerMode.JointImpedance)
             while True:
                 shared["state"], _ = control.readOnce()
-                jerk = pole**3 * (shared["target"] - position) - 3 * pole**2 * velocity - 3 * pole * acceleration
+                jerk = (
+                    pole**3 * (shared["target"] - position)
+                    - 3 * pole**2 * velocity
+                    - 3 * pole * acceleration
+                )
                 acceleration = acceleration + np.clip(jerk, -2200.0, 2200.0) * 1e-3
                 velocity = velocity + acceleration * 1e-3
                 position = position + velocity * 1e-3
@@ -127,12 +133,15 @@ def one(name: str, paused: bool) -> None:
             if "reflex" in str(seen.robot_mode).lower():
                 raise RuntimeError(f"the robot is in reflex: {seen.last_motion_errors}")
     except Exception as error:
-        verdict = f"aborted after {time.monotonic() - began_s:.1f} s: {str(error).splitlines()[0][-90:]}"
+        verdict = (
+            f"aborted after {time.monotonic() - began_s:.1f} s: {str(error).splitlines()[0][-90:]}"
+        )
     passed_s = time.monotonic() - began_s
     lowest = min(rates[6:], default=0.0)
     cpu = 100 * (time.process_time() - cpu_s) / passed_s
     print(
-        f"| {name} | {'50 ms pauses of Python' if paused else 'alone'} | {verdict} | {lowest:.2f} | {cpu:.0f} % |",
+        f"| {name} | {'50 ms pauses of Python' if paused else 'alone'} | {verdict} | {lowest:.2f} "
+        f"| {cpu:.0f} % |",
         flush=True,
     )
     os._exit(0)
@@ -151,11 +160,16 @@ def main() -> None:
 
     flags = ("--enforce-motion-limits", "--enforce-comm-constraints", "--no-gripper")
     print(f"load average {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores")
-    print("| client | beside it | verdict of franka-sim | lowest success rate | its CPU |\n|---|---|---|---|---|")
+    print(
+        "| client | beside it | verdict of franka-sim | lowest success rate | its CPU "
+        "|\n|---|---|---|---|---|"
+    )
     for name in CLIENTS:
         for paused in ((), ("--paused",)):
             log = Path("out/bench-fci/clients.log")
-            with FrankaSim(Path(".venv-fr3sim/bin/python"), options=flags, log=log, host="127.0.0.1"):
+            with FrankaSim(
+                Path(".venv-fr3sim/bin/python"), options=flags, log=log, host="127.0.0.1"
+            ):
                 command = [str(arguments.clients), __file__, "--one", name, *paused]
                 subprocess.run(command, check=False, timeout=120)
 

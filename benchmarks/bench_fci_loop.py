@@ -1,15 +1,19 @@
-"""A served FR3 behind franka-sim with both enforcement flags: latency, a policy with warm switches, random actions.
+"""A served FR3 behind franka-sim with both enforcement flags: latency, a policy with warm switches,
+random actions.
 
-    python benchmarks/bench_fci_loop.py --minutes 30 [--busy 0,8] [--parts latency,policy,random] [--actions 10000]
+    python benchmarks/bench_fci_loop.py --minutes 30 [--busy 0,8] [--parts latency,policy,random]
+    [--actions 10000]
 
-`latency`: from a command to the first motion. `policy`: 20 Hz with warm switches at random times, moving all the
-time; faults, violations, and the period of the control loop by the times at which commands arrived at the simulator.
-`random`: actions of any size and direction on the action topic. `--busy 0,8` does everything twice, with no and with
+`latency`: from a command to the first motion. `policy`: 20 Hz with warm switches at random times,
+moving all the time; faults, violations, and the period of the control loop by the times at which
+commands arrived at the simulator. `random`: actions of any size and direction on the action topic.
+    `--busy 0,8` does everything twice, with no and with
 eight busy processes beside it. All is judged by what the simulator recorded (`fci_judge`).
 
-What happens is written as it happens: out/bench-fci/loop/PART-busyN/events.jsonl, and go-M/ with the simulator's
-record, 0.2 GB in ten minutes. A run that was ended goes on where it was, as another go; `--judge` only prints what is
-there, `--fresh` begins anew.
+What happens is written as it happens: out/bench-fci/loop/PART-busyN/events.jsonl, and go-M/ with
+    the simulator's
+record, 0.2 GB in ten minutes. A run that was ended goes on where it was, as another go; `--judge`
+only prints what is there, `--fresh` begins anew.
 """
 
 from __future__ import annotations
@@ -49,7 +53,9 @@ LATENCY_TRIALS = 30
 AFTER_SWITCH_S = 2.0
 """The old backend's process ends in this time."""
 LEAST_MOVING = 0.1
-"""Of the time; an arm that stands keeps every limit. Control holds it while images are late, as on a busy machine."""
+"""Of the time; an arm that stands keeps every limit. Control holds it while images are late, as
+on a busy machine.
+"""
 _TICK_S = 1.0 / os.sysconf("SC_CLK_TCK")
 BUSY = "import os\np = os.getppid()\nwhile os.getppid() == p:\n    for _ in range(100000): pass"
 
@@ -86,7 +92,9 @@ class Ledger:
         return [row for row in self.rows if row["event"] == event]
 
     def goes(self) -> list[tuple[Path, float, float]]:
-        """Of each run in which the arm moved: its folder, when it began, and when the last thing was noted [s]."""
+        """Of each run in which the arm moved: its folder, when it began, and when the last
+        thing was noted [s].
+        """
         found, folder, began_s = list[tuple[Path, float, float]](), "", 0.0
         for row in self.rows:
             if row["event"] == "go":
@@ -108,13 +116,22 @@ class Ledger:
         folder = self.folder / f"go-{len(self.all('go')) + 1}"
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir()
-        self.note("go", folder=folder.name, load=os.getloadavg()[0], cores=os.cpu_count(), busy=busy, factor=factor)
+        self.note(
+            "go",
+            folder=folder.name,
+            load=os.getloadavg()[0],
+            cores=os.cpu_count(),
+            busy=busy,
+            factor=factor,
+        )
         with served_fci(folder, factor=factor) as cell:
             yield cell
 
 
 def stolen_s() -> float:
-    """Time that the hypervisor gave to others while this machine wanted to run, all cores together (proc(5), steal)."""
+    """Time that the hypervisor gave to others while this machine wanted to run, all cores
+    together (proc(5), steal).
+    """
     return int(Path("/proc/stat").read_text().split(maxsplit=9)[8]) * _TICK_S
 
 
@@ -147,14 +164,19 @@ def policy(cell: FciCell, ledger: Ledger, minutes: float, seed: int) -> None:
         fault = look(cell, ledger, fault)
         if time.monotonic() > told_s + 60.0:
             told_s += 60.0
-            print(f"    {ledger.done_s() / 60.0:.1f} min, {len(ledger.all('fault'))} faults", flush=True)
+            print(
+                f"    {ledger.done_s() / 60.0:.1f} min, {len(ledger.all('fault'))} faults",
+                flush=True,
+            )
         if time.monotonic() < next_s:
             continue
         other = "swing" if backend == "sway" else "sway"
         began_s = time.monotonic()
         try:
             result = cell.agent.do("switch_inference", backend=other)
-            ledger.note("switch", done=True, began_s=began_s, gap_ms=float(result.get("gap_s") or 0.0) * 1e3)
+            ledger.note(
+                "switch", done=True, began_s=began_s, gap_ms=float(result.get("gap_s") or 0.0) * 1e3
+            )
             backend = other
         except RuntimeError as error:
             ledger.note("switch", done=False, began_s=began_s, why=str(error))
@@ -170,7 +192,9 @@ def actions(cell: FciCell, ledger: Ledger, count: int, seed: int) -> None:
 
     cell.start("robot", "control")
     link = cell.link
-    publisher = link.on_executor(lambda: link.node.create_publisher(Float64MultiArray, "/fr3/action", NEWEST))
+    publisher = link.on_executor(
+        lambda: link.node.create_publisher(Float64MultiArray, "/fr3/action", NEWEST)
+    )
     dice, fault = np.random.default_rng(seed), ""
     ledger.note("began")
     began_s = time.monotonic()
@@ -179,9 +203,13 @@ def actions(cell: FciCell, ledger: Ledger, count: int, seed: int) -> None:
         if index % 80 == 0:  # two seconds in one direction reach the edges of what is allowed
             way, bias = dice.normal(size=6), dice.choice([0.0, 0.7, 0.95])
         direction = bias * way + (1.0 - bias) * dice.normal(size=6)
-        size = 10.0 ** (dice.uniform(-3.0, -1.7) if dice.random() < 0.8 else dice.uniform(-6.0, 300.0))
+        size = 10.0 ** (
+            dice.uniform(-3.0, -1.7) if dice.random() < 0.8 else dice.uniform(-6.0, 300.0)
+        )
         values = np.clip(size * direction / np.linalg.norm(direction), -1e300, 1e300)
-        publisher.publish(Float64MultiArray(data=[*values.tolist(), float(dice.uniform(-1.0, 2.0))]))
+        publisher.publish(
+            Float64MultiArray(data=[*values.tolist(), float(dice.uniform(-1.0, 2.0))])
+        )
         if index % 40 == 0:
             fault = look(cell, ledger, fault)
         due_s = began_s + (index + 1) / ACTION_HZ
@@ -209,7 +237,8 @@ def report_latency(ledger: Ledger) -> int:
     for row in ledger.all("latency"):
         loop = "running" if row["running"] else "idle"
         print(
-            f"| {len(row['ms'])} times command -> first motion, control loop {loop} before | median "
+            f"| {len(row['ms'])} times command -> first motion, control loop {loop} before | "
+            "median "
             f"{np.median(row['ms']):.1f} ms, worst {max(row['ms']):.1f} ms |"
         )
     for row in ledger.all("broken off"):
@@ -226,13 +255,16 @@ def report(ledger: Ledger) -> int:
     loads = ", ".join(f"{row['load']:.1f}" for row in ledger.all("go"))
     realtime = {row["realtime"] for row in ledger.all("look")[-1:] if row.get("realtime")}
     print(
-        f"| {ledger.done_s() / 60.0:.1f} minutes in {len(goes)} goes, load before each {loads} on {os.cpu_count()} "
+        f"| {ledger.done_s() / 60.0:.1f} minutes in {len(goes)} goes, load before each {loads} on "
+        f"{os.cpu_count()} "
         f"cores | {' / '.join(sorted(realtime)) or 'no word of the scheduling'} |"
     )
     faults = Counter(row["fault"].split(":")[0] for row in ledger.all("fault"))
     limits, loops, violations = Limits(), list[Loop](), 0
     for folder, began_s, _ in goes:
-        violations += (folder / "franka-sim.log").read_text(errors="replace").count("motion limit violated")
+        violations += (
+            (folder / "franka-sim.log").read_text(errors="replace").count("motion limit violated")
+        )
         if (loop := read_go(folder, began_s, limits)) is not None:
             loops.append(loop)
     reflexes = sum(count for fault, count in faults.items() if fault == "reflex")
@@ -246,30 +278,44 @@ def report(ledger: Ledger) -> int:
     if switches:
         gaps = [row["gap_ms"] for row in switches if row["done"]]
         print(
-            f"| warm switches: {len(gaps)} done, {len(switches) - len(gaps)} missed | gap between actions: median "
+            f"| warm switches: {len(gaps)} done, {len(switches) - len(gaps)} missed | gap between "
+            "actions: median "
             f"{np.median(gaps or [0]):.0f} ms, worst {max(gaps, default=0):.0f} ms |"
         )
     for row in ledger.all("ended"):
-        what = f"{row['actions']} random actions at {ACTION_HZ:g} Hz" if "actions" in row else "the policy's actions"
+        what = (
+            f"{row['actions']} random actions at {ACTION_HZ:g} Hz"
+            if "actions" in row
+            else "the policy's actions"
+        )
         print(f"| {what} | control refused: {row['dropped'] or 'none'} |")
     if loops:
         print_loops(loops)
         missed = sum(
             int(
-                loop.run_cycles[(loop.run_at_s > row["began_s"]) & (loop.run_at_s < row["at_s"] + AFTER_SWITCH_S)].sum()
+                loop.run_cycles[
+                    (loop.run_at_s > row["began_s"])
+                    & (loop.run_at_s < row["at_s"] + AFTER_SWITCH_S)
+                ].sum()
             )
             for row in switches
             for loop in loops
         )
         lasted_s = sum(row["at_s"] + AFTER_SWITCH_S - row["began_s"] for row in switches)
-        print(f"| of these, during a switch or within {AFTER_SWITCH_S:g} s after it | {missed}, in {lasted_s:.0f} s |")
+        print(
+            f"| of these, during a switch or within {AFTER_SWITCH_S:g} s after it | {missed}, in "
+            f"{lasted_s:.0f} s |"
+        )
     looks = ledger.all("look")
     if rates := [row["rate"] for row in looks if row["rate"] > 0.0]:
         print(f"| control success rate | median {np.median(rates):.2f}, worst {min(rates):.2f} |")
     stolen = np.array([row["stolen_s"] for row in looks])
     if len(stolen) > 1:
         steps_ms = np.maximum(np.diff(stolen), 0.0) * 1e3
-        print(f"| time the hypervisor gave to others | {steps_ms.sum():.0f} ms, {steps_ms.max():.0f} ms at the most |")
+        print(
+            f"| time the hypervisor gave to others | {steps_ms.sum():.0f} ms, "
+            f"{steps_ms.max():.0f} ms at the most |"
+        )
     problems += limits.print()
     if switches and limits.moving_s < LEAST_MOVING * limits.judged_s:
         print(f"| the arm stood for more than {1.0 - LEAST_MOVING:.0%} of the time | FAILED |")
@@ -319,10 +365,14 @@ def main() -> int:
     parser = argparse.ArgumentParser()
     parser.add_argument("--minutes", type=float, default=30.0)
     parser.add_argument("--actions", type=int, default=10_000)
-    parser.add_argument("--busy", default="0,8", help="how many busy processes beside it; several after one another")
+    parser.add_argument(
+        "--busy", default="0,8", help="how many busy processes beside it; several after one another"
+    )
     parser.add_argument("--parts", default=",".join(PARTS))
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--factor", type=float, default=0.3, help="dynamics_factor; its default is 0.3")
+    parser.add_argument(
+        "--factor", type=float, default=0.3, help="dynamics_factor; its default is 0.3"
+    )
     parser.add_argument("--out", type=Path, default=OUT, help="where everything is written")
     parser.add_argument("--fresh", action="store_true", help="begin anew")
     parser.add_argument("--judge", action="store_true", help="run nothing, print what is there")
@@ -333,9 +383,12 @@ def main() -> int:
     problems = 0
     for busy in map(int, arguments.busy.split(",")):
         for part in parts:
-            ledger = Ledger(arguments.out / f"{part}-busy{busy}", arguments.fresh and not arguments.judge)
+            ledger = Ledger(
+                arguments.out / f"{part}-busy{busy}", arguments.fresh and not arguments.judge
+            )
             print(
-                f"{part}, {busy} busy processes beside it, dynamics_factor {arguments.factor}, load average "
+                f"{part}, {busy} busy processes beside it, dynamics_factor {arguments.factor}, "
+                "load average "
                 f"{os.getloadavg()[0]:.1f} on {os.cpu_count()} cores",
                 flush=True,
             )

@@ -1,13 +1,15 @@
-"""The emergency stop of a served FR3 behind franka-sim, by tool, topic and file, from random speeds.
+"""The emergency stop of a served FR3 behind franka-sim, by tool, topic and file, from random
+speeds.
 
     python benchmarks/bench_fci_stops.py --trials 100
 
-One line of out/bench-fci/stops.jsonl per trial; a run that was ended goes on where it was (--fresh begins anew). The
-joints of the simulator are recorded 1000 times per second. Each trial is judged by itself:
+One line of out/bench-fci/stops.jsonl per trial; a run that was ended goes on where it was (--fresh
+begins anew). The joints of the simulator are recorded 1000 times per second. Each trial is judged
+by itself:
 
 - reaction: from pressing the stop to the moment from which the fastest joint only slows down;
-- braking: from there to rest. Each joint may take its speed / 10 rad/s2, the ramps of a jerk of 1800 rad/s3 at both
-  ends and `SERVO_S`, in which the simulated servo follows.
+- braking: from there to rest. Each joint may take its speed / 10 rad/s2, the ramps of a jerk of
+  1800 rad/s3 at both ends and `SERVO_S`, in which the simulated servo follows.
 """
 
 from __future__ import annotations
@@ -38,7 +40,9 @@ WAYS = ("tool", "topic", "file")
 ALLOWED_RAD_S2 = 10.0
 RAMPS_S = 2 * ALLOWED_RAD_S2 / float(JERK_LIMIT_RAD_S3[0])
 SERVO_S = 0.04
-"""kd / kp of franka-sim's position servo is 0.1 s: what it lags behind at the end fades in that time."""
+"""kd / kp of franka-sim's position servo is 0.1 s: what it lags behind at the end fades in that
+time.
+"""
 CENTRE_RAD = HOME + np.array([0.0, 0.5, 0.0, 0.45, 0.0, 0.1, 0.0])
 """The middle of the workspace."""
 AMPLITUDE_RAD = np.array([0.35, 0.08, 0.25, 0.1, 0.6, 0.2, 1.1])
@@ -49,7 +53,9 @@ def presses(cell: FciCell) -> dict[str, Callable[[], object]]:
     """Ways to press the stop."""
     from std_msgs.msg import Bool
 
-    publisher = cell.link.on_executor(lambda: cell.link.node.create_publisher(Bool, "/fr3/emergency_stop", LATCHED))
+    publisher = cell.link.on_executor(
+        lambda: cell.link.node.create_publisher(Bool, "/fr3/emergency_stop", LATCHED)
+    )
     latch = EmergencyStopLatch(cell.folder / "state" / ESTOP_FILE, time.time_ns)
     return {
         "tool": lambda: cell.agent.do("emergency_stop", reason="trial"),
@@ -59,7 +65,9 @@ def presses(cell: FciCell) -> dict[str, Callable[[], object]]:
 
 
 def braking(record: Record, pressed_s: float) -> tuple[float, float]:
-    """When the fastest joint began to only slow down after the stop was pressed, and when the arm was at rest."""
+    """When the fastest joint began to only slow down after the stop was pressed, and when the
+    arm was at rest.
+    """
     speed = np.abs(record.velocity).max(axis=1)
     window = 5
     smooth = np.convolve(speed, np.ones(window) / window, mode="same")
@@ -121,7 +129,8 @@ def run(folder: Path, rows: list[dict[str, Any]], trials: int, out: Path) -> Non
             random = np.random.default_rng(len(rows))
             side = 1 if cell.position()[6] < CENTRE_RAD[6] else -1
             row = trial(cell, ways[way], way, random, side)
-            cell.agent.do("emergency_stop", reason="trial")  # so that all agree on it before it is released
+            # so that all agree on it before it is released
+            cell.agent.do("emergency_stop", reason="trial")
             cell.agent.do("reset_emergency_stop")
             if cell.fault():
                 cell.agent.do("recover_robot")
@@ -135,15 +144,21 @@ def run(folder: Path, rows: list[dict[str, Any]], trials: int, out: Path) -> Non
 
 def table(rows: list[dict[str, Any]]) -> None:
     """Rows of the table."""
-    print("| by | trials | speed rad/s | reaction ms, median / worst | braking ms, median / worst | within | faults |")
+    print(
+        "| by | trials | speed rad/s | reaction ms, median / worst | braking ms, median / worst | "
+        "within | faults |"
+    )
     print("|---|---|---|---|---|---|---|")
     for way in WAYS:
         some = [row for row in rows if row["way"] == way]
         if not some:
             continue
-        speed, reaction, brake = (np.array([r[k] for r in some]) for k in ("speed_rad_s", "reaction_ms", "braking_ms"))
+        speed, reaction, brake = (
+            np.array([r[k] for r in some]) for k in ("speed_rad_s", "reaction_ms", "braking_ms")
+        )
         print(
-            f"| {way} | {len(some)} | {speed.min():.2f} .. {speed.max():.2f} | {np.median(reaction):.0f} / "
+            f"| {way} | {len(some)} | {speed.min():.2f} .. {speed.max():.2f} | "
+            f"{np.median(reaction):.0f} / "
             f"{reaction.max():.0f} | {np.median(brake):.0f} / {brake.max():.0f} | "
             f"{sum(r['within'] for r in some)} | {sum(bool(r['fault']) for r in some)} |"
         )
@@ -159,9 +174,15 @@ def main() -> int:
     arguments.out.parent.mkdir(parents=True, exist_ok=True)
     if arguments.fresh:
         arguments.out.unlink(missing_ok=True)
-    rows = [json.loads(line) for line in arguments.out.read_text().splitlines()] if arguments.out.exists() else []
+    rows = (
+        [json.loads(line) for line in arguments.out.read_text().splitlines()]
+        if arguments.out.exists()
+        else []
+    )
     print(
-        f"load average {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores; {len(rows)} trials done before", flush=True
+        f"load average {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores; {len(rows)} trials "
+        "done before",
+        flush=True,
     )
     if len(rows) < arguments.trials:
         with tempfile.TemporaryDirectory(prefix="fci-stops-") as folder:

@@ -1,23 +1,29 @@
-"""Many light bases behind one server: commands lost, time of a fleet stop, and what a killed robot does to the others.
+"""Many light bases behind one server: commands lost, time of a fleet stop, and what a killed robot
+does to the others.
 
-    python benchmarks/bench_fleet.py [--robots 16] [--minutes 10] [--stops 100] [--parts stops drive] [--out ROWS]
+    python benchmarks/bench_fleet.py [--robots 16] [--minutes 10] [--stops 100] [--parts stops
+    drive] [--out ROWS]
 
-The two parts can be measured apart, for a machine that is quiet for minutes only: 40 stops take about a minute, the
-driving takes the minutes it is given. `--out` keeps a row of JSON for each stop and each sequence as it ends, with the
-load of the machine; stops that it has already are not made again.
+The two parts can be measured apart, for a machine that is quiet for minutes only: 40 stops take
+    about a minute, the
+driving takes the minutes it is given. `--out` keeps a row of JSON for each stop and each sequence
+as it ends, with the load of the machine; stops that it has already are not made again.
 
-Each robot is a `[robots.<name>]` with a robot process of its own whose driver notes when each command arrives
-(`fleet_plugin.py`); nothing is simulated. All are driven at once by one client over stdio, by sequences of numbered
-velocities at 10 Hz, 10 s each.
+Each robot is a `[robots.<name>]` with a robot process of its own whose driver notes when each
+command arrives (`fleet_plugin.py`); nothing is simulated. All are driven at once by one client over
+stdio, by sequences of numbered velocities at 10 Hz, 10 s each.
 
-- lost: numbers that the tool said it sent and that the base never noted, of robots that were not killed.
-- stop: from the call of emergency_stop (all robots) until the last robot was told to stand, while all drive: by the
-  zero command of the server, or by its own module, which looks at the latch and then refuses all commands.
-- killed: half way one robot process is killed (SIGKILL). Lateness of a command is its arrival against the sequence's
-  own clock (its number times 0.1 s), counted from the earliest command of that sequence. p99 of the others after the
-  kill is held against p99 before.
+- lost: numbers that the tool said it sent and that the base never noted, of robots that were not
+  killed.
+- stop: from the call of emergency_stop (all robots) until the last robot was told to stand, while
+  all drive: by the zero command of the server, or by its own module, which looks at the latch and
+      then refuses all commands.
+- killed: half way one robot process is killed (SIGKILL). Lateness of a command is its arrival
+  against the sequence's own clock (its number times 0.1 s), counted from the earliest command of
+  that sequence. p99 of the others after the kill is held against p99 before.
 
-Judged: nothing lost; stop at most 50 ms (median) and every base stopped in every stop; p99 ratio at most 1.10.
+Judged: nothing lost; stop at most 50 ms (median) and every base stopped in every stop; p99 ratio at
+    most 1.10.
 Times are of one host with one clock (CLOCK_MONOTONIC).
 """
 
@@ -91,19 +97,31 @@ class Base:
         return self.notes.stat().st_size // NOTE.size if self.notes.exists() else 0
 
     def sequence(self, steps: int) -> tuple[int, dict[str, Any]]:
-        """The next numbers as arguments of publish_velocity_sequence; returns the first number too."""
+        """The next numbers as arguments of publish_velocity_sequence; returns the first number
+        too.
+        """
         first, self.number = self.number, self.number + steps
-        messages = [{"linear": {"x": SPEED_M_S, "y": float(number)}} for number in range(first, first + steps)]
-        return first, {"robot": self.name, "steps": [{"message": m, "duration_s": STEP_S} for m in messages]}
+        messages = [
+            {"linear": {"x": SPEED_M_S, "y": float(number)}}
+            for number in range(first, first + steps)
+        ]
+        return first, {
+            "robot": self.name,
+            "steps": [{"message": m, "duration_s": STEP_S} for m in messages],
+        }
 
 
 def write_configuration(folder: Path, bases: Iterable[Base]) -> Path:
     """One cell for each base."""
     lines = [
-        'disabled_plugins = ["rn-recorder"]', 'features = ["fleet", "tools-ros"]',
-        "[server]", 'reset_emergency_stop = "client"',
-        "[supervisor]", "start_timeout_s = 300.0", f'state_directory = "{folder / "state"}"',
-    ]  # fmt: skip
+        'disabled_plugins = ["rn-recorder"]',
+        'features = ["fleet", "tools-ros"]',
+        "[server]",
+        'reset_emergency_stop = "client"',
+        "[supervisor]",
+        "start_timeout_s = 300.0",
+        f'state_directory = "{folder / "state"}"',
+    ]
     for base in bases:
         lines += [f"[robots.{base.name}]", f'robot = {{name = "{NAME}", state_rate_hz = 10.0}}']
         lines += [f"[robots.{base.name}.plugins.{NAME}]", f'notes = "{base.notes}"']
@@ -152,36 +170,52 @@ class Rows:
         """Append a row, with the load of the last minute."""
         if self._path is not None:
             self._path.parent.mkdir(parents=True, exist_ok=True)
-            row = {"part": part, "robots": self._robots, "load": round(os.getloadavg()[0], 2), **facts}
+            row = {
+                "part": part,
+                "robots": self._robots,
+                "load": round(os.getloadavg()[0], 2),
+                **facts,
+            }
             with self._path.open("a") as file:
                 file.write(json.dumps(row) + "\n")
 
 
 async def stop_once(agent: Agent, bases: list[Base]) -> list[float | None]:
-    """Drive all, stop all, release all; ms until each base was told to stand, None for one that was not."""
+    """Drive all, stop all, release all; ms until each base was told to stand, None for one that
+    was not.
+    """
     before = {base.name: base.count() for base in bases}
 
     async def drive(base: Base) -> None:
         message = {"linear": {"x": SPEED_M_S}}
         try:
-            await agent.call("publish_velocity", {"robot": base.name, "message": message, "duration_s": DRIVE_S})
+            await agent.call(
+                "publish_velocity", {"robot": base.name, "message": message, "duration_s": DRIVE_S}
+            )
         except RoboNeuronError:
             return  # it was stopped, as it should be
         base.failures.append("a motion went on to its end in spite of the emergency stop")
 
     def zero_ns(base: Base, since_ns: int) -> int | None:
-        return next((at for at, x, _ in base.arrivals(before[base.name]) if at > since_ns and x == 0.0), None)
+        return next(
+            (at for at, x, _ in base.arrivals(before[base.name]) if at > since_ns and x == 0.0),
+            None,
+        )
 
     async with anyio.create_task_group() as tasks:
         for base in bases:
             tasks.start_soon(drive, base)
-        if not await until(lambda: all(base.count() > before[base.name] for base in bases), DRIVE_S):
+        if not await until(
+            lambda: all(base.count() > before[base.name] for base in bases), DRIVE_S
+        ):
             raise SystemExit("Some base got no command within 30 s.")
         await anyio.sleep(0.3)  # away from the burst of the beginning
         stopped_ns = time.monotonic_ns()
         try:
             await agent.call("emergency_stop", {"reason": "benchmark"})
-        except RoboNeuronError as error:  # some module did not confirm it in time: its base may stand all the same
+        except (
+            RoboNeuronError
+        ) as error:  # some module did not confirm it in time: its base may stand all the same
             print(error, file=sys.stderr)
         await until(lambda: all(zero_ns(base, stopped_ns) is not None for base in bases), ZERO_S)
     zeros = [zero_ns(base, stopped_ns) for base in bases]
@@ -192,7 +226,9 @@ async def stop_once(agent: Agent, bases: list[Base]) -> list[float | None]:
 
 
 async def drive_for(agent: Agent, base: Base, begin_s: float, end_s: float, rows: Rows) -> None:
-    """Sequences until the time is over; robots begin one after the other, as they would, not all in one instant."""
+    """Sequences until the time is over; robots begin one after the other, as they would, not
+    all in one instant.
+    """
     await anyio.sleep(begin_s)
     while (left_s := end_s - time.monotonic()) > 1.0:
         steps = max(1, min(MOST_STEPS, round(left_s / STEP_S)))
@@ -219,7 +255,9 @@ def lateness_ms(base: Base, split_ns: int) -> tuple[list[float], list[float]]:
     before: list[float] = []
     after: list[float] = []
     for first, last in base.told:
-        own = {n: at - (n - first) * STEP_S * 1e9 for n, at in first_at.items() if first <= n <= last}
+        own = {
+            n: at - (n - first) * STEP_S * 1e9 for n, at in first_at.items() if first <= n <= last
+        }
         earliest = min(own.values(), default=0.0)
         for number, at in own.items():
             (before if first_at[number] < split_ns else after).append((at - earliest) / 1e6)
@@ -245,12 +283,16 @@ class Found:
 async def measure(path: Path, bases: list[Base], arguments: argparse.Namespace, log: Path) -> Found:
     """Start, stop many times, then drive with one robot killed half way."""
     rows = Rows(arguments.out, len(bases))
-    found = Found(victim=bases[-1].name, stops_ms=[row["ms"] for row in rows.before if row["part"] == "stop"])
+    found = Found(
+        victim=bases[-1].name, stops_ms=[row["ms"] for row in rows.before if row["part"] == "stop"]
+    )
     print(f"load {os.getloadavg()[0]:.1f}, {len(found.stops_ms)} stops are known", flush=True)
     words = ["-m", "roboneuron.cli.main", "serve", "--config", str(path)]
     server = StdioServerParameters(command=sys.executable, args=words, env=dict(os.environ))
     with log.open("w") as errors:
-        async with Client(stdio_client(server, errlog=errors), read_timeout_seconds=CALL_S) as client:
+        async with Client(
+            stdio_client(server, errlog=errors), read_timeout_seconds=CALL_S
+        ) as client:
             agent = Agent(client)
             begun_s = time.monotonic()
             await start(agent, bases)
@@ -262,7 +304,11 @@ async def measure(path: Path, bases: list[Base], arguments: argparse.Namespace, 
                         each_ms = await stop_once(agent, bases)
                         known = [ms for ms in each_ms if ms is not None]
                         found.stops_ms.append(max(known) if len(known) == len(bases) else None)
-                        rows.add("stop", ms=found.stops_ms[-1], each_ms=[round(ms, 2) for ms in sorted(known)])
+                        rows.add(
+                            "stop",
+                            ms=found.stops_ms[-1],
+                            each_ms=[round(ms, 2) for ms in sorted(known)],
+                        )
                         if len(found.stops_ms) % 10 == 0:
                             print(f"{len(found.stops_ms)} stops", flush=True)
             if "drive" not in arguments.parts:
@@ -271,7 +317,9 @@ async def measure(path: Path, bases: list[Base], arguments: argparse.Namespace, 
             with anyio.fail_after(60.0 * arguments.minutes + CALL_S):
                 async with anyio.create_task_group() as tasks:
                     for index, base in enumerate(bases):
-                        tasks.start_soon(drive_for, agent, base, index * STEP_S / len(bases), end_s, rows)
+                        tasks.start_soon(
+                            drive_for, agent, base, index * STEP_S / len(bases), end_s, rows
+                        )
                     await anyio.sleep(30.0 * arguments.minutes)
                     os.kill(bases[-1].pid, signal.SIGKILL)
                     found.killed_ns = time.monotonic_ns()
@@ -304,7 +352,10 @@ def report(found: Found, bases: list[Base]) -> int:
 
 def _report_commands(others: list[Base], sent: int, lost: int, messages: int) -> bool:
     print(f"robots                     {len(others)} (and one that is killed)")
-    print(f"commands sent / lost       {sent} / {lost} (none allowed), {messages} messages with repetitions and stops")
+    print(
+        f"commands sent / lost       {sent} / {lost} (none allowed), {messages} messages with "
+        "repetitions and stops"
+    )
     failures = [f"  {base.name}: {failure}" for base in others for failure in base.failures]
     print("\n".join(failures[:5]) if failures else "calls that failed          0")
     return bool(failures) or lost > 0 or sent == 0
@@ -318,23 +369,39 @@ def _report_stops(stops_ms: list[float | None], robots: int) -> bool:
         print("fleet stop                 no stop reached all robots")
         return True
     median = statistics.median(times)
-    print(f"fleet stop -> last stands  median {median:.1f} ms of {len(times)}, p95 {percentile(times, 0.95):.1f}, "
-          f"worst {max(times):.1f}; {robots} robots (median at most {MOST_STOP_MS:g})")  # fmt: skip
+    print(
+        f"fleet stop -> last stands  median {median:.1f} ms of {len(times)}, p95 "
+        f"{percentile(times, 0.95):.1f}, "
+        f"worst {max(times):.1f}; {robots} robots (median at most {MOST_STOP_MS:g})"
+    )
     if len(times) < len(stops_ms):
-        print(f"  in {len(stops_ms) - len(times)} stops some base was not told to stand within {ZERO_S:g} s")
+        print(
+            f"  in {len(stops_ms) - len(times)} stops some base was not told to stand within "
+            f"{ZERO_S:g} s"
+        )
     return median > MOST_STOP_MS or len(times) < len(stops_ms)
 
 
-def _report_kill(victim: str, early: list[float], late: list[float], ratios: Mapping[str, float]) -> bool:
+def _report_kill(
+    victim: str, early: list[float], late: list[float], ratios: Mapping[str, float]
+) -> bool:
     if not early or not late:
         print("lateness                   no commands before or after the kill")
         return True
     before, after = percentile(early, 0.99), percentile(late, 0.99)
     ratio = after / before
-    print(f"lateness p50 before/after  {statistics.median(early):.2f} / {statistics.median(late):.2f} ms")
-    print(f"lateness p99 before/after  {before:.2f} / {after:.2f} ms, ratio {ratio:.2f} (at most {MOST_RATIO})")
-    print(f"  by robot: median of the ratios {statistics.median(ratios.values()):.2f}, largest "
-          f"{max(ratios.values()):.2f}; {victim} was killed")  # fmt: skip
+    print(
+        f"lateness p50 before/after  {statistics.median(early):.2f} / "
+        f"{statistics.median(late):.2f} ms"
+    )
+    print(
+        f"lateness p99 before/after  {before:.2f} / {after:.2f} ms, ratio {ratio:.2f} (at most "
+        f"{MOST_RATIO})"
+    )
+    print(
+        f"  by robot: median of the ratios {statistics.median(ratios.values()):.2f}, largest "
+        f"{max(ratios.values()):.2f}; {victim} was killed"
+    )
     return ratio > MOST_RATIO
 
 
@@ -342,11 +409,17 @@ def main() -> int:
     """Measure and print; status 1 when a bound does not hold."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--robots", type=int, default=16)
-    parser.add_argument("--minutes", type=float, default=10.0, help="of driving; half of it before the kill")
+    parser.add_argument(
+        "--minutes", type=float, default=10.0, help="of driving; half of it before the kill"
+    )
     parser.add_argument("--stops", type=int, default=100)
-    parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS), help="measure these only")
+    parser.add_argument(
+        "--parts", nargs="+", choices=PARTS, default=list(PARTS), help="measure these only"
+    )
     parser.add_argument("--out", type=Path, help="rows as they come; stops in it are known")
-    parser.add_argument("--folder", type=Path, help="keep configuration, notes and logs here; it must be empty")
+    parser.add_argument(
+        "--folder", type=Path, help="keep configuration, notes and logs here; it must be empty"
+    )
     arguments = parser.parse_args()
     if arguments.robots < 2 or arguments.minutes <= 0 or arguments.stops < 0:
         parser.error("at least two robots, more than no minutes, no negative stops")
@@ -355,7 +428,10 @@ def main() -> int:
         folder.mkdir(parents=True, exist_ok=True)
         stack.enter_context(installed(folder, "fleet-benchmark", ("fleet_plugin",)))
         prepare_environment(folder / "ros")
-        bases = [Base(f"r{number:02}", folder / f"r{number:02}.notes") for number in range(arguments.robots)]
+        bases = [
+            Base(f"r{number:02}", folder / f"r{number:02}.notes")
+            for number in range(arguments.robots)
+        ]
         path = write_configuration(folder, bases)
         found = anyio.run(measure, path, bases, arguments, folder / "server.log")
         return report(found, bases)

@@ -1,12 +1,14 @@
-"""How soon an authenticated stop is answered while somebody fills a port of the server; on loopback only.
+"""How soon an authenticated stop is answered while somebody fills a port of the server; on loopback
+only.
 
     python benchmarks/bench_full_ports.py                    # every port; about three minutes
     python benchmarks/bench_full_ports.py --ports http --trials 5
 
-A server with `ulimit -n 1024`, MCP over HTTP with tokens, metrics and the live view. One port after the other gets
-1,000 connections that say nothing, then 6,000 connects a second, by processes of their own. Meanwhile a client with a
-token opens a connection and a session and calls `emergency_stop`, again and again; the stop is released in between.
-The shared model's port is a Unix socket of a process of its own: it gets the same while the server's stop is measured.
+A server with `ulimit -n 1024`, MCP over HTTP with tokens, metrics and the live view. One port after
+the other gets 1,000 connections that say nothing, then 6,000 connects a second, by processes of
+their own. Meanwhile a client with a token opens a connection and a session and calls
+`emergency_stop`, again and again; the stop is released in between. The shared model's port is a
+Unix socket of a process of its own: it gets the same while the server's stop is measured.
 """
 
 from __future__ import annotations
@@ -98,7 +100,7 @@ else:
     except KeyboardInterrupt:
         pass
     print(made / (time.monotonic() - begun), flush=True)
-"""
+"""  # noqa: E501
 """Fills a port: kind, family, address, number of connections or of connects a second, time [s]."""
 
 
@@ -118,8 +120,10 @@ def running(state: Path) -> Iterator[dict[str, tuple[str, str]]]:
         server = subprocess.Popen(started, env=environment, stderr=output, preexec_fn=few_handles)
         model = subprocess.Popen(
             [*command, "shared-model", "--config", str(config)],
-            env=environment, stderr=subprocess.DEVNULL, preexec_fn=few_handles,
-        )  # fmt: skip
+            env=environment,
+            stderr=subprocess.DEVNULL,
+            preexec_fn=few_handles,
+        )
         try:
             ports = {
                 name: ("tcp", wait_for(log, pattern))
@@ -147,7 +151,9 @@ def wait_for(log: Path, pattern: str) -> str:
     deadline_s = time.monotonic() + START_S
     while not (found := re.search(pattern, log.read_text(encoding="utf-8"))):
         if time.monotonic() > deadline_s:
-            raise SystemExit(f"{pattern!r} is not in the log:\n{log.read_text(encoding='utf-8')[-2000:]}")
+            raise SystemExit(
+                f"{pattern!r} is not in the log:\n{log.read_text(encoding='utf-8')[-2000:]}"
+            )
         time.sleep(0.05)
     return found.group(1)
 
@@ -156,21 +162,32 @@ def stop(port: int, timeout_s: float) -> float:
     """Time of a stop by a new client: connection, session and call [s]; infinite when it failed."""
     begun_s = time.monotonic()
     session: dict[str, str] = {}
-    hello = {"protocolVersion": "2025-06-18", "capabilities": {}, "clientInfo": {"name": "bench", "version": "1"}}
+    hello = {
+        "protocolVersion": "2025-06-18",
+        "capabilities": {},
+        "clientInfo": {"name": "bench", "version": "1"},
+    }
     calls: tuple[tuple[str, dict[str, Any]], ...] = (
-        ("initialize", hello), ("tools/call", {"name": "emergency_stop", "arguments": {"reason": "benchmark"}}),
-    )  # fmt: skip
+        ("initialize", hello),
+        ("tools/call", {"name": "emergency_stop", "arguments": {"reason": "benchmark"}}),
+    )
     try:
         with closing(HTTPConnection("127.0.0.1", port, timeout=timeout_s)) as connection:
             for number, (method, params) in enumerate(calls):
-                body = json.dumps({"jsonrpc": "2.0", "id": number, "method": method, "params": params})
+                body = json.dumps(
+                    {"jsonrpc": "2.0", "id": number, "method": method, "params": params}
+                )
                 connection.request("POST", "/mcp", body, {**_headers(), **session})
                 answer = connection.getresponse()
                 text = answer.read().decode()
                 if answer.status != 200 or '"error"' in text or '"isError":true' in text:
                     return float("inf")
                 found = answer.getheader("mcp-session-id")
-                session = {"mcp-session-id": found, "mcp-protocol-version": "2025-06-18"} if found else session
+                session = (
+                    {"mcp-session-id": found, "mcp-protocol-version": "2025-06-18"}
+                    if found
+                    else session
+                )
             took_s = time.monotonic() - begun_s
             with suppress(OSError, HTTPException):
                 connection.request("DELETE", "/mcp", headers={**_headers(), **session})
@@ -215,14 +232,26 @@ def main(arguments: argparse.Namespace) -> int:
             for port in arguments.ports:
                 for kind, number in (("idle", IDLE), ("connects", RATE)):
                     seconds = str(arguments.trials * 1.5 + 5)
-                    command = [sys.executable, "-c", FLOOD, kind, *ports[port], str(number), seconds]
+                    command = [
+                        sys.executable,
+                        "-c",
+                        FLOOD,
+                        kind,
+                        *ports[port],
+                        str(number),
+                        seconds,
+                    ]
                     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as flood:
                         assert flood.stdout is not None
                         flood.stdout.readline()
                         times_s, latched = measure(state, http, arguments.trials)
                         flood.terminate()
                         rest = flood.stdout.read().strip()
-                    rate = f"{float(rest):,.0f} a second" if kind != "idle" and rest else f"{number:,} held"
+                    rate = (
+                        f"{float(rest):,.0f} a second"
+                        if kind != "idle" and rest
+                        else f"{number:,} held"
+                    )
                     show(f"{port}: {rate}", times_s, latched)
                     is_good &= latched == arguments.trials and max(times_s) <= LIMIT_S
         log = (state / "server.log").read_text(encoding="utf-8")
@@ -241,10 +270,14 @@ def show(what: str, times_s: list[float], latched: int) -> None:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--trials", type=int, default=20)
     parser.add_argument(
-        "--ports", nargs="+", default=["http", "metrics", "view", "shared-model"],
+        "--ports",
+        nargs="+",
+        default=["http", "metrics", "view", "shared-model"],
         choices=["http", "metrics", "view", "shared-model"],
-    )  # fmt: skip
+    )
     sys.exit(main(parser.parse_args()))

@@ -1,10 +1,13 @@
-"""How long the gate takes to judge joint motions, against bare forward kinematics of the same postures.
+"""How long the gate takes to judge joint motions, against bare forward kinematics of the same
+postures.
 
     python benchmarks/bench_gate.py
 
-For random moves of the FR3: the whole check of a joint trajectory (joint limits, then task-space limits and distances
-of links and table along the way), and its floor, pinocchio's forward kinematics of as many postures. And for control:
-one command through its limits with and without the distances. Both in turns in one run.
+For random moves of the FR3: the whole check of a joint trajectory (joint limits, then task-space
+    limits and distances
+of links and table along the way), and its floor, pinocchio's forward kinematics of as many
+postures. And for control: one command through its limits with and without the distances. Both in
+    turns in one run.
 """
 
 from __future__ import annotations
@@ -42,7 +45,10 @@ def timed(work: Callable[[], object]) -> float:
 def row(name: str, values: list[float], unit: str = "ms") -> None:
     """Print median and 99th percentile."""
     ordered = sorted(values)
-    print(f"{name:58} {statistics.median(ordered):9.3f} {ordered[int(0.99 * (len(ordered) - 1))]:9.3f}  {unit}")
+    print(
+        f"{name:58} {statistics.median(ordered):9.3f} "
+        f"{ordered[int(0.99 * (len(ordered) - 1))]:9.3f}  {unit}"
+    )
 
 
 class Counting:
@@ -62,7 +68,9 @@ class Counting:
 def joint_motions(robot: RobotProfile, moves: int, seed: int) -> None:
     """Whole checks of single-point trajectories from home to random postures."""
     counting = Counting(robot)
-    rules = replace(motion_rules(LimitsConfig(), robot), lower_m=np.full(3, -9.0), upper_m=np.full(3, 9.0))
+    rules = replace(
+        motion_rules(LimitsConfig(), robot), lower_m=np.full(3, -9.0), upper_m=np.full(3, 9.0)
+    )
     judge = PathLimiter(rules, robot, counting.inspect)  # type: ignore[arg-type]
     model = pinocchio.buildModelFromXML(robot.urdf)
     data, full = model.createData(), np.zeros(model.nq)
@@ -73,7 +81,9 @@ def joint_motions(robot: RobotProfile, moves: int, seed: int) -> None:
     checks, floors, looks, ratios, passed = [], [], [], [], 0
     for _ in range(moves):
         target = rng.uniform(robot.limits.lower, robot.limits.upper)
-        message = to_joint_trajectory(JointCommand(names=ARM_JOINTS, position=target, duration_s=60.0))
+        message = to_joint_trajectory(
+            JointCommand(names=ARM_JOINTS, position=target, duration_s=60.0)
+        )
         counting.looks = 0
 
         def check(message: object = message) -> bool:
@@ -119,7 +129,9 @@ def commands(robot: RobotProfile, count: int) -> None:
         )
     assert robot.home_rad is not None
     home = JointSample(names=JOINTS, position=np.append(robot.home_rad, [FINGER_OPEN_M] * 2))
-    action = Action(translation_m=np.array([0.01, 0.0, -0.01]), rotation_rad=np.zeros(3), gripper_open=1.0)
+    action = Action(
+        translation_m=np.array([0.01, 0.0, -0.01]), rotation_rad=np.zeros(3), gripper_open=1.0
+    )
     solved: list[float] = []
     for _ in range(count):
         for controller, limiter, took in limiters.values():
@@ -139,7 +151,9 @@ def commands(robot: RobotProfile, count: int) -> None:
 
 def main() -> None:
     """Print both tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--moves", type=int, default=300)
     parser.add_argument("--seed", type=int, default=1)
     asked = parser.parse_args()

@@ -1,14 +1,19 @@
-"""Inverse kinematics of the controller "urdf" on the FR3: success, accuracy, step size and time against a floor.
+"""Inverse kinematics of the controller "urdf" on the FR3: success, accuracy, step size and time
+against a floor.
 
     python benchmarks/bench_ik.py [--targets 500] [--seed 0]
 
-Two sets of targets, each at most 5 cm and 0.15 rad from the posture the controller is seeded with: postures within
-0.5 rad of home ("work") and postures uniform within the joint limits ("uniform"). A target counts as reached when the
-forward kinematics of the command lies within 0.1 mm and 1 mrad; a command that does not is wrong, everything else must
-be a refusal with a reason. The floor is one pinocchio forward kinematics with Jacobian and one 6x6 solve: what the
-cheapest possible iteration costs. Times are wall times of one call: "solve" is the inverse kinematics alone, "compute"
-the whole step with every check. A slower median is told as missed; exit status 1 when too few targets are reached, a
-command is wrong, or a refusal has no numbers.
+Two sets of targets, each at most 5 cm and 0.15 rad from the posture the controller is seeded with:
+    postures within
+0.5 rad of home ("work") and postures uniform within the joint limits ("uniform"). A target counts
+as reached when the forward kinematics of the command lies within 0.1 mm and 1 mrad; a command that
+does not is wrong, everything else must
+be a refusal with a reason. The floor is one pinocchio forward kinematics with Jacobian and one 6x6
+    solve: what the
+cheapest possible iteration costs. Times are wall times of one call: "solve" is the inverse
+    kinematics alone, "compute"
+the whole step with every check. A slower median is told as missed; exit status 1 when too few
+targets are reached, a command is wrong, or a refusal has no numbers.
 """
 
 from __future__ import annotations
@@ -19,6 +24,7 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 import pinocchio
@@ -95,7 +101,14 @@ def run(name: str, robot: RobotProfile, targets: int, seed: int) -> Tally:
         joints = JointSample(names=model.joints, position=posture)
         goal = solver.shift(solver.place(posture), action.translation_m, action.rotation_rad)
         _, solve_us = timed_us(
-            lambda: solver.solve(posture, goal, tolerance_m=1e-5, tolerance_rad=1e-4, max_iterations=40)  # noqa: B023
+            partial(
+                solver.solve,
+                posture,
+                goal,
+                tolerance_m=1e-5,
+                tolerance_rad=1e-4,
+                max_iterations=40,
+            )
         )
         answer, compute_us = timed_us(lambda: controller.compute(action, joints, 0.1))  # noqa: B023
         if i < 0:
@@ -110,7 +123,10 @@ def run(name: str, robot: RobotProfile, targets: int, seed: int) -> Tally:
         position = answer.position[: len(model.joints)]  # type: ignore[attr-defined]
         wanted = apply_delta(controller.forward(joints), action)
         got = controller.forward(replace(joints, position=position))
-        turn = matrix_from_quaternion(wanted.quaternion_xyzw) @ matrix_from_quaternion(got.quaternion_xyzw).T
+        turn = (
+            matrix_from_quaternion(wanted.quaternion_xyzw)
+            @ matrix_from_quaternion(got.quaternion_xyzw).T
+        )
         tally.off_m.append(float(np.linalg.norm(wanted.position_m - got.position_m)))
         tally.off_rad.append(float(np.linalg.norm(rotvec_from_matrix(turn))))
         tally.step_rad.append(float(np.abs(position - posture).max()))
@@ -149,7 +165,9 @@ def percentile(values: list[float], q: float) -> float:
 
 def table(tallies: list[Tally], floor: list[float]) -> Table:
     """The figures, one column per set."""
-    out = Table(title="Inverse kinematics, FR3, seeded with the measured joints", title_justify="left")
+    out = Table(
+        title="Inverse kinematics, FR3, seeded with the measured joints", title_justify="left"
+    )
     out.add_column("")
     for tally in tallies:
         out.add_column(f"{tally.name} ({tally.targets})", justify="right")
@@ -161,16 +179,26 @@ def table(tallies: list[Tally], floor: list[float]) -> Table:
     row("reached within 0.1 mm and 1 mrad", lambda t: f"{100 * t.reached / t.targets:.1f} %")
     row("wrong commands", lambda t: str(t.wrong))
     row("refused", lambda t: ", ".join(f"{n} {code}" for code, n in t.refused.most_common()) or "0")
-    row("position error, median / max", lambda t: f"{1e3 * percentile(t.off_m, 50):.4f} / {1e3 * max(t.off_m):.4f} mm")
+    row(
+        "position error, median / max",
+        lambda t: f"{1e3 * percentile(t.off_m, 50):.4f} / {1e3 * max(t.off_m):.4f} mm",
+    )
     row(
         "rotation error, median / max",
         lambda t: f"{1e3 * percentile(t.off_rad, 50):.4f} / {1e3 * max(t.off_rad):.4f} mrad",
     )
-    row("largest joint step, p99 / max", lambda t: f"{percentile(t.step_rad, 99):.3f} / {max(t.step_rad):.3f} rad")
-    row("solve, median / p99", lambda t: f"{percentile(t.solve_us, 50):.0f} / {percentile(t.solve_us, 99):.0f} us")
+    row(
+        "largest joint step, p99 / max",
+        lambda t: f"{percentile(t.step_rad, 99):.3f} / {max(t.step_rad):.3f} rad",
+    )
+    row(
+        "solve, median / p99",
+        lambda t: f"{percentile(t.solve_us, 50):.0f} / {percentile(t.solve_us, 99):.0f} us",
+    )
     row("  over the floor", lambda t: f"{percentile(t.solve_us, 50) / median_floor:.1f}x")
     row(
-        "compute, median / p99", lambda t: f"{percentile(t.compute_us, 50):.0f} / {percentile(t.compute_us, 99):.0f} us"
+        "compute, median / p99",
+        lambda t: f"{percentile(t.compute_us, 50):.0f} / {percentile(t.compute_us, 99):.0f} us",
     )
     row("  over the floor", lambda t: f"{percentile(t.compute_us, 50) / median_floor:.1f}x")
     out.caption = f"floor (one FK + Jacobian + 6x6 solve): median {median_floor:.0f} us in this run"
@@ -181,7 +209,9 @@ def main() -> int:
     """Run both sets, print the table, compare with the issue's figures."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--targets", type=int, default=500, help="targets per set (default 500)")
-    parser.add_argument("--seed", type=int, default=0, help="seed of the random postures and targets (default 0)")
+    parser.add_argument(
+        "--seed", type=int, default=0, help="seed of the random postures and targets (default 0)"
+    )
     arguments = parser.parse_args()
     # The workspace box would refuse targets for reasons that have nothing to do with solving.
     robot = replace(fr3_profile(), workspace=None)
@@ -191,13 +221,20 @@ def main() -> int:
     console.print(table(tallies, floor))
     work = tallies[0]
     if percentile(work.solve_us, 50) > MEDIAN_US:
-        print(f"missed: work: median {percentile(work.solve_us, 50):.0f} us, expected at most {MEDIAN_US:g} us")
+        print(
+            f"missed: work: median {percentile(work.solve_us, 50):.0f} us, expected at most "
+            f"{MEDIAN_US:g} us"
+        )
     wrong = []
     if work.reached < LEAST_REACHED * work.targets:
-        wrong.append(f"work: {work.reached} of {work.targets} reached, expected {100 * LEAST_REACHED:g} %")
+        wrong.append(
+            f"work: {work.reached} of {work.targets} reached, expected {100 * LEAST_REACHED:g} %"
+        )
     wrong += [f"{t.name}: {t.wrong} wrong commands" for t in tallies if t.wrong]
     wrong += [
-        f"{t.name}: {t.refused_without_numbers} refusals without numbers" for t in tallies if t.refused_without_numbers
+        f"{t.name}: {t.refused_without_numbers} refusals without numbers"
+        for t in tallies
+        if t.refused_without_numbers
     ]
     for fault in wrong:
         console.print(f"[red]wrong[/red] {fault}")

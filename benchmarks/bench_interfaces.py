@@ -1,10 +1,13 @@
-"""Deriving every installed ROS interface, and what the checked encoder costs beside a hand-written message fill.
+"""Deriving every installed ROS interface, and what the checked encoder costs beside a hand-written
+message fill.
 
     python benchmarks/bench_interfaces.py [--repeat 2000]
 
-Deriving is measured cold, in this process, against its floor in the same run: importing the same message classes.
-Memory is the growth of the resident set. Encoding and decoding are medians of `--repeat` calls against the shortest
-hand-written code for the same message, which checks nothing. Exit status 1 when an interface cannot be derived.
+Deriving is measured cold, in this process, against its floor in the same run: importing the same
+    message classes.
+Memory is the growth of the resident set. Encoding and decoding are medians of `--repeat` calls
+against the shortest hand-written code for the same message, which checks nothing. Exit status 1
+when an interface cannot be derived.
 """
 
 from __future__ import annotations
@@ -59,7 +62,11 @@ def derive(names: tuple[InterfaceName, ...]) -> tuple[list[MessageInterface], li
         except RoboNeuronError as error:
             failures.append(f"{name}: {error}")
             continue
-        words = {"msg": (), "srv": ("request", "response"), "action": ("goal", "result", "feedback")}[found.kind]
+        words = {
+            "msg": (),
+            "srv": ("request", "response"),
+            "action": ("goal", "result", "feedback"),
+        }[found.kind]
         parts += [getattr(found, word) for word in words] or [found]
     return parts, failures
 
@@ -79,7 +86,12 @@ def bench_derive(console: Console) -> bool:
         results[step] = work()
         milliseconds = (time.perf_counter() - start) * 1e3
         floor_ms = floor_ms or milliseconds
-        table.add_row(step, f"{milliseconds:.0f}", f"{milliseconds / floor_ms:.2f}", f"{resident_mib() - before:.1f}")
+        table.add_row(
+            step,
+            f"{milliseconds:.0f}",
+            f"{milliseconds / floor_ms:.2f}",
+            f"{resident_mib() - before:.1f}",
+        )
 
     measure("import the classes (floor)", lambda: import_classes(names))
     measure("descriptions, encoders, decoders", lambda: derive(names))
@@ -87,10 +99,16 @@ def bench_derive(console: Console) -> bool:
     measure("JSON schemas", lambda: [len(json.dumps(part.json_schema())) for part in parts])
     measure("pydantic models (only when asked for)", lambda: [part.model for part in parts])
     console.print(table)
-    kinds = ", ".join(f"{count} {kind}" for kind, count in sorted(Counter(n.kind for n in names).items()))
+    kinds = ", ".join(
+        f"{count} {kind}" for kind, count in sorted(Counter(n.kind for n in names).items())
+    )
     sizes = sorted(results["JSON schemas"])
-    console.print(f"derived {len(names) - len(failures)} of {len(names)} ({kinds}): {len(parts)} parts")
-    console.print(f"JSON schema: median {sizes[len(sizes) // 2]} bytes, largest {sizes[-1]} bytes\n")
+    console.print(
+        f"derived {len(names) - len(failures)} of {len(names)} ({kinds}): {len(parts)} parts"
+    )
+    console.print(
+        f"JSON schema: median {sizes[len(sizes) // 2]} bytes, largest {sizes[-1]} bytes\n"
+    )
     for failure in failures:
         console.print(failure)
     return not failures
@@ -103,7 +121,11 @@ def fill_twist(value: dict[str, Any]) -> Any:
     message = Twist()
     linear, angular = value["linear"], value["angular"]
     message.linear.x, message.linear.y, message.linear.z = linear["x"], linear["y"], linear["z"]
-    message.angular.x, message.angular.y, message.angular.z = angular["x"], angular["y"], angular["z"]
+    message.angular.x, message.angular.y, message.angular.z = (
+        angular["x"],
+        angular["y"],
+        angular["z"],
+    )
     return message
 
 
@@ -145,13 +167,21 @@ def read_twist(message: Any) -> dict[str, Any]:
 AXES = {"x": 0.1, "y": 0.0, "z": -0.3}
 CASES: tuple[tuple[str, str, dict[str, Any], Callable[[dict[str, Any]], Any]], ...] = (
     ("Twist", "geometry_msgs/msg/Twist", {"linear": AXES, "angular": AXES}, fill_twist),
-    ("1000 float64", "std_msgs/msg/Float64MultiArray", {"data": [i * 0.5 for i in range(1000)]}, fill_array),
+    (
+        "1000 float64",
+        "std_msgs/msg/Float64MultiArray",
+        {"data": [i * 0.5 for i in range(1000)]},
+        fill_array,
+    ),
     (
         "trajectory, 10 points of 7 joints",
         "trajectory_msgs/msg/JointTrajectory",
         {
             "joint_names": [f"joint_{i}" for i in range(7)],
-            "points": [{"positions": [0.1] * 7, "time_from_start": {"sec": i, "nanosec": 0}} for i in range(10)],
+            "points": [
+                {"positions": [0.1] * 7, "time_from_start": {"sec": i, "nanosec": 0}}
+                for i in range(10)
+            ],
         },
         fill_trajectory,
     ),
@@ -183,7 +213,13 @@ def median_us(work: Callable[[], Any], repeat: int) -> float:
 def bench_calls(console: Console, repeat: int) -> None:
     """Encode and decode against hand-written code."""
     table = Table(title="One call, median", title_justify="left")
-    for column in ("message", "checked encode [us]", "hand-written fill [us]", "ratio", "decode for agents [us]"):
+    for column in (
+        "message",
+        "checked encode [us]",
+        "hand-written fill [us]",
+        "ratio",
+        "decode for agents [us]",
+    ):
         table.add_column(column, justify="left" if column == "message" else "right")
     for label, name, value, fill in CASES:
         part = load_message(name)
@@ -196,13 +232,17 @@ def bench_calls(console: Console, repeat: int) -> None:
     console.print(table)
     part = load_message("geometry_msgs/msg/Twist")
     message = part.encode(CASES[0][2], now_ns=1)
-    ratio = median_us(lambda: part.decode(message), repeat) / median_us(lambda: read_twist(message), repeat)
+    ratio = median_us(lambda: part.decode(message), repeat) / median_us(
+        lambda: read_twist(message), repeat
+    )
     console.print(f"decode of a Twist is {ratio:.2f} times a hand-written read")
 
 
 def main() -> int:
     """Print both tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--repeat", type=int, default=2000)
     console = Console(width=120)
     arguments = parser.parse_args()

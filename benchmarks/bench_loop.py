@@ -1,10 +1,12 @@
-"""Image in, action out at the controller: our inference process beside a bare rclpy relay, in turns, in one run.
+"""Image in, action out at the controller: our inference process beside a bare rclpy relay, in
+turns, in one run.
 
     python benchmarks/bench_loop.py [--frames 300] [--rounds 3]
 
-Both answer at once, so that the figure is what RoboNeuron adds: conversion, hand-over between threads, checks, status.
-"Added" is the median beyond the relay's: what the boundary costs. "Oldest frame" is the greatest age of an action's
-image when the action arrives; it must stay below one camera period.
+Both answer at once, so that the figure is what RoboNeuron adds: conversion, hand-over between
+    threads, checks, status.
+"Added" is the median beyond the relay's: what the boundary costs. "Oldest frame" is the greatest
+age of an action's image when the action arrives; it must stay below one camera period.
 """
 
 from __future__ import annotations
@@ -56,8 +58,12 @@ class Camera:
         self.node = rclpy.create_node("camera")
         self.sent_s: dict[int, float] = {}
         self.answers: list[tuple[int, float]] = []
-        self._publisher = self.node.create_publisher(Image, "/bench/camera/front/image", QoSProfile(depth=1))
-        self.node.create_subscription(Float64MultiArray, "/bench/action", self._on_action, QoSProfile(depth=1))
+        self._publisher = self.node.create_publisher(
+            Image, "/bench/camera/front/image", QoSProfile(depth=1)
+        )
+        self.node.create_subscription(
+            Float64MultiArray, "/bench/action", self._on_action, QoSProfile(depth=1)
+        )
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self.node)
         self._stop = threading.Event()
@@ -84,13 +90,18 @@ class Camera:
         """Until exactly one process listens to images and one publishes actions."""
         end_s = time.monotonic() + 30
         while time.monotonic() < end_s:
-            if self._publisher.get_subscription_count() == 1 and self.node.count_publishers("/bench/action") == 1:
+            if (
+                self._publisher.get_subscription_count() == 1
+                and self.node.count_publishers("/bench/action") == 1
+            ):
                 return
             time.sleep(0.02)
         sys.exit("the other process was not found within 30 s")
 
     def wait_until_alone(self) -> None:
-        """Until nobody publishes actions any more; an ended process stays in the graph for up to 20 s."""
+        """Until nobody publishes actions any more; an ended process stays in the graph for up
+        to 20 s.
+        """
         end_s = time.monotonic() + 60
         while self.node.count_publishers("/bench/action"):
             if time.monotonic() > end_s:
@@ -98,7 +109,9 @@ class Camera:
             time.sleep(0.02)
 
     def run(self, height: int, width: int, frames: int) -> tuple[np.ndarray, float, int]:
-        """Publish at RATE_HZ; returns latencies [s], the oldest image acted on [s], and the number of answers."""
+        """Publish at RATE_HZ; returns latencies [s], the oldest image acted on [s], and the
+        number of answers.
+        """
         from roboneuron.contract import Frame
         from roboneuron.ros.messages import to_image
 
@@ -111,9 +124,13 @@ class Camera:
             image[0].reshape(-1)[:4] = np.frombuffer(number.to_bytes(4, "little"), dtype=np.uint8)
             stamp_ns = self.node.get_clock().now().nanoseconds
             self.sent_s[number] = time.perf_counter()
-            self._publisher.publish(to_image(Frame(camera="front", image=image, stamp_ns=stamp_ns, frame_id="front")))
+            self._publisher.publish(
+                to_image(Frame(camera="front", image=image, stamp_ns=stamp_ns, frame_id="front"))
+            )
         time.sleep(0.3)
-        latencies = np.array([at - self.sent_s[number] for number, at in self.answers if number >= WARM_UP])
+        latencies = np.array(
+            [at - self.sent_s[number] for number, at in self.answers if number >= WARM_UP]
+        )
         if not latencies.size:
             sys.exit(f"none of {frames} images was answered")
         return latencies, float(latencies.max()), latencies.size
@@ -131,7 +148,8 @@ def end(process: subprocess.Popen[bytes]) -> None:
 def activate(process: subprocess.Popen[bytes], log: Path) -> None:
     """Configure and activate the inference module; a request or answer that is lost is repeated.
 
-    A service that has not discovered its caller yet cannot answer it: on a fast machine that is so for the first one.
+    A service that has not discovered its caller yet cannot answer it: on a fast machine that is so
+        for the first one.
     """
     from roboneuron.ros.link import RosLink
 
@@ -144,10 +162,16 @@ def activate(process: subprocess.Popen[bytes], log: Path) -> None:
     try:
         client = NodeClient(link, Changes(), "/bench/inference", lambda digest: None, check)
         if not client.wait_until_served(TRANSITION_S):
-            sys.exit(f"the inference process did not come up within {TRANSITION_S:g} s:\n{log.read_text()}")
+            sys.exit(
+                f"the inference process did not come up within {TRANSITION_S:g} "
+                f"s:\n{log.read_text()}"
+            )
         for transition in ("configure", "activate"):
             if not client.transition(transition, TRANSITION_S):
-                sys.exit(f"the inference process did not {transition} within {TRANSITION_S:g} s:\n{log.read_text()}")
+                sys.exit(
+                    f"the inference process did not {transition} within {TRANSITION_S:g} "
+                    f"s:\n{log.read_text()}"
+                )
     finally:
         link.close()
 
@@ -164,7 +188,9 @@ def relay(environment: dict[str, str]) -> Iterator[None]:
 
 
 @contextmanager
-def inference(environment: dict[str, str], scratch: Path, configuration: str = CONFIGURATION) -> Iterator[None]:
+def inference(
+    environment: dict[str, str], scratch: Path, configuration: str = CONFIGURATION
+) -> Iterator[None]:
     """Our inference module in its process, configured and active; the robot is named "bench"."""
     settings = ModuleSettings(
         kind="inference",
@@ -211,12 +237,15 @@ def measure(frames: int, rounds: int, scratch: Path) -> Table:
         camera.close()
 
 
-def compare(camera: Camera, environment: dict[str, str], scratch: Path, *, frames: int, rounds: int) -> Table:
+def compare(
+    camera: Camera, environment: dict[str, str], scratch: Path, *, frames: int, rounds: int
+) -> Table:
     """The table of both processes, in turns, for every size."""
     found: dict[tuple[str, str], list[np.ndarray]] = {}
     oldest_s: dict[tuple[str, str], float] = {}
     for _ in range(rounds):
-        for size, (height, width) in SIZES.items():  # a camera that changes its size is refused: a process per size
+        # a camera that changes its size is refused: a process per size
+        for size, (height, width) in SIZES.items():
             for name in ("relay", "inference"):
                 peer = relay(environment) if name == "relay" else inference(environment, scratch)
                 with peer:
@@ -226,7 +255,8 @@ def compare(camera: Camera, environment: dict[str, str], scratch: Path, *, frame
                 oldest_s[size, name] = max(oldest, oldest_s.get((size, name), 0.0))
                 camera.wait_until_alone()
     table = Table(
-        title=f"Image -> action at the controller, {RATE_HZ:g} Hz, {rounds} rounds of {frames} frames in turns"
+        title=f"Image -> action at the controller, {RATE_HZ:g} Hz, {rounds} rounds of {frames} "
+        "frames in turns"
     )
     for column in (
         "size",

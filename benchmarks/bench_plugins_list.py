@@ -1,10 +1,12 @@
-"""Time of `roboneuron plugins list` with everything that is installed, beside the bare interpreter that runs it.
+"""Time of `roboneuron plugins list` with everything that is installed, beside the bare interpreter
+that runs it.
 
     python benchmarks/bench_plugins_list.py [--repeat 15]
 
-The floor is `python -c pass` of the same interpreter; the commands are run in turns, so that other work on the machine
-hits all of them; processor time is without that work. A median wall time of 400 ms or more is told as missed; the exit
-status is 1 when one of numpy, torch, rclpy, mcp and pydantic is imported.
+The floor is `python -c pass` of the same interpreter; the commands are run in turns, so that other
+work on the machine hits all of them; processor time is without that work. A median wall time of 400
+ms or more is told as missed; the exit status is 1 when one of numpy, torch, rclpy, mcp and pydantic
+is imported.
 """
 
 from __future__ import annotations
@@ -28,7 +30,10 @@ COMMANDS = {
     "roboneuron plugins list --json": [sys.executable, "-c", LIST.format(flag=", '--json'")],
     "roboneuron plugins list": [sys.executable, "-c", LIST.format(flag="")],
 }
-PROBE = f"import sys; {LIST.format(flag='')}; print([m for m in {HEAVY!r} if m in sys.modules], file=sys.stderr)"
+PROBE = (
+    f"import sys; {LIST.format(flag='')}; print([m for m in {HEAVY!r} if m in sys.modules], "
+    "file=sys.stderr)"
+)
 
 
 def run_ms(command: list[str]) -> tuple[float, float]:
@@ -42,7 +47,9 @@ def run_ms(command: list[str]) -> tuple[float, float]:
 
 def main() -> int:
     """Measure, print the table and return the exit status."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--repeat", type=int, default=15, help="runs of each command (15)")
     repeat = parser.parse_args().repeat
     for command in COMMANDS.values():
@@ -51,14 +58,24 @@ def main() -> int:
     for _ in range(repeat):
         for name, command in COMMANDS.items():
             times[name].append(run_ms(command))
-    medians = {name: statistics.median(wall for wall, _ in values) for name, values in times.items()}
-    processor = {name: statistics.median(cpu for _, cpu in values) for name, values in times.items()}
+    medians = {
+        name: statistics.median(wall for wall, _ in values) for name, values in times.items()
+    }
+    processor = {
+        name: statistics.median(cpu for _, cpu in values) for name, values in times.items()
+    }
     floor_ms = medians["python -c pass"]
     listing = subprocess.run(
-        COMMANDS["roboneuron plugins list --json"], check=True, capture_output=True, text=True, timeout=60
+        COMMANDS["roboneuron plugins list --json"],
+        check=True,
+        capture_output=True,
+        text=True,
+        timeout=60,
     )
     plugins = json.loads(listing.stdout)["plugins"]
-    probe = subprocess.run([sys.executable, "-c", PROBE], check=True, capture_output=True, text=True, timeout=60)
+    probe = subprocess.run(
+        [sys.executable, "-c", PROBE], check=True, capture_output=True, text=True, timeout=60
+    )
     heavy = probe.stderr.strip().splitlines()[-1]
     offers = sum(len(plugin["offers"]) for plugin in plugins)
 
@@ -68,12 +85,17 @@ def main() -> int:
     for name, median_ms in medians.items():
         fastest_ms = min(wall for wall, _ in times[name])
         ratio = f"{median_ms / floor_ms:.1f}"
-        table.add_row(name, f"{median_ms:.0f}", f"{fastest_ms:.0f}", ratio, f"{processor[name]:.0f}")
+        table.add_row(
+            name, f"{median_ms:.0f}", f"{fastest_ms:.0f}", ratio, f"{processor[name]:.0f}"
+        )
     console = Console()
     console.print(table)
     console.print(f"limit {LIMIT_MS:.0f} ms; heavy modules imported: {heavy}")
     if (median_ms := medians["roboneuron plugins list"]) >= LIMIT_MS:
-        print(f"missed: roboneuron plugins list took {median_ms:.0f} ms, expected less than {LIMIT_MS:.0f} ms")
+        print(
+            f"missed: roboneuron plugins list took {median_ms:.0f} ms, expected less than "
+            f"{LIMIT_MS:.0f} ms"
+        )
     return 0 if heavy == "[]" else 1
 
 

@@ -1,7 +1,9 @@
-"""What recording costs: two cameras 640x480 at 30 Hz, joints at 120 Hz, with and without the recorder, in turns.
+"""What recording costs: two cameras 640x480 at 30 Hz, joints at 120 Hz, with and without the
+recorder, in turns.
 
-A source publishes images and joint states, a relay answers each image of the first camera with an action, and the
-source takes the time from an image's stamp to its action. Every other turn a recorder (JPEG) runs beside them and
+A source publishes images and joint states, a relay answers each image of the first camera with an
+action, and the source takes the time from an image's stamp to its action. Every other turn a
+recorder (JPEG) runs beside them and
 records. At the end the files are read: messages that the publishers counted and the files lack.
 
     python benchmarks/bench_recorder.py                   # 2 minutes
@@ -48,7 +50,9 @@ def source(seconds: float) -> None:
 
     rclpy.init()
     node = rclpy.create_node("bench_source")
-    images = [node.create_publisher(Image, f"/bench/camera/{name}/image", NEWEST) for name in CAMERAS]
+    images = [
+        node.create_publisher(Image, f"/bench/camera/{name}/image", NEWEST) for name in CAMERAS
+    ]
     joints = node.create_publisher(JointState, "/bench/joint_states", NEWEST)
     latencies: list[float] = []
     sent: dict[int, int] = {}
@@ -74,7 +78,9 @@ def source(seconds: float) -> None:
     def move() -> None:
         due_s = time.monotonic()
         while time.monotonic() < end_s:
-            message = JointState(name=[f"joint{i}" for i in range(9)], position=[0.1] * 9, velocity=[0.0] * 9)
+            message = JointState(
+                name=[f"joint{i}" for i in range(9)], position=[0.1] * 9, velocity=[0.0] * 9
+            )
             message.header.stamp = node.get_clock().now().to_msg()
             joints.publish(message)
             due_s += 1 / JOINT_HZ
@@ -90,7 +96,9 @@ def source(seconds: float) -> None:
         for camera, publisher in zip(CAMERAS, images, strict=True):
             stamp_ns = time.time_ns()
             frame_id = f"{camera}_{number}"
-            frame = Frame(camera=camera, image=pictures[number % 8], stamp_ns=stamp_ns, frame_id=frame_id)
+            frame = Frame(
+                camera=camera, image=pictures[number % 8], stamp_ns=stamp_ns, frame_id=frame_id
+            )
             if camera == CAMERAS[0]:
                 sent[number] = stamp_ns
             publisher.publish(to_image(frame))
@@ -126,7 +134,12 @@ def relay() -> None:
 def record(directory: Path, turn: int) -> tuple[subprocess.Popen[bytes], list[dict[str, Any]]]:
     """Start a recorder that records, and collect what it says."""
     rules = RulesSettings(
-        ring_s=30.0, after_s=5.0, part_bytes=500_000_000, part_s=300.0, quota_bytes=10**11, min_free_bytes=10**8
+        ring_s=30.0,
+        after_s=5.0,
+        part_bytes=500_000_000,
+        part_s=300.0,
+        quota_bytes=10**11,
+        min_free_bytes=10**8,
     )
     settings = RecorderSettings(
         namespace="bench",
@@ -141,7 +154,9 @@ def record(directory: Path, turn: int) -> tuple[subprocess.Popen[bytes], list[di
     )
     child = spawn_recorder(settings, directory / "recorder.log", turn, ())
     assert child.stdin is not None
-    child.stdin.write(json.dumps({"do": "start", "number": 1, "name": "bench", "facts": {}}).encode() + b"\n")
+    child.stdin.write(
+        json.dumps({"do": "start", "number": 1, "name": "bench", "facts": {}}).encode() + b"\n"
+    )
     child.stdin.flush()
     answers: list[dict[str, Any]] = []
 
@@ -160,7 +175,9 @@ def turn_of(directory: Path, turn: int, seconds: float, *, recorded: bool) -> di
     if child is not None:
         time.sleep(2.0)
     relaying = subprocess.Popen([sys.executable, __file__, "--relay"])
-    playing = subprocess.Popen([sys.executable, __file__, "--source", str(seconds)], stdout=subprocess.PIPE, text=True)
+    playing = subprocess.Popen(
+        [sys.executable, __file__, "--source", str(seconds)], stdout=subprocess.PIPE, text=True
+    )
     share = None
     if child is not None:
         time.sleep(6.0)
@@ -185,8 +202,12 @@ def turn_of(directory: Path, turn: int, seconds: float, *, recorded: bool) -> di
 
 def main() -> None:
     """Run the turns and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--minutes", type=float, default=2.0, help="of all turns together (default: 2)")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--minutes", type=float, default=2.0, help="of all turns together (default: 2)"
+    )
     parser.add_argument("--turns", type=int, default=2, help="pairs of turns (default: 2)")
     parser.add_argument("--source", type=float, help=argparse.SUPPRESS)
     parser.add_argument("--relay", action="store_true", help=argparse.SUPPRESS)
@@ -209,7 +230,10 @@ def measure(directory: Path, seconds: float, pairs: int) -> None:
     for turn in range(2 * pairs):
         recorded = turn % 2 == 1
         found[recorded].append(turn_of(directory, turn, seconds, recorded=recorded))
-    print(f"{2 * pairs} turns of {seconds:.0f} s, load average {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores\n")
+    print(
+        f"{2 * pairs} turns of {seconds:.0f} s, load average {os.getloadavg()[0]:.1f} on "
+        f"{os.cpu_count()} cores\n"
+    )
     print(f"{'':<12} {'images':>7} {'median ms':>10} {'p99 ms':>8} {'share of a core':>16}")
     p99 = {}
     for recorded, turns in found.items():
@@ -219,13 +243,20 @@ def measure(directory: Path, seconds: float, pairs: int) -> None:
         share = f"{np.mean(shares) * 100:.1f} %" if shares else ""
         count = sum(turn["images"] for turn in turns)
         name = "recorded" if recorded else "alone"
-        print(f"{name:<12} {count:>7} {np.median(latencies):>10.2f} {p99[recorded]:>8.2f} {share:>16}")
+        print(
+            f"{name:<12} {count:>7} {np.median(latencies):>10.2f} {p99[recorded]:>8.2f} {share:>16}"
+        )
     print(f"\nimage -> action, p99: {p99[True] / p99[False]:.2f} x that without the recorder")
     for run in Store(directory / "runs").runs():
         size = run.size_bytes / 1e6
-        topics = {topic: c for topic, c in count_topics(run.files).items() if topic.startswith("/bench/")}
+        topics = {
+            topic: c for topic, c in count_topics(run.files).items() if topic.startswith("/bench/")
+        }
         lost_by = {topic: c.lost for topic, c in topics.items()}
-        print(f"{run.id}: {sum(c.messages for c in topics.values())} messages, {size:.0f} MB, lost: {lost_by}")
+        print(
+            f"{run.id}: {sum(c.messages for c in topics.values())} messages, {size:.0f} MB, lost: "
+            f"{lost_by}"
+        )
     for recording in found[True]:
         status = recording["status"]
         lost = f"lost to disk {status.get('lost_to_disk')}, gaps {status.get('gaps')}"

@@ -1,13 +1,18 @@
-"""Fourteen everyday requests to a served FR3, by a scripted client that keeps what an agent would see.
+"""Fourteen everyday requests to a served FR3, by a scripted client that keeps what an agent would
+see.
 
     python benchmarks/bench_requests.py [--only 3 5] [--engine pybullet] [--record-s 5]
 
-The client reads tools/list once; each request then uses listed tools and their answers only. A request has five
-checks, one point each: that there is a tool for it, that its calls work, that the answers say what a person asked for,
-and what the simulator says (`detail.cubes` of get_status), which an agent does not look at. Printed are the score and
-the bytes of the answers of each request, and the bytes of tools/list. Exit status 1 when a request has less than 4.
+The client reads tools/list once; each request then uses listed tools and their answers only. A
+request has five
+checks, one point each: that there is a tool for it, that its calls work, that the answers say what
+    a person asked for,
+and what the simulator says (`detail.cubes` of get_status), which an agent does not look at. Printed
+are the score and the bytes of the answers of each request, and the bytes of tools/list. Exit status
+1 when a request has less than 4.
 
-Requests follow each other on one robot, as in a conversation. Where a person has to agree, the client's person does.
+Requests follow each other on one robot, as in a conversation. Where a person has to agree, the
+client's person does.
 """
 
 from __future__ import annotations
@@ -63,7 +68,9 @@ class Seen:
 
 
 class Agent:
-    """A client that calls what is listed; what it reads is counted, what the simulator says is not."""
+    """A client that calls what is listed; what it reads is counted, what the simulator says is
+    not.
+    """
 
     def __init__(self, client: Client, tools: dict[str, types.Tool]) -> None:
         self.tools = tools
@@ -84,7 +91,9 @@ class Agent:
             return {"error": f"There is no tool {tool}."}
         answer = await self._client.call_tool(tool, arguments)
         # The structured content says the same again; clients show an agent one of the two.
-        self.seen.size += sum(len(part.model_dump_json(by_alias=True, exclude_none=True)) for part in answer.content)
+        self.seen.size += sum(
+            len(part.model_dump_json(by_alias=True, exclude_none=True)) for part in answer.content
+        )
         if answer.is_error:
             return {"error": " ".join(getattr(part, "text", "") for part in answer.content)}
         return {**(answer.structured_content or {}), "images": _images(answer)}
@@ -93,7 +102,9 @@ class Agent:
         """The simulator's cubes; not counted."""
         answer = await self._client.call_tool("get_status", {})
         modules = (answer.structured_content or {}).get("modules", [])
-        detail: dict[str, Any] = next((m.get("detail", {}) for m in modules if m["module"] == "robot"), {})
+        detail: dict[str, Any] = next(
+            (m.get("detail", {}) for m in modules if m["module"] == "robot"), {}
+        )
         found: dict[str, Any] = json.loads(detail.get("cubes", "{}"))
         return found
 
@@ -175,7 +186,9 @@ async def two_cubes(agent: Agent) -> None:
     second = await _pick(agent, "blue")
     agent.check("both tasks work", worked(first) and worked(second))
     agent.check("the green cube was up", up)
-    agent.check("it was put down", worked(down) and abs((await agent.truth())["green"]["lifted_m"]) < 0.02)
+    agent.check(
+        "it was put down", worked(down) and abs((await agent.truth())["green"]["lifted_m"]) < 0.02
+    )
     agent.check("the blue cube is up", (await agent.truth())["blue"]["lifted_m"] > 0.1)
     agent.check("outcomes are told", {"outcome"} <= first.keys() & second.keys())
 
@@ -206,7 +219,9 @@ async def who(agent: Agent) -> None:
     """Which robot is that, and who moves it?"""
     status = await agent.do("get_status")
     robots = await agent.do("list_robots")
-    robot: dict[str, Any] = next((m for m in status.get("modules", []) if m["module"] == "robot"), {})
+    robot: dict[str, Any] = next(
+        (m for m in status.get("modules", []) if m["module"] == "robot"), {}
+    )
     agent.check("the status names the robot", "fr3" in json.dumps(robot.get("started_with", {})))
     agent.check("and its driver", "simulated" in json.dumps(robot))
     agent.check("the status says what runs", bool(status.get("modules")))
@@ -282,7 +297,9 @@ async def release(agent: Agent) -> None:
     agent.check("nothing moves then, and the reason is told", "latched" in refused.get("error", ""))
     agent.check("a person releases it", released.get("latched") is False)
     agent.check("it can move again", before.get("allowed") is True)
-    agent.check("the answer says that nothing moves by itself", "Nothing moves" in released.get("note", ""))
+    agent.check(
+        "the answer says that nothing moves by itself", "Nothing moves" in released.get("note", "")
+    )
 
 
 Request = Callable[[Agent], Awaitable[None]]
@@ -295,7 +312,18 @@ def requests(record_s: float) -> list[tuple[str, Request]]:
         await record(agent, record_s)
 
     record_for.__doc__ = record.__doc__
-    listed: list[Request] = [look, pick, place, move_up, go_home, two_cubes, stop, what_happened, who, switch]
+    listed: list[Request] = [
+        look,
+        pick,
+        place,
+        move_up,
+        go_home,
+        two_cubes,
+        stop,
+        what_happened,
+        who,
+        switch,
+    ]
     listed += [record_for, slower, not_left, release]
     return [((request.__doc__ or "").strip(), request) for request in listed]
 
@@ -304,8 +332,20 @@ async def run(arguments: argparse.Namespace, folder: Path) -> list[tuple[str, Se
     """Have the conversation; prints a line for each request."""
     config = folder / "roboneuron.toml"
     config.write_text(CONFIG.format(state=folder / "state", engine=arguments.engine))
-    environment = {**os.environ, "ROS_DOMAIN_ID": str(free_ros_domain()), "ROBONEURON_RECORDER": "on"}
-    command = ["-m", "roboneuron.cli.main", "serve", "--config", str(config), "--log-level", "error"]
+    environment = {
+        **os.environ,
+        "ROS_DOMAIN_ID": str(free_ros_domain()),
+        "ROBONEURON_RECORDER": "on",
+    }
+    command = [
+        "-m",
+        "roboneuron.cli.main",
+        "serve",
+        "--config",
+        str(config),
+        "--log-level",
+        "error",
+    ]
     server = StdioServerParameters(command=sys.executable, args=command, env=environment)
 
     async def person(context: Any, params: Any) -> types.ElicitResult:
@@ -333,7 +373,9 @@ async def run(arguments: argparse.Namespace, folder: Path) -> list[tuple[str, Se
 
 
 def _show(number: int, text: str, seen: Seen) -> None:
-    print(f"{number:2} {seen.score} of 5 {seen.size:8} bytes {seen.took_s:6.1f} s  {text}", flush=True)
+    print(
+        f"{number:2} {seen.score} of 5 {seen.size:8} bytes {seen.took_s:6.1f} s  {text}", flush=True
+    )
     for what, is_met in seen.checks:
         if not is_met:
             print(f"      not: {what}", flush=True)
@@ -344,7 +386,9 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--only", type=int, nargs="+", default=[], help="numbers of requests")
     parser.add_argument("--engine", default="auto", help="physics: auto, pybullet or mujoco")
-    parser.add_argument("--record-s", type=float, default=5.0, help="the minute that is recorded [s]")
+    parser.add_argument(
+        "--record-s", type=float, default=5.0, help="the minute that is recorded [s]"
+    )
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="rn-requests-") as folder:
 
@@ -355,7 +399,10 @@ def main() -> int:
         done = anyio.run(bounded)
     scores = [seen.score for _, seen in done]
     total = sum(seen.size for _, seen in done)
-    print(f"\nscores {' '.join(map(str, scores))}; {sum(scores)} of {5 * len(scores)}; answers {total} bytes")
+    print(
+        f"\nscores {' '.join(map(str, scores))}; {sum(scores)} of {5 * len(scores)}; answers "
+        f"{total} bytes"
+    )
     return int(min(scores, default=0) < LEAST)
 
 

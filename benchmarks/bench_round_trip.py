@@ -1,9 +1,12 @@
-"""A tool call of `roboneuron serve` against one of a minimal low-level server, both over stdio, seen by one client.
+"""A tool call of `roboneuron serve` against one of a minimal low-level server, both over stdio,
+seen by one client.
 
     python benchmarks/bench_round_trip.py --calls 300
 
-The client validates each answer against the listed output schema, as clients of the MCP 1.x SDK do: it checks the
-schema and compiles a validator with every call. The minimal server answers one field and does nothing else, so the
+The client validates each answer against the listed output schema, as clients of the MCP 1.x SDK do:
+    it checks the
+schema and compiles a validator with every call. The minimal server answers one field and does
+nothing else, so the
 ratio is what RoboNeuron adds: checks of arguments, a status of four modules, and its larger answer.
 """
 
@@ -70,7 +73,10 @@ class Wire:
         self._over = threading.Event()
         threading.Thread(target=self._watch, daemon=True).start()
         client = {"name": "bench", "version": "1"}
-        self.ask("initialize", {"protocolVersion": "2025-06-18", "capabilities": {}, "clientInfo": client})
+        self.ask(
+            "initialize",
+            {"protocolVersion": "2025-06-18", "capabilities": {}, "clientInfo": client},
+        )
         self._send({"jsonrpc": "2.0", "method": "notifications/initialized"})
         tools = self.ask("tools/list", {})["tools"]
         self._schemas = {tool["name"]: tool["outputSchema"] for tool in tools}
@@ -121,14 +127,20 @@ class Wire:
 
 def main() -> None:
     """Run both side by side and print one table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--calls", type=int, default=300, metavar="N", help="calls of each server")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
         config = Path(scratch) / "roboneuron.toml"
-        config.write_text(f'[robot]\nname = "fr3"\n[supervisor]\nstate_directory = "{scratch}/state"\n')
+        config.write_text(
+            f'[robot]\nname = "fr3"\n[supervisor]\nstate_directory = "{scratch}/state"\n'
+        )
         minimal = Wire([sys.executable, "-c", MINIMAL])
-        full = Wire([str(Path(sys.executable).with_name("roboneuron")), "serve", "--config", str(config)])
+        full = Wire(
+            [str(Path(sys.executable).with_name("roboneuron")), "serve", "--config", str(config)]
+        )
         try:
             kinds = {"minimal server": (minimal, "get_status"), "get_status": (full, "get_status")}
             kinds["list_robots"] = (full, "list_robots")

@@ -1,15 +1,18 @@
-"""How often the backend "servo" lifts the cube it is told to: servo -> controller "urdf" -> simulated FR3, headless.
+"""How often the backend "servo" lifts the cube it is told to: servo -> controller "urdf" ->
+simulated FR3, headless.
 
-    python benchmarks/bench_servo.py [--seeds 50] [--jobs 2] [--latency-frames 1] [--cameras front,wrist]
+    python benchmarks/bench_servo.py [--seeds 50] [--jobs 2] [--latency-frames 1] [--cameras
+    front,wrist]
                                      [--added-latency-ms 300] [--rows 12]
 
-One process per job, no ROS: everything runs at 10 Hz of simulated time, as fast as the machine allows. Images are one
-frame (100 ms) older than the pose that comes with them. Each seed is a scene of four cubes; the named colour is random.
-Only the simulator's own state counts: the named cube is at least 10 cm above where it lay, for one second without a
-break, and no other cube is. The floor is what the bare simulation (physics and both pictures) of the same steps costs.
-With --added-latency-ms each answer of the servo comes so much later in simulated time; the executor of the inference
-module plays its chunks meanwhile, and the table tells at which rate.
-Exit status 1 below 95 %.
+One process per job, no ROS: everything runs at 10 Hz of simulated time, as fast as the machine
+    allows. Images are one
+frame (100 ms) older than the pose that comes with them. Each seed is a scene of four cubes; the
+named colour is random. Only the simulator's own state counts: the named cube is at least 10 cm
+above where it lay, for one second without a break, and no other cube is. The floor is what the bare
+simulation (physics and both pictures) of the same steps costs. With --added-latency-ms each answer
+of the servo comes so much later in simulated time; the executor of the inference module plays its
+chunks meanwhile, and the table tells at which rate. Exit status 1 below 95 %.
 """
 
 from __future__ import annotations
@@ -52,7 +55,13 @@ ROUNDING_S = 1e-6
 MAX_IMAGE_AGE_S = 0.5
 MOST_ERRORS = 30
 ROWS_WITH_LATENCY = 12
-PHRASES = ("pick up the {} cube", "grab the {} block", "Please lift the {} box.", "take the {} one", "GET THE {} CUBE!")
+PHRASES = (
+    "pick up the {} cube",
+    "grab the {} block",
+    "Please lift the {} box.",
+    "take the {} one",
+    "GET THE {} CUBE!",
+)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -79,8 +88,10 @@ class Outcome:
         simulated_s: time until it was held, or given up.
         failed_attempts: grasps that the servo had to repeat.
         holds: refusals of the controller by code.
-        predict_ms, simulate_ms: median wall time per step of the servo, and of physics and pictures.
-        mode, rate, starved_periods, longest_gap_s: of chunk execution; empty, 1 and 0 without added latency.
+        predict_ms, simulate_ms: median wall time per step of the servo, and of physics and
+            pictures.
+        mode, rate, starved_periods, longest_gap_s: of chunk execution; empty, 1 and 0 without added
+            latency.
     """
 
     seed: int
@@ -128,7 +139,10 @@ class Episode:
     def __init__(self, job: Job, simulation: Simulation) -> None:
         random = np.random.default_rng([job.seed, 7])
         self.job, self.simulation = job, simulation
-        self.servo, self.controller = ServoBackend(ServoOptions(rows=job.rows)), UrdfController(None, fr3_profile())
+        self.servo, self.controller = (
+            ServoBackend(ServoOptions(rows=job.rows)),
+            UrdfController(None, fr3_profile()),
+        )
         self.servo.load()
         self.controller.load()
         self.colour = str(random.choice(sorted(simulation.cubes())))
@@ -144,12 +158,18 @@ class Episode:
         """Take the pictures of one period."""
         self.delayed.append(look(self.simulation, self.job.cameras))
         if self.job.pictures and round(self.simulation.time_s / PERIOD_S) % 5 == 0:
-            self.pictures.append(np.concatenate([frame.image for frame in self.delayed[-1].values()]))
+            self.pictures.append(
+                np.concatenate([frame.image for frame in self.delayed[-1].values()])
+            )
 
     def joints(self) -> JointSample:
         """Measured now."""
         simulation = self.simulation
-        return JointSample(names=JOINTS, position=simulation.joint_positions(), stamp_ns=round(simulation.time_s * 1e9))
+        return JointSample(
+            names=JOINTS,
+            position=simulation.joint_positions(),
+            stamp_ns=round(simulation.time_s * 1e9),
+        )
 
     def observe(self) -> Observation | None:
         """The newest images that have arrived and the newest state; None before the first."""
@@ -192,7 +212,9 @@ class Episode:
         """The cube is held for long enough, or nothing can come of it any more."""
         cubes = self.simulation.cubes()
         if cubes[self.colour].held_s >= HELD_S:
-            others = [name for name, cube in cubes.items() if name != self.colour and cube.held_s > 0]
+            others = [
+                name for name, cube in cubes.items() if name != self.colour and cube.held_s > 0
+            ]
             self.reason = f"lifted {', '.join(others)} as well" if others else ""
             return True
         return self.errors > MOST_ERRORS or self.simulation.time_s >= MOST_S
@@ -216,7 +238,9 @@ def play_at_once(episode: Episode) -> None:
 
 
 def play_overlapped(episode: Episode, added_latency_s: float) -> AdaptiveExecutor:
-    """Answers come late; the executor decides, by simulated time, when to predict and which row to send."""
+    """Answers come late; the executor decides, by simulated time, when to predict and which row
+    to send.
+    """
     job, simulation = episode.job, episode.simulation
     abilities = Abilities(conditions_on_rows=roboneuron_backends()[0].conditions_on_rows)
     executor = AdaptiveExecutor(abilities, fixed=job.mode, bounds=Bounds(first_s=MAX_IMAGE_AGE_S))
@@ -234,7 +258,9 @@ def play_overlapped(episode: Episode, added_latency_s: float) -> AdaptiveExecuto
         if pending is not None and now_s >= pending[0] - ROUNDING_S:
             executor.answer(pending[1], pending[2], now_ns)
             pending = None
-        observation = episode.observe() if pending is None and executor.wants_prediction(now_s) else None
+        observation = (
+            episode.observe() if pending is None and executor.wants_prediction(now_s) else None
+        )
         captured_ns = observation.frames["primary"].stamp_ns if observation is not None else used_ns
         if observation is not None and captured_ns > used_ns:
             used_ns = captured_ns
@@ -291,13 +317,23 @@ def report(outcomes: list[Outcome], console: Console) -> None:
     holds: Counter[str] = Counter()
     for outcome in outcomes:
         holds.update(outcome.holds)
-    table = Table(title="Servo on the simulated FR3, judged by the simulator", title_justify="left", show_header=False)
-    table.add_row(
-        "lifted >= 10 cm and held 1 s", f"{len(lifted)} of {len(outcomes)}  ({len(lifted) / len(outcomes):.0%})"
+    table = Table(
+        title="Servo on the simulated FR3, judged by the simulator",
+        title_justify="left",
+        show_header=False,
     )
-    table.add_row("without a failed grasp", f"{sum(o.failed_attempts == 0 for o in lifted)} of {len(lifted)}")
+    table.add_row(
+        "lifted >= 10 cm and held 1 s",
+        f"{len(lifted)} of {len(outcomes)}  ({len(lifted) / len(outcomes):.0%})",
+    )
+    table.add_row(
+        "without a failed grasp", f"{sum(o.failed_attempts == 0 for o in lifted)} of {len(lifted)}"
+    )
     table.add_row("simulated time, median / max", f"{np.median(times):.1f} / {max(times):.1f} s")
-    table.add_row("refusals of the controller", ", ".join(f"{n} {code}" for code, n in holds.items()) or "none")
+    table.add_row(
+        "refusals of the controller",
+        ", ".join(f"{n} {code}" for code, n in holds.items()) or "none",
+    )
     table.add_row("servo per step, median", f"{predict:.1f} ms")
     table.add_row("floor: physics and pictures per step, median", f"{simulate:.1f} ms")
     table.add_row("servo over floor", f"{predict / simulate:.2f}x")
@@ -311,23 +347,40 @@ def report(outcomes: list[Outcome], console: Console) -> None:
     console.print(table)
     for outcome in outcomes:
         if not outcome.is_lifted:
-            console.print(f"[red]seed {outcome.seed}[/red] {outcome.instruction!r}: {outcome.reason}")
+            console.print(
+                f"[red]seed {outcome.seed}[/red] {outcome.instruction!r}: {outcome.reason}"
+            )
 
 
 def main() -> int:
     """Run all seeds and judge."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", type=int, default=50, help="number of scenes (default 50)")
-    parser.add_argument("--first-seed", type=int, default=0, help="seed of the first scene (default 0)")
-    parser.add_argument("--jobs", type=int, default=1, help="scenes played at the same time (default 1)")
     parser.add_argument(
-        "--latency-frames", type=int, default=1, help="age of the images in frames of 0.1 s (default 1)"
+        "--first-seed", type=int, default=0, help="seed of the first scene (default 0)"
     )
-    parser.add_argument("--cameras", default="front,wrist", help="cameras the servo gets (default front,wrist)")
+    parser.add_argument(
+        "--jobs", type=int, default=1, help="scenes played at the same time (default 1)"
+    )
+    parser.add_argument(
+        "--latency-frames",
+        type=int,
+        default=1,
+        help="age of the images in frames of 0.1 s (default 1)",
+    )
+    parser.add_argument(
+        "--cameras", default="front,wrist", help="cameras the servo gets (default front,wrist)"
+    )
     parser.add_argument("--pictures", type=Path, help="folder for a strip of pictures per seed")
-    parser.add_argument("--added-latency-ms", type=float, help="each answer comes so much later, in simulated time")
-    parser.add_argument("--rows", type=int, help="rows of a chunk (default 12 with added latency, else 1)")
-    parser.add_argument("--mode", choices=MODES, help="how chunks are executed (default: chosen by the latency)")
+    parser.add_argument(
+        "--added-latency-ms", type=float, help="each answer comes so much later, in simulated time"
+    )
+    parser.add_argument(
+        "--rows", type=int, help="rows of a chunk (default 12 with added latency, else 1)"
+    )
+    parser.add_argument(
+        "--mode", choices=MODES, help="how chunks are executed (default: chosen by the latency)"
+    )
     arguments = parser.parse_args()
     added_ms = arguments.added_latency_ms
     jobs = [
@@ -344,7 +397,8 @@ def main() -> int:
     ]
     console = Console()
     with multiprocessing.get_context("spawn").Pool(arguments.jobs) as pool:
-        waiting = [pool.apply_async(run, [job]) for job in jobs]  # each waited for: a worker that dies never answers
+        # each waited for: a worker that dies never answers
+        waiting = [pool.apply_async(run, [job]) for job in jobs]
         bounded = (result.get(SCENE_S) for result in waiting)
         outcomes = list(track(bounded, total=len(jobs), description="scenes", console=console))
     report(outcomes, console)

@@ -1,19 +1,24 @@
 """Eight robots on one shared model: answered in batches against one at a time, in the same run.
 
-    python benchmarks/bench_shared_inference.py [--model tiny|learned] [--clients 8] [--seconds 1.5] [--rounds 9]
+    python benchmarks/bench_shared_inference.py [--model tiny|learned] [--clients 8] [--seconds 1.5]
+    [--rounds 9]
 
-The model `tiny` is synthetic (128 layers of 256, random weights, one CPU thread): as with a large model on a GPU, a
-forward costs little more for eight observations than for one. `--layers 12 --width 2048` is a model whose products are
-limited by the CPU's arithmetic instead. Two servers of rn-backend-shared hold it, one with `most = 1`, one with
-`most = 8`; rounds alternate between them. Each client asks again as soon as it was answered: first without a deadline
-that matters, which gives the throughput, then with one of 12 forwards, at least 100 ms, which counts the misses.
+The model `tiny` is synthetic (128 layers of 256, random weights, one CPU thread): as with a large
+    model on a GPU, a
+forward costs little more for eight observations than for one. `--layers 12 --width 2048` is a model
+whose products are limited by the CPU's arithmetic instead. Two servers of rn-backend-shared hold
+it, one with `most = 1`, one with `most = 8`; rounds alternate between them. Each client asks again
+as soon as it was answered: first without a deadline that matters, which gives the throughput, then
+    with one of 12 forwards, at least 100 ms, which counts the misses.
 
-`--model learned` is the policy of rn-policy-cubes (OpenVLA-OFT layout, 256 visual tokens) in float32 on one thread; its
-prompts have several lengths. One thread has no more arithmetic for eight than for one, so its throughput and misses are
-shown and not judged.
+`--model learned` is the policy of rn-policy-cubes (OpenVLA-OFT layout, 256 visual tokens) in
+float32 on one thread; its prompts have several lengths. One thread has no more arithmetic for eight
+than for one, so its throughput and misses are shown and not judged.
 
-Judged: chunks of batches within 1e-5 of those that were answered alone; with `tiny`, answers per second at least 3
-times those of one at a time (median of the rounds' ratios), and the share of missed deadlines not larger.
+Judged: chunks of batches within 1e-5 of those that were answered alone; with `tiny`, answers per
+    second at least 3
+times those of one at a time (median of the rounds' ratios), and the share of missed deadlines not
+larger.
 """
 
 from __future__ import annotations
@@ -102,7 +107,7 @@ def roboneuron_backends():
             name="tiny-benchmark", summary="Tiny.", target=__name__ + ":Tiny", config=__name__ + ":Options"
         )
     ]
-'''
+'''  # noqa: E501
 
 
 @dataclass
@@ -114,14 +119,21 @@ class Count:
     batches: float = 0.0
 
 
-ASKED = ("pick up the red cube", "grab the yellow cube", "lift the blue cube off the table", "take the green one")
+ASKED = (
+    "pick up the red cube",
+    "grab the yellow cube",
+    "lift the blue cube off the table",
+    "take the green one",
+)
 
 
 def seen(number: int) -> Observation:
     """What a robot sees: its own noise."""
     observation = make_observation(BACKEND, ASKED[number % len(ASKED)])
     image = np.random.default_rng(number).integers(0, 256, (224, 224, 3), dtype=np.uint8)
-    return replace(observation, frames={"primary": replace(observation.frames["primary"], image=image)})
+    return replace(
+        observation, frames={"primary": replace(observation.frames["primary"], image=image)}
+    )
 
 
 def play(robots: list[SharedBackend], seconds: float) -> Count:
@@ -147,19 +159,30 @@ def play(robots: list[SharedBackend], seconds: float) -> Count:
         thread.start()
     for thread in threads:
         thread.join(JOIN_S)
-    return Count(*(sum(getattr(count, name) for count in counts) for name in ("answered", "missed", "batches")))
+    return Count(
+        *(
+            sum(getattr(count, name) for count in counts)
+            for name in ("answered", "missed", "batches")
+        )
+    )
 
 
 def forward_s(robot: SharedBackend) -> float:
     """Time of one observation alone, in the server [s]."""
-    return statistics.median(robot.predict(seen(0)).metrics["shared.model_ms"] for _ in range(20)) / 1e3
+    return (
+        statistics.median(robot.predict(seen(0)).metrics["shared.model_ms"] for _ in range(20))
+        / 1e3
+    )
 
 
 def model_options(given: argparse.Namespace, folder: Path) -> dict[str, Any]:
     """Which model the servers hold, as fields of `SharedOptions`."""
     if given.model == "tiny":
         PluginSite(path=folder / "site").install("rn-tiny-benchmark", SOURCE, header="")
-        return {"backend": "tiny-benchmark", "options": {"layers": given.layers, "width": given.width}}
+        return {
+            "backend": "tiny-benchmark",
+            "options": {"layers": given.layers, "width": given.width},
+        }
     from rn_policy_cubes.checkpoint import CONFIGURATION_FILE, unpack
     from rn_policy_cubes.packing import Packed
     from rn_policy_cubes.weights import shipped_weights
@@ -177,7 +200,9 @@ def model_options(given: argparse.Namespace, folder: Path) -> dict[str, Any]:
 
 def main() -> int:
     """Run it; the exit status says whether everything was as it should be."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--model", choices=("tiny", "learned"), default="tiny")
     parser.add_argument("--preset", help="acceleration of the learned policy, such as fastv-p50")
     parser.add_argument("--clients", type=int, default=8)
@@ -217,7 +242,9 @@ def main() -> int:
         difference, largest = compare(free[1], expected)
         print(f"{os.cpu_count()} CPUs, load {load:.1f} before, torch on one thread")
         print(f"one forward {once_s * 1e3:.1f} ms, {given.clients} clients")
-        print(f"round  one at a time  in batches  ratio  batch   missed of {deadline_s * 1e3:.0f} ms")
+        print(
+            f"round  one at a time  in batches  ratio  batch   missed of {deadline_s * 1e3:.0f} ms"
+        )
         ratios, missed, asked = [], [0, 0], [0, 0]
         for number in range(given.rounds):
             one, many = (play(robots, given.seconds) for robots in free)
@@ -227,22 +254,32 @@ def main() -> int:
                 missed[index] += count.missed
                 asked[index] += count.missed + count.answered
             print(
-                f"{number + 1:>5} {one.answered / given.seconds:>12.1f}/s {many.answered / given.seconds:>9.1f}/s "
+                f"{number + 1:>5} {one.answered / given.seconds:>12.1f}/s "
+                f"{many.answered / given.seconds:>9.1f}/s "
                 f"{ratios[-1]:>6.2f} {many.batches / max(many.answered, 1):>6.1f}   "
-                + " / ".join(f"{part} of {whole}" for part, whole in zip(missed, asked, strict=True))
+                + " / ".join(
+                    f"{part} of {whole}" for part, whole in zip(missed, asked, strict=True)
+                )
             )
         ratio = statistics.median(ratios)
         wanted = f"at least {LEAST_RATIO:g}" if given.model == "tiny" else "not judged"
         print(f"median ratio {ratio:.2f} ({wanted}); load {os.getloadavg()[0]:.1f} after")
-        print(f"deadline misses {missed[1]} of {asked[1]} (one at a time {missed[0]} of {asked[0]})")
-        print(f"batches of up to {largest:g}: {difference:.1e} from those answered alone (at most {MOST_DIFFERENCE:g})")
+        print(
+            f"deadline misses {missed[1]} of {asked[1]} (one at a time {missed[0]} of {asked[0]})"
+        )
+        print(
+            f"batches of up to {largest:g}: {difference:.1e} from those answered alone (at most "
+            f"{MOST_DIFFERENCE:g})"
+        )
         is_fast = ratio >= LEAST_RATIO and missed[1] * asked[0] <= missed[0] * asked[1]
         is_same = difference <= MOST_DIFFERENCE and largest > 1
         return 0 if is_same and (is_fast or given.model == "learned") else 1
 
 
 def compare(robots: list[SharedBackend], expected: list[np.ndarray]) -> tuple[float, float]:
-    """Largest difference of an action from `expected`, and the largest batch, while all ask at once."""
+    """Largest difference of an action from `expected`, and the largest batch, while all ask at
+    once.
+    """
     worst, largest = 0.0, 0.0
 
     def ask(index: int) -> None:

@@ -1,9 +1,11 @@
-"""start_all against the four start calls in a row: time to the first action, on the same server in turn.
+"""start_all against the four start calls in a row: time to the first action, on the same server in
+turn.
 
     python benchmarks/bench_start_all.py [--cycles 5]
 
-Each cycle starts everything with an instruction both ways, in an order that alternates, and stops everything in
-between. "First action" is the return of the last call: inference has published an action for the instruction by then.
+Each cycle starts everything with an instruction both ways, in an order that alternates, and stops
+everything in between. "First action" is the return of the last call: inference has published an
+action for the instruction by then.
 """
 
 from __future__ import annotations
@@ -76,7 +78,10 @@ def main() -> int:
         arguments.json.write_text(json.dumps(took))
     for name, values in took.items():
         listed = ", ".join(f"{value:.2f}" for value in values)
-        print(f"{name:9}: median {statistics.median(values):.2f} s, best {min(values):.2f} s  ({listed})")
+        print(
+            f"{name:9}: median {statistics.median(values):.2f} s, best {min(values):.2f} s  "
+            f"({listed})"
+        )
     ratio = statistics.median(a / b for a, b in zip(took["at once"], took["in a row"], strict=True))
     print(f"ratio    : {ratio:.2f} (median of the cycles; at most {LARGEST_RATIO:g})")
     return int(ratio > LARGEST_RATIO)

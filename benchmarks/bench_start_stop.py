@@ -2,8 +2,10 @@
 
     python benchmarks/bench_start_stop.py [--cycles 10]
 
-Counts what belongs to the server (child processes, sockets) and Fast DDS files in shared memory after each cycle; run
-it on a machine where nothing else speaks DDS. The floor is a bare rclpy process: spawn, import, create a node, leave.
+Counts what belongs to the server (child processes, sockets) and Fast DDS files in shared memory
+after each cycle; run
+it on a machine where nothing else speaks DDS. The floor is a bare rclpy process: spawn, import,
+    create a node, leave.
 """
 
 from __future__ import annotations
@@ -30,11 +32,16 @@ from rn_testing.domain import free_ros_domain
 from roboneuron.ros.environment import prepare_environment
 
 MODULES = ("robot", "perception", "control", "inference")
-BARE_NODE = "import rclpy; rclpy.init(); n = rclpy.create_node('bare'); n.destroy_node(); rclpy.try_shutdown()"
+BARE_NODE = (
+    "import rclpy; rclpy.init(); n = rclpy.create_node('bare'); n.destroy_node(); "
+    "rclpy.try_shutdown()"
+)
 
 
 def left_behind(server: psutil.Process) -> dict[str, int]:
-    """What exists now: the server's children, their and its sockets, files in shared memory, the server's threads."""
+    """What exists now: the server's children, their and its sockets, files in shared memory,
+    the server's threads.
+    """
     family = [server, *server.children(recursive=True)]
     return {
         "children": len(family) - 1,
@@ -50,7 +57,9 @@ def floor_s(repeats: int) -> float:
     times = []
     for _ in range(repeats):
         started_s = time.perf_counter()
-        subprocess.run([sys.executable, "-c", BARE_NODE], check=True, env=dict(os.environ), timeout=60)
+        subprocess.run(
+            [sys.executable, "-c", BARE_NODE], check=True, env=dict(os.environ), timeout=60
+        )
         times.append(time.perf_counter() - started_s)
     return float(np.median(times))
 
@@ -111,7 +120,13 @@ def _leaks(leaks: list[dict[str, int]], before_shm: int, after_shm: int) -> Tabl
     for key in leaks[0]:
         first, one, last = leaks[0][key], leaks[1][key], leaks[-1][key]
         table.add_row(key, str(first), str(one), str(last), str(last - one))
-    table.add_row("shared memory files, server gone", str(before_shm), "", str(after_shm), str(after_shm - before_shm))
+    table.add_row(
+        "shared memory files, server gone",
+        str(before_shm),
+        "",
+        str(after_shm),
+        str(after_shm - before_shm),
+    )
     return table
 
 

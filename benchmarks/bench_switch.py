@@ -1,12 +1,14 @@
 """Replacing the backend while the arm moves: warm and cold beside each other, in one run.
 
-    python benchmarks/bench_switch.py [--switches 50] [--cold 5] [--rates 10 30] [--rows 16 --delay-ms 100]
+    python benchmarks/bench_switch.py [--switches 50] [--cold 5] [--rates 10 30] [--rows 16
+    --delay-ms 100]
 
-The camera numbers its images and the actions carry the number back, so that a missed period is an image that nobody
-acted on, and a late one is seen in the times at which actions were sent (DDS source times). "Elsewhere" is the same
-stream between change-overs: what the machine itself does to it. The velocity step is the change of the commanded
-velocity of the moving joint from one command to the next. With --rows the backends answer with chunks, which are
-executed as `auto` decides; each row belongs to a period of the camera, and periods without a row are what is missed.
+The camera numbers its images and the actions carry the number back, so that a missed period is an
+image that nobody acted on, and a late one is seen in the times at which actions were sent (DDS
+source times). "Elsewhere" is the same stream between change-overs: what the machine itself does to
+it. The velocity step is the change of the commanded velocity of the moving joint from one command
+to the next. With --rows the backends answer with chunks, which are executed as `auto` decides; each
+row belongs to a period of the camera, and periods without a row are what is missed.
 """
 
 from __future__ import annotations
@@ -58,7 +60,9 @@ class Outcome:
     took_s: float
 
 
-def judge(actions: list[Sent], commands: list[tuple[int, float, float]], took_s: list[float]) -> Outcome:
+def judge(
+    actions: list[Sent], commands: list[tuple[int, float, float]], took_s: list[float]
+) -> Outcome:
     """Compare the stream at the change-overs with the rest of it."""
     pairs = list(itertools.pairwise(actions))
     changes = [(a, b) for a, b in pairs if a.tag != b.tag]
@@ -93,7 +97,9 @@ def _await_stream(switching: Switching, witness: object) -> None:
         threading.Event().wait(0.05)
 
 
-def series(switching: Switching, witness: object, mode: SwitchMode, count: int, console: Console) -> Outcome:
+def series(
+    switching: Switching, witness: object, mode: SwitchMode, count: int, console: Console
+) -> Outcome:
     """Switch `count` times and judge the stream meanwhile."""
     first_action = max(0, len(witness.actions()) - 1)  # type: ignore[attr-defined]
     first_command = len(witness.commands())  # type: ignore[attr-defined]
@@ -116,18 +122,43 @@ def series(switching: Switching, witness: object, mode: SwitchMode, count: int, 
 
 def main() -> None:
     """Run everything and print one table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--switches", type=int, default=50, metavar="N", help="warm switches at each rate")
-    parser.add_argument("--cold", type=int, default=5, metavar="N", help="cold switches at each rate")
-    parser.add_argument("--rates", type=float, nargs="+", default=[10.0, 30.0], metavar="HZ", help="images per second")
-    parser.add_argument("--rows", type=int, default=1, metavar="N", help="actions of a chunk, one each period")
-    parser.add_argument("--delay-ms", type=float, default=0.0, metavar="MS", help="time that a prediction takes")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--switches", type=int, default=50, metavar="N", help="warm switches at each rate"
+    )
+    parser.add_argument(
+        "--cold", type=int, default=5, metavar="N", help="cold switches at each rate"
+    )
+    parser.add_argument(
+        "--rates",
+        type=float,
+        nargs="+",
+        default=[10.0, 30.0],
+        metavar="HZ",
+        help="images per second",
+    )
+    parser.add_argument(
+        "--rows", type=int, default=1, metavar="N", help="actions of a chunk, one each period"
+    )
+    parser.add_argument(
+        "--delay-ms", type=float, default=0.0, metavar="MS", help="time that a prediction takes"
+    )
     arguments = parser.parse_args()
     console = Console(width=150)
     progress = Console(stderr=True)
     table = Table(title="Change of the backend during motion")
-    heads = "rate, mode|switches|images missed|acted on twice|gap min/p50/p99/max [ms]|elsewhere p50/p99/max [ms]"
-    for head in (*heads.split("|"), "skipped elsewhere", "velocity step / elsewhere [m/s]", "call [s]"):
+    heads = (
+        "rate, mode|switches|images missed|acted on twice|gap min/p50/p99/max [ms]|elsewhere "
+        "p50/p99/max [ms]"
+    )
+    for head in (
+        *heads.split("|"),
+        "skipped elsewhere",
+        "velocity step / elsewhere [m/s]",
+        "call [s]",
+    ):
         table.add_column(head)
     for rate_hz in arguments.rates:
         options = chunks(arguments.rows, arguments.delay_ms, rate_hz)
@@ -143,7 +174,9 @@ def main() -> None:
                 def spread(values_s: np.ndarray, *shares: int) -> str:
                     if not len(values_s):
                         return "-"
-                    return " / ".join(f"{value:.0f}" for value in np.percentile(values_s, shares) * 1e3)
+                    return " / ".join(
+                        f"{value:.0f}" for value in np.percentile(values_s, shares) * 1e3
+                    )
 
                 report = switching.loop.supervisor.view("inference").report
                 mode_now = "" if report is None else report.metrics.get("execution.mode", "")

@@ -1,16 +1,20 @@
-"""run_task against the simulator's truth: the servo in PyBullet, with grasps made to fail at random.
+"""run_task against the simulator's truth: the servo in PyBullet, with grasps made to fail at
+random.
 
     python benchmarks/bench_tasks.py --runs 200 [--workers 2] [--minutes 5] [--out out/tasks.jsonl]
 
-Each run is a scene of its own (its seed decides everything) by the clock of the simulation: the servo, the controller
-and its limits, the task's runner, its predicates and its detectors are those of a running robot; processes and ROS are
-left out. Pictures are small (--image-px; a robot's are 224). A grasp fails with the probability --fail in one of two
-ways: the fingers jam before they touch the cube, so that the policy believes that it holds something; or they let go on
+Each run is a scene of its own (its seed decides everything) by the clock of the simulation: the
+servo, the controller and its limits, the task's runner, its predicates and its detectors are those
+of a running robot; processes and ROS are left out. Pictures are small (--image-px; a robot's are
+224). A grasp fails with the probability --fail in one of two
+ways: the fingers jam before they touch the cube, so that the policy believes that it holds
+    something; or they let go on
 the way up. The ledger --out is continued.
 
-Judged: how many tasks succeed within three attempts (truth: the cube is 10 cm up when the task has ended), how many
-outcomes say what the simulator says, false successes, and the time from the predicate's becoming true until the last
-motion, in runs that end in the middle of the lift.
+Judged: how many tasks succeed within three attempts (truth: the cube is 10 cm up when the task has
+    ended), how many
+outcomes say what the simulator says, false successes, and the time from the predicate's becoming
+true until the last motion, in runs that end in the middle of the lift.
 """
 
 from __future__ import annotations
@@ -82,7 +86,10 @@ class FailingGripper:
             self._note(float(wanted[finger]))
             if self._fault == "jams":
                 wanted[finger] = max(wanted[finger], JAMMED_M)
-            if self._fault == "lets go" and self._simulation.tcp_pose().position_m[2] > self._let_go_m:
+            if (
+                self._fault == "lets go"
+                and self._simulation.tcp_pose().position_m[2] > self._let_go_m
+            ):
                 wanted[finger] = 0.04
                 if self._simulation.gripper_open() > 0.9:
                     self._fault = "has let go"
@@ -101,7 +108,9 @@ class FailingGripper:
             if self._random.random() < self._share:
                 self.failed += 1
                 self._fault = self._random.choice(["jams", "lets go"])
-                self._let_go_m = self._simulation.tcp_pose().position_m[2] + self._random.uniform(*LETS_GO_M)
+                self._let_go_m = self._simulation.tcp_pose().position_m[2] + self._random.uniform(
+                    *LETS_GO_M
+                )
 
 
 class SimulatedCell:
@@ -135,7 +144,9 @@ class SimulatedCell:
     def _act(self) -> None:
         """A camera period: new images, and an action for them."""
         self._scene.watch(self.now_s())
-        self._observation = replace(self._scene.observe(round(self.now_s() * 1e9) + 1), instruction="")
+        self._observation = replace(
+            self._scene.observe(round(self.now_s() * 1e9) + 1), instruction=""
+        )
         if not self._instruction:
             return
         try:
@@ -160,7 +171,9 @@ class SimulatedCell:
         return Snapshot(
             now_s=self.now_s(),
             joints=joints,
-            tcp=self._observation.ee_pose if self._observation.ee_pose is None else self.simulation.tcp_pose(),
+            tcp=self._observation.ee_pose
+            if self._observation.ee_pose is None
+            else self.simulation.tcp_pose(),
             gripper_open=self.simulation.gripper_open(),
             still_s=self._still.observe(self.now_s(), joints),
             policy_done=self._done if self._acted else None,
@@ -184,7 +197,11 @@ def lifted(colour: str) -> Predicate:
                 "kind": "all",
                 "of": [
                     {"kind": "gripper_holds", "least_open": 0.15, "most_open": 0.9},
-                    {"kind": "monitor", "name": "colour-lifted", "options": {"colour": colour, "height_m": 0.12}},
+                    {
+                        "kind": "monitor",
+                        "name": "colour-lifted",
+                        "options": {"colour": colour, "height_m": 0.12},
+                    },
                 ],
             },
         }
@@ -194,20 +211,33 @@ def lifted(colour: str) -> Predicate:
 def on_the_way_up() -> Predicate:
     """The gripper holds something and is in the middle of the lift."""
     box = {"kind": "tcp_in", "lower_m": [0, -1, 0.10], "upper_m": [1, 1, 1]}
-    return parse_predicate({"kind": "all", "of": [{"kind": "gripper_holds", "most_open": 0.8}, box]})
+    return parse_predicate(
+        {"kind": "all", "of": [{"kind": "gripper_holds", "most_open": 0.8}, box]}
+    )
 
 
 @functools.lru_cache(maxsize=1)
 def parts(grasps: int, image_px: int) -> tuple[Registry, Setup, Suite, Backend]:
     """Plugins, controller, suite and backend: made once for all runs of a process."""
     config = load_config(None)
-    config = config.model_copy(update={"plugins": {**config.plugins, "servo": {"max_attempts": grasps}}})
+    config = config.model_copy(
+        update={"plugins": {**config.plugins, "servo": {"max_attempts": grasps}}}
+    )
     plan = EvalPlan(
-        config=config.model_dump(mode="json"), suite="cubes", backend="servo", episodes=1, strips="none",
+        config=config.model_dump(mode="json"),
+        suite="cubes",
+        backend="servo",
+        episodes=1,
+        strips="none",
         suite_options={"camera_hz": 1 / CAMERA_S, "engine": "pybullet", "image_px": image_px},
-    )  # fmt: skip
+    )
     registry = discover()
-    return registry, Runner(plan)._setup, plan.build_suite(registry), load_backend(plan, registry, "none")
+    return (
+        registry,
+        Runner(plan)._setup,
+        plan.build_suite(registry),
+        load_backend(plan, registry, "none"),
+    )
 
 
 def play(seed: int, fail: float, grasps: int, braking: bool, image_px: int) -> dict[str, Any]:
@@ -226,7 +256,9 @@ def play(seed: int, fail: float, grasps: int, braking: bool, image_px: int) -> d
             return cast("Monitor", build(registry.get("monitor", named.name), named.options))
 
         judge = Judge(predicate, episode.instruction, monitor)
-        task = TaskPlan(instruction=episode.instruction, max_s=60.0, max_attempts=3, period_s=PERIOD_S)
+        task = TaskPlan(
+            instruction=episode.instruction, max_s=60.0, max_attempts=3, period_s=PERIOD_S
+        )
         told: list[tuple[float, str]] = []
         end = Task(cell, judge, task, lambda text: told.append((cell.now_s(), text))).run()
         cell.wait(PAUSE_S)
@@ -237,13 +269,23 @@ def play(seed: int, fail: float, grasps: int, braking: bool, image_px: int) -> d
             stopped_s = max(0.0, cell.moved_s - found_s)
         state = scene._simulation.cubes()[colour]
         return {
-            "seed": seed, "braking": braking, "fail": fail, "image_px": image_px, "most_grasps": grasps,
-            "outcome": end.outcome.value, "attempts": end.attempts,
-            "reason": end.reason, "truth": bool(state.lifted_m >= 0.10), "lifted_m": round(state.lifted_m, 3),
-            "grasps": gripper.grasps, "failed_grasps": gripper.failed, "simulated_s": round(end.took_s, 2),
+            "seed": seed,
+            "braking": braking,
+            "fail": fail,
+            "image_px": image_px,
+            "most_grasps": grasps,
+            "outcome": end.outcome.value,
+            "attempts": end.attempts,
+            "reason": end.reason,
+            "truth": bool(state.lifted_m >= 0.10),
+            "lifted_m": round(state.lifted_m, 3),
+            "grasps": gripper.grasps,
+            "failed_grasps": gripper.failed,
+            "simulated_s": round(end.took_s, 2),
             "attempts_failed": [text for _, text in told if ": failed" in text],
-            "stopped_s": stopped_s, "wall_s": round(time.perf_counter() - begun_s, 1),
-        }  # fmt: skip
+            "stopped_s": stopped_s,
+            "wall_s": round(time.perf_counter() - begun_s, 1),
+        }
     finally:
         scene.close()
 
@@ -259,24 +301,48 @@ def report(lines: list[dict[str, Any]]) -> int:
         grasps, failed = sum(x["grasps"] for x in tasks), sum(x["failed_grasps"] for x in tasks)
         print(f"runs                     {len(tasks)}")
         print(f"grasps made to fail      {failed} of {grasps} ({failed / max(1, grasps):.0%})")
-        print(f"succeeded (and true)     {len(done)} ({len(done) / len(tasks):.1%}; at least {LEAST_SUCCESS:.0%})")
-        print(f"in attempt 1, 2, 3       {[sum(x['attempts'] == n for x in done) for n in (1, 2, 3)]}")
-        print(f"outcome right            {len(right)} ({len(right) / len(tasks):.1%}; at least {LEAST_RIGHT:.0%})")
+        print(
+            f"succeeded (and true)     {len(done)} ({len(done) / len(tasks):.1%}; at least "
+            f"{LEAST_SUCCESS:.0%})"
+        )
+        print(
+            f"in attempt 1, 2, 3       {[sum(x['attempts'] == n for x in done) for n in (1, 2, 3)]}"
+        )
+        print(
+            f"outcome right            {len(right)} ({len(right) / len(tasks):.1%}; at least "
+            f"{LEAST_RIGHT:.0%})"
+        )
         print(f"false successes          {len(false)} (none allowed)")
         for line in (x for x in tasks if not _is_right(x)):
-            print(f"  seed {line['seed']}: {line['outcome']}, truth {line['truth']}: {line['reason']}")
-        bad += len(done) < LEAST_SUCCESS * len(tasks) or len(right) < LEAST_RIGHT * len(tasks) or bool(false)
+            print(
+                f"  seed {line['seed']}: {line['outcome']}, truth {line['truth']}: {line['reason']}"
+            )
+        bad += (
+            len(done) < LEAST_SUCCESS * len(tasks)
+            or len(right) < LEAST_RIGHT * len(tasks)
+            or bool(false)
+        )
     if stops:
         times = [x["stopped_s"] for x in stops if x["stopped_s"] is not None]
         bound_s = PERIOD_S + CAMERA_S + BRAKING_S
-        print(f"true -> last motion      {len(times)} runs: median {np.median(times):.2f} s, worst {max(times):.2f} s")
-        print(f"                         (at most {bound_s:.2f}: a look, an action's own time, braking)")
+        print(
+            f"true -> last motion      {len(times)} runs: median {np.median(times):.2f} s, worst "
+            f"{max(times):.2f} s"
+        )
+        print(
+            f"                         (at most {bound_s:.2f}: a look, an action's own time, "
+            "braking)"
+        )
         bad += max(times) > bound_s or len(times) < len(stops)
     return int(bad > 0)
 
 
 def _is_right(line: dict[str, Any]) -> bool:
-    said = {Outcome.SUCCEEDED.value: True, Outcome.FAILED.value: False, Outcome.TIMED_OUT.value: False}
+    said = {
+        Outcome.SUCCEEDED.value: True,
+        Outcome.FAILED.value: False,
+        Outcome.TIMED_OUT.value: False,
+    }
     return said.get(line["outcome"]) is line["truth"]
 
 
@@ -286,19 +352,36 @@ def main() -> int:
     parser.add_argument("--runs", type=int, default=200)
     parser.add_argument("--braking-runs", type=int, default=10)
     parser.add_argument("--fail", type=float, default=0.4, help="share of the grasps that fail")
-    parser.add_argument("--grasps", type=int, default=2, help="grasps that the servo itself tries in an attempt")
-    parser.add_argument("--image-px", type=int, default=160, help="width and height of the pictures")
+    parser.add_argument(
+        "--grasps", type=int, default=2, help="grasps that the servo itself tries in an attempt"
+    )
+    parser.add_argument(
+        "--image-px", type=int, default=160, help="width and height of the pictures"
+    )
     parser.add_argument("--workers", type=int, default=1)
-    parser.add_argument("--out", type=Path, default=Path("out/tasks.jsonl"), help="ledger, continued when it exists")
-    parser.add_argument("--minutes", type=float, default=600.0, help="begin no further run after so long; go on later")
+    parser.add_argument(
+        "--out", type=Path, default=Path("out/tasks.jsonl"), help="ledger, continued when it exists"
+    )
+    parser.add_argument(
+        "--minutes",
+        type=float,
+        default=600.0,
+        help="begin no further run after so long; go on later",
+    )
     arguments = parser.parse_args()
     end_s = time.monotonic() + 60.0 * arguments.minutes
     arguments.out.parent.mkdir(parents=True, exist_ok=True)
-    lines = [json.loads(line) for line in arguments.out.read_text().splitlines()] if arguments.out.exists() else []
+    lines = (
+        [json.loads(line) for line in arguments.out.read_text().splitlines()]
+        if arguments.out.exists()
+        else []
+    )
     mine = {"fail": arguments.fail, "image_px": arguments.image_px, "most_grasps": arguments.grasps}
     lines = [line for line in lines if all(line.get(key) == value for key, value in mine.items())]
     known = {(line["seed"], line["braking"]) for line in lines}
-    wanted = [(seed, False) for seed in range(arguments.runs)] + [(s, True) for s in range(arguments.braking_runs)]
+    wanted = [(seed, False) for seed in range(arguments.runs)] + [
+        (s, True) for s in range(arguments.braking_runs)
+    ]
     left = [(seed, braking) for seed, braking in wanted if (seed, braking) not in known]
     begun_s = time.monotonic()
     with ProcessPoolExecutor(arguments.workers) as pool, arguments.out.open("a") as ledger:

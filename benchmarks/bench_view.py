@@ -1,10 +1,12 @@
-"""How old a picture is when a browser shows it, and how soon an arm stands after a click on the emergency stop.
+"""How old a picture is when a browser shows it, and how soon an arm stands after a click on the
+emergency stop.
 
     .venv/bin/python benchmarks/bench_view.py [--seconds 20] [--clicks 12]
 
-Pictures of 640 x 480 are published at 10 Hz on a ROS topic, each of another grey level; the page, in a real browser,
-notes when its first picture changes. Then the stop is clicked on the page of a server whose simulated FR3 turns its
-wrist, and measured at the joints (`view_stops.py`). All clocks are this machine's.
+Pictures of 640 x 480 are published at 10 Hz on a ROS topic, each of another grey level; the page,
+in a real browser, notes when its first picture changes. Then the stop is clicked on the page of a
+server whose simulated FR3 turns its wrist, and measured at the joints (`view_stops.py`). All clocks
+are this machine's.
 """
 
 from __future__ import annotations
@@ -89,7 +91,9 @@ def measure_pictures(browser: Any, folder: Path, seconds: float) -> tuple[int, l
         due_s = time.monotonic() + 1.0 / RATE_HZ
         level = len(sent) % LEVELS
         stamp_s = time.time()
-        messages[level].header.stamp.sec, messages[level].header.stamp.nanosec = divmod(int(stamp_s * 1e9), 10**9)
+        messages[level].header.stamp.sec, messages[level].header.stamp.nanosec = divmod(
+            int(stamp_s * 1e9), 10**9
+        )
         sent.append((stamp_s, level))
         publish(messages[level])
         time.sleep(max(0.0, due_s - time.monotonic()))
@@ -115,7 +119,9 @@ def table(title: str, rows: dict[str, list[float]], digits: int = 0) -> None:
 
 
 def measure(seconds: float, clicks: int) -> int:
-    """Print the tables; returns the exit status. What the machine lacks or is too busy for is told as missed."""
+    """Print the tables; returns the exit status. What the machine lacks or is too busy for is
+    told as missed.
+    """
     chromium = shutil.which("chromium")
     if chromium is None:
         print("missed: not measured, there is no chromium (Debian: apt-get install chromium)")
@@ -130,10 +136,16 @@ def measure(seconds: float, clicks: int) -> int:
         stops: list[Stop] = measure_stops(browser, Path(name), clicks) if clicks else []
         browser.close()
     load = os.getloadavg()[0]
-    print(f"load of the machine {load:.1f} on {os.cpu_count()} cores; {sent} pictures sent, {len(ages_ms)} shown")
+    print(
+        f"load of the machine {load:.1f} on {os.cpu_count()} cores; {sent} pictures sent, "
+        f"{len(ages_ms)} shown"
+    )
     if stops:
         speeds = [stop.speed_rad_s for stop in stops]
-        rows = {"latch file": [stop.file_ms for stop in stops], "joints at rest": [stop.rest_ms for stop in stops]}
+        rows = {
+            "latch file": [stop.file_ms for stop in stops],
+            "joints at rest": [stop.rest_ms for stop in stops],
+        }
         print(f"{len(stops)} clicks on the stop at {min(speeds):.2f} to {max(speeds):.2f} rad/s")
         table("from the click to ... [ms]", rows)
         table("from the click on [rad]", {"way of the joint": [stop.way_rad for stop in stops]}, 3)
@@ -146,7 +158,9 @@ def measure(seconds: float, clicks: int) -> int:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--seconds", type=float, default=20.0, help="of pictures (default: 20)")
     parser.add_argument("--clicks", type=int, default=12, help="on the stop; 0: none (default: 12)")
     arguments = parser.parse_args()

@@ -1,17 +1,21 @@
-"""OpenVLA and OpenVLA-OFT, each FastV preset, beside a plain eager transformers loop and the device's roofline.
+"""OpenVLA and OpenVLA-OFT, each FastV preset, beside a plain eager transformers loop and the
+device's roofline.
 
-    python benchmarks/bench_vla.py [--device cpu|cuda] [--size small|full] [--repeat 5] [--threads 1]
+    python benchmarks/bench_vla.py [--device cpu|cuda] [--size small|full] [--repeat 5] [--threads
+    1]
 
-Random weights, batch 1, a prompt of 24 tokens, all in one process. On the CPU the models are scaled down ("small") and
-computed in `--dtype`, float32 by default; on CUDA they have their real size ("full"), bfloat16, with CUDA graphs.
-"eager" is transformers' Llama with eager attention, its own cache and a Python loop, on the same weights, behind the
-same vision front; in float32 its tokens or actions must equal ours. A time is that of one request, pixels on the host
-to tokens or actions on the host, the best of `--repeat`: wall time, or on one CPU thread the processor time, which
-others on a shared machine disturb less.
+Random weights, batch 1, a prompt of 24 tokens, all in one process. On the CPU the models are scaled
+down ("small") and computed in `--dtype`, float32 by default; on CUDA they have their real size
+("full"), bfloat16, with CUDA graphs. "eager" is transformers' Llama with eager attention, its own
+cache and a Python loop, on the same weights, behind the same vision front; in float32 its tokens or
+actions must equal ours. A time is that of one request, pixels on the host to tokens or actions on
+the host, the best of `--repeat`: wall time, or on one CPU thread the processor time, which others
+on a shared machine disturb less.
 
-The roofline adds up, for vision, prefill and each decode step, the larger of weight bytes / bandwidth and
-FLOP / throughput; both are measured here, in the same number type, as the best of several runs of a matrix-vector and
-a square matrix product. The boundary is the backend's share of one prediction at 224 x 224: all but the runtime's.
+The roofline adds up, for vision, prefill and each decode step, the larger of weight bytes /
+bandwidth and FLOP / throughput; both are measured here, in the same number type, as the best of
+several runs of a matrix-vector and a square matrix product. The boundary is the backend's share of
+one prediction at 224 x 224: all but the runtime's.
 """
 
 from __future__ import annotations
@@ -80,7 +84,9 @@ class Speed:
     bandwidth: float
     throughput: float
 
-    def bound_s(self, parameters: float, tokens: float, attention_flop: float, itemsize: int) -> float:
+    def bound_s(
+        self, parameters: float, tokens: float, attention_flop: float, itemsize: int
+    ) -> float:
         """Shortest time for `tokens` rows through `parameters` weights."""
         flop = 2 * parameters * tokens + attention_flop
         return max(parameters * itemsize / self.bandwidth, flop / self.throughput)
@@ -88,7 +94,13 @@ class Speed:
 
 def shrink(tower: TowerShape) -> TowerShape:
     """A tower of an eighth of the width and a quarter of the depth."""
-    return replace(tower, width=tower.width // 8, depth=tower.depth // 4, heads=4, intermediate=tower.intermediate // 8)
+    return replace(
+        tower,
+        width=tower.width // 8,
+        depth=tower.depth // 4,
+        heads=4,
+        intermediate=tower.intermediate // 8,
+    )
 
 
 def make_checkpoint(size: str, path: Path) -> Checkpoint:
@@ -98,7 +110,9 @@ def make_checkpoint(size: str, path: Path) -> Checkpoint:
     return Checkpoint(
         path=path,
         decoder=decoder,
-        vision=VisionShape(towers=towers if size == "full" else tuple(map(shrink, towers)), hidden=decoder.hidden),
+        vision=VisionShape(
+            towers=towers if size == "full" else tuple(map(shrink, towers)), hidden=decoder.hidden
+        ),
         action_bins=256,
         token_vocabulary=32000,
         is_vicuna=False,
@@ -118,13 +132,20 @@ def random_weights(seed: int = 0) -> Iterator[None]:
             torch.manual_seed(seed + index)
             slot.normal_(std=slot.shape[-1] ** -0.5) if slot.ndim > 1 else slot.fill_(1.0)
 
-    with patch("rn_runtime_torch.engine.load_shards", fill), patch("rn_runtime_torch.engine.check_shards"):
+    with (
+        patch("rn_runtime_torch.engine.load_shards", fill),
+        patch("rn_runtime_torch.engine.check_shards"),
+    ):
         yield
 
 
 def now_s() -> float:
     """Processor time when one CPU thread computes, else wall time."""
-    return time.perf_counter() if torch.cuda.is_available() or torch.get_num_threads() > 1 else time.process_time()
+    return (
+        time.perf_counter()
+        if torch.cuda.is_available() or torch.get_num_threads() > 1
+        else time.process_time()
+    )
 
 
 def best_ms(action: Callable[[Request], object], request: Request, repeat: int) -> float:
@@ -140,7 +161,10 @@ def best_ms(action: Callable[[Request], object], request: Request, repeat: int) 
 def measure_speed(device: torch.device, dtype: torch.dtype) -> Speed:
     """Best of ten: a matrix-vector product of 256 MB or more, a square product."""
     side, square = (16384, 8192) if device.type == "cuda" else (8192, 1536)
-    wide, vector = torch.randn(side, side, device=device).to(dtype), torch.ones(side, device=device, dtype=dtype)
+    wide, vector = (
+        torch.randn(side, side, device=device).to(dtype),
+        torch.ones(side, device=device, dtype=dtype),
+    )
     matrix = torch.randn(square, square, device=device).to(dtype)
 
     def best(action: Callable[[], object]) -> float:
@@ -154,7 +178,8 @@ def measure_speed(device: torch.device, dtype: torch.dtype) -> Speed:
         return min(times)
 
     return Speed(
-        bandwidth=wide.nbytes / best(lambda: wide @ vector), throughput=2 * square**3 / best(lambda: matrix @ matrix)
+        bandwidth=wide.nbytes / best(lambda: wide @ vector),
+        throughput=2 * square**3 / best(lambda: matrix @ matrix),
     )
 
 
@@ -174,7 +199,9 @@ def roofline_ms(
     for tower in vision.towers:
         layers, width, tokens = tower.depth - 1, tower.width, tower.patches + tower.prefix_tokens
         parameters = layers * (4 * width**2 + 2 * width * tower.intermediate)
-        total += speed.bound_s(parameters, images * tokens, images * layers * 4 * tokens**2 * width, item)
+        total += speed.bound_s(
+            parameters, images * tokens, images * layers * 4 * tokens**2 * width, item
+        )
     pairs = zip(vision.projector, vision.projector[1:], strict=False)
     total += speed.bound_s(sum(a * b for a, b in pairs), model.visual_tokens, 0, item)
     length = model.visual_tokens + model.extra_tokens + request.prompt.ids.size
@@ -194,7 +221,9 @@ def roofline_ms(
 
 
 class EagerLoop:
-    """transformers' Llama with eager attention on an engine's weights, behind the engine's front."""
+    """transformers' Llama with eager attention on an engine's weights, behind the engine's
+    front.
+    """
 
     def __init__(self, engine: Engine, model: PolicyModel) -> None:
         self.engine, self.shape = engine, model.decoder
@@ -227,8 +256,12 @@ class EagerLoop:
             ids = torch.from_numpy(request.prompt.ids)[None].to(engine._device)
             hidden = engine._front(held, ids, self.llama.model.embed_tokens)
             if isinstance(request, RowsRequest):
-                mask = torch.zeros(1, 1, hidden.shape[1], hidden.shape[1], dtype=hidden.dtype, device=hidden.device)
-                rows = self.llama.model(inputs_embeds=hidden, attention_mask=mask, use_cache=False).last_hidden_state
+                mask = torch.zeros(
+                    1, 1, hidden.shape[1], hidden.shape[1], dtype=hidden.dtype, device=hidden.device
+                )
+                rows = self.llama.model(
+                    inputs_embeds=hidden, attention_mask=mask, use_cache=False
+                ).last_hidden_state
                 end = rows.shape[1] - request.tail
                 assert engine._back is not None
                 result: Tensor = engine._back(rows[:, end - request.rows : end])[0]
@@ -236,7 +269,9 @@ class EagerLoop:
             out = self.llama(inputs_embeds=hidden, use_cache=True, logits_to_keep=1)
             tokens = [out.logits[:, -1].argmax(-1)]
             while len(tokens) < request.max_new_tokens:
-                out = self.llama(input_ids=tokens[-1][None], past_key_values=out.past_key_values, use_cache=True)
+                out = self.llama(
+                    input_ids=tokens[-1][None], past_key_values=out.past_key_values, use_cache=True
+                )
                 tokens.append(out.logits[:, -1].argmax(-1))
             return torch.cat(tokens).cpu()
 
@@ -247,7 +282,9 @@ def policies(size: str, path: Path) -> Iterator[tuple[str, Checkpoint, PolicyMod
     for component in ("action_head", "proprio_projector"):
         (path / f"{component}--0_checkpoint.pt").touch()
     yield "openvla", checkpoint, policy_model(checkpoint, action_width=7, max_prompt_tokens=64)
-    oft = OftPolicy(checkpoint=checkpoint, constants=CONSTANTS["libero"], cameras=2, head="l1", proprio_width=8)
+    oft = OftPolicy(
+        checkpoint=checkpoint, constants=CONSTANTS["libero"], cameras=2, head="l1", proprio_width=8
+    )
     yield "oft", checkpoint, oft.model(64)
 
 
@@ -256,7 +293,8 @@ def make_request(model: PolicyModel) -> Request:
     request = model.example(PROMPT_TOKENS)
     generator = np.random.default_rng(0)
     arrays = {
-        name: generator.standard_normal(array.shape).astype(np.float32) for name, array in request.prompt.arrays.items()
+        name: generator.standard_normal(array.shape).astype(np.float32)
+        for name, array in request.prompt.arrays.items()
     }
     return replace(request, prompt=replace(request.prompt, arrays=arrays))
 
@@ -265,7 +303,9 @@ def check_same(ours: Tensor, eager: Tensor, dtype: torch.dtype, name: str) -> No
     """In float32 both must give the same; half precision is only reported."""
     if dtype is torch.float32:
         difference = (ours.float() - eager.float()).abs().max().item()
-        assert difference < PLAIN_TOLERANCE, f"{name}: our result differs from the eager loop by {difference}"
+        assert difference < PLAIN_TOLERANCE, (
+            f"{name}: our result differs from the eager loop by {difference}"
+        )
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -282,7 +322,11 @@ class Bench:
         eager_ms = plain_ms = 0.0
         for preset, share in PRESETS.items():
             with random_weights():
-                engine = Engine(model, self.config, FastV(FastVConfig(k=PRUNED_AFTER, r=share)) if share else None)
+                engine = Engine(
+                    model,
+                    self.config,
+                    FastV(FastVConfig(k=PRUNED_AFTER, r=share)) if share else None,
+                )
             bound = roofline_ms(model, vision, request, share, self.speed, engine._dtype.itemsize)
             if not share:
                 eager = EagerLoop(engine, model)
@@ -306,7 +350,15 @@ def answer(engine: Engine, request: Request) -> tuple[Tensor, int]:
     return torch.tensor(values), round(reply.metrics["tokens_kept"])
 
 
-def row(name: str, preset: str, kept: int, took_ms: float, over_eager: str, over_plain: str, bound_ms: float) -> None:
+def row(
+    name: str,
+    preset: str,
+    kept: int,
+    took_ms: float,
+    over_eager: str,
+    over_plain: str,
+    bound_ms: float,
+) -> None:
     """Print one row of the table."""
     print(
         f"| {name} | {preset} | {kept} | {took_ms:.1f} | {over_eager} | {over_plain} "
@@ -321,7 +373,9 @@ def measure_boundary(repeat: int) -> float:
     with tempfile.TemporaryDirectory() as folder:
         make_tiny(Path(folder))
         config = OpenVlaConfig(checkpoint=Path(folder), profile="libero")
-        backend = OpenVlaBackend(config, runtime=TorchRuntime(TorchRuntimeConfig(device="cpu", dtype="float32")))
+        backend = OpenVlaBackend(
+            config, runtime=TorchRuntime(TorchRuntimeConfig(device="cpu", dtype="float32"))
+        )
         backend.load()
         image = np.random.default_rng(0).integers(0, 256, (224, 224, 3)).astype(np.uint8)
         frame = Frame(camera="front", image=image, stamp_ns=1, frame_id="front_optical")
@@ -335,12 +389,18 @@ def measure_boundary(repeat: int) -> float:
 
 def main() -> None:
     """Measure and print one Markdown table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu")
-    parser.add_argument("--size", choices=("small", "full"), help="default: small on the CPU, full on CUDA")
+    parser.add_argument(
+        "--size", choices=("small", "full"), help="default: small on the CPU, full on CUDA"
+    )
     parser.add_argument("--repeat", type=int, default=5)
     parser.add_argument(
-        "--dtype", choices=("float32", "bfloat16"), help="default: float32 on the CPU, bfloat16 on CUDA"
+        "--dtype",
+        choices=("float32", "bfloat16"),
+        help="default: float32 on the CPU, bfloat16 on CUDA",
     )
     parser.add_argument("--decode-weights", choices=("same", "int8"), default="same")
     parser.add_argument("--threads", type=int, default=1, help="CPU threads of torch")
@@ -348,7 +408,9 @@ def main() -> None:
     torch.set_num_threads(options.threads)
     size = options.size or ("full" if options.device == "cuda" else "small")
     device = torch.device(options.device)
-    named: Literal["float32", "bfloat16"] = options.dtype or ("bfloat16" if options.device == "cuda" else "float32")
+    named: Literal["float32", "bfloat16"] = options.dtype or (
+        "bfloat16" if options.device == "cuda" else "float32"
+    )
     dtype = getattr(torch, named)
     config = TorchRuntimeConfig(
         device=options.device,
@@ -359,18 +421,26 @@ def main() -> None:
     speed = measure_speed(device, dtype)
     what = torch.cuda.get_device_name() if options.device == "cuda" else f"{platform.machine()} CPU"
     print(
-        f"{what}, {options.threads} CPU threads, size {size}, {named}, decode weights {options.decode_weights}, "
-        f"torch {torch.__version__}, transformers {transformers.__version__}, Python {platform.python_version()}; "
+        f"{what}, {options.threads} CPU threads, size {size}, {named}, decode weights "
+        f"{options.decode_weights}, "
+        f"torch {torch.__version__}, transformers {transformers.__version__}, Python "
+        f"{platform.python_version()}; "
         f"measured {speed.bandwidth / 1e9:.1f} GB/s and {speed.throughput / 1e12:.3f} TFLOP/s; "
         f"best of {options.repeat}\n"
     )
-    print("| backend | preset | visual tokens | ms | x eager | x unpruned | roofline ms | ms / roofline |")
+    print(
+        "| backend | preset | visual tokens | ms | x eager | x unpruned | roofline ms | ms / "
+        "roofline |"
+    )
     print("|---|---|---|---|---|---|---|---|")
     bench = Bench(config=config, speed=speed, repeat=options.repeat)
     with tempfile.TemporaryDirectory() as folder:
         for name, checkpoint, model in policies(size, Path(folder)):
             bench.run(name, checkpoint.vision, model)
-    print(f"\nBoundary, image in to action out without the model, 224 x 224: {measure_boundary(50):.2f} ms")
+    print(
+        "\nBoundary, image in to action out without the model, 224 x 224: "
+        f"{measure_boundary(50):.2f} ms"
+    )
 
 
 if __name__ == "__main__":

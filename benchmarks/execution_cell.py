@@ -1,4 +1,6 @@
-"""The camera and the arm of bench_execution.py: what the real inference process sees, and what it is measured by."""
+"""The camera and the arm of bench_execution.py: what the real inference process sees, and what
+it is measured by.
+"""
 
 from __future__ import annotations
 
@@ -26,8 +28,8 @@ class Measured:
         rate: actions to periods, from the first to the last of the run.
         starved_periods: periods without an action.
         longest_gap_s: between two actions [s].
-        late_ticks: of a thread of the benchmark that only sleeps to a grid of the same period; what came half a period
-            late there is the machine's doing.
+        late_ticks: of a thread of the benchmark that only sleeps to a grid of the same period; what
+            came half a period late there is the machine's doing.
         status: the metrics `execution.*` of the inference module, without that prefix.
     """
 
@@ -39,7 +41,9 @@ class Measured:
 
 
 class Cell:
-    """Publishes images that hold the TCP, carries actions out with a lag, and notes when they came."""
+    """Publishes images that hold the TCP, carries actions out with a lag, and notes when they
+    came.
+    """
 
     def __init__(self) -> None:
         import rclpy
@@ -55,14 +59,24 @@ class Cell:
         self._arrivals_s: list[float] = []
         self._status: dict[str, str] = {}
         self._start_m, self._goal_m, self._since_s = np.zeros(3), np.zeros(3), 0.0
-        self._image = np.random.default_rng(0).integers(0, 255, (SIDE_PX, SIDE_PX, 3), dtype=np.uint8)
-        self._publisher = self.node.create_publisher(Image, "/bench/camera/front/image", QoSProfile(depth=1))
-        self.node.create_subscription(Float64MultiArray, "/bench/action", self._on_action, QoSProfile(depth=50))
-        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, QoSProfile(depth=50))
+        self._image = np.random.default_rng(0).integers(
+            0, 255, (SIDE_PX, SIDE_PX, 3), dtype=np.uint8
+        )
+        self._publisher = self.node.create_publisher(
+            Image, "/bench/camera/front/image", QoSProfile(depth=1)
+        )
+        self.node.create_subscription(
+            Float64MultiArray, "/bench/action", self._on_action, QoSProfile(depth=50)
+        )
+        self.node.create_subscription(
+            DiagnosticArray, "/diagnostics", self._on_diagnostics, QoSProfile(depth=50)
+        )
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self.node)
         self._stop = threading.Event()
-        self._threads = [threading.Thread(target=work, daemon=True) for work in (self._spin, self._film)]
+        self._threads = [
+            threading.Thread(target=work, daemon=True) for work in (self._spin, self._film)
+        ]
         for thread in self._threads:
             thread.start()
 
@@ -77,13 +91,19 @@ class Cell:
         rclpy.try_shutdown()
 
     def wait_for_peer(self) -> None:
-        """Until exactly one process listens to images and one publishes actions, and the first action has come."""
+        """Until exactly one process listens to images and one publishes actions, and the first
+        action has come.
+        """
         _wait(self._is_found, FOUND_S, "the inference process was not found")
         _wait(lambda: bool(self._arrivals_s), FIRST_ACTION_S, "no action came")
 
     def wait_until_alone(self) -> None:
         """Until nobody publishes actions any more; then everything starts anew."""
-        _wait(lambda: not self.node.count_publishers("/bench/action"), GONE_S, "the ended process stayed in the graph")
+        _wait(
+            lambda: not self.node.count_publishers("/bench/action"),
+            GONE_S,
+            "the ended process stayed in the graph",
+        )
         with self._lock:
             self._arrivals_s.clear()
             self._status.clear()
@@ -108,7 +128,10 @@ class Cell:
         )
 
     def _is_found(self) -> bool:
-        return self._publisher.get_subscription_count() == 1 and self.node.count_publishers("/bench/action") == 1
+        return (
+            self._publisher.get_subscription_count() == 1
+            and self.node.count_publishers("/bench/action") == 1
+        )
 
     def _spin(self) -> None:
         while not self._stop.is_set():
@@ -125,7 +148,9 @@ class Cell:
                 tcp_m = self._tcp_m(time.monotonic())
             self._image.reshape(-1)[:24] = np.frombuffer(tcp_m.tobytes(), dtype=np.uint8)
             stamp_ns = self.node.get_clock().now().nanoseconds
-            frame = Frame(camera="front", image=self._image.copy(), stamp_ns=stamp_ns, frame_id="front")
+            frame = Frame(
+                camera="front", image=self._image.copy(), stamp_ns=stamp_ns, frame_id="front"
+            )
             self._publisher.publish(to_image(frame))
 
     def _tcp_m(self, now_s: float) -> F64:

@@ -1,6 +1,8 @@
-"""The plugin bench_execution.py measures with: a policy that answers late, on a robot that exists only as a profile.
+"""The plugin bench_execution.py measures with: a policy that answers late, on a robot that exists
+only as a profile.
 
-The first 24 bytes of an image hold the place of the TCP, so that the policy closes the loop without a robot process.
+The first 24 bytes of an image hold the place of the TCP, so that the policy closes the loop without
+a robot process.
 """
 
 from __future__ import annotations
@@ -26,7 +28,9 @@ class LateOptions(BaseModel):
     """How late it answers, and with what."""
 
     rows: int = Field(default=8, ge=1, le=64, description="rows of a chunk")
-    latency_ms: float = Field(default=112.0, ge=0, description="median time of a prediction [ms]; lognormal")
+    latency_ms: float = Field(
+        default=112.0, ge=0, description="median time of a prediction [ms]; lognormal"
+    )
     jitter: float = Field(default=0.2, ge=0, description="standard deviation of its logarithm")
     conditions_on_rows: bool = Field(default=False, description="continues the committed rows")
 
@@ -51,31 +55,45 @@ def roboneuron_backends() -> Sequence[BackendSpec]:
 @hookimpl
 def roboneuron_robots() -> Sequence[RobotSpec]:
     """One robot with a camera."""
-    driver = DriverSpec(name="simulated", summary="is never started", target="execution_plugin:Late")
+    driver = DriverSpec(
+        name="simulated", summary="is never started", target="execution_plugin:Late"
+    )
     camera = CameraSpec(name="front", role="primary")
     target = "execution_plugin:profile"
-    return [RobotSpec(name="bench", summary="a profile", target=target, drivers=(driver,), cameras=(camera,))]
+    return [
+        RobotSpec(
+            name="bench", summary="a profile", target=target, drivers=(driver,), cameras=(camera,)
+        )
+    ]
 
 
 def profile() -> RobotProfile:
     """A robot that has a camera and nothing else."""
     from roboneuron.contract import CameraProfile, RobotProfile
 
-    camera = CameraProfile(name="front", role="primary", frame_id="front", width=SIDE_PX, height=SIDE_PX)
+    camera = CameraProfile(
+        name="front", role="primary", frame_id="front", width=SIDE_PX, height=SIDE_PX
+    )
     return RobotProfile(name="bench", cameras=(camera,))
 
 
 class Late:
-    """Follows the protocol `Backend`; the policy of the virtual cell, which sleeps until its latency has passed."""
+    """Follows the protocol `Backend`; the policy of the virtual cell, which sleeps until its
+    latency has passed.
+    """
 
-    def __init__(self, config: LateOptions | None, runtime: Any = None, acceleration: Any = None) -> None:
+    def __init__(
+        self, config: LateOptions | None, runtime: Any = None, acceleration: Any = None
+    ) -> None:
         import numpy as np
 
         from rn_standard.execution.virtual_cell import Follower
 
         self._options = config or LateOptions()
         self._random = np.random.default_rng(0)
-        self._policy = Follower(self._options.rows, STEP_S, self._options.conditions_on_rows, self._random)
+        self._policy = Follower(
+            self._options.rows, STEP_S, self._options.conditions_on_rows, self._random
+        )
 
     def load(self) -> None:
         """Nothing to load."""
@@ -85,7 +103,9 @@ class Late:
         import numpy as np
 
         options = self._options
-        end_s = time.monotonic() + options.latency_ms / 1e3 * math.exp(options.jitter * self._random.standard_normal())
+        end_s = time.monotonic() + options.latency_ms / 1e3 * math.exp(
+            options.jitter * self._random.standard_normal()
+        )
         frame = observation.frames["primary"]
         tcp_m = np.frombuffer(frame.image.tobytes()[:24], dtype=np.float64)
         chunk = self._policy.predict(frame.stamp_ns / 1e9, tcp_m, observation.ahead)

@@ -1,4 +1,6 @@
-"""A closed loop around `fault_plugin`, files that make its parts fail, and a witness of the gantry's true joints."""
+"""A closed loop around `fault_plugin`, files that make its parts fail, and a witness of the
+gantry's true joints.
+"""
 
 from __future__ import annotations
 
@@ -79,10 +81,15 @@ def config_text(folder: Path, rate_hz: float, *, backend: str = "first", **more:
     Args:
         folder: where state and the files that make parts fail are.
         rate_hz: images per second.
-        backend: "first" and "second" go on blindly, "steady" and "steadier" swing about a place by what is measured.
-        more: more keys of `perception`, `inference`, `control`, `supervisor`, `camera`, and of each backend: `policy`.
+        backend: "first" and "second" go on blindly, "steady" and "steadier" swing about a place by
+            what is measured.
+        more: more keys of `perception`, `inference`, `control`, `supervisor`, `camera`, and of each
+            backend: `policy`.
     """
-    keys = dict.fromkeys(("perception", "inference", "control", "supervisor", "camera", "policy"), "") | more
+    keys = (
+        dict.fromkeys(("perception", "inference", "control", "supervisor", "camera", "policy"), "")
+        | more
+    )
     return CONFIG.format(folder=folder, rate_hz=rate_hz, backend=backend, **keys)
 
 
@@ -95,14 +102,17 @@ def fail(folder: Path, part: str, mode: str) -> None:
 
 
 class JointWitness:
-    """Keeps the gantry's first joint as it is, whatever anybody says of it, and counts actions. Times are monotonic.
+    """Keeps the gantry's first joint as it is, whatever anybody says of it, and counts actions.
+    Times are monotonic.
 
     Args:
         node: of the graph that is watched; its executor must turn.
         add: runs a function where subscriptions may be made.
     """
 
-    def __init__(self, node: Any, add: Callable[[Callable[[], Any]], Any], namespace: str = "gantry") -> None:
+    def __init__(
+        self, node: Any, add: Callable[[Callable[[], Any]], Any], namespace: str = "gantry"
+    ) -> None:
         from rclpy.qos import QoSProfile
         from sensor_msgs.msg import JointState
         from std_msgs.msg import Float64MultiArray
@@ -140,7 +150,11 @@ class JointWitness:
     def changes(self, since_s: float) -> list[tuple[float, float]]:
         """Time and position [m] of each measurement since then that differs from the one before."""
         pairs = itertools.pairwise(self.joints())
-        return [after for before, after in pairs if after[0] >= since_s and abs(after[1] - before[1]) > STILL_M]
+        return [
+            after
+            for before, after in pairs
+            if after[0] >= since_s and abs(after[1] - before[1]) > STILL_M
+        ]
 
     def moved_s(self) -> float | None:
         """When the joint was last seen to move; None while nothing has been measured for 0.5 s."""
@@ -181,7 +195,9 @@ def quiet(_: str) -> None:
 
 
 @contextmanager
-def standing_loop(folder: Path, rate_hz: float, **more: str) -> Iterator[tuple[ClosedLoop, JointWitness]]:
+def standing_loop(
+    folder: Path, rate_hz: float, **more: str
+) -> Iterator[tuple[ClosedLoop, JointWitness]]:
     """The control plane of a cell in which nothing runs yet; everything is stopped at the end."""
     with environment(folder):
         config = parse_config(config_text(folder, rate_hz, **more))
@@ -199,7 +215,9 @@ def standing_loop(folder: Path, rate_hz: float, **more: str) -> Iterator[tuple[C
 
 
 @contextmanager
-def moving_cell(folder: Path, rate_hz: float, **more: str) -> Iterator[tuple[ClosedLoop, JointWitness]]:
+def moving_cell(
+    folder: Path, rate_hz: float, **more: str
+) -> Iterator[tuple[ClosedLoop, JointWitness]]:
     """A gantry that follows backend "first" at `rate_hz`."""
     with standing_loop(folder, rate_hz, **more) as (loop, witness):
         loop.start("robot")

@@ -1,7 +1,8 @@
-"""Parts of a robot cell that fail on demand: what is wrong with each is read from a file while it runs.
+"""Parts of a robot cell that fail on demand: what is wrong with each is read from a file while it
+runs.
 
-The gantry's driver lies about its joints, and `true_joint_states` carries where they are; cameras and processes have
-clocks that jump; the backend eats memory.
+The gantry's driver lies about its joints, and `true_joint_states` carries where they are; cameras
+and processes have clocks that jump; the backend eats memory.
 """
 
 from __future__ import annotations
@@ -41,19 +42,25 @@ class LargeCameraOptions(CameraOptions):
 
     width: int = Field(default=0, ge=0, description="image width [px]; the profile's when 0")
     height: int = Field(default=0, ge=0, description="image height [px]; the profile's when 0")
-    clock_file: str = Field(default="", description="a file that says how far its clock is ahead [s]")
+    clock_file: str = Field(
+        default="", description="a file that says how far its clock is ahead [s]"
+    )
 
 
 class HungryBackendOptions(BackendOptions):
     """Options of the naming backend with an appetite."""
 
-    memory_file: str = Field(default="", description="each prediction keeps 40 MB while this file holds a word")
+    memory_file: str = Field(
+        default="", description="each prediction keeps 40 MB while this file holds a word"
+    )
 
 
 class LyingCamera(NumberingCamera):
     """Follows the protocol `PerceptionSource`; its stamps may be wrong."""
 
-    def __init__(self, config: LargeCameraOptions | None, topics: Topics, cameras: tuple[CameraProfile, ...]) -> None:
+    def __init__(
+        self, config: LargeCameraOptions | None, topics: Topics, cameras: tuple[CameraProfile, ...]
+    ) -> None:
         self._more = config or LargeCameraOptions()
         camera = cameras[0]
         width, height = self._more.width or camera.width, self._more.height or camera.height
@@ -69,7 +76,9 @@ class LyingCamera(NumberingCamera):
 class HungryBackend(NamingBackend):
     """Follows the protocol `Backend`; it may keep what it should forget."""
 
-    def __init__(self, config: HungryBackendOptions | None, runtime: Any = None, acceleration: Any = None) -> None:
+    def __init__(
+        self, config: HungryBackendOptions | None, runtime: Any = None, acceleration: Any = None
+    ) -> None:
         super().__init__(config, runtime, acceleration)
         self._memory_file = config.memory_file if config is not None else ""
         self._kept: list[Any] = []
@@ -88,14 +97,19 @@ class SteadyBackendOptions(HungryBackendOptions):
 
 
 class SteadyBackend(HungryBackend):
-    """Follows the protocol `Backend`: swings 60 mm to and fro in 8 s by what is measured, so that it never drifts."""
+    """Follows the protocol `Backend`: swings 60 mm to and fro in 8 s by what is measured, so
+    that it never drifts.
+    """
 
-    def __init__(self, config: SteadyBackendOptions | None, runtime: Any = None, acceleration: Any = None) -> None:
+    def __init__(
+        self, config: SteadyBackendOptions | None, runtime: Any = None, acceleration: Any = None
+    ) -> None:
         super().__init__(config, runtime, acceleration)
         self._centre_m = (config or SteadyBackendOptions()).centre_m
 
     def predict(self, observation: Observation) -> ActionChunk:
-        """Steps of at most 3 mm towards where the swing is: all of a lone row's way, a tenth of it in rows of a chunk.
+        """Steps of at most 3 mm towards where the swing is: all of a lone row's way, a tenth of it
+        in rows of a chunk.
 
         The first rows of a chunk are too old when it comes, so that each row has to bring its part.
         """
@@ -112,7 +126,9 @@ class SteadyBackend(HungryBackend):
 
 
 def set_clock(mode: str, process: str) -> None:
-    """Set this process's wall clock, as Python sees it, when `mode` says so of `process`, and right otherwise."""
+    """Set this process's wall clock, as Python sees it, when `mode` says so of `process`, and
+    right otherwise.
+    """
     word = f"{process}-clock"
     if mode.startswith(word):
         shift_ns = int(float(mode.removeprefix(word)) * 1e9)
@@ -153,16 +169,22 @@ class LyingDriver(FakeDriver):
             self._turn += 1
             behind = _BEHIND_NS if self._turn % 2 else 0
             return replace(
-                joints, stamp_ns=joints.stamp_ns - behind, position=joints.position - (0.05 if behind else 0)
+                joints,
+                stamp_ns=joints.stamp_ns - behind,
+                position=joints.position - (0.05 if behind else 0),
             )
         if mode == "missing-joint":
-            return replace(joints, names=joints.names[1:], position=joints.position[1:], velocity=None)
+            return replace(
+                joints, names=joints.names[1:], position=joints.position[1:], velocity=None
+            )
         if mode == "unknown-names":
             return replace(joints, names=tuple(f"other_{name}" for name in joints.names))
         if mode == "nan":
             return replace(joints, position=np.full(len(joints.names), np.nan))
         if mode.startswith("stamps"):
-            return replace(joints, stamp_ns=joints.stamp_ns + int(float(mode.removeprefix("stamps")) * 1e9))
+            return replace(
+                joints, stamp_ns=joints.stamp_ns + int(float(mode.removeprefix("stamps")) * 1e9)
+            )
         return joints
 
 
@@ -174,6 +196,8 @@ class JumpingController(GantryController):
         self._mode_file = (config or FaultOptions()).mode_file
 
     def forward(self, joints: JointSample) -> Pose:
-        """As the gantry's; it is asked with every joint state, and so sets the clock even when no action comes."""
+        """As the gantry's; it is asked with every joint state, and so sets the clock even when
+        no action comes.
+        """
         set_clock(read_mode(self._mode_file), "control")
         return super().forward(joints)

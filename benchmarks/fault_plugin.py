@@ -1,4 +1,6 @@
-"""The plugin that faults are judged with: robot, camera, controller and backends that misbehave when a file says so."""
+"""The plugin that faults are judged with: robot, camera, controller and backends that misbehave
+when a file says so.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,14 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from roboneuron.plugins.hookspecs import hookimpl
 from roboneuron.plugins.restricted import AgentMaySet
-from roboneuron.plugins.specs import ActionSpace, BackendSpec, ControllerSpec, DriverSpec, PerceptionSpec, RobotSpec
+from roboneuron.plugins.specs import (
+    ActionSpace,
+    BackendSpec,
+    ControllerSpec,
+    DriverSpec,
+    PerceptionSpec,
+    RobotSpec,
+)
 
 if TYPE_CHECKING:
     from roboneuron.contract import RobotProfile
@@ -28,13 +37,16 @@ def read_mode(path: str) -> str:
 
 
 class FaultOptions(BaseModel):
-    """Options of the gantry and of its controller: the table of plugin options of that name is one."""
+    """Options of the gantry and of its controller: the table of plugin options of that name is
+    one.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     mode_file: Annotated[str, AgentMaySet()] = Field(
         default="",
-        description='what is wrong: "stale", "future", "frozen", "reordered", "missing-joint", "unknown-names", "nan", '
+        description='what is wrong: "stale", "future", "frozen", "reordered", "missing-joint", '
+        '"unknown-names", "nan", '
         '"stamps+<s>", "robot-clock+<s>", "control-clock+<s>"',
     )
 
@@ -58,7 +70,9 @@ def profile() -> RobotProfile:
 
 @hookimpl
 def roboneuron_backends() -> Sequence[BackendSpec]:
-    """Two policies, each under two names: one that goes on blindly, and one that swings about a place."""
+    """Two policies, each under two names: one that goes on blindly, and one that swings about a
+    place.
+    """
     first = BackendSpec(
         name="first",
         summary="Names the image that it acts on, and fails on demand.",

@@ -1,4 +1,5 @@
-"""A served FR3 behind franka-sim: server, modules and simulator are processes of their own, the agent is this one.
+"""A served FR3 behind franka-sim: server, modules and simulator are processes of their own, the
+agent is this one.
 
 The judge is the record of the simulator: its joints, 1000 times per second, with monotonic times.
 """
@@ -32,10 +33,16 @@ from roboneuron.ros.environment import prepare_environment
 
 F64 = NDArray[np.float64]
 STRICT = ("--enforce-motion-limits", "--enforce-comm-constraints")
-PYTHON = Path(os.environ.get("ROBONEURON_FR3SIM_PYTHON", Path(__file__).parents[1] / ".venv-fr3sim/bin/python"))
+PYTHON = Path(
+    os.environ.get(
+        "ROBONEURON_FR3SIM_PYTHON", Path(__file__).parents[1] / ".venv-fr3sim/bin/python"
+    )
+)
 HOME = np.array(HOME_RAD)
 STILL_RAD_S = 0.02
-"""Every joint slower than this: the arm stands. The simulated servo creeps for 0.1 s over the last 0.01 rad/s."""
+"""Every joint slower than this: the arm stands. The simulated servo creeps for 0.1 s over the
+last 0.01 rad/s.
+"""
 _COLUMNS = 15
 CONFIG = """
 [robot]
@@ -84,7 +91,9 @@ class Record:
         """The part between two moments."""
         first, last = np.searchsorted(self.at_s, [begin_s, end_s])
         return Record(
-            at_s=self.at_s[first:last], position=self.position[first:last], velocity=self.velocity[first:last]
+            at_s=self.at_s[first:last],
+            position=self.position[first:last],
+            velocity=self.velocity[first:last],
         )
 
     def rest_s(self) -> float:
@@ -96,10 +105,14 @@ class Record:
 
 
 def read_record(path: Path, last_s: float | None = None) -> Record:
-    """What the simulator has written so far; only the newest `last_s` seconds (at 1000 rows a second) if given."""
+    """What the simulator has written so far; only the newest `last_s` seconds (at 1000 rows a
+    second) if given.
+    """
     size = path.stat().st_size // (8 * _COLUMNS)
     skip = 0 if last_s is None else max(0, size - round(last_s * 1000))
-    rows = np.fromfile(path, offset=skip * 8 * _COLUMNS, count=(size - skip) * _COLUMNS).reshape(-1, _COLUMNS)
+    rows = np.fromfile(path, offset=skip * 8 * _COLUMNS, count=(size - skip) * _COLUMNS).reshape(
+        -1, _COLUMNS
+    )
     return Record(at_s=rows[:, 0], position=rows[:, 1:8], velocity=rows[:, 8:])
 
 
@@ -115,7 +128,9 @@ class FciCell:
         refusal: what the newest `move` was refused or ended with.
     """
 
-    def __init__(self, agent: Agent, link: Any, sim: FrankaSim, folder: Path, box: ControlBox | None = None) -> None:
+    def __init__(
+        self, agent: Agent, link: Any, sim: FrankaSim, folder: Path, box: ControlBox | None = None
+    ) -> None:
         self.agent, self.link, self.folder, self.box = agent, link, folder, box
         self._sim = sim
         self.refusal = ""
@@ -123,7 +138,8 @@ class FciCell:
 
     def record(self, last_s: float | None = None) -> Record:
         """The simulator's record until now."""
-        with contextlib.suppress(OSError):  # when its network is cut, its buffer is written now and then all the same
+        # when its network is cut, its buffer is written now and then all the same
+        with contextlib.suppress(OSError):
             self._sim.tell(flush=1)
         return read_record(self.folder / "record.bin", last_s)
 
@@ -149,7 +165,9 @@ class FciCell:
 
     def start(self, *kinds: str) -> None:
         """Start those modules that do not run."""
-        running = {kind for kind, module in self.agent.modules().items() if module["phase"] == "running"}
+        running = {
+            kind for kind, module in self.agent.modules().items() if module["phase"] == "running"
+        }
         for kind in kinds:
             if kind not in running:
                 self.agent.do(f"start_{kind}")
@@ -200,23 +218,38 @@ def served_fci(
         with_box: put a `ControlBox` between driver and franka-sim; it is the cell's `box`.
     """
     options = (*options, "--no-gripper", "--record", str(folder / "record.bin"))
-    sim = FrankaSim(PYTHON, seed=1, options=options, log=folder / "franka-sim.log", host=host, prefix=prefix)
+    sim = FrankaSim(
+        PYTHON, seed=1, options=options, log=folder / "franka-sim.log", host=host, prefix=prefix
+    )
     box = ControlBox(free_address(1337, 1340), sim.host, folder / "box.log") if with_box else None
     at = box.host if box else sim.host
-    text = CONFIG.format(folder=folder, factor=factor, server_timeout_s=server_timeout_s, host=at, more=more)
+    text = CONFIG.format(
+        folder=folder, factor=factor, server_timeout_s=server_timeout_s, host=at, more=more
+    )
     path = folder / "roboneuron.toml"
     path.write_text(text)
     with installed(folder, "rn-fci-cell", ("fci_plugin",)), sim, box or contextlib.nullcontext():
         prepare_environment(folder / "log")
         from roboneuron.ros.link import RosLink  # heavy
 
-        command = ["-m", "roboneuron.cli.main", "serve", "--config", str(path), "--log-level", "error"]
+        command = [
+            "-m",
+            "roboneuron.cli.main",
+            "serve",
+            "--config",
+            str(path),
+            "--log-level",
+            "error",
+        ]
         server = StdioServerParameters(command=sys.executable, args=command, env=dict(os.environ))
         link = RosLink("witness")
         link.open()
         try:
             made = Client(server, read_timeout_seconds=180)
-            with start_blocking_portal() as portal, portal.wrap_async_context_manager(made) as client:
+            with (
+                start_blocking_portal() as portal,
+                portal.wrap_async_context_manager(made) as client,
+            ):
                 yield FciCell(Agent(client, portal), link, sim, folder, box)
         finally:
             link.close()

@@ -1,7 +1,10 @@
-"""What a served FR3 behind franka-sim did, by the files that the simulator wrote: limits, control loop, missed cycles.
+"""What a served FR3 behind franka-sim did, by the files that the simulator wrote: limits, control
+loop, missed cycles.
 
-Acceleration and jerk are those of a cubic fitted to 61 ms of positions, where the simulator itself was never late by
-more than 2 ms: it reads the commands by a clock of its own, so what it does within a few milliseconds says more of the
+Acceleration and jerk are those of a cubic fitted to 61 ms of positions, where the simulator itself
+was never late by
+more than 2 ms: it reads the commands by a clock of its own, so what it does within a few
+    milliseconds says more of the
 machine than of the arm.
 """
 
@@ -24,7 +27,14 @@ sys.path.pop(0)
 
 from rn_controller_urdf.collision import CollisionModel
 from rn_robot_fr3.description import TCP_LINK, urdf
-from rn_robot_fr3.limits import ACCELERATION_RAD_S2, ARM_JOINTS, JERK_RAD_S3, LOWER_RAD, UPPER_RAD, velocity_bounds
+from rn_robot_fr3.limits import (
+    ACCELERATION_RAD_S2,
+    ARM_JOINTS,
+    JERK_RAD_S3,
+    LOWER_RAD,
+    UPPER_RAD,
+    velocity_bounds,
+)
 from rn_robot_fr3.profile import WORKSPACE_LOWER_M, WORKSPACE_UPPER_M, profile
 from roboneuron import JointSample
 
@@ -39,12 +49,15 @@ MISSING = 2.0
 """In the simulator's record of commands: it had to extrapolate, for none came in time."""
 _COMMAND_COLUMNS = 11
 _BETWEEN_MOTIONS_MS = 25.0
-"""After 20 cycles without a command the robot ends a motion: what is longer lies between two motions."""
+"""After 20 cycles without a command the robot ends a motion: what is longer lies between two
+motions.
+"""
 _BEFORE_S = 0.003
 
 
 def fitted(record: Record) -> tuple[F64, F64, float]:
-    """Greatest |acceleration| and |jerk| (7,) of cubics through `WINDOW` ms of positions, and the share judged.
+    """Greatest |acceleration| and |jerk| (7,) of cubics through `WINDOW` ms of positions, and the
+    share judged.
 
     By the times at which the rows were written: the simulator makes up for time that it has lost.
     """
@@ -59,7 +72,8 @@ def fitted(record: Record) -> tuple[F64, F64, float]:
     kept = np.convolve(was_late, np.ones(2 * WINDOW + 1), mode="same") < 0.5
     kept[: WINDOW + 1] = kept[-WINDOW - 1 :] = False
     greatest = [
-        [np.abs(np.convolve(q, k[::-1], mode="same"))[kept].max(initial=0.0) for q in position] for k in fit[2:]
+        [np.abs(np.convolve(q, k[::-1], mode="same"))[kept].max(initial=0.0) for q in position]
+        for k in fit[2:]
     ]
     return np.array(greatest[0]), np.array(greatest[1]), float(kept.mean())
 
@@ -89,12 +103,16 @@ class Limits:
         """Judge another piece."""
         position, velocity = record.position, record.velocity
         lowest, highest = zip(*(velocity_bounds(q) for q in position[::EVERY]), strict=True)
-        over = np.maximum(velocity[::EVERY] - np.array(highest), np.array(lowest) - velocity[::EVERY]).max()
+        over = np.maximum(
+            velocity[::EVERY] - np.array(highest), np.array(lowest) - velocity[::EVERY]
+        ).max()
         room = np.minimum(position - np.array(LOWER_RAD), np.array(UPPER_RAD) - position).min()
         self.velocity_room_rad_s = min(self.velocity_room_rad_s, -float(over))
         self.room_rad = min(self.room_rad, float(room))
         acceleration, jerk, kept = fitted(record)
-        self.acceleration = max(self.acceleration, float((acceleration / np.array(ACCELERATION_RAD_S2)).max()))
+        self.acceleration = max(
+            self.acceleration, float((acceleration / np.array(ACCELERATION_RAD_S2)).max())
+        )
         self.jerk = max(self.jerk, float((jerk / np.array(JERK_RAD_S3)).max()))
         lasts_s = float(record.at_s[-1] - record.at_s[0])
         self.judged_s += lasts_s
@@ -111,22 +129,35 @@ class Limits:
         for q in positions:
             pinocchio.framesForwardKinematics(model, data, np.append(q, [0.0, 0.0]))
             tcp = data.oMf[frame].translation
-            beyond = np.maximum(np.array(WORKSPACE_LOWER_M) - tcp, tcp - np.array(WORKSPACE_UPPER_M))
+            beyond = np.maximum(
+                np.array(WORKSPACE_LOWER_M) - tcp, tcp - np.array(WORKSPACE_UPPER_M)
+            )
             self.outside_m = max(self.outside_m, float(beyond.max()))
-            self.pairs |= {(p.first, p.second) for p in collisions.near(JointSample(names=ARM_JOINTS, position=q))}
+            self.pairs |= {
+                (p.first, p.second)
+                for p in collisions.near(JointSample(names=ARM_JOINTS, position=q))
+            }
 
     def print(self) -> int:
         """Rows of the table; returns how many limits were exceeded."""
+        room_rad_s, outside_m = self.velocity_room_rad_s, self.outside_m
         facts = {
             f"nearest to a joint limit {self.room_rad:.4f} rad": self.room_rad < 0.0,
-            f"least room to the velocity envelope {self.velocity_room_rad_s:.3f} rad/s": self.velocity_room_rad_s < 0.0,
+            f"least room to the velocity envelope {room_rad_s:.3f} rad/s": room_rad_s < 0.0,
             f"acceleration {self.acceleration:.0%} of 10 rad/s2": self.acceleration > 1.0,
             f"jerk {self.jerk:.0%} of 5000 rad/s3": self.jerk > 1.0,
-            f"TCP at most {self.outside_m * 1e3:.1f} mm beyond the workspace (negative: inside)": self.outside_m > 0.0,
+            f"TCP at most {outside_m * 1e3:.1f} mm beyond the workspace (negative: in)": outside_m
+            > 0,
             f"pairs nearer than allowed: {sorted(self.pairs) or 'none'}": bool(self.pairs),
         }
-        fit, moving = self.fitted_s / max(self.judged_s, 1e-9), self.moving_s / max(self.judged_s, 1e-9)
-        print(f"| joints judged: {self.judged_s:.0f} s, {fit:.0%} of them for acceleration | moving {moving:.0%} |")
+        fit, moving = (
+            self.fitted_s / max(self.judged_s, 1e-9),
+            self.moving_s / max(self.judged_s, 1e-9),
+        )
+        print(
+            f"| joints judged: {self.judged_s:.0f} s, {fit:.0%} of them for acceleration | moving "
+            f"{moving:.0%} |"
+        )
         for fact, is_over in facts.items():
             print(f"| {fact} | {'EXCEEDED' if is_over else 'kept'} |")
         return sum(facts.values())
@@ -141,7 +172,8 @@ class Loop:
         cycles: that were due within motions.
         run_cycles: int (m,), of each run of cycles without a command: how many.
         run_at_s: float64 (m,), when each of them began, monotonic.
-        run_is_wide: bool (m,), the physics thread of the simulator was late then, too: not only the client stood still.
+        run_is_wide: bool (m,), the physics thread of the simulator was late then, too: not only the
+            client stood still.
     """
 
     period_ms: F64
@@ -164,7 +196,9 @@ def control_loop(path: Path, record: Record, began_s: float) -> Loop:
     pause_s = np.diff(record.at_s, prepend=record.at_s[:1])
     is_wide = np.zeros(len(first), dtype=np.bool_)
     for index, (begin, end) in enumerate(zip(first, last, strict=True)):
-        low, high = np.searchsorted(record.at_s, [rows[begin, 0] - _BEFORE_S, rows[end - 1, 0] + STEP_S])
+        low, high = np.searchsorted(
+            record.at_s, [rows[begin, 0] - _BEFORE_S, rows[end - 1, 0] + STEP_S]
+        )
         is_wide[index] = pause_s[low : high + 1].max(initial=0.0) > LATE_S
     arrivals = rows[rows[:, 1] != MISSING, 0]
     period_ms = np.diff(arrivals) * 1e3
@@ -189,8 +223,10 @@ def print_loops(loops: list[Loop]) -> None:
             f"{np.percentile(period_ms, 99.9):.2f} ms, longest {period_ms.max():.1f} ms |"
         )
     print(
-        f"| cycles without a command | {runs.sum()} of {sum(loop.cycles for loop in loops)}, in {len(runs)} runs, the "
-        f"longest {runs.max(initial=0)}; in {int(wide.sum())} of the runs the simulator's physics was late, too |"
+        f"| cycles without a command | {runs.sum()} of {sum(loop.cycles for loop in loops)}, in "
+        f"{len(runs)} runs, the "
+        f"longest {runs.max(initial=0)}; in {int(wide.sum())} of the runs the simulator's physics "
+        "was late, too |"
     )
 
 

@@ -1,4 +1,6 @@
-"""The plugin that the served FR3 of `fci_cell` is moved with: a cheap camera, one policy under two names."""
+"""The plugin that the served FR3 of `fci_cell` is moved with: a cheap camera, one policy under
+two names.
+"""
 
 from __future__ import annotations
 
@@ -61,9 +63,13 @@ class BlankCamera:
 
 
 class Sway:
-    """Follows the protocol `Backend`: leads the TCP along a curve before the arm, by where it is measured."""
+    """Follows the protocol `Backend`: leads the TCP along a curve before the arm, by where it
+    is measured.
+    """
 
-    def __init__(self, config: SwayOptions | None, runtime: Any = None, acceleration: Any = None) -> None:
+    def __init__(
+        self, config: SwayOptions | None, runtime: Any = None, acceleration: Any = None
+    ) -> None:
         self._options = config or SwayOptions()
 
     def load(self) -> None:
@@ -77,7 +83,10 @@ class Sway:
 
         assert observation.ee_pose is not None
         at_s = observation.stamp_ns / 1e9
-        aim_m = [c + a * math.sin(math.tau * at_s / p) for c, a, p in zip(CENTRE_M, SWAY_M, PERIODS_S, strict=True)]
+        aim_m = [
+            c + a * math.sin(math.tau * at_s / p)
+            for c, a, p in zip(CENTRE_M, SWAY_M, PERIODS_S, strict=True)
+        ]
         way_m = np.array(aim_m) - observation.ee_pose.position_m
         way_m *= min(1.0, STEP_M / max(float(np.linalg.norm(way_m)), 1e-9))
         return ActionChunk(actions=np.array([[*way_m, 0.0, 0.0, 0.0, 1.0]]), step_s=1.0 / RATE_HZ)

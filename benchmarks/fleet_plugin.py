@@ -1,8 +1,10 @@
-"""The plugin bench_fleet.py measures with: a mobile base that drives nowhere and notes when each command arrived.
+"""The plugin bench_fleet.py measures with: a mobile base that drives nowhere and notes when each
+command arrived.
 
-A command carries its number in `linear.y`. A note is 24 bytes: CLOCK_MONOTONIC [ns] as int64, `linear.x` and the number
-as float64. A `hold` of the driver is noted as speed 0 and number -1: a robot module that knows of an emergency stop
-holds, and hands its driver no more commands, the zero of the server included.
+A command carries its number in `linear.y`. A note is 24 bytes: CLOCK_MONOTONIC [ns] as int64,
+    `linear.x` and the number
+as float64. A `hold` of the driver is noted as speed 0 and number -1: a robot module that knows of
+an emergency stop holds, and hands its driver no more commands, the zero of the server included.
 """
 
 from __future__ import annotations
@@ -36,7 +38,14 @@ def roboneuron_robots() -> Sequence[RobotSpec]:
         target="fleet_plugin:Light",
         config="fleet_plugin:LightOptions",
     )
-    return [RobotSpec(name=NAME, summary="a base without physics", target="fleet_plugin:profile", drivers=(driver,))]
+    return [
+        RobotSpec(
+            name=NAME,
+            summary="a base without physics",
+            target="fleet_plugin:profile",
+            drivers=(driver,),
+        )
+    ]
 
 
 class LightOptions(BaseModel):
@@ -91,7 +100,9 @@ class Light:
 
         still = np.zeros(1)
         return RobotState(
-            joints=JointSample(names=("wheel",), position=still, velocity=still, stamp_ns=self._topics.now_ns())
+            joints=JointSample(
+                names=("wheel",), position=still, velocity=still, stamp_ns=self._topics.now_ns()
+            )
         )
 
     def send(self, command: Any) -> Any:

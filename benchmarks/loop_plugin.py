@@ -1,7 +1,8 @@
-"""The plugin bench_loop.py measures with: a backend that answers at once, on a robot that exists only as a profile.
+"""The plugin bench_loop.py measures with: a backend that answers at once, on a robot that exists
+only as a profile.
 
-The first four bytes of an image hold its number; the action carries it back in its first value, so that the benchmark
-knows which image an action answers.
+The first four bytes of an image hold its number; the action carries it back in its first value, so
+that the benchmark knows which image an action answers.
 """
 
 from __future__ import annotations
@@ -22,7 +23,11 @@ SHORTEST_STEP_S = 1e-3
 def roboneuron_backends() -> Sequence[BackendSpec]:
     """One backend that copies the image's number into its action."""
     space = ActionSpace(step_s=SHORTEST_STEP_S)
-    return [BackendSpec(name="echo", summary="answers at once", target="loop_plugin:Echo", action_space=space)]
+    return [
+        BackendSpec(
+            name="echo", summary="answers at once", target="loop_plugin:Echo", action_space=space
+        )
+    ]
 
 
 @hookimpl
@@ -31,7 +36,13 @@ def roboneuron_robots() -> Sequence[RobotSpec]:
     driver = DriverSpec(name="simulated", summary="is never started", target="loop_plugin:Echo")
     camera = CameraSpec(name="front", role="primary")
     return [
-        RobotSpec(name="bench", summary="a profile", target="loop_plugin:profile", drivers=(driver,), cameras=(camera,))
+        RobotSpec(
+            name="bench",
+            summary="a profile",
+            target="loop_plugin:profile",
+            drivers=(driver,),
+            cameras=(camera,),
+        )
     ]
 
 
@@ -58,7 +69,9 @@ class Echo:
         from roboneuron.contract import ActionChunk
 
         number = int.from_bytes(observation.frames["primary"].image[0].tobytes()[:4], "little")
-        return ActionChunk(actions=np.array([[float(number), 0, 0, 0, 0, 0, 1.0]]), step_s=SHORTEST_STEP_S)
+        return ActionChunk(
+            actions=np.array([[float(number), 0, 0, 0, 0, 0, 1.0]]), step_s=SHORTEST_STEP_S
+        )
 
     def reset(self) -> None:
         """Nothing to forget."""

@@ -1,4 +1,6 @@
-"""The floor of bench_loop.py: a bare rclpy node that answers every image with a Float64MultiArray."""
+"""The floor of bench_loop.py: a bare rclpy node that answers every image with a
+Float64MultiArray.
+"""
 
 from __future__ import annotations
 

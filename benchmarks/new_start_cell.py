@@ -1,4 +1,6 @@
-"""A served FR3 that may stop by itself, its agent, a witness of the simulator's joints, and ways to stop and go on."""
+"""A served FR3 that may stop by itself, its agent, a witness of the simulator's joints, and
+ways to stop and go on.
+"""
 
 from __future__ import annotations
 
@@ -53,14 +55,18 @@ fault_file = "{folder}/fault"
 KINDS = ("robot", "perception", "control", "inference")
 NEVER = {"kind": "tcp_in", "lower_m": [9, 9, 9], "upper_m": [10, 10, 10]}
 MOVED_RAD = 0.02
-"""A joint that is farther than this from where the arm came to rest has been moved: it sags by less than 0.002."""
+"""A joint that is farther than this from where the arm came to rest has been moved: it sags by
+less than 0.002.
+"""
 STILL_RAD_S = 0.02
 WATCH_S = 1.5
 BRAKE_S = 3.0
 
 
 class Witness:
-    """The joints of the simulation (7,) as its driver reads them, with the time of arrival [monotonic s]."""
+    """The joints of the simulation (7,) as its driver reads them, with the time of arrival
+    [monotonic s].
+    """
 
     def __init__(self, link: Any) -> None:
         from sensor_msgs.msg import JointState  # heavy
@@ -71,7 +77,9 @@ class Witness:
         link.subscribe(JointState, f"/{NAME}/joint_states", self._on_state, NEWEST)
 
     def _on_state(self, message: Any) -> None:
-        self.states.append((time.monotonic(), np.array(message.position[:7]), np.array(message.velocity[:7])))
+        self.states.append(
+            (time.monotonic(), np.array(message.position[:7]), np.array(message.velocity[:7]))
+        )
 
     def is_still(self) -> bool:
         """The last 0.3 s of states, which are recent, show no motion."""
@@ -84,12 +92,15 @@ class Witness:
         return bool(self.states) and np.abs(self.states[-1][2]).max() > 3 * STILL_RAD_S
 
     def moved_rad(self, since_s: float) -> float:
-        """Farthest that any joint got from where it was at that time [rad]; a new simulation begins anew."""
+        """Farthest that any joint got from where it was at that time [rad]; a new simulation
+        begins anew.
+        """
         base, farthest, before_s = None, 0.0, since_s
         for at_s, position, _ in self.states:
             if at_s < since_s:
                 continue
-            if base is None or at_s - before_s > 1.0:  # silent meanwhile: another process, or one that was restarted
+            # silent meanwhile: another process, or one that was restarted
+            if base is None or at_s - before_s > 1.0:
                 base = position
             before_s = at_s
             farthest = max(farthest, float(np.abs(position - base).max()))
@@ -99,7 +110,9 @@ class Witness:
 class Cell:
     """What sequences are made on; calls block."""
 
-    def __init__(self, client: Client, portal: BlockingPortal, witness: Witness, link: Any, folder: Path) -> None:
+    def __init__(
+        self, client: Client, portal: BlockingPortal, witness: Witness, link: Any, folder: Path
+    ) -> None:
         self._client, self._portal, self.folder = client, portal, folder
         self.witness, self._link = witness, link
         self._calls: list[threading.Thread] = []
@@ -162,7 +175,9 @@ class Cell:
             self._topic = self._link.advertise(Bool, f"/{NAME}/emergency_stop", NEWEST)
             time.sleep(1.0)  # until it is discovered: what is sent to nobody is lost
         self._topic(Bool(data=True))
-        self.until((self.folder / "state" / ESTOP_FILE).exists, 5.0, "the stop of the topic is latched")
+        self.until(
+            (self.folder / "state" / ESTOP_FILE).exists, 5.0, "the stop of the topic is latched"
+        )
 
     def release_by_file(self) -> None:
         """What `roboneuron estop --reset` does."""
@@ -170,7 +185,9 @@ class Cell:
         os.replace(latch, latch.with_name(latch.name + RESET_SUFFIX))
 
     def everything_runs(self) -> None:
-        """Start what does not run, as an agent does, without an instruction for the policy that was not there."""
+        """Start what does not run, as an agent does, without an instruction for the policy that
+        was not there.
+        """
         for kind in KINDS:
             deadline_s = time.monotonic() + 60.0
             while (phase := self.modules()[kind]["phase"]) in ("starting", "stopping", "exited"):
@@ -185,9 +202,19 @@ class Cell:
 
 
 STOPS = (
-    "estop_tool", "estop_topic", "estop_file", "estop_signal", "fault", "kill_robot", "kill_perception", "kill_control",
-    "kill_inference", "stop_perception", "stop_control", "stop_robot",
-)  # fmt: skip
+    "estop_tool",
+    "estop_topic",
+    "estop_file",
+    "estop_signal",
+    "fault",
+    "kill_robot",
+    "kill_perception",
+    "kill_control",
+    "kill_inference",
+    "stop_perception",
+    "stop_control",
+    "stop_robot",
+)
 SWITCHES = ("switch_inference", "switch_control", "switch_perception", "switch_inference_cold")
 STARTS = ("set_instruction", "run_task", "start_inference")
 
@@ -236,7 +263,9 @@ def go_on(cell: Cell, draw: random.Random) -> list[str]:
     if (cell.folder / "fault").exists():
         (cell.folder / "fault").unlink()
     for _ in range(2):
-        answer = cell.ask("recover_robot") if cell.modules()["robot"]["phase"] == "running" else None
+        answer = (
+            cell.ask("recover_robot") if cell.modules()["robot"]["phase"] == "running" else None
+        )
         if answer is not None and not answer.is_error:
             done.append("recovered")
     cell.everything_runs()
@@ -258,7 +287,15 @@ def served_cell(folder: Path, engine: str, restart: str, seed: int) -> Iterator[
         prepare_environment(folder / "log")
         from roboneuron.ros.link import RosLink  # heavy
 
-        command = ["-m", "roboneuron.cli.main", "serve", "--config", str(path), "--log-level", "warning"]
+        command = [
+            "-m",
+            "roboneuron.cli.main",
+            "serve",
+            "--config",
+            str(path),
+            "--log-level",
+            "warning",
+        ]
         server = StdioServerParameters(command=sys.executable, args=command, env=dict(os.environ))
         link = RosLink("witness")
         link.open()

@@ -1,6 +1,7 @@
 """The simulated FR3 with protective stops: a file makes the arm stop by itself, as a reflex does.
 
-As unhelpful as a robot may be: once recovered it follows the next command at once, whoever sends it.
+As unhelpful as a robot may be: once recovered it follows the next command at once, whoever sends
+    it.
 """
 
 from __future__ import annotations
@@ -77,7 +78,9 @@ def roboneuron_robots() -> Sequence[RobotSpec]:
         recovers=True,
     )
     fr3 = next(robot for robot in fr3_robots() if robot.name == "fr3")
-    return [replace(fr3, name=NAME, target="new_start_plugin:profile", case=None, drivers=(driver,))]
+    return [
+        replace(fr3, name=NAME, target="new_start_plugin:profile", case=None, drivers=(driver,))
+    ]
 
 
 @hookimpl

@@ -1,12 +1,16 @@
-"""Random sequences of starts, switches, stops, releases, recoveries and deaths: nothing moves without a new start.
+"""Random sequences of starts, switches, stops, releases, recoveries and deaths: nothing moves
+without a new start.
 
     python benchmarks/new_starts.py --engine mujoco --sequences 50 --folder /tmp/new-starts
 
-Each sequence asks for motion (set_instruction, run_task, start_inference), may switch a module meanwhile, stops the
-arm (emergency stop by tool, topic, file or signal; a fault of the robot; a module killed or stopped), and then does all
-that ends a stop: reset, recovery, starts and restarts of modules, switches. From standstill on until somebody asks for
-motion again, no joint of the simulation may move by more than 0.02 rad. Then motion is asked for, and the arm has to
-move. What a busy machine hinders (a restart by a time-out, a late image) is counted apart; it breaks no rule.
+Each sequence asks for motion (set_instruction, run_task, start_inference), may switch a module
+meanwhile, stops the arm (emergency stop by tool, topic, file or signal; a fault of the robot; a
+module killed or stopped), and then does all
+that ends a stop: reset, recovery, starts and restarts of modules, switches. From standstill on
+    until somebody asks for
+motion again, no joint of the simulation may move by more than 0.02 rad. Then motion is asked for,
+and the arm has to move. What a busy machine hinders (a restart by a time-out, a late image) is
+counted apart; it breaks no rule.
 
 Results are lines in FOLDER/ENGINE.jsonl: a run that was ended goes on there.
 """
@@ -22,7 +26,19 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent))
-from new_start_cell import BRAKE_S, MOVED_RAD, STARTS, STOPS, SWITCHES, WATCH_S, Cell, go_on, served_cell, start, stop
+from new_start_cell import (
+    BRAKE_S,
+    MOVED_RAD,
+    STARTS,
+    STOPS,
+    SWITCHES,
+    WATCH_S,
+    Cell,
+    go_on,
+    served_cell,
+    start,
+    stop,
+)
 
 sys.path.pop(0)
 
@@ -103,7 +119,9 @@ def _cycle(cell: Cell, draw: random.Random, result: Result) -> None:
 
 def main() -> int:
     """Run, or go on."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--engine", choices=("pybullet", "mujoco"), default="mujoco")
     parser.add_argument("--sequences", type=int, default=50)
     parser.add_argument("--first", type=int, default=0, help="number of the first one")
@@ -112,7 +130,9 @@ def main() -> int:
     arguments = parser.parse_args()
     arguments.folder.mkdir(parents=True, exist_ok=True)
     ledger = arguments.folder / f"{arguments.engine}.jsonl"
-    known = [json.loads(line) for line in ledger.read_text().splitlines()] if ledger.exists() else []
+    known = (
+        [json.loads(line) for line in ledger.read_text().splitlines()] if ledger.exists() else []
+    )
     numbers = range(arguments.first, arguments.first + arguments.sequences)
     missing = [number for number in numbers if number not in {line["number"] for line in known}]
     end_s = time.monotonic() + arguments.minutes * 60
@@ -121,7 +141,9 @@ def main() -> int:
         mine = [number for number in missing if (number % 2 == 0) == (restart == "on_failure")]
         if not mine or time.monotonic() > end_s:
             continue
-        with served_cell(arguments.folder / f"{arguments.engine}-{restart}", arguments.engine, restart, 3) as cell:
+        with served_cell(
+            arguments.folder / f"{arguments.engine}-{restart}", arguments.engine, restart, 3
+        ) as cell:
             for number in mine:
                 if time.monotonic() > end_s:
                     break
@@ -136,10 +158,13 @@ def main() -> int:
     hindered = sum(bool(line["hindered"]) for line in done)
     farthest = max((line["moved_rad"] for line in done), default=0.0)
     print(
-        f"{arguments.engine}: {len(done)} sequences, {starts} starts ({idle} without motion in time), farthest motion "
+        f"{arguments.engine}: {len(done)} sequences, {starts} starts ({idle} without motion in "
+        "time), farthest motion "
         f"without a start {farthest:.4f} rad, {len(bad)} broke the rule, {hindered} hindered"
     )
-    return int(bool(bad) or len(done) < len(numbers) or idle * 3 > starts or hindered * 3 > len(done))
+    return int(
+        bool(bad) or len(done) < len(numbers) or idle * 3 > starts or hindered * 3 > len(done)
+    )
 
 
 if __name__ == "__main__":

@@ -1,4 +1,6 @@
-"""Plugins that exist for one run only: installed in a folder, found by this process and its children."""
+"""Plugins that exist for one run only: installed in a folder, found by this process and its
+children.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,8 @@ def installed(folder: Path, distribution: str, modules: tuple[str, ...]) -> Iter
     """Install modules of this directory below `folder`, on a ROS domain of their own.
 
     Args:
-        folder: where the installation and ROS' logs go; an installation that is there already is used.
+        folder: where the installation and ROS' logs go; an installation that is there already is
+            used.
         distribution: its name.
         modules: names without `.py`; the first one is the plugin.
     """
@@ -29,10 +32,14 @@ def installed(folder: Path, distribution: str, modules: tuple[str, ...]) -> Iter
         info.mkdir(parents=True)
         for module in modules:
             shutil.copy(HERE / f"{module}.py", site)
-        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {distribution}\nVersion: 1.0\n")
+        (info / "METADATA").write_text(
+            f"Metadata-Version: 2.1\nName: {distribution}\nVersion: 1.0\n"
+        )
         (info / "entry_points.txt").write_text(f"[roboneuron]\n{distribution} = {modules[0]}\n")
     before = {key: os.environ.get(key) for key in ("PYTHONPATH", "ROS_DOMAIN_ID", "ROS_LOG_DIR")}
-    os.environ["PYTHONPATH"] = os.pathsep.join(p for p in (str(site), before["PYTHONPATH"] or "") if p)
+    os.environ["PYTHONPATH"] = os.pathsep.join(
+        p for p in (str(site), before["PYTHONPATH"] or "") if p
+    )
     os.environ["ROS_DOMAIN_ID"] = str(free_ros_domain())
     os.environ["ROS_LOG_DIR"] = str(folder / "ros")
     sys.path.insert(0, str(site))
@@ -47,5 +54,9 @@ def installed(folder: Path, distribution: str, modules: tuple[str, ...]) -> Iter
 
 
 def chunks(rows: int, delay_ms: float, rate_hz: float) -> str:
-    """Options of a backend that answers so late with so many rows, one each period of the camera; none for one row."""
-    return "" if rows == 1 else f"rows = {rows}\nstep_s = {1 / rate_hz}\ndelay_s = {delay_ms / 1e3}\n"
+    """Options of a backend that answers so late with so many rows, one each period of the
+    camera; none for one row.
+    """
+    return (
+        "" if rows == 1 else f"rows = {rows}\nstep_s = {1 / rate_hz}\ndelay_s = {delay_ms / 1e3}\n"
+    )

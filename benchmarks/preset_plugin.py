@@ -1,7 +1,8 @@
-"""The plugin that presets are changed with: a policy of eight rows whose runtime takes as long as its preset says.
+"""The plugin that presets are changed with: a policy of eight rows whose runtime takes as long as
+its preset says.
 
-Cameras, robot and controllers are those of `switch_plugin`. An action's `rz` says in milli-nano-radians (1e-12) which
-share of the model was executed.
+Cameras, robot and controllers are those of `switch_plugin`. An action's `rz` says in
+milli-nano-radians (1e-12) which share of the model was executed.
 """
 
 from __future__ import annotations
@@ -31,7 +32,9 @@ SHARES = {"half": 0.5, "quarter": 0.25}
 
 
 class PresetRuntime:
-    """Follows the protocol `Runtime`, and offers `set_acceleration`; its model is 64 MB of memory."""
+    """Follows the protocol `Runtime`, and offers `set_acceleration`; its model is 64 MB of
+    memory.
+    """
 
     def __init__(self, config: None) -> None:
         self.share = 1.0
@@ -114,7 +117,9 @@ class PresetBackend:
         actions[:, 0] = 0.001 * np.sign((observation.stamp_ns // 1_000_000_000) % 2 - 0.5)
         actions[:, 5] = share * 1e3 * NANO
         actions[:, 6] = 1.0
-        return ActionChunk(actions=actions, step_s=STEP_S, metrics={"loads": self._runtime.loads, "share": share})
+        return ActionChunk(
+            actions=actions, step_s=STEP_S, metrics={"loads": self._runtime.loads, "share": share}
+        )
 
     def reset(self) -> None:
         """Nothing to forget."""

@@ -1,14 +1,19 @@
-"""Faults that come once in a hundred trials or less: each one repeated under load, counted, and kept with its logs.
+"""Faults that come once in a hundred trials or less: each one repeated under load, counted, and
+kept with its logs.
 
-    python benchmarks/rare_faults.py --fault client-death --trials 500 --workers 3 --load 2 --folder /tmp/rare
+    python benchmarks/rare_faults.py --fault client-death --trials 500 --workers 3 --load 2 --folder
+    /tmp/rare
 
-The faults: "client-death" (the client of a server is killed while a module starts: server and modules must be gone
-within GONE_S), "control-restart" (control is killed while the arm moves, and started again: the arm must move again)
-and "control-switch" (the controller is replaced warm while the arm moves, at 30 Hz; a request of the server that counts
-as foreign is a failure too). What is missed at a switch counts against what is missed elsewhere: that is the machine.
+The faults: "client-death" (the client of a server is killed while a module starts: server and
+    modules must be gone
+within GONE_S), "control-restart" (control is killed while the arm moves, and started again: the arm
+must move again) and "control-switch" (the controller is replaced warm while the arm moves, at 30
+Hz; a request of the server that counts as foreign is a failure too). What is missed at a switch
+counts against what is missed elsewhere: that is the machine.
 
-Results are lines in FOLDER/FAULT.jsonl: a run that was ended goes on there. Each trial that failed names the folder
-with the logs of its cell. Every wait has a bound, and workers that exceed theirs are ended and counted.
+Results are lines in FOLDER/FAULT.jsonl: a run that was ended goes on there. Each trial that failed
+names the folder with the logs of its cell. Every wait has a bound, and workers that exceed theirs
+are ended and counted.
 """
 
 from __future__ import annotations
@@ -94,7 +99,9 @@ def run_worker(fault: str, share: int, folder: Path, results: Results) -> None:
     command = [sys.executable, str(Path(rare_trials.__file__)), fault, str(share), str(folder)]
     failed, told = False, 0
     with (folder / "worker.log").open("wb") as log:
-        worker = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log, text=True, start_new_session=True)
+        worker = subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=log, text=True, start_new_session=True
+        )
         watchdog = threading.Timer(CELL_S + share * TRIAL_S, worker.send_signal, [signal.SIGKILL])
         watchdog.start()
         assert worker.stdout is not None
@@ -111,7 +118,9 @@ def run_worker(fault: str, share: int, folder: Path, results: Results) -> None:
         os.killpg(worker.pid, signal.SIGKILL)
     if told < share:
         failed = True
-        results.add({"outcome": f"worker ended with {code} after {told} of {share}", "folder": str(folder)})
+        results.add(
+            {"outcome": f"worker ended with {code} after {told} of {share}", "folder": str(folder)}
+        )
     if not failed:
         shutil.rmtree(folder, ignore_errors=True)
 
@@ -123,24 +132,39 @@ def table_of(fault: str, results: list[dict[str, Any]]) -> Table:
         table.add_column(head, overflow="fold")
     outcomes = Counter(result["outcome"] for result in results)
     for outcome, number in outcomes.most_common():
-        folders = dict.fromkeys(r["folder"] for r in results if r["outcome"] == outcome and "folder" in r)
-        table.add_row(outcome, str(number), f"{number / len(results):.1%}", "\n".join(list(folders)[:5]))
+        folders = dict.fromkeys(
+            r["folder"] for r in results if r["outcome"] == outcome and "folder" in r
+        )
+        table.add_row(
+            outcome, str(number), f"{number / len(results):.1%}", "\n".join(list(folders)[:5])
+        )
     for key in ("took_s", "gap_periods", "elsewhere_longest", "elsewhere_missed"):
         values = sorted(float(result[key]) for result in results if result.get(key) is not None)
         if values:
             spread = [values[int(share * (len(values) - 1))] for share in (0.5, 0.99, 1.0)]
-            table.add_row(f"{key}, median / p99 / max", str(len(values)), "", " / ".join(f"{v:.2f}" for v in spread))
+            table.add_row(
+                f"{key}, median / p99 / max",
+                str(len(values)),
+                "",
+                " / ".join(f"{v:.2f}" for v in spread),
+            )
     return table
 
 
 def main() -> None:
     """Run what is missing to `--trials` and print the table of all."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--fault", required=True, choices=sorted(rare_trials.TRIALS))
-    parser.add_argument("--trials", type=int, default=500, help="in all, those of earlier runs included")
+    parser.add_argument(
+        "--trials", type=int, default=500, help="in all, those of earlier runs included"
+    )
     parser.add_argument("--workers", type=int, default=3, help="cells side by side")
     parser.add_argument("--load", type=int, default=2, help="processes that never rest beside them")
-    parser.add_argument("--minutes", type=float, default=600.0, help="give no more work away after this time")
+    parser.add_argument(
+        "--minutes", type=float, default=600.0, help="give no more work away after this time"
+    )
     parser.add_argument("--folder", type=Path, default=Path(tempfile.gettempdir()) / "rare-faults")
     arguments = parser.parse_args()
     arguments.folder.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,5 @@
-"""One worker of `rare_faults`: makes a cell, repeats one fault, and prints a line of JSON for each trial.
+"""One worker of `rare_faults`: makes a cell, repeats one fault, and prints a line of JSON for each
+trial.
 
 python benchmarks/rare_trials.py FAULT TRIALS FOLDER
 """
@@ -32,11 +33,15 @@ from roboneuron.server.loop import ClosedLoop
 sys.path.pop(0)
 
 GONE_S, MOVES_S, ANSWER_S = 15.0, 30.0, 60.0
-"""Bounds: server and modules are gone after their client's death; the arm moves again; a tool call is answered."""
+"""Bounds: server and modules are gone after their client's death; the arm moves again; a tool
+call is answered.
+"""
 LONGEST_START_S = 2.5
 """The client dies at a random time up to this one after it asked for the start."""
 SWITCH_RATE_HZ = 30.0
-GOOD = frozenset({"all gone", "the start was over, all gone", "moved again", "switched", "switched, one missed"})
+GOOD = frozenset(
+    {"all gone", "the start was over, all gone", "moved again", "switched", "switched, one missed"}
+)
 """Outcomes that are no fault."""
 Trial = Callable[[], dict[str, Any]]
 CLIENT = """
@@ -93,7 +98,15 @@ def _one_client_death(folder: Path, server: list[str], number: int) -> dict[str,
     name, value = mark.split("=")
     tools = ["start_robot", "start_control"] if number % 2 else ["start_control"]
     client = subprocess.Popen(
-        [sys.executable, "-S", "-c", CLIENT, json.dumps(server), str(folder / "server.log"), *tools],
+        [
+            sys.executable,
+            "-S",
+            "-c",
+            CLIENT,
+            json.dumps(server),
+            str(folder / "server.log"),
+            *tools,
+        ],
         stdout=subprocess.PIPE,
         stdin=subprocess.DEVNULL,
         text=True,
@@ -124,7 +137,12 @@ def _one_client_death(folder: Path, server: list[str], number: int) -> dict[str,
     _describe(folder / f"left-{number}.txt", left)
     for pid in left:
         _signal(pid, signal.SIGKILL)
-    return {"outcome": f"left {sorted(left.values())}", "number": number, "delay_s": delay_s, "said": said}
+    return {
+        "outcome": f"left {sorted(left.values())}",
+        "number": number,
+        "delay_s": delay_s,
+        "said": said,
+    }
 
 
 def _left(mark: str) -> dict[int, str]:
@@ -151,11 +169,21 @@ def _describe(path: Path, pids: Mapping[int, str]) -> None:
                 file.write(f"{descriptor.name} -> {os.readlink(descriptor)}\n")
             file.flush()
             for task in Path(f"/proc/{pid}/task").iterdir():
-                file.write(f"{task.name} {(task / 'comm').read_text().strip()} {(task / 'wchan').read_text()}\n")
+                file.write(
+                    f"{task.name} {(task / 'comm').read_text().strip()} "
+                    f"{(task / 'wchan').read_text()}\n"
+                )
             file.flush()
-            spy = os.environ.get("PY_SPY")  # an optional tool that prints the Python stacks of another process
+            # an optional tool that prints the Python stacks of another process
+            spy = os.environ.get("PY_SPY")
             if spy:
-                subprocess.run([spy, "dump", "--pid", str(pid)], stdout=file, stderr=file, timeout=30, check=False)
+                subprocess.run(
+                    [spy, "dump", "--pid", str(pid)],
+                    stdout=file,
+                    stderr=file,
+                    timeout=30,
+                    check=False,
+                )
 
 
 def _signal(pid: int, number: int) -> None:
@@ -179,7 +207,9 @@ def _one_restart(loop: ClosedLoop, witness: JointWitness) -> dict[str, Any]:
     assert process is not None
     time.sleep(random.uniform(0.0, 0.3))
     os.kill(process.pid, signal.SIGKILL)
-    if not loop.supervisor.changes.wait_for(lambda: loop.supervisor.view("control").phase == "exited", MOVES_S):
+    if not loop.supervisor.changes.wait_for(
+        lambda: loop.supervisor.view("control").phase == "exited", MOVES_S
+    ):
         return {"outcome": "its end was not noticed", **_said(loop)}
     time.sleep(random.choice((0.0, random.uniform(0.0, 1.5))))
     try:
@@ -243,15 +273,26 @@ def _one_switch(switching: Switching, witness: Witness) -> dict[str, Any]:
     other = "faulty" if choice.names["controller"] == "gantry" else "gantry"
     try:
         witness.more_actions(20, 20.0)
-        switched = switching.switch("control", StartControl(controller=other, options={}), "warm", stages.append)
+        switched = switching.switch(
+            "control", StartControl(controller=other, options={}), "warm", stages.append
+        )
     except (RoboNeuronError, TimeoutError) as error:
-        return {"outcome": _words(str(error)), "error": str(error), "stages": stages, "seen": list(seen)}
+        return {
+            "outcome": _words(str(error)),
+            "error": str(error),
+            "stages": stages,
+            "seen": list(seen),
+        }
     finally:
         over.set()
         looking.join(10.0)
     gap = switched.change.gap
-    reports = [supervisor.view(kind).report for kind in ("robot", "perception", "inference", "control")]
-    foreign = sum(report.dropped_by.get("foreign_request", 0) for report in reports if report is not None)
+    reports = [
+        supervisor.view(kind).report for kind in ("robot", "perception", "inference", "control")
+    ]
+    foreign = sum(
+        report.dropped_by.get("foreign_request", 0) for report in reports if report is not None
+    )
     if foreign:
         return {"outcome": "a request of the server counted as foreign", "seen": list(seen)}
     if gap is None:
@@ -277,7 +318,11 @@ def _words(text: str) -> str:
     return " ".join("#" if any(c.isdigit() for c in word) else word for word in text.split())[:160]
 
 
-TRIALS = {"client-death": client_death, "control-restart": control_restart, "control-switch": control_switch}
+TRIALS = {
+    "client-death": client_death,
+    "control-restart": control_restart,
+    "control-switch": control_switch,
+}
 """How the cell of each fault is made."""
 
 if __name__ == "__main__":

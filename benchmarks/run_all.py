@@ -1,11 +1,14 @@
-"""Every benchmark of the closed loop, one after the other; what went wrong with any of them is told again at the end.
+"""Every benchmark of the closed loop, one after the other; what went wrong with any of them is told
+again at the end.
 
     python benchmarks/run_all.py [--quick] [--only bench_ik bench_loop]
 
-A benchmark that takes longer than its bound is ended with all processes of its session. A line "missed: ..." of a
-benchmark says that a limit of time was missed: on a loaded machine that says little, so it is told again at the end and
-is no failure. Exit status 1 when a benchmark failed or was ended, 0 otherwise. `--quick` makes each as short as it can
-be.
+A benchmark that takes longer than its bound is ended with all processes of its session. A line
+"missed: ..." of a
+benchmark says that a limit of time was missed: on a loaded machine that says little, so it is told
+    again at the end and
+is no failure. Exit status 1 when a benchmark failed or was ended, 0 otherwise. `--quick` makes each
+as short as it can be.
 """
 
 from __future__ import annotations
@@ -55,22 +58,43 @@ class Benchmark:
 
     def command(self, is_quick: bool) -> list[str]:
         """What is run."""
-        return [sys.executable, str(HERE / f"{self.script}.py"), *self.arguments, *(self.quick if is_quick else ())]
+        return [
+            sys.executable,
+            str(HERE / f"{self.script}.py"),
+            *self.arguments,
+            *(self.quick if is_quick else ()),
+        ]
 
 
 BENCHMARKS = (
     Benchmark(script="bench_plugins_list", quick=("--repeat", "3")),
     Benchmark(script="bench_ik", quick=("--targets", "50")),
     Benchmark(script="bench_loop", quick=("--frames", "60", "--rounds", "1")),
-    Benchmark(script="bench_execution", arguments=("--virtual",), quick=("--seeds", "1", "--duration", "5")),
+    Benchmark(
+        script="bench_execution",
+        arguments=("--virtual",),
+        quick=("--seeds", "1", "--duration", "5"),
+    ),
     Benchmark(script="bench_execution", quick=("--seconds", "3"), bound_s=3600.0),
     Benchmark(script="bench_start_stop", quick=("--cycles", "2")),
     Benchmark(script="bench_round_trip", quick=("--calls", "30")),
-    Benchmark(script="bench_switch", quick=("--switches", "2", "--cold", "1", "--rates", "10"), bound_s=3 * 3600.0),
+    Benchmark(
+        script="bench_switch",
+        quick=("--switches", "2", "--cold", "1", "--rates", "10"),
+        bound_s=3 * 3600.0,
+    ),
     Benchmark(script="bench_faults", quick=("--trials", "2"), bound_s=4 * 3600.0),
-    Benchmark(script="bench_direct", quick=("--calls", "20", "--stops", "3", "--starts", "1", "--sizes", "3")),
+    Benchmark(
+        script="bench_direct",
+        quick=("--calls", "20", "--stops", "3", "--starts", "1", "--sizes", "3"),
+    ),
     Benchmark(script="bench_servo", quick=("--seeds", "2"), bound_s=3600.0),
-    Benchmark(script="bench_servo", arguments=("--added-latency-ms", "300"), quick=("--seeds", "2"), bound_s=3600.0),
+    Benchmark(
+        script="bench_servo",
+        arguments=("--added-latency-ms", "300"),
+        quick=("--seeds", "2"),
+        bound_s=3600.0,
+    ),
     Benchmark(script="bench_eval", quick=("--episodes", "2")),
     Benchmark(script="bench_interfaces", quick=("--repeat", "200")),
     Benchmark(script="bench_view", quick=("--seconds", "5")),
@@ -147,7 +171,9 @@ def _end(process: subprocess.Popen[str]) -> None:
 
 def report(endings: Sequence[Ending]) -> int:
     """Print how each ended; returns the exit status."""
-    print(f"\n{len(endings)} benchmarks, load now {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores")
+    print(
+        f"\n{len(endings)} benchmarks, load now {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores"
+    )
     for ending in endings:
         word = f"FAILED, {ending.failure}" if ending.failure else "done"
         print(f"  {ending.title:<48} {ending.took_s:6.0f} s  {word}")
@@ -158,9 +184,15 @@ def report(endings: Sequence[Ending]) -> int:
 
 def main() -> int:
     """Run them and return the exit status."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="as short as it can be: only whether all of them work")
-    parser.add_argument("--only", nargs="+", choices=sorted({b.script for b in BENCHMARKS}), help="these alone")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--quick", action="store_true", help="as short as it can be: only whether all of them work"
+    )
+    parser.add_argument(
+        "--only", nargs="+", choices=sorted({b.script for b in BENCHMARKS}), help="these alone"
+    )
     arguments = parser.parse_args()
     endings = []
     for benchmark in BENCHMARKS:

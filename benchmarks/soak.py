@@ -1,12 +1,14 @@
-"""The loop for half an hour: 30 Hz, 640x480, a switch of the backend every minute, a random fault every two.
+"""The loop for half an hour: 30 Hz, 640x480, a switch of the backend every minute, a random fault
+every two.
 
     python benchmarks/soak.py [--minutes 30] [--switch-s 60] [--fault-s 120] [--json out.json]
 
 With --rows 16 --delay-ms 100 the backends answer with chunks, which are executed as `auto` decides.
-A real server runs as an agent's client would start it, on stdio; the agent is this process. Memory (resident, without
-what is shared), open handles and threads of every process and Fast DDS's files in shared memory are sampled, and a line
-is fitted through what was sampled after the warm-up. It fails when something grows by more than `GROWTH` over that
-time, when a fault is not recovered from as configured, or when a switch misses its time.
+A real server runs as an agent's client would start it, on stdio; the agent is this process. Memory
+(resident, without what is shared), open handles and threads of every process and Fast DDS's files
+in shared memory are sampled, and a line is fitted through what was sampled after the warm-up. It
+fails when something grows by more than `GROWTH` over that time, when a fault is not recovered from
+as configured, or when a switch misses its time.
 """
 
 from __future__ import annotations
@@ -32,7 +34,9 @@ from soak_cell import served_cell, until
 sys.path.pop(0)
 
 GROWTH = {"memory_mb": 8.0, "handles": 6.0, "threads": 4.0, "shm_files": 12.0, "shm_mb": 40.0}
-"""Most that each may grow by over the time after the warm-up, by the fitted line; noise of a minute stays below."""
+"""Most that each may grow by over the time after the warm-up, by the fitted line; noise of a
+minute stays below.
+"""
 MOVES_AGAIN_S = 30.0
 """A module that has to be started again is, within this time, on a machine that is busy."""
 
@@ -102,13 +106,16 @@ class Report:
         """Why it failed; empty when it did not."""
         bad = [f"{o.what} at {o.at_s:.0f} s: {o.note}" for o in self.outcomes if not o.ok]
         return bad + [
-            f"{t.quantity} of {t.process} grew by {t.growth:.1f} from {t.first:.1f}, at most {t.limit:g}"
+            f"{t.quantity} of {t.process} grew by {t.growth:.1f} from {t.first:.1f}, at most "
+            f"{t.limit:g}"
             for t in self.trends
             if not t.ok
         ]
 
 
-def judge(samples: list[tuple[float, dict[tuple[str, str], float]]], warm_up_s: float) -> list[Trend]:
+def judge(
+    samples: list[tuple[float, dict[tuple[str, str], float]]], warm_up_s: float
+) -> list[Trend]:
     """Fit a line through each quantity after the warm-up."""
     kept = [(at_s, found) for at_s, found in samples if at_s >= warm_up_s]
     trends = []
@@ -157,7 +164,8 @@ def run(settings: Settings, folder: Path, tell: Callable[[str], None]) -> Report
             took_s = time.monotonic() - begun_s
             report.outcomes.append(Outcome(at_s=at_s, what=what, ok=ok, took_s=took_s, note=said))
             tell(
-                f"{at_s:6.0f} s  {what}: {'well' if ok else 'FAILED'} after {took_s:.1f} s {said if ok else said[:300]}"
+                f"{at_s:6.0f} s  {what}: {'well' if ok else 'FAILED'} after {took_s:.1f} s "
+                f"{said if ok else said[:300]}"
             )
 
         while (now_s := time.monotonic() - started_s) < settings.duration_s:
@@ -184,15 +192,27 @@ def run(settings: Settings, folder: Path, tell: Callable[[str], None]) -> Report
 
 def main() -> None:
     """Soak, print the tables, fail when something grew or did not recover."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--minutes", type=float, default=30.0, help="how long")
-    parser.add_argument("--switch-s", type=float, default=60.0, metavar="S", help="time between two switches")
-    parser.add_argument("--fault-s", type=float, default=120.0, metavar="S", help="time between two faults")
+    parser.add_argument(
+        "--switch-s", type=float, default=60.0, metavar="S", help="time between two switches"
+    )
+    parser.add_argument(
+        "--fault-s", type=float, default=120.0, metavar="S", help="time between two faults"
+    )
     parser.add_argument("--rate", type=float, default=30.0, metavar="HZ", help="images per second")
-    parser.add_argument("--size", type=int, nargs=2, default=[640, 480], metavar=("W", "H"), help="of the images")
+    parser.add_argument(
+        "--size", type=int, nargs=2, default=[640, 480], metavar=("W", "H"), help="of the images"
+    )
     parser.add_argument("--seed", type=int, default=1, help="of the order of the faults")
-    parser.add_argument("--rows", type=int, default=1, metavar="N", help="actions of a chunk, one each period")
-    parser.add_argument("--delay-ms", type=float, default=0.0, metavar="MS", help="time that a prediction takes")
+    parser.add_argument(
+        "--rows", type=int, default=1, metavar="N", help="actions of a chunk, one each period"
+    )
+    parser.add_argument(
+        "--delay-ms", type=float, default=0.0, metavar="MS", help="time that a prediction takes"
+    )
     parser.add_argument("--json", type=Path, help="write everything here")
     arguments = parser.parse_args()
     settings = Settings(
@@ -210,18 +230,33 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         report = run(settings, Path(folder), lambda text: console.print(text, highlight=False))
     table = Table(
-        title=f"After {report.seconds:.0f} s, {report.actions} actions, {len(report.outcomes)} switches and faults"
+        title=f"After {report.seconds:.0f} s, {report.actions} actions, {len(report.outcomes)} "
+        "switches and faults"
     )
-    for head in ("process", "quantity", "first tenth", "last tenth", "growth by the fitted line", "allowed"):
+    for head in (
+        "process",
+        "quantity",
+        "first tenth",
+        "last tenth",
+        "growth by the fitted line",
+        "allowed",
+    ):
         table.add_column(head)
     for t in report.trends:
         mark = "" if t.ok else "  GROWS"
         table.add_row(
-            t.process, t.quantity, f"{t.first:.1f}", f"{t.last:.1f}", f"{t.growth:+.2f}{mark}", f"{t.limit:g}"
+            t.process,
+            t.quantity,
+            f"{t.first:.1f}",
+            f"{t.last:.1f}",
+            f"{t.growth:+.2f}{mark}",
+            f"{t.limit:g}",
         )
     console.print(table)
     if arguments.json:
-        arguments.json.write_text(json.dumps({"settings": asdict(settings), **asdict(report)}, indent=1))
+        arguments.json.write_text(
+            json.dumps({"settings": asdict(settings), **asdict(report)}, indent=1)
+        )
     for problem in report.problems:
         console.print(f"FAILED: {problem}", highlight=False)
     sys.exit(1 if report.problems else 0)

@@ -1,4 +1,6 @@
-"""What a soak runs on: a served loop with the faulty gantry, its agent, its faults, and samples of its processes."""
+"""What a soak runs on: a served loop with the faulty gantry, its agent, its faults, and samples
+of its processes.
+"""
 
 from __future__ import annotations
 
@@ -52,7 +54,9 @@ def until(fact: Callable[[], bool], timeout_s: float, what: str) -> None:
 class Cell:
     """The loop under test, its faults and its joints."""
 
-    def __init__(self, agent: Agent, witness: JointWitness, folder: Path, server: psutil.Process) -> None:
+    def __init__(
+        self, agent: Agent, witness: JointWitness, folder: Path, server: psutil.Process
+    ) -> None:
         self.agent, self.witness, self.folder, self.server = agent, witness, folder, server
         self._segments: set[str] = set()
 
@@ -70,7 +74,9 @@ class Cell:
         until(self.witness.moves, 10.0, "the arm moves")
 
     def wrong_part(self, part: str, mode: str, duration_s: float, stands: bool = True) -> None:
-        """A part misbehaves for a while; the arm stands meanwhile, and moves afterwards by itself."""
+        """A part misbehaves for a while; the arm stands meanwhile, and moves afterwards by
+        itself.
+        """
         fail(self.folder, part, mode)
         try:
             if stands:
@@ -86,18 +92,23 @@ class Cell:
         os.kill(pid, signal.SIGSTOP)
         try:
             until(
-                lambda: self.agent.modules()[kind]["health"] in ("silent", "exited", "starting"), 2.0, "it is noticed"
+                lambda: self.agent.modules()[kind]["health"] in ("silent", "exited", "starting"),
+                2.0,
+                "it is noticed",
             )
             time.sleep(duration_s)
         finally:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGCONT)
-        # Perception that was frozen for long was ended and started again, which ends what was asked for.
+        # Perception that was frozen for long was ended and started again, which ends what was asked
+        # for.
         until(lambda: self.agent.modules()[kind]["phase"] == "running", 60.0, f"{kind} runs again")
         self.swing()
 
     def killed(self, kind: str, agent_starts: bool) -> None:
-        """A process dies; perception comes back by itself, what moves the arm when the agent says so."""
+        """A process dies; perception comes back by itself, what moves the arm when the agent
+        says so.
+        """
         pid = self.pid(kind)
         os.kill(pid, signal.SIGKILL)
         until(lambda: self.agent.modules()[kind].get("pid") != pid, 2.0, "it is noticed")
@@ -108,15 +119,24 @@ class Cell:
                 raise RuntimeError(f"{kind} came back by itself")
             self.agent.do(f"start_{kind}")
         else:
-            until(lambda: self.agent.modules()[kind]["phase"] == "running", 60.0, f"{kind} runs again")
+            until(
+                lambda: self.agent.modules()[kind]["phase"] == "running", 60.0, f"{kind} runs again"
+            )
         self.swing()
 
     def swing(self) -> None:
-        """No restart, release or recovery starts motion; this does, where something has taken the instruction."""
+        """No restart, release or recovery starts motion; this does, where something has taken
+        the instruction.
+        """
         inference = self.agent.modules()["inference"]
         if inference["phase"] == "running" and not inference["instruction"]:
-            # A camera that has just come back has not reached the policy yet, which refuses instructions until then.
-            until(lambda: self.agent.modules()["inference"]["health"] != "failing", 20.0, "the policy has images again")
+            # A camera that has just come back has not reached the policy yet, which refuses
+            # instructions until then.
+            until(
+                lambda: self.agent.modules()["inference"]["health"] != "failing",
+                20.0,
+                "the policy has images again",
+            )
             self.agent.do("set_instruction", instruction="swing")
 
     def stopped(self) -> None:
@@ -131,7 +151,9 @@ class Cell:
         return {
             "backend raises": lambda: self.wrong_part("backend", "raise", 1.0),
             "backend hangs": lambda: self.wrong_part("backend", "hang", 1.0),
-            "backend answers after 250 ms": lambda: self.wrong_part("backend", "250", 2.0, stands=False),
+            "backend answers after 250 ms": lambda: self.wrong_part(
+                "backend", "250", 2.0, stands=False
+            ),
             "camera repeats its image": lambda: self.wrong_part("camera", "frozen", 1.0),
             "camera's clock jumps": lambda: self.wrong_part("camera_clock", "10", 1.0),
             "joint states are NaN": lambda: self.wrong_part("gantry", "nan", 1.0),
@@ -154,7 +176,9 @@ class Cell:
     def switch(self) -> str:
         """Change the backend, warm; returns what was measured."""
         now = self.agent.modules()["inference"]["started_with"]["backend"]
-        result = self.agent.do("switch_inference", backend="steadier" if now == "steady" else "steady")
+        result = self.agent.do(
+            "switch_inference", backend="steadier" if now == "steady" else "steady"
+        )
         return f"gap {(result.get('gap_s') or 0.0) * 1e3:.0f} ms, missed {result['missed']}"
 
     def sample(self) -> dict[tuple[str, str], float]:
@@ -175,7 +199,9 @@ class Cell:
                 found[name, "threads"] = process.num_threads()
         for process in processes.values():
             self._segments |= _mapped(process.pid)
-        sizes = [size for name in self._segments if (size := _size(Path("/dev/shm") / name)) is not None]
+        sizes = [
+            size for name in self._segments if (size := _size(Path("/dev/shm") / name)) is not None
+        ]
         found["all", "shm_files"], found["all", "shm_mb"] = len(sizes), sum(sizes) / 1e6
         return found
 
@@ -187,7 +213,9 @@ def _size(path: Path) -> int | None:
 
 
 def _mapped(pid: int) -> set[str]:
-    """Names of the shared-memory files that a process maps; what one that was killed leaves behind is among them."""
+    """Names of the shared-memory files that a process maps; what one that was killed leaves
+    behind is among them.
+    """
     names: set[str] = set()
     with contextlib.suppress(OSError):
         for line in Path(f"/proc/{pid}/maps").read_text().splitlines():
@@ -197,8 +225,12 @@ def _mapped(pid: int) -> set[str]:
 
 
 @contextlib.contextmanager
-def served_cell(folder: Path, rate_hz: float, size_px: tuple[int, int], policy: str = "") -> Iterator[Cell]:
-    """The faulty gantry, its server, agent and witness, the backends with options `policy`; everything is ended."""
+def served_cell(
+    folder: Path, rate_hz: float, size_px: tuple[int, int], policy: str = ""
+) -> Iterator[Cell]:
+    """The faulty gantry, its server, agent and witness, the backends with options `policy`;
+    everything is ended.
+    """
     camera = f"width = {size_px[0]}\nheight = {size_px[1]}"
     ops = "[ops]\nunresponsive_s = 1.5\nrestart_limit = 100\n"
     text = config_text(folder, rate_hz, backend="steady", camera=camera, policy=policy)
@@ -210,14 +242,25 @@ def served_cell(folder: Path, rate_hz: float, size_px: tuple[int, int], policy: 
         prepare_environment(folder / "log")
         from roboneuron.ros.link import RosLink  # heavy
 
-        command = ["-m", "roboneuron.cli.main", "serve", "--config", str(path), "--log-level", "error"]
+        command = [
+            "-m",
+            "roboneuron.cli.main",
+            "serve",
+            "--config",
+            str(path),
+            "--log-level",
+            "error",
+        ]
         server = StdioServerParameters(command=sys.executable, args=command, env=dict(os.environ))
         link = RosLink("witness")
         link.open()
         try:
             witness = JointWitness(link.node, link.on_executor)
             made = Client(server, read_timeout_seconds=180)
-            with start_blocking_portal() as portal, portal.wrap_async_context_manager(made) as client:
+            with (
+                start_blocking_portal() as portal,
+                portal.wrap_async_context_manager(made) as client,
+            ):
                 agent = Agent(client, portal)
                 yield Cell(agent, witness, folder, psutil.Process(agent.do("get_status")["pid"]))
         finally:

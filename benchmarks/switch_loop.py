@@ -1,4 +1,6 @@
-"""A closed loop in this process's control plane around `switch_plugin`, and a witness of the action topic."""
+"""A closed loop in this process's control plane around `switch_plugin`, and a witness of the
+action topic.
+"""
 
 from __future__ import annotations
 
@@ -55,9 +57,11 @@ def quiet(_: str) -> None:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Sent:
-    """One action: when it was sent (DDS source time), for which image, by which backend, moving how far along x.
+    """One action: when it was sent (DDS source time), for which image, by which backend, moving how
+    far along x.
 
-    `row` is its place in a chunk. Camera and chunk have one period, so that `slot` numbers the periods of both.
+    `row` is its place in a chunk. Camera and chunk have one period, so that `slot` numbers the
+    periods of both.
     """
 
     at_ns: int
@@ -100,7 +104,9 @@ class Witness:
             point = message.points[0]
             duration_s = point.time_from_start.sec + point.time_from_start.nanosec / 1e9
             with self._lock:
-                self._commands.append((int(info["source_timestamp"]), float(point.positions[0]), duration_s))
+                self._commands.append(
+                    (int(info["source_timestamp"]), float(point.positions[0]), duration_s)
+                )
 
         def on_joints(message: Any) -> None:
             with self._lock:
@@ -108,10 +114,20 @@ class Witness:
 
         qos = QoSProfile(depth=200)
         node = link.node
-        link.on_executor(lambda: node.create_subscription(JointState, f"/{namespace}/joint_states", on_joints, qos))
-        link.on_executor(lambda: node.create_subscription(Float64MultiArray, f"/{namespace}/action", on_action, qos))
         link.on_executor(
-            lambda: node.create_subscription(JointTrajectory, f"/{namespace}/joint_trajectory", on_command, qos)
+            lambda: node.create_subscription(
+                JointState, f"/{namespace}/joint_states", on_joints, qos
+            )
+        )
+        link.on_executor(
+            lambda: node.create_subscription(
+                Float64MultiArray, f"/{namespace}/action", on_action, qos
+            )
+        )
+        link.on_executor(
+            lambda: node.create_subscription(
+                JointTrajectory, f"/{namespace}/joint_trajectory", on_command, qos
+            )
         )
 
     def forget(self) -> None:
@@ -135,7 +151,9 @@ class Witness:
         return actions
 
     def stood_s(self) -> float:
-        """For how long the first joint has stood, by what was measured; 0 while nothing is measured."""
+        """For how long the first joint has stood, by what was measured; 0 while nothing is
+        measured.
+        """
         with self._lock:
             joints = list(self._joints)
         if not joints or time.monotonic() - joints[-1][0] > 0.5:
@@ -148,7 +166,9 @@ class Witness:
         return joints[-1][0] - since_s
 
     def commands(self) -> list[tuple[int, float, float]]:
-        """All joint commands so far: source time [ns], target of the first joint [m], duration [s]."""
+        """All joint commands so far: source time [ns], target of the first joint [m], duration
+        [s].
+        """
         with self._lock:
             return list(self._commands)
 
@@ -159,7 +179,8 @@ def moving_loop(
 ) -> Iterator[tuple[Switching, Witness]]:
     """A gantry that follows backend "first" at `rate_hz`; everything is stopped at the end.
 
-    `camera_options` is TOML: more keys of the camera, and sections after it; `backend_options`: keys of both backends.
+    `camera_options` is TOML: more keys of the camera, and sections after it; `backend_options`:
+    keys of both backends.
     """
     with installed(scratch, "rn-switch", ("switch_plugin",)):
         text = CONFIG.format(rate_hz=rate_hz, camera_options=camera_options)

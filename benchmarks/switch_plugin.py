@@ -1,9 +1,11 @@
-"""The plugin that change-overs are judged with: cameras that number their images, and backends that name them.
+"""The plugin that change-overs are judged with: cameras that number their images, and backends that
+name them.
 
-The first four bytes of an image hold its number. An action's `ry` carries it back in nano-radians, and its `rz` says
-in nano-radians which backend acted; the motion along x is a slow sine of the images' time, the same for each backend.
-A chunk of several rows goes on along the sine. Rows of two chunks may be cross-faded, but grippers are not: their value
-says for which image, as which row and by which backend an action was sent (`code_of`, `named_by`).
+The first four bytes of an image hold its number. An action's `ry` carries it back in nano-radians,
+and its `rz` says in nano-radians which backend acted; the motion along x is a slow sine of the
+images' time, the same for each backend. A chunk of several rows goes on along the sine. Rows of two
+chunks may be cross-faded, but grippers are not: their value says for which image, as which row and
+by which backend an action was sent (`code_of`, `named_by`).
 """
 
 from __future__ import annotations
@@ -18,7 +20,13 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from roboneuron.plugins.hookspecs import hookimpl
 from roboneuron.plugins.restricted import AgentMaySet
-from roboneuron.plugins.specs import ActionSpace, BackendSpec, ControllerSpec, PerceptionSpec, RobotSpec
+from roboneuron.plugins.specs import (
+    ActionSpace,
+    BackendSpec,
+    ControllerSpec,
+    PerceptionSpec,
+    RobotSpec,
+)
 
 if TYPE_CHECKING:
     from roboneuron.contract import (
@@ -43,7 +51,9 @@ _ROWS, _TAGS = 64, 8
 
 
 def code_of(image: int, row: int, tag: int) -> float:
-    """The gripper's value, just below 1, that says for which image, as which row and by which backend."""
+    """The gripper's value, just below 1, that says for which image, as which row and by which
+    backend.
+    """
     return 1.0 - ((image * _ROWS + row) * _TAGS + tag) * NANO
 
 
@@ -68,7 +78,9 @@ class CameraOptions(BaseModel):
 
     rate_hz: float = Field(default=10.0, gt=0, description="images per second")
     tag: int = Field(default=0, description="who delivered, in the images")
-    scale: int = Field(default=1, ge=1, description="images are smaller than the camera by this factor")
+    scale: int = Field(
+        default=1, ge=1, description="images are smaller than the camera by this factor"
+    )
     mode_file: Annotated[str, AgentMaySet()] = Field(
         default="", description='a file that says what is wrong: "frozen", "black", "small"'
     )
@@ -88,7 +100,8 @@ class BackendOptions(BaseModel):
         default="", description="a prediction lasts for as long as this file exists"
     )
     mode_file: Annotated[str, AgentMaySet()] = Field(
-        default="", description='a file that says what is wrong: "raise", "hang", or how long to wait [ms]'
+        default="",
+        description='a file that says what is wrong: "raise", "hang", or how long to wait [ms]',
     )
     fail_file: Annotated[str, AgentMaySet()] = Field(
         default="", description="a prediction fails while this file exists"
@@ -98,7 +111,9 @@ class BackendOptions(BaseModel):
 class NumberingCamera:
     """Follows the protocol `PerceptionSource`; exactly on time, whatever the readers do."""
 
-    def __init__(self, config: CameraOptions | None, topics: Topics, cameras: tuple[CameraProfile, ...]) -> None:
+    def __init__(
+        self, config: CameraOptions | None, topics: Topics, cameras: tuple[CameraProfile, ...]
+    ) -> None:
         self._topics, self._camera = topics, cameras[0]
         self._options = config or CameraOptions()
         self._period_s = 1.0 / self._options.rate_hz
@@ -124,12 +139,19 @@ class NumberingCamera:
             time.sleep(0.01)
             mode = _read(self._options.mode_file)
         scale = 2 if mode == "small" else self._options.scale
-        image = np.zeros((self._camera.height // scale, self._camera.width // scale, 3), dtype=np.uint8)
+        image = np.zeros(
+            (self._camera.height // scale, self._camera.width // scale, 3), dtype=np.uint8
+        )
         if mode != "black":
-            image[0].reshape(-1)[:4] = np.frombuffer(self._number.to_bytes(4, "little"), dtype=np.uint8)
+            image[0].reshape(-1)[:4] = np.frombuffer(
+                self._number.to_bytes(4, "little"), dtype=np.uint8
+            )
             image[0].reshape(-1)[4] = self._options.tag
         self._newest = Frame(
-            camera=self._camera.name, image=image, stamp_ns=self._topics.now_ns(), frame_id=self._camera.frame_id
+            camera=self._camera.name,
+            image=image,
+            stamp_ns=self._topics.now_ns(),
+            frame_id=self._camera.frame_id,
         )
         return self._newest
 
@@ -140,7 +162,9 @@ class NumberingCamera:
 class NamingBackend:
     """Follows the protocol `Backend`."""
 
-    def __init__(self, config: BackendOptions | None, runtime: Any = None, acceleration: Any = None) -> None:
+    def __init__(
+        self, config: BackendOptions | None, runtime: Any = None, acceleration: Any = None
+    ) -> None:
         self._options = config or BackendOptions()
 
     def load(self) -> None:
@@ -188,15 +212,21 @@ class ControllerOptions(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    tool_m: float = Field(default=0.0, description="its TCP lies this far along z from the gantry's")
-    offset: float = Field(default=0.0, description="added to the commanded position of the first joint")
+    tool_m: float = Field(
+        default=0.0, description="its TCP lies this far along z from the gantry's"
+    )
+    offset: float = Field(
+        default=0.0, description="added to the commanded position of the first joint"
+    )
     mode_file: Annotated[str, AgentMaySet()] = Field(
         default="", description='a file that says what is wrong: "hold", "raise", "hang"'
     )
 
 
 class FaultyController:
-    """Follows the protocol `Controller`: the gantry's, and what its options say is wrong with it."""
+    """Follows the protocol `Controller`: the gantry's, and what its options say is wrong with
+    it.
+    """
 
     def __init__(self, config: ControllerOptions | None, profile: RobotProfile) -> None:
         from rn_testing.fakes.controller import GantryController

@@ -1,6 +1,8 @@
-"""Clicks on the emergency stop of a page in a browser while a served, simulated FR3 moves, judged at its joints.
+"""Clicks on the emergency stop of a page in a browser while a served, simulated FR3 moves, judged
+at its joints.
 
-Server, robot, browser and this witness are processes of their own, as on a robot; all clocks are this machine's.
+Server, robot, browser and this witness are processes of their own, as on a robot; all clocks are
+this machine's.
 """
 
 from __future__ import annotations
@@ -90,7 +92,9 @@ class Cell:
         place = max(PLACES_RAD, key=lambda place: abs(place - self.states[-1][2]))
         arguments = {"positions": {JOINT: place}, "duration_s": MOTION_S}
         answer = self._portal.start_task_soon(self._client.call_tool, "move_joints", arguments)
-        self.wait_until(lambda: self.states[-1][1] > FAST_RAD_S or answer.done(), "the arm does not move")
+        self.wait_until(
+            lambda: self.states[-1][1] > FAST_RAD_S or answer.done(), "the arm does not move"
+        )
         if answer.done():
             raise SystemExit(f"move_joints ended before it was fast: {answer.result(1.0).content}")
 
@@ -114,7 +118,15 @@ class Cell:
         person, terminal = pty.openpty()
         try:
             os.write(person, b"y\n")
-            command = [sys.executable, "-m", "roboneuron.cli.main", "estop", "--reset", "--state", str(self._state)]
+            command = [
+                sys.executable,
+                "-m",
+                "roboneuron.cli.main",
+                "estop",
+                "--reset",
+                "--state",
+                str(self._state),
+            ]
             subprocess.run(command, stdin=terminal, check=True, timeout=MOST_S, capture_output=True)
         finally:
             os.close(person)

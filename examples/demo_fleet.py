@@ -1,12 +1,17 @@
-"""One agent, one server, three robots at once: two FR3s pick up different cubes while a mobile base drives a square.
+"""One agent, one server, three robots at once: two FR3s pick up different cubes while a mobile base
+drives a square.
 
-    make demo-fleet      or      python examples/demo_fleet.py [--seed 7] [--left red] [--right blue]
+    make demo-fleet      or      python examples/demo_fleet.py [--seed 7] [--left red] [--right
+    blue]
 
-Each robot is a cell of `demo_fleet.toml` with its own processes, gate, limits and emergency stop. The agent is an
-ordinary MCP client: `start_all` for each robot, `run_task` for each arm, `publish_velocity_sequence` for the base, all
-at the same time. Each robot's own simulator is the judge: the named cube is 10 cm up and has been held for a second;
-the base stands where its path ends and has driven all of it. Exit status 0 means that every judge says yes and that
-all three were at work at once. Film strip, GIF and the server's log go to `out/demo-fleet/`.
+Each robot is a cell of `demo_fleet.toml` with its own processes, gate, limits and emergency stop.
+The agent is an
+ordinary MCP client: `start_all` for each robot, `run_task` for each arm,
+    `publish_velocity_sequence` for the base, all
+at the same time. Each robot's own simulator is the judge: the named cube is 10 cm up and has been
+held for a second; the base stands where its path ends and has driven all of it. Exit status 0 means
+that every judge says yes and that all three were at work at once. Film strip, GIF and the server's
+log go to `out/demo-fleet/`.
 """
 
 from __future__ import annotations
@@ -49,7 +54,9 @@ LOOK_S = 0.5
 """Period of the agent's looks, which also make the film."""
 ATTEMPT_S, ATTEMPTS = 50.0, 3
 REST_S, HELD_S = 1.5, 5.0
-"""The base slows down at its own acceleration; a cube that was lifted a moment ago is soon held for long enough."""
+"""The base slows down at its own acceleration; a cube that was lifted a moment ago is soon held
+for long enough.
+"""
 LEAST_LENGTH = 0.9
 """Share of the path's length that the base must have driven: the path ends where it began."""
 WHOLE_S = 540.0
@@ -75,14 +82,22 @@ class Work:
 
 
 def lifted(colour: str) -> dict[str, Any]:
-    """The predicate of run_task: the gripper holds something, and the cube has been seen lifted for a second."""
-    seen = {"kind": "monitor", "name": "colour-lifted", "options": {"colour": colour, "height_m": 0.12}}
+    """The predicate of run_task: the gripper holds something, and the cube has been seen lifted
+    for a second.
+    """
+    seen = {
+        "kind": "monitor",
+        "name": "colour-lifted",
+        "options": {"colour": colour, "height_m": 0.12},
+    }
     grip = {"kind": "gripper_holds", "least_open": 0.15, "most_open": 0.9}
     return {"kind": "held", "for_s": 1.0, "of": {"kind": "all", "of": [grip, seen]}}
 
 
 def judge_arm(work: Work, colour: str) -> None:
-    """By the simulator of the arm: the cube is up and has been held; the tool must not say anything else."""
+    """By the simulator of the arm: the cube is up and has been held; the tool must not say
+    anything else.
+    """
     thing = next((t for t in simulated_objects(work.status) if t.name == colour), None)
     if thing is None:
         work.truth, work.is_done = "no answer", False
@@ -93,12 +108,16 @@ def judge_arm(work: Work, colour: str) -> None:
 
 def true_pose(status: Mapping[str, Any]) -> PlanarPose | None:
     """Where the simulator of the base has it; None before it is known."""
-    found = json.loads((module_status(status, "robot").get("detail") or {}).get("true_pose", "null"))
+    found = json.loads(
+        (module_status(status, "robot").get("detail") or {}).get("true_pose", "null")
+    )
     return None if found is None else PlanarPose(**found)
 
 
 def judge_base(work: Work, track: Sequence[PlanarPose]) -> None:
-    """By the simulator of the base: it stands at the end of its path, and has driven the length of it."""
+    """By the simulator of the base: it stands at the end of its path, and has driven the length
+    of it.
+    """
     if not track:
         work.truth, work.is_done = "no answer", False
         return
@@ -106,7 +125,9 @@ def judge_base(work: Work, track: Sequence[PlanarPose]) -> None:
     off_m = math.hypot(end.x_m - goal.x_m, end.y_m - goal.y_m)
     off_rad = abs((end.yaw_rad - goal.yaw_rad + math.pi) % (2 * math.pi) - math.pi)
     driven_m = sum(math.hypot(b.x_m - a.x_m, b.y_m - a.y_m) for a, b in pairwise(track))
-    work.truth = f"{driven_m:.1f} m, {off_m * 100:.0f} cm and {math.degrees(off_rad):.0f}° off its end"
+    work.truth = (
+        f"{driven_m:.1f} m, {off_m * 100:.0f} cm and {math.degrees(off_rad):.0f}° off its end"
+    )
     is_there = off_m <= PATH.end_m and off_rad <= PATH.end_rad
     work.is_done = is_there and driven_m >= LEAST_LENGTH * PATH.length_m and work.told == "done"
 
@@ -137,7 +158,10 @@ class Demo:
         self._said: dict[str, str] = {}
         self.track: list[PlanarPose] = []
         self.film = FleetFilm()
-        self.works = {name: Work(robot=name, task=f"pick up the {colour} cube") for name, colour in colours.items()}
+        self.works = {
+            name: Work(robot=name, task=f"pick up the {colour} cube")
+            for name, colour in colours.items()
+        }
         self.works[BASE] = Work(robot=BASE, task=f"drive a {PATH.name} of {PATH.length_m:.0f} m")
 
     async def start(self) -> None:
@@ -194,7 +218,9 @@ class Demo:
             self._say(robot, str(error))
         work.ended_s = time.monotonic()
         with anyio.move_on_after(HELD_S):
-            while not any(t.name == colour and t.held_s >= HOLD_GOAL_S for t in simulated_objects(work.status)):
+            while not any(
+                t.name == colour and t.held_s >= HOLD_GOAL_S for t in simulated_objects(work.status)
+            ):
                 await anyio.sleep(0.1)
 
     async def _drive(self) -> None:
@@ -202,7 +228,10 @@ class Demo:
         work.begun_s = time.monotonic()
         steps = [
             {
-                "message": {"linear": {"x": segment.linear_m_s}, "angular": {"z": segment.angular_rad_s}},
+                "message": {
+                    "linear": {"x": segment.linear_m_s},
+                    "angular": {"z": segment.angular_rad_s},
+                },
                 "duration_s": segment.duration_s,
             }
             for segment in PATH.segments
@@ -236,8 +265,17 @@ class Demo:
             note = str(module_status(work.status, "inference").get("note") or "")
             if note:
                 self._say(robot, note)
-            up_m = next((t.lifted_m for t in simulated_objects(work.status) if t.name == self._colours[robot]), 0.0)
-            captions[robot] = f"{robot}: {work.task}" + (f", {up_m * 100:.0f} cm up" if up_m > 0.01 else "")
+            up_m = next(
+                (
+                    t.lifted_m
+                    for t in simulated_objects(work.status)
+                    if t.name == self._colours[robot]
+                ),
+                0.0,
+            )
+            captions[robot] = f"{robot}: {work.task}" + (
+                f", {up_m * 100:.0f} cm up" if up_m > 0.01 else ""
+            )
             with suppress(RoboNeuronError):  # a film with a missing frame is still a film
                 encoded = await self._agent.image("front", robot)
                 images[robot] = Image.open(io.BytesIO(encoded)).convert("RGB")
@@ -256,15 +294,22 @@ class Demo:
 
 def print_tables(console: Console, works: Sequence[Work]) -> None:
     """How the modules were while they worked, and what the judges say."""
-    rates = Table(title="While they worked", title_style="bold", title_justify="left", header_style="dim")
+    rates = Table(
+        title="While they worked", title_style="bold", title_justify="left", header_style="dim"
+    )
     for column in ("robot", "process", "rate", "median", "p99", "sent", "dropped"):
-        rates.add_column(column, justify="left" if column in ("robot", "process") else "right", no_wrap=True)
+        rates.add_column(
+            column, justify="left" if column in ("robot", "process") else "right", no_wrap=True
+        )
     for work in works:
         for module in work.busy.get("modules", ()):
             if module.get("pid") is None:
                 continue
             units = (("rate_hz", "Hz"), ("latency_ms", "ms"), ("latency_p99_ms", "ms"))
-            numbers = [f"{module[key]:.1f} {unit}" if module.get(key) is not None else "" for key, unit in units]
+            numbers = [
+                f"{module[key]:.1f} {unit}" if module.get(key) is not None else ""
+                for key, unit in units
+            ]
             counts = [str(module.get(key, "")) for key in ("published", "dropped")]
             rates.add_row(work.robot, module["module"], *numbers, *counts)
     verdict = Table(title="Judged by each simulator", title_justify="left", title_style="bold")
@@ -278,8 +323,10 @@ def print_tables(console: Console, works: Sequence[Work]) -> None:
     console.print(rates)
     console.print(verdict)
     console.print(
-        f"  needed: {LIFT_GOAL_M * 100:.0f} cm up for {HOLD_GOAL_S:.0f} s; at most {PATH.end_m * 100:.0f} cm and "
-        f"{math.degrees(PATH.end_rad):.0f}° off\n  all three at work at once for {together_s(works):.1f} s",
+        f"  needed: {LIFT_GOAL_M * 100:.0f} cm up for {HOLD_GOAL_S:.0f} s; at most "
+        f"{PATH.end_m * 100:.0f} cm and "
+        f"{math.degrees(PATH.end_rad):.0f}° off\n  all three at work at once for "
+        f"{together_s(works):.1f} s",
         highlight=False,
     )
 
@@ -289,13 +336,19 @@ async def play(seed: int, colours: Mapping[str, str], output: Path, console: Con
     output.mkdir(parents=True, exist_ok=True)
     screen = Screen(console)
     tasks = " · ".join(f"{robot}: pick up the {colour} cube" for robot, colour in colours.items())
-    console.print(Panel(f"{tasks} · base: drive (scenes {seed}, {seed + 1})", title="RoboNeuron", expand=False))
+    console.print(
+        Panel(
+            f"{tasks} · base: drive (scenes {seed}, {seed + 1})", title="RoboNeuron", expand=False
+        )
+    )
     path, log = write_configuration(output, seed), output / "server.log"
     with anyio.fail_after(WHOLE_S):
         async with spawned_server(["--config", str(path)], log) as client:
             demo = Demo(Agent(client), screen, colours)
             with screen.step("connect to the MCP server") as told:
-                told.append(f"{len(await Agent(client).tools())} typed tools for {len(demo.works)} robots")
+                told.append(
+                    f"{len(await Agent(client).tools())} typed tools for {len(demo.works)} robots"
+                )
             try:
                 begun_s = time.monotonic()
                 with screen.step("start two arms and a base") as told:
@@ -308,14 +361,20 @@ async def play(seed: int, colours: Mapping[str, str], output: Path, console: Con
     works = list(demo.works.values())
     print_tables(console, works)
     strip, gif = demo.film.save(output)
-    console.print(f"  film strip  {strip}\n  film        {gif}\n  server log  {log}", highlight=False)
+    console.print(
+        f"  film strip  {strip}\n  film        {gif}\n  server log  {log}", highlight=False
+    )
     return together_s(works) > 0 and all(work.is_done for work in works)
 
 
 def main() -> int:
     """Parse the options, play, say whether it worked."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--seed", type=int, help="scene of the left arm, the next one for the right; default: new ones")
+    parser.add_argument(
+        "--seed",
+        type=int,
+        help="scene of the left arm, the next one for the right; default: new ones",
+    )
     parser.add_argument("--left", choices=COLOURS, default="red", help="cube for the left arm")
     parser.add_argument("--right", choices=COLOURS, default="blue", help="cube for the right arm")
     parser.add_argument("--output", type=Path, default=Path("out/demo-fleet"))

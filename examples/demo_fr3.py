@@ -1,4 +1,5 @@
-"""The demo with the driver `fci`: franka-sim holds table, cubes and arm; cameras, control and policy are unchanged.
+"""The demo with the driver `fci`: franka-sim holds table, cubes and arm; cameras, control and
+policy are unchanged.
 
 Run it with `make demo-fr3`; further arguments go to `roboneuron demo`.
 """
@@ -21,7 +22,9 @@ PLACE = "127.0.0.1"
 def main() -> int:
     """Start the simulator, play the demo; 0 when the cube was lifted."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--python", type=Path, default=Path(".venv-fr3sim/bin/python"), help="has franka-sim")
+    parser.add_argument(
+        "--python", type=Path, default=Path(".venv-fr3sim/bin/python"), help="has franka-sim"
+    )
     parser.add_argument("--scene", type=int, default=None, help="which scene; default: a new one")
     parser.add_argument("--output", type=Path, default=Path("out/demo-fr3"))
     arguments, more = parser.parse_known_args()
@@ -29,9 +32,13 @@ def main() -> int:
     with FrankaSim(arguments.python, seed=seed, log=arguments.output / "franka-sim.log") as sim:
         print(f"franka-sim: scene {seed}, FCI protocol 10 on {sim.host}", flush=True)
         config = arguments.output / "fr3_fci.toml"
-        config.write_text(CONFIG.read_text(encoding="utf-8").replace(PLACE, sim.host), encoding="utf-8")
+        config.write_text(
+            CONFIG.read_text(encoding="utf-8").replace(PLACE, sim.host), encoding="utf-8"
+        )
         command = [sys.executable, "-m", "roboneuron.cli.main", "demo", "--config", str(config)]
-        return subprocess.run([*command, "--output", str(arguments.output), *more], check=False).returncode
+        return subprocess.run(
+            [*command, "--output", str(arguments.output), *more], check=False
+        ).returncode
 
 
 if __name__ == "__main__":

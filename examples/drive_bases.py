@@ -1,11 +1,12 @@
-"""An MCP client drives three mobile bases at the same time, each along its own path; odometry is the judge.
+"""An MCP client drives three mobile bases at the same time, each along its own path; odometry is
+the judge.
 
     make demo-bases      or      python examples/drive_bases.py [--output out/demo-bases]
 
 Everything happens over MCP, with one server for all: the paths are sequences of velocities that
-`publish_velocity_sequence` plays, and `read_odometry` says where each base came to. A base that is asked for what it
-cannot do refuses with a reason. Exit status 0 means that every base ended within the tolerance of its path, and that
-all three were on their way at once.
+`publish_velocity_sequence` plays, and `read_odometry` says where each base came to. A base that is
+asked for what it cannot do refuses with a reason. Exit status 0 means that every base ended within
+the tolerance of its path, and that all three were on their way at once.
 """
 
 from __future__ import annotations
@@ -44,7 +45,9 @@ IMPOSSIBLE = {
 """What each cannot do: move sideways, drive at 5 m/s, turn on the spot."""
 
 
-async def call(client: Client, tool: str, arguments: Mapping[str, Any]) -> tuple[bool, dict[str, Any], str]:
+async def call(
+    client: Client, tool: str, arguments: Mapping[str, Any]
+) -> tuple[bool, dict[str, Any], str]:
     """Call a tool; whether it succeeded, its structured answer, and its text."""
     result = await client.call_tool(tool, dict(arguments), read_timeout_seconds=180)
     text = " ".join(part.text for part in result.content if isinstance(part, TextContent))
@@ -63,7 +66,9 @@ def pose_of(odometry: Mapping[str, Any]) -> PlanarPose:
     """The pose in a nav_msgs/Odometry, heading in -pi .. pi."""
     pose = odometry["pose"]["pose"]
     q = pose["orientation"]
-    yaw_rad = math.atan2(2 * (q["w"] * q["z"] + q["x"] * q["y"]), 1 - 2 * (q["y"] ** 2 + q["z"] ** 2))
+    yaw_rad = math.atan2(
+        2 * (q["w"] * q["z"] + q["x"] * q["y"]), 1 - 2 * (q["y"] ** 2 + q["z"] ** 2)
+    )
     return PlanarPose(x_m=pose["position"]["x"], y_m=pose["position"]["y"], yaw_rad=yaw_rad)
 
 
@@ -81,7 +86,9 @@ def to_step(segment: Segment) -> dict[str, Any]:
 
 @dataclass
 class Drive:
-    """What became of one base: its track by odometry, its row for the table, and when it drove (monotonic time)."""
+    """What became of one base: its track by odometry, its row for the table, and when it drove
+    (monotonic time).
+    """
 
     succeeded: bool = False
     track: list[PlanarPose] = field(default_factory=list)
@@ -92,10 +99,14 @@ class Drive:
 
 async def check_refusal(client: Client, robot: str, console: Console) -> None:
     """A base refuses what it cannot do, for a reason."""
-    succeeded, _, reason = await call(client, "publish_velocity", {"robot": robot, "message": IMPOSSIBLE[robot]})
+    succeeded, _, reason = await call(
+        client, "publish_velocity", {"robot": robot, "message": IMPOSSIBLE[robot]}
+    )
     if succeeded:
         sys.exit(f"{robot} took a velocity it cannot follow: {IMPOSSIBLE[robot]}")
-    console.print(f"  [bold]{robot}[/] refuses {IMPOSSIBLE[robot]}: [dim]{reason.splitlines()[0]}[/]")
+    console.print(
+        f"  [bold]{robot}[/] refuses {IMPOSSIBLE[robot]}: [dim]{reason.splitlines()[0]}[/]"
+    )
 
 
 async def drive(client: Client, robot: str, made: Drive) -> None:
@@ -157,10 +168,15 @@ async def play(output: Path, console: Console) -> bool:
                 async with anyio.create_task_group() as tasks:
                     for robot, made in drives.items():
                         tasks.start_soon(drive, client, robot, made)
-    pictures = [draw_track(PLATFORMS[robot], made.track, width=480, height=320) for robot, made in drives.items()]
+    pictures = [
+        draw_track(PLATFORMS[robot], made.track, width=480, height=320)
+        for robot, made in drives.items()
+    ]
     for made in drives.values():
         table.add_row(*made.row)
-    together_s = min(made.ended_s for made in drives.values()) - max(made.begun_s for made in drives.values())
+    together_s = min(made.ended_s for made in drives.values()) - max(
+        made.begun_s for made in drives.values()
+    )
     strip = output / "film-strip.png"
     Image.fromarray(np.concatenate(pictures, axis=1)).save(strip)
     console.print(table)

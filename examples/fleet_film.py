@@ -1,4 +1,6 @@
-"""The film of several robots: their pictures side by side, as an animated GIF and as a sheet of six moments."""
+"""The film of several robots: their pictures side by side, as an animated GIF and as a sheet of
+six moments.
+"""
 
 from __future__ import annotations
 
@@ -31,39 +33,58 @@ class FleetFilm:
 
     frames: list[tuple[float, dict[str, Image.Image], dict[str, str]]] = field(default_factory=list)
 
-    def add(self, at_s: float, images: Mapping[str, Image.Image | None], captions: Mapping[str, str]) -> None:
+    def add(
+        self, at_s: float, images: Mapping[str, Image.Image | None], captions: Mapping[str, str]
+    ) -> None:
         """Add a moment; a robot without a picture keeps the one before, or a grey one."""
         before = self.frames[-1][1] if self.frames else {}
         shown = {
-            name: (image or before.get(name) or Image.new("RGB", (PANEL_PX, PANEL_PX), FLOOR)).resize(
-                (PANEL_PX, PANEL_PX), Image.Resampling.LANCZOS
-            )
+            name: (
+                image or before.get(name) or Image.new("RGB", (PANEL_PX, PANEL_PX), FLOOR)
+            ).resize((PANEL_PX, PANEL_PX), Image.Resampling.LANCZOS)
             for name, image in images.items()
         }
         self.frames.append((at_s, shown, dict(captions)))
 
     def save(self, directory: Path) -> tuple[Path, Path]:
-        """Write `film-strip.png` and `film.gif`; returns their paths. There must be at least one frame."""
+        """Write `film-strip.png` and `film.gif`; returns their paths. There must be at least
+        one frame.
+        """
         strip, gif = directory / "film-strip.png", directory / "film.gif"
         sheet = self._strip()
         sheet.save(strip)
-        # One palette for all frames, by octree: by frequency the small coloured cubes get lost, by coverage the shades.
+        # One palette for all frames, by octree: by frequency the small coloured cubes get lost, by
+        # coverage the shades.
         palette = sheet.quantize(256, method=Image.Quantize.FASTOCTREE)
         sheets = [self._side_by_side(*frame) for frame in self.frames]
         images = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in sheets]
         times = [at_s for at_s, _, _ in self.frames]
         gaps = [max(SHORTEST_FRAME_MS, round(1000 * (b - a))) for a, b in pairwise(times)]
-        images[0].save(gif, save_all=True, append_images=images[1:], duration=[*gaps, 1500], loop=0, optimize=True)
+        images[0].save(
+            gif,
+            save_all=True,
+            append_images=images[1:],
+            duration=[*gaps, 1500],
+            loop=0,
+            optimize=True,
+        )
         return strip, gif
 
-    def _side_by_side(self, at_s: float, images: Mapping[str, Image.Image], captions: Mapping[str, str]) -> Image.Image:
+    def _side_by_side(
+        self, at_s: float, images: Mapping[str, Image.Image], captions: Mapping[str, str]
+    ) -> Image.Image:
         width = len(images) * (PANEL_PX + MARGIN_PX) + MARGIN_PX
         sheet = Image.new("RGB", (width, PANEL_PX + 2 * MARGIN_PX + CAPTION_PX), "white")
         draw = ImageDraw.Draw(sheet)
         for index, (name, image) in enumerate(images.items()):
             x = MARGIN_PX + index * (PANEL_PX + MARGIN_PX)
             sheet.paste(image, (x, MARGIN_PX))
-            draw.text((x + 2, PANEL_PX + MARGIN_PX + 3), captions.get(name, name), fill="black", font=_font(14))
+            draw.text(
+                (x + 2, PANEL_PX + MARGIN_PX + 3),
+                captions.get(name, name),
+                fill="black",
+                font=_font(14),
+            )
         clock, font = f"{at_s:.1f} s", _font(14)
         left = width - MARGIN_PX - draw.textlength(clock, font=font)
         draw.text((left, PANEL_PX + MARGIN_PX + 3), clock, fill="black", font=font)
@@ -73,7 +94,8 @@ class FleetFilm:
         """A row for each robot, a column for each moment."""
         count = min(STRIP_COLUMNS, len(self.frames))
         last = len(self.frames) - 1
-        # The arms have done most of their work in the first half: moments lie closer together there.
+        # The arms have done most of their work in the first half: moments lie closer together
+        # there.
         chosen = [self.frames[round(last * (i / max(1, count - 1)) ** 1.5)] for i in range(count)]
         names = list(chosen[0][1])
         step = THUMB_PX + MARGIN_PX
@@ -83,14 +105,22 @@ class FleetFilm:
         for column, (at_s, images, captions) in enumerate(chosen):
             for row, name in enumerate(names):
                 x, y = MARGIN_PX + column * step, MARGIN_PX + row * (step + CAPTION_PX)
-                sheet.paste(images[name].resize((THUMB_PX, THUMB_PX), Image.Resampling.LANCZOS), (x, y))
+                sheet.paste(
+                    images[name].resize((THUMB_PX, THUMB_PX), Image.Resampling.LANCZOS), (x, y)
+                )
                 said = captions.get(name, name) if column == 0 else _end_of(captions, name)
-                draw.text((x + 2, y + THUMB_PX + 3), f"{at_s:.1f} s  {said}", fill="black", font=_font(12))
+                draw.text(
+                    (x + 2, y + THUMB_PX + 3), f"{at_s:.1f} s  {said}", fill="black", font=_font(12)
+                )
         return sheet
 
 
-def draw_from_above(planned: Sequence[PlanarPose], track: Sequence[PlanarPose], size_px: int = PANEL_PX) -> Image.Image:
-    """The floor from above with a grid of 0.5 m: the path as planned, as driven, and the base at its end."""
+def draw_from_above(
+    planned: Sequence[PlanarPose], track: Sequence[PlanarPose], size_px: int = PANEL_PX
+) -> Image.Image:
+    """The floor from above with a grid of 0.5 m: the path as planned, as driven, and the base
+    at its end.
+    """
     size = size_px * SMOOTHING
     xs, ys = [pose.x_m for pose in planned], [pose.y_m for pose in planned]
     middle = ((min(xs) + max(xs)) / 2, (min(ys) + max(ys)) / 2)

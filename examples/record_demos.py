@@ -1,7 +1,9 @@
-"""Record demonstrations of the classical policy in simulation as a LeRobotDataset: `make record-demos`.
+"""Record demonstrations of the classical policy in simulation as a LeRobotDataset:
+`make record-demos`.
 
-Episodes are played by rn-eval on the clock of the simulation, so 50 take minutes. Each becomes a run of its own:
-images, joint states, TCP poses, predictions and actions on the topics of a real robot, stamped with simulated time.
+Episodes are played by rn-eval on the clock of the simulation, so 50 take minutes. Each becomes a
+run of its own: images, joint states, TCP poses, predictions and actions on the topics of a real
+    robot, stamped with simulated time.
 """
 
 from __future__ import annotations
@@ -52,15 +54,24 @@ class Tape:
         folder = self._store.recordings / self.run
         folder.mkdir(parents=True, exist_ok=True)
         self._sequences = {}
-        self._file = RunFile(folder / "part-0001.mcap", {**self._about, "run": self.run, "name": episode.instruction})
+        self._file = RunFile(
+            folder / "part-0001.mcap", {**self._about, "run": self.run, "name": episode.instruction}
+        )
 
     def end(self, outcome: str, reason: str) -> None:
         """Finish it."""
         assert self._file is not None
         end = {"what": "episode_end", "at_ns": self._now_ns, "outcome": outcome, "reason": reason}
-        self._add("/roboneuron/events", "std_msgs/msg/String", self._now_ns, to_string(json.dumps(end)))
+        self._add(
+            "/roboneuron/events", "std_msgs/msg/String", self._now_ns, to_string(json.dumps(end))
+        )
         self._file.finish()
-        facts = {"outcome": outcome, "note": self._instruction, "begun_ns": START_NS, "state": "finished"}
+        facts = {
+            "outcome": outcome,
+            "note": self._instruction,
+            "begun_ns": START_NS,
+            "state": "finished",
+        }
         write_json(self._store.recordings / self.run / RUN_FILE, facts)
         self._file = None
 
@@ -69,29 +80,44 @@ class Tape:
         from roboneuron.ros.messages import to_image, to_joint_state, to_pose_stamped
 
         for frame in observation.frames.values():
-            self._message(f"{NAMESPACE}/camera/{frame.camera}/image", to_image(frame), frame.stamp_ns)
+            self._message(
+                f"{NAMESPACE}/camera/{frame.camera}/image", to_image(frame), frame.stamp_ns
+            )
         assert observation.joints is not None
         assert observation.ee_pose is not None
-        self._message(f"{NAMESPACE}/joint_states", to_joint_state(observation.joints), observation.stamp_ns)
+        self._message(
+            f"{NAMESPACE}/joint_states", to_joint_state(observation.joints), observation.stamp_ns
+        )
         pose = replace(observation.ee_pose, stamp_ns=observation.stamp_ns)
         self._message(f"{NAMESPACE}/ee_pose", to_pose_stamped(pose, "base"), observation.stamp_ns)
 
-    def predicted(self, observation: Observation, resets: bool, answer: ActionChunk | Exception) -> None:
+    def predicted(
+        self, observation: Observation, resets: bool, answer: ActionChunk | Exception
+    ) -> None:
         """What the policy was asked and answered."""
         text = prediction_record(observation, "sequential", resets, answer)
-        self._add(f"{NAMESPACE}/predictions", "std_msgs/msg/String", observation.stamp_ns, to_string(text))
+        self._add(
+            f"{NAMESPACE}/predictions", "std_msgs/msg/String", observation.stamp_ns, to_string(text)
+        )
 
     def acted(self, vector: NDArray[np.float64], now_s: float) -> None:
         """An action that was sent."""
         from roboneuron.ros.messages import to_action_message
 
-        self._message(f"{NAMESPACE}/action", to_action_message(vector), START_NS + round(now_s * 1e9))
+        self._message(
+            f"{NAMESPACE}/action", to_action_message(vector), START_NS + round(now_s * 1e9)
+        )
 
     def _message(self, topic: str, message: object, at_ns: int) -> None:
         from rclpy.serialization import serialize_message
 
         package, kind = type(message).__module__.split(".")[:2]
-        self._add(topic, f"{package}/{kind}/{type(message).__name__}", at_ns, bytes(serialize_message(message)))
+        self._add(
+            topic,
+            f"{package}/{kind}/{type(message).__name__}",
+            at_ns,
+            bytes(serialize_message(message)),
+        )
 
     def _add(self, topic: str, type_name: str, at_ns: int, data: bytes) -> None:
         assert self._file is not None
@@ -105,8 +131,17 @@ class TapedScene:
 
     def __init__(self, scene: Scene, tape: Tape) -> None:
         self._scene, self._tape = scene, tape
-        self.tick_s, self.camera_ticks, self.judge_ticks = scene.tick_s, scene.camera_ticks, scene.judge_ticks
-        self.advance, self.judge, self.state, self.watch = scene.advance, scene.judge, scene.state, scene.watch
+        self.tick_s, self.camera_ticks, self.judge_ticks = (
+            scene.tick_s,
+            scene.camera_ticks,
+            scene.judge_ticks,
+        )
+        self.advance, self.judge, self.state, self.watch = (
+            scene.advance,
+            scene.judge,
+            scene.state,
+            scene.watch,
+        )
         self.close = scene.close
 
     def observe(self, stamp_ns: int) -> Observation:
@@ -166,7 +201,9 @@ class TapedRunner(Runner):
     """Plays episodes with tape."""
 
     def __init__(self, plan: EvalPlan, tape: Tape) -> None:
-        super().__init__(plan, lambda preset: TapedPolicy(load_backend(plan, discover(), preset), tape))
+        super().__init__(
+            plan, lambda preset: TapedPolicy(load_backend(plan, discover(), preset), tape)
+        )
         self._suite = TapedSuite(self._suite, tape)
 
 
@@ -175,9 +212,13 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("-n", type=int, default=50, help="episodes (default: 50)")
     parser.add_argument("--seed", type=int, default=0, help="of the first (default: 0)")
-    parser.add_argument("--image-px", type=int, default=224, help="width and height of the images (default: 224)")
+    parser.add_argument(
+        "--image-px", type=int, default=224, help="width and height of the images (default: 224)"
+    )
     parser.add_argument("--codec", choices=("av1", "h264"), default="av1")
-    parser.add_argument("--out", type=Path, default=Path("out/demos"), help="folder (default: out/demos)")
+    parser.add_argument(
+        "--out", type=Path, default=Path("out/demos"), help="folder (default: out/demos)"
+    )
     arguments = parser.parse_args()
     prepare_environment(arguments.out / "log")
     config = load_config()
@@ -192,8 +233,16 @@ def main() -> int:
     )
     store = Store(arguments.out / "runs")
     store.make()
-    sections = {k: v for k, v in plan.config.items() if k in ("robot", "inference", "control", "limits")}
-    about = {"robot": "fr3", "driver": "simulated", "namespace": "fr3", "images": "lossless", "roboneuron": __version__}
+    sections = {
+        k: v for k, v in plan.config.items() if k in ("robot", "inference", "control", "limits")
+    }
+    about = {
+        "robot": "fr3",
+        "driver": "simulated",
+        "namespace": "fr3",
+        "images": "lossless",
+        "roboneuron": __version__,
+    }
     about |= {"contract": json.dumps(CONTRACT), "config": json.dumps(sections)}
     tape = Tape(store, about)
     runner = TapedRunner(plan, tape)
@@ -204,10 +253,19 @@ def main() -> int:
         tape.end(record.outcome.status, record.outcome.reason)
         runs.append(store.get(tape.run))
         good += record.outcome.status == "success"
-        print(f"{tape.run}: {record.outcome.status}, {record.outcome.rows} actions, {record.instruction}", flush=True)
+        print(
+            f"{tape.run}: {record.outcome.status}, {record.outcome.rows} actions, "
+            f"{record.instruction}",
+            flush=True,
+        )
     runner.close()
-    written = export(runs, arguments.out / "lerobot", outcome="success", fps=None, codec=arguments.codec)
-    print(f"{arguments.out / 'lerobot'}: {written.episodes} episodes, {written.frames} frames at {written.fps} Hz")
+    written = export(
+        runs, arguments.out / "lerobot", outcome="success", fps=None, codec=arguments.codec
+    )
+    print(
+        f"{arguments.out / 'lerobot'}: {written.episodes} episodes, {written.frames} frames at "
+        f"{written.fps} Hz"
+    )
     for left in written.skipped:
         print(f"Left out: {left}.")
     return 0 if good == arguments.n else 1

@@ -1,4 +1,6 @@
-"""The whole slice, as `make demo` runs it: MCP client -> server -> four ROS processes -> simulator."""
+"""The whole slice, as `make demo` runs it: MCP client -> server -> four ROS processes ->
+simulator.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,9 @@ from PIL import Image
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(300)]
 
 
-def demo(environment: dict[str, str], output: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+def demo(
+    environment: dict[str, str], output: Path, *arguments: str
+) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [sys.executable, "-m", "roboneuron.cli.main", "demo", "--output", str(output), *arguments],
         env=environment,
@@ -23,8 +27,12 @@ def demo(environment: dict[str, str], output: Path, *arguments: str) -> subproce
     )
 
 
-def test_the_simulator_sees_the_named_cube_lifted_and_held(environment: dict[str, str], tmp_path: Path) -> None:
-    result = demo(environment, tmp_path, "--seed", "3", "--instruction", "please grab the blue block")
+def test_the_simulator_sees_the_named_cube_lifted_and_held(
+    environment: dict[str, str], tmp_path: Path
+) -> None:
+    result = demo(
+        environment, tmp_path, "--seed", "3", "--instruction", "please grab the blue block"
+    )
     assert result.returncode == 0, result.stdout + result.stderr
     assert "blue lifted by" in result.stdout
     for name, frames in (("film-strip.png", 1), ("film.gif", 5)):
@@ -33,7 +41,9 @@ def test_the_simulator_sees_the_named_cube_lifted_and_held(environment: dict[str
     assert (tmp_path / "server.log").exists()
 
 
-def test_an_instruction_that_names_nothing_fails_and_says_so(environment: dict[str, str], tmp_path: Path) -> None:
+def test_an_instruction_that_names_nothing_fails_and_says_so(
+    environment: dict[str, str], tmp_path: Path
+) -> None:
     result = demo(environment, tmp_path, "--seed", "3", "--instruction", "make me a coffee")
     assert result.returncode != 0
     assert "names 0 objects" in result.stdout + result.stderr

@@ -1,4 +1,6 @@
-"""An agent's options cannot make a module send an environment secret to a listener of the agent's choice."""
+"""An agent's options cannot make a module send an environment secret to a listener of the
+agent's choice.
+"""
 
 from __future__ import annotations
 
@@ -67,20 +69,36 @@ def listener() -> Iterator[Listener]:
 
 
 def start(
-    environment: dict[str, str], folder: Path, options: dict[str, Any], *, server: str = "", more: str = ""
+    environment: dict[str, str],
+    folder: Path,
+    options: dict[str, Any],
+    *,
+    server: str = "",
+    more: str = "",
 ) -> types.CallToolResult:
     """The answer of a stdio server to start_inference with the backend pi0-remote."""
     path = folder / "roboneuron.toml"
     path.write_text(CONFIG.format(server=server, state=folder / "state", more=more))
     parameters = StdioServerParameters(
         command=sys.executable,
-        args=["-P", "-m", "roboneuron.cli.main", "serve", "--config", str(path), "--log-level", "warning"],
+        args=[
+            "-P",
+            "-m",
+            "roboneuron.cli.main",
+            "serve",
+            "--config",
+            str(path),
+            "--log-level",
+            "warning",
+        ],
         env={**environment, VARIABLE: SECRET},
     )
 
     async def call() -> types.CallToolResult:
         async with Client(parameters) as client:
-            return await client.call_tool("start_inference", {"backend": "pi0-remote", "options": options})
+            return await client.call_tool(
+                "start_inference", {"backend": "pi0-remote", "options": options}
+            )
 
     return anyio.run(call)
 
@@ -115,17 +133,28 @@ def test_options_that_name_a_host_and_a_secret_are_refused(
 def test_a_server_token_is_not_in_the_environment_of_modules(
     environment: dict[str, str], tmp_path: Path, listener: Listener
 ) -> None:
-    more = f'[plugins.pi0-remote]\nurl = "ws://127.0.0.1:{listener.port}"\napi_key_variable = "{VARIABLE}"\n'
-    answer = start(environment, tmp_path, {"profile": "libero", "connect_timeout_s": 3.0}, more=more)
+    more = (
+        f'[plugins.pi0-remote]\nurl = "ws://127.0.0.1:{listener.port}"\napi_key_variable = '
+        f'"{VARIABLE}"\n'
+    )
+    answer = start(
+        environment, tmp_path, {"profile": "libero", "connect_timeout_s": 3.0}, more=more
+    )
     assert answer.is_error
-    assert f"The environment variable '{VARIABLE}' (api_key_variable) is not set." in text_of(answer)
+    assert f"The environment variable '{VARIABLE}' (api_key_variable) is not set." in text_of(
+        answer
+    )
     assert listener.received == []
 
 
 def test_an_admin_may_set_what_the_configuration_lists(
     environment: dict[str, str], tmp_path: Path, listener: Listener
 ) -> None:
-    options = {"profile": "libero", "url": f"ws://127.0.0.1:{listener.port}", "connect_timeout_s": 3.0}
+    options = {
+        "profile": "libero",
+        "url": f"ws://127.0.0.1:{listener.port}",
+        "connect_timeout_s": 3.0,
+    }
     answer = start(environment, tmp_path, options, server='agent_options = ["pi0-remote.url"]')
     assert answer.is_error  # the listener is no policy server
     assert listener.received

@@ -1,4 +1,6 @@
-"""The simulated FR3 moved by direct tools only: joint targets, a trajectory, end-effector deltas, refusals."""
+"""The simulated FR3 moved by direct tools only: joint targets, a trajectory, end-effector
+deltas, refusals.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +41,15 @@ REACHED_M = 0.004
 def test_joints_trajectory_and_end_effector(tmp_path: Path, environment: dict[str, str]) -> None:
     config = tmp_path / "roboneuron.toml"
     config.write_text(CONFIG.format(state=tmp_path / "state"))
-    command = ["-m", "roboneuron.cli.main", "serve", "--config", str(config), "--log-level", "error"]
+    command = [
+        "-m",
+        "roboneuron.cli.main",
+        "serve",
+        "--config",
+        str(config),
+        "--log-level",
+        "error",
+    ]
 
     async def scenario() -> None:
         server = StdioServerParameters(command=sys.executable, args=command, env=environment)
@@ -56,17 +66,23 @@ def test_joints_trajectory_and_end_effector(tmp_path: Path, environment: dict[st
                 assert answer.is_error, answer.structured_content
                 return answer.content[0].text  # type: ignore[union-attr]
 
-            assert "Call start_robot first" in await fail("move_joints", positions={"fr3_joint1": 0.1})
+            assert "Call start_robot first" in await fail(
+                "move_joints", positions={"fr3_joint1": 0.1}
+            )
             await do("start_robot")
             assert "control is not running" in await fail("move_ee", dx_m=0.05)
             await do("start_control")
 
-            moved = await do("move_joints", positions={"fr3_joint1": 0.2, "fr3_finger_joint1": 0.02})
+            moved = await do(
+                "move_joints", positions={"fr3_joint1": 0.2, "fr3_finger_joint1": 0.02}
+            )
             assert moved["error"] < 0.01
             assert abs(moved["position"]["fr3_joint1"] - 0.2) < 0.01
 
             before = (await do("read_ee_pose"))["messages"][0]["pose"]["position"]
-            delta = await do("move_ee", dx_m=0.04, dy_m=-0.03, dz_m=-0.05, rz_rad=0.2, gripper_open=1.0)
+            delta = await do(
+                "move_ee", dx_m=0.04, dy_m=-0.03, dz_m=-0.05, rz_rad=0.2, gripper_open=1.0
+            )
             assert delta["error_m"] < REACHED_M
             assert delta["error_rad"] < 0.03
             after = (await do("read_ee_pose"))["messages"][0]["pose"]["position"]
@@ -79,7 +95,8 @@ def test_joints_trajectory_and_end_effector(tmp_path: Path, environment: dict[st
             assert "short" in text
             assert "holding" in text
 
-            for arguments in ({"dz_m": -0.5}, {"dy_m": 0.45}):  # into the table; through the zone to its other side
+            # into the table; through the zone to its other side
+            for arguments in ({"dz_m": -0.5}, {"dy_m": 0.45}):
                 asked = await do("move_ee", **arguments, dry_run=True)
                 assert not asked["allowed"], asked
                 assert "short" in asked["reason"]
@@ -87,16 +104,25 @@ def test_joints_trajectory_and_end_effector(tmp_path: Path, environment: dict[st
             assert "would enter 'person'" in asked["reason"]
             state = (await do("read_joint_states"))["messages"][0]
             assert "would enter 'person'" in await fail("move_ee", dy_m=0.45)
-            await do("move_joints", positions=dict(zip(state["name"][:7], state["position"][:7], strict=True)))
+            await do(
+                "move_joints",
+                positions=dict(zip(state["name"][:7], state["position"][:7], strict=True)),
+            )
             free = await do("move_ee", dx_m=0.03, dz_m=0.05, dry_run=True)
             assert free["allowed"], free
             assert free["sent"] == 0
 
             point = {"positions": [0.0], "time_from_start": 1.5}
-            sent = await do("publish_joint_trajectory", message={"joint_names": ["fr3_joint1"], "points": [point]})
+            sent = await do(
+                "publish_joint_trajectory",
+                message={"joint_names": ["fr3_joint1"], "points": [point]},
+            )
             assert sent["subscribers"] == 1
             quick = {"positions": [2.0], "time_from_start": 0.1}
-            text = await fail("publish_joint_trajectory", message={"joint_names": ["fr3_joint1"], "points": [quick]})
+            text = await fail(
+                "publish_joint_trajectory",
+                message={"joint_names": ["fr3_joint1"], "points": [quick]},
+            )
             assert "fr3_joint1 would move at" in text
 
             for tool, arguments in (
@@ -106,11 +132,16 @@ def test_joints_trajectory_and_end_effector(tmp_path: Path, environment: dict[st
             ):  # fmt: skip
                 assert "would enter 'person'" in await fail(tool, **arguments)
                 assert not (await do(tool, **arguments, dry_run=True))["allowed"]
-            assert "fr3_hand and lamp would be" in await fail("move_joints", positions={"fr3_joint1": -0.6})
+            assert "fr3_hand and lamp would be" in await fail(
+                "move_joints", positions={"fr3_joint1": -0.6}
+            )
 
             await do("start_perception")
             await do("start_inference")
-            for tool, arguments in (("move_ee", {"dx_m": 0.02}), ("move_joints", {"positions": {"fr3_joint1": 0.1}})):
+            for tool, arguments in (
+                ("move_ee", {"dx_m": 0.02}),
+                ("move_joints", {"positions": {"fr3_joint1": 0.1}}),
+            ):
                 text = await fail(tool, **arguments)
                 assert "The policy 'servo' moves 'fr3'" in text
             await do("stop_inference")
@@ -118,7 +149,9 @@ def test_joints_trajectory_and_end_effector(tmp_path: Path, environment: dict[st
             stopped: list[str] = []
 
             async def move() -> None:
-                stopped.append(await fail("move_joints", positions={"fr3_joint1": -0.25}, duration_s=8.0))
+                stopped.append(
+                    await fail("move_joints", positions={"fr3_joint1": -0.25}, duration_s=8.0)
+                )
 
             async with anyio.create_task_group() as group:
                 group.start_soon(move)

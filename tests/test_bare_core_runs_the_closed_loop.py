@@ -1,4 +1,6 @@
-"""Core with a robot, a controller and a backend runs the closed loop over stdio; every feature is left out."""
+"""Core with a robot, a controller and a backend runs the closed loop over stdio; every feature
+is left out.
+"""
 
 from __future__ import annotations
 
@@ -19,14 +21,28 @@ from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.specs import PLUGIN_KINDS
 
 ROOT = Path(__file__).parents[1]
-FEATURELESS = ("start_robot", "start_perception", "start_control", "start_inference", "set_instruction", "stop_all")
+FEATURELESS = (
+    "start_robot",
+    "start_perception",
+    "start_control",
+    "start_inference",
+    "set_instruction",
+    "stop_all",
+)
 CLOSED_LOOP = ("start_robot", "start_perception", "start_control")
 
 
 def without_features() -> str:
-    """The embedded default with every plugin disabled that offers a feature or a command and no device or model."""
+    """The embedded default with every plugin disabled that offers a feature or a command and no
+    device or model.
+    """
     by_kind = {kind: {o.plugin for o in discover().offers(kind)} for kind in PLUGIN_KINDS}
-    devices = {name for kind, names in by_kind.items() if kind not in ("feature", "command") for name in names}
+    devices = {
+        name
+        for kind, names in by_kind.items()
+        if kind not in ("feature", "command")
+        for name in names
+    }
     extending = sorted((by_kind["feature"] | by_kind["command"]) - devices)
     listed = ", ".join(f'"{name}"' for name in extending)
     return f"disabled_plugins = [{listed}]\n{default_text()}"
@@ -60,10 +76,18 @@ async def run_loop(python: str, config: Path, environment: dict[str, str]) -> se
 def test_the_closed_loop_runs_without_any_feature(tmp_path: Path) -> None:
     config = tmp_path / "roboneuron.toml"
     config.write_text(without_features())
-    environment = {**os.environ, "ROS_DOMAIN_ID": str(free_ros_domain()), "XDG_STATE_HOME": str(tmp_path)}
+    environment = {
+        **os.environ,
+        "ROS_DOMAIN_ID": str(free_ros_domain()),
+        "XDG_STATE_HOME": str(tmp_path),
+    }
     names = anyio.run(run_loop, sys.executable, config, environment)
     assert set(FEATURELESS) <= names
-    assert not [name for name in names if name.startswith(("switch_", "publish_", "move_")) or name == "get_logs"]
+    assert not [
+        name
+        for name in names
+        if name.startswith(("switch_", "publish_", "move_")) or name == "get_logs"
+    ]
 
 
 @pytest.mark.slow
@@ -76,14 +100,31 @@ def test_an_environment_with_nothing_but_core_and_three_plugins_runs_it_too(tmp_
     python = str(venv / "bin" / "python")
     packages = [
         "roboneuron-core",
-        *(f"plugins/{n}" for n in ("rn-robot-fr3", "rn-simulation", "rn-controller-urdf", "rn-backend-servo")),
+        *(
+            f"plugins/{n}"
+            for n in ("rn-robot-fr3", "rn-simulation", "rn-controller-urdf", "rn-backend-servo")
+        ),
     ]
-    command = [python, "-m", "pip", "install", "--quiet", "--constraint", str(ROOT / "constraints.txt")]
-    subprocess.run([*command, *(str(ROOT / package) for package in packages)], check=True, timeout=600)
+    command = [
+        python,
+        "-m",
+        "pip",
+        "install",
+        "--quiet",
+        "--constraint",
+        str(ROOT / "constraints.txt"),
+    ]
+    subprocess.run(
+        [*command, *(str(ROOT / package) for package in packages)], check=True, timeout=600
+    )
     config = tmp_path / "roboneuron.toml"
     config.write_text(default_text())
     environment = {
-        **{k: v for k, v in os.environ.items() if not k.startswith(("ROS", "_ROS", "AMENT", "LD_", "PYTHON"))},
+        **{
+            k: v
+            for k, v in os.environ.items()
+            if not k.startswith(("ROS", "_ROS", "AMENT", "LD_", "PYTHON"))
+        },
         "ROS_DOMAIN_ID": str(free_ros_domain()),
         "XDG_STATE_HOME": str(tmp_path),
     }

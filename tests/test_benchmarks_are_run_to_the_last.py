@@ -1,4 +1,6 @@
-"""`make bench` goes on whatever becomes of a benchmark, and tells at its end what went wrong and what was missed."""
+"""`make bench` goes on whatever becomes of a benchmark, and tells at its end what went wrong
+and what was missed.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,9 @@ def python(program: str) -> list[str]:
 
 
 def test_a_missed_limit_is_told_again_and_is_no_failure(all_of_them, capfd):
-    ending = all_of_them["run"]("slow.py", python("print('a table'); print('missed: 525 ms, expected 400')"), 30.0)
+    ending = all_of_them["run"](
+        "slow.py", python("print('a table'); print('missed: 525 ms, expected 400')"), 30.0
+    )
     assert (ending.failure, ending.missed) == ("", ["525 ms, expected 400"])
     assert all_of_them["report"]([ending]) == 0
     told = capfd.readouterr().out
@@ -33,7 +37,10 @@ def test_a_missed_limit_is_told_again_and_is_no_failure(all_of_them, capfd):
 
 
 def test_a_failed_one_makes_the_status_and_not_the_end(all_of_them, capfd):
-    endings = [all_of_them["run"](f"exits with {code}", python(f"raise SystemExit({code})"), 30.0) for code in (3, 0)]
+    endings = [
+        all_of_them["run"](f"exits with {code}", python(f"raise SystemExit({code})"), 30.0)
+        for code in (3, 0)
+    ]
     assert [ending.failure for ending in endings] == ["exit status 3", ""]
     assert all_of_them["report"](endings) == 1
     assert "exits with 3" in capfd.readouterr().out
@@ -46,7 +53,9 @@ def test_one_that_takes_too_long_is_ended(all_of_them, capfd):
     assert "FAILED, ended after 0.5 s" in capfd.readouterr().out
 
 
-def test_what_it_has_started_ends_with_it_even_when_it_ignores_the_request(all_of_them, monkeypatch):
+def test_what_it_has_started_ends_with_it_even_when_it_ignores_the_request(
+    all_of_them, monkeypatch
+):
     monkeypatch.setitem(all_of_them["_end"].__globals__, "ENDING_S", 0.5)
     program = (
         "import signal, subprocess, sys, time\n"
@@ -55,7 +64,9 @@ def test_what_it_has_started_ends_with_it_even_when_it_ignores_the_request(all_o
         "print(child.pid, flush=True)\n"
         "time.sleep(600)\n"
     )
-    process = subprocess.Popen(python(program), stdout=subprocess.PIPE, text=True, start_new_session=True)
+    process = subprocess.Popen(
+        python(program), stdout=subprocess.PIPE, text=True, start_new_session=True
+    )
     with process:
         assert process.stdout is not None
         child = int(process.stdout.readline())
@@ -85,4 +96,6 @@ def test_each_benchmark_is_there_and_knows_its_options(all_of_them):
 def test_what_is_no_failure_is_told_in_the_words_that_are_collected(all_of_them):
     """A script with a limit of time prints `missed: ...` at the beginning of a line."""
     for script in ("bench_plugins_list", "bench_ik", "bench_view", "bench_faults"):
-        assert f'print(f"{all_of_them["MISSED"]}' in (FOLDER / f"{script}.py").read_text(encoding="utf-8"), script
+        assert f'print(f"{all_of_them["MISSED"]}' in (FOLDER / f"{script}.py").read_text(
+            encoding="utf-8"
+        ), script

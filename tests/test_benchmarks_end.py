@@ -1,4 +1,6 @@
-"""Every wait in benchmarks/ has a bound: what never comes is an error, not a benchmark that never ends."""
+"""Every wait in benchmarks/ has a bound: what never comes is an error, not a benchmark that
+never ends.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,9 @@ ONE_ARGUMENT = {"wait_for": 2}
 POOLS = {"imap", "imap_unordered", "map", "starmap"}
 """Of a pool of processes: they wait for a worker that has died."""
 WATCHDOGS = ("threading.Timer(", "daemon=True")
-"""A script that reads another process's output line by line has one of these: a pipe alone has no bound."""
+"""A script that reads another process's output line by line has one of these: a pipe alone has
+no bound.
+"""
 BOUNDS = ("deadline", "end_s", "timeout", "duration_s", "fail_after", "cancelled", "_stop")
 
 
@@ -39,7 +43,11 @@ def faults(text: str) -> Iterator[str]:
             yield f"line {node.lineno}: {ast.unparse(node)[:100]}"
         if isinstance(node, ast.While) and node not in bounded and _polls(node) and not _ends(node):
             yield f"line {node.lineno}: while {ast.unparse(node.test)[:100]}"
-        if isinstance(node, ast.For) and ast.unparse(node.iter).endswith(".stdout") and not _is_watched(text):
+        if (
+            isinstance(node, ast.For)
+            and ast.unparse(node.iter).endswith(".stdout")
+            and not _is_watched(text)
+        ):
             yield f"line {node.lineno}: for {ast.unparse(node.iter)[:100]}"
 
 
@@ -54,7 +62,8 @@ def _has_no_bound(call: ast.Call) -> bool:
     name, owner = call.func.attr, ast.unparse(call.func.value)
     if owner == "subprocess":
         return name in PROCESSES
-    if name == "call":  # of a ROS client; those of agents are bounded by `Client(read_timeout_seconds=...)`
+    # of a ROS client; those of agents are bounded by `Client(read_timeout_seconds=...)`
+    if name == "call":
         return not owner.endswith(("portal", "agent"))
     if name in POOLS:
         return "pool" in owner
@@ -74,7 +83,9 @@ def _is_watched(text: str) -> bool:
     return any(word in text for word in WATCHDOGS)
 
 
-@pytest.mark.parametrize("path", [p for p in SCRIPTS if p.name not in PARTS_THAT_HANG], ids=lambda path: path.name)
+@pytest.mark.parametrize(
+    "path", [p for p in SCRIPTS if p.name not in PARTS_THAT_HANG], ids=lambda path: path.name
+)
 def test_no_wait_of_a_benchmark_is_unbounded(path: Path) -> None:
     assert list(faults(path.read_text(encoding="utf-8"))) == []
 
@@ -112,7 +123,8 @@ def test_an_unbounded_wait_is_found(text: str) -> None:
         "pool.apply_async(run, jobs).get(30)",
         "threading.Timer(30, process.kill).start()\nfor line in process.stdout:\n    print(line)",
         "while time.monotonic() < end_s:\n    time.sleep(0.02)",
-        "async def f():\n    with anyio.fail_after(3):\n        while peers():\n            await anyio.sleep(0.02)",
+        "async def f():\n    with anyio.fail_after(3):\n        while peers():\n            await "
+        "anyio.sleep(0.02)",
     ],
 )
 def test_a_bounded_wait_passes(text: str) -> None:

@@ -1,4 +1,6 @@
-"""Rows of the fault matrix: backends, cameras, clocks, joint states and processes that fail while the arm moves."""
+"""Rows of the fault matrix: backends, cameras, clocks, joint states and processes that fail
+while the arm moves.
+"""
 
 from __future__ import annotations
 
@@ -116,8 +118,16 @@ def test_backend_that_answers_after_two_seconds_does_not_move_the_arm(cell: Cell
     wait_until(cell.stands, HOLD_S + 0.4, "the arm stands")
     sent = cell.witness.actions()
     before = cell.dropped("inference", "late_action")
-    wait_until(lambda: cell.dropped("inference", "late_action") > before, 6.0, "the answer is counted as late")
-    wait_until(lambda: "The image behind row 1 of 1 was 2." in cell.error("inference"), 2.0, "the status says so")
+    wait_until(
+        lambda: cell.dropped("inference", "late_action") > before,
+        6.0,
+        "the answer is counted as late",
+    )
+    wait_until(
+        lambda: "The image behind row 1 of 1 was 2." in cell.error("inference"),
+        2.0,
+        "the status says so",
+    )
     assert cell.witness.actions() == sent
     assert cell.stands()
 
@@ -154,7 +164,9 @@ def test_frozen_process_makes_the_arm_stand_and_goes_on_afterwards(cell: Cell, p
         os.kill(process.pid, signal.SIGCONT)
 
 
-@pytest.mark.parametrize("fault", ["stale", "future", "frozen", "missing-joint", "unknown-names", "nan", "stamps-10"])
+@pytest.mark.parametrize(
+    "fault", ["stale", "future", "frozen", "missing-joint", "unknown-names", "nan", "stamps-10"]
+)
 def test_joint_states_that_cannot_be_true_make_the_arm_stand(cell: Cell, fault: str) -> None:
     before = cell.dropped("control", "bad_joint_state")
     cell.fail("gantry", fault)
@@ -165,16 +177,24 @@ def test_joint_states_that_cannot_be_true_make_the_arm_stand(cell: Cell, fault: 
 
 
 def test_joint_states_out_of_order_do_not_bring_an_old_posture_back(cell: Cell) -> None:
-    """Every second one is older by 0.1 s and lies 50 mm away: those are counted, and the arm moves on by the others."""
+    """Every second one is older by 0.1 s and lies 50 mm away: those are counted, and the arm
+    moves on by the others.
+    """
     before, since_s = cell.dropped("control", "bad_joint_state"), time.monotonic()
     cell.fail("gantry", "reordered")
-    wait_until(lambda: cell.dropped("control", "bad_joint_state") > before + 10, 3.0, "the older ones are counted")
+    wait_until(
+        lambda: cell.dropped("control", "bad_joint_state") > before + 10,
+        3.0,
+        "the older ones are counted",
+    )
     wait_until(cell.moves, 0.3, "the arm moves on")
     assert cell.witness.largest_step_m(since_s) < 0.02
 
 
 @pytest.mark.parametrize("jump_s", ["+0.2", "-0.2"])
-def test_robot_whose_stamps_jump_a_little_stops_for_one_timeout_only(cell: Cell, jump_s: str) -> None:
+def test_robot_whose_stamps_jump_a_little_stops_for_one_timeout_only(
+    cell: Cell, jump_s: str
+) -> None:
     since_s = time.monotonic()
     cell.fail("gantry", f"stamps{jump_s}")
     time.sleep(STATE_HOLD_S)  # what is looked for is what comes after
@@ -199,7 +219,9 @@ def test_clock_that_jumps_makes_the_arm_stand_until_it_is_right(
     before = cell.dropped(kind, word)
     cell.fail(part, mode)
     wait_until(cell.stands, HOLD_S + 0.4, "the arm stands")
-    wait_until(lambda: cell.dropped(kind, word) > before, 2.0, "the status counts what was not believed")
+    wait_until(
+        lambda: cell.dropped(kind, word) > before, 2.0, "the status counts what was not believed"
+    )
 
 
 def test_robot_process_that_is_frozen_is_noticed_and_goes_on_without_a_jump(cell: Cell) -> None:
@@ -220,7 +242,9 @@ def test_robot_process_that_is_frozen_is_noticed_and_goes_on_without_a_jump(cell
 def test_plugin_that_eats_memory_is_ended_and_the_arm_stands(cell: Cell) -> None:
     told: list[tuple[str, str]] = []
     watch = MemoryWatch(
-        cell.loop.supervisor, MemoryOptions(inference=MEMORY_LIMIT_MB), lambda kind, why: told.append((kind, why))
+        cell.loop.supervisor,
+        MemoryOptions(inference=MEMORY_LIMIT_MB),
+        lambda kind, why: told.append((kind, why)),
     )
     watch.start()
     cell.fail("memory", "eat")
@@ -240,7 +264,9 @@ def test_plugin_that_eats_memory_is_ended_and_the_arm_stands(cell: Cell) -> None
 
 
 def test_module_whose_port_has_lost_its_file_hears_its_new_neighbour(cell: Cell) -> None:
-    """What a process leaves behind that is killed in the middle of a message (see `rn_standard.fastdds.lost_ports`)."""
+    """What a process leaves behind that is killed in the middle of a message (see
+    `rn_standard.fastdds.lost_ports`).
+    """
     cell.loop.stop("perception")
     process = cell.loop.supervisor.slot("inference").process
     assert process is not None
@@ -250,7 +276,11 @@ def test_module_whose_port_has_lost_its_file_hears_its_new_neighbour(cell: Cell)
     cell.loop.start("perception")
     cell.loop.set_instruction("move on", 10.0)  # a module that was stopped ended what was asked for
     wait_until(cell.moves, 10.0, "inference hears the new perception, and the arm moves")
-    wait_until(lambda: all((SHARED_MEMORY / name).exists() for name in ports), 3.0, "its other port is found as well")
+    wait_until(
+        lambda: all((SHARED_MEMORY / name).exists() for name in ports),
+        3.0,
+        "its other port is found as well",
+    )
 
 
 def test_backend_that_never_answers_is_ended_by_a_stop(built: Cell) -> None:

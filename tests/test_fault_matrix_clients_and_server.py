@@ -1,4 +1,6 @@
-"""Rows of the fault matrix: clients that race, flood, fall silent and vanish, a frozen server, a full disk."""
+"""Rows of the fault matrix: clients that race, flood, fall silent and vanish, a frozen server,
+a full disk.
+"""
 
 from __future__ import annotations
 
@@ -110,10 +112,16 @@ async def flood(port: int, token: str, tool: str, at_once: int) -> Counter[str]:
         "io.modelcontextprotocol/clientInfo": {"name": "flood", "version": "1"},
         "io.modelcontextprotocol/clientCapabilities": {},
     }
-    call = {"jsonrpc": "2.0", "id": 1, "method": "tools/call", "params": {"name": tool, "arguments": {}, "_meta": meta}}
+    call = {
+        "jsonrpc": "2.0",
+        "id": 1,
+        "method": "tools/call",
+        "params": {"name": tool, "arguments": {}, "_meta": meta},
+    }
     body = json.dumps(call).encode()
     head = (
-        f"POST /mcp HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nAuthorization: Bearer {token}\r\nConnection: close\r\n"
+        f"POST /mcp HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nAuthorization: Bearer "
+        f"{token}\r\nConnection: close\r\n"
         "Content-Type: application/json\r\nAccept: application/json, text/event-stream\r\n"
         f"Mcp-Protocol-Version: 2026-07-28\r\nMcp-Method: tools/call\r\nMcp-Name: {tool}\r\n"
         f"Content-Length: {len(body)}\r\n\r\n"
@@ -134,7 +142,9 @@ async def flood(port: int, token: str, tool: str, at_once: int) -> Counter[str]:
             return
         text = received[received.index(b'{"jsonrpc"') :].decode()
         answer = json.JSONDecoder().raw_decode(text)[0]["result"]
-        results[answer["_meta"]["roboneuron/error"]["code"] if answer.get("isError") else "served"] += 1
+        results[
+            answer["_meta"]["roboneuron/error"]["code"] if answer.get("isError") else "served"
+        ] += 1
 
     async with anyio.create_task_group() as group:
         for _ in range(1000):
@@ -145,7 +155,9 @@ async def flood(port: int, token: str, tool: str, at_once: int) -> Counter[str]:
 class Cell:
     """A server in a process of its own, two clients, and the gantry's true joints."""
 
-    def __init__(self, process: subprocess.Popen[bytes], folder: Path, url: str, witness: JointWitness) -> None:
+    def __init__(
+        self, process: subprocess.Popen[bytes], folder: Path, url: str, witness: JointWitness
+    ) -> None:
         self.process, self.folder, self.url, self.witness = process, folder, url, witness
         self.ann: Any = None
         self.bob: Any = None
@@ -160,7 +172,9 @@ class Cell:
         with start_blocking_portal() as portal, contextlib.ExitStack() as stack:
             for name in ("ann", "bob"):
                 http = httpx2.AsyncClient(
-                    headers={"Authorization": f"Bearer the-token-of-test-{name}"}, timeout=60, limits=httpx2.Limits()
+                    headers={"Authorization": f"Bearer the-token-of-test-{name}"},
+                    timeout=60,
+                    limits=httpx2.Limits(),
                 )
                 stack.enter_context(portal.wrap_async_context_manager(http))
                 client = Client(streamable_http_client(self.url, http_client=http))
@@ -196,8 +210,19 @@ def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
         port = probe.getsockname()[1]
     path = folder / "roboneuron.toml"
     control = f"server_timeout_s = {SERVER_TIMEOUT_S}"
-    path.write_text(config_text(folder, 10.0, control=control) + SERVER.format(port=port, lease_s=LEASE_S))
-    command = [sys.executable, "-m", "roboneuron.cli.main", "serve", "--config", str(path), "--log-level", "warning"]
+    path.write_text(
+        config_text(folder, 10.0, control=control) + SERVER.format(port=port, lease_s=LEASE_S)
+    )
+    command = [
+        sys.executable,
+        "-m",
+        "roboneuron.cli.main",
+        "serve",
+        "--config",
+        str(path),
+        "--log-level",
+        "warning",
+    ]
     with environment(folder), (folder / "server.log").open("wb") as log:
         prepare_environment(folder / "log")
         from roboneuron.ros.link import RosLink
@@ -205,7 +230,9 @@ def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
         tokens = {f"TEST_{name.upper()}": f"the-token-of-test-{name}" for name in ("ann", "bob")}
         link = RosLink("witness")
         link.open()
-        process = subprocess.Popen(command, env=os.environ | tokens, stdin=subprocess.DEVNULL, stderr=log)
+        process = subprocess.Popen(
+            command, env=os.environ | tokens, stdin=subprocess.DEVNULL, stderr=log
+        )
         try:
 
             def is_open() -> bool:
@@ -214,7 +241,12 @@ def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
 
             wait_until(lambda: process.poll() is not None or is_open(), 60.0, "the server listens")
             assert process.poll() is None, (folder / "server.log").read_text()
-            made = Cell(process, folder, f"http://127.0.0.1:{port}/mcp", JointWitness(link.node, link.on_executor))
+            made = Cell(
+                process,
+                folder,
+                f"http://127.0.0.1:{port}/mcp",
+                JointWitness(link.node, link.on_executor),
+            )
             with made.connected():
                 yield made
         finally:
@@ -226,7 +258,11 @@ def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
 def test_of_two_clients_that_race_one_operates_the_robot(cell: Cell) -> None:
     with ThreadPoolExecutor(2) as pool:
         answers = dict(
-            zip(("ann", "bob"), pool.map(lambda c: c.answer("start_robot"), (cell.ann, cell.bob)), strict=True)
+            zip(
+                ("ann", "bob"),
+                pool.map(lambda c: c.answer("start_robot"), (cell.ann, cell.bob)),
+                strict=True,
+            )
         )
     refused = [name for name, answer in answers.items() if answer.is_error]
     assert len(refused) == 1
@@ -250,26 +286,33 @@ def test_a_thousand_calls_at_once_are_answered_or_refused_and_the_arm_goes_on(ce
 
     before, started_s = threads(), time.monotonic()
     port = int(cell.url.split(":")[2].split("/")[0])
-    words = {"served", "not_ready", "HTTP 503"}  # a client has a share of the calls, and of the connections
+    # a client has a share of the calls, and of the connections
+    words = {"served", "not_ready", "HTTP 503"}
     for at_once in (200, 1000):
         begun_s = time.monotonic()
         if at_once == 1000:
             cell.alive.clear()  # a door that is full is closed to everybody
         answers = anyio.run(flood, port, "the-token-of-test-bob", "heartbeat", at_once)
-        print(f"1000 calls, {at_once} at once, took {time.monotonic() - begun_s:.1f} s: {dict(answers)}")
+        print(
+            f"1000 calls, {at_once} at once, took {time.monotonic() - begun_s:.1f} s: "
+            f"{dict(answers)}"
+        )
         assert answers.total() == 1000
         assert set(answers) <= words, "each one is told"
         assert at_once == 1000 or answers["served"] > 50
     cell.ann.do("heartbeat")
     cell.alive.set()
     pauses = [b - a for (a, _), (b, _) in itertools.pairwise(cell.witness.changes(started_s))]
-    print(f"longest pause of the arm: {max(pauses):.2f} s")  # it may hold when the machine has no time left for it
+    # it may hold when the machine has no time left for it
+    print(f"longest pause of the arm: {max(pauses):.2f} s")
     wait_until(cell.witness.moves, 5.0, "the arm moves on")
     assert cell.ann.module("control")["health"] == "ok"
     wait_until(lambda: threads() <= before + 10, 10.0, "threads of the flood have ended")
 
 
-def test_a_server_that_is_frozen_makes_the_arm_stand_until_somebody_asks_for_motion(cell: Cell) -> None:
+def test_a_server_that_is_frozen_makes_the_arm_stand_until_somebody_asks_for_motion(
+    cell: Cell,
+) -> None:
     cell.start_loop()
     cell.alive.clear()
     time.sleep(0.2)
@@ -284,12 +327,20 @@ def test_a_server_that_is_frozen_makes_the_arm_stand_until_somebody_asks_for_mot
     assert cell.witness.stands(), "a server that lives again starts nothing"
     wait_until(lambda: "sign of life" in str(cell.ann.do("get_status")), 3.0, "the status says why")
     # A module may tell of the silence only now: "There was a stop meanwhile. Ask again."
-    wait_until(lambda: not cell.ann.answer("set_instruction", instruction="swing").is_error, 5.0, "it is asked for")
+    wait_until(
+        lambda: not cell.ann.answer("set_instruction", instruction="swing").is_error,
+        5.0,
+        "it is asked for",
+    )
     wait_until(cell.witness.moves, 3.0, "the arm moves again")
 
 
-@pytest.mark.parametrize("target", ["/dev/full", "/proc/sys/kernel/osrelease"], ids=["full", "read-only"])
-def test_without_an_audit_nothing_is_sent_directly_and_the_stop_still_works(cell: Cell, target: str) -> None:
+@pytest.mark.parametrize(
+    "target", ["/dev/full", "/proc/sys/kernel/osrelease"], ids=["full", "read-only"]
+)
+def test_without_an_audit_nothing_is_sent_directly_and_the_stop_still_works(
+    cell: Cell, target: str
+) -> None:
     cell.start_loop()
     audit = cell.folder / "state" / "audit.jsonl"
     kept = audit.with_suffix(".kept")
@@ -318,7 +369,11 @@ def test_without_an_audit_nothing_is_sent_directly_and_the_stop_still_works(cell
         assert cell.witness.changes(since_s) == []
         audit.unlink()
         cell.ann.do("publish_arm", **step)
-        wait_until(lambda: len(cell.witness.changes(since_s)) > 0, 2.0, "it moves once the audit can be written")
+        wait_until(
+            lambda: len(cell.witness.changes(since_s)) > 0,
+            2.0,
+            "it moves once the audit can be written",
+        )
     finally:
         audit.unlink(missing_ok=True)
         if kept.exists():
@@ -332,7 +387,10 @@ def move_from(x_m: float, steps: int) -> list[dict[str, Any]]:
             "message": {
                 "joint_names": ["slide_x"],
                 "points": [
-                    {"positions": [x_m + 0.003 * (i + 1)], "time_from_start": {"sec": 0, "nanosec": 100_000_000}}
+                    {
+                        "positions": [x_m + 0.003 * (i + 1)],
+                        "time_from_start": {"sec": 0, "nanosec": 100_000_000},
+                    }
                 ],
             },
         }
@@ -346,9 +404,13 @@ def test_a_client_that_is_gone_in_a_sequence_leaves_an_arm_that_stands(cell: Cel
     wait_until(cell.witness.stands, 3.0, "the arm stands")
     started_s = time.monotonic()
     arguments = json.dumps({"steps": move_from(cell.witness.joints()[-1][1], 100)})
-    client = subprocess.Popen([sys.executable, "-c", VANISHING, cell.url, "the-token-of-test-ann", arguments])
+    client = subprocess.Popen(
+        [sys.executable, "-c", VANISHING, cell.url, "the-token-of-test-ann", arguments]
+    )
     try:
-        wait_until(lambda: len(cell.witness.changes(started_s)) > 5, 20.0, "the sequence moves the arm")
+        wait_until(
+            lambda: len(cell.witness.changes(started_s)) > 5, 20.0, "the sequence moves the arm"
+        )
         assert client.poll() is None
     finally:
         client.kill()
@@ -359,21 +421,33 @@ def test_a_client_that_is_gone_in_a_sequence_leaves_an_arm_that_stands(cell: Cel
     assert last is not None
     print(f"the last motion was {(last - gone_s) * 1e3:.0f} ms after the client's end")
     assert last - gone_s < 1.0
-    assert {m["health"] for m in cell.ann.do("get_status")["modules"]} <= {"ok", "stopped", "waiting", "failing"}
+    assert {m["health"] for m in cell.ann.do("get_status")["modules"]} <= {
+        "ok",
+        "stopped",
+        "waiting",
+        "failing",
+    }
 
 
 def test_an_operator_who_falls_silent_loses_the_robot_and_the_arm_stands(cell: Cell) -> None:
     cell.start_loop()
     cell.alive.clear()
     silent_s = time.monotonic()
-    wait_until(lambda: cell.bob.module("inference")["phase"] == "stopped", LEASE_S + 5.0, "the policy is stopped")
+    wait_until(
+        lambda: cell.bob.module("inference")["phase"] == "stopped",
+        LEASE_S + 5.0,
+        "the policy is stopped",
+    )
     wait_until(cell.witness.stands, 2.0, "the arm stands")
     last = cell.witness.moved_s()
     assert last is not None
     assert last - silent_s < LEASE_S + 2.0
     incidents = cell.bob.do("list_incidents")["incidents"]
     assert any(i["what"] == "lease" and "'ann' has lapsed" in i["explanation"] for i in incidents)
-    audit = [json.loads(line) for line in (cell.folder / "state" / "audit.jsonl").read_text().splitlines()]
+    audit = [
+        json.loads(line)
+        for line in (cell.folder / "state" / "audit.jsonl").read_text().splitlines()
+    ]
     assert any(a["verdict"] == "lapsed" and a["who"] == "ann" for a in audit)
     cell.operator = cell.bob
     cell.alive.set()

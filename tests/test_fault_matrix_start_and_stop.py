@@ -1,4 +1,6 @@
-"""A row of the fault matrix: modules are started and stopped in every order, without waiting for one another."""
+"""A row of the fault matrix: modules are started and stopped in every order, without waiting
+for one another.
+"""
 
 from __future__ import annotations
 
@@ -26,11 +28,15 @@ Order = tuple[str, ...]
 
 
 def covering_orders(size: int) -> list[Order]:
-    """Few orders of all kinds among which any `size` of them stand in each order; chosen one by one, the best first."""
+    """Few orders of all kinds among which any `size` of them stand in each order; chosen one by
+    one, the best first.
+    """
     missing = set(itertools.permutations(KINDS, size))
     chosen: list[Order] = []
     while missing:
-        best = max(itertools.permutations(KINDS), key=lambda order: len(missing & parts(order, size)))
+        best = max(
+            itertools.permutations(KINDS), key=lambda order: len(missing & parts(order, size))
+        )
         chosen.append(best)
         missing -= parts(best, size)
     return chosen
@@ -54,7 +60,9 @@ def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[ClosedLoop,
         yield made
 
 
-def check(loop: ClosedLoop, witness: JointWitness, starts: Sequence[str], stops: Sequence[str]) -> None:
+def check(
+    loop: ClosedLoop, witness: JointWitness, starts: Sequence[str], stops: Sequence[str]
+) -> None:
     """Start in one order, none waiting for another; stop in another one."""
     work: dict[str, Callable[[], object]] = {
         "robot": lambda: loop.start("robot"),
@@ -66,7 +74,11 @@ def check(loop: ClosedLoop, witness: JointWitness, starts: Sequence[str], stops:
         begun = []
         for kind in starts:
             begun.append(pool.submit(work[kind]))
-            wait_until(lambda kind=kind: loop.supervisor.view(kind).process is not None, 10.0, f"{kind} is spawned")
+            wait_until(
+                lambda kind=kind: loop.supervisor.view(kind).process is not None,
+                10.0,
+                f"{kind} is spawned",
+            )
         for start in begun:
             start.result(60.0)
     wait_until(witness.moves, 10.0, "the arm moves")

@@ -1,4 +1,6 @@
-"""Imports point one way, errors <- contract <- ... <- cli; core names no plugin; plugins import what is public."""
+"""Imports point one way, errors <- contract <- ... <- cli; core names no plugin; plugins import
+what is public.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,9 @@ ALLOWED: dict[str, set[str]] = {
     "supervisor": CONTRACT | {"plugins", "planning", "config", "gate", "ros", "modules"},
     "server": CONTRACT | {"plugins", "planning", "config", "gate", "ros", "modules", "supervisor"},
 }
-"""Rooms of the core by the rooms they may import (and `log_files`, all of them); `cli` may import all."""
+"""Rooms of the core by the rooms they may import (and `log_files`, all of them); `cli` may
+import all.
+"""
 ROS_ROOMS = {"ros", "modules"}
 """Where rclpy may be imported."""
 SENDING = (
@@ -61,10 +65,12 @@ NEEDS = {
 """Packages of rn_standard by those beside them that they may import."""
 PUBLISHED = {
     "console": "chosen_plugins client diagnostics plugin_options status",
-    "direct_path": "allow_list arbiter delivery derived exposed feature fields joints limits motion_gate request "
+    "direct_path": "allow_list arbiter delivery derived exposed feature fields joints limits "
+    "motion_gate request "
     "speeds twists",
     "execution": "adaptive mode",
-    "http": "addresses bounded_server connections feature listener operator_lease options origins plugin tokens",
+    "http": "addresses bounded_server connections feature listener operator_lease options origins "
+    "plugin tokens",
     "selection": "choosing options requests restricted",
     "tasks": "contract_cases hooks monitor",
     "tools_arm": "tightening",
@@ -95,7 +101,12 @@ def _breaches(path: Path) -> Iterator[str]:
     allowed = ALLOWED.get(room, set(ALLOWED) | {"cli"}) | {room, "log_files"}
     for name, line in _imports(path):
         parts = name.split(".")
-        if parts[0] == "roboneuron" and len(parts) > 1 and parts[1] != "__version__" and parts[1] not in allowed:
+        if (
+            parts[0] == "roboneuron"
+            and len(parts) > 1
+            and parts[1] != "__version__"
+            and parts[1] not in allowed
+        ):
             yield f"{path.relative_to(CORE)}:{line} imports {name}"
         if parts[0] == "rclpy" and room not in ROS_ROOMS:
             yield f"{path.relative_to(CORE)}:{line} imports rclpy outside ros and modules"
@@ -121,7 +132,9 @@ def test_a_breach_of_the_import_rules_is_seen(tmp_path, monkeypatch):
     assert len(list(_breaches(bad))) == 3
 
 
-@pytest.mark.parametrize(("room", "libraries"), [("contract", CONTRACT_LIBRARIES), ("plugins", PLUGIN_LIBRARIES)])
+@pytest.mark.parametrize(
+    ("room", "libraries"), [("contract", CONTRACT_LIBRARIES), ("plugins", PLUGIN_LIBRARIES)]
+)
 def test_light_rooms_use_few_libraries(room, libraries):
     used = {
         name.split(".")[0]
@@ -133,8 +146,12 @@ def test_light_rooms_use_few_libraries(room, libraries):
 
 
 def test_the_core_names_no_installed_plugin_in_code():
-    """A distribution's name in a message to people is help; in anything else it would be a dependency."""
-    packages = {p.name.replace("-", "_") for p in PLUGINS.iterdir() if (p / "pyproject.toml").exists()}
+    """A distribution's name in a message to people is help; in anything else it would be a
+    dependency.
+    """
+    packages = {
+        p.name.replace("-", "_") for p in PLUGINS.iterdir() if (p / "pyproject.toml").exists()
+    }
     assert "rn_standard" in packages
     for path in _core_files():
         text = path.read_text(encoding="utf-8")
@@ -142,13 +159,20 @@ def test_the_core_names_no_installed_plugin_in_code():
 
 
 def _plugins() -> Iterator[tuple[str, tuple[Path, ...]]]:
-    """Each plugin or library by name, with its packages: all of a distribution, in rn-standard each by itself."""
+    """Each plugin or library by name, with its packages: all of a distribution, in rn-standard
+    each by itself.
+    """
     for sources in sorted(PLUGINS.glob("*/src")):
         if sources != STANDARD.parent:
-            yield sources.parent.name, tuple(sorted(path.parent for path in sources.glob("*/__init__.py")))
+            yield (
+                sources.parent.name,
+                tuple(sorted(path.parent for path in sources.glob("*/__init__.py"))),
+            )
     for package in sorted(path.parent for path in STANDARD.glob("*/__init__.py")):
         if package.name not in COMMANDS_APART:
-            apart = [STANDARD / name for name, owner in COMMANDS_APART.items() if owner == package.name]
+            apart = [
+                STANDARD / name for name, owner in COMMANDS_APART.items() if owner == package.name
+            ]
             yield f"rn-standard/{package.name}", (package, *apart)
 
 
@@ -162,7 +186,9 @@ SENDING_PACKAGE = STANDARD / "direct_path"
 
 
 def _private_imports(packages: Iterable[Path]) -> Iterator[str]:
-    """What a plugin imports of the core beside `roboneuron` and, for features and commands, `roboneuron.feature`."""
+    """What a plugin imports of the core beside `roboneuron` and, for features and commands,
+    `roboneuron.feature`.
+    """
     packages = tuple(packages)
     offers = _offers(packages)
     command = "CommandSpec" in offers
@@ -206,19 +232,30 @@ def _breaches_among_features(path: Path) -> Iterator[str]:
         if top != "rn_standard" or package == own:
             continue
         if own and package not in NEEDS.get(own, ()):
-            yield f"{path.relative_to(PLUGINS)}:{line} imports {name}: {own} does not need {package}"
+            yield (
+                f"{path.relative_to(PLUGINS)}:{line} imports {name}: {own} does not need {package}"
+            )
         elif module not in PUBLISHED.get(package, "").split():
-            yield f"{path.relative_to(PLUGINS)}:{line} imports {name}, which {package} does not publish"
+            yield (
+                f"{path.relative_to(PLUGINS)}:{line} imports {name}, which {package} does not "
+                "publish"
+            )
 
 
 def test_features_import_of_each_other_only_what_is_published():
-    breaches = [breach for path in sorted(PLUGINS.glob("*/src/**/*.py")) for breach in _breaches_among_features(path)]
+    breaches = [
+        breach
+        for path in sorted(PLUGINS.glob("*/src/**/*.py"))
+        for breach in _breaches_among_features(path)
+    ]
     assert breaches == []
 
 
 def test_a_feature_that_reaches_into_another_is_seen(tmp_path, monkeypatch):
     monkeypatch.setattr(sys.modules[__name__], "PLUGINS", tmp_path)
-    monkeypatch.setattr(sys.modules[__name__], "STANDARD", tmp_path / "rn-standard" / "src" / "rn_standard")
+    monkeypatch.setattr(
+        sys.modules[__name__], "STANDARD", tmp_path / "rn-standard" / "src" / "rn_standard"
+    )
     bad = tmp_path / "rn-standard" / "src" / "rn_standard" / "tasks" / "bad.py"
     bad.parent.mkdir(parents=True)
     bad.write_text(
@@ -228,38 +265,63 @@ def test_a_feature_that_reaches_into_another_is_seen(tmp_path, monkeypatch):
     )
     elsewhere = tmp_path / "rn-eval" / "src" / "rn_eval" / "bad.py"
     elsewhere.parent.mkdir(parents=True)
-    elsewhere.write_text("from rn_standard.execution.mode import x\nfrom rn_standard.execution.queue import x\n")
+    elsewhere.write_text(
+        "from rn_standard.execution.mode import x\nfrom rn_standard.execution.queue import x\n"
+    )
     assert len(list(_breaches_among_features(bad))) == 3
     assert len(list(_breaches_among_features(elsewhere))) == 1
 
 
 def test_the_tables_name_packages_and_modules_that_are_there():
-    named = {*NEEDS, *PUBLISHED, *COMMANDS_APART, *(name for needed in NEEDS.values() for name in needed)}
+    named = {
+        *NEEDS,
+        *PUBLISHED,
+        *COMMANDS_APART,
+        *(name for needed in NEEDS.values() for name in needed),
+    }
     assert {name for name in named if not (STANDARD / name / "__init__.py").exists()} == set()
-    modules = [STANDARD / package / name for package, names in PUBLISHED.items() for name in names.split()]
-    assert [m for m in modules if not (m.with_suffix(".py").exists() or (m / "__init__.py").exists())] == []
+    modules = [
+        STANDARD / package / name for package, names in PUBLISHED.items() for name in names.split()
+    ]
+    assert [
+        m for m in modules if not (m.with_suffix(".py").exists() or (m / "__init__.py").exists())
+    ] == []
 
 
 def _reaches_ros(path: Path) -> Iterator[str]:
-    """What only the core and the direct path do in the server's process: publishing, making nodes and clients."""
+    """What only the core and the direct path do in the server's process: publishing, making
+    nodes and clients.
+    """
     for name, line in _imports(path):
         if name.split(".")[0] == "rclpy" or name.startswith(SENDING):
             yield f"{path.name}:{line} imports {name}"
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.Attribute) and node.attr in {"create_publisher", "create_client", "advertise", "link"}:
+        if isinstance(node, ast.Attribute) and node.attr in {
+            "create_publisher",
+            "create_client",
+            "advertise",
+            "link",
+        }:
             yield f"{path.name}:{node.lineno} uses .{node.attr}"
 
 
 def test_features_send_only_through_the_gate():
-    """No publisher, client or node beside `host.gate`; a command is a process of its own and may join the graph."""
+    """No publisher, client or node beside `host.gate`; a command is a process of its own and
+    may join the graph.
+    """
     breaches = []
     looked_at = set()
     for plugin in sorted(PLUGINS.glob("*/src/**/plugin.py")):
         text = plugin.read_text(encoding="utf-8")
         if "FeatureSpec" in text and plugin.parent != SENDING_PACKAGE:
-            # A robot's package has drivers too, which run in a module and are lent topics: there only what runs here.
+            # A robot's package has drivers too, which run in a module and are lent topics: there
+            # only what runs here.
             names = sorted(set(re.findall(r'target="[\w.]+\.(\w+):\w+Feature"', text)))
-            paths = [plugin.parent / f"{n}.py" for n in names] if "RobotSpec" in text else plugin.parent.rglob("*.py")
+            paths = (
+                [plugin.parent / f"{n}.py" for n in names]
+                if "RobotSpec" in text
+                else plugin.parent.rglob("*.py")
+            )
             breaches += [breach for path in sorted(paths) for breach in _reaches_ros(path)]
             looked_at.add(plugin.parent.name)
     assert breaches == []
@@ -268,28 +330,38 @@ def test_features_send_only_through_the_gate():
 
 def test_one_plugin_sends_for_agents_and_one_of_its_modules_publishes():
     sources = sorted(SENDING_PACKAGE.rglob("*.py"))
-    publishing = {path.name for path in sources if "create_publisher" in path.read_text(encoding="utf-8")}
+    publishing = {
+        path.name for path in sources if "create_publisher" in path.read_text(encoding="utf-8")
+    }
     assert publishing == {"writer.py"}
     assert [breach for path in sources for breach in _reaches_ros(path)]
-    points = tomllib.loads((PLUGINS / SENDER[0] / "pyproject.toml").read_text())["project"]["entry-points"]
+    points = tomllib.loads((PLUGINS / SENDER[0] / "pyproject.toml").read_text())["project"][
+        "entry-points"
+    ]
     assert points["roboneuron"][SENDER[1]] == "rn_standard.direct_path.plugin"
 
 
 def test_a_feature_that_publishes_beside_the_gate_is_seen(tmp_path):
     bad = tmp_path / "bad.py"
     bad.write_text(
-        "import rclpy\nfrom roboneuron.ros.link import RosLink\nhost.supervisor.link.advertise(Bool, 't', 1)\n"
-        "from rn_standard.direct_path.writer import TopicWriter\nfrom rn_standard.direct_path import traffic\n"
+        "import rclpy\nfrom roboneuron.ros.link import "
+        "RosLink\nhost.supervisor.link.advertise(Bool, 't', 1)\n"
+        "from rn_standard.direct_path.writer import TopicWriter\nfrom rn_standard.direct_path "
+        "import traffic\n"
     )
     assert len(list(_reaches_ros(bad))) == 6
 
 
 def test_plugins_import_the_contract_kit_only_where_their_descriptors_name_a_case():
     breaches = []
-    for plugin in sorted(set(PLUGINS.glob("*/src/**/plugin.py")) - set(PLUGINS.glob("rn-testing/src/*/plugin.py"))):
+    for plugin in sorted(
+        set(PLUGINS.glob("*/src/**/plugin.py")) - set(PLUGINS.glob("rn-testing/src/*/plugin.py"))
+    ):
         sources = sorted(plugin.parent.rglob("*.py"))
         root = next(path for path in plugin.parents if path.name == "src")
-        importing = {p for p in sources if any(name.split(".")[0] == "rn_testing" for name, _ in _imports(p))}
+        importing = {
+            p for p in sources if any(name.split(".")[0] == "rn_testing" for name, _ in _imports(p))
+        }
         named = plugin.read_text(encoding="utf-8")
         breaches += [
             f"{path.relative_to(PLUGINS)} imports rn_testing and is no `case`"
@@ -311,11 +383,17 @@ def _at_import_time(path: Path) -> Iterator[str]:
 
 def test_the_import_graph_of_the_core_has_no_cycle():
     modules = {
-        ".".join(["roboneuron", *path.relative_to(CORE).with_suffix("").parts]).removesuffix(".__init__"): path
+        ".".join(["roboneuron", *path.relative_to(CORE).with_suffix("").parts]).removesuffix(
+            ".__init__"
+        ): path
         for path in CORE.rglob("*.py")
     }
     graph = {
-        name: {m for m in _at_import_time(path) if m in modules and m != name and modules[m].name != "__init__.py"}
+        name: {
+            m
+            for m in _at_import_time(path)
+            if m in modules and m != name and modules[m].name != "__init__.py"
+        }
         for name, path in modules.items()
         if path.name != "__init__.py"
     }
@@ -325,8 +403,15 @@ def test_the_import_graph_of_the_core_has_no_cycle():
         pytest.fail(f"modules import each other: {' -> '.join(error.args[1])}")
 
 
-@pytest.mark.parametrize("module", ["roboneuron.plugins.discovery", "roboneuron.planning", "roboneuron.cli.main"])
+@pytest.mark.parametrize(
+    "module", ["roboneuron.plugins.discovery", "roboneuron.planning", "roboneuron.cli.main"]
+)
 def test_light_modules_import_nothing_heavy(module):
-    script = f"import sys, {module}; print([m for m in ('numpy','torch','rclpy','mcp','pydantic') if m in sys.modules])"
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    script = (
+        f"import sys, {module}; print([m for m in ('numpy','torch','rclpy','mcp','pydantic') "
+        "if m in sys.modules])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True
+    )
     assert done.stdout.strip() == "[]"

@@ -1,4 +1,6 @@
-"""Packages are on no index: hints and pages name what can be installed as written; the table of packages is true."""
+"""Packages are on no index: hints and pages name what can be installed as written; the table of
+packages is true.
+"""
 
 from __future__ import annotations
 
@@ -19,14 +21,18 @@ from roboneuron.plugins.specs import FeatureSpec
 ROOT = Path(__file__).parents[1]
 closure = runpy.run_path(str(ROOT / "tools" / "requirements.py"))["closure"]
 PROJECTS = sorted(ROOT.glob("plugins/*/pyproject.toml"))
-COMMON = {"roboneuron", *closure(tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["dependencies"])}
+COMMON = {
+    "roboneuron",
+    *closure(tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["dependencies"]),
+}
 """What requirements.txt installs."""
 
 
 def needs(path: Path) -> set[str]:
     """The project's own plugins that one depends on."""
     names = re.findall(
-        r'"(rn-[a-z0-9-]+)', str(tomllib.loads(path.read_text())["project"]["dependencies"]).replace("'", '"')
+        r'"(rn-[a-z0-9-]+)',
+        str(tomllib.loads(path.read_text())["project"]["dependencies"]).replace("'", '"'),
     )
     return {name for name in names if name != path.parent.name}
 
@@ -41,7 +47,9 @@ def test_every_offer_of_the_project_is_in_the_table() -> None:
     for offer in registry.all_offers:
         if offer.distribution in own:
             package = package_of(offer.spec.kind, offer.spec.name)
-            assert package is not None, f"{offer.spec.kind} {offer.spec.name} is not in data/packages.toml"
+            assert package is not None, (
+                f"{offer.spec.kind} {offer.spec.name} is not in data/packages.toml"
+            )
             assert package.partition("[")[0] == offer.distribution
 
 
@@ -50,15 +58,24 @@ def test_the_table_names_nothing_else() -> None:
     offered = {(o.spec.kind, o.spec.name) for o in discover().all_offers}
     kinds = {kind: names for kind, names in table.items() if kind not in ("needs", "switch")}
     assert {(kind, name) for kind, names in kinds.items() for name in names} <= offered
-    extras = {p.parent.name: tomllib.loads(p.read_text())["project"].get("optional-dependencies", {}) for p in PROJECTS}
-    for package in {package for kind, names in table.items() if kind != "needs" for package in names.values()}:
+    extras = {
+        p.parent.name: tomllib.loads(p.read_text())["project"].get("optional-dependencies", {})
+        for p in PROJECTS
+    }
+    for package in {
+        package for kind, names in table.items() if kind != "needs" for package in names.values()
+    }:
         name, _, extra = package.rstrip("]").partition("[")
         assert not extra or extra in extras[name]
 
 
 def test_the_table_knows_which_features_the_command_line_switches_on() -> None:
     specs = [offer.spec for offer in discover().offers("feature")]
-    switched = {s.name: package_of("feature", s.name) for s in specs if isinstance(s, FeatureSpec) and s.switch}
+    switched = {
+        s.name: package_of("feature", s.name)
+        for s in specs
+        if isinstance(s, FeatureSpec) and s.switch
+    }
     assert known_names("switch") == switched
 
 
@@ -83,9 +100,14 @@ def test_the_table_knows_what_each_package_needs() -> None:
         (
             "backend",
             "openvla",
-            r"brings it\. Run: pip install (\./plugins/rn-(backend-openvla|runtime-torch|vla) ){3}\(in",
+            r"brings it\. Run: pip install (\./plugins/rn-(backend-openvla|runtime-torch|vla) "
+            r"){3}\(in",
         ),
-        ("backend", "pi0-remote", r'rn-backend-pi0 brings it\. Run: pip install "\./plugins/rn-backend-pi0\[remote\]"'),
+        (
+            "backend",
+            "pi0-remote",
+            r'rn-backend-pi0 brings it\. Run: pip install "\./plugins/rn-backend-pi0\[remote\]"',
+        ),
     ],
 )
 def test_what_is_not_installed_is_named_with_its_package(kind: str, name: str, words: str) -> None:
@@ -94,10 +116,14 @@ def test_what_is_not_installed_is_named_with_its_package(kind: str, name: str, w
 
 
 def installs() -> list[tuple[str, str]]:
-    listed = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=True).stdout.split(
-        "\n"
-    )
-    pages = [name for name in listed if name.endswith((".md", ".py", ".tmpl", ".toml")) and "/tests/" not in f"/{name}"]
+    listed = subprocess.run(
+        ["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=True
+    ).stdout.split("\n")
+    pages = [
+        name
+        for name in listed
+        if name.endswith((".md", ".py", ".tmpl", ".toml")) and "/tests/" not in f"/{name}"
+    ]
     found = []
     for page in pages:
         for line in re.findall(r"pip install[^\n;]*", (ROOT / page).read_text(encoding="utf-8")):
@@ -121,7 +147,9 @@ def test_no_page_lists_many_folders() -> None:
     for page in {page for page, _ in installs() if page != "CHANGELOG.md"}:
         text = (ROOT / page).read_text(encoding="utf-8").replace("\\\n", " ")
         for line in re.findall(r"pip install[^\n;]*", text):
-            folders.setdefault(page, set()).update(re.findall(r"\./(?:plugins/)?(rn-[a-z0-9-]+|roboneuron-core)", line))
+            folders.setdefault(page, set()).update(
+                re.findall(r"\./(?:plugins/)?(rn-[a-z0-9-]+|roboneuron-core)", line)
+            )
     assert "README.md" in folders
     assert {page: sorted(found) for page, found in folders.items() if len(found) > MOST_PATHS} == {}
 
@@ -131,14 +159,18 @@ def test_requirements_files_are_what_the_tool_writes() -> None:
     made = tool["texts"]()
     assert {"requirements.txt", "requirements-vla.txt"} <= made.keys()
     for name, text in made.items():
-        assert (ROOT / name).read_text(encoding="utf-8") == text, "run: python tools/requirements.py"
+        assert (ROOT / name).read_text(encoding="utf-8") == text, (
+            "run: python tools/requirements.py"
+        )
 
 
 def test_requirements_hold_every_package_that_is_needed() -> None:
     lines = (ROOT / "requirements.txt").read_text(encoding="utf-8").splitlines()
     listed = {Path(line).name for line in lines if line.startswith("./")}
     assert {"roboneuron-core", "rn-standard", "rn-robot-fr3", "rn-simulation", "rn-view"} <= listed
-    unmet = {need for path in PROJECTS if path.parent.name in listed for need in needs(path)} - listed
+    unmet = {
+        need for path in PROJECTS if path.parent.name in listed for need in needs(path)
+    } - listed
     assert unmet == set()
     assert all((ROOT / line / "pyproject.toml").exists() for line in lines if line.startswith("./"))
 
@@ -157,7 +189,9 @@ def test_requirements_of_ready_offers_name_modules_that_exist() -> None:
     assert all(r.install.startswith("pip install ") for o in ready for r in o.spec.requires)
 
 
-@pytest.mark.parametrize("page", [*PROJECTS, ROOT / "roboneuron-core" / "pyproject.toml"], ids=lambda p: p.parent.name)
+@pytest.mark.parametrize(
+    "page", [*PROJECTS, ROOT / "roboneuron-core" / "pyproject.toml"], ids=lambda p: p.parent.name
+)
 def test_readmes_of_packages_have_no_relative_links(page: Path) -> None:
     text = (page.parent / "README.md").read_text(encoding="utf-8")
     assert re.findall(r"\]\((?!https://|#)[^)]*\)", text) == []

@@ -1,4 +1,6 @@
-"""Installs from a checkout never ask an index for packages of the project, whose names anybody could claim there."""
+"""Installs from a checkout never ask an index for packages of the project, whose names anybody
+could claim there.
+"""
 
 from __future__ import annotations
 
@@ -50,8 +52,19 @@ ROOT = Path(__file__).parents[1]
 
 
 def install(folder: Path, index: str, *names: str) -> str:
-    """What pip says to the folders or files of requirements `names`, when it may ask nobody but `index`."""
-    words = [sys.executable, "-m", "pip", "install", "--dry-run", "--no-build-isolation", "--retries", "0"]
+    """What pip says to the folders or files of requirements `names`, when it may ask nobody but
+    `index`.
+    """
+    words = [
+        sys.executable,
+        "-m",
+        "pip",
+        "install",
+        "--dry-run",
+        "--no-build-isolation",
+        "--retries",
+        "0",
+    ]
     done = subprocess.run(
         [*words, "--disable-pip-version-check", "--index-url", index, *words_of(names)],
         cwd=folder,
@@ -65,13 +78,22 @@ def install(folder: Path, index: str, *names: str) -> str:
 
 def words_of(names: Iterable[str]) -> list[str]:
     """As arguments of pip: files of requirements with `-r`."""
-    return [word for name in names for word in (["-r", name] if name.endswith(".txt") else [f"./{name}"])]
+    return [
+        word
+        for name in names
+        for word in (["-r", name] if name.endswith(".txt") else [f"./{name}"])
+    ]
 
 
 def test_a_package_that_is_named_by_its_folder_is_not_looked_for(tmp_path, index) -> None:
-    """What the install lines of README and docs rely on, and that the index would have been asked otherwise."""
+    """What the install lines of README and docs rely on, and that the index would have been
+    asked otherwise.
+    """
     url, asked = index
-    for name, needs in (("rn-one-of-ours", '["rn-two-of-ours>=0.1,<0.2"]'), ("rn-two-of-ours", "[]")):
+    for name, needs in (
+        ("rn-one-of-ours", '["rn-two-of-ours>=0.1,<0.2"]'),
+        ("rn-two-of-ours", "[]"),
+    ):
         (tmp_path / name).mkdir()
         (tmp_path / name / "pyproject.toml").write_text(PROJECT.format(name=name, needs=needs))
     assert "Would install" in install(tmp_path, url, "rn-one-of-ours", "rn-two-of-ours")
@@ -81,13 +103,20 @@ def test_a_package_that_is_named_by_its_folder_is_not_looked_for(tmp_path, index
 
 
 def test_files_of_requirements_name_every_package_by_its_folder(tmp_path, index) -> None:
-    """The shape of requirements.txt: its constraints lie beside it, its folders below the working directory."""
+    """The shape of requirements.txt: its constraints lie beside it, its folders below the
+    working directory.
+    """
     url, asked = index
-    for name, needs in (("rn-one-of-ours", '["rn-two-of-ours>=0.1,<0.2"]'), ("rn-two-of-ours", "[]")):
+    for name, needs in (
+        ("rn-one-of-ours", '["rn-two-of-ours>=0.1,<0.2"]'),
+        ("rn-two-of-ours", "[]"),
+    ):
         (tmp_path / name).mkdir()
         (tmp_path / name / "pyproject.toml").write_text(PROJECT.format(name=name, needs=needs))
     (tmp_path / "constraints.txt").write_text("numpy==1.0\n")
-    (tmp_path / "whole.txt").write_text("--constraint constraints.txt\n./rn-one-of-ours\n./rn-two-of-ours\n")
+    (tmp_path / "whole.txt").write_text(
+        "--constraint constraints.txt\n./rn-one-of-ours\n./rn-two-of-ours\n"
+    )
     assert "Would install" in install(tmp_path, url, "whole.txt")
     assert asked == []
 
@@ -97,7 +126,9 @@ def test_a_package_beside_those_that_are_installed_is_not_looked_for(tmp_path, i
     url, asked = index
     (tmp_path / "rn-one-of-ours").mkdir()
     needs = '["roboneuron-core>=0.1,<0.2", "rn-standard>=0.1,<0.2"]'
-    (tmp_path / "rn-one-of-ours" / "pyproject.toml").write_text(PROJECT.format(name="rn-one-of-ours", needs=needs))
+    (tmp_path / "rn-one-of-ours" / "pyproject.toml").write_text(
+        PROJECT.format(name="rn-one-of-ours", needs=needs)
+    )
     assert "Would install rn-one-of-ours" in install(tmp_path, url, "rn-one-of-ours")
     assert not [path for path in asked if "rn-" in path or "roboneuron" in path]
 

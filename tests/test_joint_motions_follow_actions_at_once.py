@@ -1,4 +1,6 @@
-"""Control holds some time after its last action; a joint motion that begins before that is not ended by the hold."""
+"""Control holds some time after its last action; a joint motion that begins before that is not
+ended by the hold.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,15 @@ state_directory = "{state}"
 def test_home_is_reached_right_after_the_hand_was_moved(tmp_path: Path) -> None:
     config = tmp_path / "roboneuron.toml"
     config.write_text(CONFIG.format(state=tmp_path / "state"), encoding="utf-8")
-    command = ["-m", "roboneuron.cli.main", "serve", "--config", str(config), "--log-level", "error"]
+    command = [
+        "-m",
+        "roboneuron.cli.main",
+        "serve",
+        "--config",
+        str(config),
+        "--log-level",
+        "error",
+    ]
 
     async def talk() -> None:
         async with Client(StdioServerParameters(command=sys.executable, args=command)) as client:

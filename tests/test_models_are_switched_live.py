@@ -1,4 +1,6 @@
-"""Perception, control and robot do not notice which model works: servo, OpenVLA, OFT with FastV, pi0 in turns."""
+"""Perception, control and robot do not notice which model works: servo, OpenVLA, OFT with
+FastV, pi0 in turns.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,9 @@ INSTRUCTION = "pick up the red cube"
 
 @pytest.fixture(scope="module")
 def checkpoints(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    """A tiny random checkpoint in the public layout for each family, made by the plugins' own commands."""
+    """A tiny random checkpoint in the public layout for each family, made by the plugins' own
+    commands.
+    """
     made = {}
     for name in ("openvla", "oft", "pi0"):
         made[name] = str(tmp_path_factory.mktemp("checkpoints") / name)
@@ -34,9 +38,16 @@ def checkpoints(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
 
 
 @pytest.fixture
-def graph(environment: dict[str, str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Any]:
+def graph(
+    environment: dict[str, str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> Iterator[Any]:
     """A node that looks at the same ROS graph as the server."""
-    for key in ("ROS_AUTOMATIC_DISCOVERY_RANGE", "FASTRTPS_DEFAULT_PROFILES_FILE", "AMENT_PREFIX_PATH", "ROS_LOG_DIR"):
+    for key in (
+        "ROS_AUTOMATIC_DISCOVERY_RANGE",
+        "FASTRTPS_DEFAULT_PROFILES_FILE",
+        "AMENT_PREFIX_PATH",
+        "ROS_LOG_DIR",
+    ):
         monkeypatch.delenv(key, raising=False)
     prepare_environment(tmp_path / "log")
     import rclpy
@@ -50,7 +61,9 @@ def graph(environment: dict[str, str], monkeypatch: pytest.MonkeyPatch, tmp_path
 
 
 def contract_topics(graph: Any) -> dict[str, tuple[str, tuple[str, ...]]]:
-    """Type and publishers' names of every topic of the contract; the two places of inference count as one."""
+    """Type and publishers' names of every topic of the contract; the two places of inference
+    count as one.
+    """
     return {
         name: (
             types[0],
@@ -64,7 +77,8 @@ def contract_topics(graph: Any) -> dict[str, tuple[str, tuple[str, ...]]]:
             ),
         )
         for name, types in graph.get_topic_names_and_types()
-        if name.startswith("/fr3/") and not name.split("/")[-1].startswith(("_", "transition_event", "parameter"))
+        if name.startswith("/fr3/")
+        and not name.split("/")[-1].startswith(("_", "transition_event", "parameter"))
     }
 
 
@@ -72,8 +86,12 @@ def publishes_actions(topics: dict[str, tuple[str, tuple[str, ...]]]) -> bool:
     return topics.get("/fr3/action") == ("std_msgs/msg/Float64MultiArray", ("/fr3/inference",))
 
 
-async def seen_in(graph: Any, is_right: Callable[[dict[str, tuple[str, tuple[str, ...]]]], bool]) -> Any:
-    """The contract's topics once they are right, or after 10 s: an onlooker hears of endpoints later than modules."""
+async def seen_in(
+    graph: Any, is_right: Callable[[dict[str, tuple[str, tuple[str, ...]]]], bool]
+) -> Any:
+    """The contract's topics once they are right, or after 10 s: an onlooker hears of endpoints
+    later than modules.
+    """
     deadline_s = time.monotonic() + 10.0
     while not is_right(topics := contract_topics(graph)) and time.monotonic() < deadline_s:
         await anyio.sleep(0.05)
@@ -91,14 +109,22 @@ def test_topics_and_processes_stay_while_four_models_take_turns(
     config = tmp_path / "roboneuron.toml"
     config.write_text(f"{default_text()}\n[server]\ncheckpoint_roots = {roots}\n", encoding="utf-8")
     turns: list[dict[str, Any]] = [
-        {"backend": "openvla", "checkpoint": checkpoints["openvla"], "options": {"profile": "libero"}},
+        {
+            "backend": "openvla",
+            "checkpoint": checkpoints["openvla"],
+            "options": {"profile": "libero"},
+        },
         {
             "backend": "oft",
             "checkpoint": checkpoints["oft"],
             "acceleration": "fastv-p50",
             "options": {"profile": "libero", "constants": "libero", "proprio": True},
         },
-        {"backend": "pi0", "checkpoint": checkpoints["pi0"], "options": {"profile": "libero", "cpu_threads": 1}},
+        {
+            "backend": "pi0",
+            "checkpoint": checkpoints["pi0"],
+            "options": {"profile": "libero", "cpu_threads": 1},
+        },
     ]
 
     async def play() -> None:
@@ -112,7 +138,10 @@ def test_topics_and_processes_stay_while_four_models_take_turns(
             for module in ("robot", "perception", "control"):
                 await agent.call(f"start_{module}")
             await agent.call("start_inference", {"instruction": INSTRUCTION})
-            topics, processes = await seen_in(graph, publishes_actions), process_ids(await agent.status())
+            topics, processes = (
+                await seen_in(graph, publishes_actions),
+                process_ids(await agent.status()),
+            )
             assert publishes_actions(topics)
             for turn in turns:
                 await agent.call("switch_inference", turn)

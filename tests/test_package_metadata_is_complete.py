@@ -1,4 +1,6 @@
-"""What the packages say of themselves on an index: versions of Python, bounds, and no address that leads nowhere."""
+"""What the packages say of themselves on an index: versions of Python, bounds, and no address
+that leads nowhere.
+"""
 
 from __future__ import annotations
 
@@ -17,21 +19,33 @@ PROJECTS = [
 ]
 
 
-@pytest.fixture(params=PROJECTS, ids=lambda path: path.parent.name if path.parent != ROOT else "roboneuron")
+@pytest.fixture(
+    params=PROJECTS, ids=lambda path: path.parent.name if path.parent != ROOT else "roboneuron"
+)
 def project(request: pytest.FixtureRequest) -> dict[str, Any]:
     facts: dict[str, Any] = tomllib.loads(request.param.read_text(encoding="utf-8"))["project"]
     return facts
 
 
 def test_each_supported_python_has_a_classifier(project: dict[str, Any]) -> None:
-    versions = [c.rpartition(" :: ")[2] for c in project["classifiers"] if c.startswith("Programming Language")]
+    versions = [
+        c.rpartition(" :: ")[2]
+        for c in project["classifiers"]
+        if c.startswith("Programming Language")
+    ]
     assert versions == ["3", "3.11", "3.12", "3.13"]
     assert project["requires-python"] == ">=3.11"
 
 
-def test_packages_of_the_project_are_bounded_by_the_next_incompatible_version(project: dict[str, Any]) -> None:
+def test_packages_of_the_project_are_bounded_by_the_next_incompatible_version(
+    project: dict[str, Any],
+) -> None:
     extras = [need for needs in project.get("optional-dependencies", {}).values() for need in needs]
-    own = [need for need in (*project["dependencies"], *extras) if re.match(r"rn-|roboneuron-core(?!\[)", need)]
+    own = [
+        need
+        for need in (*project["dependencies"], *extras)
+        if re.match(r"rn-|roboneuron-core(?!\[)", need)
+    ]
     assert all(need.endswith(">=0.1,<0.2") for need in own), own
 
 

@@ -1,4 +1,6 @@
-"""Each package of the workspace builds a wheel that holds what it needs and works from the wheel alone, beside core."""
+"""Each package of the workspace builds a wheel that holds what it needs and works from the
+wheel alone, beside core.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,10 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-PACKAGES = [ROOT / "roboneuron-core", *sorted(p.parent for p in (ROOT / "plugins").glob("*/pyproject.toml"))]
+PACKAGES = [
+    ROOT / "roboneuron-core",
+    *sorted(p.parent for p in (ROOT / "plugins").glob("*/pyproject.toml")),
+]
 
 pytest.importorskip("hatchling", reason="wheels are built with hatchling")
 pytestmark = pytest.mark.release
@@ -23,7 +28,7 @@ import json, sys, importlib
 from roboneuron.plugins.discovery import discover
 records = [p for p in discover().plugins if p.distribution == sys.argv[1]]
 print(json.dumps([[p.name, p.status, p.reason, importlib.import_module(p.module).__file__] for p in records]))
-"""
+"""  # noqa: E501
 PROBE_OF_A_LIBRARY = """
 import json, sys, importlib, pkgutil
 package = importlib.import_module(sys.argv[1].replace("-", "_"))
@@ -34,7 +39,9 @@ print(json.dumps([[sys.argv[1], "ready", f"{len(files)} modules", package.__file
 
 
 @pytest.fixture(scope="module", params=PACKAGES, ids=lambda path: path.name)
-def wheel(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+def wheel(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Path, Path]:
     """A package's folder and the wheel built from it."""
     out = tmp_path_factory.mktemp("wheel")
     done = subprocess.run(
@@ -59,7 +66,11 @@ def test_a_wheel_holds_code_types_licence_and_metadata(wheel):
     assert f"{top}/py.typed" in names
     assert any(name.endswith("/licenses/LICENSE") for name in names)
     assert not [name for name in names if name.startswith("tests/") or "__pycache__" in name]
-    metadata = zipfile.ZipFile(built).read(next(n for n in names if n.endswith("dist-info/METADATA"))).decode()
+    metadata = (
+        zipfile.ZipFile(built)
+        .read(next(n for n in names if n.endswith("dist-info/METADATA")))
+        .decode()
+    )
     for line in (
         "License-Expression: Apache-2.0",
         "Requires-Python: >=3.11",
@@ -84,7 +95,9 @@ def test_a_plugin_works_from_its_wheel(wheel, tmp_path):
     if package.name == "roboneuron-core":
         pytest.skip("core is no plugin")
     zipfile.ZipFile(built).extractall(tmp_path)
-    offers = tomllib.loads((package / "pyproject.toml").read_text())["project"].get("entry-points", {})
+    offers = tomllib.loads((package / "pyproject.toml").read_text())["project"].get(
+        "entry-points", {}
+    )
     probe = PROBE if "roboneuron" in offers else PROBE_OF_A_LIBRARY
     done = subprocess.run(
         [sys.executable, "-c", probe, package.name],

@@ -33,7 +33,9 @@ def folder_of_tests(plugin: PluginRecord) -> Path:
 
 
 def contract_classes(plugin: PluginRecord) -> list[str]:
-    """The kind of each contract class in a plugin's tests; one whose fixture has parameters counts for all offers."""
+    """The kind of each contract class in a plugin's tests; one whose fixture has parameters
+    counts for all offers.
+    """
     found: list[str] = []
     own = folder_of_tests(plugin)
     others = {folder_of_tests(other) for other in REGISTRY.plugins} - {own, *own.parents}
@@ -42,7 +44,12 @@ def contract_classes(plugin: PluginRecord) -> list[str]:
             continue
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             for base in node.bases if isinstance(node, ast.ClassDef) else ():
-                text = ast.unparse(base).removeprefix("contract_of(").removesuffix("Spec)").removesuffix("Contract")
+                text = (
+                    ast.unparse(base)
+                    .removeprefix("contract_of(")
+                    .removesuffix("Spec)")
+                    .removesuffix("Contract")
+                )
                 if text != ast.unparse(base):
                     found += [text.lower()] * (1000 if "params=" in ast.unparse(node) else 1)
     return found
@@ -51,15 +58,22 @@ def contract_classes(plugin: PluginRecord) -> list[str]:
 @pytest.mark.parametrize("plugin", REGISTRY.plugins, ids=lambda plugin: plugin.name)
 def test_every_installed_plugin_is_tried_by_contract_tests_of_its_own(plugin: PluginRecord):
     """There the rules run once, with what its author says a trial needs."""
-    offered = Counter(offer.spec.kind for offer in plugin.offers if offer.spec.requires == () or offer.spec in OFFERS)
+    offered = Counter(
+        offer.spec.kind
+        for offer in plugin.offers
+        if offer.spec.requires == () or offer.spec in OFFERS
+    )
     tried = Counter(contract_classes(plugin))
     assert tried["package"] >= 1
     assert not {kind: count for kind, count in offered.items() if tried[kind] < count}
 
 
-@pytest.mark.slow  # the rules once more, as `roboneuron plugins check` runs them: with the shipped or an automatic case
+# the rules once more, as `roboneuron plugins check` runs them: with the shipped or an automatic
+# case
+@pytest.mark.slow
 @pytest.mark.parametrize(
-    ("spec", "rule"), [pytest.param(s, r, id=f"{s.kind} {s.name}:{r.id}") for s in OFFERS for r in rules_of(s.kind)]
+    ("spec", "rule"),
+    [pytest.param(s, r, id=f"{s.kind} {s.name}:{r.id}") for s in OFFERS for r in rules_of(s.kind)],
 )
 def test_every_installed_offer_keeps_the_rules_of_its_kind(spec: Spec, rule: Rule[Any]):
     outcome = verify(rule, make_case(spec, {}))
@@ -71,7 +85,11 @@ def test_every_installed_offer_keeps_the_rules_of_its_kind(spec: Spec, rule: Rul
 @pytest.mark.parametrize("plugin", REGISTRY.plugins, ids=lambda plugin: plugin.name)
 def test_every_installed_plugin_needs_this_version_of_the_core(plugin: PluginRecord):
     requirements = distribution(plugin.distribution).requires or []
-    core = [r.replace(" ", "") for r in requirements if r.startswith("roboneuron-core") and "extra" not in r]
+    core = [
+        r.replace(" ", "")
+        for r in requirements
+        if r.startswith("roboneuron-core") and "extra" not in r
+    ]
     assert len(core) == 1
     assert ">=0.1" in core[0]
     assert "<0.2" in core[0]

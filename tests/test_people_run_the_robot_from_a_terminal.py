@@ -1,4 +1,6 @@
-"""run, status and logs as a person uses them: with the simulated arm and the servo backend, and real processes."""
+"""run, status and logs as a person uses them: with the simulated arm and the servo backend, and
+real processes.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,12 @@ ROBONEURON = [sys.executable, "-P", "-m", "roboneuron.cli.main"]
 
 def roboneuron(environment: dict[str, str], *words: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [*ROBONEURON, *words], env=environment, capture_output=True, text=True, timeout=240, check=False
+        [*ROBONEURON, *words],
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=240,
+        check=False,
     )
 
 
@@ -30,7 +37,11 @@ def roboneuron(environment: dict[str, str], *words: str) -> subprocess.Completed
 def going_on(environment: dict[str, str], *words: str) -> Iterator[subprocess.Popen[str]]:
     """The command in the background; interrupted at the end, as by Ctrl-C."""
     with subprocess.Popen(
-        [*ROBONEURON, *words], env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        [*ROBONEURON, *words],
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
     ) as process:
         try:
             yield process
@@ -53,7 +64,9 @@ def wait_for_line(process: subprocess.Popen[str], words: str) -> None:
 
 def modules_of(server: int) -> list[int]:
     """Process ids of the children of a server, and of the server."""
-    listed = subprocess.run(["ps", "-o", "pid=", "--ppid", str(server)], capture_output=True, text=True, check=False)
+    listed = subprocess.run(
+        ["ps", "-o", "pid=", "--ppid", str(server)], capture_output=True, text=True, check=False
+    )
     return [int(word) for word in listed.stdout.split()]
 
 
@@ -76,7 +89,11 @@ def test_an_instruction_is_run_and_everything_is_stopped(environment: dict[str, 
     ("words", "status", "reason"),
     [
         (("make me a coffee",), 2, "'make me a coffee'"),
-        (("pick up the red cube", "--timeout-s", "0.5"), 1, "not done: 0.5 s are over and red is not lifted"),
+        (
+            ("pick up the red cube", "--timeout-s", "0.5"),
+            1,
+            "not done: 0.5 s are over and red is not lifted",
+        ),
     ],
 )
 def test_a_run_that_comes_to_nothing_says_so(
@@ -84,7 +101,11 @@ def test_a_run_that_comes_to_nothing_says_so(
 ) -> None:
     done = roboneuron(environment, "run", "-q", *words)
     assert done.returncode == status
-    (line,) = [line for line in (done.stdout + done.stderr).splitlines() if "coffee" in line or "done" in line]
+    (line,) = [
+        line
+        for line in (done.stdout + done.stderr).splitlines()
+        if "coffee" in line or "done" in line
+    ]
     assert reason in line
 
 

@@ -16,7 +16,9 @@ from roboneuron.plugins.discovery import discover
 
 
 def blocks(root: Path, language: str) -> list[str]:
-    return re.findall(rf"```{language}\n(.*?)```", (root / "README.md").read_text(encoding="utf-8"), re.DOTALL)
+    return re.findall(
+        rf"```{language}\n(.*?)```", (root / "README.md").read_text(encoding="utf-8"), re.DOTALL
+    )
 
 
 @pytest.mark.ros
@@ -51,7 +53,8 @@ def test_every_command_in_the_readme_exists(root: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "page", ["README.md", *sorted(p.name for p in (Path(__file__).parents[1] / "docs").glob("*.md"))]
+    "page",
+    ["README.md", *sorted(p.name for p in (Path(__file__).parents[1] / "docs").glob("*.md"))],
 )
 def test_links_point_at_files_that_exist(root: Path, page: str) -> None:
     path = root / page if page == "README.md" else root / "docs" / page

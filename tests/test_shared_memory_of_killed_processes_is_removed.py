@@ -91,19 +91,25 @@ def test_a_module_that_was_killed(supervisor: Supervisor, config: Config) -> Non
 
 def test_a_server_that_was_killed(tmp_path: Path) -> None:
     script = SERVER.format(command=COMMAND, state=str(tmp_path), config=CONFIG)
-    with subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True) as server:
+    with subprocess.Popen(
+        [sys.executable, "-c", script], stdout=subprocess.PIPE, text=True
+    ) as server:
         assert server.stdout is not None
         pid = int(server.stdout.readline())
         segments = owned_segments(server.pid)
         server.kill()
     wait_until(lambda: not Path(f"/proc/{pid}").exists(), "the module is gone")
     assert segments
-    following, repair = Supervisor(tmp_path, command=lambda python: COMMAND), SharedMemoryRepair(None)
+    following, repair = (
+        Supervisor(tmp_path, command=lambda python: COMMAND),
+        SharedMemoryRepair(None),
+    )
     following.open()
     assert following.link is not None
     repair.start(cast(Any, SimpleNamespace(supervisor=following)))
     following.close()
     repair.close()
-    own = frozenset(name for name in segments if "port" not in name)  # others may have taken a port over meanwhile
+    # others may have taken a port over meanwhile
+    own = frozenset(name for name in segments if "port" not in name)
     assert left(own) == []
     assert list(tmp_path.glob("log/*/shared_memory")) == []

@@ -1,9 +1,10 @@
-"""Features became plugins, the agent's surface did not change: the same tools with the same arguments.
+"""Features became plugins, the agent's surface did not change: the same tools with the same
+arguments.
 
-`data/tools-list-before.json` is the default server's `tools/list` before core was split, `...-after.json` after it.
-They differ in output schemas (smaller, docs/tools.md says what the fields mean), texts, and choices of what is
-installed. `data/tools-list-additions.json` is what was added on purpose since: arguments by tool, all optional where
-the tool is of the record.
+`data/tools-list-before.json` is the default server's `tools/list` before core was split,
+`...-after.json` after it. They differ in output schemas (smaller, docs/tools.md says what the
+fields mean), texts, and choices of what is installed. `data/tools-list-additions.json` is what was
+added on purpose since: arguments by tool, all optional where the tool is of the record.
 """
 
 from __future__ import annotations
@@ -30,7 +31,11 @@ def arguments(tool: dict[str, Any]) -> dict[str, Any]:
     """What a caller relies on: names, types, and which are required."""
     schema = tool["inputSchema"]
     types = {name: entry.get("type", "any") for name, entry in schema.get("properties", {}).items()}
-    return {"types": types, "required": sorted(schema.get("required", [])), "open": schema.get("additionalProperties")}
+    return {
+        "types": types,
+        "required": sorted(schema.get("required", [])),
+        "open": schema.get("additionalProperties"),
+    }
 
 
 @pytest.fixture(scope="module")
@@ -51,15 +56,22 @@ def now(tmp_path_factory: pytest.TempPathFactory) -> Listing:
 @pytest.mark.parametrize("record", ["before", "after"])
 def test_the_tools_and_their_arguments_are_those_of_the_record(now: Listing, record: str) -> None:
     recorded = by_name(json.loads((DATA / f"tools-list-{record}.json").read_text(encoding="utf-8")))
-    added: dict[str, dict[str, str]] = json.loads((DATA / "tools-list-additions.json").read_text(encoding="utf-8"))
+    added: dict[str, dict[str, str]] = json.loads(
+        (DATA / "tools-list-additions.json").read_text(encoding="utf-8")
+    )
     assert now.keys() == recorded.keys() | added.keys()
     for name, tool in recorded.items():
         expected = arguments(tool)
         types = expected["types"]
         assert isinstance(types, dict)
         given = arguments(now[name])
-        assert given | {"required": []} == expected | {"types": types | added.get(name, {}), "required": []}, name
-        assert set(given["required"]) <= set(expected["required"]), f"{name} demands more than it did"
+        assert given | {"required": []} == expected | {
+            "types": types | added.get(name, {}),
+            "required": [],
+        }, name
+        assert set(given["required"]) <= set(expected["required"]), (
+            f"{name} demands more than it did"
+        )
     for name in added.keys() - recorded.keys():
         assert arguments(now[name])["types"] == added[name], name
 

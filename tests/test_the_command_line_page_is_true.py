@@ -12,7 +12,10 @@ from rn_standard.console.reference import with_reference
 
 def test_its_reference_is_current(root: Path) -> None:
     page = (root / "docs" / "command-line.md").read_text(encoding="utf-8")
-    hint = "run: python -m rn_standard.console.reference docs/command-line.md (with all packages installed)"
+    hint = (
+        "run: python -m rn_standard.console.reference docs/command-line.md (with all packages "
+        "installed)"
+    )
     assert with_reference(page) == page, hint
 
 

@@ -1,4 +1,6 @@
-"""The documentation: what the site shows covers the code, and the check of the built site finds what it is for."""
+"""The documentation: what the site shows covers the code, and the check of the built site finds
+what it is for.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,9 @@ def test_every_public_name_is_in_the_api_reference() -> None:
 
 def test_troubleshooting_names_every_error_code() -> None:
     page = (DOCS / "troubleshooting.md").read_text(encoding="utf-8")
-    codes = {e.code for e in all_errors(RoboNeuronError) if e.__module__ == "roboneuron.errors"} - {"error"}
+    codes = {e.code for e in all_errors(RoboNeuronError) if e.__module__ == "roboneuron.errors"} - {
+        "error"
+    }
     assert codes
     assert {code for code in codes if f"| `{code}` |" not in page} == set()
 
@@ -70,7 +74,8 @@ def files_named(text: str, page: str) -> list[str]:
             names += [head + word + end for word in middle.split(",")]
             names.remove(name)
     return [
-        AT[page].get(name.partition("/")[0], f"{name.partition('/')[0]}/") + name.partition("/")[2] for name in names
+        AT[page].get(name.partition("/")[0], f"{name.partition('/')[0]}/") + name.partition("/")[2]
+        for name in names
     ]
 
 
@@ -78,7 +83,10 @@ CORE, STANDARD = "roboneuron-core/src/roboneuron/", "plugins/rn-standard/src/rn_
 AT = {
     "ten-changes.md": {"core": CORE, "standard": STANDARD},
     "architecture.md": {"rn_standard": STANDARD}
-    | {name: f"{CORE}{name}/" for name in ("cli", "config", "contract", "data", "gate", "modules", "plugins", "ros")}
+    | {
+        name: f"{CORE}{name}/"
+        for name in ("cli", "config", "contract", "data", "gate", "modules", "plugins", "ros")
+    }
     | {name: f"{CORE}{name}/" for name in ("server", "supervisor")},
 }
 """By page: what the first part of a path stands for."""
@@ -99,14 +107,20 @@ def test_pages_that_stand_at_the_root_are_included(source: str, page: str) -> No
 
 
 def test_the_figure_of_processes_is_current() -> None:
-    done = subprocess.run([sys.executable, str(ROOT / "tools" / "process_figure.py"), "--check"], check=False)
+    done = subprocess.run(
+        [sys.executable, str(ROOT / "tools" / "process_figure.py"), "--check"], check=False
+    )
     assert done.returncode == 0, "run: python tools/process_figure.py"
 
 
 def test_pictures_of_the_readme_are_there_and_small() -> None:
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     pictures = re.findall(r"!\[[^\]]+\]\(([^)]+)\)", text)
-    assert pictures == ["docs/assets/demo.webp", "docs/assets/processes.svg", "docs/assets/view-live.jpg"]
+    assert pictures == [
+        "docs/assets/demo.webp",
+        "docs/assets/processes.svg",
+        "docs/assets/view-live.jpg",
+    ]
     assert all((ROOT / picture).stat().st_size < 1_500_000 for picture in pictures)
 
 
@@ -122,14 +136,17 @@ def test_pictures_of_the_readme_are_there_and_small() -> None:
         '<pre class="mermaid">graph LR</pre>',
     ],
 )
-def test_the_check_of_the_site_finds_what_comes_from_another_host(tmp_path: Path, text: str) -> None:
+def test_the_check_of_the_site_finds_what_comes_from_another_host(
+    tmp_path: Path, text: str
+) -> None:
     (tmp_path / "index.html").write_text(f"<html><body>{text}</body></html>", encoding="utf-8")
     assert len(CHECK["external_resources"](tmp_path)) == 1
 
 
 def test_the_check_of_the_site_allows_links_and_own_files(tmp_path: Path) -> None:
     page = (
-        '<a href="https://x.example">x</a><script src="a.js"></script><link rel="canonical" href="https://x.example">'
+        '<a href="https://x.example">x</a><script src="a.js"></script><link rel="canonical" '
+        'href="https://x.example">'
     )
     (tmp_path / "index.html").write_text(page, encoding="utf-8")
     (tmp_path / "a.css").write_text("a { background: url(b.png) }", encoding="utf-8")

@@ -26,7 +26,10 @@ def demo(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
 
 
 def arm_status(lifted_m: float, held_s: float) -> dict[str, Any]:
-    cubes = {"red": {"lifted_m": lifted_m, "held_s": held_s}, "blue": {"lifted_m": 0.3, "held_s": 9.0}}
+    cubes = {
+        "red": {"lifted_m": lifted_m, "held_s": held_s},
+        "blue": {"lifted_m": 0.3, "held_s": 9.0},
+    }
     return {"modules": [{"module": "robot", "detail": {"cubes": json.dumps(cubes)}}]}
 
 
@@ -59,18 +62,29 @@ def test_a_base_is_done_when_it_has_driven_its_path(demo: ModuleType) -> None:
     at_rest = [PlanarPose()] * 50
     half = planned[: len(planned) // 2]
     aside = [PlanarPose(x_m=p.x_m + 0.3, y_m=p.y_m, yaw_rad=p.yaw_rad) for p in planned]
-    turned = [*planned, PlanarPose(x_m=planned[-1].x_m, y_m=planned[-1].y_m, yaw_rad=planned[-1].yaw_rad + 1.0)]
+    turned = [
+        *planned,
+        PlanarPose(x_m=planned[-1].x_m, y_m=planned[-1].y_m, yaw_rad=planned[-1].yaw_rad + 1.0),
+    ]
     for track, told, expected in (
-        (planned, "done", True), (planned, "failed", False), (at_rest, "done", False), (half, "done", False),
-        (aside, "done", False), (turned, "done", False), ([], "done", False),
-    ):  # fmt: skip
+        (planned, "done", True),
+        (planned, "failed", False),
+        (at_rest, "done", False),
+        (half, "done", False),
+        (aside, "done", False),
+        (turned, "done", False),
+        ([], "done", False),
+    ):
         work = demo.Work(robot="base", task="", told=told)
         demo.judge_base(work, track)
         assert work.is_done is expected, work.truth
 
 
 def test_robots_that_work_one_after_the_other_are_not_at_work_at_once(demo: ModuleType) -> None:
-    works = [demo.Work(robot=str(n), task="", begun_s=a, ended_s=b) for n, (a, b) in enumerate([(0, 5), (6, 9)])]
+    works = [
+        demo.Work(robot=str(n), task="", begun_s=a, ended_s=b)
+        for n, (a, b) in enumerate([(0, 5), (6, 9)])
+    ]
     assert demo.together_s(works) == -1
     assert demo.together_s([demo.Work(robot="", task="")]) == -math.inf
 
@@ -81,12 +95,22 @@ def test_the_configuration_has_a_scene_for_each_arm(demo: ModuleType, tmp_path: 
     assert list(config.robots) == ["left", "right", "base"]
 
 
-def test_the_film_shows_all_robots_also_when_an_image_was_late(demo: ModuleType, tmp_path: Path) -> None:
+def test_the_film_shows_all_robots_also_when_an_image_was_late(
+    demo: ModuleType, tmp_path: Path
+) -> None:
     film = demo.FleetFilm()
     red = Image.new("RGB", (64, 64), "red")
     names = ("left", "right", "base")
-    film.add(0.0, {"left": red, "right": None, "base": demo.draw_from_above(demo.PLANNED, [])}, {n: n for n in names})
-    film.add(0.5, {"left": None, "right": red, "base": demo.draw_from_above(demo.PLANNED, demo.PLANNED)}, {})
+    film.add(
+        0.0,
+        {"left": red, "right": None, "base": demo.draw_from_above(demo.PLANNED, [])},
+        {n: n for n in names},
+    )
+    film.add(
+        0.5,
+        {"left": None, "right": red, "base": demo.draw_from_above(demo.PLANNED, demo.PLANNED)},
+        {},
+    )
     strip, gif = film.save(tmp_path)
     with Image.open(gif) as made:
         assert made.n_frames == 2

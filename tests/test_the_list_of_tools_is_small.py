@@ -1,4 +1,6 @@
-"""Every agent reads the whole list of tools: it fits a bound, and answers fit the schemas that it shows."""
+"""Every agent reads the whole list of tools: it fits a bound, and answers fit the schemas that
+it shows.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,9 @@ from roboneuron.plugins.discovery import discover
 from roboneuron.server.app import Application
 
 MOST_BYTES = 44_500
-"""Of the default configuration with the packages that `[standard]` (recorder and view with it) and a robot bring."""
+"""Of the default configuration with the packages that `[standard]` (recorder and view with it)
+and a robot bring.
+"""
 OPTIONAL = ("rn-eval-libero", "rn-backend-shared")
 """Packages with tools or backends of their own that are installed beside the standard ones."""
 
@@ -24,7 +28,13 @@ def test_the_list_of_tools_is_at_most_40_kb() -> None:
     finally:
         application.close()
     names = {tool.name for tool in listing.tools}
-    assert {"start_inference", "switch_inference", "publish_joint_trajectory", "move_ee", "get_status"} <= names
+    assert {
+        "start_inference",
+        "switch_inference",
+        "publish_joint_trajectory",
+        "move_ee",
+        "get_status",
+    } <= names
     size = len(listing.model_dump_json(by_alias=True, exclude_none=True).encode())
     assert size <= MOST_BYTES, f"tools/list is {size} bytes"
 
@@ -40,7 +50,10 @@ def test_answers_fit_the_listed_schemas() -> None:
                     assert answer.structured_content is not None, tool.name
                     assert tool.output_schema is not None
                     jsonschema.validate(answer.structured_content, tool.output_schema)
-                    told, listed = answer.structured_content.keys(), tool.output_schema["properties"].keys()
+                    told, listed = (
+                        answer.structured_content.keys(),
+                        tool.output_schema["properties"].keys(),
+                    )
                     assert told - {"acts_on"} <= listed
                     assert listed - told <= {"emergency_stop_cause"}, "empty, so it is left out"
 

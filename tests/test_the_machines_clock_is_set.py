@@ -19,11 +19,15 @@ JUMPS_S = (HOUR_S, -HOUR_S, -YEAR_S, YEAR_S, -0.3, 30.0)
 @pytest.mark.ros
 @pytest.mark.timing
 @pytest.mark.timeout(300)
-@pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler to stand in for a clock that is set")
+@pytest.mark.skipif(
+    shutil.which("cc") is None, reason="needs a C compiler to stand in for a clock that is set"
+)
 def test_a_cell_goes_on_by_itself_when_the_clock_is_set(tmp_path: Path) -> None:
     shim, offset = tmp_path / "set_clock.so", tmp_path / "offset"
     subprocess.run(
-        ["cc", "-O2", "-shared", "-fPIC", "-o", shim, HERE / "set_clock.c", "-ldl", "-lpthread"], check=True, timeout=60
+        ["cc", "-O2", "-shared", "-fPIC", "-o", shim, HERE / "set_clock.c", "-ldl", "-lpthread"],
+        check=True,
+        timeout=60,
     )
     offset.write_bytes(bytes(8))
     done = subprocess.run(
@@ -35,7 +39,9 @@ def test_a_cell_goes_on_by_itself_when_the_clock_is_set(tmp_path: Path) -> None:
         check=False,
     )
     assert done.returncode == 0, done.stderr[-2000:]
-    *told, switched, stopped = (json.loads(line) for line in done.stdout.splitlines() if line.startswith("{"))
+    *told, switched, stopped = (
+        json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")
+    )
     assert [row["jump_s"] for row in told] == list(JUMPS_S)
     for row in told:
         assert abs(row["seen_s"] - row["jump_s"]) < 1.0, "the clock was set for this process"

@@ -1,4 +1,5 @@
-"""The simulated robots ask for exactly one physics engine on each Python version: one that has a wheel there.
+"""The simulated robots ask for exactly one physics engine on each Python version: one that has a
+wheel there.
 
 That it runs there is checked by `make test-pythons`, which sets up an environment for each version.
 """
@@ -12,7 +13,8 @@ import pytest
 from packaging.requirements import Requirement
 
 ROOT = Path(__file__).parents[1]
-# Wheels for Linux on the package index, 2026-11: pybullet 3.2.7 cp311 (x86_64 only); mujoco 3.17.0 cp311 - cp314.
+# Wheels for Linux on the package index, 2026-11: pybullet 3.2.7 cp311 (x86_64 only); mujoco 3.17.0
+# cp311 - cp314.
 PLACES = [
     ("3.11", "x86_64", "pybullet"),
     ("3.12", "x86_64", "mujoco"),
@@ -23,7 +25,9 @@ PLACES = [
 
 @pytest.mark.parametrize("package", ["rn-robot-fr3", "rn-robot-bases"])
 @pytest.mark.parametrize(("version", "machine", "engine"), PLACES)
-def test_the_engine_that_pip_installs_has_a_wheel(package: str, version: str, machine: str, engine: str) -> None:
+def test_the_engine_that_pip_installs_has_a_wheel(
+    package: str, version: str, machine: str, engine: str
+) -> None:
     project = tomllib.loads((ROOT / "plugins" / package / "pyproject.toml").read_text())["project"]
     place = {"python_version": version, "platform_machine": machine}
     needed = [Requirement(line) for line in project["dependencies"]]

@@ -1,6 +1,8 @@
-"""A picked-up cube by the simulator's truth: kept by every way of moving the arm, put down by one call.
+"""A picked-up cube by the simulator's truth: kept by every way of moving the arm, put down by one
+call.
 
-Then: limits that the agent tightens hold for direct motion and for the policy, and only a person loosens them.
+Then: limits that the agent tightens hold for direct motion and for the policy, and only a person
+    loosens them.
 """
 
 from __future__ import annotations
@@ -36,7 +38,9 @@ state_directory = "{state}"
 """
 LEFT_M = 0.15
 NEAR_M = 0.02
-"""A cube that is let go 2 mm above the table, by fingers that open one after the other, may slide."""
+"""A cube that is let go 2 mm above the table, by fingers that open one after the other, may
+slide.
+"""
 
 
 class Agent:
@@ -130,8 +134,20 @@ def test_a_cube_stays_held_until_it_is_put_down(
 ) -> None:
     config = tmp_path / "roboneuron.toml"
     config.write_text(CONFIG.format(state=tmp_path / "state", engine=engine))
-    command = ["-m", "roboneuron.cli.main", "serve", "--config", str(config), "--log-level", "error"]
-    steps: list[Callable[[Agent], Any]] = [keeps_what_it_holds, puts_it_down, keeps_to_tightened_limits]
+    command = [
+        "-m",
+        "roboneuron.cli.main",
+        "serve",
+        "--config",
+        str(config),
+        "--log-level",
+        "error",
+    ]
+    steps: list[Callable[[Agent], Any]] = [
+        keeps_what_it_holds,
+        puts_it_down,
+        keeps_to_tightened_limits,
+    ]
 
     async def scenario() -> None:
         server = StdioServerParameters(command=sys.executable, args=command, env=environment)
@@ -140,6 +156,8 @@ def test_a_cube_stays_held_until_it_is_put_down(
                 await step(Agent(client))
 
     anyio.run(scenario)
-    audit = [json.loads(line) for line in (tmp_path / "state" / "audit.jsonl").read_text().splitlines()]
+    audit = [
+        json.loads(line) for line in (tmp_path / "state" / "audit.jsonl").read_text().splitlines()
+    ]
     tightened = [line["arguments"] for line in audit if line["verdict"] == "tightened"]
     assert tightened == [{"max_speed_m_s": 0.05, "y_max_m": 0.1}]

@@ -1,4 +1,6 @@
-"""docs/writing-a-plugin.md: what it tells to type works, and the pages generated from docstrings are current."""
+"""docs/writing-a-plugin.md: what it tells to type works, and the pages generated from
+docstrings are current.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,18 @@ def test_the_plugin_of_the_page_keeps_its_contract(tmp_path):
         assert (project / name).exists(), name
         (project / name).write_text(text)
     done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-W", "error", "-k", "TestNod"],
+        [
+            sys.executable,
+            "-m",
+            "pytest",
+            "-q",
+            "-p",
+            "no:cacheprovider",
+            "-W",
+            "error",
+            "-k",
+            "TestNod",
+        ],
         cwd=project,
         env={**os.environ, "PYTHONPATH": str(project / "src"), "PYTHONDONTWRITEBYTECODE": "1"},
         capture_output=True,
@@ -42,9 +55,13 @@ def test_the_plugin_of_the_page_keeps_its_contract(tmp_path):
 def test_the_extra_with_what_tests_need_has_one_name():
     own = "plugins/rn-testing/pyproject.toml"
     for path in ROOT.glob("plugins/*/pyproject.toml"):
-        extras = tomllib.loads(path.read_text(encoding="utf-8"))["project"].get("optional-dependencies", {})
+        extras = tomllib.loads(path.read_text(encoding="utf-8"))["project"].get(
+            "optional-dependencies", {}
+        )
         named = [
-            name for name, lines in extras.items() if any(line.startswith(("pytest", "rn-testing")) for line in lines)
+            name
+            for name, lines in extras.items()
+            if any(line.startswith(("pytest", "rn-testing")) for line in lines)
         ]
         assert named == (["pytest"] if path == ROOT / own else ["testing"]), path
         assert path == ROOT / own or "rn-testing[pytest]>=0.1,<0.2" in extras["testing"], path
@@ -56,7 +73,9 @@ def test_the_extra_with_what_tests_need_has_one_name():
 def test_the_feature_of_the_page_keeps_its_contract_and_is_short(tmp_path):
     project = tmp_path / "rn-feature-odometer"
     assert main(["new", "feature", "odometer", "--directory", str(project)]) == 0
-    [(name, text)] = re.findall(r"<!-- feature: (\S+) -->\n```python\n(.*?)```", PAGE, flags=re.DOTALL)
+    [(name, text)] = re.findall(
+        r"<!-- feature: (\S+) -->\n```python\n(.*?)```", PAGE, flags=re.DOTALL
+    )
     assert len([line for line in text.splitlines() if line.strip()]) <= 40
     (project / name).write_text(text)
     done = subprocess.run(
@@ -72,7 +91,9 @@ def test_the_feature_of_the_page_keeps_its_contract_and_is_short(tmp_path):
 
 
 def test_the_page_explains_every_status():
-    assert set(re.findall(r"^\| (\w+) \|", PAGE, flags=re.MULTILINE)) - {"status"} == {s.value for s in Status}
+    assert set(re.findall(r"^\| (\w+) \|", PAGE, flags=re.MULTILINE)) - {"status"} == {
+        s.value for s in Status
+    }
 
 
 def test_the_hook_page_is_what_the_docstrings_say():

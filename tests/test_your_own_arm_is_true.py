@@ -1,4 +1,6 @@
-"""docs/tutorials/your-own-arm.md: its files make a package that keeps the contract, and its arm moves."""
+"""docs/tutorials/your-own-arm.md: its files make a package that keeps the contract, and its arm
+moves.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,9 @@ import pytest
 
 from roboneuron.cli.main import main
 
-PAGE = (Path(__file__).parents[1] / "docs" / "tutorials" / "your-own-arm.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[1] / "docs" / "tutorials" / "your-own-arm.md").read_text(
+    encoding="utf-8"
+)
 FILES = dict(re.findall(r"<!-- file: (\S+) -->\n```\w+\n(.*?)```", PAGE, flags=re.DOTALL))
 
 
@@ -32,12 +36,27 @@ def project(tmp_path: Path) -> Path:
 
 def test_the_page_has_all_files() -> None:
     names = ("myarm.urdf", "profile.py", "ros2.py", "plugin.py")
-    assert set(FILES) == {"roboneuron.toml", "fake_arm.py", *(f"src/rn_robot_myarm/{name}" for name in names)}
+    assert set(FILES) == {
+        "roboneuron.toml",
+        "fake_arm.py",
+        *(f"src/rn_robot_myarm/{name}" for name in names),
+    }
 
 
 def test_the_arm_of_the_page_keeps_its_contract(project: Path) -> None:
     done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-W", "error", "-k", "TestMyarm"],
+        [
+            sys.executable,
+            "-m",
+            "pytest",
+            "-q",
+            "-p",
+            "no:cacheprovider",
+            "-W",
+            "error",
+            "-k",
+            "TestMyarm",
+        ],
         cwd=project,
         env={**os.environ, "PYTHONPATH": str(project / "src"), "PYTHONDONTWRITEBYTECODE": "1"},
         capture_output=True,
@@ -54,13 +73,29 @@ def test_the_arm_of_the_page_keeps_its_contract(project: Path) -> None:
 def test_the_arm_of_the_page_moves(project: Path, environment: dict[str, str], driver: str) -> None:
     environment = {**environment, "PYTHONPATH": str(project / "src")}
     config = project / "roboneuron.toml"
-    config.write_text(FILES["roboneuron.toml"].replace("[robot]", f'[robot]\ndriver = "{driver}"'), encoding="utf-8")
-    arm = subprocess.Popen([sys.executable, "fake_arm.py"], cwd=project, env=environment, stderr=subprocess.DEVNULL)
-    command = ["roboneuron", "call", "start_robot", "--config", str(config), "--then", "start_control", "{}"]
+    config.write_text(
+        FILES["roboneuron.toml"].replace("[robot]", f'[robot]\ndriver = "{driver}"'),
+        encoding="utf-8",
+    )
+    arm = subprocess.Popen(
+        [sys.executable, "fake_arm.py"], cwd=project, env=environment, stderr=subprocess.DEVNULL
+    )
+    command = [
+        "roboneuron",
+        "call",
+        "start_robot",
+        "--config",
+        str(config),
+        "--then",
+        "start_control",
+        "{}",
+    ]
     command += ["--then", "move_joints", '{"positions": {"joint_1": 0.3}}']
     command += ["--then", "move_ee", '{"dx_m": 0.05, "dz_m": -0.05}']
     try:
-        done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=180, check=False)
+        done = subprocess.run(
+            command, env=environment, capture_output=True, text=True, timeout=180, check=False
+        )
     finally:
         arm.kill()
         arm.wait(10)

@@ -1,9 +1,10 @@
-"""Check that a built site needs no network: no script, style, font, image or frame from another host.
+"""Check that a built site needs no network: no script, style, font, image or frame from another
+host.
 
     python tools/check_site.py out/site
 
-Ordinary links (`<a href>`) may lead anywhere. `mermaid` blocks are refused because the theme would load their script
-from another host. Exit status 1 names each file with what it loads.
+Ordinary links (`<a href>`) may lead anywhere. `mermaid` blocks are refused because the theme would
+load their script from another host. Exit status 1 names each file with what it loads.
 """
 
 from __future__ import annotations
@@ -38,7 +39,9 @@ class _Page(HTMLParser):
         values = {name: value or "" for name, value in attrs}
         self.in_style = tag == "style"
         loads = _LOADS | ({"href"} if tag == "link" and self._link_loads(values) else set())
-        self.found += [f"<{tag} {n}={v}>" for n, v in values.items() if n in loads and _EXTERNAL.match(v)]
+        self.found += [
+            f"<{tag} {n}={v}>" for n, v in values.items() if n in loads and _EXTERNAL.match(v)
+        ]
         self.found += [f"<{tag} style={url}>" for url in _IN_CSS.findall(values.get("style", ""))]
         if "mermaid" in values.get("class", "").split():
             self.found.append(f"<{tag} class=mermaid>")
@@ -56,14 +59,19 @@ class _Page(HTMLParser):
 
 
 def external_resources(site: Path) -> list[str]:
-    """One line for each resource that a page or style sheet would load from another host, with its file."""
+    """One line for each resource that a page or style sheet would load from another host, with
+    its file.
+    """
     found = []
     for path in sorted(site.rglob("*.html")):
         page = _Page()
         page.feed(path.read_text(encoding="utf-8"))
         found += [f"{path.relative_to(site)}: {what}" for what in page.found]
     for path in sorted(site.rglob("*.css")):
-        found += [f"{path.relative_to(site)}: {url}" for url in _IN_CSS.findall(path.read_text(encoding="utf-8"))]
+        found += [
+            f"{path.relative_to(site)}: {url}"
+            for url in _IN_CSS.findall(path.read_text(encoding="utf-8"))
+        ]
     return found
 
 

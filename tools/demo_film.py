@@ -1,4 +1,5 @@
-"""Reduce the film that `make demo` leaves in out/demo/ to what the README and the documentation show.
+"""Reduce the film that `make demo` leaves in out/demo/ to what the README and the documentation
+show.
 
     python tools/demo_film.py out/demo/film.gif docs/assets/demo.webp
 
@@ -27,9 +28,19 @@ def reduce_film(source: Path, target: Path) -> int:
     with Image.open(source) as film:
         for frame in ImageSequence.Iterator(film):
             height_px = round(frame.height * WIDTH_PX / frame.width)
-            frames.append(frame.convert("RGB").resize((WIDTH_PX, height_px), Image.Resampling.LANCZOS))
+            frames.append(
+                frame.convert("RGB").resize((WIDTH_PX, height_px), Image.Resampling.LANCZOS)
+            )
             durations_ms.append(int(frame.info.get("duration", 40)))
-    frames[0].save(target, save_all=True, append_images=frames[1:], duration=durations_ms, loop=0, quality=75, method=6)
+    frames[0].save(
+        target,
+        save_all=True,
+        append_images=frames[1:],
+        duration=durations_ms,
+        loop=0,
+        quality=75,
+        method=6,
+    )
     size = target.stat().st_size
     if size > MAX_BYTES:
         target.unlink()
@@ -38,7 +49,9 @@ def reduce_film(source: Path, target: Path) -> int:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("source", type=Path)
     parser.add_argument("target", type=Path)
     arguments = parser.parse_args()

@@ -43,7 +43,7 @@ A plugin is an installed distribution with an entry point in the group `roboneur
 holds any of the hooks below, decorated with `roboneuron.hookimpl`. A hook takes no argument,
 imports nothing heavy and returns a list or tuple of descriptors; what they describe is loaded only when it is used.
 [Writing a plugin](../writing-a-plugin.md) shows it step by step.
-"""
+"""  # noqa: E501
 
 
 def first_line(subject: object) -> str:
@@ -86,7 +86,12 @@ def methods(protocol: type) -> Iterator[str]:
             yield f"- `{name}`: {first_line(function)}"
         if name.startswith("_") or not inspect.isfunction(function):
             continue
-        signature = str(inspect.signature(function)).replace("(self, ", "(").replace("(self)", "()").replace("'", "")
+        signature = (
+            str(inspect.signature(function))
+            .replace("(self, ", "(")
+            .replace("(self)", "()")
+            .replace("'", "")
+        )
         yield f"- `{name}{signature}`: {first_line(function)}"
         text = inspect.getdoc(function) or ""
         if "Raises:" in text:
@@ -113,7 +118,11 @@ def section(kind: str) -> Iterator[str]:
     for protocol in PROTOCOLS[kind]:
         yield f"### {protocol.__name__}\n"
         yield f"{first_line(protocol)}\n"
-        yield from (f"- `{name}`: {told}" for name, told in attributes(protocol).items() if not hasattr(protocol, name))
+        yield from (
+            f"- `{name}`: {told}"
+            for name, told in attributes(protocol).items()
+            if not hasattr(protocol, name)
+        )
         yield from methods(protocol)
         yield ""
     yield from rule_table(kind)
@@ -134,7 +143,9 @@ def render() -> str:
     lines = [INTRODUCTION, "## Every descriptor\n", first_line(Spec) + "\n", *field_table(Spec), ""]
     lines += ["### Requirement\n", first_line(Requirement) + "\n", *field_table(Requirement), ""]
     lines += ["### Rules of every descriptor\n", "| rule | what must hold |\n|---|---|"]
-    lines += [f"| `{r.id}` | {r.text} |" for r in RULES["backend"] if r.id.startswith("descriptor/")]
+    lines += [
+        f"| `{r.id}` | {r.text} |" for r in RULES["backend"] if r.id.startswith("descriptor/")
+    ]
     lines += [""]
     for kind in hookspecs.HOOKS:
         lines += section(kind)
@@ -147,7 +158,10 @@ def main() -> int:
     text = render()
     if "--check" in sys.argv[1:]:
         current = PAGE.exists() and PAGE.read_text(encoding="utf-8") == text
-        print(f"{PAGE.name} is {'current' if current else 'not current; run python tools/hook_reference.py'}")
+        print(
+            f"{PAGE.name} is "
+            f"{'current' if current else 'not current; run python tools/hook_reference.py'}"
+        )
         return 0 if current else 1
     PAGE.write_text(text, encoding="utf-8")
     return 0

@@ -1,12 +1,14 @@
-"""Which mutants tools/mutations.py makes: those of mutmut, three more, and none that only changes a text for people.
+"""Which mutants tools/mutations.py makes: those of mutmut, three more, and none that only changes a
+text for people.
 
-Added to mutmut's: a `raise` that is left out, a call that is left out where nothing uses its result, and an `if` whose
-condition is inverted.
+Added to mutmut's: a `raise` that is left out, a call that is left out where nothing uses its
+result, and an `if` whose condition is inverted.
 
-Left out, by rule: a literal with a letter and a blank in it and an f-string with a blank (codes, keys and names of
-rules have none), what is put together with one (`+`, `x if y else z`, `", ".join(...)`), arguments, variables and
-attributes called as in TEXT_NAMES, a variable `text` that an exception called ...Error is given, and calls of a logger
-or of print. Docstrings are left out by mutmut.
+Left out, by rule: a literal with a letter and a blank in it and an f-string with a blank (codes,
+    keys and names of
+rules have none), what is put together with one (`+`, `x if y else z`, `", ".join(...)`), arguments,
+variables and attributes called as in TEXT_NAMES, a variable `text` that an exception called
+...Error is given, and calls of a logger or of print. Docstrings are left out by mutmut.
 """
 
 from __future__ import annotations
@@ -20,7 +22,9 @@ from mutmut.mutation import file_mutation, mutators
 TEXT_NAMES = frozenset({"hint", "note", "reason"})
 """Arguments, variables and attributes that hold a text for people, wherever they occur."""
 UNWRAPPED = frozenset({"contextmanager", "property"})
-"""Decorators that can be called after the function is made: mutmut makes no mutants of a decorated function."""
+"""Decorators that can be called after the function is made: mutmut makes no mutants of a
+decorated function.
+"""
 _SAME_AS_INVERTED = (cst.Equal, cst.NotEqual, cst.Is, cst.IsNot, cst.In, cst.NotIn)
 """Comparisons that mutmut inverts itself."""
 _Operator = Callable[[cst.CSTNode], Iterable[cst.CSTNode]]
@@ -46,12 +50,17 @@ class BehaviourVisitor(file_mutation.MutationVisitor):
 
 
 def is_text(node: cst.CSTNode) -> bool:
-    """Whether an expression or argument makes a text for people, by the rule in this module's docstring."""
+    """Whether an expression or argument makes a text for people, by the rule in this module's
+    docstring.
+    """
     match node:
         case cst.SimpleString():
             return " " in node.value and any(sign.isalpha() for sign in node.value)
         case cst.FormattedString():
-            return any(isinstance(part, cst.FormattedStringText) and " " in part.value for part in node.parts)
+            return any(
+                isinstance(part, cst.FormattedStringText) and " " in part.value
+                for part in node.parts
+            )
         case cst.ConcatenatedString() | cst.BinaryOperation():
             return is_text(node.left) or is_text(node.right)
         case cst.IfExp():
@@ -70,7 +79,9 @@ def is_text(node: cst.CSTNode) -> bool:
 
 
 def unwrap_decorators(source: str) -> str:
-    """The same module with `@property` and `@contextmanager` applied by a call after the function; lines stay."""
+    """The same module with `@property` and `@contextmanager` applied by a call after the
+    function; lines stay.
+    """
     lines = source.splitlines()
     functions = [node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.FunctionDef)]
     for function in sorted(functions, key=lambda node: node.lineno, reverse=True):
@@ -80,7 +91,10 @@ def unwrap_decorators(source: str) -> str:
         written = ast.unparse(decorator)
         if written.rpartition(".")[2] not in UNWRAPPED or function.end_lineno is None:
             continue
-        lines.insert(function.end_lineno, f"{' ' * function.col_offset}{function.name} = {written}({function.name})")
+        lines.insert(
+            function.end_lineno,
+            f"{' ' * function.col_offset}{function.name} = {written}({function.name})",
+        )
         del lines[decorator.lineno - 1]
     return "\n".join(lines) + "\n"
 
@@ -100,7 +114,9 @@ def _changes_only_text(node: cst.CSTNode, mutated: cst.CSTNode) -> bool:
         kept = {id(argument) for argument in mutated.args}
         lost = [argument for argument in node.args if id(argument) not in kept]
         is_error = isinstance(node.func, cst.Name) and node.func.value.endswith("Error")
-        return bool(lost) and all(is_text(one) or (is_error and _is_called(one.value, "text")) for one in lost)
+        return bool(lost) and all(
+            is_text(one) or (is_error and _is_called(one.value, "text")) for one in lost
+        )
     if isinstance(node, cst.Assign):
         return is_text(node.value) or all(is_text(target.target) for target in node.targets)
     if isinstance(node, cst.AnnAssign):
@@ -116,7 +132,11 @@ def _is_log_call(node: cst.CSTNode) -> bool:
     match node:
         case cst.Call(func=cst.Name(value="print")):
             return True
-        case cst.Call(func=cst.Attribute(value=cst.Name(value=owner) | cst.Attribute(attr=cst.Name(value=owner)))):
+        case cst.Call(
+            func=cst.Attribute(
+                value=cst.Name(value=owner) | cst.Attribute(attr=cst.Name(value=owner))
+            )
+        ):
             return owner.strip("_") in ("log", "logger")
     return False
 

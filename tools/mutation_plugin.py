@@ -1,11 +1,16 @@
-"""Plugin of the pytest that tools/mutations.py runs, in the place of the repository's conftest.py."""
+"""Plugin of the pytest that tools/mutations.py runs, in the place of the repository's
+conftest.py.
+"""
 
 from __future__ import annotations
 
 
 def pytest_collection() -> None:
-    """Try the same examples of a property for every mutant, and end at the first that fails: nobody reads it."""
-    from hypothesis import HealthCheck, Phase, settings  # later than pytest's own plugins, which pytest rewrites
+    """Try the same examples of a property for every mutant, and end at the first that fails:
+    nobody reads it.
+    """
+    # later than pytest's own plugins, which pytest rewrites
+    from hypothesis import HealthCheck, Phase, settings
 
     settings.register_profile(
         "mutations",

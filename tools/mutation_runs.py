@@ -19,20 +19,28 @@ _MOST_SLEEP_S = 20.0
 
 
 def install(folders: Sequence[str]) -> None:
-    """Have quick tests run first, those of the first folder before others, and mutants bounded by `_end_sleeper`.
+    """Have quick tests run first, those of the first folder before others, and mutants bounded by
+    `_end_sleeper`.
 
-    The first test that fails ends a mutant's run. Computing is bounded by mutmut with RLIMIT_CPU; its limit by the
-    clock, which a busy machine exceeds, is replaced.
+    The first test that fails ends a mutant's run. Computing is bounded by mutmut with RLIMIT_CPU;
+    its limit by the clock, which a busy machine exceeds, is replaced.
     """
     submit = isolation.ForkServerRunner.submit
 
     def submit_in_order(
-        self: isolation.ForkServerRunner, mutant: str, tests: list[str], limit_s: int, estimate_s: float
+        self: isolation.ForkServerRunner,
+        mutant: str,
+        tests: list[str],
+        limit_s: int,
+        estimate_s: float,
     ) -> None:
         durations_s = state().duration_by_test
 
         def place(test: str) -> tuple[bool, int, str]:
-            folder = next((number for number, name in enumerate(folders) if test.startswith(name)), len(folders))
+            folder = next(
+                (number for number, name in enumerate(folders) if test.startswith(name)),
+                len(folders),
+            )
             return durations_s.get(test, 0.0) > _QUICK_S, folder, test
 
         submit(self, mutant, sorted(tests, key=place), limit_s, estimate_s)
@@ -46,13 +54,19 @@ def _watch(process: int, _limit_s: float) -> None:
 
 
 def _end_sleeper(process: int) -> None:
-    """End a mutant's process when it and its children have slept for `_MOST_SLEEP_S`, all looks taken together."""
+    """End a mutant's process when it and its children have slept for `_MOST_SLEEP_S`, all looks
+    taken together.
+    """
     slept_s = 0.0
     while slept_s < _MOST_SLEEP_S:
         time.sleep(_LOOK_S)
         try:
             found = psutil.Process(process)
-            states = [state for one in (found, *found.children(recursive=True)) for state in _thread_states(one.pid)]
+            states = [
+                state
+                for one in (found, *found.children(recursive=True))
+                for state in _thread_states(one.pid)
+            ]
         except psutil.Error:
             return
         if not states or "Z" in states[:1]:
@@ -64,7 +78,9 @@ def _end_sleeper(process: int) -> None:
 
 
 def _thread_states(process: int) -> list[str]:
-    """The states of a process's threads, as in proc(5): R runs or would like to, S sleeps, Z has ended."""
+    """The states of a process's threads, as in proc(5): R runs or would like to, S sleeps, Z
+    has ended.
+    """
     states = []
     for path in Path(f"/proc/{process}/task").glob("*/stat"):
         try:

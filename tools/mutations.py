@@ -1,18 +1,21 @@
-"""Mutation tests of the code that keeps a robot safe: does a test notice when one operation of it changes?
+"""Mutation tests of the code that keeps a robot safe: does a test notice when one operation of it
+changes?
 
     make test-mutations                                  # every part; goes on where it was
-    make test-mutations ARGS="gate --only estop"         # mutants with "estop" in their names, tried again
-    make test-mutations ARGS="direct-path --list"        # what is known so far, with the survivors; runs nothing
+    make test-mutations ARGS="gate --only estop"         # mutants with "estop" in their names,
+    tried again make test-mutations ARGS="direct-path --list"        # what is known so far, with
+    the survivors; runs nothing
 
-mutmut makes the mutants, picks the tests by what they call and forks for each mutant; tools/mutation_operators.py says
-which mutants count. A mutant is killed by time when it computes for 12 s and six times what its tests take otherwise,
+mutmut makes the mutants, picks the tests by what they call and forks for each mutant;
+tools/mutation_operators.py says which mutants count. A mutant is killed by time when it computes
+for 12 s and six times what its tests take otherwise,
 or sleeps for 20 s: a busy machine kills none.
-Survivors belong into tools/mutation_survivors.toml, each with a reason: `equivalent`, when no test could notice it, or
-`accepted`, which still counts as survived. The lane fails for one that is not listed, and for a part below 95 % of the
-mutants that are not equivalent.
+Survivors belong into tools/mutation_survivors.toml, each with a reason: `equivalent`, when no test
+could notice it, or `accepted`, which still counts as survived. The lane fails for one that is not
+listed, and for a part below 95 % of the mutants that are not equivalent.
 
-Results are kept in out/mutations/PART. A function that changes is tried again, and when a test changes everything that
-was not killed; `--fresh` tries everything again.
+Results are kept in out/mutations/PART. A function that changes is tried again, and when a test
+changes everything that was not killed; `--fresh` tries everything again.
 """
 
 from __future__ import annotations
@@ -43,10 +46,16 @@ OUT = ROOT / "out" / "mutations"
 SURVIVORS = ROOT / "tools" / "mutation_survivors.toml"
 LEAST_PERCENT = 95.0
 NOT_RUN = 255
-"""Exit code of mutmut when pytest refuses to run, as for a test that it does not find; mutmut calls it a timeout."""
+"""Exit code of mutmut when pytest refuses to run, as for a test that it does not find; mutmut
+calls it a timeout.
+"""
 UNKNOWN = ("not checked", "check was interrupted by user")
 CORE, STANDARD = "roboneuron-core/src/roboneuron", "plugins/rn-standard/src/rn_standard"
-CORE_TESTS = ("roboneuron-core/tests/gate", "roboneuron-core/tests/modules", "roboneuron-core/tests/supervisor")
+CORE_TESTS = (
+    "roboneuron-core/tests/gate",
+    "roboneuron-core/tests/modules",
+    "roboneuron-core/tests/supervisor",
+)
 DIRECT_TESTS = ("plugins/rn-standard/tests/direct_path",)
 ARM_TESTS = (
     *("plugins/rn-standard/tests/tools_arm", "plugins/rn-controller-urdf/tests"),
@@ -117,7 +126,8 @@ class Mutant:
         file: from the package.
         function: its name, with the class.
         change: the line before and after; numbered when the function has the same change twice.
-        status: of mutmut: "killed", "timeout", "survived", "no tests", "not checked" and others; or "not run".
+        status: of mutmut: "killed", "timeout", "survived", "no tests", "not checked" and others; or
+            "not run".
     """
 
     file: str
@@ -145,8 +155,12 @@ def main() -> int:
 
 def _parse_arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("parts", nargs="*", metavar="PART", help=f"one or more of {', '.join(PARTS)}; default: all")
-    parser.add_argument("--only", default="", help="try again the mutants with this in file, class or function")
+    parser.add_argument(
+        "parts", nargs="*", metavar="PART", help=f"one or more of {', '.join(PARTS)}; default: all"
+    )
+    parser.add_argument(
+        "--only", default="", help="try again the mutants with this in file, class or function"
+    )
     parser.add_argument("--fresh", action="store_true", help="forget what is known")
     parser.add_argument("--list", action="store_true", help="only print what is known")
     arguments = parser.parse_args()
@@ -157,12 +171,16 @@ def _parse_arguments() -> argparse.Namespace:
 
 
 def _run_in_a_fork(part: Part, work: Path, arguments: argparse.Namespace) -> None:
-    """mutmut keeps its state in its modules and changes directory: each part has a process of its own."""
+    """mutmut keeps its state in its modules and changes directory: each part has a process of
+    its own.
+    """
     process = os.fork()
     if process:
         status = os.waitstatus_to_exitcode(os.waitpid(process, 0)[1])
         if status:
-            sys.exit(f"The mutants could not be tried (exit status {status}); see {OUT}/{work.name}.log.")
+            sys.exit(
+                f"The mutants could not be tried (exit status {status}); see {OUT}/{work.name}.log."
+            )
         return
     status = 1
     try:
@@ -189,7 +207,9 @@ def _run_in_a_fork(part: Part, work: Path, arguments: argparse.Namespace) -> Non
 
 
 def _prepare(part: Part, work: Path, *, is_fresh: bool) -> None:
-    """Lay out what mutmut works on: src/PACKAGE, which it copies to mutants/ with mutants in it, and the tests."""
+    """Lay out what mutmut works on: src/PACKAGE, which it copies to mutants/ with mutants in
+    it, and the tests.
+    """
     rules = f"{metadata.version('mutmut')} {_digest([Path(mutation_operators.__file__)])}"
     if is_fresh or _read_text(work / "rules") != rules:
         shutil.rmtree(work, ignore_errors=True)
@@ -197,7 +217,9 @@ def _prepare(part: Part, work: Path, *, is_fresh: bool) -> None:
     tests = [path for name in part.tests for path in _files(ROOT / name)]
     for path in sorted(sources.rglob("*")):
         if path.is_file() and "__pycache__" not in path.parts:
-            _write_changed(work / "src" / sources.name / path.relative_to(sources), _source(part, path))
+            _write_changed(
+                work / "src" / sources.name / path.relative_to(sources), _source(part, path)
+            )
     mutants = work / "mutants"
     for folder in (*part.tests, *CONFTESTS):
         target = mutants / folder
@@ -210,7 +232,8 @@ def _prepare(part: Part, work: Path, *, is_fresh: bool) -> None:
     _write_changed(work / "pyproject.toml", settings_text.encode())
     _forget_survivors(part, work, _digest([*tests, *(ROOT / name for name in CONFTESTS)]))
     (work / "rules").write_text(rules, "utf-8")
-    os.environ["PYTHONPATH"] = str(mutants / "src")  # processes that a test starts have the mutant too
+    # processes that a test starts have the mutant too
+    os.environ["PYTHONPATH"] = str(mutants / "src")
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     os.environ.setdefault("ROS_DOMAIN_ID", str(free_ros_domain()))
     os.environ["ROBONEURON_RECORDER"] = "off"
@@ -228,7 +251,8 @@ def _settings(part: Part) -> str:
             *("-m", MARKERS, "-k", " and ".join(f"not {word}" for word in words)),
             *(f"--ignore-glob=*/{name}" for name in folders),
             *("-p", "mutation_plugin", "-p", "no:cacheprovider"),
-            *("-W", "ignore::pytest.PytestAssertRewriteWarning"),  # pytest starts again in every process
+            # pytest starts again in every process
+            *("-W", "ignore::pytest.PytestAssertRewriteWarning"),
         ],
         "process_isolation": "forkserver",
         "timeout_constant": 2.0,
@@ -242,7 +266,10 @@ def _settings(part: Part) -> str:
 
 def _source(part: Part, path: Path) -> bytes:
     inside = path.relative_to(ROOT / part.package)
-    if any(inside.match(pattern) and len(inside.parts) == len(Path(pattern).parts) for pattern in part.files):
+    if any(
+        inside.match(pattern) and len(inside.parts) == len(Path(pattern).parts)
+        for pattern in part.files
+    ):
         return mutation_operators.unwrap_decorators(path.read_text("utf-8")).encode()
     return path.read_bytes()
 
@@ -255,7 +282,9 @@ def _forget_survivors(part: Part, work: Path, tests: str) -> None:
     for meta in (work / "mutants" / "src").rglob("*.py.meta"):
         known = json.loads(meta.read_text("utf-8"))
         results = known["exit_code_by_key"]
-        known["exit_code_by_key"] = {key: code if code == 1 else None for key, code in results.items()}
+        known["exit_code_by_key"] = {
+            key: code if code == 1 else None for key, code in results.items()
+        }
         meta.write_text(json.dumps(known), "utf-8")
     (work / "tests").write_text(tests, "utf-8")
 
@@ -278,7 +307,10 @@ def _read_mutants(part: Part, work: Path) -> Iterator[Mutant]:
             name = key.rpartition(".")[2]
             base = name.rpartition("__mutmut_")[0]
             before, after = spans.read_function_sources([f"{base}__mutmut_orig", name])
-            before, after = before.replace(f"{base}__mutmut_orig", base, 1), after.replace(name, base, 1)
+            before, after = (
+                before.replace(f"{base}__mutmut_orig", base, 1),
+                after.replace(name, base, 1),
+            )
             function = base.removeprefix("x_").removeprefix("xǁ").replace("ǁ", ".")
             change = _change(before, after)
             changes[function, change] += 1
@@ -303,14 +335,17 @@ def _report(name: str, mutants: list[Mutant]) -> bool:
     """Print a part's figures and its survivors; whether the part is as it must be."""
     listed = _listed(name)
     print(
-        f"\n{name:32}{'mutants':>9}{'killed':>8}{'by time':>9}{'survived':>10}{'no test':>9}{'equivalent':>12}{'%':>8}"
+        f"\n{name:32}{'mutants':>9}{'killed':>8}{'by time':>9}{'survived':>10}"
+        f"{'no test':>9}{'equivalent':>12}{'%':>8}"
     )
     files = sorted({mutant.file for mutant in mutants})
     for file in files:
         _print_row(file, [mutant for mutant in mutants if mutant.file == file], listed)
     percent = _print_row("all", mutants, listed)
     left = [mutant for mutant in mutants if not mutant.is_killed]
-    unlisted = [mutant for mutant in left if (mutant.file, mutant.function, mutant.change) not in listed]
+    unlisted = [
+        mutant for mutant in left if (mutant.file, mutant.function, mutant.change) not in listed
+    ]
     for mutant in unlisted:
         if mutant.status in UNKNOWN:
             continue
@@ -318,14 +353,18 @@ def _report(name: str, mutants: list[Mutant]) -> bool:
     known = {(mutant.file, mutant.function, mutant.change) for mutant in left}
     for file, function, change in sorted(set(listed) - known):
         print(f"listed, but it does not survive: {file}: {function}: {change}")
-    print(f"{name}: {percent:.1f} % of what is not equivalent, at least {LEAST_PERCENT:g} %; {len(unlisted)} unlisted")
+    print(
+        f"{name}: {percent:.1f} % of what is not equivalent, at least {LEAST_PERCENT:g} %; "
+        f"{len(unlisted)} unlisted"
+    )
     return bool(mutants) and not unlisted and percent >= LEAST_PERCENT
 
 
 def _print_row(title: str, mutants: list[Mutant], listed: dict[tuple[str, str, str], str]) -> float:
     statuses = Counter(mutant.status for mutant in mutants)
     equivalent = sum(
-        listed.get((mutant.file, mutant.function, mutant.change)) == "equivalent" and not mutant.is_killed
+        listed.get((mutant.file, mutant.function, mutant.change)) == "equivalent"
+        and not mutant.is_killed
         for mutant in mutants
     )
     killed = sum(mutant.is_killed for mutant in mutants)
@@ -333,7 +372,8 @@ def _print_row(title: str, mutants: list[Mutant], listed: dict[tuple[str, str, s
     unknown = sum(statuses[status] for status in UNKNOWN)
     print(
         f"  {title:30}{len(mutants):9}{killed:8}{statuses['timeout']:9}{statuses['survived']:10}"
-        f"{statuses['no tests']:9}{equivalent:12}{percent:8.1f}" + (f"  ({unknown} not tried)" if unknown else "")
+        f"{statuses['no tests']:9}{equivalent:12}{percent:8.1f}"
+        + (f"  ({unknown} not tried)" if unknown else "")
     )
     return percent
 
@@ -344,9 +384,12 @@ def _listed(part: str) -> dict[tuple[str, str, str], str]:
     for entry in entries:
         if entry["kind"] not in ("equivalent", "accepted") or not entry["reason"]:
             sys.exit(
-                f"{SURVIVORS.name}: kind {entry['kind']!r} of {entry['function']} is neither, or no reason is given."
+                f"{SURVIVORS.name}: kind {entry['kind']!r} of {entry['function']} is neither, or "
+                "no reason is given."
             )
-    return {(e["file"], e["function"], e["change"]): e["kind"] for e in entries if e["part"] == part}
+    return {
+        (e["file"], e["function"], e["change"]): e["kind"] for e in entries if e["part"] == part
+    }
 
 
 def _files(place: Path) -> list[Path]:

@@ -44,13 +44,55 @@ class Arrow:
 
 BOXES = (
     Box(x=30, y=30, width=160, height=80, fill="#ffffff", title="agent", lines=("any MCP client",)),
-    Box(x=290, y=24, width=640, height=92, fill="#dbeafe", title="server", lines=(
-        "roboneuron serve: typed tools, gate, supervisor, plugins", "limits, emergency stop, roles, audit")),
-    Box(x=30, y=246, width=160, height=80, fill="#dcfce7", title="perception", lines=("camera or simulation",)),
-    Box(x=270, y=246, width=170, height=80, fill="#fef3c7", title="inference", lines=("model or visual servo",)),
-    Box(x=520, y=246, width=160, height=80, fill="#fef3c7", title="control", lines=("kinematics, limits",)),
-    Box(x=770, y=246, width=160, height=80, fill="#dcfce7", title="robot", lines=("driver of the arm",)),
-)  # fmt: skip
+    Box(
+        x=290,
+        y=24,
+        width=640,
+        height=92,
+        fill="#dbeafe",
+        title="server",
+        lines=(
+            "roboneuron serve: typed tools, gate, supervisor, plugins",
+            "limits, emergency stop, roles, audit",
+        ),
+    ),
+    Box(
+        x=30,
+        y=246,
+        width=160,
+        height=80,
+        fill="#dcfce7",
+        title="perception",
+        lines=("camera or simulation",),
+    ),
+    Box(
+        x=270,
+        y=246,
+        width=170,
+        height=80,
+        fill="#fef3c7",
+        title="inference",
+        lines=("model or visual servo",),
+    ),
+    Box(
+        x=520,
+        y=246,
+        width=160,
+        height=80,
+        fill="#fef3c7",
+        title="control",
+        lines=("kinematics, limits",),
+    ),
+    Box(
+        x=770,
+        y=246,
+        width=160,
+        height=80,
+        fill="#dcfce7",
+        title="robot",
+        lines=("driver of the arm",),
+    ),
+)
 ARROWS = (
     Arrow(points=((190, 70), (290, 70)), label="MCP", at=(240, 58), both=True),
     Arrow(points=((240, 70), (240, 70)), label="stdio, HTTP", at=(240, 90)),
@@ -71,8 +113,14 @@ def box(b: Box) -> str:
     """One process."""
     middle = b.x + b.width // 2
     texts = [f'<text x="{middle}" y="{b.y + 30}" class="t">{escape(b.title)}</text>']
-    texts += [f'<text x="{middle}" y="{b.y + 53 + 20 * i}">{escape(line)}</text>' for i, line in enumerate(b.lines)]
-    shape = f'<rect x="{b.x}" y="{b.y}" width="{b.width}" height="{b.height}" rx="8" fill="{b.fill}" stroke="{INK}"/>'
+    texts += [
+        f'<text x="{middle}" y="{b.y + 53 + 20 * i}">{escape(line)}</text>'
+        for i, line in enumerate(b.lines)
+    ]
+    shape = (
+        f'<rect x="{b.x}" y="{b.y}" width="{b.width}" height="{b.height}" rx="8" '
+        f'fill="{b.fill}" stroke="{INK}"/>'
+    )
     return "\n".join((shape, *texts))
 
 
@@ -81,9 +129,14 @@ def arrow(a: Arrow) -> str:
     path = " ".join(f"{x},{y}" for x, y in a.points)
     style = ' stroke-dasharray="5 4"' if a.dashed else ""
     start = ' marker-start="url(#head)"' if a.both else ""
-    drawn = f'<polyline points="{path}" fill="none" stroke="{INK}"{style}{start} marker-end="url(#head)"/>'
+    drawn = (
+        f'<polyline points="{path}" fill="none" stroke="{INK}"{style}{start} '
+        'marker-end="url(#head)"/>'
+    )
     moves = len(set(a.points)) > 1
-    label = f'<text x="{a.at[0]}" y="{a.at[1]}" class="l">{escape(a.label)}</text>' if a.label else ""
+    label = (
+        f'<text x="{a.at[0]}" y="{a.at[1]}" class="l">{escape(a.label)}</text>' if a.label else ""
+    )
     return "\n".join(part for part in (drawn if moves else "", label) if part)
 
 
@@ -98,13 +151,13 @@ joint_states and ee_pose to control and inference. Tools of the direct path reac
 <style>.t {{ font-weight: 600; font-size: 17px }} .l {{ font-size: 12.5px; fill: {FAINT} }}</style>
 <defs><marker id="head" viewBox="0 0 10 10" refX="9" refY="5" markerWidth="8" markerHeight="8" \
 orient="auto-start-reverse"><path d="M0,1 L10,5 L0,9 z" fill="{INK}"/></marker></defs>
-<rect width="{WIDTH_PX}" height="{HEIGHT_PX}" rx="12" fill="{PANEL}"/>"""
+<rect width="{WIDTH_PX}" height="{HEIGHT_PX}" rx="12" fill="{PANEL}"/>"""  # noqa: E501
     notes = f"""<text x="30" y="140" text-anchor="start" class="l">control plane: one process</text>
 <text x="126" y="220" text-anchor="start" class="l">data plane: ROS 2 topics</text>
 <text x="478" y="176" class="l">dashed: start, stop, watch</text>
 <text x="478" y="194" class="l">(lifecycle services, /diagnostics)</text>
 <text x="{WIDTH_PX // 2}" y="440" class="l">Each box is an operating-system process. Solid lines carry data. \
-The emergency stop reaches control and robot by a topic and by a file.</text>"""
+The emergency stop reaches control and robot by a topic and by a file.</text>"""  # noqa: E501
     return "\n".join((head, *map(arrow, ARROWS), *map(box, BOXES), notes, "</svg>", ""))
 
 

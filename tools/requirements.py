@@ -1,10 +1,12 @@
-"""Write requirements.txt: the packages of this checkout that the distribution `roboneuron` needs, by their folders.
+"""Write requirements.txt: the packages of this checkout that the distribution `roboneuron` needs,
+by their folders.
 
-    python tools/requirements.py            # writes it, and requirements-EXTRA.txt for each extra of the root
-    python tools/requirements.py --check    # exit status 1 when one of them is not current
+    python tools/requirements.py            # writes it, and requirements-EXTRA.txt for each extra
+    of the root python tools/requirements.py --check    # exit status 1 when one of them is not
+    current
 
-pip takes a package that is named by its folder from there, and never looks for its name on an index. So every package
-of the project stands in these files, also one that only another one needs.
+pip takes a package that is named by its folder from there, and never looks for its name on an
+index. So every package of the project stands in these files, also one that only another one needs.
 """
 
 from __future__ import annotations
@@ -23,12 +25,17 @@ _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 
 def folders() -> dict[str, Path]:
     """The folder of each package of the project by its name, the one at the root excepted."""
-    files = [ROOT / "roboneuron-core" / "pyproject.toml", *sorted(ROOT.glob("plugins/*/pyproject.toml"))]
+    files = [
+        ROOT / "roboneuron-core" / "pyproject.toml",
+        *sorted(ROOT.glob("plugins/*/pyproject.toml")),
+    ]
     return {_project(path)["name"]: path.parent for path in files}
 
 
 def closure(needs: Iterable[str]) -> list[str]:
-    """Names of the project's packages among `needs` (as requirements are written), and of those that these need."""
+    """Names of the project's packages among `needs` (as requirements are written), and of those
+    that these need.
+    """
     known, found, waiting = folders(), set[str](), list(needs)
     while waiting:
         match = _NAME.match(waiting.pop())
@@ -44,14 +51,16 @@ def texts() -> dict[str, str]:
     common = closure(root["dependencies"])
     made = {
         "requirements.txt": [
-            "# The whole from this checkout; run pip in this folder. Written by tools/requirements.py.",
+            "# The whole from this checkout; run pip in this folder. Written by "
+            "tools/requirements.py.",
             "--constraint constraints.txt",
             *_paths(common),
         ]
     }
     for extra, needs in root.get("optional-dependencies", {}).items():
         made[f"requirements-{extra}.txt"] = [
-            f"# What `{WHOLE}[{extra}]` needs besides requirements.txt. Written by tools/requirements.py.",
+            f"# What `{WHOLE}[{extra}]` needs besides requirements.txt. Written by "
+            "tools/requirements.py.",
             "# Without constraints: pip keeps the build of PyTorch that is installed.",
             *_paths(name for name in closure(needs) if name not in common),
         ]

@@ -34,13 +34,17 @@ robot has `acts_on`: which robot, by which driver, and whether it is real or sim
 
 Before each description: whether the tool only reads or acts, and MCP's hints destructive and idempotent. In types `a|b`
 is a choice, `[]` an array. Arguments are optional unless marked as required.
-"""
+"""  # noqa: E501
 
 
 def tools_reference() -> str:
-    """The page: the core and those features of the project that are installed, without any other plugin."""
+    """The page: the core and those features of the project that are installed, without any
+    other plugin.
+    """
     config = Config.model_validate({"robot": {"name": "none"}})
-    features = tuple(offer for offer in discover().offers("feature") if package_of("feature", offer.spec.name))
+    features = tuple(
+        offer for offer in discover().offers("feature") if package_of("feature", offer.spec.name)
+    )
     catalogue = PluginCatalogue(discover=lambda disabled: Registry(plugins=(), all_offers=features))
     application = Application(config, plugins=catalogue)
     try:
@@ -48,7 +52,9 @@ def tools_reference() -> str:
         found = [application.tools.get(tool.name) for tool in listing]
         seen: dict[tuple[str, ...], str] = {}
         sections = [
-            _section(shown, tool.output_schema(), seen) for shown, tool in zip(listing, found, strict=True) if tool
+            _section(shown, tool.output_schema(), seen)
+            for shown, tool in zip(listing, found, strict=True)
+            if tool
         ]
     finally:
         application.close()
@@ -66,11 +72,19 @@ def _effect(tool: types.Tool) -> str:
 
 
 def _section(tool: types.Tool, output: Schema, seen: dict[tuple[str, ...], str]) -> str:
-    """A tool's arguments and answer; `seen` has the answers so far, and the tool that each was explained at."""
+    """A tool's arguments and answer; `seen` has the answers so far, and the tool that each was
+    explained at.
+    """
     lines = [f"## {tool.name}", "", f"({_effect(tool)}) {tool.description or ''}".strip(), ""]
     required = tool.input_schema.get("required", [])
     for name, entry in tool.input_schema.get("properties", {}).items():
-        default = ", required" if name in required else f", default {entry['default']}" if entry.get("default") else ""
+        default = (
+            ", required"
+            if name in required
+            else f", default {entry['default']}"
+            if entry.get("default")
+            else ""
+        )
         meaning = entry.get("description", "").replace(" Nothing is installed to choose from.", "")
         lines.append(f"- `{name}` ({_type(entry)}{default}): {meaning}".rstrip(": "))
     lines += [""] if tool.input_schema.get("properties") else ["No arguments.", ""]
@@ -97,12 +111,18 @@ def _answer(output: Schema) -> Iterator[str]:
 
 
 def _fields(node: Schema, whole: Schema, prefix: str = "") -> Iterator[tuple[str, str, str]]:
-    """Name, type and meaning of each field of an answer; fields of nested objects after them, by path."""
+    """Name, type and meaning of each field of an answer; fields of nested objects after them,
+    by path.
+    """
     for name, entry in node.get("properties", {}).items():
         shown = next((a for a in entry.get("anyOf", ()) if a.get("type") != "null"), entry)
         inner = shown.get("items", {}) if shown.get("type") == "array" else shown
         nested = whole.get("$defs", {}).get(inner.get("$ref", "").rpartition("/")[2], {})
-        kind = "object" if "$ref" in shown else _type({**shown, "items": {"type": "object"}} if nested else shown)
+        kind = (
+            "object"
+            if "$ref" in shown
+            else _type({**shown, "items": {"type": "object"}} if nested else shown)
+        )
         yield prefix + name, kind, entry.get("description", "")
         yield from _fields(nested, whole, f"{prefix}{name}{'[]' if shown is not inner else ''}.")
 

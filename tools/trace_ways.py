@@ -1,11 +1,15 @@
-"""Trace three ways through the code in a running server, and print the files of each in the order of their first call.
+"""Trace three ways through the code in a running server, and print the files of each in the order
+of their first call.
 
-    python tools/trace_ways.py            # about a minute; needs ROS, the packages of `make demo` and rn-robot-bases
+    python tools/trace_ways.py            # about a minute; needs ROS, the packages of `make demo`
+    and rn-robot-bases
 
-The ways are a call of `publish_velocity` until its message, an image until its joint command, and the key
-`control.action_timeout_s` until its use. Every function of the project that is called is noted, per process and thread:
-of the first two ways while a window is open, of the third those that are given a configuration or a part of it. What
-runs all the time, such as the status, shows up in a window too; docs/architecture.md tells the way from what is beside.
+The ways are a call of `publish_velocity` until its message, an image until its joint command, and
+the key `control.action_timeout_s` until its use. Every function of the project that is called is
+noted, per process and thread: of the first two ways while a window is open, of the third those that
+    are given a configuration or a part of it. What
+runs all the time, such as the status, shows up in a window too; docs/architecture.md tells the way
+from what is beside.
 """
 
 from __future__ import annotations
@@ -79,7 +83,7 @@ threading.setprofile(None)
 threading.Thread(target=look, daemon=True, name="trace").start()
 threading.setprofile(hook)
 sys.setprofile(hook)
-"""
+"""  # noqa: E501
 
 
 @contextmanager
@@ -95,14 +99,29 @@ def window(folder: Path, name: str) -> Iterator[None]:
 def print_way(folder: Path, way: str, kinds: tuple[str, ...]) -> None:
     """The files of a way by process and thread, each in the order of its first call."""
     for kind in kinds:
-        rows = [row for process, found in read(folder) if process == kind for row in found if row[1] == way]
+        rows = [
+            row
+            for process, found in read(folder)
+            if process == kind
+            for row in found
+            if row[1] == way
+        ]
         threads: dict[str, list[str]] = {}
         for _, _, thread, name, function in sorted(rows):
             threads.setdefault(thread, []).append(f"{name} ({function})")
         for thread, places in threads.items():
             print(f"  {kind}, {thread}: {', '.join(places)}")
-    names = {row[3] for process, found in read(folder) if process in kinds for row in found if row[1] == way}
-    print(f"  {len(names)} files, {sum(not name.startswith('rn_') for name in names)} of them in core\n")
+    names = {
+        row[3]
+        for process, found in read(folder)
+        if process in kinds
+        for row in found
+        if row[1] == way
+    }
+    print(
+        f"  {len(names)} files, {sum(not name.startswith('rn_') for name in names)} of them in "
+        "core\n"
+    )
 
 
 def read(folder: Path) -> Iterator[tuple[str, list[list[Any]]]]:
@@ -112,7 +131,9 @@ def read(folder: Path) -> Iterator[tuple[str, list[list[Any]]]]:
         yield "serve" if "serve" in told["words"] else told.get("kind", ""), told["rows"]
 
 
-async def trace(folder: Path, config: str, ways: dict[str, list[tuple[str, dict[str, Any]]]]) -> None:
+async def trace(
+    folder: Path, config: str, ways: dict[str, list[tuple[str, dict[str, Any]]]]
+) -> None:
     """Serve a configuration, and make the calls of each way within its window."""
     folder.mkdir()
     (folder / "sitecustomize.py").write_text(HOOK)
@@ -124,7 +145,15 @@ async def trace(folder: Path, config: str, ways: dict[str, list[tuple[str, dict[
         "ROS_DOMAIN_ID": str(free_ros_domain()),
         "XDG_STATE_HOME": str(folder / "state"),
     }
-    words = ["-m", "roboneuron.cli.main", "serve", "--config", str(folder / "roboneuron.toml"), "--log-level", "error"]
+    words = [
+        "-m",
+        "roboneuron.cli.main",
+        "serve",
+        "--config",
+        str(folder / "roboneuron.toml"),
+        "--log-level",
+        "error",
+    ]
     server = StdioServerParameters(command=sys.executable, args=words, env=environment)
     async with Client(stdio_client(server), read_timeout_seconds=120) as client:
         for way, calls in ways.items():
@@ -139,11 +168,18 @@ async def trace(folder: Path, config: str, ways: dict[str, list[tuple[str, dict[
 def main() -> None:
     """Trace and print the three ways."""
     twist = {"linear": {"x": 0.1, "y": 0.0, "z": 0.0}, "angular": {"x": 0.0, "y": 0.0, "z": 0.0}}
-    start: list[tuple[str, dict[str, Any]]] = [(f"start_{kind}", {}) for kind in ("robot", "perception", "control")]
+    start: list[tuple[str, dict[str, Any]]] = [
+        (f"start_{kind}", {}) for kind in ("robot", "perception", "control")
+    ]
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as root:
         base, arm = Path(root) / "base", Path(root) / "arm"
         publish = ("publish_velocity", {"message": twist, "duration_s": 0.3})
-        anyio.run(trace, base, '[robot]\nname = "diffdrive"\n', {"start": start[:1], "warm": [publish], "a": [publish]})
+        anyio.run(
+            trace,
+            base,
+            '[robot]\nname = "diffdrive"\n',
+            {"start": start[:1], "warm": [publish], "a": [publish]},
+        )
         begin = ("start_inference", {"instruction": "pick up the red cube"})
         anyio.run(trace, arm, default_text(), {"start": [*start, begin], "b": []})
         print("publish_velocity, from the call to the message on cmd_vel")

@@ -1,10 +1,14 @@
-"""Take the pictures of docs/view.md: a server with the simulated FR3, a client that calls its tools, and a browser.
+"""Take the pictures of docs/view.md: a server with the simulated FR3, a client that calls its
+tools, and a browser.
 
-    .venv/bin/python tools/view_screenshots.py              # into docs/assets; one to two minutes on a quiet machine
+    .venv/bin/python tools/view_screenshots.py              # into docs/assets; one to two minutes
+    on a quiet machine
 
-Nothing is staged: the pictures show what a person would see, the calls are those of the client, and the third one plays
-the recording that was made meanwhile. Each is taken when the page shows what it is to show; if one cannot be taken,
-none is replaced. A machine that draws the page with its processor shows lower rates than others.
+Nothing is staged: the pictures show what a person would see, the calls are those of the client, and
+    the third one plays
+the recording that was made meanwhile. Each is taken when the page shows what it is to show; if one
+cannot be taken, none is replaced. A machine that draws the page with its processor shows lower
+rates than others.
 """
 
 from __future__ import annotations
@@ -78,7 +82,7 @@ SHOWS = """words => {
     return pixels.some((value, index) => index % 4 < 3 && Math.abs(value - pixels[index % 4]) > 8);
   };
   return words.some(word => text.includes(word)) && pictures.length > 1 && pictures.slice(0, 2).every(isDrawn);
-}"""
+}"""  # noqa: E501
 """Whether the page says one of the words and both cameras' pictures are more than one colour."""
 FRAMES = """() => new Promise(done => {
   let left = 10;
@@ -120,7 +124,9 @@ async def served(state: Path) -> AsyncIterator[tuple[Client, str]]:
     config.write_text(CONFIG.format(state=state), encoding="utf-8")
     async with spawned_server(["--config", str(config)], log) as client:
         with anyio.fail_after(MOST_S):
-            while not (found := re.findall(r"live view is at (\S+:\d+)", log.read_text(encoding="utf-8"))):
+            while not (
+                found := re.findall(r"live view is at (\S+:\d+)", log.read_text(encoding="utf-8"))
+            ):
                 await anyio.sleep(0.1)
         yield client, found[0]
 
@@ -149,7 +155,9 @@ async def live(folder: Path, state: Path, browser: Browser) -> None:
 
 async def shoot_phone(page: Page, path: Path) -> None:
     """The pictures of the cameras are in a section of their own there, which is closed at first."""
-    await page.wait_for_function("word => document.body.textContent.includes(word)", arg=WORKS[1], polling=100)
+    await page.wait_for_function(
+        "word => document.body.textContent.includes(word)", arg=WORKS[1], polling=100
+    )
     await close_notice(page)
     await anyio.sleep(4.0)  # the joints come
     await page.screenshot(path=path, type="jpeg", quality=88)
@@ -162,7 +170,12 @@ async def recorded(folder: Path, state: Path, browser: Browser) -> None:
     run = next(run for run in store.runs() if run.kind == "recording")
     source = RecordedSource(run.id, run.files, load_config(None), discover())
     options = ViewOptions(port=0)
-    viewer = Viewer(options, source, Admission(tokens=TokenTable([]), rules=host_rules(options, HttpOptions())), None)
+    viewer = Viewer(
+        options,
+        source,
+        Admission(tokens=TokenTable([]), rules=host_rules(options, HttpOptions())),
+        None,
+    )
     viewer.open()
     source.open()
     try:
@@ -176,8 +189,12 @@ async def recorded(folder: Path, state: Path, browser: Browser) -> None:
 
 
 async def moment(source: RecordedSource) -> float:
-    """When the policy had said for half a second what it says in the picture; a page must be open."""
-    at_s = next(mark.at_s for mark in source.playback.marks if mark.text.startswith("start_inference"))
+    """When the policy had said for half a second what it says in the picture; a page must be
+    open.
+    """
+    at_s = next(
+        mark.at_s for mark in source.playback.marks if mark.text.startswith("start_inference")
+    )
     while at_s < source.playback.duration_s:
         at_s += 0.1
         source.playback.seek(at_s)
@@ -195,7 +212,9 @@ async def main(target: Path) -> None:
         folder.mkdir()
         state.mkdir()
         async with async_playwright() as playwright:
-            browser = await playwright.chromium.launch(executable_path=shutil.which("chromium"), args=FLAGS)
+            browser = await playwright.chromium.launch(
+                executable_path=shutil.which("chromium"), args=FLAGS
+            )
             await live(folder, state, browser)
             await recorded(folder, state, browser)
             await browser.close()
@@ -205,6 +224,10 @@ async def main(target: Path) -> None:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", nargs="?", type=Path, default=Path(__file__).parents[1] / "docs" / "assets")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "folder", nargs="?", type=Path, default=Path(__file__).parents[1] / "docs" / "assets"
+    )
     sys.exit(anyio.run(main, parser.parse_args().folder))

@@ -1,4 +1,6 @@
-"""Build hook of the wheel: compiles control_msgs with the ROS wheels and the machine's C++ compiler."""
+"""Build hook of the wheel: compiles control_msgs with the ROS wheels and the machine's C++
+compiler.
+"""
 
 from __future__ import annotations
 
@@ -28,15 +30,21 @@ def _typesupport() -> ModuleType:
 
 
 class CustomBuildHook(BuildHookInterface):  # type: ignore[type-arg]
-    """Puts the compiled package, its definitions and its entries in the ament index into the wheel."""
+    """Puts the compiled package, its definitions and its entries in the ament index into the
+    wheel.
+    """
 
     def dependencies(self) -> list[str]:
-        """The ROS wheels, unless the environment that the wheel is for has them: then nothing is downloaded twice."""
+        """The ROS wheels, unless the environment that the wheel is for has them: then nothing
+        is downloaded twice.
+        """
         typesupport = _typesupport()
         return [] if typesupport.find_wheels() is not None else list(typesupport.REQUIRED)
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
-        """Build before the files of the wheel are collected; pip asks twice, so what is built is kept in `build`."""
+        """Build before the files of the wheel are collected; pip asks twice, so what is built
+        is kept in `build`.
+        """
         typesupport = _typesupport()
         try:
             built = typesupport.build_once(ROOT / PACKAGE, ROOT / "build")

@@ -19,13 +19,16 @@ CHANGELOG = Path(__file__).parents[2] / "CHANGELOG.md"
 
 
 def _describe(name: str) -> object:
-    """What a user of the name relies on: fields of a dataclass, methods of a class, arguments of a function."""
+    """What a user of the name relies on: fields of a dataclass, methods of a class, arguments
+    of a function.
+    """
     value = getattr(roboneuron, name)
     if isinstance(value, type):
         members = {
             member: _signature(function) if inspect.isfunction(function) else "property"
             for member, function in vars(value).items()
-            if not member.startswith("_") and (inspect.isfunction(function) or isinstance(function, property))
+            if not member.startswith("_")
+            and (inspect.isfunction(function) or isinstance(function, property))
         }
         own = [f"{f.name}: {f.type}" for f in fields(value)] if is_dataclass(value) else []
         return {"fields": own, "members": members}
@@ -44,7 +47,9 @@ def test_the_api_is_as_recorded() -> None:
 
 def test_the_record_names_its_entry_in_the_changelog() -> None:
     entry = json.loads(RECORD.read_text(encoding="utf-8"))["changelog"]
-    assert entry in CHANGELOG.read_text(encoding="utf-8"), "the public API changed without an entry in CHANGELOG.md"
+    assert entry in CHANGELOG.read_text(encoding="utf-8"), (
+        "the public API changed without an entry in CHANGELOG.md"
+    )
 
 
 def test_every_name_is_importable_and_documented() -> None:
@@ -59,7 +64,9 @@ def test_importing_the_package_and_its_descriptors_stays_light() -> None:
         "import sys; from roboneuron import BackendSpec, FeatureSpec, hookimpl; "
         "print([m for m in ('numpy', 'pydantic', 'mcp', 'rclpy', 'torch') if m in sys.modules])"
     )
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True
+    )
     assert done.stdout.strip() == "[]"
 
 
@@ -69,10 +76,15 @@ def test_an_unknown_name_is_an_attribute_error() -> None:
 
 
 if __name__ == "__main__":
-    newest = next(line for line in CHANGELOG.read_text(encoding="utf-8").splitlines() if line.startswith("- "))
+    newest = next(
+        line for line in CHANGELOG.read_text(encoding="utf-8").splitlines() if line.startswith("- ")
+    )
     entry = sys.argv[1] if len(sys.argv) > 1 else newest
     RECORD.write_text(
-        json.dumps({"changelog": entry, "names": {n: _describe(n) for n in sorted(roboneuron.__all__)}}, indent=1)
+        json.dumps(
+            {"changelog": entry, "names": {n: _describe(n) for n in sorted(roboneuron.__all__)}},
+            indent=1,
+        )
         + "\n",
         encoding="utf-8",
     )

@@ -1,9 +1,10 @@
-"""Damaged checkpoints by the hundred: made, loaded and run under limits of memory and time, in a process of their own.
+"""Damaged checkpoints by the hundred: made, loaded and run under limits of memory and time, in a
+process of their own.
 
     corruptions.py LAYOUT DIRECTORY [STRIDE]
 
-Writes a tiny checkpoint of LAYOUT into DIRECTORY, damages a copy for every case (or every STRIDE-th), and prints one
-JSON object per case.
+Writes a tiny checkpoint of LAYOUT into DIRECTORY, damages a copy for every case (or every
+STRIDE-th), and prints one JSON object per case.
 """
 
 from __future__ import annotations
@@ -25,7 +26,9 @@ from damaged_layouts import HEADS, JSON_FILES, WEIGHT_FILES, lerobot, oft, openp
 from damaged_pickles import pickles
 
 SECONDS = 20
-"""A case that takes longer on the processor, or ten times as long in all, is stopped; good ones take below 1 s."""
+"""A case that takes longer on the processor, or ten times as long in all, is stopped; good ones
+take below 1 s.
+"""
 GROWTH_BYTES = 2 * 2**30
 """Address space that a case may add."""
 
@@ -53,11 +56,16 @@ def act(layout: str, directory: Path) -> list[float]:
     from roboneuron.contract import Frame, Observation, Pose
 
     picture = np.random.default_rng(0).integers(0, 256, (48, 64, 3), dtype=np.uint8)
-    frames = {role: Frame(camera=role, image=picture, stamp_ns=1, frame_id=role) for role in ("primary", "wrist")}
+    frames = {
+        role: Frame(camera=role, image=picture, stamp_ns=1, frame_id=role)
+        for role in ("primary", "wrist")
+    }
     observation = Observation(
         frames=frames,
         instruction="pick up the red cube and put it on the blue plate",
-        ee_pose=Pose(position_m=np.array([0.4, 0.0, 0.5]), quaternion_xyzw=np.array([1.0, 0.0, 0.0, 0.0])),
+        ee_pose=Pose(
+            position_m=np.array([0.4, 0.0, 0.5]), quaternion_xyzw=np.array([1.0, 0.0, 0.0, 0.0])
+        ),
         gripper_open=0.5,
     )
     backend = _backend(layout, directory)
@@ -166,7 +174,10 @@ def main(layout: str, scratch: Path, stride: int) -> None:
         directory = scratch / "damaged"
         shutil.copytree(original, directory)
         damage(directory)
-        result = _run(layout, directory, expected) | {"case": name, "executed": (scratch / "executed").exists()}
+        result = _run(layout, directory, expected) | {
+            "case": name,
+            "executed": (scratch / "executed").exists(),
+        }
         print(json.dumps(result), flush=True)
         shutil.rmtree(directory)
 

@@ -29,7 +29,9 @@ MEANT = {
     "norm_stats.state.mean.0 = -1.0",
     "norm_stats.actions.mean.0 = -1.0",
 }
-"""Endings of replacements that another checkpoint could mean, so that nothing tells them from a right one."""
+"""Endings of replacements that another checkpoint could mean, so that nothing tells them from a
+right one.
+"""
 
 
 def files(name: str) -> Iterator[Case]:
@@ -47,7 +49,10 @@ def files(name: str) -> Iterator[Case]:
     yield f"{name}: an endless device", replaced(lambda path: path.symlink_to("/dev/zero"))
     yield f"{name}: a link to nothing", replaced(lambda path: path.symlink_to("nowhere"))
     yield f"{name}: a hundred gigabytes of zeros", replaced(lambda path: _sparse(path, 100 * 10**9))
-    yield f"{name}: random bytes", replaced(lambda path: path.write_bytes(bytes(range(255, -1, -1)) * 64))
+    yield (
+        f"{name}: random bytes",
+        replaced(lambda path: path.write_bytes(bytes(range(255, -1, -1)) * 64)),
+    )
 
 
 def _sparse(path: Path, size: int) -> None:
@@ -122,13 +127,25 @@ def tokenizers() -> Iterator[Case]:
     cut = {"direction": "Right", "max_length": 4, "strategy": "LongestFirst", "stride": 0}
     pad = {"strategy": {"Fixed": 60}, "direction": "Right", "pad_to_multiple_of": None}
     pad |= {"pad_id": 0, "pad_type_id": 0, "pad_token": "<unk>"}
-    added = {"id": 10**6, "content": "zebra", "single_word": False, "lstrip": False, "rstrip": False}
+    added = {
+        "id": 10**6,
+        "content": "zebra",
+        "single_word": False,
+        "lstrip": False,
+        "rstrip": False,
+    }
     added |= {"normalized": False, "special": False}
     yield "tokenizer.json: truncation", edited(name, lambda d: d.update(truncation=cut))
     yield "tokenizer.json: padding", edited(name, lambda d: d.update(padding=pad))
-    yield "tokenizer.json: an added id of a million", edited(name, lambda d: d["added_tokens"].append(added))
+    yield (
+        "tokenizer.json: an added id of a million",
+        edited(name, lambda d: d["added_tokens"].append(added)),
+    )
     many = [added | {"content": f"zebra{i}"} for i in range(1000)]
-    yield "tokenizer.json: a thousand added ids", edited(name, lambda d: d["added_tokens"].extend(many))
+    yield (
+        "tokenizer.json: a thousand added ids",
+        edited(name, lambda d: d["added_tokens"].extend(many)),
+    )
 
     def beyond(document: Any) -> None:
         vocabulary = document["model"]["vocab"]
@@ -146,7 +163,9 @@ def safetensors(name: str) -> Iterator[Case]:
             content = json.loads(data[8 : 8 + length])
             edit(content)
             raw = json.dumps(content).encode()
-            (directory / name).write_bytes(len(raw).to_bytes(8, "little") + raw + data[8 + length :])
+            (directory / name).write_bytes(
+                len(raw).to_bytes(8, "little") + raw + data[8 + length :]
+            )
 
         return damage
 
@@ -182,7 +201,10 @@ def safetensors(name: str) -> Iterator[Case]:
     yield f"{name}: shape", header(lambda h: each(h)[0].update(shape=[2**40, 2**20]))
     yield f"{name}: negative shape", header(lambda h: each(h)[0].update(shape=[-1]))
     yield f"{name}: offsets", header(lambda h: each(h)[0].update(data_offsets=[0, 2**60]))
-    yield f"{name}: overlap", header(lambda h: each(h)[1].update(data_offsets=each(h)[0]["data_offsets"]))
+    yield (
+        f"{name}: overlap",
+        header(lambda h: each(h)[1].update(data_offsets=each(h)[0]["data_offsets"])),
+    )
     yield f"{name}: number type", header(lambda h: each(h)[0].update(dtype="X9"))
     for kind in ("int64", "int8", "uint8", "bool", "complex64"):
         yield f"{name}: all {kind}", cast(kind)

@@ -12,7 +12,12 @@ from typing import Any
 from damaged_files import Case, Damage, edited, place, writer
 
 JSON_FILES = {
-    "openvla": ["config.json", "preprocessor_config.json", "tokenizer.json", "model.safetensors.index.json"],
+    "openvla": [
+        "config.json",
+        "preprocessor_config.json",
+        "tokenizer.json",
+        "model.safetensors.index.json",
+    ],
     "oft": [
         "config.json",
         "preprocessor_config.json",
@@ -20,7 +25,12 @@ JSON_FILES = {
         "tokenizer.json",
         "model.safetensors.index.json",
     ],
-    "pi0-lerobot": ["config.json", "policy_preprocessor.json", "policy_postprocessor.json", "tokenizer.json"],
+    "pi0-lerobot": [
+        "config.json",
+        "policy_preprocessor.json",
+        "policy_postprocessor.json",
+        "tokenizer.json",
+    ],
     "pi0-openpi": ["config.json", "assets/tiny/norm_stats.json", "tokenizer.json"],
 }
 WEIGHT_FILES = {
@@ -37,7 +47,11 @@ HEADS = {"oft": ["action_head--1_checkpoint.pt", "proprio_projector--1_checkpoin
 
 
 def _openvla() -> Iterator[Case]:
-    config, processor, index = "config.json", "preprocessor_config.json", "model.safetensors.index.json"
+    config, processor, index = (
+        "config.json",
+        "preprocessor_config.json",
+        "model.safetensors.index.json",
+    )
     text = "text_config"
     for key, value in (
         ("num_hidden_layers", 4),
@@ -68,7 +82,10 @@ def _openvla() -> Iterator[Case]:
         ("tiny_vision_overrides", {"embed_dim": 32, "depth": 10**9, "num_heads": 2}),
         ("tiny_vision_overrides", None),
     ):
-        yield f"config.json: {key} = {str(value)[:50]}", edited(config, lambda d, k=key, v=value: d.update({k: v}))
+        yield (
+            f"config.json: {key} = {str(value)[:50]}",
+            edited(config, lambda d, k=key, v=value: d.update({k: v})),
+        )
     tower = {"mean": [0.5] * 3, "std": [0.5] * 3}
     for key, value in (
         ("tvf_normalize_params", [tower] * 3),
@@ -81,7 +98,10 @@ def _openvla() -> Iterator[Case]:
         ("input_sizes", [[3, 384, 384]] * 2),
         ("interpolations", ["bilinear"] * 2),
     ):
-        yield f"{processor}: {key} = {value}", edited(processor, lambda d, k=key, v=value: d.update({k: v}))
+        yield (
+            f"{processor}: {key} = {value}",
+            edited(processor, lambda d, k=key, v=value: d.update({k: v})),
+        )
     for shard in (
         "x" * 5000 + ".safetensors",
         "x" * 300,
@@ -92,7 +112,10 @@ def _openvla() -> Iterator[Case]:
         "config.json",
     ):
         change = {"language_model.lm_head.weight": shard}
-        yield f"{index}: the file {shard[:30]!r}", edited(index, lambda d, c=change: d["weight_map"].update(c))
+        yield (
+            f"{index}: the file {shard[:30]!r}",
+            edited(index, lambda d, c=change: d["weight_map"].update(c)),
+        )
     yield (
         f"{index}: a name of 7 MB",
         edited(index, lambda d: d["weight_map"].update({"n" * 7_000_000: "m.safetensors"})),
@@ -101,7 +124,9 @@ def _openvla() -> Iterator[Case]:
         f"{index}: other shard",
         edited(
             index,
-            lambda d: d["weight_map"].update({"language_model.lm_head.weight": "model-00001-of-00002.safetensors"}),
+            lambda d: d["weight_map"].update(
+                {"language_model.lm_head.weight": "model-00001-of-00002.safetensors"}
+            ),
         ),
     )
 
@@ -124,7 +149,9 @@ def _ranges(name: str, place: Callable[[Any], Any]) -> Iterator[Case]:
 def openvla_only() -> Iterator[Case]:
     yield from _openvla()
     yield from _ranges("config.json", lambda d: d["norm_stats"]["tiny"]["action"])
-    long = edited("config.json", lambda d: d.update(norm_stats={"n" * 10**6: d["norm_stats"]["tiny"]}))
+    long = edited(
+        "config.json", lambda d: d.update(norm_stats={"n" * 10**6: d["norm_stats"]["tiny"]})
+    )
     yield "config.json: a data set's name of 1 MB", long
     yield "config.json: no statistics", edited("config.json", lambda d: d.update(norm_stats={}))
 
@@ -133,7 +160,10 @@ def oft() -> Iterator[Case]:
     yield from _openvla()
     yield from _ranges("dataset_statistics.json", lambda d: d["tiny"]["action"])
     yield from _ranges("dataset_statistics.json", lambda d: d["tiny"]["proprio"])
-    yield "two heads", lambda d: shutil.copy(d / HEADS["oft"][0], d / "action_head--2_checkpoint.pt")
+    yield (
+        "two heads",
+        lambda d: shutil.copy(d / HEADS["oft"][0], d / "action_head--2_checkpoint.pt"),
+    )
 
 
 def _pi0_blocks() -> Iterator[Case]:
@@ -162,17 +192,25 @@ def _pi0_blocks() -> Iterator[Case]:
             f"config.json: {key} = {str(value)[:40]}",
             edited("config.json", lambda d, k=key, v=value: d.update({k: v})),
         )
-    yield "roboneuron.json: a pipe", lambda d: ((d / "roboneuron.json").unlink(), os.mkfifo(d / "roboneuron.json"))[1]
+    yield (
+        "roboneuron.json: a pipe",
+        lambda d: ((d / "roboneuron.json").unlink(), os.mkfifo(d / "roboneuron.json"))[1],
+    )
     index = {"weight_map": {"a": "x" * 5000}}
     yield "index: a long name", writer("model.safetensors.index.json", json.dumps(index).encode())
     index = {"weight_map": {"a": "../" * 20 + "etc/passwd"}}
-    yield "index: another folder", writer("model.safetensors.index.json", json.dumps(index).encode())
+    yield (
+        "index: another folder",
+        writer("model.safetensors.index.json", json.dumps(index).encode()),
+    )
     yield "index: nothing", writer("model.safetensors.index.json", b'{"weight_map": {}}')
 
 
 def lerobot() -> Iterator[Case]:
     yield from _pi0_blocks()
-    images = {f"observation.images.{i}": {"type": "VISUAL", "shape": [3, 224, 224]} for i in range(1000)}
+    images = {
+        f"observation.images.{i}": {"type": "VISUAL", "shape": [3, 224, 224]} for i in range(1000)
+    }
     action = {"action": {"type": "ACTION", "shape": [9]}}
     for key, value in (
         ("input_features", images),
@@ -224,7 +262,9 @@ def openpi() -> Iterator[Case]:
         for value in (0.0, -1.0, 1e30, None):
             yield (
                 f"{name}: {part}.std[1] = {value}",
-                edited(name, lambda d, p=part, v=value: d["norm_stats"][p]["std"].__setitem__(1, v)),
+                edited(
+                    name, lambda d, p=part, v=value: d["norm_stats"][p]["std"].__setitem__(1, v)
+                ),
             )
         for values in ([], [1.0] * 10**6, [1.0] * 5, None, "x"):
             yield (

@@ -44,7 +44,11 @@ class _Pickler(pickle.Pickler):
     def persistent_id(self, value: object) -> Any:
         import torch
 
-        return ("storage", torch.FloatStorage, "0", "cpu", value.count) if isinstance(value, _Storage) else None
+        return (
+            ("storage", torch.FloatStorage, "0", "cpu", value.count)
+            if isinstance(value, _Storage)
+            else None
+        )
 
 
 def _archive(
@@ -94,11 +98,20 @@ def pickles(name: str) -> Iterator[Case]:
     yield f"{name}: a bare pickle that executes", writer(name, pickle.dumps(_Execute()))
     yield f"{name}: an archive that executes", written(_archive({"x": _Execute()}))
     yield f"{name}: a bomb", written(_archive({}, zipfile.ZIP_DEFLATED, b"\0" * 500_000_000))
-    yield f"{name}: a memo of four billions", written(_archive({}, data=b"\x80\x02}r\xff\xff\xff\xff."))
-    yield f"{name}: a text of an exabyte", written(_archive({}, data=b"\x80\x04\x8d" + struct.pack("<Q", 2**60)))
+    yield (
+        f"{name}: a memo of four billions",
+        written(_archive({}, data=b"\x80\x02}r\xff\xff\xff\xff.")),
+    )
+    yield (
+        f"{name}: a text of an exabyte",
+        written(_archive({}, data=b"\x80\x04\x8d" + struct.pack("<Q", 2**60))),
+    )
     yield f"{name}: a deep pickle", written(_archive({}, data=b"\x80\x02" + b"(" * 10**6))
     yield f"{name}: no pickle", written(_archive({}, data=b"nonsense"))
-    yield f"{name}: larger than its storage", written(_archive({"x": _Oversized((10**5, 10**5), (10**5, 1))}))
+    yield (
+        f"{name}: larger than its storage",
+        written(_archive({"x": _Oversized((10**5, 10**5), (10**5, 1))})),
+    )
     yield f"{name}: negative shape", written(_archive({"x": _Oversized((-1,), (1,))}))
     yield f"{name}: a list", saved(lambda content: list(content.values()))
     yield f"{name}: a tensor", saved(lambda content: next(iter(content.values())))
@@ -113,8 +126,14 @@ def pickles(name: str) -> Iterator[Case]:
         saved(lambda content: content.update({"n" * 10**7: content.pop(next(iter(content)))})),
     )
     for value in (3, "text", None, [1]):
-        yield f"{name}: the value {value!r}", saved(lambda content, v=value: content.update({next(iter(content)): v}))
-    yield f"{name}: sparse", saved(lambda content: content.update({max(content): content[max(content)].to_sparse()}))
+        yield (
+            f"{name}: the value {value!r}",
+            saved(lambda content, v=value: content.update({next(iter(content)): v})),
+        )
+    yield (
+        f"{name}: sparse",
+        saved(lambda content: content.update({max(content): content[max(content)].to_sparse()})),
+    )
     yield f"{name}: NaN inside", saved(fill)
     for kind in ("int64", "uint8", "bool", "complex64", "int16"):
         yield f"{name}: all {kind}", cast(kind)

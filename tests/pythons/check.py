@@ -1,11 +1,14 @@
-"""The embedded default and the bases on other Python versions: installed as a user would, in a fresh environment each.
+"""The embedded default and the bases on other Python versions: installed as a user would, in a
+fresh environment each.
 
     make test-pythons                                       # python3.11, python3.12 and python3.13
     make test-pythons PYTHONS="/opt/python3.12/bin/python"
 
-For each interpreter: pip installs the packages (wheels only: nothing is compiled), `roboneuron doctor` finds the engine
-that is expected there, `roboneuron demo` lifts a cube by the simulator's own judgement, and the three bases drive their
-paths. Exit status 0 means that all of it worked everywhere. Takes about three minutes for each, most of it for pip.
+For each interpreter: pip installs the packages (wheels only: nothing is compiled),
+    `roboneuron doctor` finds the engine
+that is expected there, `roboneuron demo` lifts a cube by the simulator's own judgement, and the
+three bases drive their paths. Exit status 0 means that all of it worked everywhere. Takes about
+three minutes for each, most of it for pip.
 """
 
 from __future__ import annotations
@@ -25,22 +28,38 @@ INSTALL_LIMIT_S, RUN_LIMIT_S = 1200, 600
 
 def run(command: list[str], folder: Path, limit_s: float, env: dict[str, str]) -> str:
     """Run `command` in `folder`; its output. Ends the check when it fails."""
-    done = subprocess.run(command, cwd=folder, env=env, capture_output=True, text=True, timeout=limit_s, check=False)
+    done = subprocess.run(
+        command, cwd=folder, env=env, capture_output=True, text=True, timeout=limit_s, check=False
+    )
     if done.returncode != 0:
-        sys.exit(f"FAILED ({done.returncode}): {' '.join(command)}\n{done.stdout[-4000:]}\n{done.stderr[-4000:]}")
+        sys.exit(
+            f"FAILED ({done.returncode}): "
+            f"{' '.join(command)}\n{done.stdout[-4000:]}\n{done.stderr[-4000:]}"
+        )
     return done.stdout
 
 
 def expected_engine(python: Path, env: dict[str, str], folder: Path) -> str:
     """PyBullet where it has a wheel, MuJoCo elsewhere."""
-    asked = "import platform, sys; print(sys.version_info < (3, 12) and platform.machine() == 'x86_64')"
-    return "pybullet" if run([str(python), "-c", asked], folder, 60, env).strip() == "True" else "mujoco"
+    asked = (
+        "import platform, sys; print(sys.version_info < (3, 12) and platform.machine() == 'x86_64')"
+    )
+    return (
+        "pybullet"
+        if run([str(python), "-c", asked], folder, 60, env).strip() == "True"
+        else "mujoco"
+    )
 
 
 def check(interpreter: str, folder: Path) -> None:
     """All steps with one interpreter."""
-    # A virtual environment hands paths of its ROS on to its children; another one must not inherit them.
-    env = {k: v for k, v in os.environ.items() if k not in ("_ROS_WHEELS_BOOTSTRAP_COMPLETE", "LD_LIBRARY_PATH")}
+    # A virtual environment hands paths of its ROS on to its children; another one must not inherit
+    # them.
+    env = {
+        k: v
+        for k, v in os.environ.items()
+        if k not in ("_ROS_WHEELS_BOOTSTRAP_COMPLETE", "LD_LIBRARY_PATH")
+    }
     env |= {"XDG_STATE_HOME": str(folder / "state"), "COLUMNS": "200"}
     env.pop("PYTHONPATH", None)
     run([interpreter, "-m", "venv", str(folder / "venv")], folder, 300, env)
@@ -54,15 +73,24 @@ def check(interpreter: str, folder: Path) -> None:
         sys.exit(f"doctor does not say that the FR3 is simulated with {engine}:\n{found}")
     run([str(roboneuron), "demo", "--seed", "1"], folder, RUN_LIMIT_S, env)
     run([str(python), str(ROOT / "examples/drive_bases.py")], folder, RUN_LIMIT_S, env)
-    version = run([str(python), "-c", "import platform; print(platform.python_version())"], folder, 60, env).strip()
-    print(f"Python {version}: installed without compiling, demo and bases succeed with {engine}", flush=True)
+    version = run(
+        [str(python), "-c", "import platform; print(platform.python_version())"], folder, 60, env
+    ).strip()
+    print(
+        f"Python {version}: installed without compiling, demo and bases succeed with {engine}",
+        flush=True,
+    )
 
 
 def main() -> None:
     """Check every interpreter named on the command line."""
     missing = [name for name in sys.argv[1:] if shutil.which(name) is None]
     if missing or not sys.argv[1:]:
-        sys.exit(f"Not found: {', '.join(missing)}." if missing else "Name at least one Python interpreter.")
+        sys.exit(
+            f"Not found: {', '.join(missing)}."
+            if missing
+            else "Name at least one Python interpreter."
+        )
     for interpreter in sys.argv[1:]:
         with tempfile.TemporaryDirectory(prefix="rn-python-") as folder:
             check(interpreter, Path(folder))

@@ -1,4 +1,6 @@
-"""A simulated FR3 with its modules in processes of their own, and a stranger on the same ROS graph who watches it."""
+"""A simulated FR3 with its modules in processes of their own, and a stranger on the same ROS
+graph who watches it.
+"""
 
 from __future__ import annotations
 
@@ -67,10 +69,16 @@ class Arm:
         self.node.create_subscription(JointState, "joint_states", self._on_state, NEWEST)
         self.node.create_subscription(PoseStamped, "ee_pose", self._on_pose, NEWEST)
         self.node.create_subscription(
-            Float64MultiArray, "action", lambda _: self.action_times.append(time.monotonic()), NEWEST
+            Float64MultiArray,
+            "action",
+            lambda _: self.action_times.append(time.monotonic()),
+            NEWEST,
         )
         self.node.create_subscription(
-            JointTrajectory, "joint_trajectory", lambda _: self.command_times.append(time.monotonic()), NEWEST
+            JointTrajectory,
+            "joint_trajectory",
+            lambda _: self.command_times.append(time.monotonic()),
+            NEWEST,
         )
         self._executor = SingleThreadedExecutor(context=self.context)
         self._executor.add_node(self.node)
@@ -83,7 +91,9 @@ class Arm:
             self._executor.spin_once(timeout_sec=0.05)
 
     def _on_state(self, message: Any) -> None:
-        self.states.append((time.monotonic(), np.array(message.position[:7]), np.array(message.velocity[:7])))
+        self.states.append(
+            (time.monotonic(), np.array(message.position[:7]), np.array(message.velocity[:7]))
+        )
 
     def _on_pose(self, message: Any) -> None:
         p = message.pose.position
@@ -150,7 +160,9 @@ class Arm:
             turn = 0
             while not end.wait(0.1):
                 side = 0.02 if turn % 12 < 6 else -0.02
-                self.other_actions.publish(Float64MultiArray(data=[0.0, side, 0.0, 0.0, 0.0, 0.0, 1.0]))
+                self.other_actions.publish(
+                    Float64MultiArray(data=[0.0, side, 0.0, 0.0, 0.0, 0.0, 1.0])
+                )
                 turn += 1
 
         thread = threading.Thread(target=wave)

@@ -1,6 +1,8 @@
-"""Connections that say nothing fill a port of a served robot with few file handles; a stop still gets through.
+"""Connections that say nothing fill a port of a served robot with few file handles; a stop still
+gets through.
 
-How soon is measured by benchmarks/bench_full_ports.py, with floods of new connections and the shared model's port too.
+How soon is measured by benchmarks/bench_full_ports.py, with floods of new connections and the
+shared model's port too.
 """
 
 from __future__ import annotations

@@ -1,6 +1,8 @@
-"""States or the robot stall for an eighth of a second: no window of the TCP's true motion is above the speed limit.
+"""States or the robot stall for an eighth of a second: no window of the TCP's true motion is above
+the speed limit.
 
-Steps of move_ee, the controller, the limiter of control and the simulation run in one thread, in virtual time.
+Steps of move_ee, the controller, the limiter of control and the simulation run in one thread, in
+virtual time.
 """
 
 from __future__ import annotations
@@ -31,13 +33,19 @@ LIMIT_M_S = 0.15
 STALL_S = 0.125
 LATENCY_S, WAY_S = 0.01, 0.003
 TOLERANCE = 1.02
-"""A straight line in joint space is a curve in task space, and a joint that accelerates is faster later in its step."""
+"""A straight line in joint space is a curve in task space, and a joint that accelerates is
+faster later in its step.
+"""
 LONGEST_S = 8.0
-pytestmark = pytest.mark.parametrize("engine", [engine for engine in ENGINES if is_importable(engine)])
+pytestmark = pytest.mark.parametrize(
+    "engine", [engine for engine in ENGINES if is_importable(engine)]
+)
 
 
 class Loop:
-    """An FR3 that follows commands; what is measured comes late, and nothing comes while it stalls."""
+    """An FR3 that follows commands; what is measured comes late, and nothing comes while it
+    stalls.
+    """
 
     def __init__(self, engine: Engine, stall: str, from_s: float, max_speed_m_s: float) -> None:
         self.simulation = Simulation(0, engine=engine)
@@ -81,7 +89,9 @@ class Loop:
         self.simulation.step()
         position, _ = self.simulation.joint_states()
         stamp_ns = round(self.now_s * 1e9)
-        self._states.append((self.now_s, JointSample(names=JOINTS, position=position, stamp_ns=stamp_ns)))
+        self._states.append(
+            (self.now_s, JointSample(names=JOINTS, position=position, stamp_ns=stamp_ns))
+        )
 
     def act(self, delta: np.ndarray) -> None:
         """As control does with an action."""
@@ -89,7 +99,9 @@ class Loop:
         self._action_s = self.now_s
         assert self._joints is not None
         action = Action.from_vector(np.append(delta, 1.0))
-        answer: Any = self.controller.compute(action, self._joints, since_s if since_s < 0.5 else 0.1)
+        answer: Any = self.controller.compute(
+            action, self._joints, since_s if since_s < 0.5 else 0.1
+        )
         if isinstance(answer, JointCommand):
             answer = self._limiter.limit(answer, self._joints, self.now_s).command
         assert isinstance(answer, JointCommand), answer
@@ -98,7 +110,9 @@ class Loop:
     def fastest_m_s(self, window_s: float) -> float:
         """Of all windows of the true motion."""
         count, places = round(window_s / STEP_S), np.array(self.truth)
-        return float(np.linalg.norm(places[count:] - places[:-count], axis=1).max() / (count * STEP_S))
+        return float(
+            np.linalg.norm(places[count:] - places[:-count], axis=1).max() / (count * STEP_S)
+        )
 
 
 def move(loop: Loop, ee_speed_m_s: float, distance_m: float = 0.25) -> None:
@@ -121,7 +135,9 @@ def move(loop: Loop, ee_speed_m_s: float, distance_m: float = 0.25) -> None:
         loop.act(delta)
         loop.advance(loop.now_s + ACTION_S)
         assert loop.now_s < LONGEST_S
-    np.testing.assert_allclose(loop.pose().position_m, start.position_m + order.translation_m, atol=0.002)
+    np.testing.assert_allclose(
+        loop.pose().position_m, start.position_m + order.translation_m, atol=0.002
+    )
 
 
 @pytest.mark.parametrize("stall", ["nothing", "states", "robot"])

@@ -1,4 +1,6 @@
-"""Faults on the action topic, from a stranger beside a policy that works, judged at the simulated FR3's joints."""
+"""Faults on the action topic, from a stranger beside a policy that works, judged at the
+simulated FR3's joints.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +38,8 @@ def check_motion(arm: Any, since_s: float) -> None:
     assert (positions >= np.array(LOWER_RAD) - 1e-3).all()
     assert (positions <= np.array(UPPER_RAD) + 1e-3).all()
     places = arm.places(since_s)
-    # Commands end within the workspace; the arm brakes from up to 0.5 m/s and may swing over by millimetres.
+    # Commands end within the workspace; the arm brakes from up to 0.5 m/s and may swing over by
+    # millimetres.
     assert (places >= np.array(WORKSPACE_LOWER_M) - 0.01).all()
     assert (places <= np.array(WORKSPACE_UPPER_M) + 0.01).all()
 
@@ -74,12 +77,21 @@ def test_hundredfold_rate_is_no_faster_and_ends_at_the_workspace(arm: Any, wait:
     check_motion(arm, start_s)
     places, times = arm.places(start_s), np.array([at for at, _ in list(arm.tcp) if at >= start_s])
     apart = times[:, None] + 0.2 < times[None, :]
-    speeds = np.linalg.norm(places[:, None] - places[None, :], axis=-1) / np.abs(times[:, None] - times[None, :] + 1e-9)
-    # 0.5 m/s is the limit; stamps are those of arrival here, which a busy machine delays by tens of milliseconds.
+    speeds = np.linalg.norm(places[:, None] - places[None, :], axis=-1) / np.abs(
+        times[:, None] - times[None, :] + 1e-9
+    )
+    # 0.5 m/s is the limit; stamps are those of arrival here, which a busy machine delays by tens of
+    # milliseconds.
     assert speeds[apart].max() <= 0.5 * 1.25
     assert places[-1][1] > 0.3
-    assert arm.dropped("control", "outside_workspace") + arm.dropped("control", "limit_workspace") > 0
-    wait(lambda: arm.metric("control", "limited.speed") != "", 2.0, "the status says what was limited")
+    assert (
+        arm.dropped("control", "outside_workspace") + arm.dropped("control", "limit_workspace") > 0
+    )
+    wait(
+        lambda: arm.metric("control", "limited.speed") != "",
+        2.0,
+        "the status says what was limited",
+    )
     audit = (arm.state_directory / "audit.jsonl").read_text()
     assert '"who":"control"' in audit
     assert '"asked":{' in audit

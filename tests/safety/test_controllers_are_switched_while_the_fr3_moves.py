@@ -1,4 +1,6 @@
-"""A controller takes the place of another while the FR3 moves: judged at the joints, where nothing may jerk or stop."""
+"""A controller takes the place of another while the FR3 moves: judged at the joints, where
+nothing may jerk or stop.
+"""
 
 from __future__ import annotations
 
@@ -42,7 +44,10 @@ def test_the_joints_do_not_notice_a_new_controller(
         gap = change.change.gap
         assert gap is not None
         assert change.change.difference is not None
-        print(f"gap {gap.gap_s * 1e3:.0f} ms, difference {change.change.difference:.2g}, call {change.took_s:.1f} s")
+        print(
+            f"gap {gap.gap_s * 1e3:.0f} ms, difference {change.change.difference:.2g}, call "
+            f"{change.took_s:.1f} s"
+        )
     report = arm.supervisor.view("control").report
     assert report is not None
     assert report.dropped_by.get("holds", 0) == 0
@@ -52,8 +57,13 @@ def test_the_joints_do_not_notice_a_new_controller(
     at_s, velocity = np.array([s[0] for s in states]), np.array([s[1] for s in states])
     steps = np.abs(np.diff(velocity, axis=0)).max(axis=1)
     during = at_s[1:] > switched_s
-    print(f"largest step of a measured velocity: {steps[during].max():.3f}, before {steps[~during].max():.3f} rad/s")
+    print(
+        f"largest step of a measured velocity: {steps[during].max():.3f}, before "
+        f"{steps[~during].max():.3f} rad/s"
+    )
     profile = load_target(discover().get("robot", "fr3"))()  # type: ignore[operator]
     assert isinstance(arm.config.control, ControlConfig)
     # The limit on acceleration holds from one command to the next, 0.1 s apart.
-    assert steps[during].max() <= max(1.2 * steps[~during].max(), 0.1 * float(profile.limits.acceleration.min()))
+    assert steps[during].max() <= max(
+        1.2 * steps[~during].max(), 0.1 * float(profile.limits.acceleration.min())
+    )

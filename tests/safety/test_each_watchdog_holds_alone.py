@@ -1,4 +1,6 @@
-"""Watchdogs in depth, judged at the simulated FR3's joints: each layer holds with the layer above it dead or frozen."""
+"""Watchdogs in depth, judged at the simulated FR3's joints: each layer holds with the layer
+above it dead or frozen.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,9 @@ pytestmark = [pytest.mark.ros, pytest.mark.timing, pytest.mark.timeout(240)]
 
 Wait = Callable[[Callable[[], bool], float, str], float]
 BRAKING_S = 0.5
-"""From the moment of holding to standing: from 2.6 rad/s with 10 rad/s^2, and a busy machine's delay."""
+"""From the moment of holding to standing: from 2.6 rad/s with 10 rad/s^2, and a busy machine's
+delay.
+"""
 
 
 def after_silence(arm: Any, since_s: float) -> np.ndarray:
@@ -41,12 +45,18 @@ def test_control_holds_when_actions_cease(arm: Any, wait: Wait) -> None:
         wait(arm.is_moving, 5.0, "the arm moves")
     took_s = wait(arm.is_still, 3.0, "the arm stands")
     assert took_s <= arm.config.control.action_timeout_s + BRAKING_S
-    wait(lambda: arm.metric("control", "hold_code") == "no_action", 2.0, "the status says that actions ceased")
+    wait(
+        lambda: arm.metric("control", "hold_code") == "no_action",
+        2.0,
+        "the status says that actions ceased",
+    )
     assert after_silence(arm, time.monotonic()).max() < 0.05
 
 
 @pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGSTOP], ids=["killed", "frozen"])
-def test_robot_holds_when_control_is_gone(arm: Any, wait: Wait, moving: None, end: signal.Signals) -> None:
+def test_robot_holds_when_control_is_gone(
+    arm: Any, wait: Wait, moving: None, end: signal.Signals
+) -> None:
     pid = arm.pid("control")
     os.kill(pid, end)
     try:
@@ -58,13 +68,18 @@ def test_robot_holds_when_control_is_gone(arm: Any, wait: Wait, moving: None, en
         if end == signal.SIGSTOP:
             os.kill(pid, signal.SIGCONT)
         else:
-            wait(lambda: arm.supervisor.view("control").phase == "exited", 5.0, "the death is noticed")
+            wait(
+                lambda: arm.supervisor.view("control").phase == "exited",
+                5.0,
+                "the death is noticed",
+            )
 
 
 def test_control_that_wakes_up_drops_what_it_slept_through(arm: Any, wait: Wait) -> None:
     arm.start("robot", "control")
     wait(lambda: arm.actions.get_subscription_count() >= 2, 5.0, "control listens")
-    time.sleep(2 * arm.config.control.action_timeout_s)  # an action of the test before may still be under way
+    # an action of the test before may still be under way
+    time.sleep(2 * arm.config.control.action_timeout_s)
     wait(arm.is_still, 5.0, "the arm stands")
     pid = arm.pid("control")
     os.kill(pid, signal.SIGSTOP)
@@ -75,7 +90,11 @@ def test_control_that_wakes_up_drops_what_it_slept_through(arm: Any, wait: Wait)
         since_s = time.monotonic()
     finally:
         os.kill(pid, signal.SIGCONT)
-    wait(lambda: arm.dropped("control", "stale_action") > before, 3.0, "the old action is counted as stale")
+    wait(
+        lambda: arm.dropped("control", "stale_action") > before,
+        3.0,
+        "the old action is counted as stale",
+    )
     assert after_silence(arm, since_s).max() < 0.05
 
 
@@ -88,7 +107,11 @@ def test_inference_stops_when_perception_freezes_and_the_arm_stands(arm: Any, wa
         frozen_s = time.monotonic()
         try:
             took_s = wait(arm.is_still, 5.0, "the arm stands")
-            bound_s = arm.config.inference.max_image_age_s + arm.config.control.action_timeout_s + BRAKING_S
+            bound_s = (
+                arm.config.inference.max_image_age_s
+                + arm.config.control.action_timeout_s
+                + BRAKING_S
+            )
             assert took_s <= bound_s
             assert arm.action_times[-1] - frozen_s <= arm.config.inference.max_image_age_s + 0.5
             since_s = time.monotonic()
@@ -106,11 +129,17 @@ def test_inference_stops_when_perception_freezes_and_the_arm_stands(arm: Any, wa
 def test_control_holds_when_inference_is_killed(arm: Any, wait: Wait) -> None:
     arm.start("robot", "control", "perception", "inference")
     try:
-        wait(lambda: bool(arm.action_times) and time.monotonic() - arm.action_times[-1] < 0.3, 20.0, "actions flow")
+        wait(
+            lambda: bool(arm.action_times) and time.monotonic() - arm.action_times[-1] < 0.3,
+            20.0,
+            "actions flow",
+        )
         os.kill(arm.pid("inference"), signal.SIGKILL)
         took_s = wait(arm.is_still, 5.0, "the arm stands")
         assert took_s <= arm.config.control.action_timeout_s + BRAKING_S
         assert after_silence(arm, time.monotonic()).max() < 0.05
-        wait(lambda: arm.supervisor.view("inference").phase == "exited", 5.0, "the death is noticed")
+        wait(
+            lambda: arm.supervisor.view("inference").phase == "exited", 5.0, "the death is noticed"
+        )
     finally:
         arm.supervisor.stop("perception")

@@ -29,4 +29,6 @@ def test_every_row_of_the_fault_matrix_names_tests_that_exist() -> None:
             function, _, case = name.partition("[")
             for word in (function, case.rstrip("]")):
                 is_function = word.startswith("test_")
-                assert not word or (f"def {word}(" if is_function else f'"{word}"') in source, f"{word!r}: {row}"
+                assert not word or (f"def {word}(" if is_function else f'"{word}"') in source, (
+                    f"{word!r}: {row}"
+                )

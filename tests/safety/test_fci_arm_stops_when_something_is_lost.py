@@ -1,4 +1,5 @@
-"""The FR3 behind its network protocol, moved by a policy: a process is killed or frozen, or the network is cut.
+"""The FR3 behind its network protocol, moved by a policy: a process is killed or frozen, or the
+network is cut.
 
 Judged by the joints that franka-sim itself recorded 1000 times per second.
 """
@@ -27,16 +28,23 @@ pytestmark = [
     pytest.mark.slow,
     pytest.mark.ros,
     pytest.mark.timeout(240),
-    pytest.mark.skipif(not PYTHON.exists(), reason="franka-sim is not installed: make .venv-fr3sim"),
     pytest.mark.skipif(
-        not is_importable("pylibfranka"), reason="needs pylibfranka: pip install './plugins/rn-robot-fr3[fci]'"
+        not PYTHON.exists(), reason="franka-sim is not installed: make .venv-fr3sim"
+    ),
+    pytest.mark.skipif(
+        not is_importable("pylibfranka"),
+        reason="needs pylibfranka: pip install './plugins/rn-robot-fr3[fci]'",
     ),
 ]
 SERVER_TIMEOUT_S = 1.0
 STOP_S = {"control": 2.5, "robot": 1.5, "server": SERVER_TIMEOUT_S + 2.5}
-"""Most that each may take: the watchdog that acts, the end of the last target, and a loaded machine."""
+"""Most that each may take: the watchdog that acts, the end of the last target, and a loaded
+machine.
+"""
 FASTEST_STOP_RAD_S2 = 60.0
-"""Mean over 20 ms. The simulated arm follows a broken stream of commands harder than a real one; a jump is far more."""
+"""Mean over 20 ms. The simulated arm follows a broken stream of commands harder than a real
+one; a jump is far more.
+"""
 
 
 @pytest.fixture
@@ -47,12 +55,16 @@ def cell(tmp_path: Path) -> Iterator[FciCell]:
 
 
 def stops(cell: FciCell, since_s: float, within_s: float) -> float:
-    """Wait until the arm is at rest; returns how long it took after `since_s`. It must not move afterwards."""
+    """Wait until the arm is at rest; returns how long it took after `since_s`. It must not move
+    afterwards.
+    """
 
     def rest_s() -> float:
         return cell.record(within_s + 5.0).rest_s()
 
-    assert watched(lambda: time.monotonic() - rest_s() > 0.5, within_s + 5.0), "the arm does not come to rest"
+    assert watched(lambda: time.monotonic() - rest_s() > 0.5, within_s + 5.0), (
+        "the arm does not come to rest"
+    )
     time.sleep(1.0)  # what is looked for is that nothing happens
     record = cell.record(within_s + 10.0)
     took_s = record.rest_s() - since_s
@@ -68,7 +80,11 @@ def stops(cell: FciCell, since_s: float, within_s: float) -> float:
 def verdict(cell: FciCell) -> str:
     """How the simulated robot saw the end of the motion."""
     log = cell.sim_log()
-    return "communication watchdog" if "communication_constraints_violation" in log else "motion ended by its client"
+    return (
+        "communication watchdog"
+        if "communication_constraints_violation" in log
+        else "motion ended by its client"
+    )
 
 
 @pytest.mark.parametrize("module", ["control", "robot"])
@@ -83,7 +99,9 @@ def test_a_killed_server_leaves_an_arm_at_rest(cell: FciCell) -> None:
     at_s = time.monotonic()
     os.kill(cell.server, signal.SIGKILL)
     stops(cell, at_s, STOP_S["server"])
-    assert verdict(cell) == "motion ended by its client", "the driver brakes before its process ends"
+    assert verdict(cell) == "motion ended by its client", (
+        "the driver brakes before its process ends"
+    )
 
 
 @pytest.mark.parametrize("process", ["control", "robot", "server"])
@@ -108,15 +126,32 @@ HERE, THERE = "10.213.37.1", "10.213.37.2"
 
 @pytest.fixture
 def cut_cell(tmp_path: Path) -> Iterator[tuple[FciCell, str]]:
-    """A cell whose simulator is behind a cable of its own, and the cable's name; both go with the namespace."""
+    """A cell whose simulator is behind a cable of its own, and the cable's name; both go with
+    the namespace.
+    """
     if reason := network():
         pytest.skip(reason)
     holder = subprocess.Popen(["unshare", "-n", "sleep", "600"])
     cable, inside = f"fr3a{os.getpid()}", ["nsenter", "-t", str(holder.pid), "-n"]
     try:
-        assert watched(lambda: os.readlink(f"/proc/{holder.pid}/ns/net") != os.readlink("/proc/self/ns/net"), 5.0)
+        assert watched(
+            lambda: os.readlink(f"/proc/{holder.pid}/ns/net") != os.readlink("/proc/self/ns/net"),
+            5.0,
+        )
         for command in (
-            ["ip", "link", "add", cable, "type", "veth", "peer", "name", "fr3b", "netns", str(holder.pid)],
+            [
+                "ip",
+                "link",
+                "add",
+                cable,
+                "type",
+                "veth",
+                "peer",
+                "name",
+                "fr3b",
+                "netns",
+                str(holder.pid),
+            ],
             ["ip", "addr", "add", f"{HERE}/30", "dev", cable],
             ["ip", "link", "set", cable, "up"],
             [*inside, "ip", "addr", "add", f"{THERE}/30", "dev", "fr3b"],
@@ -131,13 +166,17 @@ def cut_cell(tmp_path: Path) -> Iterator[tuple[FciCell, str]]:
         holder.wait(10.0)
 
 
-def test_a_cut_network_leaves_an_arm_at_rest_until_a_person_recovers_it(cut_cell: tuple[FciCell, str]) -> None:
+def test_a_cut_network_leaves_an_arm_at_rest_until_a_person_recovers_it(
+    cut_cell: tuple[FciCell, str],
+) -> None:
     cell, cable = cut_cell
     at_s = time.monotonic()
     subprocess.run(["ip", "link", "set", cable, "down"], check=True)
     stops(cell, at_s, 2.0)
     assert verdict(cell) == "communication watchdog"
-    assert watched(lambda: cell.fault().startswith("communication_lost"), 20.0), cell.agent.modules()["robot"]
+    assert watched(lambda: cell.fault().startswith("communication_lost"), 20.0), (
+        cell.agent.modules()["robot"]
+    )
     with pytest.raises(RuntimeError, match="communication_lost"):
         cell.agent.do("recover_robot")
     subprocess.run(["ip", "link", "set", cable, "up"], check=True)

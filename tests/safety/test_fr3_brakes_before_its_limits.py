@@ -1,4 +1,6 @@
-"""The FR3's position-dependent velocity limits, as its package states them and as core applies them on both paths."""
+"""The FR3's position-dependent velocity limits, as its package states them and as core applies
+them on both paths.
+"""
 
 from __future__ import annotations
 
@@ -35,13 +37,17 @@ def test_core_brakes_as_the_official_formula_does() -> None:
 
 
 def test_steps_towards_a_limit_become_slower_and_never_pass_it() -> None:
-    """Somebody asks joint 2 to go on by 0.2 rad, 30 times a second, for five seconds; the arm follows exactly."""
+    """Somebody asks joint 2 to go on by 0.2 rad, 30 times a second, for five seconds; the arm
+    follows exactly.
+    """
     robot = replace(profile(), collision=None)  # the table would hold it before its limits do
     controller = UrdfController(None, robot)
     controller.load()
     assert isinstance(controller, PostureInspector)
     free = LimitsConfig(max_step_m=1.0, max_step_rad=3.0, max_speed_m_s=3.0, max_turn_rad_s=10.0)
-    rules = motion_rules(free.model_copy(update={"on_position": "scale", "on_workspace": "scale"}), robot)
+    rules = motion_rules(
+        free.model_copy(update={"on_position": "scale", "on_workspace": "scale"}), robot
+    )
     rules = type(rules)(reactions=rules.reactions)  # the joints' limits alone
     limiter = MotionLimiter(rules, robot, controller.forward, controller.inspect)
     position, speeds = robot.home_rad.copy(), []
@@ -51,7 +57,9 @@ def test_steps_towards_a_limit_become_slower_and_never_pass_it() -> None:
         asked = position.copy()
         asked[1] += 0.2
         sample = JointSample(names=ARM_JOINTS, position=position)
-        verdict = limiter.limit(JointCommand(names=ARM_JOINTS, position=asked, duration_s=1 / 30), sample, step / 30)
+        verdict = limiter.limit(
+            JointCommand(names=ARM_JOINTS, position=asked, duration_s=1 / 30), sample, step / 30
+        )
         assert isinstance(verdict.command, JointCommand), verdict.reason
         speed = (verdict.command.position[1] - position[1]) * 30
         assert speed <= limit.fastest(float(position[1]), True, 1 / 30) * (1 + 1e-5)

@@ -1,4 +1,6 @@
-"""Joint motions that the gate permits bring no link of the FR3 into another one or the table, judged by PyBullet."""
+"""Joint motions that the gate permits bring no link of the FR3 into another one or the table,
+judged by PyBullet.
+"""
 
 from __future__ import annotations
 
@@ -39,25 +41,40 @@ def make_ask(tmp_path: Path) -> Callable[..., Ask]:
     """Return a function that makes a judge of one joint move; it says why not, or nothing."""
 
     def make(limits: str = "", workspace: bool = False) -> Ask:
-        config = parse_config(f'[robot]\nname = "fr3"\n[control]\ncontroller = "urdf"\n[limits]\n{limits}')
+        config = parse_config(
+            f'[robot]\nname = "fr3"\n[control]\ncontroller = "urdf"\n[limits]\n{limits}'
+        )
         registry = discover(())
         paths = ArmPaths(config, lambda: registry)
         offered = profile_endpoints("fr3", config.namespace, load_profile(registry, "fr3"))
         exposed = next(e for e in offered if e.label == "joint_trajectory")
         assert exposed.profile is not None
         free = exposed.profile if workspace else replace(exposed.profile, workspace=None)
-        entry = replace(exposed.allowed(), rules=paths.rules("fr3", free), path=lambda: paths.limiter("fr3", free))
+        entry = replace(
+            exposed.allowed(),
+            rules=paths.rules("fr3", free),
+            path=lambda: paths.limiter("fr3", free),
+        )
         entry = replace(entry, endpoint=replace(entry.endpoint, rate_hz=0.0))
         latch = EmergencyStopLatch(tmp_path / "stop", lambda: 0)
-        gate = Gate([entry], latch=latch, audit=AuditLog(tmp_path / "audit", lambda: 0), clock=lambda: 0.0)
+        gate = Gate(
+            [entry], latch=latch, audit=AuditLog(tmp_path / "audit", lambda: 0), clock=lambda: 0.0
+        )
 
-        def ask(start: np.ndarray, target: np.ndarray, duration_s: float = 60.0, dry_run: bool = False) -> str:
+        def ask(
+            start: np.ndarray, target: np.ndarray, duration_s: float = 60.0, dry_run: bool = False
+        ) -> str:
             command = JointCommand(names=COMMANDED, position=target, duration_s=duration_s)
             request = GateRequest(
-                who="agent", role="operator", tool="move_joints", robot="fr3", endpoint="joint_trajectory",
-                messages=(to_joint_trajectory(command),), dry_run=dry_run,
+                who="agent",
+                role="operator",
+                tool="move_joints",
+                robot="fr3",
+                endpoint="joint_trajectory",
+                messages=(to_joint_trajectory(command),),
+                dry_run=dry_run,
                 joints=JointSample(names=JOINTS, position=np.append(start, start[-1])),
-            )  # fmt: skip
+            )
             try:
                 return gate.check(request).reason
             except RefusedError as error:
@@ -72,21 +89,29 @@ def make_ask(tmp_path: Path) -> Callable[..., Ask]:
 def simulation() -> Iterator[Simulation]:
     """The simulated FR3; its cubes are out of the way."""
     with Simulation(0, colours=("red",)) as made:
-        made.world.set_cubes(dict.fromkeys(made.world.cube_poses(), ((0.0, 5.0, 0.5), (0.0, 0.0, 0.0, 1.0))))
+        made.world.set_cubes(
+            dict.fromkeys(made.world.cube_poses(), ((0.0, 5.0, 0.5), (0.0, 0.0, 0.0, 1.0)))
+        )
         yield made
 
 
 def penetrations(simulation: Simulation) -> list[tuple[str, str, float]]:
-    """Links that do not share a joint, or a moving link and the table, that overlap: names and distance [m]."""
+    """Links that do not share a joint, or a moving link and the table, that overlap: names and
+    distance [m].
+    """
     client, robot, table = simulation.world.client, simulation.world.robot, 0
-    infos = [pybullet.getJointInfo(robot, i, physicsClientId=client) for i in range(
-        pybullet.getNumJoints(robot, physicsClientId=client))]  # fmt: skip
+    infos = [
+        pybullet.getJointInfo(robot, i, physicsClientId=client)
+        for i in range(pybullet.getNumJoints(robot, physicsClientId=client))
+    ]
     names = {-1: "fr3_link0"} | {info[0]: info[12].decode() for info in infos}
     parents = {info[0]: info[16] for info in infos}
     found = []
     for point in pybullet.getClosestPoints(robot, robot, 0.0, physicsClientId=client):
         a, b = point[3], point[4]
-        is_one = a == b or parents.get(a) == b or parents.get(b) == a or {names[a], names[b]} in RIGID
+        is_one = (
+            a == b or parents.get(a) == b or parents.get(b) == a or {names[a], names[b]} in RIGID
+        )
         if not is_one and point[8] < 0.0:
             found.append((names[a], names[b], point[8]))
     for point in pybullet.getClosestPoints(robot, table, 0.0, physicsClientId=client):
@@ -95,7 +120,9 @@ def penetrations(simulation: Simulation) -> list[tuple[str, str, float]]:
     return found
 
 
-def along(simulation: Simulation, start: np.ndarray, target: np.ndarray, count: int) -> list[tuple[str, str, float]]:
+def along(
+    simulation: Simulation, start: np.ndarray, target: np.ndarray, count: int
+) -> list[tuple[str, str, float]]:
     """Penetrations at postures on the straight way."""
     found = []
     for share in np.linspace(0.0, 1.0, count):
@@ -109,8 +136,12 @@ BASE_AND_LINK6 = np.array([0.0, -0.606, -2.803, -2.798, 1.529, 1.032, 0.785, 0.0
 """A posture within all joint limits."""
 
 
-def test_move_joints_does_not_press_link_6_into_the_base(make_ask: Any, simulation: Simulation) -> None:
-    assert ("fr3_link0", "fr3_link6") in {found[:2] for found in along(simulation, BASE_AND_LINK6, BASE_AND_LINK6, 1)}
+def test_move_joints_does_not_press_link_6_into_the_base(
+    make_ask: Any, simulation: Simulation
+) -> None:
+    assert ("fr3_link0", "fr3_link6") in {
+        found[:2] for found in along(simulation, BASE_AND_LINK6, BASE_AND_LINK6, 1)
+    }
     reason = make_ask()(HOME, BASE_AND_LINK6)
     assert "mm apart, at least 10 mm are required" in reason
     alone = make_ask()(BASE_AND_LINK6 + np.array([0, -0.2, 0, 0, 0, 0, 0, 0]), BASE_AND_LINK6)
@@ -122,7 +153,9 @@ def test_move_joints_does_not_press_link_6_into_the_base(make_ask: Any, simulati
 def test_tilting_the_hand_at_low_height_does_not_press_a_link_onto_the_table(
     make_ask: Any, simulation: Simulation
 ) -> None:
-    """TCP 27 mm above the table; joint 6 tilts the hand over the fingertips until its flange comes down."""
+    """TCP 27 mm above the table; joint 6 tilts the hand over the fingertips until its flange
+    comes down.
+    """
     low = np.array([0.0, 0.2, 0.0, -2.42, 0.0, 2.62, 0.785, 0.04])
     tilted = low + np.array([0.0, 0.52, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0])
     assert any(name == "table" for _, name, _ in along(simulation, tilted, tilted, 1))
@@ -154,7 +187,9 @@ def test_fingers_may_work_just_above_the_table(make_ask: Any) -> None:
         assert isinstance(command, JointCommand), command
         posture = command.position[:7]
     assert make_ask()(HOME, np.append(posture, 0.04)) == ""
-    assert "finger and table would be" in make_ask()(HOME, np.append(posture + np.eye(7)[3] * -0.01, 0.04))
+    assert "finger and table would be" in make_ask()(
+        HOME, np.append(posture + np.eye(7)[3] * -0.01, 0.04)
+    )
 
 
 def _targets(rng: np.random.Generator, count: int) -> Sequence[np.ndarray]:
@@ -166,8 +201,12 @@ def _targets(rng: np.random.Generator, count: int) -> Sequence[np.ndarray]:
     return list(rng.uniform(lower, upper, (count, 8)))
 
 
-def test_no_permitted_motion_penetrates_anything_on_its_way(make_ask: Any, simulation: Simulation) -> None:
-    """Random targets over the whole joint space, half of them followed on from where the last permitted one ended."""
+def test_no_permitted_motion_penetrates_anything_on_its_way(
+    make_ask: Any, simulation: Simulation
+) -> None:
+    """Random targets over the whole joint space, half of them followed on from where the last
+    permitted one ended.
+    """
     ask, rng = make_ask(), np.random.default_rng(7)
     start, permitted, refused = HOME, 0, 0
     for target in _targets(rng, 100):
@@ -182,8 +221,12 @@ def test_no_permitted_motion_penetrates_anything_on_its_way(make_ask: Any, simul
     assert refused > 10
 
 
-def test_no_permitted_motion_penetrates_anything_while_it_is_carried_out(make_ask: Any, simulation: Simulation) -> None:
-    """The same with the simulator's motors, as fast as the gate lets a move be: joints do not start all alike."""
+def test_no_permitted_motion_penetrates_anything_while_it_is_carried_out(
+    make_ask: Any, simulation: Simulation
+) -> None:
+    """The same with the simulator's motors, as fast as the gate lets a move be: joints do not
+    start all alike.
+    """
     ask, rng = make_ask("max_speed_m_s = 0.5"), np.random.default_rng(11)
     start, moves = HOME, 0
     for target in _targets(rng, 40):

@@ -1,4 +1,6 @@
-"""docs/safety.md: its example is a valid configuration, and its table names every limit with its default."""
+"""docs/safety.md: its example is a valid configuration, and its table names every limit with
+its default.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""A served FR3 moved directly by an MCP client: it stands when the server freezes and when it is stopped, and stays so.
+"""A served FR3 moved directly by an MCP client: it stands when the server freezes and when it is
+stopped, and stays so.
 
 Judged at the measured joints. Everything is a process of its own: client, server and robot.
 """
@@ -92,7 +93,15 @@ class ServedArm:
         person, terminal = pty.openpty()
         try:
             os.write(person, b"y\n")
-            command = [sys.executable, "-m", "roboneuron.cli.main", "estop", "--reset", "--state", str(self.state)]
+            command = [
+                sys.executable,
+                "-m",
+                "roboneuron.cli.main",
+                "estop",
+                "--reset",
+                "--state",
+                str(self.state),
+            ]
             subprocess.run(command, stdin=terminal, check=True, timeout=60, capture_output=True)
         finally:
             os.close(person)
@@ -107,7 +116,15 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServedArm]:
     with pytest.MonkeyPatch.context() as patch, ExitStack() as stack:
         patch.setenv("ROS_DOMAIN_ID", str(free_ros_domain()))
         prepare_environment(folder / "log")
-        command = ["-m", "roboneuron.cli.main", "serve", "--config", str(config), "--log-level", "error"]
+        command = [
+            "-m",
+            "roboneuron.cli.main",
+            "serve",
+            "--config",
+            str(config),
+            "--log-level",
+            "error",
+        ]
         server = StdioServerParameters(command=sys.executable, args=command, env=dict(os.environ))
         portal = stack.enter_context(start_blocking_portal())
         client = stack.enter_context(portal.wrap_async_context_manager(Client(server)))
@@ -134,7 +151,9 @@ def test_a_frozen_server_ends_a_direct_motion(arm: ServedArm, wait: Wait) -> Non
         os.kill(server, signal.SIGCONT)
     call.join(30.0)
     assert not call.is_alive()
-    assert np.abs(arm.position - place).max() < 0.01, "a server that lives again does not take the motion up again"
+    assert np.abs(arm.position - place).max() < 0.01, (
+        "a server that lives again does not take the motion up again"
+    )
     wait(lambda: arm.robot()["dropped_by"].get("server_silent", 0) >= 1, 3.0, "the status says why")
     moved = arm.do("move_joints", positions={"fr3_joint7": float(place[6]) + 0.2})
     assert moved["error"] < 0.01
@@ -170,7 +189,9 @@ def test_a_removed_state_directory_does_not_release_the_stop(arm: ServedArm, wai
     assert arm.do("move_joints", positions={"fr3_joint7": target})["error"] < 0.01
 
 
-def test_a_removed_state_directory_during_motion_stops_nothing_and_hides_no_stop(arm: ServedArm, wait: Wait) -> None:
+def test_a_removed_state_directory_during_motion_stops_nothing_and_hides_no_stop(
+    arm: ServedArm, wait: Wait
+) -> None:
     """Nothing is latched when it is removed: a stop pressed afterwards holds all the same."""
     call = arm.move_away()
     wait(arm.is_moving, 10.0, "the arm moves")
@@ -192,7 +213,11 @@ def test_a_foreign_node_cannot_deactivate_the_robot(arm: ServedArm, wait: Wait) 
     value = ParameterValue(type=ParameterType.PARAMETER_BOOL, bool_value=True)
     simulated = Parameter(name="use_sim_time", value=value)
     requests = [
-        (ChangeState, "change_state", ChangeState.Request(transition=Transition(id=4, label="deactivate"))),
+        (
+            ChangeState,
+            "change_state",
+            ChangeState.Request(transition=Transition(id=4, label="deactivate")),
+        ),
         (
             SetParameters,
             "set_parameters",
@@ -201,7 +226,11 @@ def test_a_foreign_node_cannot_deactivate_the_robot(arm: ServedArm, wait: Wait) 
     ]
     for service_type, name, request in requests:
         path = f"/fr3/robot/{name}"
-        wait(lambda t=service_type, p=path: arm.link.is_service_ready(t, p), 10.0, "the service is found")
+        wait(
+            lambda t=service_type, p=path: arm.link.is_service_ready(t, p),
+            10.0,
+            "the service is found",
+        )
         call = arm.link.call(service_type, path, request, lambda: None)
         wait(lambda call=call: call.done, 5.0, "it is answered")
         assert "successful=True" not in str(call.response)

@@ -48,7 +48,9 @@ def _backend(folder, family, acceleration):
         config = OpenVlaConfig(checkpoint=folder / family, profile="libero")
         backend = OpenVlaBackend(config, runtime=runtime, acceleration=acceleration)
     else:
-        config = OftConfig(checkpoint=folder / family, profile="libero", constants="libero", proprio=True)
+        config = OftConfig(
+            checkpoint=folder / family, profile="libero", constants="libero", proprio=True
+        )
         backend = OftBackend(config, runtime=runtime, acceleration=acceleration)
     backend.load()
     return backend
@@ -138,12 +140,18 @@ def test_50_changes_read_no_file_and_hold_no_more_memory(tinies, family, monkeyp
     def held_bytes():
         gc.collect()
         tensors = [found for found in gc.get_objects() if issubclass(type(found), torch.Tensor)]
-        return sum({t.untyped_storage().data_ptr(): t.untyped_storage().nbytes() for t in tensors}.values())
+        return sum(
+            {t.untyped_storage().data_ptr(): t.untyped_storage().nbytes() for t in tensors}.values()
+        )
 
     observation = make_observation(SPECS[family])
     backend = _backend(tinies, family, FastVP50())
-    monkeypatch.setattr("rn_runtime_torch.engine.load_shards", lambda *_: pytest.fail("weights were read again"))
-    weights = [parameter.data_ptr() for parameter in _runtime(backend)._engine._decoder.parameters()]
+    monkeypatch.setattr(
+        "rn_runtime_torch.engine.load_shards", lambda *_: pytest.fail("weights were read again")
+    )
+    weights = [
+        parameter.data_ptr() for parameter in _runtime(backend)._engine._decoder.parameters()
+    ]
     before = 0
     for count in range(54):
         _runtime(backend).set_acceleration(_made(CYCLE[count % len(CYCLE)]))
@@ -151,7 +159,9 @@ def test_50_changes_read_no_file_and_hold_no_more_memory(tinies, family, monkeyp
         if count == len(CYCLE) - 1:  # buffers have met the longest sequence
             before = held_bytes()
     assert held_bytes() == before
-    assert [parameter.data_ptr() for parameter in _runtime(backend)._engine._decoder.parameters()] == weights
+    assert [
+        parameter.data_ptr() for parameter in _runtime(backend)._engine._decoder.parameters()
+    ] == weights
 
 
 @pytest.mark.parametrize(
@@ -189,26 +199,37 @@ def _registry(*more) -> Registry:
         *openvla_backends(),
         *oft_backends(),
     )
-    offers = tuple(Offer(spec=spec, plugin="test", distribution="test", status=Status.READY) for spec in specs)
+    offers = tuple(
+        Offer(spec=spec, plugin="test", distribution="test", status=Status.READY) for spec in specs
+    )
     return Registry(plugins=(), all_offers=offers)
 
 
 @pytest.mark.parametrize("backend", ["openvla", "openvla-tcp", "oft", "oft-primary"])
 @pytest.mark.parametrize("preset", [*sorted(PRESETS), "fastv"])
 def test_planning_accepts_the_presets_for_both_families(backend, preset):
-    plan = check_plan(_registry(), robot="arm", driver="simulated", backend=backend, acceleration=preset)
+    plan = check_plan(
+        _registry(), robot="arm", driver="simulated", backend=backend, acceleration=preset
+    )
     assert plan.runtime.name == "torch"
 
 
 def test_planning_refuses_the_presets_for_other_families():
     pi0 = BackendSpec(name="pi0", summary="s", target="x:y", family="pi0")
     with pytest.raises(PlanningError, match=r"fastv-p50.*openvla, openvla-oft.*pi0"):
-        check_plan(_registry(pi0), robot="arm", driver="simulated", backend="pi0", acceleration="fastv-p50")
+        check_plan(
+            _registry(pi0), robot="arm", driver="simulated", backend="pi0", acceleration="fastv-p50"
+        )
 
 
 def test_planning_refuses_a_runtime_that_cannot_prune():
     served = RuntimeSpec(
-        name="served", summary="s", target="x:y", families=("openvla",), capabilities=("token-decode",), served=True
+        name="served",
+        summary="s",
+        target="x:y",
+        families=("openvla",),
+        capabilities=("token-decode",),
+        served=True,
     )
     with pytest.raises(PlanningError, match=r"visual-token-pruning.*served.*fit: torch"):
         check_plan(
@@ -222,9 +243,15 @@ def test_planning_refuses_a_runtime_that_cannot_prune():
 
 
 def test_planning_refuses_a_runtime_without_bidirectional_rows_for_oft():
-    served = RuntimeSpec(name="served", summary="s", target="x:y", families=("openvla",), served=True)
-    with pytest.raises(PlanningError, match=r"'served' executes the families openvla, but .*'openvla-oft'"):
-        check_plan(_registry(served), robot="arm", driver="simulated", backend="oft", runtime="served")
+    served = RuntimeSpec(
+        name="served", summary="s", target="x:y", families=("openvla",), served=True
+    )
+    with pytest.raises(
+        PlanningError, match=r"'served' executes the families openvla, but .*'openvla-oft'"
+    ):
+        check_plan(
+            _registry(served), robot="arm", driver="simulated", backend="oft", runtime="served"
+        )
 
 
 def test_building_backend_runtime_and_preset_does_not_import_torch():

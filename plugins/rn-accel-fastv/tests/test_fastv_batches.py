@@ -27,7 +27,12 @@ PRESETS = {
     "a third after one layer": lambda: FastV(FastVConfig(k=1, r=1 / 3)),
     "nothing": lambda: FastV(FastVConfig(k=1, r=0.0)),
 }
-INSTRUCTIONS = ("pick up the red cube", "go", "put the small yellow cube into the bowl at the far end", "lift it")
+INSTRUCTIONS = (
+    "pick up the red cube",
+    "go",
+    "put the small yellow cube into the bowl at the far end",
+    "lift it",
+)
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +50,9 @@ def observations():
         drawn = np.random.default_rng(number)
         plain = make_observation(roboneuron_backends()[0], INSTRUCTIONS[number % 4])
         frames = {
-            role: dataclasses.replace(frame, image=drawn.integers(0, 256, (64, 64, 3), dtype=np.uint8))
+            role: dataclasses.replace(
+                frame, image=drawn.integers(0, 256, (64, 64, 3), dtype=np.uint8)
+            )
             for role, frame in plain.frames.items()
         }
         made.append(dataclasses.replace(plain, frames=frames))
@@ -69,7 +76,11 @@ def kept(monkeypatch):
     def spy(self, view):
         positions = select(self, view)
         assert view.key.shape[0] == view.query.shape[0] == 1
-        chosen.append([] if positions is None else positions[: -(view.key.shape[2] - 1 - view.visual_count)].tolist())
+        chosen.append(
+            []
+            if positions is None
+            else positions[: -(view.key.shape[2] - 1 - view.visual_count)].tolist()
+        )
         return positions
 
     monkeypatch.setattr(AttendedTokens, "select", spy)
@@ -77,7 +88,9 @@ def kept(monkeypatch):
 
 
 @pytest.mark.parametrize("preset", sorted(PRESETS))
-def test_each_of_a_batch_keeps_its_own_tokens_and_gives_its_own_actions(tiny, observations, kept, preset):
+def test_each_of_a_batch_keeps_its_own_tokens_and_gives_its_own_actions(
+    tiny, observations, kept, preset
+):
     backend = _loaded(tiny, preset)
     kept.clear()
     alone = [backend.predict(observation) for observation in observations]
@@ -94,13 +107,19 @@ def test_each_of_a_batch_keeps_its_own_tokens_and_gives_its_own_actions(tiny, ob
 
 
 def test_the_choice_hangs_on_no_last_bit(tiny, observations, monkeypatch):
-    """The least attended kept token and the most attended dropped one are 2e-5 apart at least: rounding swaps none."""
+    """The least attended kept token and the most attended dropped one are 2e-5 apart at least:
+    rounding swaps none.
+    """
     gaps = []
     attention_of = AttendedTokens._attention
 
     def spy(self, view):
         attention = attention_of(self, view)
-        visual = attention[view.visual_start : view.visual_start + view.visual_count].sort(descending=True).values
+        visual = (
+            attention[view.visual_start : view.visual_start + view.visual_count]
+            .sort(descending=True)
+            .values
+        )
         least, most = visual[self.kept(view.visual_count) - 1], visual[self.kept(view.visual_count)]
         gaps.append(float((least - most) / least))
         return attention

@@ -1,4 +1,6 @@
-"""Pruning against an oracle that drops nothing and masks instead: eager attention, full length, written out plainly."""
+"""Pruning against an oracle that drops nothing and masks instead: eager attention, full length,
+written out plainly.
+"""
 
 from __future__ import annotations
 
@@ -52,13 +54,19 @@ def _hidden() -> torch.Tensor:
 class Oracle:
     """The language model with masks; `kept` are the positions that later layers may look at."""
 
-    def __init__(self, decoder: Decoder, k: int, r: float, causal: bool, rows: tuple[int, int]) -> None:
+    def __init__(
+        self, decoder: Decoder, k: int, r: float, causal: bool, rows: tuple[int, int]
+    ) -> None:
         self.weights, self.shape = decoder.slots(), decoder.shape
         self.k, self.r, self.causal, self.rows = k, r, causal, rows
         self.kept: torch.Tensor | None = None
 
     def _norm(self, x: torch.Tensor, name: str) -> torch.Tensor:
-        return x * torch.rsqrt(x.pow(2).mean(-1, keepdim=True) + self.shape.norm_epsilon) * self.weights[name]
+        return (
+            x
+            * torch.rsqrt(x.pow(2).mean(-1, keepdim=True) + self.shape.norm_epsilon)
+            * self.weights[name]
+        )
 
     def _rotate(self, x: torch.Tensor) -> torch.Tensor:
         """Each pair (i, i + width / 2) is one complex number, turned by its position."""
@@ -73,13 +81,19 @@ class Oracle:
         count, width = x.shape[0], self.shape.head_width
 
         def heads(name: str) -> torch.Tensor:
-            return (x @ self.weights[f"{base}{name}.weight"].T).view(count, -1, width).transpose(0, 1)
+            return (
+                (x @ self.weights[f"{base}{name}.weight"].T).view(count, -1, width).transpose(0, 1)
+            )
 
         repeat = self.shape.heads // self.shape.key_value_heads
         query = self._rotate(heads("q_proj"))
         key = self._rotate(heads("k_proj")).repeat_interleave(repeat, 0)
         value = heads("v_proj").repeat_interleave(repeat, 0)
-        allowed = torch.ones(count, count).tril().bool() if self.causal else torch.ones(count, count).bool()
+        allowed = (
+            torch.ones(count, count).tril().bool()
+            if self.causal
+            else torch.ones(count, count).bool()
+        )
         if index >= self.k and self.kept is not None:
             dropped = torch.ones(count).bool()
             dropped[self.kept] = False
@@ -94,11 +108,17 @@ class Oracle:
         x = hidden[0]
         for index in range(self.shape.layers):
             base = f"model.layers.{index}."
-            mixed, probabilities = self._attention(self._norm(x, f"{base}input_layernorm.weight"), index)
+            mixed, probabilities = self._attention(
+                self._norm(x, f"{base}input_layernorm.weight"), index
+            )
             x = x + mixed
             y = self._norm(x, f"{base}post_attention_layernorm.weight")
             gate, up = (y @ self.weights[f"{base}mlp.{n}_proj.weight"].T for n in ("gate", "up"))
-            x = x + (torch.nn.functional.silu(gate) * up) @ self.weights[f"{base}mlp.down_proj.weight"].T
+            x = (
+                x
+                + (torch.nn.functional.silu(gate) * up)
+                @ self.weights[f"{base}mlp.down_proj.weight"].T
+            )
             if index == self.k - 1 and self.kept is None:
                 seen = probabilities[:, self.rows[0] : self.rows[1], 1 : 1 + VISUAL].mean((0, 1))
                 best = seen.argsort(descending=True)[: round(VISUAL * (1 - self.r))] + 1

@@ -30,13 +30,17 @@ def golden():
 @pytest.fixture
 def golden_copy(tmp_path) -> Path:
     """A copy of the golden checkpoint that a test may damage."""
-    return Path(shutil.copytree(DATA / "oft-tiny", tmp_path / "oft", ignore=shutil.ignore_patterns("*.npz")))
+    return Path(
+        shutil.copytree(DATA / "oft-tiny", tmp_path / "oft", ignore=shutil.ignore_patterns("*.npz"))
+    )
 
 
 @pytest.fixture
 def golden_policy() -> OftPolicy:
     checkpoint = Checkpoint.read(DATA / "oft-tiny")
-    return OftPolicy(checkpoint=checkpoint, constants=CONSTANTS["libero"], cameras=2, head="l1", proprio_width=8)
+    return OftPolicy(
+        checkpoint=checkpoint, constants=CONSTANTS["libero"], cameras=2, head="l1", proprio_width=8
+    )
 
 
 @pytest.fixture

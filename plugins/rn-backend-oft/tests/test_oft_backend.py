@@ -58,11 +58,19 @@ def complete(golden_copy):
 def _observation(primary: int = 60, wrist: int = 90, **changes) -> Observation:
     frames = {
         role: Frame(
-            camera=role, image=np.full((224, 224, 3), value, dtype=np.uint8), stamp_ns=1, frame_id=f"{role}_optical"
+            camera=role,
+            image=np.full((224, 224, 3), value, dtype=np.uint8),
+            stamp_ns=1,
+            frame_id=f"{role}_optical",
         )
         for role, value in (("primary", primary), ("wrist", wrist))
     }
-    given = {"frames": frames, "instruction": "pick up the cube", "ee_pose": POSE, "gripper_open": 1.0} | changes
+    given = {
+        "frames": frames,
+        "instruction": "pick up the cube",
+        "ee_pose": POSE,
+        "gripper_open": 1.0,
+    } | changes
     return Observation(**given)
 
 
@@ -83,14 +91,20 @@ def test_black_and_white_images_give_different_actions_for_each_camera(backend):
 def test_the_measured_state_counts(backend):
     other = dataclasses.replace(POSE, position_m=POSE.position_m + 0.5)
     assert (
-        np.abs(backend.predict(_observation()).actions - backend.predict(_observation(ee_pose=other)).actions).max() > 0
+        np.abs(
+            backend.predict(_observation()).actions
+            - backend.predict(_observation(ee_pose=other)).actions
+        ).max()
+        > 0
     )
 
 
 def test_execute_plays_only_the_first_actions(tiny, backend):
     short = _backend(tiny, execute=3)
     short.load()
-    np.testing.assert_array_equal(short.predict(_observation()).actions, backend.predict(_observation()).actions[:3])
+    np.testing.assert_array_equal(
+        short.predict(_observation()).actions, backend.predict(_observation()).actions[:3]
+    )
 
 
 def test_one_camera_checkpoints_use_the_primary_image_only(tiny):
@@ -109,7 +123,9 @@ def test_a_missing_camera_is_named(backend, missing):
         backend.predict(dataclasses.replace(observation, frames=frames))
 
 
-@pytest.mark.parametrize(("field", "words"), [("ee_pose", "TCP pose"), ("gripper_open", "gripper opening")])
+@pytest.mark.parametrize(
+    ("field", "words"), [("ee_pose", "TCP pose"), ("gripper_open", "gripper opening")]
+)
 def test_a_missing_state_is_named_and_nothing_is_put_in_its_place(backend, field, words):
     with pytest.raises(UngroundedError, match=words):
         backend.predict(_observation(**{field: None}))
@@ -117,7 +133,10 @@ def test_a_missing_state_is_named_and_nothing_is_put_in_its_place(backend, field
 
 def test_state_of_libero_is_position_rotation_vector_and_fingers():
     state = read_state(
-        _observation(gripper_open=0.5), "xyz_rotvec_fingers", finger_travel_m=0.04, origin_m=np.array([1.0, 0, 0])
+        _observation(gripper_open=0.5),
+        "xyz_rotvec_fingers",
+        finger_travel_m=0.04,
+        origin_m=np.array([1.0, 0, 0]),
     )
     np.testing.assert_allclose(state, [1.4, -0.1, 0.3, 0.2, -1.1, 0.4, 0.02, -0.02], atol=1e-12)
 
@@ -126,14 +145,21 @@ def test_state_of_libero_is_position_rotation_vector_and_fingers():
 def test_state_of_libero_runs_through_pi_where_the_gripper_points_down(tilt_rad):
     rotation = matrix_from_rotvec(np.array([np.pi + tilt_rad, 0.0, 0.0]))
     pose = Pose(position_m=np.zeros(3), quaternion_xyzw=quaternion_from_matrix(rotation))
-    state = read_state(_observation(ee_pose=pose), "xyz_rotvec_fingers", finger_travel_m=0.04, origin_m=np.zeros(3))
+    state = read_state(
+        _observation(ee_pose=pose), "xyz_rotvec_fingers", finger_travel_m=0.04, origin_m=np.zeros(3)
+    )
     np.testing.assert_allclose(state[3:6], [np.pi + tilt_rad, 0, 0], atol=1e-7)
 
 
 def test_state_of_bridge_is_position_angles_against_gripper_down_and_opening():
     down_then_turned = matrix_from_rpy(np.array([0.1, -0.2, 0.3])) @ np.diag([1.0, -1.0, -1.0])
-    pose = Pose(position_m=np.array([0.4, -0.1, 0.3]), quaternion_xyzw=quaternion_from_matrix(down_then_turned))
-    state = read_state(_observation(ee_pose=pose), "xyz_rpy_opening", finger_travel_m=0.04, origin_m=np.zeros(3))
+    pose = Pose(
+        position_m=np.array([0.4, -0.1, 0.3]),
+        quaternion_xyzw=quaternion_from_matrix(down_then_turned),
+    )
+    state = read_state(
+        _observation(ee_pose=pose), "xyz_rpy_opening", finger_travel_m=0.04, origin_m=np.zeros(3)
+    )
     np.testing.assert_allclose(state, [0.4, -0.1, 0.3, 0.1, -0.2, 0.3, 1.0], atol=1e-9)
 
 
@@ -143,7 +169,9 @@ def test_two_arm_constants_are_refused_with_the_reason(tiny):
 
 
 def test_constants_that_do_not_fit_the_head_are_refused(complete):
-    """A bridge chunk of five on a LIBERO head cannot be told from the head, but its state width can."""
+    """A bridge chunk of five on a LIBERO head cannot be told from the head, but its state width
+    can.
+    """
     with pytest.raises(ConfigurationError, match="8 proprio values"):
         _backend(complete, constants="bridge").load()
 
@@ -158,13 +186,16 @@ def test_own_constants_are_said_field_by_field(tiny):
 def test_a_checkpoint_without_head_decodes_bins(complete):
     for file in complete.glob("*_checkpoint.pt"):
         file.unlink()
-    backend = _backend(complete, head="tokens", proprio=False, max_outside_share=1.0)  # random weights decode any id
+    # random weights decode any id
+    backend = _backend(complete, head="tokens", proprio=False, max_outside_share=1.0)
     backend.load()
     assert backend.predict(_observation()).actions.shape == (8, 7)
 
 
 @pytest.mark.parametrize(("outside", "refused"), [(0, False), (8, False), (9, True), (56, True)])
-def test_tokens_that_are_no_actions_are_counted_over_the_chunk_and_refused_above_the_share(complete, outside, refused):
+def test_tokens_that_are_no_actions_are_counted_over_the_chunk_and_refused_above_the_share(
+    complete, outside, refused
+):
     for file in complete.glob("*_checkpoint.pt"):
         file.unlink()
     backend = _backend(complete, head="tokens", proprio=False)
@@ -190,12 +221,15 @@ def test_a_missing_component_file_is_named(complete, component):
 
 def test_two_files_of_one_component_are_not_chosen_between(complete):
     (complete / "action_head--2_checkpoint.pt").write_bytes(b"")
-    with pytest.raises(CheckpointError, match=r"action_head--1_checkpoint\.pt, action_head--2_checkpoint\.pt"):
+    with pytest.raises(
+        CheckpointError, match=r"action_head--1_checkpoint\.pt, action_head--2_checkpoint\.pt"
+    ):
         _backend(complete).load()
 
 
 @pytest.mark.parametrize(
-    ("options", "words"), [({"head": "tokens"}, 'head = "l1"'), ({"proprio": False}, "proprio = true")]
+    ("options", "words"),
+    [({"head": "tokens"}, 'head = "l1"'), ({"proprio": False}, "proprio = true")],
 )
 def test_a_component_that_would_be_left_out_is_refused(complete, options, words):
     with pytest.raises(CheckpointError, match=words):
@@ -204,7 +238,10 @@ def test_a_component_that_would_be_left_out_is_refused(complete, options, words)
 
 @pytest.mark.parametrize(
     ("file", "words"),
-    [("noisy_action_projector--9_checkpoint.pt", "diffusion head"), ("vision_backbone--9_checkpoint.pt", "FiLM")],
+    [
+        ("noisy_action_projector--9_checkpoint.pt", "diffusion head"),
+        ("vision_backbone--9_checkpoint.pt", "FiLM"),
+    ],
 )
 def test_diffusion_and_film_are_refused_plainly(complete, file, words):
     (complete / file).write_bytes(b"")
@@ -217,19 +254,25 @@ def test_a_head_of_another_model_is_refused_by_its_tensors(complete):
     tensors = torch.load(path, weights_only=True)
     tensors["module.noise_predictor.fc1.weight"] = tensors.pop("module.model.fc1.weight")
     torch.save(tensors, path)
-    with pytest.raises(CheckpointError, match=r"1 missing: module\.model\.fc1\.weight.*1 unexpected: module\.noise"):
+    with pytest.raises(
+        CheckpointError, match=r"1 missing: module\.model\.fc1\.weight.*1 unexpected: module\.noise"
+    ):
         _backend(complete).load()
 
 
 def test_a_truncated_component_is_named(complete):
     path = next(complete.glob("proprio_projector*"))
     path.write_bytes(path.read_bytes()[:-900])
-    with pytest.raises(CheckpointError, match=r"proprio_projector--1_checkpoint\.pt .*truncated or damaged"):
+    with pytest.raises(
+        CheckpointError, match=r"proprio_projector--1_checkpoint\.pt .*truncated or damaged"
+    ):
         _backend(complete).load()
 
 
 def test_a_wrong_data_set_is_refused_with_the_choices(complete):
-    with pytest.raises(ConfigurationError, match=r"dataset_statistics\.json.*Choose one of: toy_suite"):
+    with pytest.raises(
+        ConfigurationError, match=r"dataset_statistics\.json.*Choose one of: toy_suite"
+    ):
         _backend(complete, unnorm_key="bridge_orig").load()
 
 
@@ -265,6 +308,8 @@ def test_what_the_runtime_says_of_an_answer_reaches_the_status(tiny, monkeypatch
     backend.load()
     run = backend._runtime.run
     monkeypatch.setattr(
-        backend._runtime, "run", lambda request: dataclasses.replace(run(request), note="CUDA graph: eager.")
+        backend._runtime,
+        "run",
+        lambda request: dataclasses.replace(run(request), note="CUDA graph: eager."),
     )
     assert backend.predict(_observation()).note == "CUDA graph: eager."

@@ -34,13 +34,21 @@ def seen(number: int) -> Observation:
     drawn = np.random.default_rng(number)
     frames = {
         role: Frame(
-            camera=role, image=drawn.integers(0, 256, (64, 64, 3), dtype=np.uint8), stamp_ns=1, frame_id=f"{role}_front"
+            camera=role,
+            image=drawn.integers(0, 256, (64, 64, 3), dtype=np.uint8),
+            stamp_ns=1,
+            frame_id=f"{role}_front",
         )
         for role in ("primary", "wrist")
     }
-    pose = Pose(position_m=drawn.uniform(-0.3, 0.3, 3), quaternion_xyzw=np.array([1.0, 0.0, 0.0, 0.0]))
+    pose = Pose(
+        position_m=drawn.uniform(-0.3, 0.3, 3), quaternion_xyzw=np.array([1.0, 0.0, 0.0, 0.0])
+    )
     return Observation(
-        frames=frames, instruction=INSTRUCTIONS[number % 8], ee_pose=pose, gripper_open=float(drawn.uniform())
+        frames=frames,
+        instruction=INSTRUCTIONS[number % 8],
+        ee_pose=pose,
+        gripper_open=float(drawn.uniform()),
     )
 
 
@@ -64,7 +72,10 @@ def tiny(tmp_path_factory):
 
 def loaded(path, kind=OftBackend, runtime=None) -> OftBackend:
     runtime = runtime or TorchRuntime(TorchRuntimeConfig(device="cpu", dtype="float32"))
-    backend = kind(OftConfig(checkpoint=path, profile="libero", constants="libero", proprio=True), runtime=runtime)
+    backend = kind(
+        OftConfig(checkpoint=path, profile="libero", constants="libero", proprio=True),
+        runtime=runtime,
+    )
     backend.load()
     return backend
 
@@ -92,7 +103,9 @@ def test_each_row_of_a_batch_is_the_answer_alone(backend, count):
 
 
 def test_observations_of_a_batch_do_not_disturb_each_other(backend):
-    """What the others see and are told moves no answer by more than rounding; their order is that of the questions."""
+    """What the others see and are told moves no answer by more than rounding; their order is
+    that of the questions.
+    """
     first, *others = OBSERVATIONS
     whole = backend.predict_batch([first, *others])
     mixed = backend.predict_batch([*reversed(others), first])
@@ -101,9 +114,14 @@ def test_observations_of_a_batch_do_not_disturb_each_other(backend):
 
 
 def test_prompts_of_one_length_need_no_filling(backend):
-    alike = [dataclasses.replace(observation, instruction="pick up the red cube") for observation in OBSERVATIONS[:3]]
+    alike = [
+        dataclasses.replace(observation, instruction="pick up the red cube")
+        for observation in OBSERVATIONS[:3]
+    ]
     for observation, chunk in zip(alike, backend.predict_batch(alike), strict=True):
-        np.testing.assert_allclose(chunk.actions, backend.predict(observation).actions, rtol=0, atol=TOLERANCE)
+        np.testing.assert_allclose(
+            chunk.actions, backend.predict(observation).actions, rtol=0, atol=TOLERANCE
+        )
 
 
 def test_a_batch_of_one_is_bit_for_bit_the_answer_alone(backend):
@@ -118,7 +136,9 @@ def test_no_observation_needs_no_answer(backend):
 
 def test_a_runtime_without_batches_is_asked_one_after_the_other(tiny):
     backend = loaded(tiny, runtime=OneByOne())
-    for observation, chunk in zip(OBSERVATIONS[:3], backend.predict_batch(OBSERVATIONS[:3]), strict=True):
+    for observation, chunk in zip(
+        OBSERVATIONS[:3], backend.predict_batch(OBSERVATIONS[:3]), strict=True
+    ):
         np.testing.assert_array_equal(chunk.actions, backend.predict(observation).actions)
 
 

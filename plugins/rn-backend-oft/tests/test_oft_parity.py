@@ -25,7 +25,9 @@ def _request(policy, golden, read=None, **changes):
         "pixel_values": golden["pixel_values"][0],
         "proprio": golden["proprio_normalized"].astype(np.float32),
     } | changes
-    return policy.request(text="", images=(golden["image_0"], golden["image_1"]), read=read, **given)
+    return policy.request(
+        text="", images=(golden["image_0"], golden["image_1"]), read=read, **given
+    )
 
 
 def _statistics(policy):
@@ -34,7 +36,9 @@ def _statistics(policy):
 
 def test_pixels_of_both_cameras_equal_those_of_the_original_processor(golden, golden_policy):
     preprocessor = Preprocessor(size=224, towers=golden_policy.checkpoint.towers)
-    pixels = np.concatenate([preprocessor.to_pixels(golden[name]) for name in ("image_0", "image_1")])
+    pixels = np.concatenate(
+        [preprocessor.to_pixels(golden[name]) for name in ("image_0", "image_1")]
+    )
     np.testing.assert_allclose(pixels, golden["pixel_values"][0], atol=1e-6)
 
 
@@ -56,7 +60,9 @@ def test_the_chunk_is_that_of_the_original_model(golden, golden_policy, golden_r
     np.testing.assert_allclose(actions, golden["action_chunk"], atol=1e-5)
 
 
-def test_attention_is_bidirectional_so_a_late_token_changes_the_first_row(golden, golden_policy, golden_runtime):
+def test_attention_is_bidirectional_so_a_late_token_changes_the_first_row(
+    golden, golden_policy, golden_runtime
+):
     request = _request(golden_policy, golden, "hidden")
     ids = request.prompt.ids.copy()
     ids[-1] = 700  # in the stop token's place, behind every row that is read
@@ -70,12 +76,16 @@ def test_the_wrist_image_and_the_state_both_count(golden, golden_policy, golden_
     pixels = golden["pixel_values"][0].copy()
     pixels[6:] = 0
     blind = golden_runtime.run(_request(golden_policy, golden, pixel_values=pixels)).values
-    numb = golden_runtime.run(_request(golden_policy, golden, proprio=np.zeros(8, dtype=np.float32))).values
+    numb = golden_runtime.run(
+        _request(golden_policy, golden, proprio=np.zeros(8, dtype=np.float32))
+    ).values
     assert np.abs(whole - blind).max() > 1e-4
     assert np.abs(whole - numb).max() > 1e-4
 
 
-def test_rows_read_as_tokens_are_the_best_ids_of_the_output_head(golden, golden_policy, golden_runtime):
+def test_rows_read_as_tokens_are_the_best_ids_of_the_output_head(
+    golden, golden_policy, golden_runtime
+):
     rows = golden_runtime.run(_request(golden_policy, golden, "hidden")).values
     tokens = golden_runtime.run(_request(golden_policy, golden, "tokens")).values
     with safe_open(golden_policy.checkpoint.path / "model.safetensors", "pt") as file:
@@ -84,11 +94,15 @@ def test_rows_read_as_tokens_are_the_best_ids_of_the_output_head(golden, golden_
     assert action_bins(golden_policy.checkpoint).to_values(tokens.astype(np.int64)).shape == (56,)
 
 
-def test_a_policy_without_head_and_proprio_runs_on_the_base_weights(golden, golden_policy, golden_copy):
+def test_a_policy_without_head_and_proprio_runs_on_the_base_weights(
+    golden, golden_policy, golden_copy
+):
     for file in golden_copy.glob("*_checkpoint.pt"):
         file.unlink()
     checkpoint = type(golden_policy.checkpoint).read(golden_copy)
-    policy = dataclasses.replace(golden_policy, checkpoint=checkpoint, head="tokens", proprio_width=0)
+    policy = dataclasses.replace(
+        golden_policy, checkpoint=checkpoint, head="tokens", proprio_width=0
+    )
     runtime = TorchRuntime(TorchRuntimeConfig(dtype="float32"))
     runtime.load(policy.model(64))
     values = runtime.run(_request(policy, golden, proprio=None)).values

@@ -34,7 +34,11 @@ def golden_checkpoint() -> Checkpoint:
 @pytest.fixture
 def golden_copy(tmp_path) -> Path:
     """A copy of the golden checkpoint that a test may damage."""
-    return Path(shutil.copytree(DATA / "openvla-tiny", tmp_path / "openvla", ignore=shutil.ignore_patterns("*.npz")))
+    return Path(
+        shutil.copytree(
+            DATA / "openvla-tiny", tmp_path / "openvla", ignore=shutil.ignore_patterns("*.npz")
+        )
+    )
 
 
 @pytest.fixture

@@ -48,7 +48,9 @@ def backend(tiny) -> OpenVlaBackend:
     return made
 
 
-def _observation(value: int | np.ndarray, instruction: str = "pick up the red cube", pose=None) -> Observation:
+def _observation(
+    value: int | np.ndarray, instruction: str = "pick up the red cube", pose=None
+) -> Observation:
     image = np.full((240, 320, 3), value, dtype=np.uint8) if isinstance(value, int) else value
     frame = Frame(camera="front", image=image, stamp_ns=1, frame_id="front_optical")
     return Observation(frames={"primary": frame}, instruction=instruction, ee_pose=pose)
@@ -65,13 +67,17 @@ def test_the_instruction_reaches_the_model_in_lower_case(backend):
     run = backend._runtime.run
     backend._runtime.run = lambda request: (requests.append(request), run(request))[1]
     backend.predict(_observation(90, "Pick Up the BOX"))
-    assert requests[0].prompt.text == "In: What action should the robot take to pick up the box?\nOut:"
+    assert (
+        requests[0].prompt.text == "In: What action should the robot take to pick up the box?\nOut:"
+    )
     assert requests[0].prompt.ids[0] == 1
     assert requests[0].prompt.ids[-1] == 29871
 
 
 def test_a_served_runtime_gets_text_and_image_and_its_tokens_become_the_action(tiny):
-    """The seam of a runtime that never sees weights: only the text and the RGB image, only ids back."""
+    """The seam of a runtime that never sees weights: only the text and the RGB image, only ids
+    back.
+    """
 
     class Served:
         def load(self, model, acceleration=None):
@@ -79,7 +85,9 @@ def test_a_served_runtime_gets_text_and_image_and_its_tokens_become_the_action(t
 
         def run(self, request):
             self.image, self.text = request.prompt.images[0], request.prompt.text
-            return TokenReply(tokens=np.full(request.max_new_tokens, 31872), note="CUDA graph: eager.")
+            return TokenReply(
+                tokens=np.full(request.max_new_tokens, 31872), note="CUDA graph: eager."
+            )
 
         def close(self): ...
 
@@ -89,12 +97,16 @@ def test_a_served_runtime_gets_text_and_image_and_its_tokens_become_the_action(t
     chunk = backend.predict(_observation(90))
     assert runtime.model.family == "openvla"
     assert (
-        1 < runtime.model.min_prompt_tokens == backend._encoder.shortest() < backend._encoder.to_ids(runtime.text).size
+        1
+        < runtime.model.min_prompt_tokens
+        == backend._encoder.shortest()
+        < backend._encoder.to_ids(runtime.text).size
     )
     assert chunk.note == "CUDA graph: eager."
     assert runtime.image.shape == (240, 320, 3)
     assert runtime.text.endswith("\nOut:")
-    np.testing.assert_allclose(chunk.actions[0, :6], 0.0, atol=1e-3)  # the middle bin of a symmetric range
+    # the middle bin of a symmetric range
+    np.testing.assert_allclose(chunk.actions[0, :6], 0.0, atol=1e-3)
 
 
 def test_metrics_tell_times_and_tokens(backend):
@@ -116,7 +128,9 @@ def test_tool_frame_actions_turn_with_the_measured_pose(tiny):
     backend.load()
     upright = Pose(position_m=np.zeros(3), quaternion_xyzw=np.array([0.0, 0.0, 0.0, 1.0]))
     half_turn = Pose(position_m=np.zeros(3), quaternion_xyzw=np.array([0.0, 0.0, 1.0, 0.0]))
-    plain, turned = (backend.predict(_observation(40, pose=pose)).actions[0] for pose in (upright, half_turn))
+    plain, turned = (
+        backend.predict(_observation(40, pose=pose)).actions[0] for pose in (upright, half_turn)
+    )
     np.testing.assert_allclose(turned[:3], plain[:3] * [-1, -1, 1], atol=1e-12)
 
 
@@ -169,7 +183,8 @@ def test_what_the_boundary_costs_at_model_size_stays_small(backend):
     for _ in range(10):
         metrics = backend.predict(_observation(image)).metrics
         costs.append(metrics["inference_ms"] - metrics["model_ms"])
-    assert min(costs) < 10.0  # 1.3 ms was seen on an idle core; the bound leaves room for a busy machine
+    # 1.3 ms was seen on an idle core; the bound leaves room for a busy machine
+    assert min(costs) < 10.0
 
 
 def test_the_same_observation_gives_the_same_action(backend):
@@ -193,7 +208,9 @@ class _Says:
 
 
 def _saying(tiny, tokens, **options) -> OpenVlaBackend:
-    backend = OpenVlaBackend(OpenVlaConfig(checkpoint=tiny, profile="libero", **options), runtime=_Says(tokens))
+    backend = OpenVlaBackend(
+        OpenVlaConfig(checkpoint=tiny, profile="libero", **options), runtime=_Says(tokens)
+    )
     backend.load()
     return backend
 
@@ -209,14 +226,18 @@ def test_one_token_that_is_no_action_is_counted_and_told(tiny, caplog, token):
 
 
 def test_action_tokens_of_both_ends_are_not_counted(tiny):
-    chunk = _saying(tiny, [31744, 31999, 31872, 31872, 31872, 31872, 31745]).predict(_observation(90))
+    chunk = _saying(tiny, [31744, 31999, 31872, 31872, 31872, 31872, 31745]).predict(
+        _observation(90)
+    )
     assert chunk.metrics["tokens_outside_actions_total"] == 0
     assert chunk.note == ""
 
 
 def test_more_tokens_that_are_no_actions_than_allowed_are_refused(tiny):
     tokens = [5, 5, 31872, 31872, 31872, 31872, 31872]
-    with pytest.raises(UngroundedError, match=r"2 of 7 tokens are no action tokens, 2 since .*max_outside_share"):
+    with pytest.raises(
+        UngroundedError, match=r"2 of 7 tokens are no action tokens, 2 since .*max_outside_share"
+    ):
         _saying(tiny, tokens).predict(_observation(90))
     assert _saying(tiny, tokens, max_outside_share=0.3).predict(_observation(90)).note
     with pytest.raises(UngroundedError):
@@ -226,7 +247,10 @@ def test_more_tokens_that_are_no_actions_than_allowed_are_refused(tiny):
 @pytest.mark.parametrize(
     ("key", "value"),
     [
-        ("truncation", {"direction": "Right", "max_length": 4, "strategy": "LongestFirst", "stride": 0}),
+        (
+            "truncation",
+            {"direction": "Right", "max_length": 4, "strategy": "LongestFirst", "stride": 0},
+        ),
         (
             "padding",
             {
@@ -240,7 +264,9 @@ def test_more_tokens_that_are_no_actions_than_allowed_are_refused(tiny):
         ),
     ],
 )
-def test_what_a_tokenizer_says_of_cutting_and_padding_is_switched_off(tiny, tmp_path, backend, key, value):
+def test_what_a_tokenizer_says_of_cutting_and_padding_is_switched_off(
+    tiny, tmp_path, backend, key, value
+):
     changed = Path(shutil.copytree(tiny, tmp_path / "changed"))
     document = json.loads((changed / "tokenizer.json").read_text())
     document[key] = value

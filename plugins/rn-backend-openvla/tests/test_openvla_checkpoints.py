@@ -25,7 +25,9 @@ from roboneuron.errors import CheckpointError, ConfigurationError
 
 def _load(path, **options) -> OpenVlaBackend:
     config = OpenVlaConfig(checkpoint=path, **({"profile": "libero"} | options))
-    backend = OpenVlaBackend(config, runtime=TorchRuntime(TorchRuntimeConfig(device="cpu", dtype="float32")))
+    backend = OpenVlaBackend(
+        config, runtime=TorchRuntime(TorchRuntimeConfig(device="cpu", dtype="float32"))
+    )
     backend.load()
     return backend
 
@@ -74,7 +76,9 @@ def test_a_missing_directory_is_named(tmp_path):
         _load(tmp_path / "nowhere")
 
 
-@pytest.mark.parametrize("name", ["config.json", "preprocessor_config.json", "tokenizer.json", "model.safetensors"])
+@pytest.mark.parametrize(
+    "name", ["config.json", "preprocessor_config.json", "tokenizer.json", "model.safetensors"]
+)
 def test_a_missing_file_is_named(complete, name):
     (complete / name).unlink()
     with pytest.raises(CheckpointError, match=rf"{name} does not exist"):
@@ -133,7 +137,8 @@ def test_an_index_that_lacks_a_tensor_is_refused_with_its_name(tmp_path):
     content["weight_map"]["stranger"] = "model-00001-of-00002.safetensors"
     index.write_text(json.dumps(content))
     with pytest.raises(
-        CheckpointError, match=r"1 missing \(language_model.model.norm.weight\), 1 unexpected \(stranger\)"
+        CheckpointError,
+        match=r"1 missing \(language_model.model.norm.weight\), 1 unexpected \(stranger\)",
     ):
         _load(tmp_path / "tiny")
 
@@ -161,8 +166,12 @@ def test_several_data_sets_need_a_choice(complete):
 
 def test_dataset_statistics_replace_those_of_the_configuration(complete):
     stats = json.loads((complete / "config.json").read_text())["norm_stats"]
-    (complete / "dataset_statistics.json").write_text(json.dumps({"fine_tuned": stats["toy_suite"]}))
-    with pytest.raises(ConfigurationError, match=r"dataset_statistics\.json.*Choose one of: fine_tuned"):
+    (complete / "dataset_statistics.json").write_text(
+        json.dumps({"fine_tuned": stats["toy_suite"]})
+    )
+    with pytest.raises(
+        ConfigurationError, match=r"dataset_statistics\.json.*Choose one of: fine_tuned"
+    ):
         _load(complete, unnorm_key="toy_suite")
     _load(complete, unnorm_key="fine_tuned")
 
@@ -181,7 +190,10 @@ def test_statistics_of_another_width_are_refused(complete):
     ("changes", "words"),
     [
         ({"vision_backbone_id": "clip-vit-l"}, "'clip-vit-l', expected one of dinosiglip"),
-        ({"image_resize_strategy": "letterbox"}, r"config.json: image_resize_strategy is 'letterbox', only"),
+        (
+            {"image_resize_strategy": "letterbox"},
+            r"config.json: image_resize_strategy is 'letterbox', only",
+        ),
         ({"text_config": {"model_type": "mistral"}}, "model_type is 'mistral'"),
         ({"text_config": {"rope_scaling": {"factor": 2.0}}}, "rope_scaling"),
     ],
@@ -202,13 +214,21 @@ def test_the_first_release_has_one_tower_and_another_prompt(tmp_path):
     for name in ("model.safetensors.index.json",):
         (tmp_path / "v01" / name).unlink()
     tower = {"mean": [0.5] * 3, "std": [0.5] * 3}
-    _edit(tmp_path / "v01" / "config.json", vision_backbone_id="siglip-vit-so400m", llm_backbone_id="vicuna-v15-7b")
+    _edit(
+        tmp_path / "v01" / "config.json",
+        vision_backbone_id="siglip-vit-so400m",
+        llm_backbone_id="vicuna-v15-7b",
+    )
     _edit(tmp_path / "v01" / "preprocessor_config.json", tvf_normalize_params=[tower])
     checkpoint = Checkpoint.read(tmp_path / "v01")
     assert checkpoint.is_vicuna
     assert checkpoint.vision.projector == (32, 16, 16)
-    encoder = PromptEncoder(tmp_path / "v01" / "tokenizer.json", "v01", base=32000, embeddings=32064)
-    assert encoder.to_text("Go").endswith("USER: What action should the robot take to go? ASSISTANT:")
+    encoder = PromptEncoder(
+        tmp_path / "v01" / "tokenizer.json", "v01", base=32000, embeddings=32064
+    )
+    assert encoder.to_text("Go").endswith(
+        "USER: What action should the robot take to go? ASSISTANT:"
+    )
 
 
 def test_ids_are_those_of_the_tokenizer_file_and_the_final_one_is_added_once(tmp_path):
@@ -259,22 +279,37 @@ def test_expected_weights_of_the_public_model_are_as_many_as_it_has():
 
 
 def test_letterbox_in_the_processor_is_named_as_such(complete):
-    """The message named the strategy of the other file: resizes by 'resize-naive', only 'resize-naive' ..."""
+    """The message named the strategy of the other file: resizes by 'resize-naive', only
+    'resize-naive' ...
+    """
     _edit(complete / "preprocessor_config.json", tvf_do_letterbox=True)
-    with pytest.raises(CheckpointError, match=r"preprocessor_config\.json: tvf_do_letterbox is true"):
+    with pytest.raises(
+        CheckpointError, match=r"preprocessor_config\.json: tvf_do_letterbox is true"
+    ):
         _load(complete)
-    _edit(complete / "preprocessor_config.json", tvf_do_letterbox=False, image_resize_strategy="letterbox")
-    with pytest.raises(CheckpointError, match=r"preprocessor_config\.json: image_resize_strategy is 'letterbox'"):
+    _edit(
+        complete / "preprocessor_config.json",
+        tvf_do_letterbox=False,
+        image_resize_strategy="letterbox",
+    )
+    with pytest.raises(
+        CheckpointError, match=r"preprocessor_config\.json: image_resize_strategy is 'letterbox'"
+    ):
         _load(complete)
 
 
 def test_limits_out_of_order_are_refused_for_the_chosen_data_set_only(complete):
     stats = json.loads((complete / "config.json").read_text())["norm_stats"]["toy_suite"]
     swapped = json.loads(json.dumps(stats))
-    swapped["action"]["q01"], swapped["action"]["q99"] = stats["action"]["q99"], stats["action"]["q01"]
+    swapped["action"]["q01"], swapped["action"]["q99"] = (
+        stats["action"]["q99"],
+        stats["action"]["q01"],
+    )
     _edit(complete / "config.json", norm_stats={"good": stats, "bad": swapped})
     _load(complete, unnorm_key="good")
-    with pytest.raises(CheckpointError, match=r"'bad', action, do not hold min <= q01 <= q99 <= max at value 0"):
+    with pytest.raises(
+        CheckpointError, match=r"'bad', action, do not hold min <= q01 <= q99 <= max at value 0"
+    ):
         _load(complete, unnorm_key="bad")
 
 

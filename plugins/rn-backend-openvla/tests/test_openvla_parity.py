@@ -18,8 +18,9 @@ from rn_vla.openvla.statistics import Scaling, choose_statistics
 LOGIT_TOLERANCE = 1e-4
 """Fused projections and SDPA sum in another order; 4e-6 was seen."""
 INT8_TOLERANCE = {"float32": 0.01, "bfloat16": 0.03}
-"""Of the largest logit. Products with int8 weights take their rows as bfloat16, which rounds by 2^-9, and so are
-outputs in bfloat16; 0.0017 and 0.0095 were seen with AVX-512, AVX2 and SSE4.1 kernels."""
+"""Of the largest logit. Products with int8 weights take their rows as bfloat16, which rounds by
+2^-9, and so are outputs in bfloat16; 0.0017 and 0.0095 were seen with AVX-512, AVX2 and SSE4.1
+kernels."""
 
 
 def _request(golden, pixel_values=None):
@@ -63,7 +64,9 @@ def test_tokens_become_the_action_of_the_original(golden, golden_checkpoint):
 
 def test_leaving_out_the_final_token_changes_the_logits(golden, golden_runtime):
     request = _request(golden)
-    short = dataclasses.replace(request, prompt=dataclasses.replace(request.prompt, ids=golden["input_ids"][0]))
+    short = dataclasses.replace(
+        request, prompt=dataclasses.replace(request.prompt, ids=golden["input_ids"][0])
+    )
     assert np.abs(golden_runtime.run(short).logits - golden["prefill_logits"]).max() > 0.1
 
 
@@ -73,15 +76,22 @@ def test_half_precision_stays_near_the_float32_logits(golden, golden_checkpoint,
     runtime.load(policy_model(golden_checkpoint, action_width=7, max_prompt_tokens=64))
     logits = runtime.run(_request(golden)).logits
     scale = np.abs(golden["prefill_logits"]).max()
-    assert np.abs(logits - golden["prefill_logits"]).max() < 0.05 * scale  # 8 bits of mantissa through 8 layers
+    # 8 bits of mantissa through 8 layers
+    assert np.abs(logits - golden["prefill_logits"]).max() < 0.05 * scale
 
 
 @pytest.mark.parametrize("dtype", INT8_TOLERANCE)
-def test_decoding_with_int8_weights_stays_near_the_logits(golden, golden_checkpoint, monkeypatch, dtype):
-    """Compares every step that follows the same tokens: which of two nearly equal ones wins is decided by rounding."""
+def test_decoding_with_int8_weights_stays_near_the_logits(
+    golden, golden_checkpoint, monkeypatch, dtype
+):
+    """Compares every step that follows the same tokens: which of two nearly equal ones wins is
+    decided by rounding.
+    """
     steps = {}
     for weights in ("same", "int8"):
-        runtime = TorchRuntime(TorchRuntimeConfig(device="cpu", dtype=dtype, decode_weights=weights))
+        runtime = TorchRuntime(
+            TorchRuntimeConfig(device="cpu", dtype=dtype, decode_weights=weights)
+        )
         runtime.load(policy_model(golden_checkpoint, action_width=7, max_prompt_tokens=64))
         steps[weights] = _logits_of_each_step(runtime, _request(golden), monkeypatch)
     compared = 0

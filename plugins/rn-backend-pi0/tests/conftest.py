@@ -1,4 +1,6 @@
-"""Fixtures: the golden checkpoint, a tiny checkpoint of our own, observations, and a stand-in for openpi's server."""
+"""Fixtures: the golden checkpoint, a tiny checkpoint of our own, observations, and a stand-in
+for openpi's server.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +39,9 @@ def golden() -> dict[str, np.ndarray]:
 
 @pytest.fixture(scope="session")
 def tiny_checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A checkpoint in LeRobot's layout, as `roboneuron-pi0 make-tiny` writes it. Never written to."""
+    """A checkpoint in LeRobot's layout, as `roboneuron-pi0 make-tiny` writes it. Never written
+    to.
+    """
     from rn_backend_pi0.tiny import make_tiny
 
     directory = tmp_path_factory.mktemp("pi0") / "tiny"
@@ -74,7 +78,9 @@ def make_observation(
         frames=frames,
         instruction=instruction,
         joints=JointSample(names=("a", "b"), position=np.array([0.1, 0.2])),
-        ee_pose=Pose(position_m=np.array(position_m), quaternion_xyzw=np.array([1.0, 0.0, 0.0, 0.0])),
+        ee_pose=Pose(
+            position_m=np.array(position_m), quaternion_xyzw=np.array([1.0, 0.0, 0.0, 0.0])
+        ),
         gripper_open=gripper_open,
         stamp_ns=1,
     )
@@ -87,28 +93,41 @@ def observe() -> Callable[..., Observation]:
 
 
 def encode(value: Any) -> dict[bytes, Any]:
-    """numpy as openpi puts it on the wire; written from the format's description, not with the code under test."""
+    """numpy as openpi puts it on the wire; written from the format's description, not with the
+    code under test.
+    """
     if isinstance(value, np.ndarray):
-        return {b"__ndarray__": True, b"data": value.tobytes(), b"dtype": value.dtype.str, b"shape": value.shape}
+        return {
+            b"__ndarray__": True,
+            b"data": value.tobytes(),
+            b"dtype": value.dtype.str,
+            b"shape": value.shape,
+        }
     return {b"__npgeneric__": True, b"data": value.item(), b"dtype": value.dtype.str}
 
 
 def decode(value: dict[Any, Any]) -> Any:
     """The reverse of `encode`."""
     if b"__ndarray__" in value:
-        return np.ndarray(buffer=value[b"data"], dtype=np.dtype(value[b"dtype"]), shape=value[b"shape"])
+        return np.ndarray(
+            buffer=value[b"data"], dtype=np.dtype(value[b"dtype"]), shape=value[b"shape"]
+        )
     return value
 
 
 class PolicyServer:
-    """Stands in for openpi's policy server on a free loopback port: metadata first, then one reply per request.
+    """Stands in for openpi's policy server on a free loopback port: metadata first, then one reply
+    per request.
 
-    `answer` gets each request and returns the reply's map; it may raise (a text frame with a traceback, then close
-    1011, as openpi does), return bytes or text to send as they are, or act on `connection` itself and return None.
+    `answer` gets each request and returns the reply's map; it may raise (a text frame with a
+    traceback, then close 1011, as openpi does), return bytes or text to send as they are, or act on
+    `connection` itself and return None.
     """
 
     def __init__(self) -> None:
-        self.answer: Callable[[dict[Any, Any]], Any] = lambda request: {"actions": np.zeros((10, 7))}
+        self.answer: Callable[[dict[Any, Any]], Any] = lambda request: {
+            "actions": np.zeros((10, 7))
+        }
         self.metadata: Any = {"policy": "stand-in"}
         self.requests: deque[dict[Any, Any]] = deque(maxlen=8)  # images are large
         self.headers: list[Any] = []
@@ -128,7 +147,12 @@ class PolicyServer:
         while True:
             try:
                 self._server = serve(
-                    self._handle, "127.0.0.1", self.port, compression=None, max_size=None, ssl=self.tls
+                    self._handle,
+                    "127.0.0.1",
+                    self.port,
+                    compression=None,
+                    max_size=None,
+                    ssl=self.tls,
                 )
                 break
             except OSError:
@@ -162,7 +186,9 @@ class PolicyServer:
                 try:
                     reply = self.answer(request)
                 except ValueError as error:
-                    connection.send(f"Traceback (most recent call last):\n  ...\nValueError: {error}")
+                    connection.send(
+                        f"Traceback (most recent call last):\n  ...\nValueError: {error}"
+                    )
                     connection.close(code=1011, reason="Internal server error.")
                     return
                 if reply is not None:

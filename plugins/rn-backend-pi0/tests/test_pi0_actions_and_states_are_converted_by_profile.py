@@ -1,4 +1,6 @@
-"""Units, frames, rotations and gripper signs: known values by hand, and both directions as a property."""
+"""Units, frames, rotations and gripper signs: known values by hand, and both directions as a
+property.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,10 @@ from roboneuron.errors import ConfigurationError, UngroundedError, UnsafeError
 ORIGIN = np.zeros(3)
 NO_STATE = np.zeros(8)
 # A quarter turn about z: the TCP's x axis is the base's y axis.
-QUARTER = Pose(position_m=np.array([0.4, 0.1, 0.3]), quaternion_xyzw=np.array([0, 0, np.sqrt(0.5), np.sqrt(0.5)]))
+QUARTER = Pose(
+    position_m=np.array([0.4, 0.1, 0.3]),
+    quaternion_xyzw=np.array([0, 0, np.sqrt(0.5), np.sqrt(0.5)]),
+)
 LAYOUTS = [
     ActionLayout(
         meaning=meaning,
@@ -46,8 +51,12 @@ LAYOUTS = [
 ]
 
 
-def _to(layout: ActionLayout, raw: list[float], pose: Pose | None = None, state: np.ndarray = NO_STATE) -> np.ndarray:
-    out: np.ndarray = layout.to_contract(np.array([raw]), state=state, pose=pose, base_position_m=ORIGIN)[0]
+def _to(
+    layout: ActionLayout, raw: list[float], pose: Pose | None = None, state: np.ndarray = NO_STATE
+) -> np.ndarray:
+    out: np.ndarray = layout.to_contract(
+        np.array([raw]), state=state, pose=pose, base_position_m=ORIGIN
+    )[0]
     return out
 
 
@@ -86,19 +95,25 @@ def test_libero_values_beyond_one_are_clipped_before_scaling_as_robosuite_does()
 def test_libero_openpi_adds_the_state_to_six_values_but_not_to_the_gripper() -> None:
     state = np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8])
     relative = _to(PROFILES["libero-openpi"].action, [0.0] * 6 + [1.0], state=state)
-    np.testing.assert_allclose(relative, _to(PROFILES["libero"].action, [*state[:6], 1.0]), atol=1e-12)
+    np.testing.assert_allclose(
+        relative, _to(PROFILES["libero"].action, [*state[:6], 1.0]), atol=1e-12
+    )
 
 
 def test_bridge_takes_metres_roll_pitch_yaw_and_one_is_open() -> None:
     out = _to(PROFILES["bridge"].action, [0.01, 0.02, 0.03, 0.1, 0.2, 0.3, 1.0])
     np.testing.assert_allclose(out[:3], [0.01, 0.02, 0.03])
-    np.testing.assert_allclose(matrix_from_rotvec(out[3:6]), matrix_from_rpy(np.array([0.1, 0.2, 0.3])), atol=1e-12)
+    np.testing.assert_allclose(
+        matrix_from_rotvec(out[3:6]), matrix_from_rpy(np.array([0.1, 0.2, 0.3])), atol=1e-12
+    )
     assert out[6] == 1.0
     assert PROFILES["bridge"].action.step_s == 0.2
 
 
 def test_a_delta_in_the_tcp_frame_is_turned_into_the_base_frame_step_by_step() -> None:
-    layout = ActionLayout(meaning="delta", frame="tcp", rotation="rotvec", gripper="open_fraction", step_s=0.1)
+    layout = ActionLayout(
+        meaning="delta", frame="tcp", rotation="rotvec", gripper="open_fraction", step_s=0.1
+    )
     raw = np.array([[0.1, 0, 0, 0, 0, np.pi / 2, 0], [0.1, 0, 0, 0, 0, 0, 0]])
     out = layout.to_contract(raw, state=NO_STATE, pose=QUARTER, base_position_m=ORIGIN)
     np.testing.assert_allclose(out[0, :6], [0, 0.1, 0, 0, 0, np.pi / 2], atol=1e-12)
@@ -106,16 +121,22 @@ def test_a_delta_in_the_tcp_frame_is_turned_into_the_base_frame_step_by_step() -
 
 
 def test_absolute_targets_are_reached_by_applying_the_deltas_one_after_another() -> None:
-    layout = ActionLayout(meaning="absolute", frame="base", rotation="rpy", gripper="open_fraction", step_s=0.1)
+    layout = ActionLayout(
+        meaning="absolute", frame="base", rotation="rpy", gripper="open_fraction", step_s=0.1
+    )
     base = np.array([-0.6, 0.0, 0.9])
-    targets = np.array([[-0.1, 0.2, 1.3, 3.0, 0.1, 0.2, 1.0], [-0.2, 0.1, 1.2, -3.1, 0.0, 0.5, 0.0]])
+    targets = np.array(
+        [[-0.1, 0.2, 1.3, 3.0, 0.1, 0.2, 1.0], [-0.2, 0.1, 1.2, -3.1, 0.0, 0.5, 0.0]]
+    )
     out = layout.to_contract(targets, state=NO_STATE, pose=QUARTER, base_position_m=base)
     pose = QUARTER
     for action, target in zip(out, targets, strict=True):
         pose = apply_delta(pose, Action.from_vector(action))
         np.testing.assert_allclose(pose.position_m, target[:3] - base, atol=1e-9)
         expected = matrix_from_rpy(target[3:6])
-        np.testing.assert_allclose(matrix_from_quaternion(pose.quaternion_xyzw), expected, atol=1e-9)
+        np.testing.assert_allclose(
+            matrix_from_quaternion(pose.quaternion_xyzw), expected, atol=1e-9
+        )
 
 
 def test_without_a_pose_absolute_and_tcp_actions_are_refused() -> None:
@@ -181,7 +202,17 @@ def test_the_bridge_state_is_level_when_the_gripper_points_down() -> None:
 
 
 def test_every_term_has_its_width() -> None:
-    layout = StateLayout(terms=("position", "rotvec", "rpy", "quaternion", "gripper_open", "gripper_closed", "fingers"))
+    layout = StateLayout(
+        terms=(
+            "position",
+            "rotvec",
+            "rpy",
+            "quaternion",
+            "gripper_open",
+            "gripper_closed",
+            "fingers",
+        )
+    )
     state = layout.build(_observation(np.array([0.0, 0.0, 0.0, -1.0])))
     assert len(state) == layout.width == 17
     np.testing.assert_allclose(state[9:15], [0, 0, 0, 1, 0.25, 0.75])

@@ -1,4 +1,6 @@
-"""The native backend: inputs matter, noise repeats, whatever is missing or not finite is refused."""
+"""The native backend: inputs matter, noise repeats, whatever is missing or not finite is
+refused.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,13 @@ import torch
 from rn_backend_pi0.native import Pi0Backend, resolve_slots
 from rn_backend_pi0.options import Pi0Options
 from roboneuron.contract import JointSample, Observation
-from roboneuron.errors import CheckpointError, ConfigurationError, StateError, UngroundedError, UnsafeError
+from roboneuron.errors import (
+    CheckpointError,
+    ConfigurationError,
+    StateError,
+    UngroundedError,
+    UnsafeError,
+)
 
 Observe = Callable[..., Observation]
 
@@ -45,17 +53,25 @@ def loaded(tiny_checkpoint: Path) -> Iterator[Pi0Backend]:
     ],
     ids=["white image", "wrist image", "instruction", "pose", "gripper"],
 )
-def test_each_input_changes_the_actions(loaded: Pi0Backend, observe: Observe, change: dict[str, Any]) -> None:
+def test_each_input_changes_the_actions(
+    loaded: Pi0Backend, observe: Observe, change: dict[str, Any]
+) -> None:
     before = loaded.predict(observe(primary=0)).actions
     after = loaded.predict(observe(**{"primary": 0, **change})).actions
     assert np.abs(before - after).max() > 1e-5  # repeated runs are bit-identical, see the next test
 
 
-def test_the_same_observation_and_noise_repeat_bit_by_bit(loaded: Pi0Backend, observe: Observe) -> None:
-    np.testing.assert_array_equal(loaded.predict(observe()).actions, loaded.predict(observe()).actions)
+def test_the_same_observation_and_noise_repeat_bit_by_bit(
+    loaded: Pi0Backend, observe: Observe
+) -> None:
+    np.testing.assert_array_equal(
+        loaded.predict(observe()).actions, loaded.predict(observe()).actions
+    )
 
 
-def test_a_seeded_episode_repeats_after_reset_with_fresh_noise_inside(tiny_checkpoint: Path, observe: Observe) -> None:
+def test_a_seeded_episode_repeats_after_reset_with_fresh_noise_inside(
+    tiny_checkpoint: Path, observe: Observe
+) -> None:
     backend = _backend(tiny_checkpoint, seed=5)
     first, second = backend.predict(observe()).actions, backend.predict(observe()).actions
     backend.reset()
@@ -65,12 +81,16 @@ def test_a_seeded_episode_repeats_after_reset_with_fresh_noise_inside(tiny_check
     backend.close()
 
 
-def test_a_chunk_says_what_it_cost_and_how_far_the_state_is_from_training(loaded: Pi0Backend, observe: Observe) -> None:
+def test_a_chunk_says_what_it_cost_and_how_far_the_state_is_from_training(
+    loaded: Pi0Backend, observe: Observe
+) -> None:
     chunk = loaded.predict(observe(wrist=10))
     assert chunk.actions.shape == (10, 7)
     assert chunk.step_s == 0.05
     assert chunk.note == ""
-    assert {"inference_ms", "chunk_horizon", "cameras", "prompt_tokens", "state_deviation"} == set(chunk.metrics)
+    assert {"inference_ms", "chunk_horizon", "cameras", "prompt_tokens", "state_deviation"} == set(
+        chunk.metrics
+    )
     assert chunk.metrics["cameras"] == 2
     far = loaded.predict(observe(position_m=(20.0, 0.0, 0.5)))
     assert "standard deviations" in far.note
@@ -107,7 +127,10 @@ def test_a_wrist_camera_can_be_made_compulsory(tiny_checkpoint: Path, observe: O
 
 def test_joints_are_read_by_name(tiny_checkpoint: Path, observe: Observe) -> None:
     names = tuple(f"joint{i}" for i in range(7))
-    own = {"state": {"terms": ["joints", "gripper_open"], "joint_names": names}, "action": _OWN_ACTION}
+    own = {
+        "state": {"terms": ["joints", "gripper_open"], "joint_names": names},
+        "action": _OWN_ACTION,
+    }
     backend = _backend(tiny_checkpoint, profile="own", **own)
     with pytest.raises(UngroundedError, match="joint0"):
         backend.predict(observe())
@@ -119,7 +142,9 @@ def test_joints_are_read_by_name(tiny_checkpoint: Path, observe: Observe) -> Non
     backend.close()
 
 
-def test_non_finite_output_is_unsafe_and_nothing_is_returned(tiny_checkpoint: Path, observe: Observe) -> None:
+def test_non_finite_output_is_unsafe_and_nothing_is_returned(
+    tiny_checkpoint: Path, observe: Observe
+) -> None:
     backend = _backend(tiny_checkpoint)
     with torch.no_grad():
         backend._model._network.action_out_proj.bias[0] = float("nan")  # type: ignore[union-attr]
@@ -128,14 +153,18 @@ def test_non_finite_output_is_unsafe_and_nothing_is_returned(tiny_checkpoint: Pa
     backend.close()
 
 
-def test_an_instruction_that_is_too_long_is_refused_not_cut(loaded: Pi0Backend, observe: Observe) -> None:
+def test_an_instruction_that_is_too_long_is_refused_not_cut(
+    loaded: Pi0Backend, observe: Observe
+) -> None:
     with pytest.raises(UngroundedError, match="at most 48"):
         loaded.predict(observe(instruction="pick up the cube " * 30))
     with pytest.raises(UngroundedError, match="empty"):
         loaded.predict(observe(instruction=" \n "))
 
 
-def test_load_predict_close_are_refused_or_harmless_out_of_order(tiny_checkpoint: Path, observe: Observe) -> None:
+def test_load_predict_close_are_refused_or_harmless_out_of_order(
+    tiny_checkpoint: Path, observe: Observe
+) -> None:
     backend = Pi0Backend(Pi0Options(checkpoint=tiny_checkpoint))
     backend.close()
     with pytest.raises(StateError):
@@ -167,7 +196,11 @@ def test_a_missing_or_foreign_tokenizer_is_refused(tiny_checkpoint: Path, tmp_pa
     with pytest.raises(CheckpointError, match=r"no tokenizer .*paligemma"):
         _backend(copy)
     _backend(copy, tokenizer=tmp_path / "elsewhere.json").close()
-    for text in ("not json", "{}", (tmp_path / "elsewhere.json").read_text().replace("<bos>", "<xxx>")):
+    for text in (
+        "not json",
+        "{}",
+        (tmp_path / "elsewhere.json").read_text().replace("<bos>", "<xxx>"),
+    ):
         tokenizer.write_text(text)
         with pytest.raises(CheckpointError, match=r"tokenizer"):
             _backend(copy)
@@ -198,4 +231,10 @@ def test_camera_slots_are_assigned_by_name_or_by_the_user() -> None:
             resolve_slots(slots, wanted)
 
 
-_OWN_ACTION = {"meaning": "delta", "frame": "base", "rotation": "rotvec", "gripper": "open_fraction", "step_s": 0.1}
+_OWN_ACTION = {
+    "meaning": "delta",
+    "frame": "base",
+    "rotation": "rotvec",
+    "gripper": "open_fraction",
+    "step_s": 0.1,
+}

@@ -1,4 +1,6 @@
-"""Every file and tensor of a checkpoint is accounted for; whatever does not fit is refused by name."""
+"""Every file and tensor of a checkpoint is accounted for; whatever does not fit is refused by
+name.
+"""
 
 from __future__ import annotations
 
@@ -70,7 +72,9 @@ def test_a_missing_token_embedding_is_named(copy: Path) -> None:
 
 
 def test_the_layer_that_inference_skips_must_still_be_there(copy: Path) -> None:
-    key = PREFIX + "paligemma_with_expert.paligemma.model.language_model.layers.1.mlp.up_proj.weight"
+    key = (
+        PREFIX + "paligemma_with_expert.paligemma.model.language_model.layers.1.mlp.up_proj.weight"
+    )
     _edit_weights(copy, lambda t: t.pop(key))
     with pytest.raises(CheckpointError, match="up_proj"):
         _load(copy)
@@ -80,7 +84,9 @@ def test_pi05_weights_are_recognised(copy: Path) -> None:
     def edit(tensors: dict[str, torch.Tensor]) -> None:
         for part in ("in", "out"):
             for leaf in ("weight", "bias"):
-                tensors[f"{PREFIX}time_mlp_{part}.{leaf}"] = tensors.pop(f"{PREFIX}action_time_mlp_{part}.{leaf}")
+                tensors[f"{PREFIX}time_mlp_{part}.{leaf}"] = tensors.pop(
+                    f"{PREFIX}action_time_mlp_{part}.{leaf}"
+                )
 
     _edit_weights(copy, edit)
     with pytest.raises(CheckpointError, match=r"pi0\.5"):
@@ -95,7 +101,9 @@ def test_weights_that_are_not_finite_are_refused(copy: Path, bad: float) -> None
 
 
 def test_a_weight_that_inference_never_reads_is_checked_as_well(copy: Path) -> None:
-    key = PREFIX + "paligemma_with_expert.paligemma.model.language_model.layers.1.mlp.up_proj.weight"
+    key = (
+        PREFIX + "paligemma_with_expert.paligemma.model.language_model.layers.1.mlp.up_proj.weight"
+    )
     _edit_weights(copy, lambda t: t[key].fill_(float("nan")))
     with pytest.raises(CheckpointError, match=r"up_proj.*not finite"):
         _load(copy)
@@ -115,12 +123,20 @@ def test_absent_weights_are_refused(copy: Path) -> None:
 
 
 def test_shards_and_plain_keys_give_the_same_network(copy: Path, tiny_checkpoint: Path) -> None:
-    tensors = {key.removeprefix(PREFIX): value for key, value in load_file(copy / "model.safetensors").items()}
+    tensors = {
+        key.removeprefix(PREFIX): value
+        for key, value in load_file(copy / "model.safetensors").items()
+    }
     (copy / "model.safetensors").unlink()
     head = "paligemma_with_expert.paligemma.lm_head.weight"
-    tensors["paligemma_with_expert.paligemma.model.language_model.embed_tokens.weight"] = tensors.pop(head)
+    tensors["paligemma_with_expert.paligemma.model.language_model.embed_tokens.weight"] = (
+        tensors.pop(head)
+    )
     keys = sorted(tensors)
-    parts = {"model-00001-of-00002.safetensors": keys[:40], "model-00002-of-00002.safetensors": keys[40:]}
+    parts = {
+        "model-00001-of-00002.safetensors": keys[:40],
+        "model-00002-of-00002.safetensors": keys[40:],
+    }
     for name, part in parts.items():
         save_file({key: tensors[key] for key in part}, copy / name)
     weight_map = {key: name for name, part in parts.items() for key in part}
@@ -131,7 +147,9 @@ def test_shards_and_plain_keys_give_the_same_network(copy: Path, tiny_checkpoint
 
 
 def test_a_shard_that_is_missing_is_named(copy: Path) -> None:
-    (copy / "model.safetensors.index.json").write_text(json.dumps({"weight_map": {"a": "model-2.safetensors"}}))
+    (copy / "model.safetensors.index.json").write_text(
+        json.dumps({"weight_map": {"a": "model-2.safetensors"}})
+    )
     with pytest.raises(CheckpointError, match=r"model-2\.safetensors does not exist"):
         _load(copy)
 
@@ -179,13 +197,17 @@ def test_the_statistics_are_found_by_their_state_file_whatever_the_step_number(c
         read_checkpoint(copy)
     _edit_json(
         copy / "policy_preprocessor.json",
-        lambda d: d["steps"][0].update(state_file="policy_preprocessor_step_2_normalizer_processor.safetensors"),
+        lambda d: d["steps"][0].update(
+            state_file="policy_preprocessor_step_2_normalizer_processor.safetensors"
+        ),
     )
     np.testing.assert_array_equal(read_checkpoint(copy).state.mean, expected)
 
 
 def test_a_state_file_outside_the_directory_is_refused(copy: Path) -> None:
-    _edit_json(copy / "policy_preprocessor.json", lambda d: d["steps"][0].update(state_file="../../secret"))
+    _edit_json(
+        copy / "policy_preprocessor.json", lambda d: d["steps"][0].update(state_file="../../secret")
+    )
     with pytest.raises(CheckpointError, match="state_file"):
         read_checkpoint(copy)
 
@@ -203,7 +225,9 @@ def test_a_lerobot_checkpoint_without_processors_says_how_to_migrate(copy: Path)
         read_checkpoint(copy)
 
 
-def test_statistics_that_are_not_numbers_are_refused(tiny_openpi_checkpoint: Path, tmp_path: Path) -> None:
+def test_statistics_that_are_not_numbers_are_refused(
+    tiny_openpi_checkpoint: Path, tmp_path: Path
+) -> None:
     copy = Path(shutil.copytree(tiny_openpi_checkpoint, tmp_path / "copy"))
     path = copy / "assets" / "tiny" / "norm_stats.json"
     original = path.read_text()
@@ -214,7 +238,9 @@ def test_statistics_that_are_not_numbers_are_refused(tiny_openpi_checkpoint: Pat
             read_checkpoint(copy)
 
 
-def test_the_assets_of_an_openpi_checkpoint_are_chosen_by_name(tiny_openpi_checkpoint: Path, tmp_path: Path) -> None:
+def test_the_assets_of_an_openpi_checkpoint_are_chosen_by_name(
+    tiny_openpi_checkpoint: Path, tmp_path: Path
+) -> None:
     copy = Path(shutil.copytree(tiny_openpi_checkpoint, tmp_path / "copy"))
     shutil.copytree(copy / "assets" / "tiny", copy / "assets" / "lab" / "other")
     with pytest.raises(CheckpointError, match=r"tiny.*lab/other"):
@@ -230,11 +256,18 @@ def test_the_assets_of_an_openpi_checkpoint_are_chosen_by_name(tiny_openpi_check
 def test_the_variant_names_of_released_checkpoints_give_their_sizes(copy: Path) -> None:
     def edit(config: dict[str, Any]) -> None:
         del config["vlm_config"], config["dit_config"]
-        config.update(paligemma_variant="gemma_2b", action_expert_variant="gemma_300m", chunk_size=50)
+        config.update(
+            paligemma_variant="gemma_2b", action_expert_variant="gemma_300m", chunk_size=50
+        )
 
     _edit_json(copy / "config.json", edit)
     dims = read_checkpoint(copy).dims
-    assert (dims.prefix.width, dims.expert.width, dims.vision.depth, dims.vocabulary) == (2048, 1024, 27, 257_152)
+    assert (dims.prefix.width, dims.expert.width, dims.vision.depth, dims.vocabulary) == (
+        2048,
+        1024,
+        27,
+        257_152,
+    )
     _edit_json(copy / "config.json", lambda c: c.update(paligemma_variant="gemma_2b_lora"))
     with pytest.raises(CheckpointError, match="LoRA"):
         read_checkpoint(copy)
@@ -244,9 +277,16 @@ def test_the_openpi_layout_of_the_golden_weights_gives_the_golden_actions(
     golden_directory: Path, golden: dict[str, np.ndarray], tmp_path: Path
 ) -> None:
     tensors = load_file(golden_directory / "model.safetensors")
-    save_file({key.removeprefix(PREFIX): value for key, value in tensors.items()}, tmp_path / "model.safetensors")
+    save_file(
+        {key.removeprefix(PREFIX): value for key, value in tensors.items()},
+        tmp_path / "model.safetensors",
+    )
     blocks = json.loads((golden_directory / "config.json").read_text())
-    config = {"action_dim": 32, "action_horizon": 10, **{k: blocks[k] for k in ("vlm_config", "dit_config")}}
+    config = {
+        "action_dim": 32,
+        "action_horizon": 10,
+        **{k: blocks[k] for k in ("vlm_config", "dit_config")},
+    }
     (tmp_path / "config.json").write_text(json.dumps(config))
     assets = tmp_path / "assets" / "physical" / "tiny"
     assets.mkdir(parents=True)

@@ -29,7 +29,9 @@ def test_the_same_seed_makes_the_same_weights(tmp_path: Path) -> None:
     assert weights[0] == weights[1] != weights[2]
 
 
-def test_a_directory_that_holds_something_is_left_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_directory_that_holds_something_is_left_alone(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / "thesis.txt").write_text("keep me")
     assert main(["make-tiny", str(tmp_path)]) == 1
     assert "not an empty directory" in capsys.readouterr().err

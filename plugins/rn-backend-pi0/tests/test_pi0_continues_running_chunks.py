@@ -1,7 +1,8 @@
 """Real-time chunking of pi0, against what LeRobot 0.6.1 computes on the same tiny checkpoint.
 
-data/pi0-rtc.npz and data/prefix-weights.npz are excerpts of golden sets made with the original code; models, pictures
-and prompts are those of data/pi0-tiny. `_vjp` arrays hold the paper's rule with the full Jacobian.
+data/pi0-rtc.npz and data/prefix-weights.npz are excerpts of golden sets made with the original
+code; models, pictures and prompts are those of data/pi0-tiny. `_vjp` arrays hold the paper's rule
+with the full Jacobian.
 """
 
 from __future__ import annotations
@@ -27,7 +28,9 @@ Observe = Callable[..., Observation]
 DATA = Path(__file__).parent / "data"
 RTC = dict(np.load(DATA / "pi0-rtc.npz"))
 WEIGHTS = dict(np.load(DATA / "prefix-weights.npz"))
-CASES: dict[str, dict[str, Any]] = {case["name"]: case for case in json.loads(str(RTC["cases_json"]))}
+CASES: dict[str, dict[str, Any]] = {
+    case["name"]: case for case in json.loads(str(RTC["cases_json"]))
+}
 OBSERVATIONS = {
     "main": (("base", "wrist", None), "", ""),
     "other_prompt": (("base", "wrist", None), "_alt", ""),
@@ -43,7 +46,14 @@ def models(golden_directory: Path) -> dict[int, Pi0Model]:
     """The golden weights with LeRobot's arithmetic, by number of Euler steps."""
     checkpoint = read_checkpoint(golden_directory)
     return {
-        steps: Pi0Model(checkpoint, device="cpu", dtype="float32", numerics="lerobot", steps=steps, cpu_threads=1)
+        steps: Pi0Model(
+            checkpoint,
+            device="cpu",
+            dtype="float32",
+            numerics="lerobot",
+            steps=steps,
+            cpu_threads=1,
+        )
         for steps in (5, 10)
     }
 
@@ -64,7 +74,10 @@ def prefix_of(case: dict[str, Any], **changes: Any) -> Prefix | None:
 
 
 def infer(
-    models: dict[int, Pi0Model], golden: dict[str, np.ndarray], case: dict[str, Any], prefix: Prefix | None
+    models: dict[int, Pi0Model],
+    golden: dict[str, np.ndarray],
+    case: dict[str, Any],
+    prefix: Prefix | None,
 ) -> np.ndarray:
     cameras, prompt, state = OBSERVATIONS[case["obs"]]
     images = [None if name is None else golden[f"in/image_{name}"] for name in cameras]
@@ -77,7 +90,9 @@ def infer(
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_guided_chunks_are_lerobot_s(models: dict[int, Pi0Model], golden: dict[str, np.ndarray], name: str) -> None:
+def test_guided_chunks_are_lerobot_s(
+    models: dict[int, Pi0Model], golden: dict[str, np.ndarray], name: str
+) -> None:
     case = CASES[name]
     actions = infer(models, golden, case, prefix_of(case))
     np.testing.assert_allclose(actions, RTC[f"out/{name}/actions_norm"], atol=FLOAT32, rtol=0)
@@ -97,7 +112,9 @@ def test_the_full_jacobian_is_the_paper_s(
 def test_prefix_weights_are_those_of_the_reference() -> None:
     expected = WEIGHTS["weights/reference"]
     schedules = ("zeros", "ones", "linear", "exp")
-    for row, (start, end, total, schedule) in enumerate(WEIGHTS["weights/start_end_total_schedule"].tolist()):
+    for row, (start, end, total, schedule) in enumerate(
+        WEIGHTS["weights/start_end_total_schedule"].tolist()
+    ):
         if end > total:
             continue  # cannot happen once the horizon is cut to what is left over
         ours = prefix_weights(start, end, total, schedules[schedule])  # type: ignore[arg-type]
@@ -111,7 +128,9 @@ def test_guidance_weights_are_those_of_lerobot() -> None:
         np.testing.assert_allclose(guidance_weights(times, float(beta)), WEIGHTS[name], rtol=1e-9)
 
 
-def test_a_trained_prefix_is_kept_exactly(models: dict[int, Pi0Model], golden: dict[str, np.ndarray]) -> None:
+def test_a_trained_prefix_is_kept_exactly(
+    models: dict[int, Pi0Model], golden: dict[str, np.ndarray]
+) -> None:
     case = CASES["linear_d2_h8"]
     prefix = prefix_of(case, trained=True)
     assert prefix is not None
@@ -121,7 +140,9 @@ def test_a_trained_prefix_is_kept_exactly(models: dict[int, Pi0Model], golden: d
     assert np.abs(actions[2:] - plain[2:]).max() > 1e-3  # the other rows see it
 
 
-def test_inference_without_a_prefix_is_untouched(models: dict[int, Pi0Model], golden: dict[str, np.ndarray]) -> None:
+def test_inference_without_a_prefix_is_untouched(
+    models: dict[int, Pi0Model], golden: dict[str, np.ndarray]
+) -> None:
     case = CASES["plain"]
     once = infer(models, golden, case, None)
     infer(models, golden, CASES["linear_d2_h8"], prefix_of(CASES["linear_d2_h8"], jacobian="full"))
@@ -130,16 +151,26 @@ def test_inference_without_a_prefix_is_untouched(models: dict[int, Pi0Model], go
 
 @pytest.fixture
 def backend(tiny_checkpoint: Path) -> Pi0Backend:
-    options = Pi0Options(checkpoint=tiny_checkpoint, profile="libero", device="cpu", cpu_threads=1, noise="fixed")
+    options = Pi0Options(
+        checkpoint=tiny_checkpoint, profile="libero", device="cpu", cpu_threads=1, noise="fixed"
+    )
     made = Pi0Backend(options)
     made.load()
     return made
 
 
-def test_the_backend_continues_the_rows_it_is_told_of(backend: Pi0Backend, observe: Observe) -> None:
+def test_the_backend_continues_the_rows_it_is_told_of(
+    backend: Pi0Backend, observe: Observe
+) -> None:
     first = backend.predict(observe(primary=60))
     assert isinstance(first.context, RunningChunk)
-    ahead = Ahead(rows=first.actions[2:], committed_rows=3, step_s=first.step_s, context=first.context, context_row=2)
+    ahead = Ahead(
+        rows=first.actions[2:],
+        committed_rows=3,
+        step_s=first.step_s,
+        context=first.context,
+        context_row=2,
+    )
     free = backend.predict(observe(primary=200))
     bound = backend.predict(replace(observe(primary=200), ahead=ahead))
     assert (free.conditioned_rows, bound.conditioned_rows) == (0, 3)
@@ -148,7 +179,13 @@ def test_the_backend_continues_the_rows_it_is_told_of(backend: Pi0Backend, obser
 
 
 def test_a_context_of_another_backend_is_left_alone(backend: Pi0Backend, observe: Observe) -> None:
-    ahead = Ahead(rows=np.zeros((3, 7)), committed_rows=2, step_s=0.05, context={"of": "another"}, context_row=1)
+    ahead = Ahead(
+        rows=np.zeros((3, 7)),
+        committed_rows=2,
+        step_s=0.05,
+        context={"of": "another"},
+        context_row=1,
+    )
     free = backend.predict(observe())
     same = backend.predict(replace(observe(), ahead=ahead))
     np.testing.assert_array_equal(free.actions, same.actions)
@@ -159,7 +196,9 @@ def test_relative_rows_are_re_expressed_against_the_new_state(backend: Pi0Backen
     """The same absolute targets, seen from a state that has moved, are other relative rows."""
     assert backend._model is not None
     assert backend._profile is not None
-    backend._profile = replace(backend._profile, action=replace(backend._profile.action, adds_state=True))
+    backend._profile = replace(
+        backend._profile, action=replace(backend._profile.action, adds_state=True)
+    )
     width = backend._profile.state.width
     old, new = np.zeros(width, np.float32), np.full(width, 0.25, np.float32)
     running = RunningChunk(normalized=np.zeros(backend._model.noise_shape, np.float32), state=old)

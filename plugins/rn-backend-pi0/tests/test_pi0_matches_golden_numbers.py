@@ -1,4 +1,6 @@
-"""Parity with what openpi's and LeRobot's own code compute; data/pi0-tiny/README.md says how they were made."""
+"""Parity with what openpi's and LeRobot's own code compute; data/pi0-tiny/README.md says how
+they were made.
+"""
 
 from __future__ import annotations
 
@@ -31,22 +33,31 @@ CASES = {
 def model(request: pytest.FixtureRequest, golden_directory: Path) -> Pi0Model:
     """The golden weights, following the arithmetic of one of the two codes."""
     checkpoint = read_checkpoint(golden_directory)
-    return Pi0Model(checkpoint, device="cpu", dtype="float32", numerics=request.param, cpu_threads=1)
+    return Pi0Model(
+        checkpoint, device="cpu", dtype="float32", numerics=request.param, cpu_threads=1
+    )
 
 
 def _run(model: Pi0Model, golden: Arrays, case: str) -> np.ndarray:
     cameras, prompt, state, noise = CASES[case]
     images = [None if name is None else golden[f"in/image_{name}"] for name in cameras]
     tokens = golden[f"in/prompt{prompt}_tokens"][golden[f"in/prompt{prompt}_mask"]]
-    return model.infer(images, tokens.tolist(), golden[f"in/state{state}_raw"], golden[f"in/noise{noise}"][0])
+    return model.infer(
+        images, tokens.tolist(), golden[f"in/state{state}_raw"], golden[f"in/noise{noise}"][0]
+    )
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_actions_are_within_2e_5_of_the_code_that_is_followed(model: Pi0Model, golden: Arrays, case: str) -> None:
-    # From pictures and the raw state; 2e-5 is float32 rounding, most mistakes are 1e-2 and more (golden README).
+def test_actions_are_within_2e_5_of_the_code_that_is_followed(
+    model: Pi0Model, golden: Arrays, case: str
+) -> None:
+    # From pictures and the raw state; 2e-5 is float32 rounding, most mistakes are 1e-2 and more
+    # (golden README).
     family = "openpi" if model.state.forward_eps == pytest.approx(1e-6) else "lerobot"
     normalized = _run(model, golden, case)
-    np.testing.assert_allclose(normalized, golden[f"out/{case}/actions_norm_{family}"], atol=2e-5, rtol=0)
+    np.testing.assert_allclose(
+        normalized, golden[f"out/{case}/actions_norm_{family}"], atol=2e-5, rtol=0
+    )
     actions = model.action.denormalize(normalized[:, :7])
     np.testing.assert_allclose(actions, golden[f"out/{case}/actions_{family}"], atol=2e-5, rtol=0)
 
@@ -56,10 +67,14 @@ def test_flow_times_are_those_of_the_original_code_bit_by_bit(golden: Arrays, fa
     assert flow_times(family, 10) == tuple(golden[f"trace/t_{family}"].astype(np.float32).tolist())  # type: ignore[arg-type]
 
 
-def test_the_normalised_state_is_that_of_the_code_that_is_followed(model: Pi0Model, golden: Arrays) -> None:
+def test_the_normalised_state_is_that_of_the_code_that_is_followed(
+    model: Pi0Model, golden: Arrays
+) -> None:
     family = "openpi" if model.state.forward_eps == pytest.approx(1e-6) else "lerobot"
     expected = golden[f"in/state_model_{family}"][:8]
-    np.testing.assert_allclose(model.state.normalize(golden["in/state_raw"]), expected, atol=1e-6, rtol=0)
+    np.testing.assert_allclose(
+        model.state.normalize(golden["in/state_raw"]), expected, atol=1e-6, rtol=0
+    )
 
 
 def test_both_layouts_hold_the_same_statistics(golden_directory: Path, tmp_path: Path) -> None:
@@ -67,7 +82,9 @@ def test_both_layouts_hold_the_same_statistics(golden_directory: Path, tmp_path:
     from rn_backend_pi0.layouts import _openpi_statistics
     from rn_vla.checkpoint_files import read_schema
 
-    theirs = _openpi_statistics(read_schema(golden_directory / "norm_stats.json", NormStatsDocument).norm_stats.state)
+    theirs = _openpi_statistics(
+        read_schema(golden_directory / "norm_stats.json", NormStatsDocument).norm_stats.state
+    )
     ours = read_checkpoint(golden_directory).state
     np.testing.assert_array_equal(theirs.mean, ours.mean)
     np.testing.assert_array_equal(theirs.std, ours.std)
@@ -104,7 +121,9 @@ def test_the_native_resize_error_is_far_below_one_grey_level(golden: Arrays) -> 
 
 
 def test_a_missing_camera_is_the_same_as_no_camera(golden_directory: Path, golden: Arrays) -> None:
-    model = Pi0Model(read_checkpoint(golden_directory), device="cpu", dtype="float32", cpu_threads=1)
+    model = Pi0Model(
+        read_checkpoint(golden_directory), device="cpu", dtype="float32", cpu_threads=1
+    )
     state, noise = golden["in/state_raw"], golden["in/noise"][0]
     tokens = golden["in/prompt_tokens"][golden["in/prompt_mask"]].tolist()
     images = [golden["in/image_base"]]

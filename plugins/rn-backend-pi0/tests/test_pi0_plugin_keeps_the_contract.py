@@ -30,7 +30,9 @@ class TestNative(BackendContract):
     @pytest.fixture
     def plugin(self, tiny_checkpoint: Path, observe: Callable[..., Observation]) -> BackendCase:
         options = {"checkpoint": str(tiny_checkpoint), "device": "cpu", "cpu_threads": 1}
-        return BackendCase(spec=SPECS["pi0"], options=options, observe=observe, row_tolerance=ROW_TOLERANCE)
+        return BackendCase(
+            spec=SPECS["pi0"], options=options, observe=observe, row_tolerance=ROW_TOLERANCE
+        )
 
 
 class TestRemote(BackendContract):
@@ -58,7 +60,9 @@ def test_the_readme_names_every_option_and_profile_and_its_examples_are_valid() 
     text = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
     names = {*Pi0Options.model_fields, *Pi0RemoteOptions.model_fields, *PROFILES}
     assert [name for name in sorted(names) if f"`{name}`" not in text] == []
-    examples = [tomllib.loads(block) for block in re.findall(r"```toml\n(.*?)```", text, flags=re.DOTALL)]
+    examples = [
+        tomllib.loads(block) for block in re.findall(r"```toml\n(.*?)```", text, flags=re.DOTALL)
+    ]
     plugins = [example["plugins"] for example in examples if "plugins" in example]
     Pi0Options(checkpoint=Path("x"), **plugins[0]["pi0"])
     Pi0RemoteOptions(**plugins[1]["pi0-remote"])
@@ -72,7 +76,13 @@ def test_every_profile_says_its_units_in_the_readme() -> None:
         scale = f"{action.translation_scale_m:g} m, {action.rotation_scale_rad:g} rad"
         words = {"rotvec": "rotation vector", "rpy": "roll, pitch, yaw"}
         signs = {"signed_close": "-1 open, 1 closed", "open_fraction": "1 open, 0 closed"}
-        for part in (scale, words[action.rotation], action.frame, signs[action.gripper], f"{action.step_s:g} s"):
+        for part in (
+            scale,
+            words[action.rotation],
+            action.frame,
+            signs[action.gripper],
+            f"{action.step_s:g} s",
+        ):
             assert part in row, (name, part)
         assert ("state added" in row) == action.adds_state
 
@@ -80,15 +90,20 @@ def test_every_profile_says_its_units_in_the_readme() -> None:
 def test_listing_the_plugin_imports_nothing_heavy() -> None:
     code = (
         "import sys, rn_backend_pi0.plugin as p; p.roboneuron_backends();"
-        "print([m for m in ('numpy', 'torch', 'pydantic', 'msgpack', 'websockets') if m in sys.modules])"
+        "print([m for m in ('numpy', 'torch', 'pydantic', 'msgpack', 'websockets') if m in "
+        "sys.modules])"
     )
-    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
+    shown = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60
+    )
     assert shown.stdout.strip() == "[]"
 
 
 def test_the_remote_backend_does_without_torch() -> None:
     code = "import sys, rn_backend_pi0.remote, rn_backend_pi0.client; print('torch' in sys.modules)"
-    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
+    shown = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60
+    )
     assert shown.stdout.strip() == "False"
 
 
@@ -123,7 +138,9 @@ def test_wrong_options_are_refused(options: dict[str, Any]) -> None:
         Pi0Options(checkpoint=Path("x"), **options)
 
 
-@pytest.mark.parametrize("options", [{"url": "http://x"}, {"url": "x"}, {"image_keys": {}}, {"request_timeout_s": 0}])
+@pytest.mark.parametrize(
+    "options", [{"url": "http://x"}, {"url": "x"}, {"image_keys": {}}, {"request_timeout_s": 0}]
+)
 def test_wrong_remote_options_are_refused(options: dict[str, Any]) -> None:
     with pytest.raises(ValidationError):
         Pi0RemoteOptions(**options)

@@ -1,4 +1,6 @@
-"""The remote backend against a stand-in for openpi's server that dies, stalls, lies and comes back."""
+"""The remote backend against a stand-in for openpi's server that dies, stalls, lies and comes
+back.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,13 @@ from rn_backend_pi0.client import check_url, is_loopback
 from rn_backend_pi0.options import Pi0RemoteOptions
 from rn_backend_pi0.remote import Pi0RemoteBackend
 from roboneuron.contract import Observation
-from roboneuron.errors import ConfigurationError, NotReadyError, StateError, UngroundedError, UnsafeError
+from roboneuron.errors import (
+    ConfigurationError,
+    NotReadyError,
+    StateError,
+    UngroundedError,
+    UnsafeError,
+)
 
 Observe = Callable[..., Observation]
 TIMEOUT_S = 1.0
@@ -75,7 +83,9 @@ def test_a_request_holds_what_openpis_libero_client_sends(
     image = request["observation/image"]
     assert (image.dtype, image.shape) == (np.uint8, (224, 224, 3))
     assert (image[0, 0, 0], image[112, 112, 0]) == (0, 200)  # black bars above and below
-    np.testing.assert_allclose(request["observation/state"], [0.4, 0, 0.5, np.pi, 0, 0, 0.04, -0.04], atol=1e-12)
+    np.testing.assert_allclose(
+        request["observation/state"], [0.4, 0, 0.5, np.pi, 0, 0, 0.04, -0.04], atol=1e-12
+    )
     assert request["prompt"] == "close the drawer"
 
 
@@ -83,7 +93,10 @@ def test_the_answer_becomes_contract_actions_with_the_servers_own_time(
     policy_server: Any, backend: Pi0RemoteBackend, observe: Observe
 ) -> None:
     actions = np.array([[1.0, 0, 0, 0, 0, 0.5, -1.0]] * 3, dtype=np.float32)
-    policy_server.answer = lambda request: {"actions": actions, "policy_timing": {"infer_ms": np.float64(12.5)}}
+    policy_server.answer = lambda request: {
+        "actions": actions,
+        "policy_timing": {"infer_ms": np.float64(12.5)},
+    }
     chunk = backend.predict(observe())
     np.testing.assert_allclose(chunk.actions, [[0.05, 0, 0, 0, 0, 0.25, 1.0]] * 3, atol=1e-12)
     assert chunk.metrics["server_ms"] == 12.5
@@ -119,7 +132,9 @@ def test_a_server_that_dies_mid_request_is_reported_and_found_again(
     assert backend.predict(observe()).metrics["connections"] == 2
 
 
-def test_a_failed_request_is_not_sent_again(policy_server: Any, backend: Pi0RemoteBackend, observe: Observe) -> None:
+def test_a_failed_request_is_not_sent_again(
+    policy_server: Any, backend: Pi0RemoteBackend, observe: Observe
+) -> None:
     before = len(policy_server.requests)
     policy_server.answer = lambda request: policy_server.cut()
     with pytest.raises(NotReadyError):
@@ -147,8 +162,11 @@ def test_a_slow_answer_is_given_up_and_never_taken_for_the_next_one(
     assert backend.predict(observe()).actions[0, 0] == 0.0
 
 
-def test_a_half_open_connection_ends_in_time(options: Callable[..., Pi0RemoteOptions], observe: Observe) -> None:
-    # A peer that answers the handshake and the warm-up, then neither reads nor writes, through a tiny relay.
+def test_a_half_open_connection_ends_in_time(
+    options: Callable[..., Pi0RemoteOptions], observe: Observe
+) -> None:
+    # A peer that answers the handshake and the warm-up, then neither reads nor writes, through a
+    # tiny relay.
     with _Relay(options().url) as relay:
         backend = Pi0RemoteBackend(options(url=relay.url, image_side_px=1024))
         backend.load()
@@ -169,8 +187,18 @@ def test_tls_is_verified_and_a_half_open_tls_connection_ends_in_time(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     key, certificate = tmp_path / "key.pem", tmp_path / "certificate.pem"
-    command = "openssl req -x509 -newkey ec -pkeyopt ec_paramgen_curve:prime256v1 -nodes -days 2 -subj /CN=localhost"
-    names = ["-addext", "subjectAltName=IP:127.0.0.1", "-keyout", str(key), "-out", str(certificate)]
+    command = (
+        "openssl req -x509 -newkey ec -pkeyopt ec_paramgen_curve:prime256v1 -nodes -days 2 "
+        "-subj /CN=localhost"
+    )
+    names = [
+        "-addext",
+        "subjectAltName=IP:127.0.0.1",
+        "-keyout",
+        str(key),
+        "-out",
+        str(certificate),
+    ]
     subprocess.run([*command.split(), *names], check=True, capture_output=True, timeout=30)
     policy_server.stop()
     policy_server.tls = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
@@ -184,7 +212,9 @@ def test_tls_is_verified_and_a_half_open_tls_connection_ends_in_time(
     assert patient.predict(observe()).note == ""
     patient.close()
     with _Relay(policy_server.url) as relay:
-        backend = Pi0RemoteBackend(options(url=relay.url.replace("ws:", "wss:"), image_side_px=1024))
+        backend = Pi0RemoteBackend(
+            options(url=relay.url.replace("ws:", "wss:"), image_side_px=1024)
+        )
         backend.load()
         relay.freeze()
         start = time.monotonic()
@@ -195,7 +225,10 @@ def test_tls_is_verified_and_a_half_open_tls_connection_ends_in_time(
 
 
 def test_a_traceback_frame_is_shown_by_its_last_line(
-    policy_server: Any, backend: Pi0RemoteBackend, observe: Observe, caplog: pytest.LogCaptureFixture
+    policy_server: Any,
+    backend: Pi0RemoteBackend,
+    observe: Observe,
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
     good = policy_server.answer
 
@@ -221,8 +254,21 @@ def test_a_traceback_frame_is_shown_by_its_last_line(
         ({"actions": np.zeros((5, 8))}, r"shape \(5, 8\)"),
         ({"actions": np.zeros(7)}, "shape"),
         ({"actions": np.zeros((0, 7))}, "shape"),
-        ({"actions": {b"__ndarray__": True, b"data": b"1234", b"dtype": "|O", b"shape": [1]}}, "not a number type"),
-        ({"actions": {b"__ndarray__": True, b"data": b"1234", b"dtype": "<f8", b"shape": [9, 7]}}, "4 bytes"),
+        (
+            {"actions": {b"__ndarray__": True, b"data": b"1234", b"dtype": "|O", b"shape": [1]}},
+            "not a number type",
+        ),
+        (
+            {
+                "actions": {
+                    b"__ndarray__": True,
+                    b"data": b"1234",
+                    b"dtype": "<f8",
+                    b"shape": [9, 7],
+                }
+            },
+            "4 bytes",
+        ),
     ],
 )
 def test_a_malformed_answer_is_refused(
@@ -244,7 +290,9 @@ def test_non_finite_actions_are_unsafe(
         backend.predict(observe())
 
 
-def test_what_does_not_fit_is_found_by_load(policy_server: Any, options: Callable[..., Pi0RemoteOptions]) -> None:
+def test_what_does_not_fit_is_found_by_load(
+    policy_server: Any, options: Callable[..., Pi0RemoteOptions]
+) -> None:
     policy_server.answer = lambda request: {"actions": np.zeros((10, 8))}
     with pytest.raises(ConfigurationError, match="8"):
         Pi0RemoteBackend(options()).load()
@@ -272,7 +320,9 @@ def test_an_absent_server_is_reported_in_time(options: Callable[..., Pi0RemoteOp
     assert time.monotonic() - start < 0.3 + SLACK_S
 
 
-def test_something_else_that_listens_is_reported_in_time(options: Callable[..., Pi0RemoteOptions]) -> None:
+def test_something_else_that_listens_is_reported_in_time(
+    options: Callable[..., Pi0RemoteOptions],
+) -> None:
     with socket.create_server(("127.0.0.1", 0)) as silent:
         url = f"ws://127.0.0.1:{silent.getsockname()[1]}"
         with pytest.raises(NotReadyError, match="did not answer"):
@@ -295,7 +345,9 @@ def test_the_key_travels_in_the_header_and_comes_from_the_environment(
 def test_an_unencrypted_remote_url_is_warned_about_and_gets_no_key() -> None:
     assert check_url("ws://127.0.0.1:8000", has_key=True, allow_insecure_key=False) == ""
     assert check_url("wss://robots.example", has_key=True, allow_insecure_key=False) == ""
-    assert "not encrypted" in check_url("ws://10.0.0.5:8000", has_key=False, allow_insecure_key=False)
+    assert "not encrypted" in check_url(
+        "ws://10.0.0.5:8000", has_key=False, allow_insecure_key=False
+    )
     assert "not encrypted" in check_url("ws://10.0.0.5:8000", has_key=True, allow_insecure_key=True)
     with pytest.raises(ConfigurationError, match="unencrypted"):
         check_url("ws://10.0.0.5:8000", has_key=True, allow_insecure_key=False)
@@ -322,10 +374,14 @@ def test_the_warning_is_logged_and_shown_in_every_chunk(
 
 def test_loopback_is_recognised_by_the_address_alone() -> None:
     assert all(is_loopback(host) for host in ("localhost", "127.0.0.1", "127.8.8.8", "::1"))
-    assert not any(is_loopback(host) for host in ("10.0.0.1", "localhost.example", "0.0.0.0", "robot"))
+    assert not any(
+        is_loopback(host) for host in ("10.0.0.1", "localhost.example", "0.0.0.0", "robot")
+    )
 
 
-def test_predict_is_refused_before_load_and_after_close(backend: Pi0RemoteBackend, observe: Observe) -> None:
+def test_predict_is_refused_before_load_and_after_close(
+    backend: Pi0RemoteBackend, observe: Observe
+) -> None:
     backend.close()
     backend.close()
     for made in (backend, Pi0RemoteBackend(Pi0RemoteOptions(profile="libero"))):
@@ -334,7 +390,9 @@ def test_predict_is_refused_before_load_and_after_close(backend: Pi0RemoteBacken
 
 
 class _Relay:
-    """Passes bytes between a client and the stand-in until it is frozen; then it leaves everything lying."""
+    """Passes bytes between a client and the stand-in until it is frozen; then it leaves
+    everything lying.
+    """
 
     def __init__(self, url: str) -> None:
         self._target = ("127.0.0.1", int(url.rsplit(":", 1)[1]))

@@ -19,7 +19,10 @@ DTYPES = st.sampled_from(["|u1", "<f4", "<f8", "<i8", "|b1", ">f4", "<f2"])
 
 def test_an_array_is_a_map_with_byte_keys() -> None:
     raw = msgpack.unpackb(pack({"a": np.array([[1, 2]], dtype=np.uint8), "p": "go"}))
-    assert raw == {"a": {b"__ndarray__": True, b"data": b"\x01\x02", b"dtype": "|u1", b"shape": [1, 2]}, "p": "go"}
+    assert raw == {
+        "a": {b"__ndarray__": True, b"data": b"\x01\x02", b"dtype": "|u1", b"shape": [1, 2]},
+        "p": "go",
+    }
 
 
 def test_a_scalar_is_a_map_with_byte_keys() -> None:
@@ -28,10 +31,16 @@ def test_a_scalar_is_a_map_with_byte_keys() -> None:
 
 
 @settings(max_examples=50, deadline=None)
-@given(DTYPES.flatmap(lambda d: arrays(np.dtype(d), array_shapes(min_dims=0, max_dims=4, min_side=0))))
+@given(
+    DTYPES.flatmap(lambda d: arrays(np.dtype(d), array_shapes(min_dims=0, max_dims=4, min_side=0)))
+)
 def test_arrays_survive_there_and_back(array: np.ndarray) -> None:
     again = unpack(pack({"x": array}))["x"]
-    assert (again.dtype, again.shape, again.tobytes()) == (array.dtype, array.shape, array.tobytes())
+    assert (again.dtype, again.shape, again.tobytes()) == (
+        array.dtype,
+        array.shape,
+        array.tobytes(),
+    )
 
 
 @settings(max_examples=200, deadline=None)
@@ -41,16 +50,22 @@ def test_any_bytes_are_a_map_or_a_clear_refusal(data: bytes) -> None:
         assert isinstance(unpack(data), dict)
 
 
-@pytest.mark.parametrize("dtype", ["|O", "|V8", "<c16", "<U4", "|S3", "<M8[s]", "nonsense", None, 5])
+@pytest.mark.parametrize(
+    "dtype", ["|O", "|V8", "<c16", "<U4", "|S3", "<M8[s]", "nonsense", None, 5]
+)
 def test_objects_and_other_types_are_never_decoded(dtype: object) -> None:
-    data = msgpack.packb({"x": {b"__ndarray__": True, b"data": b"\0" * 16, b"dtype": dtype, b"shape": [1]}})
+    data = msgpack.packb(
+        {"x": {b"__ndarray__": True, b"data": b"\0" * 16, b"dtype": dtype, b"shape": [1]}}
+    )
     with pytest.raises(ConfigurationError):
         unpack(data)
 
 
 @pytest.mark.parametrize("shape", [[3], [-1], [2**40], ["1"], [1] * 20, None, 8])
 def test_a_shape_that_does_not_fit_its_bytes_is_refused(shape: object) -> None:
-    data = msgpack.packb({"x": {b"__ndarray__": True, b"data": b"\0" * 8, b"dtype": "<f8", b"shape": shape}})
+    data = msgpack.packb(
+        {"x": {b"__ndarray__": True, b"data": b"\0" * 8, b"dtype": "<f8", b"shape": shape}}
+    )
     with pytest.raises(ConfigurationError):
         unpack(data)
 

@@ -1,4 +1,6 @@
-"""Servo, controller "urdf" and simulated FR3 in one process at 10 Hz of simulated time; only the simulator judges."""
+"""Servo, controller "urdf" and simulated FR3 in one process at 10 Hz of simulated time; only
+the simulator judges.
+"""
 
 from __future__ import annotations
 
@@ -52,7 +54,9 @@ class Cell:
         simulation.step(round(PERIOD_S / STEP_S))
         self._frames = self._look()
         joints = JointSample(
-            names=JOINTS, position=simulation.joint_positions(), stamp_ns=round(simulation.time_s * 1e9)
+            names=JOINTS,
+            position=simulation.joint_positions(),
+            stamp_ns=round(simulation.time_s * 1e9),
         )
         chunk = self.servo.predict(
             Observation(
@@ -69,7 +73,9 @@ class Cell:
         simulation.set_target(command.names, command.position, command.duration_s)
         return chunk
 
-    def run(self, instruction: str, until: Callable[[ActionChunk], bool], most_s: float = 25.0) -> ActionChunk:
+    def run(
+        self, instruction: str, until: Callable[[ActionChunk], bool], most_s: float = 25.0
+    ) -> ActionChunk:
         """Steps until `until` holds; fails after `most_s` of simulated time."""
         end_s = self.simulation.time_s + most_s
         while self.simulation.time_s < end_s:
@@ -92,7 +98,9 @@ def cell(request: pytest.FixtureRequest) -> Iterator[Cell]:
 @pytest.mark.slow
 def test_named_cube_is_lifted_then_put_down_for_another(cell: Cell) -> None:
     cell.run("pick up the red cube", lambda _: cell.is_held("red"))
-    assert all(cube.lifted_m < 0.005 for name, cube in cell.simulation.cubes().items() if name != "red")
+    assert all(
+        cube.lifted_m < 0.005 for name, cube in cell.simulation.cubes().items() if name != "red"
+    )
     last = cell.run("pick up the blue cube", lambda _: cell.is_held("blue"))
     assert last.note == "holding blue cube"
     assert cell.simulation.cubes()["red"].lifted_m < 0.005
@@ -100,7 +108,10 @@ def test_named_cube_is_lifted_then_put_down_for_another(cell: Cell) -> None:
 
 def test_cube_that_is_moved_away_at_the_last_moment_is_found_again(cell: Cell) -> None:
     def is_about_to_grasp(chunk: ActionChunk) -> bool:
-        return chunk.note == "descending to green cube" and cell.simulation.tcp_pose().position_m[2] < 0.085
+        return (
+            chunk.note == "descending to green cube"
+            and cell.simulation.tcp_pose().position_m[2] < 0.085
+        )
 
     cell.run("grab the green block", is_about_to_grasp)
     cell.simulation.world.set_cubes({"green": ((0.42, -0.15, 0.0232), (0.0, 0.0, 0.0, 1.0))})

@@ -22,7 +22,9 @@ VIEW = View.of(overhead_camera(), np.eye(4))
     edge_m=st.floats(0.04, 0.048),
 )
 @settings(max_examples=25, deadline=None)
-def test_a_cube_is_found_where_it_was_painted(x_m: float, y_m: float, yaw_rad: float, edge_m: float) -> None:
+def test_a_cube_is_found_where_it_was_painted(
+    x_m: float, y_m: float, yaw_rad: float, edge_m: float
+) -> None:
     blob = find_blob(paint_table({"red": (x_m, y_m, yaw_rad)}, edge_m), "red")
     assert blob is not None
     found = measure_cube(blob, VIEW, table_m=0.0, edge_m=0.044, edge_spread_m=0.004)
@@ -34,7 +36,9 @@ def test_a_cube_is_found_where_it_was_painted(x_m: float, y_m: float, yaw_rad: f
 
 
 def test_colours_are_told_apart() -> None:
-    image = paint_table({"red": (0.4, 0.1, 0.0), "green": (0.6, 0.1, 0.3), "blue": (0.5, -0.1, 0.5)})
+    image = paint_table(
+        {"red": (0.4, 0.1, 0.0), "green": (0.6, 0.1, 0.3), "blue": (0.5, -0.1, 0.5)}
+    )
     assert sorted(visible_colours(image)) == ["blue", "green", "red"]
     assert find_blob(image, "yellow") is None
 

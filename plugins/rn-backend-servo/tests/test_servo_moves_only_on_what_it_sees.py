@@ -66,7 +66,8 @@ def test_a_grasp_on_nothing_is_tried_again_and_then_given_up(servo: ServoBackend
         notes.append(chunk.note)
 
     with pytest.raises(
-        UngroundedError, match="Gave up after 4 attempts; in the last one the gripper closed on nothing"
+        UngroundedError,
+        match="Gave up after 4 attempts; in the last one the gripper closed on nothing",
     ):
         deque(map(step, range(1500)), maxlen=0)
     assert {"grasping red cube", "retreating to look again for red cube"} <= set(notes)
@@ -96,7 +97,9 @@ def test_a_held_cube_is_lifted_and_kept(servo: ServoBackend) -> None:
         (paint_table({"blue": (0.5, 0.0, 0.0)}), "No red cube is visible"),
     ],
 )
-def test_an_image_that_shows_nothing_useful_moves_nothing(servo: ServoBackend, image: np.ndarray, says: str) -> None:
+def test_an_image_that_shows_nothing_useful_moves_nothing(
+    servo: ServoBackend, image: np.ndarray, says: str
+) -> None:
     with pytest.raises(UngroundedError, match=says):
         servo.predict(observe(image))
 
@@ -111,7 +114,9 @@ def test_an_image_that_stays_the_same_while_the_arm_moves_is_refused(servo: Serv
     image = paint_table({"red": (*CUBE_M, 0.3)})
 
     def step(index: int) -> None:
-        servo.predict(observe(image, stamp_ns=10**12 + index * STEP_NS, tcp_m=(0.4, 0.1, 0.4 - index * 0.01)))
+        servo.predict(
+            observe(image, stamp_ns=10**12 + index * STEP_NS, tcp_m=(0.4, 0.1, 0.4 - index * 0.01))
+        )
 
     with pytest.raises(UngroundedError, match="is frozen"):
         deque(map(step, range(30)), maxlen=0)

@@ -1,4 +1,6 @@
-"""Chunks of several rows: what is played meanwhile is kept, and the rest leads from there to the same goal."""
+"""Chunks of several rows: what is played meanwhile is kept, and the rest leads from there to
+the same goal.
+"""
 
 from __future__ import annotations
 
@@ -121,7 +123,9 @@ class Arm:
 
 @pytest.mark.parametrize("latency_s", [0.1, 0.3])
 def test_the_arm_keeps_10_hz_while_answers_are_late(servo: ServoBackend, latency_s: float) -> None:
-    """Images one period old and a late answer: no period passes without a row until the cube is held."""
+    """Images one period old and a late answer: no period passes without a row until the cube is
+    held.
+    """
     arm = Arm()
     abilities = Abilities(conditions_on_rows=contract_case().spec.conditions_on_rows)
     executor = AdaptiveExecutor(abilities, fixed=None, bounds=Bounds(first_s=0.7))
@@ -140,7 +144,9 @@ def test_the_arm_keeps_10_hz_while_answers_are_late(servo: ServoBackend, latency
             used_s = captured_s
             seen = look(captured_s, gripper_open=arm.gripper_open)
             assert seen.ee_pose is not None
-            seen = replace(seen, ee_pose=replace(seen.ee_pose, position_m=arm.tcp_m, stamp_ns=now_ns))
+            seen = replace(
+                seen, ee_pose=replace(seen.ee_pose, position_m=arm.tcp_m, stamp_ns=now_ns)
+            )
             prediction = executor.begin(seen, seen.stamp_ns)
             chunk = servo.predict(prediction.observation)
             pending, note = (now_s + latency_s, prediction, chunk), chunk.note

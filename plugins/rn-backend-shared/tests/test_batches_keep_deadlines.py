@@ -23,7 +23,9 @@ class Model:
         self.batches: list[list[str]] = []
         self.answers: dict[str, Answer] = {}
         self.fails: Exception | None = None
-        self.batcher = Batcher(self.predict, **{"most": 4, "waiting": 8, **options}, clock=lambda: self.now_s)
+        self.batcher = Batcher(
+            self.predict, **{"most": 4, "waiting": 8, **options}, clock=lambda: self.now_s
+        )
 
     def predict(self, observations: Sequence[Observation]) -> Sequence[Answer]:
         self.batches.append([observation.instruction for observation in observations])
@@ -47,7 +49,11 @@ def test_what_waits_is_answered_together_the_earliest_deadline_first() -> None:
     assert model.batches == [["a", "b", "c", "d"], ["e"]]
     chunk = model.answers["a"]
     assert isinstance(chunk, ActionChunk)
-    assert chunk.metrics == {"own": 1.0, "shared.batch": 4.0, "shared.model_ms": pytest.approx(100.0)}
+    assert chunk.metrics == {
+        "own": 1.0,
+        "shared.batch": 4.0,
+        "shared.model_ms": pytest.approx(100.0),
+    }
 
 
 def test_a_batch_is_no_larger_than_its_first_deadline_allows() -> None:
@@ -103,9 +109,12 @@ def test_the_queue_is_bounded() -> None:
 
 
 @pytest.mark.parametrize(
-    ("error", "kind"), [(UngroundedError("no cube"), UngroundedError), (KeyError("weights"), PluginError)]
+    ("error", "kind"),
+    [(UngroundedError("no cube"), UngroundedError), (KeyError("weights"), PluginError)],
 )
-def test_a_batch_that_fails_is_told_to_everybody_in_it(error: Exception, kind: type[Exception]) -> None:
+def test_a_batch_that_fails_is_told_to_everybody_in_it(
+    error: Exception, kind: type[Exception]
+) -> None:
     model = Model()
     model.fails = error
     model.ask("a")
@@ -121,11 +130,15 @@ def test_a_batch_that_fails_is_told_to_everybody_in_it(error: Exception, kind: t
 def test_the_thread_answers_until_it_is_closed() -> None:
     answered = threading.Event()
     batcher = Batcher(
-        lambda observations: [ActionChunk(actions=ROW, step_s=0.1) for _ in observations], most=4, waiting=4
+        lambda observations: [ActionChunk(actions=ROW, step_s=0.1) for _ in observations],
+        most=4,
+        waiting=4,
     )
     batcher.start()
     seen = Observation(frames={}, instruction="go")
-    batcher.submit(Waiting(observation=seen, deadline_s=float("inf"), tell=lambda answer: answered.set()))
+    batcher.submit(
+        Waiting(observation=seen, deadline_s=float("inf"), tell=lambda answer: answered.set())
+    )
     assert answered.wait(30.0)
     batcher.close()
     batcher.close()

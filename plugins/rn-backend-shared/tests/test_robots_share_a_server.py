@@ -1,4 +1,6 @@
-"""Real server processes: several robots on one, batches that are exact, and servers that die, fail or hang."""
+"""Real server processes: several robots on one, batches that are exact, and servers that die,
+fail or hang.
+"""
 
 from __future__ import annotations
 
@@ -64,7 +66,9 @@ def robot(tmp_path: Path) -> Iterator[Robot]:
 
 @pytest.fixture
 def served(tmp_path: Path) -> Iterator[Robot]:
-    """As `robot`, with the server on a thread of this process: quicker, where no process has to die."""
+    """As `robot`, with the server on a thread of this process: quicker, where no process has to
+    die.
+    """
     install(tmp_path)
     sys.path.insert(0, str(tmp_path / "site"))
     with ExitStack() as stack:
@@ -99,7 +103,9 @@ def servers_in(folder: Path) -> list[int]:
             words = entry.read_bytes().split(b"\0")
         except OSError:
             continue
-        if b"rn_backend_shared.server" in words and any(word.startswith(str(folder).encode()) for word in words):
+        if b"rn_backend_shared.server" in words and any(
+            word.startswith(str(folder).encode()) for word in words
+        ):
             found.append(int(entry.parent.name))
     return found
 
@@ -107,7 +113,9 @@ def servers_in(folder: Path) -> list[int]:
 def seen(number: int) -> Observation:
     frame = SEEN.frames["primary"]
     image = np.full((48, 64, 3), 10 * number, dtype=np.uint8)
-    return replace(SEEN, frames={"primary": replace(frame, image=image)}, instruction="x" * (number + 1))
+    return replace(
+        SEEN, frames={"primary": replace(frame, image=image)}, instruction="x" * (number + 1)
+    )
 
 
 def wait_until(fact: Callable[[], bool], what: str) -> None:
@@ -134,7 +142,8 @@ def test_robots_that_ask_at_once_share_one_batch_and_get_their_own_answer(
         for _ in range(20):
             together = list(pool.map(lambda index: robots[index].predict(seen(index)), range(6)))
             for chunk, expected in zip(together, alone, strict=True):
-                np.testing.assert_allclose(chunk.actions, expected, rtol=0, atol=1e-5)  # the issue's bound
+                # the issue's bound
+                np.testing.assert_allclose(chunk.actions, expected, rtol=0, atol=1e-5)
             if max(chunk.metrics["shared.batch"] for chunk in together) > 1:
                 return
     pytest.fail("no two robots were ever answered in one batch")
@@ -157,7 +166,9 @@ def test_what_one_robot_sends_wrong_is_an_error_of_that_robot_only(served: Robot
             assert [type(error) for error in errors] == [type(None), InvalidInputError, type(None)]
 
 
-def test_a_server_that_dies_is_a_clear_error_and_then_there_is_another(robot: Robot, tmp_path: Path) -> None:
+def test_a_server_that_dies_is_a_clear_error_and_then_there_is_another(
+    robot: Robot, tmp_path: Path
+) -> None:
     one, other = robot(), robot()
     (pid,) = servers_in(tmp_path)
     os.kill(pid, signal.SIGKILL)
@@ -217,7 +228,9 @@ def test_why_a_model_cannot_be_loaded_is_told_as_its_backend_says_it(served: Rob
         served(backend="absent")
 
 
-def test_what_may_remember_robots_is_not_shared_unless_a_person_says_that_it_does_not(served: Robot) -> None:
+def test_what_may_remember_robots_is_not_shared_unless_a_person_says_that_it_does_not(
+    served: Robot,
+) -> None:
     with pytest.raises(ConfigurationError, match="stateless = true"):
         served(backend="rememberer")
     assert served(backend="rememberer", stateless=True).predict(SEEN).metrics["shared.batch"] == 1.0
@@ -303,7 +316,9 @@ def test_a_server_without_handles_serves_again_when_it_has_some(
     assert "Traceback" not in caplog.text
 
 
-def test_sockets_lie_where_only_this_user_can_reach_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_sockets_lie_where_only_this_user_can_reach_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     options = SharedOptions(backend="reflex")
     folder = directory_of(options)
@@ -316,17 +331,25 @@ def test_sockets_lie_where_only_this_user_can_reach_them(tmp_path: Path, monkeyp
 
 def test_robots_with_other_model_options_use_another_server() -> None:
     base = SharedOptions(backend="oft", checkpoint="/models/a")
-    assert base.identity() == SharedOptions(backend="oft", checkpoint="/models/a", timeout_s=0.2).identity()
+    assert (
+        base.identity()
+        == SharedOptions(backend="oft", checkpoint="/models/a", timeout_s=0.2).identity()
+    )
     for other in ({"checkpoint": "/models/b"}, {"options": {"profile": "libero"}}, {"most": 4}):
         assert base.identity() != base.model_copy(update=other).identity()
 
 
-def test_the_command_serves_robots_of_the_same_configuration_until_it_is_ended(robot: Robot, tmp_path: Path) -> None:
+def test_the_command_serves_robots_of_the_same_configuration_until_it_is_ended(
+    robot: Robot, tmp_path: Path
+) -> None:
     given = options_in(tmp_path, idle_s=30.0)
     environment = given["environment"]
     assert isinstance(environment, dict)
     lines = [f"{key} = {json.dumps(value)}" for key, value in given.items() if key != "environment"]
-    lines += ["[plugins.shared.environment]", *(f"{key} = {json.dumps(value)}" for key, value in environment.items())]
+    lines += [
+        "[plugins.shared.environment]",
+        *(f"{key} = {json.dumps(value)}" for key, value in environment.items()),
+    ]
     path = tmp_path / "roboneuron.toml"
     path.write_text('[robot]\nname = "any"\n[plugins.shared]\n' + "\n".join(lines))
     words = [sys.executable, "-m", "roboneuron.cli.main", "shared-model", "--config", str(path)]

@@ -1,4 +1,6 @@
-"""The contract of backends, kept by `shared` in front of a real server process, and that of its command."""
+"""The contract of backends, kept by `shared` in front of a real server process, and that of its
+command.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""The controller "urdf" on four small arms: it reaches what it accepts and refuses the rest with a reason."""
+"""The controller "urdf" on four small arms: it reaches what it accepts and refuses the rest
+with a reason.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +38,9 @@ SIX = ("pan", "lift", "elbow", "wrist1", "wrist2", "wrist3")
 
 def robot(name: str, base: str, tcp: str, joints: tuple[str, ...], **facts) -> RobotProfile:
     urdf = (DATA / f"{name}.urdf").read_text()
-    return RobotProfile(name=name, urdf=urdf, base_link=base, tcp_link=tcp, arm_joints=joints, **facts)
+    return RobotProfile(
+        name=name, urdf=urdf, base_link=base, tcp_link=tcp, arm_joints=joints, **facts
+    )
 
 
 def seven(**facts) -> RobotProfile:
@@ -50,12 +54,16 @@ def loaded(profile: RobotProfile, **options) -> UrdfController:
 
 
 def joints(names, position) -> JointSample:
-    return JointSample(names=tuple(names), position=np.array(position, dtype=np.float64), stamp_ns=7)
+    return JointSample(
+        names=tuple(names), position=np.array(position, dtype=np.float64), stamp_ns=7
+    )
 
 
 def action(translation=(0.0, 0.0, 0.0), rotation=(0.0, 0.0, 0.0), gripper=1.0) -> Action:
     return Action(
-        translation_m=np.array(translation, float), rotation_rad=np.array(rotation, float), gripper_open=gripper
+        translation_m=np.array(translation, float),
+        rotation_rad=np.array(rotation, float),
+        gripper_open=gripper,
     )
 
 
@@ -63,17 +71,28 @@ def distances(controller: UrdfController, asked: Action, start: JointSample, com
     """Metres and radians between where the command leads and where the action wanted to go."""
     wanted = apply_delta(controller.forward(start), asked)
     reached = controller.forward(JointSample(names=command.names, position=command.position))
-    turn = matrix_from_quaternion(wanted.quaternion_xyzw) @ matrix_from_quaternion(reached.quaternion_xyzw).T
-    return np.linalg.norm(wanted.position_m - reached.position_m), np.linalg.norm(rotvec_from_matrix(turn))
+    turn = (
+        matrix_from_quaternion(wanted.quaternion_xyzw)
+        @ matrix_from_quaternion(reached.quaternion_xyzw).T
+    )
+    return np.linalg.norm(wanted.position_m - reached.position_m), np.linalg.norm(
+        rotvec_from_matrix(turn)
+    )
 
 
 def test_forward_matches_the_closed_form_of_a_planar_arm():
     controller = loaded(robot("planar2", "base", "tip", ("shoulder", "elbow")))
     a, b = 0.3, -1.1
     pose = controller.forward(joints(("elbow", "shoulder"), (b, a)))
-    expected = (0.5 * math.cos(a) + 0.4 * math.cos(a + b), 0.5 * math.sin(a) + 0.4 * math.sin(a + b), 0.0)
+    expected = (
+        0.5 * math.cos(a) + 0.4 * math.cos(a + b),
+        0.5 * math.sin(a) + 0.4 * math.sin(a + b),
+        0.0,
+    )
     np.testing.assert_allclose(pose.position_m, expected, atol=1e-12)
-    np.testing.assert_allclose(pose.quaternion_xyzw[2:], (math.sin((a + b) / 2), math.cos((a + b) / 2)), atol=1e-12)
+    np.testing.assert_allclose(
+        pose.quaternion_xyzw[2:], (math.sin((a + b) / 2), math.cos((a + b) / 2)), atol=1e-12
+    )
     assert pose.stamp_ns == 7
 
 
@@ -98,16 +117,21 @@ def test_six_joint_arm_with_a_continuous_wrist_is_moved_in_the_frame_of_its_base
     assert off_m < 1e-4
     assert off_rad < 1e-3
     assert abs(command.position[5] - 40.0) < 0.3
-    assert np.linalg.norm(controller.forward(start).position_m) < 1.2, "the pose is relative to base, not to world"
+    assert np.linalg.norm(controller.forward(start).position_m) < 1.2, (
+        "the pose is relative to base, not to world"
+    )
 
 
 def test_telescope_counts_the_stage_that_mimics():
     profile = robot("gantry", "frame", "stage2", ("x", "y", "z"))
     controller = loaded(profile)
     start = joints(("x", "y", "z"), (0.5, 0.5, 0.1))
-    np.testing.assert_allclose(controller.forward(start).position_m, (0.5, 0.5, -(0.1 + 0.1 + 0.05)), atol=1e-12)
+    np.testing.assert_allclose(
+        controller.forward(start).position_m, (0.5, 0.5, -(0.1 + 0.1 + 0.05)), atol=1e-12
+    )
     command = controller.compute(action((0.02, 0.0, -0.04)), start, 0.1)
-    np.testing.assert_allclose(command.position, (0.52, 0.5, 0.12), atol=1e-4)  # the tolerance of a solution
+    # the tolerance of a solution
+    np.testing.assert_allclose(command.position, (0.52, 0.5, 0.12), atol=1e-4)
     jump = loaded(profile, max_joint_step_m=0.01).compute(action((0.02, 0.0, 0.0)), start, 0.1)
     assert jump.code == "joint_jump"
     assert "'x'" in jump.reason
@@ -116,7 +140,9 @@ def test_telescope_counts_the_stage_that_mimics():
 def test_command_names_the_arm_and_the_gripper_and_ignores_other_measured_joints():
     gripper = GripperProfile(joint="finger", closed_position=0.0, open_position=0.04)
     controller = loaded(seven(gripper=gripper))
-    start = joints(("finger", *reversed(SEVEN), "finger_mirror"), (0.04, *reversed(SEVEN_HOME), 0.04))
+    start = joints(
+        ("finger", *reversed(SEVEN), "finger_mirror"), (0.04, *reversed(SEVEN_HOME), 0.04)
+    )
     command = controller.compute(action((0.01, 0.0, 0.0), gripper=0.25), start, 0.1)
     assert command.names == (*SEVEN, "finger")
     assert command.position[-1] == pytest.approx(0.01)
@@ -147,7 +173,9 @@ def test_slow_joints_get_more_time_instead_of_more_speed():
         effort=np.full(7, 80.0),
     )
     start = joints(SEVEN, SEVEN_HOME)
-    command = loaded(seven(limits=limits), velocity_fraction=0.5).compute(action((0.0, 0.0, 0.05)), start, 0.1)
+    command = loaded(seven(limits=limits), velocity_fraction=0.5).compute(
+        action((0.0, 0.0, 0.05)), start, 0.1
+    )
     fastest = np.abs(command.position - start.position).max() / command.duration_s
     assert fastest == pytest.approx(0.05)
 
@@ -161,7 +189,10 @@ def test_slow_joints_get_more_time_instead_of_more_speed():
         (action((math.inf, 0.0, 0.0)), "bad_action"),
         (action(gripper=1.5), "bad_action"),
         (action(gripper=math.nan), "bad_action"),
-        (Action(translation_m=np.zeros(2), rotation_rad=np.zeros(3), gripper_open=1.0), "bad_action"),
+        (
+            Action(translation_m=np.zeros(2), rotation_rad=np.zeros(3), gripper_open=1.0),
+            "bad_action",
+        ),
     ],
 )
 def test_bad_action_is_refused_by_code(asked, code):
@@ -230,7 +261,9 @@ def test_target_out_of_reach_is_refused_with_its_residual():
 
 
 def test_jump_of_a_joint_is_refused():
-    refusal = loaded(seven(), max_joint_step_rad=0.01).compute(action((0.0, 0.05, 0.0)), joints(SEVEN, SEVEN_HOME), 0.1)
+    refusal = loaded(seven(), max_joint_step_rad=0.01).compute(
+        action((0.0, 0.05, 0.0)), joints(SEVEN, SEVEN_HOME), 0.1
+    )
     assert refusal.code == "joint_jump"
 
 
@@ -260,7 +293,9 @@ unit = st.floats(-1.0, 1.0)
     move=st.tuples(unit, unit, unit),
     turn=st.tuples(unit, unit, unit),
 )
-def test_any_posture_gives_a_command_within_tolerance_or_a_refusal(seven_controller, where, move, turn):
+def test_any_posture_gives_a_command_within_tolerance_or_a_refusal(
+    seven_controller, where, move, turn
+):
     """Postures uniform within the limits, singular ones among them: never a wrong command."""
     controller = seven_controller
     lower = np.array([-2.9, -1.8, -2.9, -2.6, -2.9, -2.1, -3.0])
@@ -297,7 +332,13 @@ def edited(old: str, new: str) -> RobotProfile:
         (edited('name="j3" type="revolute"', 'name="j3" type="floating"'), "floating"),
         (edited('<limit lower="-2.1" upper="2.1"', '<limit lower="2.1" upper="-2.1"'), "j6"),
         (edited('<limit lower="-2.1" upper="2.1"', '<limit lower="low" upper="2.1"'), "'low'"),
-        (edited('<axis xyz="0 -1 0"/>\n    <limit lower="-2.6"', '<axis xyz="0 0 0"/>\n    <limit lower="-2.6"'), "j4"),
+        (
+            edited(
+                '<axis xyz="0 -1 0"/>\n    <limit lower="-2.6"',
+                '<axis xyz="0 0 0"/>\n    <limit lower="-2.6"',
+            ),
+            "j4",
+        ),
         (edited('<parent link="l6"/>', "<parent/>"), "parent"),
         (robot("gantry", "frame", "stage2", ("x", "y", "z", "z_second")), "mimics"),
         (robot("gantry", "frame", "stage2", ("x", "y")), "z"),
@@ -310,7 +351,11 @@ def test_description_that_makes_no_arm_is_refused_by_name(profile, message):
 
 def test_limits_of_the_wrong_size_are_refused():
     short = JointLimits(
-        lower=-np.ones(6), upper=np.ones(6), velocity=np.ones(6), acceleration=np.ones(6), effort=np.ones(6)
+        lower=-np.ones(6),
+        upper=np.ones(6),
+        velocity=np.ones(6),
+        acceleration=np.ones(6),
+        effort=np.ones(6),
     )
     with pytest.raises(ConfigurationError, match="7 arm joints"):
         UrdfController(None, seven(limits=short)).load()

@@ -1,4 +1,6 @@
-"""Every rule of the contract kit for controllers, on the controller "urdf" and the kit's own arm."""
+"""Every rule of the contract kit for controllers, on the controller "urdf" and the kit's own
+arm.
+"""
 
 from __future__ import annotations
 

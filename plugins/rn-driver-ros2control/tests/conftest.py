@@ -14,13 +14,24 @@ from trajectory_msgs.msg import JointTrajectory
 from rn_testing.fakes import MemoryTopics
 from roboneuron import NotReadyError, RobotProfile
 
-with contextlib.suppress(ModuleNotFoundError):  # where nothing could be compiled; then the tests are skipped
+# where nothing could be compiled; then the tests are skipped
+with contextlib.suppress(ModuleNotFoundError):
     from rn_driver_ros2control.driver import Ros2ControlDriver
     from rn_driver_ros2control.link import ControllerReport, End, GoalObserver, Measured
     from rn_driver_ros2control.options import Ros2ControlOptions
-    from rn_driver_ros2control.standin import GOAL_VIOLATED, PATH_VIOLATED, SUCCESSFUL, StandIn, Tolerances
+    from rn_driver_ros2control.standin import (
+        GOAL_VIOLATED,
+        PATH_VIOLATED,
+        SUCCESSFUL,
+        StandIn,
+        Tolerances,
+    )
 
-    _ENDS = {SUCCESSFUL: End.SUCCEEDED, PATH_VIOLATED: End.PATH_TOLERANCE, GOAL_VIOLATED: End.GOAL_TOLERANCE}
+    _ENDS = {
+        SUCCESSFUL: End.SUCCEEDED,
+        PATH_VIOLATED: End.PATH_TOLERANCE,
+        GOAL_VIOLATED: End.GOAL_TOLERANCE,
+    }
 
 _CYCLE_S = 0.005
 _FINGER_M_S = 0.1
@@ -74,17 +85,23 @@ class MemoryLink:
     def _tell(self, now_s: float) -> None:
         c, received_s, stamp_ns = self.controller, time.monotonic(), int(now_s * 1e9)
         values = zip(
-            (*c.joints, "fr3_finger_joint1"), (*c.measured, self._finger), (*c.measured_velocity, 0.0), strict=True
+            (*c.joints, "fr3_finger_joint1"),
+            (*c.measured, self._finger),
+            (*c.measured_velocity, 0.0),
+            strict=True,
         )
         self._joints = {
-            n: Measured(position=float(p), velocity=float(v), stamp_ns=stamp_ns, received_s=received_s)
+            n: Measured(
+                position=float(p), velocity=float(v), stamp_ns=stamp_ns, received_s=received_s
+            )
             for n, p, v in values
         }
         if c.active:
             self._report = ControllerReport(
                 joints=c.joints,
                 reference={
-                    n: (float(p), float(v)) for n, p, v in zip(c.joints, c.reference, c.reference_velocity, strict=True)
+                    n: (float(p), float(v))
+                    for n, p, v in zip(c.joints, c.reference, c.reference_velocity, strict=True)
                 },
                 error=dict(zip(c.joints, (c.reference - c.measured).tolist(), strict=True)),
                 speed_scaling=1.0,
@@ -123,7 +140,11 @@ class MemoryLink:
                     goal_time_s=self.options.goal_time_tolerance_s,
                 )
                 self.controller.take(trajectory, time.time(), bounds)
-                goal, end, reason = replaced or 0, End.ABORTED, "Current goal preempted by new incoming action."
+                goal, end, reason = (
+                    replaced or 0,
+                    End.ABORTED,
+                    "Current goal preempted by new incoming action.",
+                )
         if self._observer is not None and goal:
             self._observer.ended(goal, end, reason)
 
@@ -179,7 +200,9 @@ class Rig:
         """Open, with these options and the profile of the FR3."""
         from rn_robot_fr3.profile import profile
 
-        driver = Ros2ControlDriver(Ros2ControlOptions.model_validate(options), profile(), MemoryTopics())
+        driver = Ros2ControlDriver(
+            Ros2ControlOptions.model_validate(options), profile(), MemoryTopics()
+        )
         driver.open()
         self._drivers.append(driver)
         return driver

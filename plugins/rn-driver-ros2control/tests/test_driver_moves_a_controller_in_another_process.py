@@ -1,4 +1,6 @@
-"""The driver with real ROS 2 between it and the stand-in controller, which is a process of its own."""
+"""The driver with real ROS 2 between it and the stand-in controller, which is a process of its
+own.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-pytest.importorskip("control_msgs", reason="control_msgs is not built here (it needs a C++ compiler)")
+pytest.importorskip(
+    "control_msgs", reason="control_msgs is not built here (it needs a C++ compiler)"
+)
 
 from rn_driver_ros2control.driver import Ros2ControlDriver
 from rn_driver_ros2control.options import Ros2ControlOptions
@@ -40,16 +44,36 @@ class Bench:
         self._drivers: list[Ros2ControlDriver] = []
 
     def controller(self, *arguments: str) -> subprocess.Popen[bytes]:
-        command = [sys.executable, "-m", "rn_driver_ros2control.standin_node", "--controller", ARM, "--joints"]
-        command += [*ARM_JOINTS, "--start", *(str(value) for value in HOME_RAD), "--gripper-joint", FINGER_JOINT]
+        command = [
+            sys.executable,
+            "-m",
+            "rn_driver_ros2control.standin_node",
+            "--controller",
+            ARM,
+            "--joints",
+        ]
+        command += [
+            *ARM_JOINTS,
+            "--start",
+            *(str(value) for value in HOME_RAD),
+            "--gripper-joint",
+            FINGER_JOINT,
+        ]
         with (self._folder / "controller.log").open("wb") as log:
             process = subprocess.Popen([*command, *arguments], stdout=log, stderr=log)
         self._processes.append(process)
         return process
 
     def driver(self, **options: object) -> Ros2ControlDriver:
-        chosen = {"controller": ARM, "connect_timeout_s": 60.0, "goal_timeout_s": 10.0, "state_timeout_s": 3.0}
-        driver = Ros2ControlDriver(Ros2ControlOptions.model_validate({**chosen, **options}), profile(), MemoryTopics())
+        chosen = {
+            "controller": ARM,
+            "connect_timeout_s": 60.0,
+            "goal_timeout_s": 10.0,
+            "state_timeout_s": 3.0,
+        }
+        driver = Ros2ControlDriver(
+            Ros2ControlOptions.model_validate({**chosen, **options}), profile(), MemoryTopics()
+        )
         driver.open()
         self._drivers.append(driver)
         return driver
@@ -100,7 +124,9 @@ def wait_until(condition: Callable[[], object], limit_s: float = 30.0) -> None:
 
 def command(step: float = 0.2, duration_s: float = 0.5, **joints: float) -> JointCommand:
     position = [*HOME_RAD[:6], HOME_RAD[6] + step, *joints.values()]
-    return JointCommand(names=(*ARM_JOINTS, *joints), position=np.array(position), duration_s=duration_s)
+    return JointCommand(
+        names=(*ARM_JOINTS, *joints), position=np.array(position), duration_s=duration_s
+    )
 
 
 def last_joint(driver: Ros2ControlDriver) -> float:
@@ -146,7 +172,9 @@ def test_a_gripper_that_meets_something_says_so(bench):
 
 def test_violated_tolerances_of_a_goal_are_a_fault_that_stays(bench):
     bench.controller()
-    driver = bench.driver(mode="action", path_tolerance=0.05, goal_tolerance=0.05, goal_time_tolerance_s=0.5)
+    driver = bench.driver(
+        mode="action", path_tolerance=0.05, goal_tolerance=0.05, goal_time_tolerance_s=0.5
+    )
     bench.ask("block", True)
     driver.send(command(0.5, 2.0))
     wait_until(lambda: "path tolerance violated" in detail(driver, "fault"))
@@ -196,7 +224,9 @@ def test_a_goal_for_an_inactive_controller_is_rejected_where_nothing_watches_it(
 
 
 def test_without_a_controller_open_says_what_is_missing(bench):
-    with pytest.raises(NotReadyError, match=r"nobody publishes joint states on /joint_states.*list_controllers"):
+    with pytest.raises(
+        NotReadyError, match=r"nobody publishes joint states on /joint_states.*list_controllers"
+    ):
         bench.driver(connect_timeout_s=0.5)
     bench.controller("--inactive")
     with pytest.raises(NotReadyError, match="not active"):

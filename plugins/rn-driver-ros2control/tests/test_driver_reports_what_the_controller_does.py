@@ -1,4 +1,6 @@
-"""Faults of the controller are states with one clear error; commands are refused until somebody has looked."""
+"""Faults of the controller are states with one clear error; commands are refused until somebody
+has looked.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-pytest.importorskip("control_msgs", reason="control_msgs is not built here (it needs a C++ compiler)")
+pytest.importorskip(
+    "control_msgs", reason="control_msgs is not built here (it needs a C++ compiler)"
+)
 
 from rn_driver_ros2control.driver import Ros2ControlDriver
 from rn_driver_ros2control.link import End
@@ -112,7 +116,11 @@ def test_replacing_its_own_goal_is_no_fault(rig):
 @pytest.mark.parametrize(
     ("end", "text", "word"),
     [
-        (End.ABORTED, "Current goal preempted by new incoming action.", "another client sends goals"),
+        (
+            End.ABORTED,
+            "Current goal preempted by new incoming action.",
+            "another client sends goals",
+        ),
         (End.ABORTED, "Current goal cancelled during deactivate transition.", "deactivate"),
         (End.CANCELLED, "", "another client has cancelled"),
     ],
@@ -131,7 +139,10 @@ def test_an_inactive_controller_is_named_with_the_command_that_activates_it(rig,
     driver = rig.driver(mode=mode, state_timeout_s=0.2)
     rig.link.controller.active = False
     wait_until(lambda: driver.read().detail["controller"] == "inactive")
-    with pytest.raises(NotReadyError, match=r"not active.*switch_controllers --activate joint_trajectory_controller"):
+    with pytest.raises(
+        NotReadyError,
+        match=r"not active.*switch_controllers --activate joint_trajectory_controller",
+    ):
         driver.send(command())
     assert rig.link.sent == []
 
@@ -143,11 +154,15 @@ def test_open_refuses_a_controller_that_is_not_active(rig):
 
 
 def test_open_refuses_a_controller_of_other_joints(rig):
-    rig.prepare = lambda link: setattr(link, "controller", StandIn((*ARM_JOINTS[:6], "spare"), np.zeros(7)))
+    rig.prepare = lambda link: setattr(
+        link, "controller", StandIn((*ARM_JOINTS[:6], "spare"), np.zeros(7))
+    )
     with pytest.raises(NotReadyError, match="does not tell fr3_joint7"):
         rig.driver(connect_timeout_s=0.2)
     more = (*ARM_JOINTS, "spare")
-    rig.prepare = lambda link: setattr(link, "controller", StandIn(more, np.array([*HOME_RAD, 0.0])))
+    rig.prepare = lambda link: setattr(
+        link, "controller", StandIn(more, np.array([*HOME_RAD, 0.0]))
+    )
     with pytest.raises(ConfigurationError, match=r"moves .*spare"):
         rig.driver()
 
@@ -162,7 +177,9 @@ def test_a_controller_that_has_gone_is_an_error(rig):
 def test_a_rejected_goal_is_an_error_and_no_fault(rig):
     driver = rig.driver(mode="action")
     rig.link.controller.refusal = lambda trajectory, now_s: "Joints don't match."
-    with pytest.raises(InvalidInputError, match=r"did not take a goal: rejected.*Joints don't match"):
+    with pytest.raises(
+        InvalidInputError, match=r"did not take a goal: rejected.*Joints don't match"
+    ):
         driver.send(command())
     assert fault(driver) == ""
 
@@ -190,7 +207,9 @@ def test_states_that_cease_are_told_with_the_state_of_the_controller_and_its_fau
     wait_until(lambda: "path tolerance violated" in fault(driver))
     rig.link.tells = False
     wait_until(lambda: time.monotonic() - rig.link.joints()[ARM_JOINTS[0]].received_s > 0.15)
-    with pytest.raises(NotReadyError, match=r"silent.*/joint_trajectory_controller last reported .*path tolerance"):
+    with pytest.raises(
+        NotReadyError, match=r"silent.*/joint_trajectory_controller last reported .*path tolerance"
+    ):
         driver.read()
 
 

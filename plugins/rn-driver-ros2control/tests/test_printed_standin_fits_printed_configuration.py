@@ -1,4 +1,6 @@
-"""The page about ros2_control prints a configuration and a stand-in for it: they are run as they are printed."""
+"""The page about ros2_control prints a configuration and a stand-in for it: they are run as
+they are printed.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,9 @@ from typing import Any
 
 import pytest
 
-pytest.importorskip("control_msgs", reason="control_msgs is not built here (it needs a C++ compiler)")
+pytest.importorskip(
+    "control_msgs", reason="control_msgs is not built here (it needs a C++ compiler)"
+)
 
 from rn_driver_ros2control.driver import Ros2ControlDriver
 from rn_driver_ros2control.options import Ros2ControlOptions

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-pytest.importorskip("control_msgs", reason="control_msgs is not built here (it needs a C++ compiler)")
+pytest.importorskip(
+    "control_msgs", reason="control_msgs is not built here (it needs a C++ compiler)"
+)
 
 from rn_robot_fr3.plugin import roboneuron_robots
 from rn_testing.cases import RobotCase

@@ -1,4 +1,6 @@
-"""What the stand-in takes, refuses, replaces and aborts, by the documentation of joint_trajectory_controller."""
+"""What the stand-in takes, refuses, replaces and aborts, by the documentation of
+joint_trajectory_controller.
+"""
 
 from __future__ import annotations
 
@@ -7,16 +9,26 @@ import pytest
 from builtin_interfaces.msg import Time
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-pytest.importorskip("control_msgs", reason="control_msgs is not built here (it needs a C++ compiler)")
+pytest.importorskip(
+    "control_msgs", reason="control_msgs is not built here (it needs a C++ compiler)"
+)
 
-from rn_driver_ros2control.standin import GOAL_VIOLATED, PATH_VIOLATED, SUCCESSFUL, StandIn, Tolerances
+from rn_driver_ros2control.standin import (
+    GOAL_VIOLATED,
+    PATH_VIOLATED,
+    SUCCESSFUL,
+    StandIn,
+    Tolerances,
+)
 from rn_driver_ros2control.trajectory import to_duration
 
 JOINTS = ("a", "b")
 BOUNDS = Tolerances(path={"a": 0.1, "b": 0.1}, goal={"a": 0.01, "b": 0.01}, goal_time_s=0.5)
 
 
-def trajectory(*points: tuple[float, list[float]], names=JOINTS, rest=False, stamp_s=0) -> JointTrajectory:
+def trajectory(
+    *points: tuple[float, list[float]], names=JOINTS, rest=False, stamp_s=0
+) -> JointTrajectory:
     message = JointTrajectory(joint_names=list(names))
     message.header.stamp = Time(sec=stamp_s)
     for due_s, position in points:
@@ -111,7 +123,12 @@ def test_an_end_out_of_reach_is_aborted_after_the_goal_time():
 
 def test_tolerances_of_a_goal_keep_replace_or_erase_the_defaults():
     asked = BOUNDS.with_goal({"a": 0.0, "b": -1.0}, {"a": 0.5}, 0.0)
-    assert (asked.path["a"], asked.path["b"], asked.goal["a"], asked.goal_time_s) == (0.1, 0.0, 0.5, 0.5)
+    assert (asked.path["a"], asked.path["b"], asked.goal["a"], asked.goal_time_s) == (
+        0.1,
+        0.0,
+        0.5,
+        0.5,
+    )
 
 
 def test_an_inactive_controller_does_not_move():

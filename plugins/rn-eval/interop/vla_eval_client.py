@@ -1,9 +1,11 @@
-"""vla-eval's own client and episode runner against a model server of ours; runs in vla-eval's environment.
+"""vla-eval's own client and episode runner against a model server of ours; runs in vla-eval's
+environment.
 
     .venv-vla-eval/bin/python plugins/rn-eval/interop/vla_eval_client.py ws://127.0.0.1:8000
 
-The benchmark sends what vla-eval's LIBERO adapter sends (names, sizes and conventions), without a simulator. Fails when
-the declared conventions do not fit, when an action is not one that it declared, or when the runner reports an error.
+The benchmark sends what vla-eval's LIBERO adapter sends (names, sizes and conventions), without a
+simulator. Fails when the declared conventions do not fit, when an action is not one that it
+declared, or when the runner reports an error.
 """
 
 from __future__ import annotations
@@ -79,7 +81,9 @@ class LikeLibero(StepBenchmark):
 def specs_of(told: dict[str, dict[str, Any]]) -> dict[str, DimSpec]:
     """What HELLO declared."""
     return {
-        name: DimSpec(s["name"], s["dims"], s["format"], tuple(s["range"]) if "range" in s else None)
+        name: DimSpec(
+            s["name"], s["dims"], s["format"], tuple(s["range"]) if "range" in s else None
+        )
         for name, s in told.items()
     }
 
@@ -91,7 +95,10 @@ async def run(url: str) -> None:
         wanted = info["observation_params"]
         benchmark = LikeLibero(wrist=wanted["send_wrist_image"], state=wanted["send_state"])
         mismatches = check_specs(
-            specs_of(info["action_spec"]), ACTION, specs_of(info["observation_spec"]), benchmark.get_observation_spec()
+            specs_of(info["action_spec"]),
+            ACTION,
+            specs_of(info["observation_spec"]),
+            benchmark.get_observation_spec(),
         )
         assert not mismatches, mismatches
         result = await SyncEpisodeRunner().run_episode(

@@ -1,7 +1,8 @@
-"""A backend serves vla-eval's clients: handshake, one action an observation, errors; the conventions of LIBERO.
+"""A backend serves vla-eval's clients: handshake, one action an observation, errors; the
+conventions of LIBERO.
 
-The first tests speak the protocol with msgpack and websockets alone; the last one is vla-eval's own client and episode
-runner, in an environment of its own (`make interop-vla-eval`).
+The first tests speak the protocol with msgpack and websockets alone; the last one is vla-eval's own
+client and episode runner, in an environment of its own (`make interop-vla-eval`).
 """
 
 from __future__ import annotations
@@ -23,7 +24,13 @@ from websockets.asyncio.client import connect
 
 from rn_eval import bridge, wire
 from rn_eval.model_server import ModelServer, open_server
-from roboneuron import ActionChunk, InvalidInputError, UngroundedError, matrix_from_quaternion, rotvec_from_matrix
+from roboneuron import (
+    ActionChunk,
+    InvalidInputError,
+    UngroundedError,
+    matrix_from_quaternion,
+    rotvec_from_matrix,
+)
 
 ROOT = Path(__file__).parents[3]
 VLA_EVAL = Path(os.environ.get("ROBONEURON_VLA_EVAL_PYTHON", ROOT / ".venv-vla-eval/bin/python"))
@@ -57,7 +64,11 @@ def image(value):
 
 def observed(**changes):
     state = {"__ndarray__": True, "data": STATE.tobytes(), "dtype": "<f8", "shape": [8]}
-    return {"images": {"agentview": image(7), "wrist": image(9)}, "task_description": "go", "states": state} | changes
+    return {
+        "images": {"agentview": image(7), "wrist": image(9)},
+        "task_description": "go",
+        "states": state,
+    } | changes
 
 
 def talk(messages, policy):
@@ -67,13 +78,19 @@ def talk(messages, policy):
         server = ModelServer(policy, name="toy", roles=("primary", "wrist"), needs_state=True)
         async with await open_server(server, "127.0.0.1", 0) as opened:
             port = opened.sockets[0].getsockname()[1]
-            health = await asyncio.to_thread(urllib.request.urlopen, f"http://127.0.0.1:{port}/health", timeout=30)
+            health = await asyncio.to_thread(
+                urllib.request.urlopen, f"http://127.0.0.1:{port}/health", timeout=30
+            )
             with health:
                 assert health.read() == b'{"status": "ok"}\n'
             answers = []
             async with connect(f"ws://127.0.0.1:{port}", compression=None) as client:
                 for seq, (kind, payload) in enumerate(messages, 1):
-                    await client.send(msgpack.packb({"type": kind, "payload": payload, "seq": seq, "timestamp": 0.0}))
+                    await client.send(
+                        msgpack.packb(
+                            {"type": kind, "payload": payload, "seq": seq, "timestamp": 0.0}
+                        )
+                    )
                     if kind in ("hello", "observation", "nonsense"):
                         answers.append(wire.unpack(await asyncio.wait_for(client.recv(), 30)))
             return answers
@@ -83,13 +100,16 @@ def talk(messages, policy):
 
 def test_an_episode_is_served():
     policy = Policy()
-    hello, *actions = talk([("hello", {}), ("episode_start", {"task": {}})] + [("observation", observed())] * 4, policy)
+    hello, *actions = talk(
+        [("hello", {}), ("episode_start", {"task": {}})] + [("observation", observed())] * 4, policy
+    )
     assert (hello.kind, hello.seq, hello.payload["protocol_version"]) == ("hello", 1, 1)
     assert hello.payload["observation_params"]["send_wrist_image"] is True
     assert [a.seq for a in actions] == [3, 4, 5, 6]
     played = np.array([a.payload["actions"] for a in actions])
     assert played.dtype == np.float32
-    np.testing.assert_allclose(played[:, 0], [0.0, 1.0, 2.0, 0.0])  # the chunk is played whole, then comes the next
+    # the chunk is played whole, then comes the next
+    np.testing.assert_allclose(played[:, 0], [0.0, 1.0, 2.0, 0.0])
     np.testing.assert_allclose(played[:, 5:], [[0.5, -1.0]] * 4)
     assert len(policy.seen) == 2
     assert policy.resets == 1
@@ -112,7 +132,11 @@ def test_a_new_episode_begins_with_a_new_chunk():
         ("observation", observed(images={"agentview": image(1)}), "expected 2"),
         ("observation", observed(states=[1.0]), "expected 8 finite numbers"),
         ("observation", observed(task_description=" "), "no task_description"),
-        ("observation", observed(images={"a": {"__image__": True, "format": "png", "data": b"x"}, "b": 1}), "be read"),
+        (
+            "observation",
+            observed(images={"a": {"__image__": True, "format": "png", "data": b"x"}, "b": 1}),
+            "be read",
+        ),
         ("nonsense", {}, "known are"),
     ],
 )
@@ -147,23 +171,48 @@ def test_rotation_vectors_keep_their_branch(angle):
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not VLA_EVAL.is_file(), reason="needs vla-eval in its own environment: make .venv-vla-eval")
+@pytest.mark.skipif(
+    not VLA_EVAL.is_file(), reason="needs vla-eval in its own environment: make .venv-vla-eval"
+)
 @pytest.mark.parametrize("backend", ["openvla", "oft"])
 def test_vla_evals_own_client_and_episode_runner_are_served(tmp_path, backend):
     checkpoint = tmp_path / "tiny"
-    subprocess.run([Path(sys.executable).parent / f"roboneuron-{backend}", "make-tiny", checkpoint], check=True)
+    subprocess.run(
+        [Path(sys.executable).parent / f"roboneuron-{backend}", "make-tiny", checkpoint], check=True
+    )
     server = subprocess.Popen(
-        [sys.executable, "-m", "roboneuron.cli.main", "eval", "serve", "--backend", backend, "--checkpoint", checkpoint,
-         "--port", "0", "--option", f"{backend}.unnorm_key=tiny", "--option", f"{backend}.max_outside_share=1",
-         "--option", "torch.device=cpu", "--option", "torch.dtype=float32"],
-        stdout=subprocess.PIPE, text=True,
-    )  # fmt: skip
+        [
+            sys.executable,
+            "-m",
+            "roboneuron.cli.main",
+            "eval",
+            "serve",
+            "--backend",
+            backend,
+            "--checkpoint",
+            checkpoint,
+            "--port",
+            "0",
+            "--option",
+            f"{backend}.unnorm_key=tiny",
+            "--option",
+            f"{backend}.max_outside_share=1",
+            "--option",
+            "torch.device=cpu",
+            "--option",
+            "torch.dtype=float32",
+        ],
+        stdout=subprocess.PIPE,
+        text=True,
+    )
     try:
         assert server.stdout is not None
         url = re.search(r"ws://\S+", server.stdout.readline())
         assert url is not None
         script = ROOT / "plugins/rn-eval/interop/vla_eval_client.py"
-        done = subprocess.run([VLA_EVAL, script, url[0]], capture_output=True, text=True, timeout=300, check=False)
+        done = subprocess.run(
+            [VLA_EVAL, script, url[0]], capture_output=True, text=True, timeout=300, check=False
+        )
         assert done.returncode == 0, done.stderr
         assert "served 20 steps" in done.stdout
     finally:

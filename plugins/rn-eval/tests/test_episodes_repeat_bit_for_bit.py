@@ -19,7 +19,9 @@ from roboneuron.plugins.discovery import discover
 
 def outcomes(plan, jobs=None):
     runner = Runner(plan)
-    jobs = jobs or list(plan.jobs(plan.build_suite(discover()).episodes(plan.episodes, plan.first_seed)))
+    jobs = jobs or list(
+        plan.jobs(plan.build_suite(discover()).episodes(plan.episodes, plan.first_seed))
+    )
     return {job.key: runner.run(job)[0].outcome for job in jobs}
 
 
@@ -45,7 +47,9 @@ def test_latency_slows_sequential_episodes_more_than_overlapped_ones(plan):
 
 
 def test_variants_meet_the_same_latencies(plan):
-    """Common random numbers: the n-th prediction of a seed takes as long under each preset and mode."""
+    """Common random numbers: the n-th prediction of a seed takes as long under each preset and
+    mode.
+    """
     draws = [parse_latency("lognormal:112ms,0.3")(np.random.default_rng([3, 9])) for _ in range(2)]
     assert [draws[0](0.0) for _ in range(5)] == [draws[1](0.0) for _ in range(5)]
 
@@ -80,16 +84,25 @@ def test_a_crash_is_an_error_and_the_others_go_on(plan, tmp_path):
     assert [r.outcome.status for r in records].count("success") == 8
     assert by_seed[3].outcome.status == "failure"
     assert (tmp_path / "strips" / by_seed[3].strip).read_bytes().startswith(b"\x89PNG")
-    again = evaluate(made, tmp_path, lambda: InProcess(made), Console(file=io.StringIO()), retry_errors=True)
+    again = evaluate(
+        made, tmp_path, lambda: InProcess(made), Console(file=io.StringIO()), retry_errors=True
+    )
     assert len(again) == 10
     assert len(read_records(tmp_path)) == 10
     assert len((tmp_path / "episodes.jsonl").read_text().splitlines()) == 11
 
 
 @pytest.mark.parametrize(
-    ("text", "median"), [("0", 0.0), ("0.112", 0.112), ("112ms", 0.112), ("lognormal:112ms,0.2", 0.112),
-                         ("normal:0.1s,10ms", 0.1), ("measured", None)],
-)  # fmt: skip
+    ("text", "median"),
+    [
+        ("0", 0.0),
+        ("0.112", 0.112),
+        ("112ms", 0.112),
+        ("lognormal:112ms,0.2", 0.112),
+        ("normal:0.1s,10ms", 0.1),
+        ("measured", None),
+    ],
+)
 def test_latencies_are_drawn_around_their_median(text, median):
     draw = parse_latency(text)(np.random.default_rng(0))
     drawn = np.median([draw(0.5) for _ in range(2001)])
@@ -104,13 +117,17 @@ def test_latencies_are_drawn_from_a_file(tmp_path):
     assert {draw(0.0) for _ in range(50)} == {0.1, 0.2}
 
 
-@pytest.mark.parametrize("text", ["fast", "-1", "lognormal:112ms", "file:/no/such/file", "uniform:1,2"])
+@pytest.mark.parametrize(
+    "text", ["fast", "-1", "lognormal:112ms", "file:/no/such/file", "uniform:1,2"]
+)
 def test_a_latency_that_is_not_understood_is_refused(text):
     with pytest.raises(ConfigurationError):
         parse_latency(text)
 
 
-@pytest.mark.parametrize("text", ["112", "0.112", "normal:112,10ms", "normal:112ms,10", "lognormal:112,0.2"])
+@pytest.mark.parametrize(
+    "text", ["112", "0.112", "normal:112,10ms", "normal:112ms,10", "lognormal:112,0.2"]
+)
 def test_a_latency_without_a_unit_is_refused_on_the_command_line(text):
     with pytest.raises(ConfigurationError, match="has no unit") as refusal:
         check_unit(text)
@@ -123,7 +140,17 @@ def test_a_deviation_of_a_logarithm_has_no_unit():
 
 
 @pytest.mark.parametrize(
-    "text", ["0", "0.0", "112ms", "0.112s", "normal:112ms,0", "normal:0.1s,10ms", "lognormal:112ms,0.2", "measured"]
+    "text",
+    [
+        "0",
+        "0.0",
+        "112ms",
+        "0.112s",
+        "normal:112ms,0",
+        "normal:0.1s,10ms",
+        "lognormal:112ms,0.2",
+        "measured",
+    ],
 )
 def test_a_latency_with_its_unit_passes(text):
     check_unit(text)
@@ -136,7 +163,17 @@ def test_the_command_refuses_it_before_it_makes_anything(toy, tmp_path):
 
     parser = ArgumentParser()
     Eval().configure(parser)
-    words = ["run", "--suite", "toy", "--backend", "steer", "--latency", "112", "--out", str(tmp_path / "out")]
+    words = [
+        "run",
+        "--suite",
+        "toy",
+        "--backend",
+        "steer",
+        "--latency",
+        "112",
+        "--out",
+        str(tmp_path / "out"),
+    ]
     with pytest.raises(ConfigurationError, match="--latency 112: 112 has no unit"):
         Eval().run(parser.parse_args(words))
     assert not (tmp_path / "out").exists()

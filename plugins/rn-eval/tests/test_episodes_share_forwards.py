@@ -1,4 +1,6 @@
-"""One model for many episodes: questions that are there at the same time become one forward of the shipped backend."""
+"""One model for many episodes: questions that are there at the same time become one forward of
+the shipped backend.
+"""
 
 from __future__ import annotations
 
@@ -33,9 +35,13 @@ def plan_of_oft(tmp_path):
     config["plugins"]["oft-primary"] = {"profile": "libero", "constants": "libero", "proprio": True}
     config["plugins"]["torch"] = {"device": "cpu", "dtype": "float32"}
     return EvalPlan(
-        suite="cubes", backend="oft-primary", checkpoint=str(tmp_path / "tiny"), config=config, episodes=1,
+        suite="cubes",
+        backend="oft-primary",
+        checkpoint=str(tmp_path / "tiny"),
+        config=config,
+        episodes=1,
         shared_policy=True,
-    )  # fmt: skip
+    )
 
 
 @pytest.fixture
@@ -47,7 +53,8 @@ def observations():
 async def _ask(actor, observations):
     await actor.open("none")
     answers = await asyncio.gather(
-        *(actor.predict("none", observation) for observation in observations), return_exceptions=True
+        *(actor.predict("none", observation) for observation in observations),
+        return_exceptions=True,
     )
     return answers, await actor.sizes()
 
@@ -58,12 +65,16 @@ def test_four_episodes_are_answered_by_one_forward(plan_of_oft, observations):
     own = load_backend(plan_of_oft, discover(), "none")
     for observation, answer in zip(observations, answers, strict=True):
         assert answer.metrics["batch"] == 4.0
-        np.testing.assert_allclose(answer.actions, own.predict(observation).actions, rtol=0, atol=1e-5)
+        np.testing.assert_allclose(
+            answer.actions, own.predict(observation).actions, rtol=0, atol=1e-5
+        )
 
 
 def test_a_bad_observation_fails_alone(plan_of_oft, observations):
     blind = dataclasses.replace(observations[1], frames={})
-    answers, sizes = asyncio.run(_ask(PolicyActor(plan_of_oft.model_dump_json()), [observations[0], blind]))
+    answers, sizes = asyncio.run(
+        _ask(PolicyActor(plan_of_oft.model_dump_json()), [observations[0], blind])
+    )
     assert isinstance(answers[1], UngroundedError)
     assert answers[0].actions.shape == (8, 7)
     assert sizes == [1]

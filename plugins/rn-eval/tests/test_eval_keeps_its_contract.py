@@ -1,4 +1,6 @@
-"""The command keeps the contract of commands, the suite that of suites, and the package that of plugins."""
+"""The command keeps the contract of commands, the suite that of suites, and the package that of
+plugins.
+"""
 
 import pytest
 

@@ -1,4 +1,6 @@
-"""For each rule of suites there is a suite that breaks it; the toy suite they are made from keeps all."""
+"""For each rule of suites there is a suite that breaks it; the toy suite they are made from
+keeps all.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,11 @@ _found.loader.exec_module(_parts)
 Toy, ToyOptions, ToyScene = _parts.Toy, _parts.ToyOptions, _parts.ToyScene
 LEFT: list[int] = []
 SPEC = SuiteSpec(
-    name="toy", summary="Reach a point.", target="toy_parts:Toy", config=f"{__name__}:ToyConfig", robot="fr3"
+    name="toy",
+    summary="Reach a point.",
+    target="toy_parts:Toy",
+    config=f"{__name__}:ToyConfig",
+    robot="fr3",
 )
 _counts = itertools.count()
 
@@ -61,7 +67,9 @@ def changed(**changes: Any) -> type:
 
 
 def episodes(change):
-    return changed(episodes=lambda self, count, first: change(list(Toy.episodes(self, count, first))))
+    return changed(
+        episodes=lambda self, count, first: change(list(Toy.episodes(self, count, first)))
+    )
 
 
 def every(**fields: Any) -> type:
@@ -144,7 +152,10 @@ MUTANTS: dict[str, tuple[str, type]] = {
     "no close": ("protocol", changed(close=None)),
     "close needs open": ("protocol", changed(close=needs_open)),
     "constructor reads a file": ("constructor-pure", changed(__init__=of_a_file)),
-    "options ignored": ("options-read", changed(__init__=lambda self, config: Toy.__init__(self, None))),
+    "options ignored": (
+        "options-read",
+        changed(__init__=lambda self, config: Toy.__init__(self, None)),
+    ),
     "prints every action": ("process-left-alone", with_scene(act=printing)),
     "seeds the global generator": ("process-left-alone", changed(open=seeding)),
     "leaves a file open": ("close-releases", changed(open=opens_a_file)),
@@ -158,7 +169,11 @@ MUTANTS: dict[str, tuple[str, type]] = {
     "endless time limit": ("episodes-usable", every(time_limit_s=float("inf"))),
     "episodes at random": (
         "episodes-stable",
-        changed(episodes=lambda self, count, first: Toy.episodes(self, count, first + 100 * next(_counts))),
+        changed(
+            episodes=lambda self, count, first: Toy.episodes(
+                self, count, first + 100 * next(_counts)
+            )
+        ),
     ),
     "episodes by count": (
         "episodes-stable",
@@ -175,16 +190,24 @@ MUTANTS: dict[str, tuple[str, type]] = {
     "another instruction": ("scene-observed", seen(lambda s, o: replace(o, instruction="wait"))),
     "stamp ignored": (
         "scene-observed",
-        seen(lambda s, o: replace(o, frames={n: replace(f, stamp_ns=1) for n, f in o.frames.items()})),
+        seen(
+            lambda s, o: replace(o, frames={n: replace(f, stamp_ns=1) for n, f in o.frames.items()})
+        ),
     ),
     "camera absent": ("scene-observed", seen(lambda s, o: replace(o, frames={}))),
     "state absent": ("scene-observed", seen(lambda s, o: replace(o, ee_pose=None))),
     "one buffer for all pictures": ("scene-observed", seen(shared_picture)),
     "noise in the physics": ("scene-repeats", with_scene(advance=noisy)),
     "episodes depend on those before": ("scene-repeats", changed(open=remembered)),
-    "seed ignored": ("seeds-differ", changed(open=lambda self, episode, setup: ToyScene(replace(episode, seed=1)))),
+    "seed ignored": (
+        "seeds-differ",
+        changed(open=lambda self, episode, setup: ToyScene(replace(episode, seed=1))),
+    ),
     "actions ignored": ("actions-act", with_scene(act=lambda self, vector, now_s: "")),
-    "act says nothing": ("actions-act", with_scene(act=lambda self, v, now_s: (ToyScene.act(self, v, now_s), None)[1])),
+    "act says nothing": (
+        "actions-act",
+        with_scene(act=lambda self, v, now_s: (ToyScene.act(self, v, now_s), None)[1]),
+    ),
     "ticks ignored": ("ticks-add-up", with_scene(advance=once_per_call)),
     "success at the start": ("nothing-done-is-no-success", judged(success=True)),
     "over at the start": ("nothing-done-is-no-success", judged(is_over=True)),
@@ -210,7 +233,11 @@ def make_case(target: type, monkeypatch: pytest.MonkeyPatch) -> SuiteCase:
     camera = CameraProfile(name="front", role="primary", frame_id="front", width=32, height=32)
     config = load_config(None)
     setup = Setup(
-        profile=gantry_profile(), cameras={"primary": camera}, controller=None, config=config, needs_state=True
+        profile=gantry_profile(),
+        cameras={"primary": camera},
+        controller=None,
+        config=config,
+        needs_state=True,
     )
     monkeypatch.setattr(SuiteCase, "_target", lambda self, descriptor: target)
     return SuiteCase(spec=SPEC, options={"crashes": False}, setup=lambda: setup)
@@ -227,7 +254,9 @@ def own(name: str) -> Any:
     return next(rule for rule in RULES if rule.id == f"suite/{name}")
 
 
-@pytest.mark.parametrize("rule", [r for r in RULES if r.id.startswith("suite/")], ids=lambda rule: rule.id)
+@pytest.mark.parametrize(
+    "rule", [r for r in RULES if r.id.startswith("suite/")], ids=lambda rule: rule.id
+)
 def test_the_toy_keeps_every_rule(rule, monkeypatch):
     outcome = verify(rule, make_case(Good, monkeypatch))
     assert outcome.verdict is Verdict.PASSED, outcome
@@ -242,4 +271,6 @@ def test_a_broken_suite_fails_its_rule(name, monkeypatch):
 
 
 def test_every_rule_has_a_suite_that_breaks_it():
-    assert {f"suite/{rule}" for rule, _ in MUTANTS.values()} == {r.id for r in RULES if r.id.startswith("suite/")}
+    assert {f"suite/{rule}" for rule, _ in MUTANTS.values()} == {
+        r.id for r in RULES if r.id.startswith("suite/")
+    }

@@ -8,7 +8,12 @@ from PIL import Image
 
 from rn_eval.film import Film
 
-COLOURS = {"red": (200, 30, 30), "green": (30, 160, 60), "blue": (30, 60, 200), "yellow": (230, 200, 40)}
+COLOURS = {
+    "red": (200, 30, 30),
+    "green": (30, 160, 60),
+    "blue": (30, 60, 200),
+    "yellow": (230, 200, 40),
+}
 
 
 def table(colour):
@@ -34,7 +39,9 @@ def test_time_and_caption_stand_apart(width):
     """One text beside the other reads "30.0send" in the font of the strip."""
     film = Film()
     film.add(0.0, "", np.full((160, width, 3), 128, np.uint8))
-    sheet = np.asarray(Image.open(io.BytesIO(film.strip((30.0, "end", film._frames[0][2])))).convert("L"))
+    sheet = np.asarray(
+        Image.open(io.BytesIO(film.strip((30.0, "end", film._frames[0][2])))).convert("L")
+    )
     inked = np.flatnonzero((sheet[160:, width + 3 :] < 128).any(axis=0))
     assert len(inked) > 20
     assert np.diff(inked).max() >= 8

@@ -21,10 +21,19 @@ def rows_of(presets, executions):
     for preset in presets:
         for execution in executions:
             for seed in range(4):
-                key = Key(suite="s", preset=preset, execution=execution, latency="112ms", task="t", seed=seed)
+                key = Key(
+                    suite="s",
+                    preset=preset,
+                    execution=execution,
+                    latency="112ms",
+                    task="t",
+                    seed=seed,
+                )
                 outcome = Outcome(status="success", metrics={"tokens_kept": 64.0})
                 measured = Measured(inference_ms=[9.0, 10.0, 10.0], cold=1)
-                records.append(Record(key=key, instruction="go", outcome=outcome, measured=measured))
+                records.append(
+                    Record(key=key, instruction="go", outcome=outcome, measured=measured)
+                )
     return summarise(records).rows
 
 
@@ -45,8 +54,13 @@ def test_no_text_covers_another(paint, presets, executions):
     paint(axes, rows_of(presets, executions))
     figure.draw_without_rendering()
     beyond = ("", "120", "\N{MINUS SIGN}20")  # ticks that are not drawn
-    texts = [text for text in figure.findobj(Text) if text.get_visible() and text.get_text() not in beyond]
-    is_level = [text for text in texts if text.get_rotation() in (0.0, 90.0)]  # boxes of slanted ones are not the text
+    texts = [
+        text
+        for text in figure.findobj(Text)
+        if text.get_visible() and text.get_text() not in beyond
+    ]
+    # boxes of slanted ones are not the text
+    is_level = [text for text in texts if text.get_rotation() in (0.0, 90.0)]
     boxes = [(text.get_text(), text.get_window_extent()) for text in is_level]
     covered = [(a, b) for (a, one), (b, other) in combinations(boxes, 2) if one.overlaps(other)]
     assert covered == []

@@ -1,7 +1,9 @@
 """Ledgers with published counts give the published tables.
 
-The per-episode files of vla-eval's repository are Git LFS pointers in the public copies of it, so counts are taken
-from what is published: vla-eval docs/reproductions/{openvla,oft,openpi}.md (500 episodes a suite), and the RoboNeuron
+The per-episode files of vla-eval's repository are Git LFS pointers in the public copies of it, so
+counts are taken
+from what is published: vla-eval docs/reproductions/{openvla,oft,openpi}.md (500 episodes a suite),
+    and the RoboNeuron
 paper's Case IV.
 """
 
@@ -37,12 +39,21 @@ def records(shares, preset="none", inference_ms=100.0):
         solved = round(share * 5)
         for number in range(500):
             key = Key(
-                suite=suite, preset=preset, execution="sequential", latency="0", task=f"task-{number % 10}",
+                suite=suite,
+                preset=preset,
+                execution="sequential",
+                latency="0",
+                task=f"task-{number % 10}",
                 seed=number // 10,
-            )  # fmt: skip
+            )
             outcome = Outcome(status="success" if number < solved else "failure")
             found.append(
-                Record(key=key, instruction="", outcome=outcome, measured=Measured(inference_ms=[inference_ms]))
+                Record(
+                    key=key,
+                    instruction="",
+                    outcome=outcome,
+                    measured=Measured(inference_ms=[inference_ms]),
+                )
             )
     return found
 
@@ -59,7 +70,9 @@ def test_published_reproductions_come_out_to_the_digit(name):
 
 
 def test_the_published_margin_is_that_of_the_interval():
-    """docs/reproductions/README.md: +-1.9 points at 95 % of 500 episodes (normal); Wilson's is as wide."""
+    """docs/reproductions/README.md: +-1.9 points at 95 % of 500 episodes (normal); Wilson's is
+    as wide.
+    """
     share = proportion(475, 500)
     assert round(100 * 1.96 * math.sqrt(0.95 * 0.05 / 500), 1) == 1.9
     assert round(50 * (share.high - share.low), 1) == 1.9
@@ -67,11 +80,17 @@ def test_the_published_margin_is_that_of_the_interval():
 
 
 def test_the_papers_table_comes_from_a_ledger():
-    made = [r for preset, (shares, gain) in CASE_4.items() for r in records(shares, preset, 158.0 / gain)]
+    made = [
+        r
+        for preset, (shares, gain) in CASE_4.items()
+        for r in records(shares, preset, 158.0 / gain)
+    ]
     table = paper_table(summarise(made))
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines()]
     assert rows[0][1:5] == [f"{suite} %" for suite in SUITES]
-    for row, name, (shares, gain) in zip(rows[2:], ("baseline", "P25", "P50", "P75"), CASE_4.values(), strict=True):
+    for row, name, (shares, gain) in zip(
+        rows[2:], ("baseline", "P25", "P50", "P75"), CASE_4.values(), strict=True
+    ):
         assert row[0] == name
         assert [float(cell.split()[0]) for cell in row[1:5]] == list(shares)
         assert row[-1] == f"{gain:.2f}x"

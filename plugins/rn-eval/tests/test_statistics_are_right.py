@@ -22,7 +22,9 @@ from roboneuron import ConfigurationError
 
 
 def test_wilson_interval_of_published_examples():
-    """Newcombe 1998, Statistics in Medicine 17:857, table I, method 3 (Wilson score without continuity correction)."""
+    """Newcombe 1998, Statistics in Medicine 17:857, table I, method 3 (Wilson score without
+    continuity correction).
+    """
     published = {
         (81, 263): (0.2553, 0.3662),
         (15, 148): (0.0624, 0.1605),
@@ -37,7 +39,8 @@ def test_wilson_interval_of_published_examples():
 def test_mcnemar_counts_only_pairs_that_differ():
     """Exact: 2 x P(X <= 1 | n = 9, 1/2) = 2 x 10 / 512."""
     first = {i: i < 20 for i in range(40)}
-    second = {i: (i < 12) or i == 25 for i in range(45)}  # 8 lost, 1 won; five episodes have no partner
+    # 8 lost, 1 won; five episodes have no partner
+    second = {i: (i < 12) or i == 25 for i in range(45)}
     found = mcnemar(first, second)
     assert (found.pairs, found.only_first, found.only_second) == (40, 8, 1)
     assert found.p_value == pytest.approx(20 / 512)
@@ -52,15 +55,29 @@ def test_without_data_there_are_no_numbers():
 
 def made_records():
     """LIBERO-like: two suites, two presets."""
-    counts = {("spatial", "none"): 9, ("spatial", "fastv-p75"): 8, ("goal", "none"): 7, ("goal", "fastv-p75"): 3}
+    counts = {
+        ("spatial", "none"): 9,
+        ("spatial", "fastv-p75"): 8,
+        ("goal", "none"): 7,
+        ("goal", "fastv-p75"): 3,
+    }
     records = []
     for (suite, preset), won in counts.items():
         for seed in range(10):
-            key = Key(suite=suite, preset=preset, execution="sequential", latency="0", task="t", seed=seed)
+            key = Key(
+                suite=suite, preset=preset, execution="sequential", latency="0", task="t", seed=seed
+            )
             times = [900.0] + [60.0 if preset == "none" else 40.0] * 4
-            outcome = Outcome(status="success" if seed < won else "failure", metrics={"tokens_kept": 64.0})
+            outcome = Outcome(
+                status="success" if seed < won else "failure", metrics={"tokens_kept": 64.0}
+            )
             records.append(
-                Record(key=key, instruction="i", outcome=outcome, measured=Measured(inference_ms=times, cold=1))
+                Record(
+                    key=key,
+                    instruction="i",
+                    outcome=outcome,
+                    measured=Measured(inference_ms=times, cold=1),
+                )
             )
     return records
 
@@ -71,7 +88,14 @@ def test_the_papers_table_has_success_by_suite_and_speed_up():
         for line in paper_table(summarise(made_records())).splitlines()
     ]
     assert lines[0] == ["preset", "spatial %", "goal %", "mean %", "inference ms", "speed-up"]
-    assert lines[2] == ["baseline", "90.0 [59.6, 98.2]", "70.0 [39.7, 89.2]", "80.0", "60.0", "1.00x"]
+    assert lines[2] == [
+        "baseline",
+        "90.0 [59.6, 98.2]",
+        "70.0 [39.7, 89.2]",
+        "80.0",
+        "60.0",
+        "1.00x",
+    ]
     assert lines[3] == ["P75", "80.0 [49.0, 94.3]", "30.0 [10.8, 60.3]", "55.0", "40.0", "1.50x"]
 
 
@@ -84,16 +108,26 @@ def test_presets_are_compared_on_the_same_episodes():
 
 
 def told(**facts_of_seed):
-    """Episodes that tell facts: seeds 0, 1, ...; even ones succeed, odd ones under the second preset too."""
+    """Episodes that tell facts: seeds 0, 1, ...; even ones succeed, odd ones under the second
+    preset too.
+    """
     names, values = list(facts_of_seed), list(zip(*facts_of_seed.values(), strict=True))
     records = []
     for preset in ("none", "fastv-p50"):
         for seed, told_of in enumerate(values):
-            key = Key(suite="s", preset=preset, execution="sequential", latency="0", task="t", seed=seed)
-            facts = {name: value for name, value in zip(names, told_of, strict=True) if value is not None}
+            key = Key(
+                suite="s", preset=preset, execution="sequential", latency="0", task="t", seed=seed
+            )
+            facts = {
+                name: value for name, value in zip(names, told_of, strict=True) if value is not None
+            }
             won = seed % 2 == 0 or preset != "none"
             records.append(
-                Record(key=key, instruction="i", outcome=Outcome(status="success" if won else "failure", facts=facts))
+                Record(
+                    key=key,
+                    instruction="i",
+                    outcome=Outcome(status="success" if won else "failure", facts=facts),
+                )
             )
     return summarise(records)
 
@@ -115,7 +149,10 @@ def test_a_breakdown_counts_success_by_ranges_of_a_fact():
 
 def test_a_breakdown_by_a_text_has_a_line_for_each_value():
     lines = lines_of(breakdown(told(target=["red", "blue", "red"]), "target"))
-    assert [(line[0], line[1].split("(")[1]) for line in lines[2:]] == [("blue", "0/1)"), ("red", "2/2)")]
+    assert [(line[0], line[1].split("(")[1]) for line in lines[2:]] == [
+        ("blue", "0/1)"),
+        ("red", "2/2)"),
+    ]
 
 
 @pytest.mark.parametrize(
@@ -151,14 +188,19 @@ def test_reasons_that_differ_in_numbers_only_are_one_line():
     ]
     records = [
         Record(
-            key=Key(suite="s", preset="none", execution="sequential", latency="0", task="t", seed=seed),
-            instruction="i", outcome=Outcome(status="failure", reason=text),
+            key=Key(
+                suite="s", preset="none", execution="sequential", latency="0", task="t", seed=seed
+            ),
+            instruction="i",
+            outcome=Outcome(status="failure", reason=text),
         )
         for seed, text in enumerate(texts)
-    ]  # fmt: skip
+    ]
     assert summarise(records).rows[0].reasons == (
-        ("Time.", 3), ("The red cube was lifted by ... cm.", 2), ("Row 7 is old.", 1),
-    )  # fmt: skip
+        ("Time.", 3),
+        ("The red cube was lifted by ... cm.", 2),
+        ("Row 7 is old.", 1),
+    )
 
 
 def test_an_episode_of_two_ledgers_is_not_counted_twice(plan, tmp_path):

@@ -1,4 +1,6 @@
-"""One line for each episode, on disk before it counts; a cut line is run again; nothing is there twice."""
+"""One line for each episode, on disk before it counts; a cut line is run again; nothing is
+there twice.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,9 @@ def record(seed, status="success"):
 
 
 def test_every_prefix_of_a_ledger_can_be_continued(plan, tmp_path):
-    """A crash may cut the file anywhere: what is whole stays, what is not is run again, and the end is the same."""
+    """A crash may cut the file anywhere: what is whole stays, what is not is run again, and the
+    end is the same.
+    """
     made = plan(episodes=3)
     quiet = Console(file=io.StringIO())
     whole = evaluate(made, tmp_path / "whole", lambda: InProcess(made), quiet)
@@ -57,14 +61,21 @@ def test_a_finished_episode_is_not_run_twice(plan, tmp_path):
 
 @pytest.fixture
 def sigterm():
-    """Puts back what SIGTERM did; Ctrl-C works, as it does not in a process that a shell has put in the background."""
-    before, interrupt = signal.getsignal(signal.SIGTERM), signal.signal(signal.SIGINT, signal.default_int_handler)
+    """Puts back what SIGTERM did; Ctrl-C works, as it does not in a process that a shell has
+    put in the background.
+    """
+    before, interrupt = (
+        signal.getsignal(signal.SIGTERM),
+        signal.signal(signal.SIGINT, signal.default_int_handler),
+    )
     yield before
     signal.signal(signal.SIGTERM, before)
     signal.signal(signal.SIGINT, interrupt)
 
 
-@pytest.mark.parametrize(("number", "ended"), [(signal.SIGINT, KeyboardInterrupt), (signal.SIGTERM, SystemExit)])
+@pytest.mark.parametrize(
+    ("number", "ended"), [(signal.SIGINT, KeyboardInterrupt), (signal.SIGTERM, SystemExit)]
+)
 def test_who_ends_a_run_learns_what_is_kept(plan, tmp_path, sigterm, number, ended):
     class Ended(InProcess):
         def run(self, jobs):
@@ -111,7 +122,10 @@ def test_an_episode_is_refused_a_second_time_unless_it_crashed(plan, tmp_path):
         ledger.add(record(1))
         with pytest.raises(StateError, match="in the ledger already"):
             ledger.add(record(0))
-    assert {r.key.seed: r.outcome.status for r in read_records(tmp_path)} == {0: "success", 1: "success"}
+    assert {r.key.seed: r.outcome.status for r in read_records(tmp_path)} == {
+        0: "success",
+        1: "success",
+    }
 
 
 def test_a_repeated_or_damaged_line_is_refused(plan, tmp_path):
@@ -161,7 +175,8 @@ def test_a_full_disk_is_told_with_the_file_and_leaves_the_ledger_whole(plan, tmp
         ledger.add(record(0))
         whole = (tmp_path / FILE_NAME).read_bytes()
         soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-        resource.setrlimit(resource.RLIMIT_FSIZE, (len(whole) + 30, hard))  # as on a disk that is full
+        # as on a disk that is full
+        resource.setrlimit(resource.RLIMIT_FSIZE, (len(whole) + 30, hard))
         try:
             with pytest.raises(StateError, match="cannot be written") as refusal:
                 ledger.add(record(1), b"x" * 100_000 if with_strip else None)

@@ -38,7 +38,14 @@ def test_versions_are_those_of_all_that_the_outcome_depends_on():
     )
     found = installed_versions(plan, discover())
     assert found["python"] == platform.python_version()
-    own = {"roboneuron-core", "rn-eval", "rn-standard", "rn-simulation", "rn-robot-fr3", "rn-controller-urdf"}
+    own = {
+        "roboneuron-core",
+        "rn-eval",
+        "rn-standard",
+        "rn-simulation",
+        "rn-robot-fr3",
+        "rn-controller-urdf",
+    }
     model = {"rn-backend-oft", "rn-runtime-torch", "rn-accel-fastv", "rn-vla", "torch", "numpy"}
     assert own | model <= set(found)
     assert {"pybullet", "mujoco"} & set(found)
@@ -61,7 +68,9 @@ def test_a_run_goes_on_under_other_versions_only_when_told_to(plan, tmp_path):
         ledger.open(begun)
     now = plan(episodes=1)
     now = now.model_copy(update={"versions": installed_versions(now, discover())})
-    with pytest.raises(ConfigurationError, match=r"begun under other versions: roboneuron-core 0\.1 ->") as refusal:
+    with pytest.raises(
+        ConfigurationError, match=r"begun under other versions: roboneuron-core 0\.1 ->"
+    ) as refusal:
         evaluate(now, tmp_path, lambda: InProcess(now), QUIET)
     assert "--other-versions" in refusal.value.hint
     assert read_plan(tmp_path) == begun
@@ -76,10 +85,14 @@ def test_a_run_goes_on_under_other_versions_only_when_told_to(plan, tmp_path):
 
 def test_a_worker_of_other_versions_is_refused(plan, tmp_path):
     key = Key(suite="toy", preset="none", execution="sequential", latency="0", task="t", seed=0)
-    foreign = Record(key=key, instruction="reach", outcome=Outcome(status="success"), host="far", versions=OLDER)
+    foreign = Record(
+        key=key, instruction="reach", outcome=Outcome(status="success"), host="far", versions=OLDER
+    )
     with Ledger(tmp_path) as ledger:
         ledger.open(plan(versions={"rn-eval": "0.2"}))
-        with pytest.raises(ConfigurationError, match=r"worker on far has other versions .*rn-eval 0\.2 -> 0\.1"):
+        with pytest.raises(
+            ConfigurationError, match=r"worker on far has other versions .*rn-eval 0\.2 -> 0\.1"
+        ):
             ledger.add(foreign)
     assert read_records(tmp_path) == []
 

@@ -1,4 +1,6 @@
-"""Episodes on Ray: as in one process, whatever is killed meanwhile; a shared policy answers in batches."""
+"""Episodes on Ray: as in one process, whatever is killed meanwhile; a shared policy answers in
+batches.
+"""
 
 from __future__ import annotations
 
@@ -24,12 +26,28 @@ pytestmark = [pytest.mark.slow, pytest.mark.timeout(LIMIT_S)]
 
 
 def command(folder, *words):
-    return [sys.executable, "-m", "roboneuron.cli.main", "eval", "run", "--suite", "toy", "--backend", "steer",
-            "--out", str(folder), "--strips", "none", *words]  # fmt: skip
+    return [
+        sys.executable,
+        "-m",
+        "roboneuron.cli.main",
+        "eval",
+        "run",
+        "--suite",
+        "toy",
+        "--backend",
+        "steer",
+        "--out",
+        str(folder),
+        "--strips",
+        "none",
+        *words,
+    ]
 
 
 def finish(folder, *words):
-    done = subprocess.run(command(folder, *words), capture_output=True, text=True, timeout=LIMIT_S, check=False)
+    done = subprocess.run(
+        command(folder, *words), capture_output=True, text=True, timeout=LIMIT_S, check=False
+    )
     assert done.returncode in (0, 1), done.stderr
     return done
 
@@ -38,8 +56,11 @@ def refused(folder, *words):
     """What a run of two episodes and two workers says that is refused."""
     done = subprocess.run(
         command(folder, "--episodes", "2", "--workers", "2", *words),
-        capture_output=True, text=True, timeout=LIMIT_S, check=False,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        timeout=LIMIT_S,
+        check=False,
+    )
     assert done.returncode == 2
     return done.stderr
 
@@ -49,7 +70,14 @@ def outcomes(folder):
 
 
 def test_two_workers_give_what_one_gives(toy, tmp_path):
-    words = ("--episodes", "12", "--latency", "lognormal:112ms,0.3", "--execution", "sequential,overlap")
+    words = (
+        "--episodes",
+        "12",
+        "--latency",
+        "lognormal:112ms,0.3",
+        "--execution",
+        "sequential,overlap",
+    )
     finish(tmp_path / "one", *words)
     finish(tmp_path / "two", *words, "--workers", "2")
     assert outcomes(tmp_path / "one") == outcomes(tmp_path / "two")
@@ -61,19 +89,29 @@ def cluster(toy, tmp_path, monkeypatch):
     """Address of a Ray cluster of its own, with two CPUs."""
     import ray
 
-    monkeypatch.setenv("RAY_AUTH_MODE", "disabled")  # else it depends on whether this user has a token
+    # else it depends on whether this user has a token
+    monkeypatch.setenv("RAY_AUTH_MODE", "disabled")
     with socket.socket() as free:
         free.bind(("", 0))
         port = free.getsockname()[1]
-    address, log = f"{ray.util.get_node_ip_address()}:{port}", tmp_path / "ray.log"  # Ray replaces 127.0.0.1 by it
+    # Ray replaces 127.0.0.1 by it
+    address, log = f"{ray.util.get_node_ip_address()}:{port}", tmp_path / "ray.log"
     # Not below pytest's folder: Ray's sockets lie there, and their paths may have 107 characters.
     with tempfile.TemporaryDirectory(prefix="ray-") as folder:
         words = ("--head", "--block", f"--port={port}", "--num-cpus=2", "--disable-usage-stats")
         with log.open("w") as output:
             head = subprocess.Popen(
-                [sys.executable, "-m", "ray.scripts.scripts", "start", f"--temp-dir={folder}", *words],
-                stdout=output, stderr=output,
-            )  # fmt: skip
+                [
+                    sys.executable,
+                    "-m",
+                    "ray.scripts.scripts",
+                    "start",
+                    f"--temp-dir={folder}",
+                    *words,
+                ],
+                stdout=output,
+                stderr=output,
+            )
         try:
             until_s = time.monotonic() + 120.0
             while "runtime started" not in log.read_text(encoding="utf-8"):
@@ -82,18 +120,23 @@ def cluster(toy, tmp_path, monkeypatch):
                 time.sleep(0.2)
             yield address
         finally:
-            children = psutil.Process(head.pid).children(recursive=True) if head.poll() is None else []
+            children = (
+                psutil.Process(head.pid).children(recursive=True) if head.poll() is None else []
+            )
             head.terminate()
             for process in psutil.wait_procs(children, timeout=20.0)[1]:
                 process.kill()
             head.wait(20)
 
 
-def test_a_cluster_does_what_one_process_does_and_is_used_only_when_named(cluster, tmp_path, monkeypatch):
+def test_a_cluster_does_what_one_process_does_and_is_used_only_when_named(
+    cluster, tmp_path, monkeypatch
+):
     finish(tmp_path / "one", "--episodes", "6")
     finish(tmp_path / "named", "--episodes", "6", "--workers", "2", "--ray-address", cluster)
     assert outcomes(tmp_path / "one") == outcomes(tmp_path / "named")
-    monkeypatch.setenv("RAY_ADDRESS", cluster)  # where Ray goes by itself; it has no room for three workers
+    # where Ray goes by itself; it has no room for three workers
+    monkeypatch.setenv("RAY_ADDRESS", cluster)
     finish(tmp_path / "local", "--episodes", "6", "--workers", "3")
     assert outcomes(tmp_path / "one") == outcomes(tmp_path / "local")
 
@@ -131,7 +174,9 @@ def test_kills_of_workers_driver_and_ray_lose_no_episode_and_run_none_twice(toy,
     while killed.total() < KILLS and time.monotonic() - begun_s < LIMIT_S:
         if driver is None or driver.poll() is not None:
             driver = subprocess.Popen(
-                command(tmp_path, *words, "--workers", "2"), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+                command(tmp_path, *words, "--workers", "2"),
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
             )
         count = len(_lines(tmp_path))
         _await(lambda d=driver, c=count: len(_lines(tmp_path)) > c or d.poll() is not None)
@@ -147,7 +192,8 @@ def test_kills_of_workers_driver_and_ray_lose_no_episode_and_run_none_twice(toy,
         driver.wait()
     print(dict(killed), f"{len(_lines(tmp_path))} episodes, {time.monotonic() - begun_s:.0f} s")
     assert killed.total() == KILLS
-    deadly = sum(line["outcome"]["status"] == "error" for line in _lines(tmp_path))  # chance has hit one three times
+    # chance has hit one three times
+    deadly = sum(line["outcome"]["status"] == "error" for line in _lines(tmp_path))
     finish(tmp_path, "--episodes", "400", "--suite-option", "slow_s=0.3", "--retry-errors")
     records = read_records(tmp_path)
     assert sorted(record.key.seed for record in records) == list(range(400))
@@ -158,7 +204,11 @@ def test_kills_of_workers_driver_and_ray_lose_no_episode_and_run_none_twice(toy,
 def _lines(folder):
     path = folder / FILE_NAME
     return (
-        [json.loads(line) for line in path.read_text().splitlines(keepends=True) if line.endswith("\n")]
+        [
+            json.loads(line)
+            for line in path.read_text().splitlines(keepends=True)
+            if line.endswith("\n")
+        ]
         if path.exists()
         else []
     )
@@ -172,7 +222,17 @@ def _await(condition, limit_s=600.0):
 
 
 def test_a_shared_policy_answers_many_workers_at_once(toy, tmp_path):
-    done = finish(tmp_path, "--backend", "steer-batch", "--episodes", "12", "--workers", "3", "--policy-actors", "1")
+    done = finish(
+        tmp_path,
+        "--backend",
+        "steer-batch",
+        "--episodes",
+        "12",
+        "--workers",
+        "3",
+        "--policy-actors",
+        "1",
+    )
     assert done.returncode == 0
     finish(tmp_path / "own", "--backend", "steer-batch", "--episodes", "12")
     assert outcomes(tmp_path) == outcomes(tmp_path / "own")

@@ -58,7 +58,11 @@ class ToyScene:
         frame = Frame(camera="front", image=image, stamp_ns=stamp_ns, frame_id="front")
         pose = Pose(position_m=self.goal - self.here, quaternion_xyzw=DOWN, stamp_ns=stamp_ns)
         return Observation(
-            frames={"primary": frame}, instruction="reach", ee_pose=pose, gripper_open=1.0, stamp_ns=stamp_ns
+            frames={"primary": frame},
+            instruction="reach",
+            ee_pose=pose,
+            gripper_open=1.0,
+            stamp_ns=stamp_ns,
         )
 
     def act(self, vector, now_s):
@@ -74,7 +78,12 @@ class ToyScene:
     def judge(self):
         distance = float(np.linalg.norm(self.goal - self.here))
         facts = {"distance_m": round(distance, 4), "right_object": 1.0}
-        return Judgement(success=distance < 0.03, is_over=distance < 0.03, reason="It was not reached.", facts=facts)
+        return Judgement(
+            success=distance < 0.03,
+            is_over=distance < 0.03,
+            reason="It was not reached.",
+            facts=facts,
+        )
 
     def state(self):
         return self.here.tobytes()

@@ -1,4 +1,6 @@
-"""A suite and two policies of milliseconds an episode, for tests; installed in a temporary folder."""
+"""A suite and two policies of milliseconds an episode, for tests; installed in a temporary
+folder.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,11 @@ def roboneuron_suites():
 
     return [
         SuiteSpec(
-            name="toy", summary="Reach a point.", target="toy_parts:Toy", config="toy_parts:ToyOptions", robot="fr3"
+            name="toy",
+            summary="Reach a point.",
+            target="toy_parts:Toy",
+            config="toy_parts:ToyOptions",
+            robot="fr3",
         )
     ]
 
@@ -20,6 +26,12 @@ def roboneuron_suites():
 def roboneuron_backends():
     space = ActionSpace(horizon=8, step_s=0.1)
     return [
-        BackendSpec(name=name, summary="Steers.", target=f"toy_parts:{target}", needs_state=True, action_space=space)
+        BackendSpec(
+            name=name,
+            summary="Steers.",
+            target=f"toy_parts:{target}",
+            needs_state=True,
+            action_space=space,
+        )
         for name, target in (("steer", "Steer"), ("steer-batch", "SteerBatch"))
     ]

@@ -1,4 +1,6 @@
-"""The board for Grafana and the alert rules for Prometheus ask only for metrics, labels and values that there are."""
+"""The board for Grafana and the alert rules for Prometheus ask only for metrics, labels and
+values that there are.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +42,9 @@ def exported(tmp_path_factory: pytest.TempPathFactory) -> dict[str, set[str]]:
     application = Application(
         parse_config('[robot]\nname = "gantry"\n[metrics]\nprometheus = true\nport = 0\n'),
         plugins=PluginCatalogue(discover=lambda disabled: registry),
-        supervisor=Supervisor(tmp_path_factory.mktemp("state"), command=lambda python: pytest.fail("not spawned")),
+        supervisor=Supervisor(
+            tmp_path_factory.mktemp("state"), command=lambda python: pytest.fail("not spawned")
+        ),
     )
     try:
         feature: Any = application.features.get("metrics")
@@ -51,7 +55,9 @@ def exported(tmp_path_factory: pytest.TempPathFactory) -> dict[str, set[str]]:
         meters.switches.labels("control", "ok")
         meters.latency_s.labels("control")
         meters.task_s.labels("succeeded")
-        meters.on_decision(AuditRecord(who="a", role="admin", tool="t", endpoint="e", verdict="refused", rule="r"))
+        meters.on_decision(
+            AuditRecord(who="a", role="admin", tool="t", endpoint="e", verdict="refused", rule="r")
+        )
         found: dict[str, set[str]] = {}
         for family in meters.registry.collect():
             labels = {label for sample in family.samples for label in sample.labels}
@@ -65,20 +71,30 @@ def exported(tmp_path_factory: pytest.TempPathFactory) -> dict[str, set[str]]:
 
 def asked(expressions: list[str]) -> list[tuple[str, list[tuple[str, str, str]]]]:
     """Each metric with its matchers."""
-    return [(name, MATCHER.findall(inner or "")) for expr in expressions for name, inner in SELECTOR.findall(expr)]
+    return [
+        (name, MATCHER.findall(inner or ""))
+        for expr in expressions
+        for name, inner in SELECTOR.findall(expr)
+    ]
 
 
-@pytest.mark.parametrize("expressions", [EXPRESSIONS, [rule["expr"] for rule in ALERTS]], ids=["board", "alerts"])
+@pytest.mark.parametrize(
+    "expressions", [EXPRESSIONS, [rule["expr"] for rule in ALERTS]], ids=["board", "alerts"]
+)
 def test_metrics_and_labels_exist(exported: dict[str, set[str]], expressions: list[str]) -> None:
     found = asked(expressions)
     assert len(found) >= 10
     for name, matchers in found:
         assert name in exported, name
         for label, _, _ in matchers:
-            assert label in exported[name] | OF_PROMETHEUS, f"{name} has no label {label}: {exported[name]}"
+            assert label in exported[name] | OF_PROMETHEUS, (
+                f"{name} has no label {label}: {exported[name]}"
+            )
     for expr in expressions:
         for clause in re.findall(r"\bby \(([^)]*)\)", expr):
-            known = {"le"} | OF_PROMETHEUS | set().union(*(exported[name] for name, _ in asked([expr])))
+            known = (
+                {"le"} | OF_PROMETHEUS | set().union(*(exported[name] for name, _ in asked([expr])))
+            )
             assert {label.strip() for label in clause.split(",")} <= known, expr
 
 
@@ -86,7 +102,9 @@ def test_metrics_and_labels_exist(exported: dict[str, set[str]], expressions: li
 def test_expressions_are_whole(expr: str) -> None:
     for opening, closing in ("()", "{}", "[]"):
         assert expr.count(opening) == expr.count(closing), expr
-    assert all(DURATION.fullmatch(span) or span == "$__range" for span in re.findall(r"\[([^]]*)\]", expr)), expr
+    assert all(
+        DURATION.fullmatch(span) or span == "$__range" for span in re.findall(r"\[([^]]*)\]", expr)
+    ), expr
     for function in re.findall(r"\b(?:rate|increase)\(([^()]*)\)", expr):
         assert re.search(r"_(total|bucket|count|sum)\b", function), f"{function} is no counter"
         assert "[" in function
@@ -131,11 +149,14 @@ def test_rules_are_as_prometheus_wants_them() -> None:
         for label in re.findall(r"\$labels\.(\w+)", str(rule["annotations"])):
             by = re.findall(r"\bby \(([^)]*)\)", rule["expr"])
             kept = [{name.strip() for name in clause.split(",")} for clause in by]
-            assert all(label in names for names in kept), f"{rule['alert']} has no label {label} left"
+            assert all(label in names for names in kept), (
+                f"{rule['alert']} has no label {label} left"
+            )
 
 
 @pytest.mark.parametrize(
-    "about", ["module_health", "emergency_stop", "late_action", "old_", "age_seconds", "tasks_total"]
+    "about",
+    ["module_health", "emergency_stop", "late_action", "old_", "age_seconds", "tasks_total"],
 )
 def test_what_people_must_know_of_has_an_alert(about: str) -> None:
     assert any(about in rule["expr"] for rule in ALERTS)

@@ -34,7 +34,9 @@ port = 0
 
 @pytest.fixture
 def serve(tmp_path):
-    """Return a function that makes a server with the feature; nothing is started and no ROS is touched."""
+    """Return a function that makes a server with the feature; nothing is started and no ROS is
+    touched.
+    """
     made = []
 
     def make(*, prometheus=True, namespace="gantry"):
@@ -42,7 +44,9 @@ def serve(tmp_path):
         application = Application(
             parse_config(CONFIG.format(prometheus=str(prometheus).lower(), namespace=namespace)),
             plugins=PluginCatalogue(discover=lambda disabled: registry),
-            supervisor=Supervisor(tmp_path, command=lambda python: pytest.fail("nothing may be spawned")),
+            supervisor=Supervisor(
+                tmp_path, command=lambda python: pytest.fail("nothing may be spawned")
+            ),
         )
         made.append(application)
         application.events.open.tell()
@@ -59,7 +63,10 @@ def scrape(feature):
     with urlopen(f"http://127.0.0.1:{feature.port}/metrics", timeout=30) as answer:
         text = answer.read().decode()
     return {
-        (sample.name, *sorted(label for label in sample.labels.items() if label != ("robot", "gantry"))): sample.value
+        (
+            sample.name,
+            *sorted(label for label in sample.labels.items() if label != ("robot", "gantry")),
+        ): sample.value
         for family in text_string_to_metric_families(text)
         for sample in family.samples
     }
@@ -98,14 +105,21 @@ def test_a_call_that_failed_is_counted_by_its_code_when_a_client_makes_it(serve)
     anyio.run(ask)
     found = scrape(feature)
     assert found["roboneuron_tool_calls_total", ("result", "ok"), ("tool", "get_status")] == 1
-    assert found["roboneuron_tool_calls_total", ("result", "invalid_input"), ("tool", "get_status")] == 1
+    assert (
+        found["roboneuron_tool_calls_total", ("result", "invalid_input"), ("tool", "get_status")]
+        == 1
+    )
 
 
 def test_decisions_of_the_gate_are_counted(serve):
     application, feature = serve()
     audit = application.host.audit
     for verdict, rule in (("allowed", ""), ("refused", "rate"), ("refused", "rate")):
-        audit.write(AuditRecord(who="a", role="admin", tool="t", endpoint="wheels", verdict=verdict, rule=rule))
+        audit.write(
+            AuditRecord(
+                who="a", role="admin", tool="t", endpoint="wheels", verdict=verdict, rule=rule
+            )
+        )
     found = scrape(feature)
     key = "roboneuron_gate_verdicts_total"
     assert found[key, ("endpoint", "wheels"), ("rule", "rate"), ("verdict", "refused")] == 2
@@ -126,7 +140,9 @@ def test_an_emergency_stop_is_counted_once_whoever_pressed_it(serve):
 def test_every_module_has_one_health(serve):
     _, feature = serve()
     found = scrape(feature)
-    health = {key[1:]: value for key, value in found.items() if key[0] == "roboneuron_module_health"}
+    health = {
+        key[1:]: value for key, value in found.items() if key[0] == "roboneuron_module_health"
+    }
     assert health[("health", "stopped"), ("module", "robot")] == 1
     assert sum(health.values()) == 4
 
@@ -135,7 +151,11 @@ def test_nothing_listens_unless_asked_for(serve):
     application, feature = serve(prometheus=False)
     assert feature.port == 0
     assert feature.meters is None
-    assert not [middleware for middleware in application.server.middleware if type(middleware).__name__ == "Meters"]
+    assert not [
+        middleware
+        for middleware in application.server.middleware
+        if type(middleware).__name__ == "Meters"
+    ]
 
 
 def test_robots_of_one_server_share_an_endpoint_and_are_told_apart_by_a_label(serve):
@@ -143,7 +163,15 @@ def test_robots_of_one_server_share_an_endpoint_and_are_told_apart_by_a_label(se
     assert of_left.port == of_right.port
     call(of_right, "get_status")
     found = scrape(of_left)
-    assert found["roboneuron_tool_calls_total", ("result", "ok"), ("robot", "right"), ("tool", "get_status")] == 1
+    assert (
+        found[
+            "roboneuron_tool_calls_total",
+            ("result", "ok"),
+            ("robot", "right"),
+            ("tool", "get_status"),
+        ]
+        == 1
+    )
     assert found["roboneuron_emergency_stop", ("robot", "left")] == 0
     assert found["roboneuron_emergency_stop", ("robot", "right")] == 0
     health = [key for key in found if key[0] == "roboneuron_module_health"]
@@ -153,7 +181,11 @@ def test_robots_of_one_server_share_an_endpoint_and_are_told_apart_by_a_label(se
 
 
 def stops_of(found):
-    return {dict(key[1:])["robot"]: value for key, value in found.items() if key[0] == "roboneuron_emergency_stop"}
+    return {
+        dict(key[1:])["robot"]: value
+        for key, value in found.items()
+        if key[0] == "roboneuron_emergency_stop"
+    }
 
 
 def test_the_last_robot_ends_the_endpoint(serve):
@@ -181,11 +213,17 @@ def test_tasks_are_counted_by_outcome(serve):
         context = SimpleNamespace(method="tools/call", params={"name": "run_task"})
 
         async def ended(_):
-            return {"isError": bool(error), "structuredContent": {"outcome": outcome}, "_meta": {ERROR_META: error}}
+            return {
+                "isError": bool(error),
+                "structuredContent": {"outcome": outcome},
+                "_meta": {ERROR_META: error},
+            }
 
         anyio.run(feature.meters, context, ended)
 
-    feature.meters._host.tools.add_all([replace(feature.meters._host.tools.get("get_status"), name="run_task")])
+    feature.meters._host.tools.add_all(
+        [replace(feature.meters._host.tools.get("get_status"), name="run_task")]
+    )
     for outcome in ("succeeded", "succeeded", "failed", "made up"):
         run_task(outcome)
     run_task("succeeded", code="refused")

@@ -17,9 +17,17 @@ from rn_metrics.spans import Spans, otlp_exporter
 from rn_standard.direct_path import delivery
 from roboneuron.gate.audit import AuditLog, AuditRecord
 
-SENT = AuditRecord(who="agent", role="admin", tool="publish_wheels", endpoint="wheels", verdict="allowed")
+SENT = AuditRecord(
+    who="agent", role="admin", tool="publish_wheels", endpoint="wheels", verdict="allowed"
+)
 REFUSED = AuditRecord(
-    who="agent", role="admin", tool="publish_wheels", endpoint="wheels", verdict="refused", rule="rate", reason="slow"
+    who="agent",
+    role="admin",
+    tool="publish_wheels",
+    endpoint="wheels",
+    verdict="refused",
+    rule="rate",
+    reason="slow",
 )
 
 
@@ -48,7 +56,9 @@ def test_a_call_has_the_decisions_and_the_message_below_it(finished):
         delivery.send(writer, "forward", stamped=False)
 
     async def call():
-        with provider.get_tracer("mcp-python-sdk").start_as_current_span("tools/call publish_wheels"):
+        with provider.get_tracer("mcp-python-sdk").start_as_current_span(
+            "tools/call publish_wheels"
+        ):
             await to_thread.run_sync(work)
 
     anyio.run(call)
@@ -56,7 +66,9 @@ def test_a_call_has_the_decisions_and_the_message_below_it(finished):
     refused, allowed, message, request = kept.get_finished_spans()
     assert [span.name for span in (refused, allowed)] == ["gate wheels"] * 2
     assert message.name == "publish /robot/cmd_vel"
-    assert {span.parent.span_id for span in (refused, allowed, message)} == {request.context.span_id}
+    assert {span.parent.span_id for span in (refused, allowed, message)} == {
+        request.context.span_id
+    }
     assert refused.status.status_code is trace.StatusCode.ERROR
     assert refused.attributes["roboneuron.rule"] == "rate"
 

@@ -28,14 +28,18 @@ LAN = HttpOptions(allowed_hosts=("robot.lan",))
 def port() -> Iterator[int]:
     with_one = CollectorRegistry()
     Counter("seen", "Seen.", registry=with_one)
-    made = Exposition.join("127.0.0.1", 0, "left", with_one, host_rules("127.0.0.1", HttpOptions()), TOKENS)
+    made = Exposition.join(
+        "127.0.0.1", 0, "left", with_one, host_rules("127.0.0.1", HttpOptions()), TOKENS
+    )
     yield made.port
     made.leave("left")
 
 
 @pytest.fixture
 def lan_port() -> Iterator[int]:
-    made = Exposition.join("0.0.0.0", 0, "left", CollectorRegistry(), host_rules("0.0.0.0", LAN), TOKENS)
+    made = Exposition.join(
+        "0.0.0.0", 0, "left", CollectorRegistry(), host_rules("0.0.0.0", LAN), TOKENS
+    )
     yield made.port
     made.leave("left")
 
@@ -49,7 +53,9 @@ def ask(port: int, path: str = "/metrics", method: str = "GET", **headers: str) 
 
 
 def ask_again(port: int) -> int:
-    """Status of an answer; on a busy machine those of a crowd that are taken later push a first question out."""
+    """Status of an answer; on a busy machine those of a crowd that are taken later push a first
+    question out.
+    """
     for _ in range(10):
         try:
             return ask(port)[0]
@@ -78,7 +84,9 @@ def test_beyond_loopback_a_token_is_needed(lan_port: int) -> None:
 
 def test_without_a_token_there_is_no_port_beyond_loopback() -> None:
     with pytest.raises(ConfigurationError, match="there is no token"):
-        Exposition.join("0.0.0.0", 0, "left", CollectorRegistry(), host_rules("0.0.0.0", LAN), TokenTable([]))
+        Exposition.join(
+            "0.0.0.0", 0, "left", CollectorRegistry(), host_rules("0.0.0.0", LAN), TokenTable([])
+        )
 
 
 def test_idle_connections_take_no_thread_and_keep_nobody_out(port: int) -> None:
@@ -92,7 +100,10 @@ def test_idle_connections_take_no_thread_and_keep_nobody_out(port: int) -> None:
 
 def test_slow_requests_give_way(port: int) -> None:
     with ExitStack() as stack:
-        crowd = [stack.enter_context(socket.create_connection(("127.0.0.1", port), timeout=20)) for _ in range(60)]
+        crowd = [
+            stack.enter_context(socket.create_connection(("127.0.0.1", port), timeout=20))
+            for _ in range(60)
+        ]
         for one in crowd:
             one.sendall(b"GET /metrics HTTP/1.1\r\n")
         assert ask_again(port) == 200

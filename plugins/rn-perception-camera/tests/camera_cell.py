@@ -21,7 +21,10 @@ def roboneuron_robots() -> Sequence[RobotSpec]:
             summary="Two cameras and nothing that moves.",
             target="camera_cell:profile",
             drivers=(driver,),
-            cameras=(CameraSpec(name="front", role="primary"), CameraSpec(name="side", role="side")),
+            cameras=(
+                CameraSpec(name="front", role="primary"),
+                CameraSpec(name="side", role="side"),
+            ),
         )
     ]
 
@@ -29,13 +32,20 @@ def roboneuron_robots() -> Sequence[RobotSpec]:
 def profile() -> RobotProfile:
     """Two cameras of nominally 64x48 pixels."""
     calibration = CameraCalibration(
-        intrinsics=np.array([[60.0, 0, 32], [0, 60, 24], [0, 0, 1]]), mount="base", T_mount_camera=np.eye(4)
+        intrinsics=np.array([[60.0, 0, 32], [0, 60, 24], [0, 0, 1]]),
+        mount="base",
+        T_mount_camera=np.eye(4),
     )
     return RobotProfile(
         name="cell",
         cameras=tuple(
             CameraProfile(
-                name=name, role=role, frame_id=f"{name}_optical", width=64, height=48, calibration=calibration
+                name=name,
+                role=role,
+                frame_id=f"{name}_optical",
+                width=64,
+                height=48,
+                calibration=calibration,
             )
             for name, role in (("front", "primary"), ("side", "side"))
         ),

@@ -1,7 +1,8 @@
-"""A camera driver for one test: `python camera_driver.py best_effort|reliable`; ends when its standard input does.
+"""A camera driver for one test: `python camera_driver.py best_effort|reliable`; ends when its
+standard input does.
 
-Publishes /usb/image_raw (bgr8, 64x48, blue and the stamp's last digits count images) and /usb/camera_info at 50 Hz, and
-the same image as a PNG on /usb/image_raw/compressed.
+Publishes /usb/image_raw (bgr8, 64x48, blue and the stamp's last digits count images) and
+/usb/camera_info at 50 Hz, and the same image as a PNG on /usb/image_raw/compressed.
 """
 
 from __future__ import annotations
@@ -30,7 +31,9 @@ def main(reliability: str) -> None:
     node = rclpy.create_node("usb_camera")
     qos = QoSProfile(
         depth=5,
-        reliability=ReliabilityPolicy.RELIABLE if reliability == "reliable" else ReliabilityPolicy.BEST_EFFORT,
+        reliability=ReliabilityPolicy.RELIABLE
+        if reliability == "reliable"
+        else ReliabilityPolicy.BEST_EFFORT,
     )
     images = node.create_publisher(Image, "/usb/image_raw", qos)
     files = node.create_publisher(CompressedImage, "/usb/image_raw/compressed", qos)
@@ -42,10 +45,14 @@ def main(reliability: str) -> None:
         stamp.nanosec = stamp.nanosec // 1000 * 1000 + count
         bgr = np.empty((48, 64, 3), dtype=np.uint8)
         bgr[:] = (count, 100, 200)
-        image = Image(width=64, height=48, step=192, encoding="bgr8", data=array.array("B", bgr.tobytes()))
+        image = Image(
+            width=64, height=48, step=192, encoding="bgr8", data=array.array("B", bgr.tobytes())
+        )
         buffer = io.BytesIO()
         Pillow.fromarray(np.ascontiguousarray(bgr[:, :, ::-1])).save(buffer, "png")
-        file = CompressedImage(format="bgr8; png compressed bgr8", data=array.array("B", buffer.getvalue()))
+        file = CompressedImage(
+            format="bgr8; png compressed bgr8", data=array.array("B", buffer.getvalue())
+        )
         info = CameraInfo(width=64, height=48, distortion_model="plumb_bob", d=[0.0] * 5)
         info.k = [50.0, 0.0, 30.0, 0.0, 50.0, 20.0, 0.0, 0.0, 1.0]
         for message, publisher in ((info, infos), (image, images), (file, files)):

@@ -23,7 +23,11 @@ RESIZE = {"width": 32, "height": 32, "fit": "letterbox"}
 OPTIONS = {
     "cameras": {
         "front": {"topic": "/usb/image_raw", "camera_info": "/usb/camera_info", "resize": RESIZE},
-        "side": {"topic": "/usb/image_raw/compressed", "transport": "compressed", "max_rate_hz": 10.0},
+        "side": {
+            "topic": "/usb/image_raw/compressed",
+            "transport": "compressed",
+            "max_rate_hz": 10.0,
+        },
     }
 }
 
@@ -50,7 +54,9 @@ class Graph:
         information = site / "rn_cell-1.0.dist-info"
         information.mkdir(parents=True)
         shutil.copy(HERE / "camera_cell.py", site)
-        (information / "METADATA").write_text("Metadata-Version: 2.1\nName: rn-cell\nVersion: 1.0\n")
+        (information / "METADATA").write_text(
+            "Metadata-Version: 2.1\nName: rn-cell\nVersion: 1.0\n"
+        )
         (information / "entry_points.txt").write_text("[roboneuron]\nrn-cell = camera_cell\n")
         self.environment = {**os.environ, "PYTHONPATH": str(site)}
 
@@ -63,7 +69,11 @@ class Graph:
     def start(self, *command: str) -> subprocess.Popen[bytes]:
         with (self.folder / "processes.log").open("ab") as log:
             process = subprocess.Popen(
-                [sys.executable, *command], stdin=subprocess.PIPE, stdout=log, stderr=log, env=self.environment
+                [sys.executable, *command],
+                stdin=subprocess.PIPE,
+                stdout=log,
+                stderr=log,
+                env=self.environment,
             )
         self.processes.append(process)
         return process
@@ -127,16 +137,21 @@ def test_images_arrive_with_stamps_and_calibration_and_drivers_may_change(graph:
     from sensor_msgs.msg import CameraInfo, Image
 
     statuses = graph.listen(DiagnosticArray, "/diagnostics")
-    fronts, sides = (graph.listen(Image, f"/cell/camera/{name}/image") for name in ("front", "side"))
+    fronts, sides = (
+        graph.listen(Image, f"/cell/camera/{name}/image") for name in ("front", "side")
+    )
     infos = graph.listen(CameraInfo, "/cell/camera/front/camera_info")
     driver = graph.start(str(HERE / "camera_driver.py"), "best_effort")
     graph.start_perception()
-    graph.wait_for(lambda: len(fronts) > 5 and len(sides) > 4 and len(infos) > 5, "images of both cameras")
+    graph.wait_for(
+        lambda: len(fronts) > 5 and len(sides) > 4 and len(infos) > 5, "images of both cameras"
+    )
 
     for message in fronts:
         pixels = np.frombuffer(message.data, dtype=np.uint8).reshape(32, 32, 3)
         assert message.header.frame_id == "usb_optical"
-        assert pixels[16, 16].tolist() == [200, 100, message.header.stamp.nanosec % 1000]  # image and stamp belong
+        # image and stamp belong
+        assert pixels[16, 16].tolist() == [200, 100, message.header.stamp.nanosec % 1000]
         assert not pixels[:4].any()
         assert not pixels[28:].any()
     assert (sides[-1].width, sides[-1].height, sides[-1].encoding) == (64, 48, "rgb8")
@@ -153,7 +168,8 @@ def test_images_arrive_with_stamps_and_calibration_and_drivers_may_change(graph:
         return " ".join(status.message for array in statuses[-4:] for status in array.status)
 
     graph.wait_for(
-        lambda: "Nobody publishes images of camera 'front' on topic '/usb/image_raw'" in reason(), "a reason"
+        lambda: "Nobody publishes images of camera 'front' on topic '/usb/image_raw'" in reason(),
+        "a reason",
     )
     fronts.clear()
     graph.start(str(HERE / "camera_driver.py"), "reliable")

@@ -27,9 +27,14 @@ def test_configurations_are_accepted(block: dict[str, Any]) -> None:
 
 
 def test_every_option_is_described() -> None:
-    for heading, model in (("`ros-camera`", RosCameraOptions), ("`video-camera`", VideoCameraOptions)):
+    for heading, model in (
+        ("`ros-camera`", RosCameraOptions),
+        ("`video-camera`", VideoCameraOptions),
+    ):
         section = README[README.index(heading, README.index("## ")) :].partition("\n## ")[0]
         rows = {
-            word for row in re.findall(r"^\| (`.*?) \|", section, re.MULTILINE) for word in re.findall(r"`(\w+)`", row)
+            word
+            for row in re.findall(r"^\| (`.*?) \|", section, re.MULTILINE)
+            for word in re.findall(r"`(\w+)`", row)
         }
         assert rows == set(model.model_fields)

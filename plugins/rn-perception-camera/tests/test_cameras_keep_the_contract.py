@@ -36,9 +36,13 @@ class TestPackage(PackageContract):
         return PackageCase(distribution="rn-perception-camera")
 
 
-def test_without_opencv_only_the_video_camera_is_unavailable(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_opencv_only_the_video_camera_is_unavailable(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setitem(sys.modules, "cv2", None)
-    offers = {offer.spec.name: offer for offer in discover().all_offers if offer.spec.kind == "perception"}
+    offers = {
+        offer.spec.name: offer for offer in discover().all_offers if offer.spec.kind == "perception"
+    }
     assert offers["ros-camera"].status is Status.READY
     assert offers["video-camera"].status is Status.UNAVAILABLE
     assert "pip install opencv-python-headless" in offers["video-camera"].reason

@@ -1,4 +1,6 @@
-"""Crop, letterbox and undistortion move pixels and intrinsics alike; OpenCV is the oracle of lens models."""
+"""Crop, letterbox and undistortion move pixels and intrinsics alike; OpenCV is the oracle of
+lens models.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +38,9 @@ def centre(image: Any) -> tuple[float, float]:
 
 @pytest.mark.parametrize("how", ["letterbox", "crop"])
 @pytest.mark.parametrize("size", [(224, 224), (96, 160), (64, 64), (320, 180)])
-def test_a_dot_lands_where_the_new_intrinsics_say(profile: Any, how: Any, size: tuple[int, int]) -> None:
+def test_a_dot_lands_where_the_new_intrinsics_say(
+    profile: Any, how: Any, size: tuple[int, int]
+) -> None:
     u, v = 150.0, 130.0
     intrinsics = np.array([[260.0, 0, 165], [0, 260, 118], [0, 0, 1]])
     resize = ResizeOptions(width=size[0], height=size[1], fit=how)
@@ -65,7 +69,9 @@ def test_crop_cuts_the_sides_only() -> None:
 
 @settings(deadline=None, max_examples=50)  # machines are shared
 @given(SIDES, SIDES, SIDES, SIDES, st.sampled_from(["letterbox", "crop"]))
-def test_every_size_fits_into_every_other(width: int, height: int, wide: int, high: int, how: Any) -> None:
+def test_every_size_fits_into_every_other(
+    width: int, height: int, wide: int, high: int, how: Any
+) -> None:
     chosen = fit((width, height), (wide, high), how)
     left, upper, right, lower = chosen.box
     assert 0 <= left < right <= width
@@ -80,7 +86,9 @@ def test_images_of_the_right_size_are_not_copied(pixels: Any) -> None:
     assert fit((64, 48), (64, 48), "crop").apply(pixels) is pixels
 
 
-@pytest.mark.parametrize("d", [(-0.3, 0.12, 0.002, -0.001, 0.0), (0.4, -0.2, 0.01, 0.0, 0.02, 0.3, -0.1, 0.01)])
+@pytest.mark.parametrize(
+    "d", [(-0.3, 0.12, 0.002, -0.001, 0.0), (0.4, -0.2, 0.01, 0.0, 0.02, 0.3, -0.1, 0.01)]
+)
 def test_lens_model_is_opencvs(d: tuple[float, ...]) -> None:
     x, y = np.meshgrid(np.linspace(-0.8, 0.8, 9), np.linspace(-0.6, 0.6, 7))
     rays = np.stack([x.ravel(), y.ravel(), np.ones(x.size)], axis=1)
@@ -99,26 +107,37 @@ def test_fisheye_model_is_the_equidistant_one() -> None:
 
 def test_undistorted_images_are_opencvs() -> None:
     rng = np.random.default_rng(2)
-    smooth = cv2.resize(rng.integers(0, 256, (15, 20, 3), dtype=np.uint8), (320, 240), interpolation=cv2.INTER_CUBIC)
+    smooth = cv2.resize(
+        rng.integers(0, 256, (15, 20, 3), dtype=np.uint8), (320, 240), interpolation=cv2.INTER_CUBIC
+    )
     k = np.array([[240.0, 0, 158.0], [0, 241, 121], [0, 0, 1]])
     d = (-0.3, 0.1, 0.001, -0.002, 0.0)
     expected = cv2.undistort(smooth, k, np.array(d)).astype(int)
-    image = Undistortion(k + HALF_PIXEL, "plumb_bob", d, width=320, height=240).apply(smooth).astype(int)
+    image = (
+        Undistortion(k + HALF_PIXEL, "plumb_bob", d, width=320, height=240)
+        .apply(smooth)
+        .astype(int)
+    )
     inner = (slice(20, -20), slice(20, -20))
     difference = np.abs(image - expected)[inner]
     assert difference.mean() < 1.0
-    assert np.percentile(difference, 99) <= 4  # 0.1 px in a picture that changes by up to 40 a pixel
+    # 0.1 px in a picture that changes by up to 40 a pixel
+    assert np.percentile(difference, 99) <= 4
     assert np.abs(smooth.astype(int) - expected)[inner].mean() > 10  # and it was much to do
 
 
-def test_undistorted_and_resized_images_are_calibrated(cell: Any, raw: Any, info: Any, pixels: Any) -> None:
+def test_undistorted_and_resized_images_are_calibrated(
+    cell: Any, raw: Any, info: Any, pixels: Any
+) -> None:
     resize = {"width": 48, "height": 48, "fit": "crop"}
     source = cell.source(front={"camera_info": "info", "distortion": "undistort", "resize": resize})
     cell.topics.deliver("info", info(d=(-0.2, 0.0, 0.0, 0.0, 0.0)))
     cell.topics.deliver("front", raw(pixels))
     frame = source.read(1.0)
     assert frame.image.shape == (48, 48, 3)
-    np.testing.assert_allclose(frame.calibration.intrinsics, [[50, 0, 22.5], [0, 51, 20.5], [0, 0, 1]])
+    np.testing.assert_allclose(
+        frame.calibration.intrinsics, [[50, 0, 22.5], [0, 51, 20.5], [0, 0, 1]]
+    )
     assert (frame.image != pixels[:, 8:56]).any()
 
 

@@ -1,4 +1,6 @@
-"""Absent drivers, other types, unknown encodings, bad stamps and calibrations: which one, and what to do."""
+"""Absent drivers, other types, unknown encodings, bad stamps and calibrations: which one, and
+what to do.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,9 @@ NOW_NS = 1_700_000_000_000_000_000
 
 def test_topic_without_publisher_is_named(cell: Any) -> None:
     source = cell.source(front={"topic": "/usb/image_raw"})
-    with pytest.raises(NotReadyError, match=r"Nobody publishes images of camera 'front' on topic '/usb/image_raw'"):
+    with pytest.raises(
+        NotReadyError, match=r"Nobody publishes images of camera 'front' on topic '/usb/image_raw'"
+    ):
         source.read(0.01)
 
 
@@ -30,18 +34,26 @@ def test_publisher_that_is_silent_is_told_from_an_absent_one(cell: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ("transport", "kind", "advice"), [("raw", CompressedImage, "compressed"), ("compressed", Image, "raw")]
+    ("transport", "kind", "advice"),
+    [("raw", CompressedImage, "compressed"), ("compressed", Image, "raw")],
 )
-def test_other_transport_is_refused_with_the_right_one(cell: Any, transport: str, kind: Any, advice: str) -> None:
+def test_other_transport_is_refused_with_the_right_one(
+    cell: Any, transport: str, kind: Any, advice: str
+) -> None:
     cell.topics.advertise("front", kind)
-    with pytest.raises(ConfigurationError, match=f'carries sensor_msgs/msg/{kind.__name__}.*transport = "{advice}"'):
+    with pytest.raises(
+        ConfigurationError, match=f'carries sensor_msgs/msg/{kind.__name__}.*transport = "{advice}"'
+    ):
         cell.source(front={"transport": transport})
 
 
 def test_type_that_shows_only_later_is_refused_in_read(cell: Any) -> None:
     source = cell.source(front={})
     cell.topics.advertise("front", CameraInfo)
-    with pytest.raises(ConfigurationError, match=r"carries sensor_msgs/msg/CameraInfo, expected sensor_msgs/msg/Image"):
+    with pytest.raises(
+        ConfigurationError,
+        match=r"carries sensor_msgs/msg/CameraInfo, expected sensor_msgs/msg/Image",
+    ):
         source.read(0.01)
 
 
@@ -50,12 +62,16 @@ def test_unknown_encoding_is_refused_with_the_known_ones(cell: Any, raw: Any, pi
     message = raw(pixels)
     message.encoding = "16UC1"
     cell.topics.deliver("front", message)
-    with pytest.raises(InvalidInputError, match=r"'front' on topic 'front'.*'16UC1' cannot be read.*rgb8"):
+    with pytest.raises(
+        InvalidInputError, match=r"'front' on topic 'front'.*'16UC1' cannot be read.*rgb8"
+    ):
         source.read(1.0)
 
 
 @pytest.mark.parametrize("damage", ["cut", "noise", "depth", "deep"])
-def test_damaged_compressed_images_are_refused(cell: Any, compressed: Any, pixels: Any, damage: str) -> None:
+def test_damaged_compressed_images_are_refused(
+    cell: Any, compressed: Any, pixels: Any, damage: str
+) -> None:
     source = cell.source(front={"transport": "compressed"})
     message = compressed(pixels, mode="I;16" if damage == "deep" else "RGB")
     if damage == "cut":
@@ -71,7 +87,11 @@ def test_damaged_compressed_images_are_refused(cell: Any, compressed: Any, pixel
 
 @pytest.mark.parametrize(
     ("at_ns", "words"),
-    [(0, "no capture time"), (NOW_NS - 60 * 10**9, "60.0 s behind"), (NOW_NS + 60 * 10**9, "60.0 s ahead of")],
+    [
+        (0, "no capture time"),
+        (NOW_NS - 60 * 10**9, "60.0 s behind"),
+        (NOW_NS + 60 * 10**9, "60.0 s ahead of"),
+    ],
 )
 def test_bad_stamps_are_refused_unless_arrival_is_asked_for(
     cell: Any, raw: Any, pixels: Any, at_ns: int, words: str
@@ -86,7 +106,9 @@ def test_images_wait_for_their_calibration(cell: Any, raw: Any, info: Any, pixel
     source = cell.source(front={"camera_info": "info"})
     cell.topics.advertise("front", Image)
     cell.topics.deliver("front", raw(pixels))
-    with pytest.raises(NotReadyError, match="wait for their calibration on topic 'info', which nobody publishes"):
+    with pytest.raises(
+        NotReadyError, match="wait for their calibration on topic 'info', which nobody publishes"
+    ):
         source.read(0.01)
     cell.topics.deliver("info", info())
     cell.topics.deliver("front", raw(pixels))
@@ -131,7 +153,9 @@ def test_calibrations_that_do_not_hold_are_refused(
     change(message)
     cell.topics.deliver("info", message)
     cell.topics.deliver("front", raw(pixels))
-    with pytest.raises(ConfigurationError, match=f"camera 'front' on topic 'info' cannot be used. .*{words}"):
+    with pytest.raises(
+        ConfigurationError, match=f"camera 'front' on topic 'info' cannot be used. .*{words}"
+    ):
         source.read(1.0)
 
 
@@ -139,7 +163,9 @@ def test_unknown_distortion_model_is_refused(cell: Any, raw: Any, info: Any, pix
     source = cell.source(front={"camera_info": "info", "distortion": "undistort"})
     cell.topics.deliver("info", info(model="thin_prism", d=(0.1,) * 5))
     cell.topics.deliver("front", raw(pixels))
-    with pytest.raises(ConfigurationError, match=r"'thin_prism' with 5 coefficients is not known.*plumb_bob"):
+    with pytest.raises(
+        ConfigurationError, match=r"'thin_prism' with 5 coefficients is not known.*plumb_bob"
+    ):
         source.read(1.0)
 
 
@@ -152,7 +178,10 @@ def test_camera_info_is_of_no_use_without_a_mount(cell: Any) -> None:
 def test_camera_without_options_is_named(cell: Any, profile: Any) -> None:
     config = RosCamerasOptions.model_validate({"cameras": {"frnt": {"topic": "/a"}}})
     source = RosCameras(config, cell.topics, [profile("front")])
-    with pytest.raises(ConfigurationError, match=r"\[plugins.ros-camera.cameras.front\]; there are tables for: 'frnt'"):
+    with pytest.raises(
+        ConfigurationError,
+        match=r"\[plugins.ros-camera.cameras.front\]; there are tables for: 'frnt'",
+    ):
         source.open()
 
 

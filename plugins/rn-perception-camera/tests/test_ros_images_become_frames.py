@@ -15,7 +15,9 @@ NOW_NS = 1_700_000_000_000_000_000
 
 @pytest.mark.parametrize("encoding", ["rgb8", "bgr8", "rgba8", "bgra8"])
 @pytest.mark.parametrize("padding", [0, 7])
-def test_colour_images_keep_every_pixel(cell: Any, raw: Any, pixels: Any, encoding: str, padding: int) -> None:
+def test_colour_images_keep_every_pixel(
+    cell: Any, raw: Any, pixels: Any, encoding: str, padding: int
+) -> None:
     source = cell.source(front={})
     cell.topics.deliver("front", raw(pixels, encoding=encoding, padding=padding))
     np.testing.assert_array_equal(source.read(1.0).image, pixels)
@@ -49,7 +51,9 @@ def test_capture_stamps_and_frame_ids_are_the_drivers(cell: Any, raw: Any, pixel
     assert (frame.stamp_ns, frame.frame_id) == (NOW_NS - 123_456_789, "driver_optical")
 
 
-def test_frame_id_of_the_profile_when_asked_for_or_when_the_driver_has_none(cell: Any, raw: Any, pixels: Any) -> None:
+def test_frame_id_of_the_profile_when_asked_for_or_when_the_driver_has_none(
+    cell: Any, raw: Any, pixels: Any
+) -> None:
     source = cell.source(front={"frame_id": "profile"}, hand={})
     cell.topics.deliver("front", raw(pixels))
     assert source.read(1.0).frame_id == "front_optical"
@@ -65,7 +69,9 @@ def test_arrival_stamps_need_no_capture_stamps(cell: Any, raw: Any, pixels: Any)
     assert source.read(1.0).stamp_ns == NOW_NS
 
 
-def test_newest_image_wins_and_older_ones_are_not_delivered(cell: Any, raw: Any, pixels: Any) -> None:
+def test_newest_image_wins_and_older_ones_are_not_delivered(
+    cell: Any, raw: Any, pixels: Any
+) -> None:
     source = cell.source(front={})
     for later_ns in (1, 2, 3):
         cell.topics.deliver("front", raw(pixels, NOW_NS + later_ns))
@@ -133,11 +139,15 @@ def test_rectified_topics_take_the_projection(cell: Any, raw: Any, info: Any, pi
     cell.topics.deliver("info", info(d=(-0.3, 0.1, 0.0, 0.0, 0.0)))
     cell.topics.deliver("front", raw(pixels))
     frame = source.read(1.0)
-    np.testing.assert_array_equal(frame.calibration.intrinsics, [[40, 0, 31.5], [0, 41, 21.5], [0, 0, 1]])
+    np.testing.assert_array_equal(
+        frame.calibration.intrinsics, [[40, 0, 31.5], [0, 41, 21.5], [0, 0, 1]]
+    )
     np.testing.assert_array_equal(frame.image, pixels)
 
 
-def test_without_camera_info_the_profile_calibrates_images_of_its_shape(cell: Any, raw: Any, profile: Any) -> None:
+def test_without_camera_info_the_profile_calibrates_images_of_its_shape(
+    cell: Any, raw: Any, profile: Any
+) -> None:
     source = cell.source(front={})
     cell.topics.deliver("front", raw(np.zeros((96, 128, 3), dtype=np.uint8)))
     intrinsics = source.read(1.0).calibration.intrinsics

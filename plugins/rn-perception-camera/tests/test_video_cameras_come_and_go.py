@@ -1,4 +1,6 @@
-"""Video files through OpenCV, and devices played by a fake `cv2.VideoCapture` that can be unplugged."""
+"""Video files through OpenCV, and devices played by a fake `cv2.VideoCapture` that can be
+unplugged.
+"""
 
 from __future__ import annotations
 
@@ -113,7 +115,9 @@ def film(tmp_path: Path) -> Path:
     return path
 
 
-def read_until(source: VideoCameras, condition: Callable[[Exception], bool], limit_s: float = 10.0) -> None:
+def read_until(
+    source: VideoCameras, condition: Callable[[Exception], bool], limit_s: float = 10.0
+) -> None:
     """Read until an error that meets the condition."""
     deadline_s = time.monotonic() + limit_s
     while True:
@@ -181,7 +185,10 @@ def test_two_cameras_take_turns(build: Any, bus: Bus) -> None:
 def test_absent_device_is_refused_with_those_present(build: Any, bus: Bus) -> None:
     bus.plugged.clear()
     source = build(front={"device": "/dev/v4l/by-id/usb-none"})
-    with pytest.raises(NotReadyError, match=r"no camera /dev/v4l/by-id/usb-none; V4L2 devices present: .*Plug it in"):
+    with pytest.raises(
+        NotReadyError,
+        match=r"no camera /dev/v4l/by-id/usb-none; V4L2 devices present: .*Plug it in",
+    ):
         source.open()
     with pytest.raises(StateError):
         source.read(0.01)
@@ -197,7 +204,9 @@ def test_busy_device_is_told_from_an_absent_one(build: Any, bus: Bus, tmp_path: 
         build(front={"device": str(tmp_path / "video0")}).open()
 
 
-def test_camera_that_opens_is_released_when_another_does_not(build: Any, bus: Bus, tmp_path: Path) -> None:
+def test_camera_that_opens_is_released_when_another_does_not(
+    build: Any, bus: Bus, tmp_path: Path
+) -> None:
     source = build(front={"device": 7}, hand={"path": str(tmp_path / "none.mp4")})
     with pytest.raises(ConfigurationError, match="no video file"):
         source.open()
@@ -219,11 +228,17 @@ def test_file_that_is_no_video_is_refused(build: Any, tmp_path: Path) -> None:
 
 
 def test_intrinsics_of_the_options_calibrate_and_undistort(build: Any, bus: Bus) -> None:
-    table = {"device": 7, "intrinsics": (50.0, 51.0, 30.0, 20.0), "distortion": (-0.5, 0.0, 0.0, 0.0)}
+    table = {
+        "device": 7,
+        "intrinsics": (50.0, 51.0, 30.0, 20.0),
+        "distortion": (-0.5, 0.0, 0.0, 0.0),
+    }
     source = build(front={**table, "resize": {"width": 32, "height": 24, "fit": "crop"}})
     source.open()
     frame = source.read(2.0)
-    np.testing.assert_allclose(frame.calibration.intrinsics, [[25, 0, 15.25], [0, 25.5, 10.25], [0, 0, 1]])
+    np.testing.assert_allclose(
+        frame.calibration.intrinsics, [[25, 0, 15.25], [0, 25.5, 10.25], [0, 0, 1]]
+    )
     with pytest.raises(ConfigurationError, match="does not tell where it is mounted"):
         build(calibrated=False, front=table).open()
 

@@ -27,7 +27,9 @@ def shards(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def recipe() -> Recipe:
     """Six steps of a very small network; the last ones see all tokens."""
     shape = Shape(vision_width=16, hidden=48, intermediate=32, layers=3, heads=3)
-    return Recipe(shape=shape, shards=2, steps=6, views=3, tokens=20, full_from=0.6, full_views=2, warm_up=2)
+    return Recipe(
+        shape=shape, shards=2, steps=6, views=3, tokens=20, full_from=0.6, full_views=2, warm_up=2
+    )
 
 
 @pytest.fixture(scope="session")

@@ -36,7 +36,9 @@ def test_pictures_show_the_cubes_where_the_rows_say(shards: Path) -> None:
     from rn_robot_fr3.cameras import cameras
 
     rows, pictures = (np.load(path) for path in shard_files(shards, 0))
-    calibration = next(camera for camera in cameras() if camera.name == "front").calibration(224, 224)
+    calibration = next(camera for camera in cameras() if camera.name == "front").calibration(
+        224, 224
+    )
     share = coloured_share(patches_of(pictures))
     hits = 0
     for row, view in zip(rows, share, strict=True):
@@ -61,7 +63,9 @@ def test_the_colours_of_the_simulator_are_told_apart() -> None:
         for shade in (0.55, 1.0):
             pixel = (np.array(RGBA_BY_COLOUR[colour][:3]) * 255 * shade).astype(np.uint8)
             patch = np.repeat(pixel, 196)[None, None]
-            assert coloured_share(patch)[0, 0].tolist() == [float(other == index) for other in range(len(COLOURS))]
+            assert coloured_share(patch)[0, 0].tolist() == [
+                float(other == index) for other in range(len(COLOURS))
+            ]
 
 
 def test_labels_have_the_shapes_of_the_layout_and_are_the_teachers(shards: Path) -> None:
@@ -71,7 +75,9 @@ def test_labels_have_the_shapes_of_the_layout_and_are_the_teachers(shards: Path)
     assert labels.actions.shape == (len(rows), len(COLOURS), ROWS, 7)
     told = chunks(situations(rows, 2), ROWS)
     assert np.allclose(labels.actions[:, 2, :, :6] * ACTION_SCALE, told[..., :6], atol=1e-6)
-    assert np.allclose(labels.place[:, 2, :3] / PLACE_SCALE, rows["cube_m"][:, 2] - rows["tcp_m"], atol=1e-6)
+    assert np.allclose(
+        labels.place[:, 2, :3] / PLACE_SCALE, rows["cube_m"][:, 2] - rows["tcp_m"], atol=1e-6
+    )
     assert (np.abs(labels.state) <= 1).all()
     assert np.array_equal(state_of(rows[3]), labels.state[3])
 
@@ -80,7 +86,12 @@ def test_a_held_cube_leaves_no_answer_for_the_others() -> None:
     rows = np.zeros(1, dtype=ROW)
     rows["rotation"] = np.diag([1.0, -1.0, -1.0])
     rows["cube_m"] = [[0.5, 0.2, 0.02], [0.5, 0.0, 0.02], [0.6, 0.1, 0.02], [0.4, 0.1, 0.02]]
-    rows["tcp_m"], rows["edge_m"], rows["opening"], rows["target"] = rows["cube_m"][:, 1], 0.044, 0.55, 1
+    rows["tcp_m"], rows["edge_m"], rows["opening"], rows["target"] = (
+        rows["cube_m"][:, 1],
+        0.044,
+        0.55,
+        1,
+    )
     assert label(rows).known.tolist() == [[False, True, False, False]]
     rows["opening"] = 1.0
     assert label(rows).known.all()
@@ -101,10 +112,14 @@ def test_a_batch_keeps_every_cube_and_weighs_the_rest(shards: Path, prompts: Pro
     assert (again.state == batch.state).all()
 
 
-def _now(simulation: Simulation, target: str, error_m: np.ndarray[tuple[int], np.dtype[np.float64]]) -> Situations:
+def _now(
+    simulation: Simulation, target: str, error_m: np.ndarray[tuple[int], np.dtype[np.float64]]
+) -> Situations:
     cube, pose = simulation.cubes()[target], simulation.tcp_pose()
     rotation = matrix_from_quaternion(pose.quaternion_xyzw)
-    held = np.linalg.norm(cube.position_m - pose.position_m) < 0.03 and simulation.gripper_open() < 0.8
+    held = (
+        np.linalg.norm(cube.position_m - pose.position_m) < 0.03 and simulation.gripper_open() < 0.8
+    )
     return Situations(
         tcp_m=pose.position_m[None],
         yaw_rad=np.array([np.arctan2(rotation[1, 0], rotation[0, 0])]),
@@ -124,7 +139,9 @@ def test_the_teacher_lifts_a_cube_although_it_sees_it_beside_and_turned(seed: in
     with Simulation(seed) as simulation:
         while simulation.time_s < 15.0 and simulation.cubes()[target].held_s < 1.0:
             for action in chunks(_now(simulation, target, np.array([0.006, -0.006, 0.0])), ROWS)[0]:
-                joints = JointSample(names=JOINTS, position=simulation.joint_positions(), stamp_ns=0)
+                joints = JointSample(
+                    names=JOINTS, position=simulation.joint_positions(), stamp_ns=0
+                )
                 command = controller.compute(Action.from_vector(action), joints, STEP_S)
                 assert not isinstance(command, Hold)
                 simulation.set_target(command.names, command.position, command.duration_s)

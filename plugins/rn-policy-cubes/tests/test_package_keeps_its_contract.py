@@ -35,14 +35,20 @@ def run(*words: str) -> int:
 
 @pytest.mark.parametrize(
     ("setting", "message"),
-    [("steps", "NAME=VALUE"), ("steps=0", "greater than or equal to 1"), ("colour=red", "colour: Extra inputs")],
+    [
+        ("steps", "NAME=VALUE"),
+        ("steps=0", "greater than or equal to 1"),
+        ("colour=red", "colour: Extra inputs"),
+    ],
 )
 def test_a_wrong_recipe_is_refused(setting: str, message: str, tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match=message):
         run("train", "--out", str(tmp_path), "--set", setting)
 
 
-def test_from_nothing_to_a_checkpoint(shards: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_from_nothing_to_a_checkpoint(
+    shards: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     small = ["shards=2", "steps=2", "views=2", "full_views=2", "tokens=20"]
     settings = [word for setting in small for word in ("--set", setting)]
     assert run("train", "--out", str(tmp_path / "run"), "--data", str(shards), *settings) == 0

@@ -22,13 +22,24 @@ def test_weights_are_small() -> None:
 
 
 def test_the_policy_lifts_the_named_cube(tmp_path: Path) -> None:
-    """Nine of ten scenes succeed; another processor rounds differently, so one of these may fail."""
+    """Nine of ten scenes succeed; another processor rounds differently, so one of these may
+    fail.
+    """
     config = shipped_configuration(tmp_path)
-    policy = ["--backend", "oft-primary", "--checkpoint", str(config.parent), "--config", str(config)]
+    policy = [
+        "--backend",
+        "oft-primary",
+        "--checkpoint",
+        str(config.parent),
+        "--config",
+        str(config),
+    ]
     out = tmp_path / "run"
     scenes = ["--episodes", str(SEEDS), "--seed", "10000", "--strips", "none", "--out", str(out)]
     assert main(["eval", "run", "-q", *policy, *scenes]) == 0
-    lines = [json.loads(line)["outcome"] for line in (out / "episodes.jsonl").read_text().splitlines()]
+    lines = [
+        json.loads(line)["outcome"] for line in (out / "episodes.jsonl").read_text().splitlines()
+    ]
     assert len(lines) == SEEDS
     lifted = [line for line in lines if line["status"] == "success"]
     assert len(lifted) >= SEEDS - 1

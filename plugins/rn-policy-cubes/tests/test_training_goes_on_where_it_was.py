@@ -27,14 +27,18 @@ def test_resuming_equals_an_uninterrupted_run(recipe: Recipe, shards: Path, tmp_
     run(recipe, tmp_path / "whole", shards)
     for until in (1, 3, 5, None):
         run(recipe, tmp_path / "parts", shards, until)
-    whole, parts = (torch.load(tmp_path / name / STATE_FILE, weights_only=True) for name in ("whole", "parts"))
+    whole, parts = (
+        torch.load(tmp_path / name / STATE_FILE, weights_only=True) for name in ("whole", "parts")
+    )
     assert whole["step"] == parts["step"] == recipe.steps
     for name in ("network", "helpers", "average", "average_helpers"):
         for key, value in whole[name].items():
             assert torch.equal(value, parts[name][key]), f"{name} {key}"
 
 
-def test_the_curve_tells_losses_and_held_out_figures(recipe: Recipe, shards: Path, tmp_path: Path) -> None:
+def test_the_curve_tells_losses_and_held_out_figures(
+    recipe: Recipe, shards: Path, tmp_path: Path
+) -> None:
     run(recipe, tmp_path, shards)
     lines = [json.loads(line) for line in (tmp_path / CURVE_FILE).read_text().splitlines()]
     losses = [line for line in lines if "total" in line]
@@ -50,7 +54,9 @@ def test_losses_fall(recipe: Recipe, shards: Path, tmp_path: Path) -> None:
     longer = recipe.model_copy(update={"steps": 40, "full_from": 1.0, "cool_down": 0.0, "views": 8})
     train(longer, tmp_path, shards, say=quiet, log_every=10, measure_every=1000)
     totals = [
-        line["total"] for line in map(json.loads, (tmp_path / CURVE_FILE).read_text().splitlines()) if "total" in line
+        line["total"]
+        for line in map(json.loads, (tmp_path / CURVE_FILE).read_text().splitlines())
+        if "total" in line
     ]
     assert totals[-1] < 0.9 * totals[0]
 
@@ -60,13 +66,22 @@ def test_an_error_of_a_turn_is_never_more_than_an_eighth() -> None:
     told = turns + torch.tensor([0.05, 0.1, 0.0, torch.pi / 4])
 
     def places(values: torch.Tensor) -> torch.Tensor:
-        return torch.cat((torch.zeros(4, 3), (4 * values).sin()[:, None], (4 * values).cos()[:, None]), dim=1)
+        return torch.cat(
+            (torch.zeros(4, 3), (4 * values).sin()[:, None], (4 * values).cos()[:, None]), dim=1
+        )
 
-    assert turn_error(places(told), places(turns)) == pytest.approx([0.05, 0.1, 0.0, torch.pi / 4], abs=1e-5)
+    assert turn_error(places(told), places(turns)) == pytest.approx(
+        [0.05, 0.1, 0.0, torch.pi / 4], abs=1e-5
+    )
 
 
 def test_the_rate_rises_stays_and_falls(recipe: Recipe, shards: Path, tmp_path: Path) -> None:
-    training = run(recipe.model_copy(update={"steps": 100, "warm_up": 10, "cool_down": 0.2}), tmp_path, shards, until=1)
+    training = run(
+        recipe.model_copy(update={"steps": 100, "warm_up": 10, "cool_down": 0.2}),
+        tmp_path,
+        shards,
+        until=1,
+    )
     rates = []
     for step in (0, 9, 50, 90, 100):
         training.step = step

@@ -48,7 +48,10 @@ def test_slow_work_is_told_by_the_minute() -> None:
     progress.update(0)
     clock.now_s += 40.0
     progress.update(2)
-    assert said == ["shards 0/10 (0 %), 20 s so far", "shards 2/10 (20 %), 2.0 a minute, 4 min left"]
+    assert said == [
+        "shards 0/10 (0 %), 20 s so far",
+        "shards 2/10 (20 %), 2.0 a minute, 4 min left",
+    ]
 
 
 @pytest.mark.parametrize(("seconds", "text"), [(40, "40 s"), (720, "12 min"), (11100, "3 h 5 min")])
@@ -61,7 +64,9 @@ def test_demonstrations_are_counted(tmp_path: Path, workers: int) -> None:
     said: list[str] = []
     record(tmp_path, 2, workers=workers, say=said.append, views=12)
     assert said[0].startswith("demonstrations: 0 of 2 shards are there")
-    assert re.match(r"demonstrations: views 24/24 \(100 %\), [\d.]+ a (second|minute), 0 s left", said[-1])
+    assert re.match(
+        r"demonstrations: views 24/24 \(100 %\), [\d.]+ a (second|minute), 0 s left", said[-1]
+    )
     again: list[str] = []
     record(tmp_path, 2, workers=workers, say=again.append, views=12)
     assert again == []
@@ -75,11 +80,18 @@ def test_training_tells_losses_and_a_preview_and_is_not_changed_by_it(
     train(whole, tmp_path / "told", shards, say=said.append, say_every_s=0.0, preview_every_s=0.0)
     assert said[0] == "training: reading 2 shards of demonstrations"
     assert "million parameters on" in said[1]
-    assert re.match(r"step 1/3 \(33 %\), [\d.]+ a (second|minute), \d+ s left; total [\d.]+, action", said[2])
-    assert re.match(r"  preview at step 1, of 24 held-out views: place nearest to the named cube \d+ %", said[3])
+    assert re.match(
+        r"step 1/3 \(33 %\), [\d.]+ a (second|minute), \d+ s left; total [\d.]+, action", said[2]
+    )
+    assert re.match(
+        r"  preview at step 1, of 24 held-out views: place nearest to the named cube \d+ %", said[3]
+    )
     assert "  held out at step 3: " in said[-1]
     train(whole, tmp_path / "quiet", shards, say=lambda line: None)
-    told, quiet = (torch.load(tmp_path / name / STATE_FILE, weights_only=True)["network"] for name in ("told", "quiet"))
+    told, quiet = (
+        torch.load(tmp_path / name / STATE_FILE, weights_only=True)["network"]
+        for name in ("told", "quiet")
+    )
     assert all(torch.equal(told[key], quiet[key]) for key in told)
     assert len((tmp_path / "told" / CURVE_FILE).read_text().splitlines()) == 2
 
@@ -93,7 +105,9 @@ def save(kind: str, path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", ["torch", "numpy"])
-def test_a_full_disk_is_told_with_the_file_and_keeps_what_was_there(tmp_path: Path, kind: str) -> None:
+def test_a_full_disk_is_told_with_the_file_and_keeps_what_was_there(
+    tmp_path: Path, kind: str
+) -> None:
     path = tmp_path / "state.bin"
     path.write_bytes(b"before")
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)

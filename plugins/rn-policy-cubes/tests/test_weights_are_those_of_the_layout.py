@@ -1,4 +1,6 @@
-"""Packed weights become a public checkpoint; the backend computes from it what the trained network computed."""
+"""Packed weights become a public checkpoint; the backend computes from it what the trained
+network computed.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,9 @@ INSTRUCTION = "pick up the blue cube"
 
 @pytest.fixture
 def packed(network: CubesNetwork, recipe: Recipe) -> Packed:
-    return Packed.of(network, Card(recipe=recipe, step=3, cpu_s=0.5, figures={"held_out_place_mm": 12.5}))
+    return Packed.of(
+        network, Card(recipe=recipe, step=3, cpu_s=0.5, figures={"held_out_place_mm": 12.5})
+    )
 
 
 @pytest.fixture
@@ -40,7 +44,9 @@ def checkpoint(packed: Packed, tmp_path: Path) -> Path:
 @pytest.fixture
 def backend(checkpoint: Path) -> OftPrimaryBackend:
     runtime = TorchRuntime(TorchRuntimeConfig(device="cpu", threads=1, dtype="float32"))
-    backend = OftPrimaryBackend(OftConfig.model_validate({"checkpoint": checkpoint, **OPTIONS}), runtime=runtime)
+    backend = OftPrimaryBackend(
+        OftConfig.model_validate({"checkpoint": checkpoint, **OPTIONS}), runtime=runtime
+    )
     backend.load()
     return backend
 
@@ -54,10 +60,14 @@ def test_packing_loses_nothing(network: CubesNetwork, packed: Packed, tmp_path: 
         assert torch.equal(value, restored[name]), name
 
 
-def test_the_default_shape_packs_into_less_than_8_megabytes(prompts: object, tmp_path: Path) -> None:
+def test_the_default_shape_packs_into_less_than_8_megabytes(
+    prompts: object, tmp_path: Path
+) -> None:
     recipe = Recipe()
     network = CubesNetwork(recipe.shape, prompts.in_use)  # type: ignore[attr-defined]
-    Packed.of(network, Card(recipe=recipe, step=0, cpu_s=0.0)).write(tmp_path / "packed.safetensors")
+    Packed.of(network, Card(recipe=recipe, step=0, cpu_s=0.0)).write(
+        tmp_path / "packed.safetensors"
+    )
     assert (tmp_path / "packed.safetensors").stat().st_size < 8e6
 
 
@@ -72,8 +82,12 @@ def test_rows_that_were_left_out_are_zero(packed: Packed, checkpoint: Path) -> N
     assert not logits.any()
 
 
-def test_the_backend_computes_what_the_network_computes(network: CubesNetwork, backend: OftPrimaryBackend) -> None:
-    """With pictures, state and words of its own making: preprocessing, tokens and normalisation are compared too."""
+def test_the_backend_computes_what_the_network_computes(
+    network: CubesNetwork, backend: OftPrimaryBackend
+) -> None:
+    """With pictures, state and words of its own making: preprocessing, tokens and normalisation
+    are compared too.
+    """
     random = np.random.default_rng(0)
     picture = random.integers(0, 256, (224, 224, 3), dtype=np.uint8)
     row = np.zeros((), dtype=ROW)
@@ -96,7 +110,9 @@ def test_the_backend_computes_what_the_network_computes(network: CubesNetwork, b
     ids = backend._encoder.to_ids(backend._encoder.to_text(INSTRUCTION))
     look = Look(torch.from_numpy(patches_of(picture[None])), torch.arange(PATCHES)[None], None)
     with torch.no_grad():
-        thought = network(look, torch.from_numpy(state_of(row))[None], torch.from_numpy(ids)[None, None])
+        thought = network(
+            look, torch.from_numpy(state_of(row))[None], torch.from_numpy(ids)[None, None]
+        )
     expected = thought.actions[0].numpy()
     assert chunk.actions.shape == (ROWS, 7)
     assert chunk.actions[:, :6] / ACTION_SCALE == pytest.approx(expected[:, :6], abs=1e-5)
@@ -104,8 +120,12 @@ def test_the_backend_computes_what_the_network_computes(network: CubesNetwork, b
     assert (chunk.actions[:, 6] == (expected[:, 6] > 0.5)).all()
 
 
-def test_a_weighted_token_counts_as_often_as_it_says(network: CubesNetwork, prompts: object) -> None:
-    """Two equal patches, of which one is left out and the other counts twice, in a network that ignores positions."""
+def test_a_weighted_token_counts_as_often_as_it_says(
+    network: CubesNetwork, prompts: object
+) -> None:
+    """Two equal patches, of which one is left out and the other counts twice, in a network that
+    ignores positions.
+    """
     with torch.no_grad():
         for tower in network.towers:
             tower.pos_embed.zero_()
@@ -142,10 +162,15 @@ def test_the_layout_is_that_of_the_backends_own_list(checkpoint: Path) -> None:
     from rn_vla.openvla.checkpoint import Checkpoint
 
     read = Checkpoint.read(checkpoint)
-    policy = OftPolicy(checkpoint=read, constants=CONSTANTS["bridge"], cameras=1, head="l1", proprio_width=7)
+    policy = OftPolicy(
+        checkpoint=read, constants=CONSTANTS["bridge"], cameras=1, head="l1", proprio_width=7
+    )
     for shard in policy.model(64).shards:
         if shard.path.suffix == ".pt":
-            held = {name: tuple(value.shape) for name, value in torch.load(shard.path, weights_only=True).items()}
+            held = {
+                name: tuple(value.shape)
+                for name, value in torch.load(shard.path, weights_only=True).items()
+            }
         else:
             with safe_open(shard.path, framework="pt") as file:
                 held = {name: tuple(file.get_slice(name).get_shape()) for name in file.keys()}  # noqa: SIM118

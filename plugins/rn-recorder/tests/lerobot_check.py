@@ -3,7 +3,8 @@
 Run by the interpreter of .venv-lerobot, which has lerobot 0.6.1 and neither ROS nor RoboNeuron:
     lerobot_check.py DATASET EXPECTED
 
-EXPECTED is a folder with one .npz for each episode, in their order: `action` (n, 7) float64, `state` (n, j), `sent_ns`,
+EXPECTED is a folder with one .npz for each episode, in their order: `action` (n, 7) float64,
+    `state` (n, j), `sent_ns`,
 `image_ns` (n,), `task` (one string), and (n, H, W, 3) uint8 for each `observation.images.<camera>`.
 """
 
@@ -26,7 +27,8 @@ def main(root: str, expected: str) -> None:
     dataset = LeRobotDataset("local/demos", root=root, video_backend="pyav")
     episodes = sorted(Path(expected).glob("*.npz"))
     assert dataset.num_episodes == len(episodes), (dataset.num_episodes, len(episodes))
-    exact = dataset.hf_dataset.with_format(None)["roboneuron.action"]  # as tensors lerobot makes float32 of them
+    # as tensors lerobot makes float32 of them
+    exact = dataset.hf_dataset.with_format(None)["roboneuron.action"]
     index, worst, told_apart = 0, 0.0, 0
     for number, path in enumerate(episodes):
         with np.load(path) as file:
@@ -35,10 +37,18 @@ def main(root: str, expected: str) -> None:
         for frame in range(len(wanted["action"])):
             row = dataset[index]
             where = (number, frame)
-            assert (int(row["episode_index"]), int(row["frame_index"]), int(row["index"])) == (number, frame, index)
+            assert (int(row["episode_index"]), int(row["frame_index"]), int(row["index"])) == (
+                number,
+                frame,
+                index,
+            )
             assert np.array_equal(np.array(exact[index]), wanted["action"][frame]), where
-            assert np.array_equal(row["action"].numpy(), wanted["action"][frame].astype(np.float32)), where
-            assert np.array_equal(row["observation.state"].numpy(), wanted["state"][frame].astype(np.float32)), where
+            assert np.array_equal(
+                row["action"].numpy(), wanted["action"][frame].astype(np.float32)
+            ), where
+            assert np.array_equal(
+                row["observation.state"].numpy(), wanted["state"][frame].astype(np.float32)
+            ), where
             assert int(row["roboneuron.sent_ns"]) == wanted["sent_ns"][frame], where
             assert int(row["roboneuron.image_ns"]) == wanted["image_ns"][frame], where
             assert row["task"] == str(wanted["task"]), where
@@ -55,7 +65,10 @@ def main(root: str, expected: str) -> None:
         print(f"episode {number}: {index - before} frames", file=sys.stderr, flush=True)
     assert dataset.num_frames == index, (dataset.num_frames, index)
     assert worst < MOST_ERROR, f"a video frame differs by {worst} of 255 on average"
-    print(f"{len(episodes)} episodes, {index} frames equal; video within {worst:.2f} of 255, {told_apart} told apart")
+    print(
+        f"{len(episodes)} episodes, {index} frames equal; video within {worst:.2f} of 255, "
+        f"{told_apart} told apart"
+    )
 
 
 def _difference(first: np.ndarray, second: np.ndarray) -> float:

@@ -1,4 +1,6 @@
-"""Small recorded runs for tests: two cameras, joints, poses, predictions and actions of a made-up arm."""
+"""Small recorded runs for tests: two cameras, joints, poses, predictions and actions of a
+made-up arm.
+"""
 
 from __future__ import annotations
 
@@ -22,10 +24,16 @@ JOINTS = ("shoulder", "elbow", "finger")
 
 
 def picture(camera: str, number: int, size: int = 64) -> np.ndarray:
-    """A smooth picture that differs from number to number, so that a wrong frame is seen behind any codec."""
+    """A smooth picture that differs from number to number, so that a wrong frame is seen behind
+    any codec.
+    """
     ramp = np.linspace(0, 120, size)
     level = (number * 37) % 130
-    channels = [ramp[None, :] + level, ramp[:, None] + (20 if camera == "front" else 90), np.full((1, 1), level)]
+    channels = [
+        ramp[None, :] + level,
+        ramp[:, None] + (20 if camera == "front" else 90),
+        np.full((1, 1), level),
+    ]
     return np.stack([np.broadcast_to(c, (size, size)) for c in channels], axis=-1).astype(np.uint8)
 
 
@@ -34,13 +42,22 @@ def observation(number: int, instruction: str, start_ns: int) -> Observation:
     stamp_ns = start_ns + number * PERIOD_NS
     return Observation(
         frames={
-            role: Frame(camera=name, image=picture(name, number), stamp_ns=stamp_ns, frame_id=f"{name}_optical")
+            role: Frame(
+                camera=name,
+                image=picture(name, number),
+                stamp_ns=stamp_ns,
+                frame_id=f"{name}_optical",
+            )
             for role, name in CAMERAS.items()
         },
         instruction=instruction,
-        joints=JointSample(names=JOINTS, position=np.array([0.1, 0.2, 0.01]) * number, stamp_ns=stamp_ns - 7),
+        joints=JointSample(
+            names=JOINTS, position=np.array([0.1, 0.2, 0.01]) * number, stamp_ns=stamp_ns - 7
+        ),
         ee_pose=Pose(
-            position_m=np.array([0.5, 0.01 * number, 0.3]), quaternion_xyzw=np.array([0, 0, 0, 1.0]), stamp_ns=stamp_ns
+            position_m=np.array([0.5, 0.01 * number, 0.3]),
+            quaternion_xyzw=np.array([0, 0, 0, 1.0]),
+            stamp_ns=stamp_ns,
         ),
         gripper_open=0.5,
         stamp_ns=stamp_ns,
@@ -62,7 +79,9 @@ def record_run(
     """A run of episodes (instruction, outcome), and its files in the store."""
     folder = store.recordings / name
     folder.mkdir(parents=True)
-    file = RunFile(folder / "part-0001.mcap", {"robot": "toy", "contract": json.dumps({"action": "m, rad"})})
+    file = RunFile(
+        folder / "part-0001.mcap", {"robot": "toy", "contract": json.dumps({"action": "m, rad"})}
+    )
     sequences: dict[str, int] = {}
 
     def add(topic: str, type_name: str, at_ns: int, data: bytes) -> None:
@@ -71,7 +90,12 @@ def record_run(
 
     def send(topic: str, message: object, at_ns: int) -> None:
         package, kind = type(message).__module__.split(".")[:2]
-        add(topic, f"{package}/{kind}/{type(message).__name__}", at_ns, bytes(serialize_message(message)))
+        add(
+            topic,
+            f"{package}/{kind}/{type(message).__name__}",
+            at_ns,
+            bytes(serialize_message(message)),
+        )
 
     number = 0
     for instruction, outcome in instructions:
@@ -85,10 +109,19 @@ def record_run(
             send("/toy/ee_pose", to_pose_stamped(seen.ee_pose, "base"), seen.stamp_ns)
             chunk = ActionChunk(actions=action(number)[None, :], step_s=0.1)
             text = prediction_record(seen, "sequential", row == 0, chunk)
-            add("/toy/predictions", "std_msgs/msg/String", seen.stamp_ns + 20_000_000, to_string(text))
+            add(
+                "/toy/predictions",
+                "std_msgs/msg/String",
+                seen.stamp_ns + 20_000_000,
+                to_string(text),
+            )
             send("/toy/action", to_action_message(action(number)), seen.stamp_ns + 30_000_000)
             number += 1
-        end = {"what": "episode_end", "at_ns": start_ns + number * PERIOD_NS - 1, "outcome": outcome}
+        end = {
+            "what": "episode_end",
+            "at_ns": start_ns + number * PERIOD_NS - 1,
+            "outcome": outcome,
+        }
         add("/roboneuron/events", "std_msgs/msg/String", end["at_ns"], to_string(json.dumps(end)))  # type: ignore[arg-type]
     file.finish()
     write_json(folder / RUN_FILE, {"state": "finished"})

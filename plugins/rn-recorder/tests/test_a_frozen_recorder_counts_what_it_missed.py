@@ -1,4 +1,6 @@
-"""A recorder that was stopped (SIGSTOP) and goes on: it hears its publishers again, and counts what it missed."""
+"""A recorder that was stopped (SIGSTOP) and goes on: it hears its publishers again, and counts
+what it missed.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,9 @@ from roboneuron.ros.link import RosLink
 from roboneuron.ros.qos import NEWEST
 
 TOPIC, RATE_HZ, FROZEN = "/toy/told", 400.0, 1000
-RULES = RulesSettings(ring_s=0, after_s=1, part_bytes=10**8, part_s=600, quota_bytes=10**9, min_free_bytes=0)
+RULES = RulesSettings(
+    ring_s=0, after_s=1, part_bytes=10**8, part_s=600, quota_bytes=10**9, min_free_bytes=0
+)
 
 
 class Publisher:
@@ -55,13 +59,22 @@ def wait_until(is_so: Callable[[], bool]) -> None:
 
 @pytest.mark.ros
 @pytest.mark.timeout(240)
-def test_what_came_while_it_was_stopped_is_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_came_while_it_was_stopped_is_counted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", str(free_ros_domain()))
     prepare_environment(tmp_path / "log")
     settings = RecorderSettings(
-        namespace="toy", state_directory=tmp_path, directory=tmp_path / "runs", topics=("*",), exclude=(),
-        images="jpeg", jpeg_quality=85, rules=RULES, about={},
-    )  # fmt: skip
+        namespace="toy",
+        state_directory=tmp_path,
+        directory=tmp_path / "runs",
+        topics=("*",),
+        exclude=(),
+        images="jpeg",
+        jpeg_quality=85,
+        rules=RULES,
+        about={},
+    )
     child = spawn_recorder(settings, tmp_path / "recorder.log", 0, ())
     answers: list[dict[str, Any]] = []
 

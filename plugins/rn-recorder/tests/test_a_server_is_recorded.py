@@ -1,4 +1,6 @@
-"""A server with real modules and a real recorder: what is in the file, and what the robot notices of its end."""
+"""A server with real modules and a real recorder: what is in the file, and what the robot
+notices of its end.
+"""
 
 from __future__ import annotations
 
@@ -53,7 +55,15 @@ def test_a_recorder_that_stalls_dies_or_loses_its_server_leaves_readable_files(
     store = Store(tmp_path / "state" / "runs")
 
     async def scenario() -> None:
-        command = ["-m", "roboneuron.cli.main", "serve", "--config", str(config_path), "--log-level", "warning"]
+        command = [
+            "-m",
+            "roboneuron.cli.main",
+            "serve",
+            "--config",
+            str(config_path),
+            "--log-level",
+            "warning",
+        ]
         server = StdioServerParameters(command=sys.executable, args=command, env=server_environment)
         async with Client(server) as client:
 
@@ -82,11 +92,14 @@ def test_a_recorder_that_stalls_dies_or_loses_its_server_leaves_readable_files(
             parent = child_of_this_process()
             recorder = recorder_pid(parent)
             assert recorder is not None
-            assert os.getpriority(os.PRIO_PROCESS, recorder) > os.getpriority(os.PRIO_PROCESS, parent)
+            assert os.getpriority(os.PRIO_PROCESS, recorder) > os.getpriority(
+                os.PRIO_PROCESS, parent
+            )
 
             async def pids() -> dict[str, Any]:
                 modules = (await do("get_status"))["modules"]
-                return {m["module"]: m.get("pid") for m in modules}  # health would measure the machine's load
+                # health would measure the machine's load
+                return {m["module"]: m.get("pid") for m in modules}
 
             before = await pids()
             os.kill(recorder, signal.SIGSTOP)
@@ -97,7 +110,9 @@ def test_a_recorder_that_stalls_dies_or_loses_its_server_leaves_readable_files(
             assert await pids() == before
             await anyio.sleep(1.5)
 
-            perception = next(m["pid"] for m in (await do("get_status"))["modules"] if m["module"] == "perception")
+            perception = next(
+                m["pid"] for m in (await do("get_status"))["modules"] if m["module"] == "perception"
+            )
             os.kill(perception, signal.SIGKILL)
             await until(lambda now: any(run["kind"] == "incident" for run in now["runs"]))
             interrupted.append(second)
@@ -122,23 +137,49 @@ def test_a_recorder_that_stalls_dies_or_loses_its_server_leaves_readable_files(
     first = next(run for run in runs.values() if run.id.endswith("-first"))
     topics = count_topics(first.files)
     by_name = {topic.rpartition("/")[2]: counts for topic, counts in topics.items()}
-    assert {"image", "action", "joint_states", "ee_pose", "predictions", "events", "diagnostics"} <= set(by_name)
+    assert {
+        "image",
+        "action",
+        "joint_states",
+        "ee_pose",
+        "predictions",
+        "events",
+        "diagnostics",
+    } <= set(by_name)
     for name in ("action", "joint_states", "predictions"):
         assert by_name[name].lost == 0, (name, by_name[name])
-    events = [json.loads(found.message.data) for found in iterate(first.files, lambda t: t == "/roboneuron/events")]
+    events = [
+        json.loads(found.message.data)
+        for found in iterate(first.files, lambda t: t == "/roboneuron/events")
+    ]
     assert "start_inference" in [event["tool"] for event in events if event["what"] == "call"]
-    started = [event["names"] for event in events if event["what"] == "change" and event["phase"] == "running"]
+    started = [
+        event["names"]
+        for event in events
+        if event["what"] == "change" and event["phase"] == "running"
+    ]
     assert "instant" in [names.get("backend") for names in started]
-    seen = [json.loads(found.message.data) for found in iterate(first.files, lambda t: t.endswith("/predictions"))]
+    seen = [
+        json.loads(found.message.data)
+        for found in iterate(first.files, lambda t: t.endswith("/predictions"))
+    ]
     assert {prediction["instruction"] for prediction in seen} == {"move on"}
-    actions = [found.message for found in iterate(first.files, lambda topic: topic.endswith("/action"))]
+    actions = [
+        found.message for found in iterate(first.files, lambda topic: topic.endswith("/action"))
+    ]
     assert len(actions) > 5
     assert all(len(action.data) == 7 for action in actions)
     assert first.facts["outcome"] == "success"
     incidents = [run for run in runs.values() if run.kind == "incident"]
-    told = [fact for run in incidents for fact in json.loads(read_attachments(run.files[0])["incident.json"])]
+    told = [
+        fact
+        for run in incidents
+        for fact in json.loads(read_attachments(run.files[0])["incident.json"])
+    ]
     assert "server_ended" in [fact["what"] for fact in told]
-    assert ("perception", "exited") in [(fact.get("module"), fact.get("health")) for fact in told], told
+    assert ("perception", "exited") in [
+        (fact.get("module"), fact.get("health")) for fact in told
+    ], told
     for incident in incidents:
         assert "incident.json" in read_attachments(incident.files[0])
         assert any(True for _ in read_records(incident.files[0]))

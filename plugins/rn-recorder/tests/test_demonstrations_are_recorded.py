@@ -1,4 +1,6 @@
-"""`make record-demos`: a demonstration in simulation, its data set, and its replay by the policy that made it."""
+"""`make record-demos`: a demonstration in simulation, its data set, and its replay by the
+policy that made it.
+"""
 
 from __future__ import annotations
 
@@ -20,10 +22,14 @@ ROOT = Path(__file__).parents[3]
 
 
 @pytest.mark.timeout(400)
-def test_a_demonstration_is_recorded_exported_and_repeated(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_demonstration_is_recorded_exported_and_repeated(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     script = [sys.executable, str(ROOT / "examples" / "record_demos.py")]
     words = ["-n", "1", "--image-px", "160", "--codec", "h264", "--out", str(tmp_path)]
-    done = subprocess.run([*script, *words], capture_output=True, text=True, timeout=300, check=False)
+    done = subprocess.run(
+        [*script, *words], capture_output=True, text=True, timeout=300, check=False
+    )
     assert done.returncode == 0, done.stderr + done.stdout
     wanted = expected_episode(tmp_path / "runs/recordings/demo-00000/part-0001.mcap")
     assert len(wanted["action"]) > 20
@@ -35,11 +41,21 @@ def test_a_demonstration_is_recorded_exported_and_repeated(tmp_path: Path, capsy
 
     parser = ArgumentParser()
     Runs().configure(parser)
-    replay = ["--directory", str(tmp_path / "runs"), "replay", "demo-00000", "--out", str(tmp_path / "compared")]
+    replay = [
+        "--directory",
+        str(tmp_path / "runs"),
+        "replay",
+        "demo-00000",
+        "--out",
+        str(tmp_path / "compared"),
+    ]
     status = Runs().run(parser.parse_args(replay))  # the tolerance is 1e-9
     assert status == 0, capsys.readouterr().out
     told = json.loads((tmp_path / "compared/comparison.json").read_text())
     assert told["first_divergence"] is None
-    assert Runs().run(parser.parse_args([*replay, "--option", "servo.gain=0.01"])) == 1  # the option arrives
-    with pytest.raises(ConfigurationError, match=r"names 'torch', which this replay does not make.*It makes: servo"):
+    # the option arrives
+    assert Runs().run(parser.parse_args([*replay, "--option", "servo.gain=0.01"])) == 1
+    with pytest.raises(
+        ConfigurationError, match=r"names 'torch', which this replay does not make.*It makes: servo"
+    ):
         Runs().run(parser.parse_args([*replay, "--option", "torch.device=cpu"]))

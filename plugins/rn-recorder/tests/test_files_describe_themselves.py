@@ -26,18 +26,29 @@ from roboneuron import JointSample, matrix_from_quaternion
 from roboneuron.ros.messages import to_action_message, to_joint_state
 
 POSTURES = ((0.1, -0.4, 0.3, -2.0, 0.2, 1.7, 0.6), (-1.2, 0.5, -0.7, -1.1, 1.4, 2.9, -0.3))
-MOUNT = CameraMount(parent="base", frame_id="eye", position_m=(1.0, 2.0, 3.0), quaternion_xyzw=(0.0, 0.0, 0.0, 1.0))
+MOUNT = CameraMount(
+    parent="base", frame_id="eye", position_m=(1.0, 2.0, 3.0), quaternion_xyzw=(0.0, 0.0, 0.0, 1.0)
+)
 RULES = RulesSettings(
     ring_s=30.0, after_s=1.0, part_bytes=10**8, part_s=300.0, quota_bytes=10**9, min_free_bytes=0
-)  # fmt: skip
+)
 
 
 def record_fr3(tmp_path: Path, foreign: Sequence[Record] = ()) -> Path:
     """A recording of an FR3 in two postures, with two actions; `foreign` comes first."""
     settings = RecorderSettings(
-        namespace="fr3", state_directory=tmp_path, directory=tmp_path / "runs", topics=("*",), exclude=(),
-        images="lossless", jpeg_quality=90, rules=RULES, about={}, urdf=profile().urdf, mounts=(MOUNT,),
-    )  # fmt: skip
+        namespace="fr3",
+        state_directory=tmp_path,
+        directory=tmp_path / "runs",
+        topics=("*",),
+        exclude=(),
+        images="lossless",
+        jpeg_quality=90,
+        rules=RULES,
+        about={},
+        urdf=profile().urdf,
+        mounts=(MOUNT,),
+    )
     process = RecorderProcess(settings)
     process.recording.store.make()
     process._frames.begin()
@@ -51,9 +62,17 @@ def record_fr3(tmp_path: Path, foreign: Sequence[Record] = ()) -> Path:
         at_ns = time.time_ns() + number * 10**8
         joints = JointSample(names=profile().arm_joints, position=np.array(posture), stamp_ns=at_ns)
         message = bytes(serialize_message(to_joint_state(joints)))
-        process.put(Record("/fr3/joint_states", "sensor_msgs/msg/JointState", at_ns, at_ns, number + 1, message))
+        process.put(
+            Record(
+                "/fr3/joint_states", "sensor_msgs/msg/JointState", at_ns, at_ns, number + 1, message
+            )
+        )
         action = bytes(serialize_message(to_action_message(np.full(7, 0.1 * number))))
-        process.put(Record("/fr3/action", "std_msgs/msg/Float64MultiArray", at_ns, at_ns, number + 1, action))
+        process.put(
+            Record(
+                "/fr3/action", "std_msgs/msg/Float64MultiArray", at_ns, at_ns, number + 1, action
+            )
+        )
     process._turn()
     process.recording.close()
     return next(run for run in process.recording.store.runs() if run.kind == "recording").files[0]
@@ -67,7 +86,9 @@ def publisher(**changes: object) -> SimpleNamespace:
 def messages(path: Path) -> Iterator[tuple[str, dict[str, str], object]]:
     """Topic, channel metadata and message of everything, by MCAP's own reader."""
     with path.open("rb") as file:
-        for _, channel, _, decoded in make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages():
+        for _, channel, _, decoded in make_reader(
+            file, decoder_factories=[DecoderFactory()]
+        ).iter_decoded_messages():
             yield channel.topic, channel.metadata, decoded
 
 
@@ -94,10 +115,14 @@ def test_the_transforms_of_a_file_are_those_of_the_robot(tmp_path: Path) -> None
     controller.load()
     assert len(moving) == len(POSTURES)
     for posture, transforms in zip(POSTURES, moving, strict=True):
-        expected = controller.forward(JointSample(names=profile().arm_joints, position=np.array(posture), stamp_ns=1))
+        expected = controller.forward(
+            JointSample(names=profile().arm_joints, position=np.array(posture), stamp_ns=1)
+        )
         pose = pose_in([*static, *transforms], profile().base_link, profile().tcp_link)
         np.testing.assert_allclose(pose[:3, 3], expected.position_m, atol=1e-9)
-        np.testing.assert_allclose(pose[:3, :3], matrix_from_quaternion(expected.quaternion_xyzw), atol=1e-9)
+        np.testing.assert_allclose(
+            pose[:3, :3], matrix_from_quaternion(expected.quaternion_xyzw), atol=1e-9
+        )
     assert [t.child_frame_id for t in static].count("eye") == 1
     (text,) = [message.data for topic, _, message in found if topic == "/fr3/robot_description"]  # type: ignore[attr-defined]
     assert text == profile().urdf
@@ -112,7 +137,11 @@ def test_channels_say_what_their_publishers_offer_and_what_values_are(tmp_path: 
         (offered,) = yaml.safe_load(channels["/tf_static"]["offered_qos_profiles"])
         assert (offered["durability"], offered["reliability"]) == ("transient_local", "reliable")
         (offered,) = yaml.safe_load(channels["/fr3/joint_states"]["offered_qos_profiles"])
-        assert (offered["history"], offered["depth"], offered["durability"]) == ("keep_last", 1, "volatile")
+        assert (offered["history"], offered["depth"], offered["durability"]) == (
+            "keep_last",
+            1,
+            "volatile",
+        )
         assert set(offered["deadline"]) == {"sec", "nsec"}
         assert channels["/fr3/joint_states"]["topic_type_hash"] == "RIHS01_00"
         fields = channels["/fr3/action"]["roboneuron.fields"]

@@ -1,4 +1,6 @@
-"""Files that are cut short, full disks, directories that cannot be written; ring, parts, quota and incidents."""
+"""Files that are cut short, full disks, directories that cannot be written; ring, parts, quota
+and incidents.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rn_runs.channels import latched_channel
-from rn_runs.files import Record, RunFile, is_finished, read_about, read_attachments, read_records, repair
+from rn_runs.files import (
+    Record,
+    RunFile,
+    is_finished,
+    read_about,
+    read_attachments,
+    read_records,
+    repair,
+)
 from rn_runs.images import IMAGE, MessageError, parse_image, to_string
 from rn_runs.node import Backlog
 from rn_runs.reading import MessageDecoder, count_topics, iterate
@@ -104,11 +114,14 @@ def test_a_file_cut_anywhere_opens_and_holds_all_whole_chunks(tmp_path: Path) ->
     assert count_topics([path])["/told"].lost == 0
 
 
-def test_what_a_killed_recorder_loses_is_at_most_half_a_second(tmp_path: Path, clock: Clock) -> None:
+def test_what_a_killed_recorder_loses_is_at_most_half_a_second(
+    tmp_path: Path, clock: Clock
+) -> None:
     made = recording(tmp_path, clock, ring_s=0)
     run = made.start("demo", {})
     last = feed(made, clock, 5.03)
-    found = [entry.sequence for entry in read_records(made.store.get(run).files[0])]  # as it is on disk now
+    # as it is on disk now
+    found = [entry.sequence for entry in read_records(made.store.get(run).files[0])]
     assert found == list(range(1, len(found) + 1))
     assert last - len(found) <= 0.5 * 20 + 1
     del made  # never closed
@@ -121,7 +134,9 @@ def kept(run: Run) -> int:
     return sum(1 for path in run.files for _ in read_records(path))
 
 
-def test_a_full_disk_costs_messages_that_are_counted_and_nothing_else(tmp_path: Path, clock: Clock) -> None:
+def test_a_full_disk_costs_messages_that_are_counted_and_nothing_else(
+    tmp_path: Path, clock: Clock
+) -> None:
     made = recording(tmp_path, clock, ring_s=0)
     run = made.start("demo", {})
     number = feed(made, clock, 3)
@@ -141,7 +156,8 @@ def test_a_full_disk_costs_messages_that_are_counted_and_nothing_else(tmp_path: 
     made.store.repair()
     files = made.store.get(run).files
     assert kept(made.store.get(run)) + lost == number
-    assert all(any(True for _ in read_records(path)) for path in files)  # tries that failed leave nothing
+    # tries that failed leave nothing
+    assert all(any(True for _ in read_records(path)) for path in files)
     assert len(files) >= 2
     assert all(is_finished(path) for path in files)
     assert len(list(read_records(files[0]))) >= 40
@@ -175,13 +191,15 @@ made.store.repair()
 found = made.store.get(run)
 told |= {"kept": kept(found), "files": len(found.files), "open": all(is_finished(path) for path in found.files)}
 print(json.dumps(told))
-"""
+"""  # noqa: E501
 
 
 def test_a_disk_without_space_is_written_again_when_there_is_some(tmp_path: Path) -> None:
     """A real one, of 1 MB, in a mount namespace of its own."""
     mount = f"mount -t tmpfs -o size=1m none {tmp_path}"
-    if subprocess.run(["unshare", "-rm", "sh", "-c", mount], capture_output=True, check=False).returncode:
+    if subprocess.run(
+        ["unshare", "-rm", "sh", "-c", mount], capture_output=True, check=False
+    ).returncode:
         pytest.skip("this machine lets nobody mount a small disk in a namespace")
     script = f'{mount} && exec "$0" -c "$1" {tmp_path} {Path(__file__).parent}'
     command = ["unshare", "-rm", "sh", "-c", script, sys.executable, FULL]
@@ -206,9 +224,13 @@ def test_too_little_free_space_ends_the_part_with_an_index(tmp_path: Path, clock
     assert all(is_finished(path) for path in made.store.get(run).files)
 
 
-def test_a_directory_that_cannot_be_written_is_told_and_disturbs_nobody(tmp_path: Path, clock: Clock) -> None:
+def test_a_directory_that_cannot_be_written_is_told_and_disturbs_nobody(
+    tmp_path: Path, clock: Clock
+) -> None:
     (tmp_path / "runs").write_text("a file where the directory should be")
-    made = Recording(Store(tmp_path / "runs"), Rules(), {}, clock_ns=clock.ns, monotonic=clock.monotonic)
+    made = Recording(
+        Store(tmp_path / "runs"), Rules(), {}, clock_ns=clock.ns, monotonic=clock.monotonic
+    )
     with pytest.raises(OSError, match="runs"):
         made.adopt()
     feed(made, clock, 1)
@@ -225,7 +247,11 @@ def test_a_directory_that_cannot_be_written_is_told_and_disturbs_nobody(tmp_path
 def test_the_ring_holds_the_last_seconds_and_no_more(tmp_path: Path, clock: Clock) -> None:
     made = recording(tmp_path, clock)
     feed(made, clock, 100)
-    kept = [entry.log_ns for path in sorted(made.store.ring.glob("*.mcap")) for entry in read_records(path)]
+    kept = [
+        entry.log_ns
+        for path in sorted(made.store.ring.glob("*.mcap"))
+        for entry in read_records(path)
+    ]
     assert clock.ns() - min(kept) >= 30e9
     assert clock.ns() - min(kept) <= 42e9
     made.close()
@@ -249,7 +275,9 @@ def test_an_incident_is_one_file_with_the_time_around_it(tmp_path: Path, clock: 
     assert is_finished(incident.files[0])
 
 
-def test_an_incident_is_written_by_the_next_recorder_when_this_one_dies(tmp_path: Path, clock: Clock) -> None:
+def test_an_incident_is_written_by_the_next_recorder_when_this_one_dies(
+    tmp_path: Path, clock: Clock
+) -> None:
     made = recording(tmp_path, clock)
     number = feed(made, clock, 20)
     name = made.incident("robot-exited", {})
@@ -314,12 +342,19 @@ def image_message() -> tuple[bytes, np.ndarray]:
     return bytes(serialize_message(to_image(frame))), ramp
 
 
-def test_images_are_read_and_encoded_without_ros(image_message: tuple[bytes, np.ndarray], tmp_path: Path) -> None:
+def test_images_are_read_and_encoded_without_ros(
+    image_message: tuple[bytes, np.ndarray], tmp_path: Path
+) -> None:
     from rn_runs.images import COMPRESSED, pixels_of, to_jpeg
 
     message, ramp = image_message
     raw = parse_image(message)
-    assert (raw.stamp_ns, raw.width, raw.height, raw.frame_id) == (START_NS + 5, 64, 48, b"front_optical")
+    assert (raw.stamp_ns, raw.width, raw.height, raw.frame_id) == (
+        START_NS + 5,
+        64,
+        48,
+        b"front_optical",
+    )
     encoded = to_jpeg(message, 95)
     assert encoded is not None
     with pytest.raises(MessageError):
@@ -338,7 +373,12 @@ def test_images_are_read_and_encoded_without_ros(image_message: tuple[bytes, np.
 
 
 @pytest.mark.parametrize(
-    "name", ["sensor_msgs/msg/Image", "diagnostic_msgs/msg/DiagnosticArray", "trajectory_msgs/msg/JointTrajectory"]
+    "name",
+    [
+        "sensor_msgs/msg/Image",
+        "diagnostic_msgs/msg/DiagnosticArray",
+        "trajectory_msgs/msg/JointTrajectory",
+    ],
 )
 def test_definitions_are_complete(name: str) -> None:
     from importlib import import_module
@@ -389,7 +429,8 @@ def test_faults_that_never_cease_do_not_keep_back_the_file(tmp_path: Path, clock
     made.close()
     times = [entry.log_ns for entry in read_records(made.store.get(name).files[0])]
     assert times == sorted(set(times))
-    assert times[-1] - times[0] == pytest.approx(21e9, abs=0.2e9)  # from the beginning to 5 s after the newest fault
+    # from the beginning to 5 s after the newest fault
+    assert times[-1] - times[0] == pytest.approx(21e9, abs=0.2e9)
 
 
 def test_a_message_that_is_written_late_is_in_the_incident(tmp_path: Path, clock: Clock) -> None:
@@ -458,8 +499,14 @@ def test_files_are_deleted_for_their_age(tmp_path: Path, clock: Clock) -> None:
 def test_every_file_begins_with_what_is_latched(tmp_path: Path, clock: Clock) -> None:
     made = recording(tmp_path, clock, part_s=4.0)
     made.latched.channels["/tf_static"] = latched_channel()
-    static = RobotTransforms("", [CameraMount(parent="base", frame_id="eye", position_m=(1, 2, 3),
-                                              quaternion_xyzw=(0, 0, 0, 1))]).static(clock.ns())  # fmt: skip
+    static = RobotTransforms(
+        "",
+        [
+            CameraMount(
+                parent="base", frame_id="eye", position_m=(1, 2, 3), quaternion_xyzw=(0, 0, 0, 1)
+            )
+        ],
+    ).static(clock.ns())
     made.take(static)
     number = feed(made, clock, 60, rate=4)
     run = made.start("demo", {})

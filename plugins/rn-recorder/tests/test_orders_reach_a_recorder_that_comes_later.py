@@ -1,4 +1,6 @@
-"""The server's side of the recorder's process: starts that take long, and orders that a dying recorder took along."""
+"""The server's side of the recorder's process: starts that take long, and orders that a dying
+recorder took along.
+"""
 
 from __future__ import annotations
 
@@ -46,7 +48,9 @@ SLOW = "import time; time.sleep(1.0)\n" + OBEYS
 
 @pytest.fixture
 def keep(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., RecorderProcess]]:
-    """Return a function that keeps recorders made of these programs, one after the other, the last one again."""
+    """Return a function that keeps recorders made of these programs, one after the other, the
+    last one again.
+    """
     monkeypatch.setattr(module, "_BACKOFF_S", (0.01,))
     kept: list[RecorderProcess] = []
 
@@ -54,7 +58,9 @@ def keep(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., RecorderProc
         def spawn(number: int, resume: str, name: str) -> subprocess.Popen[bytes]:
             program = programs[min(number, len(programs) - 1)]
             command = [sys.executable, "-c", program]
-            return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, process_group=0)
+            return subprocess.Popen(
+                command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, process_group=0
+            )
 
         process = RecorderProcess(spawn)
         kept.append(process)
@@ -66,16 +72,22 @@ def keep(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., RecorderProc
         process.close()
 
 
-def test_a_start_that_takes_long_is_waited_for(keep: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_start_that_takes_long_is_waited_for(
+    keep: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(module, "STALLED_S", 0.3)
     killed: list[dict[str, Any]] = []
-    monkeypatch.setattr(RecorderProcess, "_kill", lambda process, child: killed.append(process.status))
+    monkeypatch.setattr(
+        RecorderProcess, "_kill", lambda process, child: killed.append(process.status)
+    )
     process = keep(SLOW)
     assert process.wait_for_status()
     assert {} not in killed
 
 
-def test_a_recorder_that_is_stopped_is_replaced(keep: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_recorder_that_is_stopped_is_replaced(
+    keep: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(module, "STALLED_S", 1.0)
     process = keep(OBEYS)
     assert process.wait_for_status()
@@ -96,7 +108,9 @@ def test_who_asks_a_recorder_that_ends_is_told_so_at_once(keep: Callable[..., An
         process.ask({"do": "start", "name": "mine", "facts": {}}, timeout_s=60.0)
 
 
-def test_the_recording_of_a_server_begins_with_the_recorder_that_obeys(keep: Callable[..., Any]) -> None:
+def test_the_recording_of_a_server_begins_with_the_recorder_that_obeys(
+    keep: Callable[..., Any],
+) -> None:
     process = keep(DIES, OBEYS)
     Recorder(RecorderOptions())._record(process)
     assert process._resume == ("server-run", "server")

@@ -1,4 +1,6 @@
-"""Programs that know nothing of RoboNeuron read what was recorded: the rosbags library, and MCAP's own reader."""
+"""Programs that know nothing of RoboNeuron read what was recorded: the rosbags library, and
+MCAP's own reader.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,9 @@ from rn_runs.reading import iterate
 Read = Callable[[Path], Iterator[tuple[str, int, Any]]]
 ROWS = 6
 PADDED = "/toy/joint_states"
-"""The serializer of rclpy, which makes this test's messages, leaves bytes behind some; those on the wire have none."""
+"""The serializer of rclpy, which makes this test's messages, leaves bytes behind some; those on
+the wire have none.
+"""
 
 
 def read_with_rosbags(path: Path) -> Iterator[tuple[str, int, Any]]:
@@ -41,7 +45,9 @@ def read_with_mcap(path: Path) -> Iterator[tuple[str, int, Any]]:
 
 @pytest.mark.parametrize("read", [read_with_rosbags, read_with_mcap])
 @pytest.mark.parametrize("copied", [False, True], ids=["recording", "copy"])
-def test_another_reader_finds_every_message_as_it_was_sent(tmp_path: Path, read: Read, copied: bool) -> None:
+def test_another_reader_finds_every_message_as_it_was_sent(
+    tmp_path: Path, read: Read, copied: bool
+) -> None:
     """Incidents, exports and repaired files are copies."""
     run = record_run(store_in(tmp_path), "monday", [("lift the cup", "success")], rows=ROWS)
     path = run.files[0]
@@ -49,7 +55,10 @@ def test_another_reader_finds_every_message_as_it_was_sent(tmp_path: Path, read:
         path = tmp_path / "copy.mcap"
         copy_records(list(run.files), path, read_about(run.files[0]))
     found = list(read(path))
-    ours = [(entry.record.topic, entry.record.log_ns) for entry in iterate(run.files, lambda topic: topic != PADDED)]
+    ours = [
+        (entry.record.topic, entry.record.log_ns)
+        for entry in iterate(run.files, lambda topic: topic != PADDED)
+    ]
     assert sorted((topic, at_ns) for topic, at_ns, _ in found) == sorted(ours)
     actions = [np.array(message.data) for topic, _, message in found if topic == "/toy/action"]
     np.testing.assert_array_equal(actions, [action(number) for number in range(ROWS)])

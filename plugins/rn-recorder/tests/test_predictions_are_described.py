@@ -38,7 +38,9 @@ def test_the_inference_module_is_given_the_words() -> None:
 
 def test_a_record_names_the_frames_and_keeps_every_bit_of_the_rows() -> None:
     seen, rows = observation(3, "pick", 0), np.full((2, 7), 1 / 3)
-    told = json.loads(prediction_record(seen, "sequential", True, ActionChunk(actions=rows, step_s=0.1)))
+    told = json.loads(
+        prediction_record(seen, "sequential", True, ActionChunk(actions=rows, step_s=0.1))
+    )
     assert (told["instruction"], told["resets"], told["mode"]) == ("pick", True, "sequential")
     assert told["frames"]["primary"] == {"camera": "front", "stamp_ns": seen.stamp_ns}
     assert told["rows"] == rows.tolist()
@@ -46,7 +48,9 @@ def test_a_record_names_the_frames_and_keeps_every_bit_of_the_rows() -> None:
 
 
 def test_a_failure_is_told_in_place_of_rows() -> None:
-    told = json.loads(prediction_record(observation(0, "pick", 0), "overlap", False, ValueError("too dark")))
+    told = json.loads(
+        prediction_record(observation(0, "pick", 0), "overlap", False, ValueError("too dark"))
+    )
     assert told["error"] == "too dark"
     assert "rows" not in told
 
@@ -70,4 +74,7 @@ def test_a_recorder_that_finds_the_topic_late_gets_the_predictions_since_the_res
 def test_predictions_that_nobody_hears_of_are_not_kept_for_long() -> None:
     alone = [(number, number in (0, 30), False) for number in range(25)]
     assert numbers(PredictionRecords(), *alone, (25, False, True))[-1] == [25]
-    assert numbers(PredictionRecords(), *alone, (30, True, False), (31, False, True))[-1] == [30, 31]
+    assert numbers(PredictionRecords(), *alone, (30, True, False), (31, False, True))[-1] == [
+        30,
+        31,
+    ]

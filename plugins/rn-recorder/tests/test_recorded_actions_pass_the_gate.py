@@ -1,4 +1,6 @@
-"""Recorded actions in a simulation: what was recorded is done again, and what no client might send is refused."""
+"""Recorded actions in a simulation: what was recorded is done again, and what no client might
+send is refused.
+"""
 
 from __future__ import annotations
 
@@ -40,10 +42,18 @@ def record(path: Path, *steps_m: float) -> Path:
         pose = PoseStamped()
         pose.pose.position.y = y_m
         data = bytes(serialize_message(pose))
-        file.write(Record("/gantry/ee_pose", "geometry_msgs/msg/PoseStamped", at_ns, at_ns, number + 1, data))
+        file.write(
+            Record(
+                "/gantry/ee_pose", "geometry_msgs/msg/PoseStamped", at_ns, at_ns, number + 1, data
+            )
+        )
         message = action_message(np.array([0.0, step_m, 0.0, 0.0, 0.0, 0.0, 1.0]))
         data = bytes(serialize_message(message))
-        file.write(Record("/gantry/action", "std_msgs/msg/Float64MultiArray", at_ns, at_ns, number + 1, data))
+        file.write(
+            Record(
+                "/gantry/action", "std_msgs/msg/Float64MultiArray", at_ns, at_ns, number + 1, data
+            )
+        )
         y_m += step_m
     file.finish()
     return path
@@ -52,7 +62,10 @@ def record(path: Path, *steps_m: float) -> Path:
 @pytest.mark.ros
 @pytest.mark.timeout(240)
 def test_recorded_actions_move_the_simulation(
-    config_path: Path, server_environment: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    config_path: Path,
+    server_environment: dict[str, str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     for name, value in server_environment.items():
         monkeypatch.setenv(name, value)
@@ -61,7 +74,9 @@ def test_recorded_actions_move_the_simulation(
     assert played.path_m == pytest.approx(STEP_M * (STEPS - 1))
     assert played.end_m is not None
     assert played.end_m < played.path_m  # it moved there; how far depends on the machine's load
-    lines = [json.loads(line) for line in (tmp_path / "state" / AUDIT_FILE).read_text().splitlines()]
+    lines = [
+        json.loads(line) for line in (tmp_path / "state" / AUDIT_FILE).read_text().splitlines()
+    ]
     found = [line["verdict"] for line in lines if line["tool"] == "play_recording"]
     assert found == ["would_allow", "allowed"]
     assert os.environ["ROBONEURON_RECORDER"] == "on"
@@ -74,7 +89,9 @@ def application(tmp_path: Path) -> Iterator[Application]:
     application = Application(
         parse_config('[robot]\nname = "gantry"\n[control]\ncontroller = "gantry"\n'),
         plugins=PluginCatalogue(discover=lambda disabled: registry),
-        supervisor=Supervisor(tmp_path, command=lambda python: pytest.fail("nothing may be spawned")),
+        supervisor=Supervisor(
+            tmp_path, command=lambda python: pytest.fail("nothing may be spawned")
+        ),
     )
     yield application
     application.close()
@@ -118,7 +135,8 @@ def test_only_simulations_play_recordings(tmp_path: Path) -> None:
 def test_actions_keep_their_pace_unless_the_gate_takes_fewer() -> None:
     tenth_ns = 100_000_000
     assert pace([0, tenth_ns, 3 * tenth_ns], 20.0) == pytest.approx([0.0, 0.1, 0.3])
-    assert pace([0, 60 * 10**9, 61 * 10**9], 20.0) == pytest.approx([0.0, 1.0, 2.0])  # nobody waits for a pause
+    # nobody waits for a pause
+    assert pace([0, 60 * 10**9, 61 * 10**9], 20.0) == pytest.approx([0.0, 1.0, 2.0])
     fast = pace([number * 10_000_000 for number in range(100)], 20.0)
     assert all(later - now >= 1.0 for now, later in zip(fast, fast[20:], strict=False))
 

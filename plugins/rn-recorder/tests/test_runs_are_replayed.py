@@ -1,4 +1,6 @@
-"""Replay: a deterministic backend repeats itself to the last bit, another one is told apart at its first difference."""
+"""Replay: a deterministic backend repeats itself to the last bit, another one is told apart at
+its first difference.
+"""
 
 from __future__ import annotations
 
@@ -63,7 +65,11 @@ class Recomputing:
 
 def replayed(run: Run, backend: Recomputing) -> list[Compared]:
     profile = gantry_profile()
-    cameras = {role: camera for role, name in CAMERAS.items() if (camera := profile.camera(name)) is not None}
+    cameras = {
+        role: camera
+        for role, name in CAMERAS.items()
+        if (camera := profile.camera(name)) is not None
+    }
     return list(replay(Observations(run.files, cameras, frozenset(), profile), backend))
 
 
@@ -103,7 +109,11 @@ def test_predictions_from_images_before_the_run_are_left_out(tmp_path: Path) -> 
 def test_a_camera_that_the_backend_did_without_is_left_out(tmp_path: Path) -> None:
     """Before the first image of an optional camera a policy acts without it."""
     profile, optional = gantry_profile(), frozenset({"wrist"})
-    cameras = {role: camera for role, name in CAMERAS.items() if (camera := profile.camera(name)) is not None}
+    cameras = {
+        role: camera
+        for role, name in CAMERAS.items()
+        if (camera := profile.camera(name)) is not None
+    }
     run = record_run(store_in(tmp_path), "demo", INSTRUCTIONS)
     for roles in (optional, frozenset()):
         observations = Observations(run.files, cameras, roles, profile)
@@ -113,7 +123,9 @@ def test_a_camera_that_the_backend_did_without_is_left_out(tmp_path: Path) -> No
         assert seen[1] == set(CAMERAS) - roles  # a backend that needs it gets the one before
 
 
-def without(run: Run, path: Path, *, predictions: tuple[int, ...] = (), images: tuple[int, ...] = ()) -> Run:
+def without(
+    run: Run, path: Path, *, predictions: tuple[int, ...] = (), images: tuple[int, ...] = ()
+) -> Run:
     """The run as recorded where these were lost, by their numbers; images of the camera "front"."""
     file = RunFile(path, {})
     counts = {"predictions": 0, "front/image": 0}
@@ -144,11 +156,17 @@ class Counting:
 
 
 def test_what_the_run_lacks_is_told(tmp_path: Path) -> None:
-    """One lost image and one lost prediction: the others are compared, and the answer says what is missing."""
+    """One lost image and one lost prediction: the others are compared, and the answer says what
+    is missing.
+    """
     run = record_run(store_in(tmp_path), "demo", INSTRUCTIONS)
     gappy = without(run, tmp_path / "gaps.mcap", predictions=(9,), images=(4,))
     profile = gantry_profile()
-    cameras = {role: camera for role, name in CAMERAS.items() if (camera := profile.camera(name)) is not None}
+    cameras = {
+        role: camera
+        for role, name in CAMERAS.items()
+        if (camera := profile.camera(name)) is not None
+    }
     observations = Observations(gappy.files, cameras, frozenset(), profile)
     found = list(replay(observations, Counting()))  # type: ignore[arg-type]
     comparison = compare(found, EXACT, observations.gaps)
@@ -157,9 +175,16 @@ def test_what_the_run_lacks_is_told(tmp_path: Path) -> None:
     assert (comparison.diverging, comparison.first) == (10, 4)
     text = describe(comparison, found)
     assert "The run lacks 1 predictions" in text
-    assert "and an image of 1 predictions (they were not compared), first 0.40 s after the beginning" in text
+    assert (
+        "and an image of 1 predictions (they were not compared), first 0.40 s after the beginning"
+        in text
+    )
     assert "What differs comes after that: a backend that remembers" in text
-    assert comparison.to_dict()["predictions_lost"] == comparison.to_dict()["predictions_without_image"] == 1
+    assert (
+        comparison.to_dict()["predictions_lost"]
+        == comparison.to_dict()["predictions_without_image"]
+        == 1
+    )
 
 
 def test_a_run_without_gaps_tells_of_none(tmp_path: Path) -> None:
@@ -168,16 +193,26 @@ def test_a_run_without_gaps_tells_of_none(tmp_path: Path) -> None:
 
 
 def test_a_run_without_its_images_is_refused(tmp_path: Path) -> None:
-    run = without(record_run(store_in(tmp_path), "demo", INSTRUCTIONS), tmp_path / "a.mcap", images=tuple(range(1, 99)))
+    run = without(
+        record_run(store_in(tmp_path), "demo", INSTRUCTIONS),
+        tmp_path / "a.mcap",
+        images=tuple(range(1, 99)),
+    )
     profile = gantry_profile()
-    cameras = {role: camera for role, name in CAMERAS.items() if (camera := profile.camera(name)) is not None}
+    cameras = {
+        role: camera
+        for role, name in CAMERAS.items()
+        if (camera := profile.camera(name)) is not None
+    }
     observations = Observations(run.files, cameras, frozenset(), profile)
     assert observations.gaps.without_image == 15
     assert len(list(observations)) == 1
 
 
 def test_the_first_divergence_is_named_and_plotted(tmp_path: Path) -> None:
-    found = replayed(record_run(store_in(tmp_path), "demo", INSTRUCTIONS), Recomputing(wrong_from=5))
+    found = replayed(
+        record_run(store_in(tmp_path), "demo", INSTRUCTIONS), Recomputing(wrong_from=5)
+    )
     comparison = compare(found, EXACT)
     assert (comparison.diverging, comparison.first) == (11, 5)
     np.testing.assert_allclose(comparison.largest[2], 0.004, atol=1e-12)

@@ -1,4 +1,6 @@
-"""Exported data sets: rows equal the recording bit for bit, episodes are cut by instruction and outcome."""
+"""Exported data sets: rows equal the recording bit for bit, episodes are cut by instruction and
+outcome.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,8 @@ ROOT = Path(__file__).parents[3]
 LEROBOT = ROOT / ".venv-lerobot" / "bin" / "python"
 DEMOS = ROOT / "out" / "demos"
 needs_lerobot = pytest.mark.skipif(
-    not (ROOT / ".venv-lerobot" / ".ready").exists(), reason="lerobot's environment is not there: make .venv-lerobot"
+    not (ROOT / ".venv-lerobot" / ".ready").exists(),
+    reason="lerobot's environment is not there: make .venv-lerobot",
 )
 TWO = [("pick up the cup", "success"), ("put it down", "failure")]
 
@@ -43,19 +46,28 @@ def test_rows_equal_the_recording(tmp_path: Path) -> None:
     written = export([run], tmp_path / "set", outcome=None, fps=None, codec="h264")
     assert (written.episodes, written.frames, written.fps) == (2, 16, 10)
     table = pq.read_table(tmp_path / "set/data/chunk-000/file-000.parquet").to_pydict()
-    np.testing.assert_array_equal(table["roboneuron.action"], [action(number) for number in range(16)])
-    np.testing.assert_array_equal(table["action"], [action(number).astype(np.float32) for number in range(16)])
+    np.testing.assert_array_equal(
+        table["roboneuron.action"], [action(number) for number in range(16)]
+    )
+    np.testing.assert_array_equal(
+        table["action"], [action(number).astype(np.float32) for number in range(16)]
+    )
     assert np.diff(table["roboneuron.image_ns"]).tolist() == [100_000_000] * 15
-    assert (np.array(table["roboneuron.sent_ns"]) - np.array(table["roboneuron.image_ns"]) == 30_000_000).all()
+    assert (
+        np.array(table["roboneuron.sent_ns"]) - np.array(table["roboneuron.image_ns"]) == 30_000_000
+    ).all()
     assert table["episode_index"] == [0] * 8 + [1] * 8
     assert table["frame_index"] == [*range(8), *range(8)]
     np.testing.assert_allclose(table["timestamp"][:8], np.arange(8) / 10, atol=1e-6)  # float32
     for camera in ("front", "hand"):
-        video = frames_of(tmp_path / f"set/videos/observation.images.{camera}/chunk-000/file-000.mp4")
+        video = frames_of(
+            tmp_path / f"set/videos/observation.images.{camera}/chunk-000/file-000.mp4"
+        )
         assert len(video) == 16
         for number, image in enumerate(video):
             error = np.abs(image.astype(int) - picture(camera, number)).mean()
-            assert error < 4, (camera, number)  # H.264 at crf 23; a neighbour differs by more than 12
+            # H.264 at crf 23; a neighbour differs by more than 12
+            assert error < 4, (camera, number)
 
 
 def test_units_frames_and_origin_are_told(tmp_path: Path) -> None:
@@ -63,7 +75,15 @@ def test_units_frames_and_origin_are_told(tmp_path: Path) -> None:
     export([run], tmp_path / "set", outcome=None, fps=None, codec="h264")
     info = json.loads((tmp_path / "set/meta/info.json").read_text())
     assert info["codebase_version"] == "v3.0"
-    assert info["features"]["action"]["names"] == ["dx_m", "dy_m", "dz_m", "rx_rad", "ry_rad", "rz_rad", "gripper_open"]
+    assert info["features"]["action"]["names"] == [
+        "dx_m",
+        "dy_m",
+        "dz_m",
+        "rx_rad",
+        "ry_rad",
+        "rz_rad",
+        "gripper_open",
+    ]
     assert info["features"]["observation.state"]["names"] == ["shoulder", "elbow", "finger"]
     origin = json.loads((tmp_path / "set/meta/roboneuron.json").read_text())
     assert origin["contract"] == {"action": "m, rad"}
@@ -75,7 +95,10 @@ def test_units_frames_and_origin_are_told(tmp_path: Path) -> None:
 
 def test_episodes_are_selected_by_outcome(tmp_path: Path) -> None:
     store = store_in(tmp_path)
-    runs = [record_run(store, "one", TWO), record_run(store, "two", [("pick up the cup", "success")])]
+    runs = [
+        record_run(store, "one", TWO),
+        record_run(store, "two", [("pick up the cup", "success")]),
+    ]
     written = export(runs, tmp_path / "set", outcome="success", fps=None, codec="h264")
     assert written.episodes == 2
     tasks = pq.read_table(tmp_path / "set/meta/tasks.parquet").to_pydict()
@@ -119,7 +142,9 @@ def test_a_lost_image_leaves_out_its_episode_only(tmp_path: Path) -> None:
     assert (written.episodes, written.frames) == (3, 24)
     (left,) = written.skipped
     assert (left.run, left.instruction) == ("lossy", "put it down")
-    assert "1 of its 8 images of camera 'front' are lost or damaged, the first at 0.30 s" in left.why
+    assert (
+        "1 of its 8 images of camera 'front' are lost or damaged, the first at 0.30 s" in left.why
+    )
     table = pq.read_table(tmp_path / "set/data/chunk-000/file-000.parquet").to_pydict()
     assert table["episode_index"] == [0] * 8 + [1] * 8 + [2] * 8
     video = frames_of(tmp_path / "set/videos/observation.images.front/chunk-000/file-000.mp4")
@@ -134,13 +159,19 @@ def test_a_lost_image_leaves_out_its_episode_only(tmp_path: Path) -> None:
         (lambda record: None if record.topic.endswith("/image") else record, "holds no images"),
         (lambda record: None if "hand" in record.topic else record, "other cameras"),
         (
-            lambda record: replace(record, data=record.data[:200]) if record.topic.endswith("/image") else record,
+            lambda record: (
+                replace(record, data=record.data[:200])
+                if record.topic.endswith("/image")
+                else record
+            ),
             "images of camera 'front' are lost or damaged",
         ),
     ],
     ids=["no actions", "no images", "another camera", "damaged images"],
 )
-def test_a_run_that_lacks_something_leaves_the_others_whole(tmp_path: Path, change, why: str) -> None:
+def test_a_run_that_lacks_something_leaves_the_others_whole(
+    tmp_path: Path, change, why: str
+) -> None:
     store = store_in(tmp_path)
     whole = record_run(store, "whole", TWO)
     bad = rewritten(record_run(store, "other", TWO[:1]), "bad", change)
@@ -150,7 +181,9 @@ def test_a_run_that_lacks_something_leaves_the_others_whole(tmp_path: Path, chan
     assert why in written.skipped[0].why
 
 
-def test_an_export_that_fails_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_export_that_fails_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     store = store_in(tmp_path)
     lossy = rewritten(record_run(store, "other", TWO[:1]), "lossy", losing_image(2))
     target = tmp_path / "out" / "set"
@@ -169,7 +202,9 @@ def test_an_export_that_fails_leaves_nothing(tmp_path: Path, monkeypatch: pytest
     assert list(target.parent.iterdir()) == []
 
 
-def test_the_command_names_what_it_leaves_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_names_what_it_leaves_out(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     store = store_in(tmp_path)
     run = record_run(store, "whole", TWO)
     rewritten(run, "lossy", losing_image(2))
@@ -204,7 +239,9 @@ def opened_by_lerobot(dataset: Path, expected: Path) -> str:
     """What the check in lerobot's environment says of a data set; it must not fail."""
     checker = Path(__file__).with_name("lerobot_check.py")
     command = [str(LEROBOT), str(checker), str(dataset), str(expected)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=1500, check=False, env={"PATH": "/usr/bin"})
+    done = subprocess.run(
+        command, capture_output=True, text=True, timeout=1500, check=False, env={"PATH": "/usr/bin"}
+    )
     assert done.returncode == 0, done.stderr[-3000:]
     return done.stdout
 
@@ -213,18 +250,25 @@ def opened_by_lerobot(dataset: Path, expected: Path) -> str:
 @needs_lerobot
 def test_lerobot_opens_it_and_finds_what_was_recorded(tmp_path: Path) -> None:
     store = store_in(tmp_path)
-    runs = [record_run(store, name, [(text, "success")]) for name, text in (("one", "pick it up"), ("two", "put it"))]
+    runs = [
+        record_run(store, name, [(text, "success")])
+        for name, text in (("one", "pick it up"), ("two", "put it"))
+    ]
     export(runs, tmp_path / "set", outcome=None, fps=None, codec="av1")
     (tmp_path / "expected").mkdir()
     for number, run in enumerate(runs):
         np.savez(tmp_path / "expected" / f"{number}.npz", **expected_episode(run.files[0]))
-    assert "2 episodes, 16 frames equal" in opened_by_lerobot(tmp_path / "set", tmp_path / "expected")
+    assert "2 episodes, 16 frames equal" in opened_by_lerobot(
+        tmp_path / "set", tmp_path / "expected"
+    )
 
 
 @pytest.mark.slow
 @needs_lerobot
 @pytest.mark.timeout(1800)
-@pytest.mark.skipif(not (DEMOS / "lerobot").exists(), reason="no demonstrations are there: make record-demos N=50")
+@pytest.mark.skipif(
+    not (DEMOS / "lerobot").exists(), reason="no demonstrations are there: make record-demos N=50"
+)
 def test_recorded_demonstrations_equal_their_files(tmp_path: Path) -> None:
     runs = [run for run in Store(DEMOS / "runs").runs() if run.facts["outcome"] == "success"]
     for number, run in enumerate(runs):

@@ -1,6 +1,8 @@
-"""A served arm goes on acting while its recorder meets a full disk, a read-only directory, or is stopped and killed.
+"""A served arm goes on acting while its recorder meets a full disk, a read-only directory, or is
+stopped and killed.
 
-The directory of runs is a small disk of its own, in the server's mount namespace; it is read through /proc.
+The directory of runs is a small disk of its own, in the server's mount namespace; it is read
+through /proc.
 """
 
 from __future__ import annotations
@@ -58,7 +60,9 @@ class Served:
         """Control acts on further actions, and no process was replaced."""
         before = await self.modules()
         with anyio.fail_after(MOST_S):
-            while (now := await self.modules())["control"]["published"] < before["control"]["published"] + 20:
+            while (now := await self.modules())["control"]["published"] < before["control"][
+                "published"
+            ] + 20:
                 await anyio.sleep(0.1)
         assert {kind: facts["pid"] for kind, facts in now.items()} == self.pids
         assert not any(facts["health"] in ("failing", "exited") for facts in now.values())
@@ -75,12 +79,22 @@ class Served:
 
     def inside(self, *command: str) -> None:
         """Run a program where the server is."""
-        words = ["nsenter", "--target", str(self.pid), "--user", "--mount", "--preserve-credentials", *command]
+        words = [
+            "nsenter",
+            "--target",
+            str(self.pid),
+            "--user",
+            "--mount",
+            "--preserve-credentials",
+            *command,
+        ]
         subprocess.run(words, check=True, timeout=30)
 
 
 @pytest.fixture
-def run_served(config_path: Path, server_environment: dict[str, str], tmp_path: Path) -> Callable[..., list[Any]]:
+def run_served(
+    config_path: Path, server_environment: dict[str, str], tmp_path: Path
+) -> Callable[..., list[Any]]:
     """Return a function that plays a scenario with a server, and gives the runs that were left."""
     disk, copy = tmp_path / "disk", tmp_path / "copy"
     disk.mkdir()
@@ -89,11 +103,18 @@ def run_served(config_path: Path, server_environment: dict[str, str], tmp_path: 
 
     def play(options: str, scenario: Callable[[Served], Awaitable[None]]) -> list[Any]:
         mount = f"mount -t tmpfs -o size={SIZE_MB}m,{options} none {disk}"
-        if subprocess.run(["unshare", "-rm", "sh", "-c", mount], capture_output=True, check=False).returncode:
+        if subprocess.run(
+            ["unshare", "-rm", "sh", "-c", mount], capture_output=True, check=False
+        ).returncode:
             pytest.skip("this machine lets nobody mount a small disk in a namespace")
-        serve = f'{mount} && exec {sys.executable} -m roboneuron.cli.main serve --config "$0" --log-level warning'
+        serve = (
+            f'{mount} && exec {sys.executable} -m roboneuron.cli.main serve --config "$0" '
+            "--log-level warning"
+        )
         server = StdioServerParameters(
-            command="unshare", args=["-rm", "sh", "-c", serve, str(config_path)], env=server_environment
+            command="unshare",
+            args=["-rm", "sh", "-c", serve, str(config_path)],
+            env=server_environment,
         )
 
         async def session() -> None:
@@ -108,7 +129,9 @@ def run_served(config_path: Path, server_environment: dict[str, str], tmp_path: 
         runs = store.runs()
         assert runs
         for run in runs:
-            assert all(is_finished(path) and any(True for _ in read_records(path)) for path in run.files)
+            assert all(
+                is_finished(path) and any(True for _ in read_records(path)) for path in run.files
+            )
         return runs
 
     return play
@@ -162,7 +185,8 @@ def test_a_recorder_that_is_stopped_and_killed(run_served: Callable[..., list[An
         assert recorder is not None
         os.kill(recorder, signal.SIGSTOP)
         await served.check_acts()
-        await served.until(lambda now: now["restarts"] > 0 and now["recording"] == run)  # after 10 s
+        # after 10 s
+        await served.until(lambda now: now["restarts"] > 0 and now["recording"] == run)
         await served.check_acts()
         recorder = recorder_pid(served.pid)
         assert recorder is not None

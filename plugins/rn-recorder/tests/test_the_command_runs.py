@@ -71,7 +71,11 @@ def test_a_run_is_shown_with_its_topics_and_events(runs: Call) -> None:
     told = runs("show", "monday", "--json")
     assert told["about"]["robot"] == "toy"
     actions = told["topics"]["/toy/action"]
-    assert (actions["type"], actions["messages"], actions["lost"]) == ("std_msgs/msg/Float64MultiArray", 16, 0)
+    assert (actions["type"], actions["messages"], actions["lost"]) == (
+        "std_msgs/msg/Float64MultiArray",
+        16,
+        0,
+    )
     assert [event["outcome"] for event in told["events"]] == ["success", "failure"]
     assert "/toy/camera/front/image" in runs("show", "latest")
 
@@ -80,19 +84,34 @@ def test_runs_are_exported_as_one_file(runs: Call, store: Store, tmp_path: Path)
     target = tmp_path / "a folder that is not there" / "both.mcap"
     runs("export", "monday", "tuesday", "--mcap", str(target))
     assert is_finished(target)
-    wanted = [record for name in ("monday", "tuesday") for record in read_records(store.get(name).files[0])]
+    wanted = [
+        record
+        for name in ("monday", "tuesday")
+        for record in read_records(store.get(name).files[0])
+    ]
     assert list(read_records(target)) == wanted
     with pytest.raises(ConfigurationError, match="exists"):
         runs("export", "monday", "--mcap", str(target))
 
 
 def test_all_runs_become_a_data_set_by_outcome(runs: Call, tmp_path: Path) -> None:
-    told = runs("export", "all", "--lerobot", str(tmp_path / "set"), "--outcome", "success", "--codec", "h264")
+    told = runs(
+        "export",
+        "all",
+        "--lerobot",
+        str(tmp_path / "set"),
+        "--outcome",
+        "success",
+        "--codec",
+        "h264",
+    )
     assert "2 episodes, 16 frames at 10 Hz" in told
     assert (tmp_path / "set/meta/info.json").exists()
 
 
-def test_a_run_is_deleted_only_with_consent(runs: Call, store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_run_is_deleted_only_with_consent(
+    runs: Call, store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("sys.stdin", io.StringIO())
     with pytest.raises(InvalidInputError, match="Nobody can be asked"):
         runs("delete", "monday")

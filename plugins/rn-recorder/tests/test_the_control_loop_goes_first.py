@@ -1,4 +1,6 @@
-"""The recorder's process stays behind the control loop: by its priority, and by when it takes and encodes messages."""
+"""The recorder's process stays behind the control loop: by its priority, and by when it takes
+and encodes messages.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,9 @@ thread.join()
 
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems have no SCHED_BATCH")
 def test_its_threads_run_behind_those_of_others() -> None:
-    output = subprocess.run([sys.executable, "-c", SHOW_POLICY], capture_output=True, text=True, check=True, timeout=60)
+    output = subprocess.run(
+        [sys.executable, "-c", SHOW_POLICY], capture_output=True, text=True, check=True, timeout=60
+    )
     before, main, later = output.stdout.splitlines()
     assert main == later == f"{os.SCHED_BATCH} {min(19, int(before) + 10)}"
 
@@ -49,10 +53,16 @@ class Handle:
         if not self.waiting:
             return None
         data, came_ns = self.waiting.pop(0)
-        return data, {"received_timestamp": came_ns, "source_timestamp": came_ns - 5, "publication_sequence_number": 0}
+        return data, {
+            "received_timestamp": came_ns,
+            "source_timestamp": came_ns - 5,
+            "publication_sequence_number": 0,
+        }
 
 
-def tap_of(monkeypatch: pytest.MonkeyPatch, now_ns: list[int], **handles: Handle) -> tuple[Tap, list[Record]]:
+def tap_of(
+    monkeypatch: pytest.MonkeyPatch, now_ns: list[int], **handles: Handle
+) -> tuple[Tap, list[Record]]:
     taken: list[Record] = []
     tap = Tap(SimpleNamespace(), ["*"], [], taken.append)  # type: ignore[arg-type]
     for name, handle in handles.items():
@@ -63,9 +73,14 @@ def tap_of(monkeypatch: pytest.MonkeyPatch, now_ns: list[int], **handles: Handle
     return tap, taken
 
 
-def test_messages_of_a_turn_are_recorded_in_the_order_in_which_they_came(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_messages_of_a_turn_are_recorded_in_the_order_in_which_they_came(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     now_ns = [100]
-    joints, image = Handle((b"first", 10), (b"third", 30)), Handle((b"second", 20), (b"while it takes", 101))
+    joints, image = (
+        Handle((b"first", 10), (b"third", 30)),
+        Handle((b"second", 20), (b"while it takes", 101)),
+    )
     tap, taken = tap_of(monkeypatch, now_ns, joints=joints, image=image)
     tap._turn()
     assert [record.data for record in taken] == [b"first", b"second", b"third"]
@@ -77,7 +92,9 @@ def test_messages_of_a_turn_are_recorded_in_the_order_in_which_they_came(monkeyp
     assert [record.data for record in taken[3:]] == [b"before that", b"while it takes"]
 
 
-def test_a_clock_that_is_set_back_holds_no_message_for_longer_than_a_turn(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_clock_that_is_set_back_holds_no_message_for_longer_than_a_turn(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     tap, taken = tap_of(monkeypatch, [100], joints=Handle((b"late", 10**9)))
     tap._turn()
     assert not taken

@@ -35,7 +35,12 @@ def test_a_node_that_is_never_destroyed_does_not_keep_the_recorder(tmp_path: Pat
         images="jpeg",
         jpeg_quality=80,
         rules=RulesSettings(
-            ring_s=30.0, after_s=0.5, part_bytes=10**8, part_s=600.0, quota_bytes=10**9, min_free_bytes=0
+            ring_s=30.0,
+            after_s=0.5,
+            part_bytes=10**8,
+            part_s=600.0,
+            quota_bytes=10**9,
+            min_free_bytes=0,
         ),
         about={},
     )

@@ -1,4 +1,6 @@
-"""The recorder's process without ROS: what the server tells it and what the audit holds comes into the files."""
+"""The recorder's process without ROS: what the server tells it and what the audit holds comes
+into the files.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,9 @@ from roboneuron import Frame
 from roboneuron.ros.messages import to_image
 
 BEGIN_NS = 1_700_000_000_000_000_000
-RULES = RulesSettings(ring_s=30, after_s=0, part_bytes=60_000, part_s=600, quota_bytes=10**9, min_free_bytes=0)
+RULES = RulesSettings(
+    ring_s=30, after_s=0, part_bytes=60_000, part_s=600, quota_bytes=10**9, min_free_bytes=0
+)
 
 
 def picture(number: int) -> np.ndarray:
@@ -32,7 +36,14 @@ def picture(number: int) -> np.ndarray:
 def image_record(number: int) -> Record:
     at_ns = BEGIN_NS + number * 10**8
     frame = Frame(camera="front", image=picture(number), stamp_ns=at_ns, frame_id="front")
-    return Record("/toy/camera/front/image", IMAGE, at_ns, at_ns, number, bytes(serialize_message(to_image(frame))))
+    return Record(
+        "/toy/camera/front/image",
+        IMAGE,
+        at_ns,
+        at_ns,
+        number,
+        bytes(serialize_message(to_image(frame))),
+    )
 
 
 @pytest.fixture
@@ -41,9 +52,16 @@ def record(tmp_path: Path) -> Callable[..., RecorderProcess]:
 
     def make(images: Any) -> RecorderProcess:
         settings = RecorderSettings(
-            namespace="toy", state_directory=tmp_path, directory=tmp_path / "runs", topics=("*",), exclude=(),
-            images=images, jpeg_quality=90, rules=RULES, about={"robot": "toy"},
-        )  # fmt: skip
+            namespace="toy",
+            state_directory=tmp_path,
+            directory=tmp_path / "runs",
+            topics=("*",),
+            exclude=(),
+            images=images,
+            jpeg_quality=90,
+            rules=RULES,
+            about={"robot": "toy"},
+        )
         process = RecorderProcess(settings)
         process.recording.store.make()
         process._orders.append({"do": "start", "number": 1, "name": "demo", "facts": {}})
@@ -59,25 +77,49 @@ def finished(process: RecorderProcess) -> list[Run]:
     return process.recording.store.runs()
 
 
-def test_calls_changes_and_verdicts_are_in_the_file(record: Callable[..., RecorderProcess], tmp_path: Path) -> None:
+def test_calls_changes_and_verdicts_are_in_the_file(
+    record: Callable[..., RecorderProcess], tmp_path: Path
+) -> None:
     process = record("lossless")
     told = [
         ("call", {"tool": "switch_inference", "arguments": {"backend": "other"}, "error": ""}),
         ("change", {"module": "inference", "names": {"backend": "other"}}),
-        ("call", {"tool": "set_instruction", "arguments": {"instruction": "wave"}, "error": "refused"}),
+        (
+            "call",
+            {"tool": "set_instruction", "arguments": {"instruction": "wave"}, "error": "refused"},
+        ),
     ]
     for number, (what, facts) in enumerate(told):
         process._orders.append(
-            {"do": "event", "what": what, "at_ns": BEGIN_NS + number, "facts": facts, "incident": ""}
+            {
+                "do": "event",
+                "what": what,
+                "at_ns": BEGIN_NS + number,
+                "facts": facts,
+                "incident": "",
+            }
         )
-    lines = [{"verdict": "refused", "tool": "publish_cmd_vel", "rule": "bounds"}, {"verdict": "latched", "who": "ann"}]
-    (tmp_path / AUDIT_FILE).write_text("".join(json.dumps({"time_ns": BEGIN_NS, **line}) + "\n" for line in lines))
+    lines = [
+        {"verdict": "refused", "tool": "publish_cmd_vel", "rule": "bounds"},
+        {"verdict": "latched", "who": "ann"},
+    ]
+    (tmp_path / AUDIT_FILE).write_text(
+        "".join(json.dumps({"time_ns": BEGIN_NS, **line}) + "\n" for line in lines)
+    )
     runs = {run.kind: run for run in finished(process)}
-    events = [json.loads(found.message.data) for found in iterate(runs["recording"].files, lambda t: "events" in t)]
+    events = [
+        json.loads(found.message.data)
+        for found in iterate(runs["recording"].files, lambda t: "events" in t)
+    ]
     assert [(event["what"], event.get("tool", "")) for event in events] == [
-        ("call", "switch_inference"), ("change", ""), ("call", "set_instruction"),
-    ]  # fmt: skip
-    audit = [json.loads(found.message.data) for found in iterate(runs["recording"].files, lambda t: "audit" in t)]
+        ("call", "switch_inference"),
+        ("change", ""),
+        ("call", "set_instruction"),
+    ]
+    audit = [
+        json.loads(found.message.data)
+        for found in iterate(runs["recording"].files, lambda t: "audit" in t)
+    ]
     assert [line["verdict"] for line in audit] == ["refused", "latched"]
     facts = json.loads(read_attachments(runs["incident"].files[0])["incident.json"])
     assert facts[0]["what"] == "emergency_stop"
@@ -85,7 +127,9 @@ def test_calls_changes_and_verdicts_are_in_the_file(record: Callable[..., Record
 
 
 @pytest.mark.parametrize(("images", "worst"), [("jpeg", 4.0), ("lossless", 0.0)])
-def test_images_are_kept_as_chosen(record: Callable[..., RecorderProcess], images: str, worst: float) -> None:
+def test_images_are_kept_as_chosen(
+    record: Callable[..., RecorderProcess], images: str, worst: float
+) -> None:
     process = record(images)
     for number in range(1, 31):
         process.put(image_record(number))
@@ -105,7 +149,11 @@ def test_a_part_ends_when_it_is_large(record: Callable[..., RecorderProcess]) ->
     assert active is not None
     for number in range(1, 61):
         data = random.bytes(5000)
-        process.put(Record("/toy/t", "std_msgs/msg/String", BEGIN_NS + number, BEGIN_NS + number, number, data))
+        process.put(
+            Record(
+                "/toy/t", "std_msgs/msg/String", BEGIN_NS + number, BEGIN_NS + number, number, data
+            )
+        )
         process._turn()
         if active.sink.file is not None:
             active.sink.file.flush()  # which is due twice a second

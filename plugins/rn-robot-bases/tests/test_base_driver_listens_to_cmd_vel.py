@@ -17,7 +17,13 @@ from pydantic import ValidationError
 from rn_robot_bases.driver import SimulatedBase
 from rn_robot_bases.options import SimulatedBaseOptions
 from rn_robot_bases.platform import PLATFORMS
-from rn_robot_bases.profile import CMD_VEL, ODOMETRY, diffdrive_profile, husky_profile, racecar_profile
+from rn_robot_bases.profile import (
+    CMD_VEL,
+    ODOMETRY,
+    diffdrive_profile,
+    husky_profile,
+    racecar_profile,
+)
 from rn_testing.fakes import MemoryTopics, gantry_profile
 from roboneuron.contract import JointCommand, RobotProfile
 from roboneuron.errors import ConfigurationError, InvalidInputError, StateError
@@ -34,7 +40,11 @@ def wait_for(condition: Callable[[], bool], limit_s: float = 20.0) -> None:
 
 def twist(linear: float = 0.0, angular: float = 0.0, *, sideways: float = 0.0) -> Twist:
     message = Twist()
-    message.linear.x, message.linear.y, message.angular.z = float(linear), float(sideways), float(angular)
+    message.linear.x, message.linear.y, message.angular.z = (
+        float(linear),
+        float(sideways),
+        float(angular),
+    )
     return message
 
 
@@ -137,7 +147,9 @@ def test_simulated_time_keeps_up_with_the_wall_clock(car: SimulatedBase) -> None
 
 
 @pytest.mark.parametrize("profile", PROFILES)
-def test_driver_can_be_closed_twice_and_opened_again(profile: Callable[[], RobotProfile], topics: MemoryTopics) -> None:
+def test_driver_can_be_closed_twice_and_opened_again(
+    profile: Callable[[], RobotProfile], topics: MemoryTopics
+) -> None:
     driver = SimulatedBase(None, profile(), topics)
     driver.close()
     threads = set(threading.enumerate())
@@ -156,7 +168,9 @@ def test_driver_can_be_closed_twice_and_opened_again(profile: Callable[[], Robot
 
 def test_two_bases_move_independently() -> None:
     worlds = [MemoryTopics(), MemoryTopics()]
-    bases = [SimulatedBase(None, profile(), t) for profile, t in zip(PROFILES, worlds, strict=False)]
+    bases = [
+        SimulatedBase(None, profile(), t) for profile, t in zip(PROFILES, worlds, strict=False)
+    ]
     for base in bases:
         base.open()
 
@@ -175,7 +189,9 @@ def test_profile_of_another_robot_is_refused(topics: MemoryTopics) -> None:
         SimulatedBase(None, gantry_profile(), topics).open()
 
 
-@pytest.mark.parametrize("options", [{"command_timeout_s": 0}, {"odometry_rate_hz": 1e4}, {"comand_timeout_s": 1}])
+@pytest.mark.parametrize(
+    "options", [{"command_timeout_s": 0}, {"odometry_rate_hz": 1e4}, {"comand_timeout_s": 1}]
+)
 def test_senseless_options_of_a_base_are_refused(options: dict[str, object]) -> None:
     with pytest.raises(ValidationError):
         SimulatedBaseOptions.model_validate(options)

@@ -25,4 +25,6 @@ def test_every_platform_is_offered() -> None:
 
 
 def test_every_driver_needs_one_of_the_engines() -> None:
-    assert {driver.requires for spec in SPECS.values() for driver in spec.drivers} == {(REQUIREMENT,)}
+    assert {driver.requires for spec in SPECS.values() for driver in spec.drivers} == {
+        (REQUIREMENT,)
+    }

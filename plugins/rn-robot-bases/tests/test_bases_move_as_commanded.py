@@ -23,7 +23,9 @@ def moved(states: Sequence[BaseState]) -> tuple[float, float]:
     forwards = turned = 0.0
     for before, after in pairwise(states):
         start, end = before.true_pose, after.true_pose
-        forwards += math.cos(end.yaw_rad) * (end.x_m - start.x_m) + math.sin(end.yaw_rad) * (end.y_m - start.y_m)
+        forwards += math.cos(end.yaw_rad) * (end.x_m - start.x_m) + math.sin(end.yaw_rad) * (
+            end.y_m - start.y_m
+        )
         turned += math.remainder(end.yaw_rad - start.yaw_rad, 2.0 * math.pi)
     duration_s = states[-1].time_s - states[0].time_s
     return forwards / duration_s, turned / duration_s
@@ -31,11 +33,13 @@ def moved(states: Sequence[BaseState]) -> tuple[float, float]:
 
 def error_m(state: BaseState) -> float:
     """Distance between where the base is and where its odometry says it is [m]."""
-    return math.hypot(state.odometry.x_m - state.true_pose.x_m, state.odometry.y_m - state.true_pose.y_m)
+    return math.hypot(
+        state.odometry.x_m - state.true_pose.x_m, state.odometry.y_m - state.true_pose.y_m
+    )
 
 
-# Tolerances: diffdrive and racecar roll without slip. The husky skids: its turning rate wanders with the heading by up
-# to 18 %, of which a few per cent remain in the mean of 2.5 s.
+# Tolerances: diffdrive and racecar roll without slip. The husky skids: its turning rate wanders
+# with the heading by up to 18 %, of which a few per cent remain in the mean of 2.5 s.
 TRACKING = [
     (DIFFDRIVE, 0.3, 0.0, 0.005, 0.005),
     (DIFFDRIVE, 0.0, 0.8, 0.005, 0.005),
@@ -54,9 +58,16 @@ TRACKING = [
 SLACK = {"pybullet": 1.0, "mujoco": 2.0}
 
 
-@pytest.mark.parametrize(("platform", "linear", "angular", "linear_error", "angular_error"), TRACKING)
+@pytest.mark.parametrize(
+    ("platform", "linear", "angular", "linear_error", "angular_error"), TRACKING
+)
 def test_base_moves_at_the_commanded_velocity(
-    engine: Engine, platform: Platform, linear: float, angular: float, linear_error: float, angular_error: float
+    engine: Engine,
+    platform: Platform,
+    linear: float,
+    angular: float,
+    linear_error: float,
+    angular_error: float,
 ) -> None:
     with Simulation(platform, engine=engine) as base:
         base.run(linear, angular, 1.5)
@@ -120,7 +131,9 @@ def test_hold_brakes_within_the_braking_distance(engine: Engine, platform: Platf
 
 
 @EVERY_PLATFORM
-def test_setpoint_never_changes_faster_than_the_acceleration(engine: Engine, platform: Platform) -> None:
+def test_setpoint_never_changes_faster_than_the_acceleration(
+    engine: Engine, platform: Platform
+) -> None:
     limits, change = platform.limits, platform.geometry.acceleration_m_s2 * STEP_S
     with Simulation(platform, engine=engine) as base:
         previous = 0.0
@@ -147,10 +160,17 @@ def test_car_never_steers_beyond_its_turning_radius_on_the_way(engine: Engine) -
     [(DIFFDRIVE, 0.005), (HUSKY, 0.05), (RACECAR, 0.005)],
     ids=["diffdrive", "husky", "racecar"],
 )
-def test_odometry_agrees_with_the_true_pose_over_a_path(engine: Engine, platform: Platform, share: float) -> None:
+def test_odometry_agrees_with_the_true_pose_over_a_path(
+    engine: Engine, platform: Platform, share: float
+) -> None:
     with Simulation(platform, engine=engine) as base:
         length_m = 0.0
-        for linear, angular, duration_s in ((0.4, 0.0, 3.0), (0.4, 0.4, 4.0), (0.5, -0.5, 5.0), (0.3, 0.0, 2.0)):
+        for linear, angular, duration_s in (
+            (0.4, 0.0, 3.0),
+            (0.4, 0.4, 4.0),
+            (0.5, -0.5, 5.0),
+            (0.3, 0.0, 2.0),
+        ):
             state = base.run(linear, angular, duration_s)
             length_m += linear * duration_s
     assert error_m(state) < share * SLACK[engine] * length_m
@@ -161,12 +181,14 @@ def test_odometry_agrees_with_the_true_pose_over_a_path(engine: Engine, platform
 def test_husky_odometry_knows_about_which_point_it_turns(engine: Engine) -> None:
     with Simulation(HUSKY, engine=engine) as base:
         base.run(0.0, 0.8, 1.0)
-        # Half a turn, about a point 0.157 m behind: the base ends 0.31 m from where it began, and both must say so.
+        # Half a turn, about a point 0.157 m behind: the base ends 0.31 m from where it began, and
+        # both must say so.
         start = base.state()
         end = base.run(0.0, 0.8, math.pi / 0.8)
     true = (end.true_pose.x_m - start.true_pose.x_m, end.true_pose.y_m - start.true_pose.y_m)
     told = (end.odometry.x_m - start.odometry.x_m, end.odometry.y_m - start.odometry.y_m)
-    # The point wanders with the heading, as the turning rate does; with the wrong sign they were 0.7 m apart.
+    # The point wanders with the heading, as the turning rate does; with the wrong sign they were
+    # 0.7 m apart.
     assert math.hypot(*true) == pytest.approx(0.31, abs=0.1)
     assert math.dist(true, told) < 0.1
 

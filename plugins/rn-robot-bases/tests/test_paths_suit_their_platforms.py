@@ -65,4 +65,6 @@ def test_track_is_drawn_with_its_robots(engine: Engine) -> None:
 def test_picture_of_no_track_is_refused(engine: Engine) -> None:
     with pytest.raises(InvalidInputError, match="without poses"):
         draw_track(DIFFDRIVE, [], engine=engine)
-    assert draw_track(DIFFDRIVE, [PlanarPose()], copies=1, width=64, height=48, engine=engine).shape == (48, 64, 3)
+    assert draw_track(
+        DIFFDRIVE, [PlanarPose()], copies=1, width=64, height=48, engine=engine
+    ).shape == (48, 64, 3)

@@ -48,10 +48,18 @@ class Graph:
 
         config = {"robot": {"name": robot, "namespace": namespace}}
         state = str(self.folder / namespace)
-        settings = {"kind": "robot", "node_name": "robot", "config": config, "state_directory": state}
+        settings = {
+            "kind": "robot",
+            "node_name": "robot",
+            "config": config,
+            "state_directory": state,
+        }
         with (self.folder / f"{namespace}.log").open("wb") as log:
             process = subprocess.Popen(
-                [sys.executable, "-m", "roboneuron.modules"], stdin=subprocess.PIPE, stdout=log, stderr=log
+                [sys.executable, "-m", "roboneuron.modules"],
+                stdin=subprocess.PIPE,
+                stdout=log,
+                stderr=log,
             )
         self.processes.append(process)
         assert process.stdin is not None
@@ -68,7 +76,9 @@ class Graph:
 
     def newest(self, message_type: Any, topic: str, qos: Any = 1) -> Callable[[], Any]:
         received: list[Any] = [None]
-        self.node.create_subscription(message_type, topic, lambda message: received.__setitem__(0, message), qos)
+        self.node.create_subscription(
+            message_type, topic, lambda message: received.__setitem__(0, message), qos
+        )
         return lambda: received[0]
 
     def close(self) -> None:
@@ -102,11 +112,19 @@ def test_each_base_follows_its_own_namespace_and_its_own_emergency_stop(graph: G
     graph.start("racecar", "right")
     odometry = {name: graph.newest(Odometry, f"/{name}/odom") for name in ("left", "right")}
     wheels = graph.newest(JointState, "/right/joint_states")
-    drive = {name: graph.node.create_publisher(Twist, f"/{name}/cmd_vel", 1) for name in ("left", "right")}
+    drive = {
+        name: graph.node.create_publisher(Twist, f"/{name}/cmd_vel", 1)
+        for name in ("left", "right")
+    }
     stop = graph.node.create_publisher(
-        Bool, "/right/emergency_stop", QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        Bool,
+        "/right/emergency_stop",
+        QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL),
     )
-    graph.wait_for(lambda: wheels() is not None and all(get() is not None for get in odometry.values()), "odometry")
+    graph.wait_for(
+        lambda: wheels() is not None and all(get() is not None for get in odometry.values()),
+        "odometry",
+    )
     assert "left_steering_hinge_joint" in wheels().name
     forwards = Twist()
     forwards.linear.x = 0.4
@@ -120,6 +138,8 @@ def test_each_base_follows_its_own_namespace_and_its_own_emergency_stop(graph: G
     stop.publish(Bool(data=True))
     graph.wait_for(lambda: abs(odometry["right"]().twist.twist.linear.x) < 0.01, "the car to stop")
     stopped_m = odometry["right"]().pose.pose.position.x
-    graph.wait_for(lambda: has_driven("left", 0.3) & has_driven("right", -1.0), "the other base to drive 0.3 m")
+    graph.wait_for(
+        lambda: has_driven("left", 0.3) & has_driven("right", -1.0), "the other base to drive 0.3 m"
+    )
     assert abs(odometry["right"]().pose.pose.position.x - stopped_m) < 0.01
     assert odometry["left"]().child_frame_id == "base_link"

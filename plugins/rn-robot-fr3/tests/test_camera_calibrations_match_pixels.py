@@ -28,7 +28,9 @@ def is_coloured(image: NDArray[np.uint8], colour: str) -> NDArray[np.bool_]:
     return rules[colour]
 
 
-def project(points_m: NDArray[np.float64], calibration: CameraCalibration, T_base_mount: NDArray[np.float64]):
+def project(
+    points_m: NDArray[np.float64], calibration: CameraCalibration, T_base_mount: NDArray[np.float64]
+):
     """Points (n, 3) in the base frame -> pixels (n, 2) u, v."""
     T_camera_base = np.linalg.inv(T_base_mount @ calibration.T_mount_camera)
     in_camera = points_m @ T_camera_base[:3, :3].T + T_camera_base[:3, 3]
@@ -38,12 +40,16 @@ def project(points_m: NDArray[np.float64], calibration: CameraCalibration, T_bas
 
 def corners_m(cube: CubeState) -> NDArray[np.float64]:
     signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-    return signs * cube.edge_m / 2 @ matrix_from_quaternion(cube.quaternion_xyzw).T + cube.position_m
+    return (
+        signs * cube.edge_m / 2 @ matrix_from_quaternion(cube.quaternion_xyzw).T + cube.position_m
+    )
 
 
 @pytest.mark.parametrize(("width", "height"), SIZES)
 @pytest.mark.parametrize("seed", [0, 3])
-def test_projected_cube_corners_bound_the_coloured_pixels(engine: Engine, seed: int, width: int, height: int) -> None:
+def test_projected_cube_corners_bound_the_coloured_pixels(
+    engine: Engine, seed: int, width: int, height: int
+) -> None:
     seen = 0
     with Simulation(seed, engine=engine) as simulation:
         for camera in cameras():
@@ -56,8 +62,8 @@ def test_projected_cube_corners_bound_the_coloured_pixels(engine: Engine, seed: 
                     continue
                 v, u = np.nonzero(is_coloured(image, name))
                 found = [u.min(), v.min(), u.max() + 1, v.max() + 1]
-                # A pixel is drawn when its centre is covered, so an edge is off by half a pixel at most, a sharp
-                # corner by a little more.
+                # A pixel is drawn when its centre is covered, so an edge is off by half a pixel at
+                # most, a sharp corner by a little more.
                 np.testing.assert_allclose(found, [*corners.min(0), *corners.max(0)], atol=1.2)
                 seen += 1
     assert seen >= 5
@@ -73,7 +79,8 @@ def test_front_camera_sees_each_cube_centre_within_half_a_pixel_of_its_blob(engi
                 centre = project(cube.position_m[None], front.calibration(640, 480), np.eye(4))[0]
                 v, u = np.nonzero(is_coloured(image, name))
                 errors.append(np.hypot(u.mean() + 0.5 - centre[0], v.mean() + 0.5 - centre[1]))
-    # Perspective shifts the centroid of a small cube's outline by less than this; a wrong pixel centre shows as 0.7.
+    # Perspective shifts the centroid of a small cube's outline by less than this; a wrong pixel
+    # centre shows as 0.7.
     assert max(errors) < 0.5
 
 

@@ -1,4 +1,6 @@
-"""PyBullet and MuJoCo simulate the same robot, show the same scene, and are chosen by what is installed."""
+"""PyBullet and MuJoCo simulate the same robot, show the same scene, and are chosen by what is
+installed.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +46,9 @@ def test_engines_follow_a_command_alike() -> None:
     tracks: list[NDArray[np.float64]] = []
     for engine in ENGINES:
         with Simulation(0, colours=("red",), engine=engine) as simulation:
-            simulation.set_target([*ARM_JOINTS, FINGER_JOINT], [0.4, -0.5, 0.3, -2.0, 0.2, 1.8, 0.4, 0.01], 0.8)
+            simulation.set_target(
+                [*ARM_JOINTS, FINGER_JOINT], [0.4, -0.5, 0.3, -2.0, 0.2, 1.8, 0.4, 0.01], 0.8
+            )
             track = []
             for _ in range(30):
                 simulation.step(8)
@@ -78,7 +82,8 @@ def installed(monkeypatch: pytest.MonkeyPatch, *names: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("names", "chosen"), [(("pybullet", "mujoco"), "pybullet"), (("mujoco",), "mujoco"), (("pybullet",), "pybullet")]
+    ("names", "chosen"),
+    [(("pybullet", "mujoco"), "pybullet"), (("mujoco",), "mujoco"), (("pybullet",), "pybullet")],
 )
 def test_engine_that_is_installed_is_chosen(
     monkeypatch: pytest.MonkeyPatch, names: tuple[str, ...], chosen: Engine
@@ -89,16 +94,22 @@ def test_engine_that_is_installed_is_chosen(
 
 
 def test_simulation_and_cameras_need_one_of_the_engines() -> None:
-    simulated = next(driver for driver in roboneuron_robots()[0].drivers if driver.name == "simulated")
+    simulated = next(
+        driver for driver in roboneuron_robots()[0].drivers if driver.name == "simulated"
+    )
     assert simulated.requires == roboneuron_perceptions()[0].requires == (REQUIREMENT,)
 
 
-def test_without_an_engine_the_refusal_names_both_and_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_an_engine_the_refusal_names_both_and_the_remedy(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     installed(monkeypatch)
     reason = "Needs 'pybullet' or 'mujoco', not installed; run: pip install mujoco"
     with pytest.raises(ConfigurationError, match=reason):
         choose_engine("auto")
     assert explain(missing([REQUIREMENT])) == reason
     installed(monkeypatch, "pybullet")
-    with pytest.raises(ConfigurationError, match=r"Needs 'mujoco', not installed.*'auto': pybullet is installed"):
+    with pytest.raises(
+        ConfigurationError, match=r"Needs 'mujoco', not installed.*'auto': pybullet is installed"
+    ):
         SimulatedDriver(SimulatedDriverOptions(engine="mujoco"), profile(), MemoryTopics())

@@ -1,4 +1,6 @@
-"""The control box of the tests refuses, drops and judges as the published rules say; without franka-sim."""
+"""The control box of the tests refuses, drops and judges as the published rules say; without
+franka-sim.
+"""
 
 from __future__ import annotations
 
@@ -17,12 +19,16 @@ THRESHOLDS = struct.pack("<52d", *[20.0] * 28, *[30.0] * 24)
 HOME = list(HOME_RAD)
 
 
-def refused(service: int, payload: bytes = b"", mode: int = wire.IDLE, is_latched: bool = False) -> int:
+def refused(
+    service: int, payload: bytes = b"", mode: int = wire.IDLE, is_latched: bool = False
+) -> int:
     answer = services.refusal(service, payload, mode, is_latched)
     return answer[0] if answer else 0
 
 
-@pytest.mark.parametrize("mode", [wire.OTHER, wire.MOVE, wire.GUIDING, wire.REFLEX, wire.USER_STOPPED])
+@pytest.mark.parametrize(
+    "mode", [wire.OTHER, wire.MOVE, wire.GUIDING, wire.REFLEX, wire.USER_STOPPED]
+)
 def test_settings_and_motions_are_refused_unless_the_arm_is_idle(mode: int) -> None:
     assert refused(Service.SET_COLLISION_BEHAVIOR, THRESHOLDS, mode) == wire.NOT_POSSIBLE
     assert refused(Service.MOVE, bytes(56), mode) == wire.MOVE_NOT_POSSIBLE
@@ -31,7 +37,10 @@ def test_settings_and_motions_are_refused_unless_the_arm_is_idle(mode: int) -> N
 
 
 def test_a_latched_box_takes_settings_only_after_a_recovery() -> None:
-    assert refused(Service.SET_LOAD, struct.pack("<13d", *[0.0] * 13), is_latched=True) == wire.NOT_POSSIBLE
+    assert (
+        refused(Service.SET_LOAD, struct.pack("<13d", *[0.0] * 13), is_latched=True)
+        == wire.NOT_POSSIBLE
+    )
     assert refused(Service.AUTOMATIC_ERROR_RECOVERY, is_latched=True) == 0
     assert refused(Service.AUTOMATIC_ERROR_RECOVERY, mode=wire.REFLEX) == 0
     assert refused(Service.AUTOMATIC_ERROR_RECOVERY, mode=wire.USER_STOPPED) == wire.NOT_POSSIBLE
@@ -53,7 +62,9 @@ def test_settings_without_sense_are_refused(service: int, values: list[float]) -
 
 
 def judged(*steps: float) -> Judge:
-    """A first joint at these places [rad] from home, by cycle; None is a cycle without a command."""
+    """A first joint at these places [rad] from home, by cycle; None is a cycle without a
+    command.
+    """
     judge = Judge()
     judge.begin(list(HOME))
     for step in steps:
@@ -62,7 +73,8 @@ def judged(*steps: float) -> Judge:
 
 
 def test_a_command_beyond_jerk_or_acceleration_is_counted_and_named() -> None:
-    assert judged(4.9e-6, 14.7e-6).report()["violations"] == 0  # 4.9 rad/s2 within a millisecond: 4900 rad/s3
+    # 4.9 rad/s2 within a millisecond: 4900 rad/s3
+    assert judged(4.9e-6, 14.7e-6).report()["violations"] == 0
     sharp = judged(5.1e-6)
     assert "jerk of joint 1 is 1.020" in sharp.beyond[0]
     hard = judged(4.9e-6, 14.7e-6, 36.0e-6).report()

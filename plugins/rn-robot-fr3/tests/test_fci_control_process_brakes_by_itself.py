@@ -1,4 +1,6 @@
-"""The process that answers the arm: it brakes without its parent, and moves nothing after an error until a recovery."""
+"""The process that answers the arm: it brakes without its parent, and moves nothing after an
+error until a recovery.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +46,10 @@ class Robot:
         at_s = self.at_ms / 1000.0
         arm = self.arm
         return SimpleNamespace(
-            **{name: [0.0] * size for name, size in (("q", 7), ("dq", 7), ("tau_J", 7), ("O_T_EE", 16))},
+            **{
+                name: [0.0] * size
+                for name, size in (("q", 7), ("dq", 7), ("tau_J", 7), ("O_T_EE", 16))
+            },
             tau_ext_hat_filtered=[0.0] * 7,
             O_F_ext_hat_K=[0.0] * 6,
             q_d=arm.position,
@@ -126,7 +131,8 @@ class Parent:
 
 @pytest.fixture
 def parent(monkeypatch: pytest.MonkeyPatch) -> Iterator[Parent]:
-    monkeypatch.setattr(control_process, "_ANSWER_S", 5.0)  # threads of a test are slow beside each other
+    # threads of a test are slow beside each other
+    monkeypatch.setattr(control_process, "_ANSWER_S", 5.0)
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     robot = Robot()
     client = SimpleNamespace(
@@ -142,7 +148,12 @@ def parent(monkeypatch: pytest.MonkeyPatch) -> Iterator[Parent]:
     made = Parent(ours, robot)
     made.say(
         "connect",
-        arguments={"host": "x", "is_required": False, "stop_acceleration": [9.0] * 7, "stop_jerk": [1800.0] * 7},
+        arguments={
+            "host": "x",
+            "is_required": False,
+            "stop_acceleration": [9.0] * 7,
+            "stop_jerk": [1800.0] * 7,
+        },
     )
     made.until(lambda: any("answer" in message for message in made.heard))
     yield made
@@ -209,7 +220,9 @@ def test_a_silence_that_is_longer_than_the_arm_extrapolates_ends_the_motion(pare
 
 
 @pytest.mark.parametrize("is_granted", [True, False])
-def test_it_asks_to_be_scheduled_first_and_runs_all_the_same(monkeypatch: pytest.MonkeyPatch, is_granted: bool) -> None:
+def test_it_asks_to_be_scheduled_first_and_runs_all_the_same(
+    monkeypatch: pytest.MonkeyPatch, is_granted: bool
+) -> None:
     asked = []
 
     def set_scheduler(pid: int, policy: int, parameter: os.sched_param) -> None:
@@ -218,6 +231,8 @@ def test_it_asks_to_be_scheduled_first_and_runs_all_the_same(monkeypatch: pytest
         asked.append((policy, parameter.sched_priority))
 
     monkeypatch.setattr(os, "sched_setscheduler", set_scheduler)
-    monkeypatch.setattr(control_process.ctypes, "CDLL", lambda _: SimpleNamespace(mlockall=lambda _: 0))
+    monkeypatch.setattr(
+        control_process.ctypes, "CDLL", lambda _: SimpleNamespace(mlockall=lambda _: 0)
+    )
     assert control_process._is_first_in_line() == is_granted
     assert asked == ([(os.SCHED_FIFO, 20)] if is_granted else [])

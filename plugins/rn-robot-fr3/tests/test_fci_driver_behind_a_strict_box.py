@@ -1,4 +1,6 @@
-"""The driver `fci` behind a control box that loses packets, refuses and judges; with franka-sim, skipped without it."""
+"""The driver `fci` behind a control box that loses packets, refuses and judges; with
+franka-sim, skipped without it.
+"""
 
 from __future__ import annotations
 
@@ -21,12 +23,19 @@ from rn_testing.fakes import MemoryTopics
 from roboneuron import JointCommand, RefusedError, UnsafeError
 from roboneuron.plugins.availability import is_importable
 
-PYTHON = Path(os.environ.get("ROBONEURON_FR3SIM_PYTHON", Path(__file__).parents[3] / ".venv-fr3sim/bin/python"))
+PYTHON = Path(
+    os.environ.get(
+        "ROBONEURON_FR3SIM_PYTHON", Path(__file__).parents[3] / ".venv-fr3sim/bin/python"
+    )
+)
 pytestmark = [
     pytest.mark.slow,
-    pytest.mark.skipif(not PYTHON.exists(), reason="franka-sim is not installed: make .venv-fr3sim"),
     pytest.mark.skipif(
-        not is_importable("pylibfranka"), reason="needs pylibfranka: pip install './plugins/rn-robot-fr3[fci]'"
+        not PYTHON.exists(), reason="franka-sim is not installed: make .venv-fr3sim"
+    ),
+    pytest.mark.skipif(
+        not is_importable("pylibfranka"),
+        reason="needs pylibfranka: pip install './plugins/rn-robot-fr3[fci]'",
     ),
 ]
 HOME = np.array(HOME_RAD)
@@ -53,7 +62,9 @@ def box(sim: FrankaSim, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Co
 @pytest.fixture
 def driver(sim: FrankaSim, box: ControlBox) -> Iterator[FciDriver]:
     box.tell(fresh=1, latched=0, lenient=0, **FAULTLESS)
-    options = FciDriverOptions(host=box.host, realtime="ignored", gripper=False, watchdog_s=5.0, dynamics_factor=0.5)
+    options = FciDriverOptions(
+        host=box.host, realtime="ignored", gripper=False, watchdog_s=5.0, dynamics_factor=0.5
+    )
     made = FciDriver(options, profile(), MemoryTopics())
     made.open()
     yield made
@@ -141,7 +152,9 @@ def test_a_cable_that_delays_everything_ends_in_a_named_stop(
     assert box.tell()["beyond"] == []
 
 
-def test_settings_refused_until_a_recovery_are_made_after_it(sim: FrankaSim, box: ControlBox) -> None:
+def test_settings_refused_until_a_recovery_are_made_after_it(
+    sim: FrankaSim, box: ControlBox
+) -> None:
     box.tell(latched=1)
     options = FciDriverOptions(host=box.host, realtime="ignored", gripper=False)
     driver = FciDriver(options, profile(), MemoryTopics())
@@ -158,7 +171,10 @@ def test_settings_refused_until_a_recovery_are_made_after_it(sim: FrankaSim, box
         assert fault(driver) == ""
         assert np.abs(np.array(sim.tell()["joints"][:7]) - before).max() < 1e-3
         go(driver, HOME + 0.05)
-        until(driver, lambda: bool(np.abs(np.array(sim.tell()["joints"][:7]) - HOME - 0.05).max() < 1e-2))
+        until(
+            driver,
+            lambda: bool(np.abs(np.array(sim.tell()["joints"][:7]) - HOME - 0.05).max() < 1e-2),
+        )
     finally:
         driver.close()
 
@@ -189,12 +205,20 @@ def test_a_mode_is_told_in_its_own_words_however_often_a_recovery_is_tried(
     for _ in range(20):
         driver.read()
         time.sleep(0.01)  # what is looked for is that nothing happens
-    assert np.abs(np.array(sim.tell()["joints"][:7]) - before).max() < 1e-3, "a recovery moves nothing"
+    assert np.abs(np.array(sim.tell()["joints"][:7]) - before).max() < 1e-3, (
+        "a recovery moves nothing"
+    )
 
 
-def test_a_driver_starts_while_the_brakes_are_closed_and_recovers_afterwards(sim: FrankaSim, box: ControlBox) -> None:
+def test_a_driver_starts_while_the_brakes_are_closed_and_recovers_afterwards(
+    sim: FrankaSim, box: ControlBox
+) -> None:
     sim.tell(mode=OTHER)
-    driver = FciDriver(FciDriverOptions(host=box.host, realtime="ignored", gripper=False), profile(), MemoryTopics())
+    driver = FciDriver(
+        FciDriverOptions(host=box.host, realtime="ignored", gripper=False),
+        profile(),
+        MemoryTopics(),
+    )
     try:
         driver.open()
         assert fault(driver).startswith("brakes_locked")
@@ -206,7 +230,9 @@ def test_a_driver_starts_while_the_brakes_are_closed_and_recovers_afterwards(sim
         driver.close()
 
 
-def test_a_reflex_is_recovered_before_settings_are_made(driver: FciDriver, sim: FrankaSim, box: ControlBox) -> None:
+def test_a_reflex_is_recovered_before_settings_are_made(
+    driver: FciDriver, sim: FrankaSim, box: ControlBox
+) -> None:
     go(driver, HOME - 0.3, 2.0)
     until(driver, lambda: is_moving(sim))
     box.tell(latched=1)

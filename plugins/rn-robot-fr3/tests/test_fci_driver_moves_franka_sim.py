@@ -1,4 +1,6 @@
-"""The driver `fci` against franka-sim, over TCP and UDP on loopback; skipped without the simulator's environment."""
+"""The driver `fci` against franka-sim, over TCP and UDP on loopback; skipped without the
+simulator's environment.
+"""
 
 from __future__ import annotations
 
@@ -19,12 +21,19 @@ from rn_testing.fakes import MemoryTopics
 from roboneuron import JointCommand, NotReadyError, RefusedError, StateError, UnsafeError
 from roboneuron.plugins.availability import is_importable
 
-PYTHON = Path(os.environ.get("ROBONEURON_FR3SIM_PYTHON", Path(__file__).parents[3] / ".venv-fr3sim/bin/python"))
+PYTHON = Path(
+    os.environ.get(
+        "ROBONEURON_FR3SIM_PYTHON", Path(__file__).parents[3] / ".venv-fr3sim/bin/python"
+    )
+)
 pytestmark = [
     pytest.mark.slow,
-    pytest.mark.skipif(not PYTHON.exists(), reason="franka-sim is not installed: make .venv-fr3sim"),
     pytest.mark.skipif(
-        not is_importable("pylibfranka"), reason="needs pylibfranka: pip install './plugins/rn-robot-fr3[fci]'"
+        not PYTHON.exists(), reason="franka-sim is not installed: make .venv-fr3sim"
+    ),
+    pytest.mark.skipif(
+        not is_importable("pylibfranka"),
+        reason="needs pylibfranka: pip install './plugins/rn-robot-fr3[fci]'",
     ),
 ]
 HOME = np.array(HOME_RAD)
@@ -34,14 +43,19 @@ _PATIENCE_S = 30.0
 @pytest.fixture(scope="module")
 def sim(tmp_path_factory: pytest.TempPathFactory) -> Iterator[FrankaSim]:
     with FrankaSim(
-        PYTHON, seed=3, options=["--enforce-motion-limits"], log=tmp_path_factory.mktemp("sim") / "log"
+        PYTHON,
+        seed=3,
+        options=["--enforce-motion-limits"],
+        log=tmp_path_factory.mktemp("sim") / "log",
     ) as running:
         yield running
 
 
 @pytest.fixture
 def driver(sim: FrankaSim) -> Iterator[FciDriver]:
-    options = FciDriverOptions(host=sim.host, realtime="ignored", scene=sim.scene_address, watchdog_s=5.0)
+    options = FciDriverOptions(
+        host=sim.host, realtime="ignored", scene=sim.scene_address, watchdog_s=5.0
+    )
     made = FciDriver(options, profile(), MemoryTopics())
     made.open()
     yield made
@@ -65,7 +79,9 @@ def truth(sim: FrankaSim) -> np.ndarray:
     return np.array(sim.tell()["joints"][:7])
 
 
-def test_it_goes_where_it_is_sent_and_tells_what_it_measures(driver: FciDriver, sim: FrankaSim) -> None:
+def test_it_goes_where_it_is_sent_and_tells_what_it_measures(
+    driver: FciDriver, sim: FrankaSim
+) -> None:
     target = HOME + 0.1
     sent = driver.send(go(target))
     assert sent.position == pytest.approx(target)
@@ -73,10 +89,19 @@ def test_it_goes_where_it_is_sent_and_tells_what_it_measures(driver: FciDriver, 
     state = driver.read()
     assert state.joints.names[:7] == ARM_JOINTS
     assert state.detail["fault"] == ""
-    assert {"mode", "torque_nm", "external_wrench", "tcp_m", "control_success_rate", "cubes"} <= state.detail.keys()
+    assert {
+        "mode",
+        "torque_nm",
+        "external_wrench",
+        "tcp_m",
+        "control_success_rate",
+        "cubes",
+    } <= state.detail.keys()
 
 
-def test_a_stream_of_targets_ends_in_a_stop_and_then_the_loop_ends(driver: FciDriver, sim: FrankaSim) -> None:
+def test_a_stream_of_targets_ends_in_a_stop_and_then_the_loop_ends(
+    driver: FciDriver, sim: FrankaSim
+) -> None:
     for step in range(20):
         driver.send(go(HOME + 0.15 * np.sin(0.2 * step), 0.1))
         driver.read()
@@ -123,7 +148,9 @@ def test_the_gripper_says_that_it_holds_nothing_and_opens_again(driver: FciDrive
     assert driver.read().gripper_open == pytest.approx(1.0, abs=0.02)
 
 
-def test_the_user_stop_is_a_fault_that_stands_until_it_is_released(driver: FciDriver, sim: FrankaSim) -> None:
+def test_the_user_stop_is_a_fault_that_stands_until_it_is_released(
+    driver: FciDriver, sim: FrankaSim
+) -> None:
     driver.send(go(HOME + 0.3, 2.0))
     sim.tell(mode=5)
     until(driver, lambda: driver.read().detail["fault"].startswith("user_stop"))
@@ -149,7 +176,9 @@ def test_a_reflex_is_a_fault_that_a_person_recovers(driver: FciDriver, sim: Fran
     until(driver, lambda: driver.read().detail["fault"] != "")
     assert driver.read().detail["mode"] == "Reflex"
     driver.recover()
-    assert driver.read().detail["fault"] == "" or not until(driver, lambda: driver.read().detail["fault"] == "")
+    assert driver.read().detail["fault"] == "" or not until(
+        driver, lambda: driver.read().detail["fault"] == ""
+    )
 
 
 def test_a_module_that_asks_for_nothing_is_stopped(sim: FrankaSim) -> None:
@@ -166,7 +195,9 @@ def test_a_module_that_asks_for_nothing_is_stopped(sim: FrankaSim) -> None:
 
 
 def test_a_second_client_is_told_so(driver: FciDriver, sim: FrankaSim) -> None:
-    options = FciDriverOptions(host=sim.host, realtime="ignored", connect_timeout_s=1.0, gripper=False)
+    options = FciDriverOptions(
+        host=sim.host, realtime="ignored", connect_timeout_s=1.0, gripper=False
+    )
     second = FciDriver(options, profile(), MemoryTopics())
     with pytest.raises(NotReadyError, match="Another client"):
         second.open()

@@ -1,4 +1,6 @@
-"""Every fault of the arm has one code and says what to do; the driver refuses motion until a person recovered it."""
+"""Every fault of the arm has one code and says what to do; the driver refuses motion until a
+person recovered it.
+"""
 
 from __future__ import annotations
 
@@ -50,19 +52,35 @@ def named(kind: str, text: str) -> Exception:
 def test_exceptions_of_the_client_become_faults() -> None:
     reflex = named(
         "ControlException",
-        'libfranka: Move command aborted: motion aborted by reflex! ["joint_reflex"]\ncontrol_command_success_rate: 1',
+        "libfranka: Move command aborted: motion aborted by reflex! "
+        '["joint_reflex"]\ncontrol_command_success_rate: 1',
     )
     assert faults.from_exception(reflex).code == "reflex"
     assert "joint_reflex" in faults.from_exception(reflex).message
-    assert faults.from_exception(named("NetworkException", "UDP receive: timeout")).code == "communication_lost"
+    assert (
+        faults.from_exception(named("NetworkException", "UDP receive: timeout")).code
+        == "communication_lost"
+    )
 
 
 @pytest.mark.parametrize(
     ("kind", "text", "code"),
     [
-        ("CommandException", "Move command rejected due to activated safety function!", "safety_function"),
-        ("CommandException", "command rejected: command not possible in the current mode (Other)!", "not_possible_now"),
-        ("CommandException", "command rejected: manual error recovery required!", "manual_recovery"),
+        (
+            "CommandException",
+            "Move command rejected due to activated safety function!",
+            "safety_function",
+        ),
+        (
+            "CommandException",
+            "command rejected: command not possible in the current mode (Other)!",
+            "not_possible_now",
+        ),
+        (
+            "CommandException",
+            "command rejected: manual error recovery required!",
+            "manual_recovery",
+        ),
         ("CommunicationLost", "no state of the robot came for 25 ms", "communication_lost"),
         ("PlannerException", "planner failed", "planner_failed"),
     ],
@@ -87,7 +105,9 @@ def test_a_refused_recovery_says_why_and_leaves_the_fault_alone() -> None:
     assert len(set(told)) == 1
     assert "communication_lost" in told[0]
     assert "no route" in told[0]
-    unlock = faults.still(fault, ClientError("CommandException", "command not possible in the current mode"))
+    unlock = faults.still(
+        fault, ClientError("CommandException", "command not possible in the current mode")
+    )
     assert "joints unlocked" in str(unlock)
 
 
@@ -112,7 +132,9 @@ def test_without_an_address_it_says_what_to_set() -> None:
 
 def test_nobody_at_the_address_is_said_at_once() -> None:
     driver = FciDriver(
-        FciDriverOptions(host="127.99.0.1", realtime="ignored", gripper=False), profile(), MemoryTopics()
+        FciDriverOptions(host="127.99.0.1", realtime="ignored", gripper=False),
+        profile(),
+        MemoryTopics(),
     )
     with pytest.raises(NotReadyError, match=r"Nobody answers at 127\.99\.0\.1"):
         driver.open()

@@ -1,4 +1,6 @@
-"""What the arm counts as commanded stays within its limits, whichever packets are lost; in virtual time."""
+"""What the arm counts as commanded stays within its limits, whichever packets are lost; in
+virtual time.
+"""
 
 from __future__ import annotations
 
@@ -82,7 +84,9 @@ class Arm:
 
 
 def anywhere(dice: random.Random) -> np.ndarray:
-    return np.array([dice.uniform(low, high) for low, high in zip(LOWER_RAD, UPPER_RAD, strict=True)])
+    return np.array(
+        [dice.uniform(low, high) for low, high in zip(LOWER_RAD, UPPER_RAD, strict=True)]
+    )
 
 
 def near_home(dice: random.Random) -> np.ndarray:
@@ -104,13 +108,17 @@ def test_no_command_is_beyond_a_limit_whatever_is_lost(
         if loss and silence == 0 and dice.random() < 0.004:
             silence = dice.randint(1, LONGEST_GAP - 1)
         silence = max(0, silence - 1)
-        arm.cycle(state_is_lost=silence > 0 or dice.random() < loss, command_is_lost=dice.random() < loss)
+        arm.cycle(
+            state_is_lost=silence > 0 or dice.random() < loss, command_is_lost=dice.random() < loss
+        )
     assert arm.within_limits()
     assert arm.judge.worst["acceleration"] > 0.2, "it did move"
 
 
 @pytest.mark.parametrize("silence", [1, 2, 3, 5, 9, LONGEST_GAP - 1])
-def test_after_a_silence_at_any_time_of_a_motion_the_arm_arrives_without_a_jump(silence: int) -> None:
+def test_after_a_silence_at_any_time_of_a_motion_the_arm_arrives_without_a_jump(
+    silence: int,
+) -> None:
     target = np.array(HOME) + np.array([0.4, 0.1, -0.3, 0.2, 0.5, 0.3, -0.4])
     for begins in range(5, 700, 99):
         arm = Arm(HOME)
@@ -147,7 +155,9 @@ def test_a_stop_brakes_as_hard_as_it_may_and_does_not_come_back() -> None:
     assert arm.within_limits()
     assert speed > 0.9
     assert places == sorted(places), "it never goes back"
-    assert places[-1] - begins < speed**2 / 2 / 9.0 + speed * 0.008, "braking with 9 rad/s2, and the ramps of the jerk"
+    assert places[-1] - begins < speed**2 / 2 / 9.0 + speed * 0.008, (
+        "braking with 9 rad/s2, and the ramps of the jerk"
+    )
 
 
 def test_an_arm_that_takes_no_command_is_noticed() -> None:
@@ -155,7 +165,8 @@ def test_an_arm_that_takes_no_command_is_noticed() -> None:
     arm.follower.aim(course(HOME, np.array(HOME) + 0.3, 0.5))
     arm.cycles(100)
     assert arm.follower.unheard == 0
-    for _ in range(LONGEST_UNHEARD + 400):  # a constant acceleration is what the arm extrapolates: no difference yet
+    # a constant acceleration is what the arm extrapolates: no difference yet
+    for _ in range(LONGEST_UNHEARD + 400):
         arm.cycle(command_is_lost=True)
     assert arm.follower.unheard > LONGEST_UNHEARD
 

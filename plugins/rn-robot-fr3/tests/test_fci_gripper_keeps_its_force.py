@@ -1,4 +1,6 @@
-"""The Franka Hand closes with force on whatever blocks it, and keeps the force until it is to open."""
+"""The Franka Hand closes with force on whatever blocks it, and keeps the force until it is to
+open.
+"""
 
 from __future__ import annotations
 
@@ -29,11 +31,16 @@ class Done:
 
 
 class Hand:
-    """A Franka Hand around an object, as franky shows it: a motion that is blocked ends without force."""
+    """A Franka Hand around an object, as franky shows it: a motion that is blocked ends without
+    force.
+    """
 
     def __init__(self, *, is_grasped: bool = False) -> None:
         self.state = SimpleNamespace(
-            width=OBJECT_M if is_grasped else 0.08, max_width=0.08, is_grasped=is_grasped, object_m=OBJECT_M
+            width=OBJECT_M if is_grasped else 0.08,
+            max_width=0.08,
+            is_grasped=is_grasped,
+            object_m=OBJECT_M,
         )
         self.calls: list[tuple[str, float]] = []
 
@@ -42,7 +49,9 @@ class Hand:
         self.state.width, self.state.is_grasped = max(width_m, self.state.object_m), False
         return Done(width_m >= self.state.object_m)
 
-    def grasp_async(self, width_m: float, speed: float, force: float, inner: float, outer: float) -> Done:
+    def grasp_async(
+        self, width_m: float, speed: float, force: float, inner: float, outer: float
+    ) -> Done:
         self.calls.append(("grasp", force))
         self.state.width = self.state.object_m
         self.state.is_grasped = self.state.object_m > 0.0
@@ -86,7 +95,9 @@ def test_what_is_held_stays_held_when_the_measured_width_is_commanded(make: Make
     gripper.aim(0.0)
     gripper.aim(0.08)
     await_note(gripper, "at 80 mm")
-    assert [name for name, _ in hand.calls] == ["grasp", "move"], "one grasp, and it opens once it is told to"
+    assert [name for name, _ in hand.calls] == ["grasp", "move"], (
+        "one grasp, and it opens once it is told to"
+    )
     assert not gripper.is_holding
 
 
@@ -99,7 +110,9 @@ def test_a_motion_that_something_blocks_ends_in_a_grasp(make: Make) -> None:
     assert gripper.is_holding
 
 
-def test_what_the_hand_held_before_a_restart_is_not_dropped_by_its_measured_width(make: Make) -> None:
+def test_what_the_hand_held_before_a_restart_is_not_dropped_by_its_measured_width(
+    make: Make,
+) -> None:
     hand = Hand(is_grasped=True)
     gripper = make(hand)
     assert (gripper.is_holding, gripper.note) == (True, "grasped 40 mm")

@@ -1,4 +1,6 @@
-"""A plan, played by a braking joint in virtual time, never leaves the envelope that depends on position."""
+"""A plan, played by a braking joint in virtual time, never leaves the envelope that depends on
+position.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from rn_robot_fr3.fci.planner import ACCELERATION_LIMIT_RAD_S2, MARGIN_RAD, VELOCITY_LIMIT_RAD_S, plan
+from rn_robot_fr3.fci.planner import (
+    ACCELERATION_LIMIT_RAD_S2,
+    MARGIN_RAD,
+    VELOCITY_LIMIT_RAD_S,
+    plan,
+)
 from rn_robot_fr3.limits import LOWER_RAD, UPPER_RAD, velocity_bounds
 from rn_robot_fr3.profile import HOME_RAD
 
@@ -34,10 +41,13 @@ def test_the_fastest_motion_that_the_plan_allows_stays_inside_the_envelope(
     for share in np.linspace(0.0, 1.0, 101):
         gone = share * length
         # without limited jerk, so at least as fast anywhere as ruckig: accelerate, cruise, brake
-        fastest = np.minimum(np.sqrt(2 * acceleration * gone), np.sqrt(2 * acceleration * (length - gone)))
+        fastest = np.minimum(
+            np.sqrt(2 * acceleration * gone), np.sqrt(2 * acceleration * (length - gone))
+        )
         velocity = direction * np.minimum(speed, fastest)
         lowest, highest = velocity_bounds(start + direction * gone)
-        moving = np.abs(velocity) > 0.11  # the slowest that the plan asks for: what is below is creeping
+        # the slowest that the plan asks for: what is below is creeping
+        moving = np.abs(velocity) > 0.11
         towards = np.where(velocity > 0, highest - velocity, velocity - lowest)
         assert (towards[moving & (gone > 0.5 * length)] >= -1e-6).all()
 

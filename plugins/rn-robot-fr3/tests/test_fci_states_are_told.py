@@ -1,4 +1,6 @@
-"""What the control box measures goes out on topics and into get_status: at a bounded rate, faults at once."""
+"""What the control box measures goes out on topics and into get_status: at a bounded rate,
+faults at once.
+"""
 
 from __future__ import annotations
 
@@ -53,7 +55,10 @@ def test_every_state_is_on_a_topic(clock: Clock) -> None:
     stamp = joints.header.stamp
     assert (stamp.sec, stamp.nanosec) == (1_700_000_000, 250_000_000)
     assert joints.name[0] == "fr3_joint1"
-    assert (list(joints.position), list(joints.effort)) == (STATE.position.tolist(), STATE.torque.tolist())
+    assert (list(joints.position), list(joints.effort)) == (
+        STATE.position.tolist(),
+        STATE.torque.tolist(),
+    )
     assert list(newest(topics, "external_joint_torques").effort) == STATE.external_torque.tolist()
     wrench = newest(topics, "external_wrench_in_base_frame").wrench
     assert (wrench.force.z, wrench.torque.x) == (3.0, 0.1)

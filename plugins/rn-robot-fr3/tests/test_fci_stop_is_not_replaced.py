@@ -95,5 +95,7 @@ def test_what_ended_a_motion_is_raised_once(arm: Told) -> None:
 
 @pytest.mark.parametrize("turn", [0.0, 0.7, 3.1])
 def test_the_orientation_of_the_end_effector_is_a_unit_quaternion(turn: float) -> None:
-    rotation = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1.0]])
+    rotation = np.array(
+        [[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1.0]]
+    )
     assert quaternion(rotation) == pytest.approx([0.0, 0.0, np.sin(turn / 2), np.cos(turn / 2)])

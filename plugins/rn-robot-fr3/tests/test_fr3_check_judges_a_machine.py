@@ -1,4 +1,6 @@
-"""`roboneuron fr3 check` names what a machine or a network lacks, with limits, and fails with a status of its own."""
+"""`roboneuron fr3 check` names what a machine or a network lacks, with limits, and fails with a
+status of its own.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,15 @@ import numpy as np
 import pytest
 
 from rn_robot_fr3.fci import check
-from rn_robot_fr3.fci.check import Finding, Machine, Timing, card, check_machine, checksum, judged_round_trips
+from rn_robot_fr3.fci.check import (
+    Finding,
+    Machine,
+    Timing,
+    card,
+    check_machine,
+    checksum,
+    judged_round_trips,
+)
 from rn_robot_fr3.fci.check_command import Fr3
 
 ON_TIME = Timing(late_s=np.full(1000, 5e-5))
@@ -56,9 +66,12 @@ def test_power_saving_of_the_processor_is_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("late_ms", "verdict"), [([0.05] * 1000, "ok"), ([0.4] * 2 + [0.0] * 998, "failed"), ([0.0] * 999 + [11], "failed")]
+    ("late_ms", "verdict"),
+    [([0.05] * 1000, "ok"), ([0.4] * 2 + [0.0] * 998, "failed"), ([0.0] * 999 + [11], "failed")],
 )
-def test_cycles_that_begin_late_are_counted(tmp_path: Path, late_ms: list[float], verdict: str) -> None:
+def test_cycles_that_begin_late_are_counted(
+    tmp_path: Path, late_ms: list[float], verdict: str
+) -> None:
     timing = Timing(late_s=np.array(late_ms) / 1e3)
     cycles = found(check_machine(Machine(tmp_path), 1.0, lambda _: timing), "cycles")
     assert cycles.verdict == verdict
@@ -67,7 +80,12 @@ def test_cycles_that_begin_late_are_counted(tmp_path: Path, late_ms: list[float]
 
 @pytest.mark.parametrize(
     ("times_ms", "verdict"),
-    [([0.2] * 100, "ok"), ([0.4] * 100, "failed"), ([0.2] * 99 + [1.5], "failed"), ([0.2] * 99 + [np.inf], "failed")],
+    [
+        ([0.2] * 100, "ok"),
+        ([0.4] * 100, "failed"),
+        ([0.2] * 99 + [1.5], "failed"),
+        ([0.2] * 99 + [np.inf], "failed"),
+    ],
 )
 def test_round_trips_have_limits(times_ms: list[float], verdict: str) -> None:
     assert judged_round_trips([value / 1e3 for value in times_ms]).verdict == verdict
@@ -79,7 +97,10 @@ def test_an_unmeasured_round_trip_is_a_warning() -> None:
 
 def test_the_card_towards_the_robot_is_wired_and_awake(tmp_path: Path) -> None:
     route = "Iface Destination Gateway Flags RefCnt Use Metric Mask MTU Window IRTT\n"
-    route += "eth0 00000000 010010AC 3 0 0 0 00000000 0 0 0\nenp3s0 000010AC 00000000 1 0 0 0 0000FFFF 0 0 0"
+    route += (
+        "eth0 00000000 010010AC 3 0 0 0 00000000 0 0 0\nenp3s0 000010AC 00000000 1 0 0 0 "
+        "0000FFFF 0 0 0"
+    )
     made = machine(
         tmp_path,
         proc__net__route=route,
@@ -89,7 +110,11 @@ def test_the_card_towards_the_robot_is_wired_and_awake(tmp_path: Path) -> None:
     assert made.interface("172.16.0.2") == "enp3s0"
     assert made.interface("8.8.8.8") == "eth0"
     told = card(made, "172.16.0.2")
-    assert (told.verdict, "100 Mbit/s" in told.found, "power saving" in told.found) == ("warning", True, True)
+    assert (told.verdict, "100 Mbit/s" in told.found, "power saving" in told.found) == (
+        "warning",
+        True,
+        True,
+    )
     assert card(made, "127.0.0.1").verdict == "ok"
 
 

@@ -1,4 +1,6 @@
-"""The physics really grasps: a scripted pick with the simulator's own truth (no policy may use it)."""
+"""The physics really grasps: a scripted pick with the simulator's own truth (no policy may use
+it).
+"""
 
 from __future__ import annotations
 
@@ -55,7 +57,11 @@ def test_scripted_pick_lifts_the_cube_and_only_that(engine: Engine, seed: int, c
         lifted = simulation.cubes()
         assert lifted[colour].lifted_m > 0.2
         assert lifted[colour].held_s >= 1.0
-        assert all(other.lifted_m < 0.01 and other.held_s == 0.0 for name, other in lifted.items() if name != colour)
+        assert all(
+            other.lifted_m < 0.01 and other.held_s == 0.0
+            for name, other in lifted.items()
+            if name != colour
+        )
 
         simulation.hold()
         simulation.step(60)
@@ -79,7 +85,9 @@ def test_a_grip_that_is_commanded_again_and_again_keeps_its_force(engine: Engine
 
 
 def test_a_held_cube_is_kept_by_the_commanded_opening(engine: Engine) -> None:
-    """Actions hold an opening: 2 cm up in ten of them, as move_ee does, with the cube in the hand."""
+    """Actions hold an opening: 2 cm up in ten of them, as move_ee does, with the cube in the
+    hand.
+    """
     with Simulation(0, engine=engine) as simulation:
         cube, q = simulation.cubes()["red"], np.array(HOME_RAD)
         x, y = cube.position_m[:2]

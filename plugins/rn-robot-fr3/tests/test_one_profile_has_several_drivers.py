@@ -25,12 +25,24 @@ def test_every_driver_takes_options_profile_and_topics(driver):
     for requirement in driver.requires:
         if not any(map(is_importable, (requirement.module, *requirement.alternatives))):
             pytest.skip(f"{requirement.module} is not installed: {requirement.install}")
-    assert list(inspect.signature(load_target(driver)).parameters) == ["config", "profile", "topics"]
+    assert list(inspect.signature(load_target(driver)).parameters) == [
+        "config",
+        "profile",
+        "topics",
+    ]
     assert load_options_model(driver) is not None
     for method in ("open", "read", "send", "hold", "close"):
         assert callable(getattr(load_target(driver), method))
 
 
 def test_the_topics_that_drivers_write_are_named_in_the_profile():
-    names = ("MEASURED_JOINTS", "EXTERNAL_TORQUES", "EXTERNAL_WRENCH", "CURRENT_POSE", "ROBOT_STATE")
-    assert {state_message.TOPIC, *(getattr(state_topics, name) for name in names)} == set(profile().own_topics)
+    names = (
+        "MEASURED_JOINTS",
+        "EXTERNAL_TORQUES",
+        "EXTERNAL_WRENCH",
+        "CURRENT_POSE",
+        "ROBOT_STATE",
+    )
+    assert {state_message.TOPIC, *(getattr(state_topics, name) for name in names)} == set(
+        profile().own_topics
+    )

@@ -5,7 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rn_robot_fr3.scene import EDGE_M, REGION_X_M, REGION_Y_M, RGBA_BY_COLOUR, SPACING_M, random_cubes
+from rn_robot_fr3.scene import (
+    EDGE_M,
+    REGION_X_M,
+    REGION_Y_M,
+    RGBA_BY_COLOUR,
+    SPACING_M,
+    random_cubes,
+)
 from rn_robot_fr3.simulation import Simulation
 from rn_simulation.engine import Engine
 from roboneuron.errors import ConfigurationError
@@ -40,8 +47,15 @@ def test_cubes_stay_where_the_scene_puts_them(engine: Engine) -> None:
 
 @pytest.mark.parametrize(
     ("seed", "colours", "named"),
-    [(0, ("red", "mauve"), "mauve"), (0, ("red", "red"), "only once"), (0, (), "at least one"), (-1, ("red",), "-1")],
+    [
+        (0, ("red", "mauve"), "mauve"),
+        (0, ("red", "red"), "only once"),
+        (0, (), "at least one"),
+        (-1, ("red",), "-1"),
+    ],
 )
-def test_an_impossible_scene_is_refused_by_name(seed: int, colours: tuple[str, ...], named: str) -> None:
+def test_an_impossible_scene_is_refused_by_name(
+    seed: int, colours: tuple[str, ...], named: str
+) -> None:
     with pytest.raises(ConfigurationError, match=named):
         random_cubes(seed, colours)

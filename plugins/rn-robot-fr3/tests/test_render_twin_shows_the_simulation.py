@@ -1,4 +1,6 @@
-"""The cameras in their own process see what the physics sees, when it is there and as often as asked."""
+"""The cameras in their own process see what the physics sees, when it is there and as often as
+asked.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,9 @@ def state_of(simulation: Simulation, stamp_ns: int) -> SceneState:
         seed=simulation.seed,
         cubes=tuple((cube.name, cube.edge_m) for cube in cubes.values()),
         joints=simulation.joint_positions(),
-        cube_poses=np.array([np.concatenate([c.position_m, c.quaternion_xyzw]) for c in cubes.values()]),
+        cube_poses=np.array(
+            [np.concatenate([c.position_m, c.quaternion_xyzw]) for c in cubes.values()]
+        ),
         stamp_ns=stamp_ns,
     )
 
@@ -57,11 +61,15 @@ def opened(topics: MemoryTopics) -> Iterator[Open]:
         source.close()
 
 
-def test_twin_draws_the_same_pixels_as_the_physics(engine: Engine, topics: MemoryTopics, opened: Open) -> None:
+def test_twin_draws_the_same_pixels_as_the_physics(
+    engine: Engine, topics: MemoryTopics, opened: Open
+) -> None:
     source = opened(rate_hz=60)
     for seed in (0, 1):  # the second is a driver that was started again with another scene
         with Simulation(seed, engine=engine) as simulation:
-            simulation.set_target(["fr3_joint1", "fr3_joint4", FINGER_JOINT], [0.2, -2.0, 0.01], 0.3)
+            simulation.set_target(
+                ["fr3_joint1", "fr3_joint4", FINGER_JOINT], [0.2, -2.0, 0.01], 0.3
+            )
             simulation.step(120)
             topics.deliver(TOPIC, to_message(state_of(simulation, 1000 + seed)))
             for _ in cameras():
@@ -128,7 +136,9 @@ def test_size_is_an_option_and_the_calibration_follows(topics: MemoryTopics, ope
 
 
 def test_unknown_camera_is_refused_by_name(topics: MemoryTopics) -> None:
-    stranger = CameraProfile(name="left", role="primary", frame_id="left_optical", width=8, height=8)
+    stranger = CameraProfile(
+        name="left", role="primary", frame_id="left_optical", width=8, height=8
+    )
     with pytest.raises(ConfigurationError, match="left"):
         SimulatedCameras(None, topics, (stranger,)).open()
 

@@ -57,7 +57,10 @@ def test_state_starts_at_home_with_an_open_gripper(engine: Engine, driver: Simul
 
 def test_command_moves_the_named_joints_and_is_returned_as_sent(driver: SimulatedDriver) -> None:
     command = JointCommand(
-        names=("fr3_joint7", FINGER_JOINT), position=np.array([1.0, 0.01]), duration_s=0.01, residual_m=1e-5
+        names=("fr3_joint7", FINGER_JOINT),
+        position=np.array([1.0, 0.01]),
+        duration_s=0.01,
+        residual_m=1e-5,
     )
     sent = driver.send(command)
     assert sent.names == command.names
@@ -74,7 +77,9 @@ def test_simulated_time_keeps_up_with_the_wall_clock(driver: SimulatedDriver) ->
 
 
 def test_real_time_factor_speeds_up_the_simulation(topics: MemoryTopics) -> None:
-    driver = SimulatedDriver(SimulatedDriverOptions(real_time_factor=3.0, colours=("red",)), profile(), topics)
+    driver = SimulatedDriver(
+        SimulatedDriverOptions(real_time_factor=3.0, colours=("red",)), profile(), topics
+    )
     driver.open()
     started_s = time.monotonic()
     wait_for(lambda: float(driver.read().detail["sim_time_s"]) > 3.0)
@@ -99,7 +104,9 @@ def test_wrong_name_and_nan_are_refused(driver: SimulatedDriver, name: str, valu
         driver.send(JointCommand(names=(name,), position=np.array([value]), duration_s=0.1))
 
 
-def test_states_are_published_in_order_with_stamps(driver: SimulatedDriver, topics: MemoryTopics) -> None:
+def test_states_are_published_in_order_with_stamps(
+    driver: SimulatedDriver, topics: MemoryTopics
+) -> None:
     wait_for(lambda: len(topics.published(TOPIC)) > 20)
     states = [from_message(m) for m in topics.published(TOPIC) if isinstance(m, Float64MultiArray)]
     stamps = [state.stamp_ns for state in states]
@@ -141,7 +148,9 @@ def test_profile_of_another_robot_is_refused(topics: MemoryTopics) -> None:
         SimulatedDriver(None, gantry_profile(), topics).open()
 
 
-@pytest.mark.parametrize("options", [{"colours": ["mauve"]}, {"seed": -1}, {"real_time_factor": 0}, {"sead": 1}])
+@pytest.mark.parametrize(
+    "options", [{"colours": ["mauve"]}, {"seed": -1}, {"real_time_factor": 0}, {"sead": 1}]
+)
 def test_senseless_options_are_refused(options: dict[str, object]) -> None:
     with pytest.raises(ValidationError):
         SimulatedDriverOptions.model_validate(options)

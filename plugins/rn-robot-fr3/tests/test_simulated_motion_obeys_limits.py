@@ -7,7 +7,13 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from rn_robot_fr3.limits import ACCELERATION_RAD_S2, ARM_JOINTS, FINGER_JOINT, UPPER_RAD, VELOCITY_RAD_S
+from rn_robot_fr3.limits import (
+    ACCELERATION_RAD_S2,
+    ARM_JOINTS,
+    FINGER_JOINT,
+    UPPER_RAD,
+    VELOCITY_RAD_S,
+)
 from rn_robot_fr3.profile import HOME_RAD
 from rn_robot_fr3.setpoint import JointSetpoint
 from rn_robot_fr3.simulation import STEP_S, Simulation
@@ -58,8 +64,11 @@ def test_setpoint_is_smooth_when_targets_change_at_any_moment() -> None:
             setpoint.advance(STEP_S)
             assert (np.abs(setpoint.velocity) <= velocity_limit + 1e-9).all()
             assert (np.abs(setpoint.velocity - before) <= acceleration_limit * STEP_S + 1e-9).all()
-            # Targets lie within 1 rad; a reversal may overshoot one, never by more than its braking distance.
-            assert (np.abs(setpoint.position) <= 1.0 + velocity_limit**2 / (2 * acceleration_limit)).all()
+            # Targets lie within 1 rad; a reversal may overshoot one, never by more than its braking
+            # distance.
+            assert (
+                np.abs(setpoint.position) <= 1.0 + velocity_limit**2 / (2 * acceleration_limit)
+            ).all()
     for _ in range(1200):
         setpoint.advance(STEP_S)
     np.testing.assert_allclose(setpoint.position, setpoint.target, atol=1e-9)
@@ -118,6 +127,8 @@ def test_same_calls_give_the_same_motion(engine: Engine) -> None:
         with Simulation(2, engine=engine) as simulation:
             simulation.set_target(["fr3_joint1", FINGER_JOINT], [0.4, 0.0], 0.3)
             simulation.step(200)
-            return np.concatenate([simulation.joint_positions(), *(c.position_m for c in simulation.cubes().values())])
+            return np.concatenate(
+                [simulation.joint_positions(), *(c.position_m for c in simulation.cubes().values())]
+            )
 
     np.testing.assert_array_equal(run(), run())

@@ -1,4 +1,6 @@
-"""The shipped URDF against an independent evaluation of the official joint table, and against the profile."""
+"""The shipped URDF against an independent evaluation of the official joint table, and against
+the profile.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,8 @@ from numpy.typing import NDArray
 from rn_robot_fr3.limits import ARM_JOINTS, FINGER_JOINT, joint_limits, velocity_bounds
 from rn_robot_fr3.profile import HOME_RAD, profile
 
-# x, y, z [m] and roll [rad] of each joint's origin. Source: franka_description@566ba44 robots/fr3/kinematics.yaml.
+# x, y, z [m] and roll [rad] of each joint's origin. Source: franka_description@566ba44
+# robots/fr3/kinematics.yaml.
 ORIGINS = [
     (0.0, 0.0, 0.333, 0.0),
     (0.0, 0.0, 0.0, -math.pi / 2),
@@ -37,7 +40,12 @@ def tcp_from_table(q: NDArray[np.float64]) -> NDArray[np.float64]:
     pose = np.eye(4)
     for origin, angle in zip(ORIGINS, q, strict=True):
         pose = pose @ transform(*origin, float(angle))
-    return pose @ transform(0, 0, FLANGE_M, 0, 0) @ transform(0, 0, 0, 0, HAND_YAW_RAD) @ transform(0, 0, TCP_M, 0, 0)
+    return (
+        pose
+        @ transform(0, 0, FLANGE_M, 0, 0)
+        @ transform(0, 0, 0, 0, HAND_YAW_RAD)
+        @ transform(0, 0, TCP_M, 0, 0)
+    )
 
 
 def random_postures(count: int) -> NDArray[np.float64]:
@@ -71,7 +79,12 @@ def test_urdf_limits_are_those_of_the_profile() -> None:
         limit = by_name[name]
         assert limit is not None
         listed = [float(limit.get(key, "nan")) for key in ("lower", "upper", "velocity", "effort")]
-        assert listed == [limits.lower[index], limits.upper[index], limits.velocity[index], limits.effort[index]]
+        assert listed == [
+            limits.lower[index],
+            limits.upper[index],
+            limits.velocity[index],
+            limits.effort[index],
+        ]
     finger = by_name[FINGER_JOINT]
     assert finger is not None
     assert [float(finger.get("lower", "nan")), float(finger.get("upper", "nan"))] == [

@@ -66,7 +66,9 @@ class Fixture:
         return cls(
             model=policy_model(checkpoint, action_width=7, max_prompt_tokens=128),
             checkpoint=checkpoint,
-            preprocessor=Preprocessor(size=checkpoint.vision.towers[0].image, towers=checkpoint.towers),
+            preprocessor=Preprocessor(
+                size=checkpoint.vision.towers[0].image, towers=checkpoint.towers
+            ),
         )
 
     def request(self, ids: np.ndarray, image: np.ndarray) -> TokenRequest:
@@ -86,7 +88,10 @@ def print_versions(python: Path) -> None:
     """What took part."""
     names = ("sglang", "torch", "transformers", "rn-runtime-sglang", "rn-vla")
     done = subprocess.run([python, "-c", _VERSIONS % (names,)], capture_output=True, check=True)
-    ours = {name: importlib.metadata.version(name) for name in ("torch", "rn-runtime-torch", "roboneuron-core")}
+    ours = {
+        name: importlib.metadata.version(name)
+        for name in ("torch", "rn-runtime-torch", "roboneuron-core")
+    }
     print(f"server:  {json.loads(done.stdout)}")
     print(f"client:  {ours}, Python {platform.python_version()}, {os.cpu_count()} CPUs")
 
@@ -95,7 +100,10 @@ def compare(name: str, pairs: list[tuple[list[int], list[int]]]) -> bool:
     """Print and judge pairs of (expected, served) tokens."""
     same = sum(a == b for a, b in pairs)
     distinct = len({tuple(a) for a, _ in pairs})
-    print(f"{name}: {same} of {len(pairs)} replies have all 7 tokens equal; {distinct} different replies")
+    print(
+        f"{name}: {same} of {len(pairs)} replies have all 7 tokens equal; {distinct} different "
+        "replies"
+    )
     for expected, served in pairs:
         print(f"  {expected}" if expected == served else f"  {expected} EXPECTED, SERVED {served}")
     return same == len(pairs)
@@ -106,11 +114,14 @@ def check_golden(served: SglangRuntime, fixture: Fixture) -> bool:
     golden = np.load(GOLDEN / "golden.npz")
     request = fixture.request(end_prompt(golden["input_ids"][0]), golden["image_0"])
     return compare(
-        "original code, golden checkpoint", [(golden["tokens"].tolist(), served.run(request).tokens.tolist())]
+        "original code, golden checkpoint",
+        [(golden["tokens"].tolist(), served.run(request).tokens.tolist())],
     )
 
 
-def check_faults(connect: Connect, served: SglangRuntime, request: TokenRequest, other: Fixture) -> bool:
+def check_faults(
+    connect: Connect, served: SglangRuntime, request: TokenRequest, other: Fixture
+) -> bool:
     """A late answer and the wrong model, on the real server."""
     try:
         served.run(replace(request, deadline_s=time.monotonic() + 0.03))
@@ -132,7 +143,10 @@ def check_faults(connect: Connect, served: SglangRuntime, request: TokenRequest,
 
 def measure(rows: dict[str, list[dict[str, float]]]) -> None:
     """Print medians."""
-    print(f"{'':26}{'whole ms':>10}{'encode ms':>11}{'engine ms':>11}{'transport ms':>14}{'request kB':>12}")
+    print(
+        f"{'':26}{'whole ms':>10}{'encode ms':>11}{'engine ms':>11}"
+        f"{'transport ms':>14}{'request kB':>12}"
+    )
     for name, samples in rows.items():
         whole, encode, trip, engine, size = (
             statistics.median(sample.get(key, float("nan")) for sample in samples)
@@ -144,7 +158,10 @@ def measure(rows: dict[str, list[dict[str, float]]]) -> None:
                 "served.request_bytes",
             )
         )
-        print(f"{name:26}{whole:10.1f}{encode:11.2f}{engine:11.1f}{trip - engine:14.1f}{size / 1e3:12.1f}")
+        print(
+            f"{name:26}{whole:10.1f}{encode:11.2f}{engine:11.1f}"
+            f"{trip - engine:14.1f}{size / 1e3:12.1f}"
+        )
 
 
 def main() -> int:
@@ -171,17 +188,23 @@ def run(options: argparse.Namespace, directory: Path) -> bool:
     write_tokenizer(directory / "golden" / "tokenizer.json")
     tiny, golden = Fixture.read(directory / "tiny"), Fixture.read(directory / "golden")
     limits = {"timeout_s": 20.0, "start_timeout_s": 900.0}
-    managed = SglangRuntimeConfig(python=options.python.absolute(), device=options.device, dtype="float32", **limits)
+    managed = SglangRuntimeConfig(
+        python=options.python.absolute(), device=options.device, dtype="float32", **limits
+    )
     os.environ[KEY_VARIABLE] = secrets.token_hex(16)
     server = ManagedServer(managed, tiny.checkpoint.path, os.environ[KEY_VARIABLE])
     started_s = time.monotonic()
     url = server.start()
-    watching = threading.Thread(target=end_with, args=(server,), name="watching the server", daemon=True)
+    watching = threading.Thread(
+        target=end_with, args=(server,), name="watching the server", daemon=True
+    )
     watching.start()
 
     def connect(model: PolicyModel, image_format: str) -> SglangRuntime:
         made = SglangRuntime(
-            SglangRuntimeConfig(urls=(url,), key_variable=KEY_VARIABLE, image_format=image_format, **limits)
+            SglangRuntimeConfig(
+                urls=(url,), key_variable=KEY_VARIABLE, image_format=image_format, **limits
+            )
         )
         made.load(model)
         return made
@@ -206,7 +229,9 @@ def run(options: argparse.Namespace, directory: Path) -> bool:
 
 
 def end_with(server: ManagedServer) -> None:
-    """End this process when the server ends by itself: nobody else would notice until the start's time-out."""
+    """End this process when the server ends by itself: nobody else would notice until the
+    start's time-out.
+    """
     while not (failure := server.failure()):
         time.sleep(0.5)
     print(f"FAILED: {failure}", flush=True)
@@ -214,7 +239,11 @@ def end_with(server: ManagedServer) -> None:
 
 
 def check_tiny(
-    options: argparse.Namespace, tiny: Fixture, golden: Fixture, served: SglangRuntime, connect: Connect
+    options: argparse.Namespace,
+    tiny: Fixture,
+    golden: Fixture,
+    served: SglangRuntime,
+    connect: Connect,
 ) -> bool:
     """Tokens, faults and latency with the tiny checkpoint."""
     encoder = prompt_encoder(tiny.checkpoint, "v02")
@@ -227,18 +256,27 @@ def check_tiny(
     local = TorchRuntime(TorchRuntimeConfig(device=options.device, dtype="float32"))
     local.load(tiny.model)
     pairs = [(local.run(r).tokens.tolist(), served.run(r).tokens.tolist()) for r in requests]
-    good = compare("in-process runtime, tiny checkpoint", pairs) and len({tuple(a) for a, _ in pairs}) > 3
+    good = (
+        compare("in-process runtime, tiny checkpoint", pairs)
+        and len({tuple(a) for a, _ in pairs}) > 3
+    )
     good &= check_faults(connect, served, requests[0], golden)
     compressed = connect(tiny.model, "png")
     rows: dict[str, list[dict[str, float]]] = {}
     for _ in range(options.requests):
         for size in ((224, 224), (480, 640)):
             request = tiny.request(requests[0].prompt.ids, picture(generator, size))
-            for name, runtime in (("in process", local), ("served, bmp", served), ("served, png", compressed)):
+            for name, runtime in (
+                ("in process", local),
+                ("served, bmp", served),
+                ("served, png", compressed),
+            ):
                 row = rows.setdefault(f"{name}, {size[1]}x{size[0]}", [])
                 row.append(dict(runtime.run(request).metrics))
     compressed.close()
-    print(f"latency, medians of {options.requests} requests each, alternating, all images different:")
+    print(
+        f"latency, medians of {options.requests} requests each, alternating, all images different:"
+    )
     measure(rows)
     return good
 

@@ -1,9 +1,12 @@
-"""The closed loop on the simulated FR3, its model in process, then served, then killed, then in process again.
+"""The closed loop on the simulated FR3, its model in process, then served, then killed, then in
+process again.
 
     loop.py --python SGLANG_ENVIRONMENT/bin/python [--device cpu] [--checkpoint DIRECTORY]
-    loop.py --stand-in          # the same without SGLang: its stand-in answers at once, with tokens of its own
+    loop.py --stand-in          # the same without SGLang: its stand-in answers at once, with tokens
+    of its own
 
-An MCP client as any other; a ROS node beside it looks at the topics from outside. Exits with 1 when something is off.
+An MCP client as any other; a ROS node beside it looks at the topics from outside. Exits with 1 when
+something is off.
 """
 
 from __future__ import annotations
@@ -99,7 +102,9 @@ class Witness:
         now_s, positions = time.monotonic(), list(message.position[:7])
         if self._joints is not None and now_s - self._joints[0] > 0.2:
             span_s = now_s - self._joints[0]
-            self.speed = max(abs(a - b) for a, b in zip(positions, self._joints[1], strict=True)) / span_s
+            self.speed = (
+                max(abs(a - b) for a, b in zip(positions, self._joints[1], strict=True)) / span_s
+            )
             self._joints = (now_s, positions)
         elif self._joints is None:
             self._joints = (now_s, positions)
@@ -107,7 +112,8 @@ class Witness:
     def topics(self) -> dict[str, str]:
         """Public topics of the robot with publishers, and their types.
 
-        Hidden ones are left out as `ros2 topic list` leaves them out: those with a part that begins with an underscore.
+        Hidden ones are left out as `ros2 topic list` leaves them out: those with a part that begins
+            with an underscore.
         """
         return {
             name: types[0]
@@ -145,10 +151,15 @@ class Story:
         while (now := self._witness.topics()) != topics and time.monotonic() < ends_s:
             await asyncio.sleep(0.1)
         changed = dict(now.items() ^ topics.items())
-        self.expect(not changed, "all topics and types are the same" + (f", but for {changed}" if changed else ""))
+        self.expect(
+            not changed,
+            "all topics and types are the same" + (f", but for {changed}" if changed else ""),
+        )
         metrics = module_status(await self._agent.status(), "inference")["metrics"]
         hidden = [key for key in metrics if "._" in key]
-        self.expect(not hidden, "the status names no hidden topic" + (f", but {hidden}" if hidden else ""))
+        self.expect(
+            not hidden, "the status names no hidden topic" + (f", but {hidden}" if hidden else "")
+        )
 
     async def watch(self, name: str) -> dict[str, Any]:
         """Count actions for a while; returns the status of inference."""
@@ -158,7 +169,10 @@ class Story:
             await asyncio.sleep(0.2)
             fastest = max(fastest, self._witness.speed)
         count = self._witness.actions - before
-        self.expect(count > 0, f"{name}: {count} actions in {self._watch_s:.0f} s, fastest joint {fastest:.3f} rad/s")
+        self.expect(
+            count > 0,
+            f"{name}: {count} actions in {self._watch_s:.0f} s, fastest joint {fastest:.3f} rad/s",
+        )
         status = module_status(await self._agent.status(), "inference")
         numbers = {
             key.removeprefix("backend."): round(float(value), 1)
@@ -180,10 +194,15 @@ class Story:
         topics = witness.topics()
         print(f"       topics: {', '.join(topics)}")
         switched = await agent.call("switch_inference", {"runtime": "sglang"})
-        print(f"switched to the served model: took {switched['took_s']:.0f} s, gap {switched.get('gap_s')} s")
+        print(
+            f"switched to the served model: took {switched['took_s']:.0f} s, gap "
+            f"{switched.get('gap_s')} s"
+        )
         await self.expect_topics(topics)
         status = await self.watch("served")
-        self.expect(float(status["metrics"]["backend.served.servers_ready"]) == 1.0, "the server is ready")
+        self.expect(
+            float(status["metrics"]["backend.served.servers_ready"]) == 1.0, "the server is ready"
+        )
         await self.kill(status)
         switched = await agent.call("switch_inference", {"runtime": "torch"})
         print(f"switched back: took {switched['took_s']:.0f} s")
@@ -194,7 +213,11 @@ class Story:
     async def kill(self, status: dict[str, Any]) -> None:
         """End the server the hard way while the arm moves."""
         module = psutil.Process(status["pid"])
-        server = next(c for c in module.children(recursive=True) if "rn_runtime_sglang.served" in " ".join(c.cmdline()))
+        server = next(
+            c
+            for c in module.children(recursive=True)
+            if "rn_runtime_sglang.served" in " ".join(c.cmdline())
+        )
         group = server.children(recursive=True)
         server.send_signal(signal.SIGKILL)
         killed_s = time.monotonic()
@@ -209,7 +232,10 @@ class Story:
         before = self._witness.actions
         await asyncio.sleep(2.0)
         self.expect(self._witness.actions == before, "no action any more")
-        self.expect(self._witness.speed < 0.01, f"the arm holds: fastest joint {self._witness.speed:.4f} rad/s")
+        self.expect(
+            self._witness.speed < 0.01,
+            f"the arm holds: fastest joint {self._witness.speed:.4f} rad/s",
+        )
         modules = (await self._agent.status())["modules"]
         others = {m["module"]: m["ready"] for m in modules if m["module"] != "inference"}
         self.expect(all(others.values()) and len(others) == 3, f"the rest runs on: {others}")
@@ -260,9 +286,13 @@ class PatientAgent(Agent):
 
     async def call(self, tool: str, arguments: Any = None) -> dict[str, Any]:
         """As `Agent.call`."""
-        result = await self._client.call_tool(tool, dict(arguments or {}), read_timeout_seconds=650.0)
+        result = await self._client.call_tool(
+            tool, dict(arguments or {}), read_timeout_seconds=650.0
+        )
         if result.is_error:
-            raise NotReadyError(f"{tool}: {' '.join(getattr(part, 'text', '') for part in result.content)}")
+            raise NotReadyError(
+                f"{tool}: {' '.join(getattr(part, 'text', '') for part in result.content)}"
+            )
         return dict(result.structured_content or {})
 
 
@@ -274,7 +304,9 @@ def main() -> int:
     server.add_argument("--stand-in", action="store_true")
     parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu")
     parser.add_argument("--checkpoint", type=Path)
-    parser.add_argument("--watch-s", type=float, default=8.0, help="how long the arm is watched after each switch")
+    parser.add_argument(
+        "--watch-s", type=float, default=8.0, help="how long the arm is watched after each switch"
+    )
     options = parser.parse_args()
     os.environ.setdefault("ROS_DOMAIN_ID", str(free_ros_domain()))
     with tempfile.TemporaryDirectory(prefix="rn-interop-loop-") as held:

@@ -1,8 +1,10 @@
-"""Why FastV is refused: SGLang's attention after rows of a prompt were dropped, beside attention over the kept ones.
+"""Why FastV is refused: SGLang's attention after rows of a prompt were dropped, beside attention
+over the kept ones.
 
     SGLANG_ENVIRONMENT/bin/python pruning.py
 
-Calls the CPU attention of SGLang 0.5.23 itself, with rows, slots and lengths as a model would leave them.
+Calls the CPU attention of SGLang 0.5.23 itself, with rows, slots and lengths as a model would leave
+them.
 """
 
 from __future__ import annotations
@@ -31,9 +33,11 @@ def main() -> None:
     torch.manual_seed(0)
     backend = object.__new__(TorchNativeAttnBackend)
     key, value, query = (torch.randn(ROWS, HEADS, WIDTH) for _ in range(3))
-    keys, values = torch.randn(64, HEADS, WIDTH), torch.randn(64, HEADS, WIDTH)  # the pool: rows of other requests
+    # the pool: rows of other requests
+    keys, values = torch.randn(64, HEADS, WIDTH), torch.randn(64, HEADS, WIDTH)
     slots, request = torch.arange(30, 30 + ROWS), torch.tensor([0])
-    keys[slots[KEPT]], values[slots[KEPT]] = key[KEPT], value[KEPT]  # a layer behind the cut writes the kept rows
+    # a layer behind the cut writes the kept rows
+    keys[slots[KEPT]], values[slots[KEPT]] = key[KEPT], value[KEPT]
     table = torch.zeros(1, 64, dtype=torch.int64)
     table[0, :ROWS] = slots
     wanted = expected(query[KEPT], key[KEPT], value[KEPT], causal=True)
@@ -50,13 +54,18 @@ def main() -> None:
     except RuntimeError as error:
         print(f"prefill, lengths of the whole prompt: {str(error).partition('.')[0]}")
     cut = (prefill(len(KEPT), table) - wanted).abs().max()
-    print(f"prefill, lengths cut to the kept rows: off by {cut:.3f} (values reach {wanted.abs().max():.3f})")
+    print(
+        f"prefill, lengths cut to the kept rows: off by {cut:.3f} (values reach "
+        f"{wanted.abs().max():.3f})"
+    )
     own = table.clone()
     own[0, : len(KEPT)] = slots[KEPT]
     exact = (prefill(len(KEPT), own) - wanted).abs().max()
     print(f"prefill, and a slot table of its own for the layers behind the cut: off by {exact:.3f}")
     step, out = torch.randn(1, HEADS, WIDTH), torch.empty(1, HEADS, WIDTH)
-    backend._run_sdpa_forward_decode(step, out, keys, values, table, request, torch.tensor([ROWS]), causal=False)
+    backend._run_sdpa_forward_decode(
+        step, out, keys, values, table, request, torch.tensor([ROWS]), causal=False
+    )
     late = (out - expected(step, key[KEPT], value[KEPT], causal=False)).abs().max()
     print(f"the next token, with the one table a request has: off by {late:.3f}")
 

@@ -14,7 +14,12 @@ from rn_runtime_sglang.standin.replies import Behaviour
 from rn_runtime_sglang.standin.server import StandIn
 from rn_vla.decoding import PolicyModel
 
-FAST: dict[str, Any] = {"poll_s": 0.05, "start_timeout_s": 30.0, "connect_timeout_s": 5.0, "timeout_s": 30.0}
+FAST: dict[str, Any] = {
+    "poll_s": 0.05,
+    "start_timeout_s": 30.0,
+    "connect_timeout_s": 5.0,
+    "timeout_s": 30.0,
+}
 
 
 @pytest.fixture
@@ -48,7 +53,9 @@ def connect(model: PolicyModel) -> Iterator[Callable[..., SglangRuntime]]:
     made: list[SglangRuntime] = []
 
     def load(*servers: StandIn, **options: Any) -> SglangRuntime:
-        runtime = SglangRuntime(SglangRuntimeConfig(**{**FAST, "urls": tuple(s.url for s in servers), **options}))
+        runtime = SglangRuntime(
+            SglangRuntimeConfig(**{**FAST, "urls": tuple(s.url for s in servers), **options})
+        )
         made.append(runtime)
         runtime.load(model)
         return runtime

@@ -113,7 +113,9 @@ def test_a_listener_that_never_answers_is_not_ready(model):
             runtime.load(model)
 
 
-def test_a_server_killed_during_a_request_ends_it_at_once_and_its_return_is_noticed(launch, connect):
+def test_a_server_killed_during_a_request_ends_it_at_once_and_its_return_is_noticed(
+    launch, connect
+):
     server = launch()
     runtime = connect(server, timeout_s=60.0)
     server.behaviour.delay_s = 60.0
@@ -134,7 +136,9 @@ def test_a_killed_stand_in_answers_nobody(launch, connect, monkeypatch):
     error = _run_until_sent(runtime, server)
     hang_up = type(server._http).hang_up
     # On a busy machine the waiting handler goes on before the connections are closed.
-    monkeypatch.setattr(type(server._http), "hang_up", lambda http: (time.sleep(0.3), hang_up(http)))
+    monkeypatch.setattr(
+        type(server._http), "hang_up", lambda http: (time.sleep(0.3), hang_up(http))
+    )
     server.stop()
     assert isinstance(error(), NotReadyError)
 
@@ -163,7 +167,9 @@ def test_close_ends_a_request_at_once(launch, connect):
 
 
 def _run_until_sent(runtime, server):
-    """Start a request on a thread and wait until it has reached the server; returns a function that gives its error."""
+    """Start a request on a thread and wait until it has reached the server; returns a function
+    that gives its error.
+    """
     errors: list[BaseException] = []
     before = len(server.seen.generated)
 

@@ -23,7 +23,10 @@ def test_openvla_runs_with_it(registry):
 
 @pytest.mark.parametrize("preset", ["fastv-p25", "fastv-p50", "fastv-p75", "fastv"])
 def test_dropping_visual_tokens_is_refused_with_the_reason(registry, preset):
-    with pytest.raises(PlanningError, match=r"'visual-token-pruning', but runtime 'sglang' runs the model in another"):
+    with pytest.raises(
+        PlanningError,
+        match=r"'visual-token-pruning', but runtime 'sglang' runs the model in another",
+    ):
         plan(registry, "openvla", runtime="sglang", acceleration=preset)
 
 

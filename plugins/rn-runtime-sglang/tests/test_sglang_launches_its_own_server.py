@@ -23,11 +23,25 @@ from rn_runtime_sglang.runtime import SglangRuntime
 from rn_runtime_sglang.standin.site import write_site
 from roboneuron.errors import ConfigurationError, MissingDependencyError, NotReadyError
 
-BROUGHT_BY_SGLANG = {"numpy", "pillow", "pydantic", "safetensors", "tokenizers", "torch", "transformers"}
+BROUGHT_BY_SGLANG = {
+    "numpy",
+    "pillow",
+    "pydantic",
+    "safetensors",
+    "tokenizers",
+    "torch",
+    "transformers",
+}
 
 
 def managed(site: Path, **options: object) -> SglangRuntime:
-    told = {"python": sys.executable, "poll_s": 0.1, "start_timeout_s": 30.0, "log": site.parent / "log", **options}
+    told = {
+        "python": sys.executable,
+        "poll_s": 0.1,
+        "start_timeout_s": 30.0,
+        "log": site.parent / "log",
+        **options,
+    }
     environment = {"PYTHONPATH": str(site), **told.pop("environment", {})}  # type: ignore[dict-item]
     return SglangRuntime(SglangRuntimeConfig(**told, environment=environment))  # type: ignore[arg-type]
 
@@ -79,19 +93,25 @@ def test_no_server_is_launched_that_would_run_code_of_others(site, model):
 
 def test_sglang_that_is_not_installed_is_named_with_the_command(tmp_path, model):
     (tmp_path / "empty").mkdir()
-    with pytest.raises(MissingDependencyError, match=r"SGLang is not installed.*tried with 0\.5\.23"):
+    with pytest.raises(
+        MissingDependencyError, match=r"SGLang is not installed.*tried with 0\.5\.23"
+    ):
         managed(tmp_path / "empty").load(model)
 
 
 def test_what_the_served_half_lacks_is_named_with_the_command(site, model, monkeypatch):
     monkeypatch.setattr(process, "NEEDED", ("not-installed-here",))
-    with pytest.raises(MissingDependencyError, match="not-installed-here must be installed") as caught:
+    with pytest.raises(
+        MissingDependencyError, match="not-installed-here must be installed"
+    ) as caught:
         managed(site).load(model)
     assert "pip install not-installed-here; " in caught.value.hint
 
 
 def test_the_served_half_needs_nothing_that_nobody_installs():
-    """SGLang's environment holds what SGLang brings, and NEEDED; of our packages' requirements nothing else."""
+    """SGLang's environment holds what SGLang brings, and NEEDED; of our packages' requirements
+    nothing else.
+    """
     own = "rn_runtime_sglang.served.fingerprint", "rn_runtime_sglang.served.configuration"
     models = (
         "rn_vla.openvla.checkpoint",
@@ -99,8 +119,13 @@ def test_the_served_half_needs_nothing_that_nobody_installs():
         "rn_vla.openvla.preprocessing",
         "rn_vla.openvla.prompt",
     )
-    code = f"import {', '.join((*own, *models))}; import json, sys; print(json.dumps(sorted(sys.modules)))"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=120, check=True, text=True)
+    code = (
+        f"import {', '.join((*own, *models))}; import json, sys; "
+        "print(json.dumps(sorted(sys.modules)))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, timeout=120, check=True, text=True
+    )
     loaded = {name.partition(".")[0] for name in json.loads(done.stdout.splitlines()[-1])}
     distributions = importlib.metadata.packages_distributions()
     imported = {canonicalize_name(name) for top in loaded for name in distributions.get(top, ())}
@@ -114,7 +139,10 @@ def test_the_served_half_needs_nothing_that_nobody_installs():
 
 
 def test_another_release_is_named_with_the_supported_ones(tmp_path, model):
-    with pytest.raises(MissingDependencyError, match=r"SGLang 0\.6\.0 is installed.*supported is >=0\.5\.23,<0\.5\.24"):
+    with pytest.raises(
+        MissingDependencyError,
+        match=r"SGLang 0\.6\.0 is installed.*supported is >=0\.5\.23,<0\.5\.24",
+    ):
         managed(write_site(tmp_path / "newer", "0.6.0")).load(model)
 
 
@@ -132,14 +160,18 @@ def test_a_port_that_is_taken_is_named(site, model):
 
 def test_a_crash_at_start_shows_its_last_lines_but_not_the_key(site, model):
     runtime = managed(site, environment={"STANDIN_CRASH": "1"})
-    with pytest.raises(NotReadyError, match=r"ended with status 7(.|\n)*CUDA out of memory") as caught:
+    with pytest.raises(
+        NotReadyError, match=r"ended with status 7(.|\n)*CUDA out of memory"
+    ) as caught:
         runtime.load(model)
     assert "api_key='***'" in str(caught.value)
 
 
 def test_a_server_that_never_gets_ready_is_ended(site, model):
     runtime = managed(site, environment={"STANDIN_START_S": "60"}, start_timeout_s=0.8)
-    with pytest.raises(NotReadyError, match=r"became ready within 0\.8 s(.|\n)*last lines(.|\n)*server_args="):
+    with pytest.raises(
+        NotReadyError, match=r"became ready within 0\.8 s(.|\n)*last lines(.|\n)*server_args="
+    ):
         runtime.load(model)
     assert not [c for c in psutil.Process().children() if "rn_runtime_sglang.served" in c.cmdline()]
 
@@ -179,7 +211,9 @@ def test_a_server_ends_with_the_process_that_launched_it(site, checkpoint):
         print([c.pid for c in psutil.Process().children()][0], flush=True)
         time.sleep(60)
     """
-    owner = subprocess.Popen([sys.executable, "-c", textwrap.dedent(program)], stdout=subprocess.PIPE, text=True)
+    owner = subprocess.Popen(
+        [sys.executable, "-c", textwrap.dedent(program)], stdout=subprocess.PIPE, text=True
+    )
     with owner:
         assert owner.stdout is not None
         server = psutil.Process(int(owner.stdout.readline()))

@@ -30,7 +30,11 @@ def test_a_request_carries_ids_and_the_image_without_loss(launch, connect, image
     reply = connect(server, image_format=image_format).run(request)
     raw = base64.b64decode(server.seen.body["image_data"])
     assert server.seen.body["input_ids"] == request.prompt.ids.tolist()
-    assert server.seen.body["sampling_params"] == {"temperature": 0, "max_new_tokens": 7, "ignore_eos": True}
+    assert server.seen.body["sampling_params"] == {
+        "temperature": 0,
+        "max_new_tokens": 7,
+        "ignore_eos": True,
+    }
     assert np.array_equal(np.asarray(Image.open(io.BytesIO(raw))), request.prompt.images[0])
     assert reply.tokens.tolist() == expected_tokens(request.prompt.ids.tolist(), raw, 7)
     assert reply.tokens.dtype == np.int64
@@ -48,7 +52,9 @@ def test_a_reply_tells_size_times_and_the_load_of_the_servers(launch, connect):
     assert metrics["served.prompt_tokens"] == 9 + 256
     assert metrics["served.late"] == 0.0
     assert 0.0 < metrics["served.model_ms"] < metrics["model_ms"]
-    assert metrics["served.encode_ms"] + metrics["served.round_trip_ms"] == pytest.approx(metrics["model_ms"])
+    assert metrics["served.encode_ms"] + metrics["served.round_trip_ms"] == pytest.approx(
+        metrics["model_ms"]
+    )
 
 
 def test_a_server_without_metrics_is_used_all_the_same(launch, connect):
@@ -86,10 +92,15 @@ def test_a_connection_that_the_server_closed_meanwhile_costs_nothing(launch, con
         (replace(token_request(), with_logits=True), "Logits"),
         (token_request(count=65), "at most 64"),
         (replace(token_request(), max_new_tokens=8), "1 to 7"),
-        (replace(token_request(), prompt=replace(token_request().prompt, images=())), "exactly one image"),
+        (
+            replace(token_request(), prompt=replace(token_request().prompt, images=())),
+            "exactly one image",
+        ),
     ],
 )
-def test_requests_that_cannot_be_served_are_refused_before_they_are_sent(launch, connect, request_, words):
+def test_requests_that_cannot_be_served_are_refused_before_they_are_sent(
+    launch, connect, request_, words
+):
     server = launch()
     runtime = connect(server)
     sent = len(server.seen.generated)
@@ -124,7 +135,9 @@ def test_a_server_with_another_architecture_is_refused(launch, connect):
 
 
 def test_a_server_of_an_untried_release_is_refused(launch, connect):
-    with pytest.raises(MissingDependencyError, match=r"runs SGLang 0\.4\.9, supported is >=0\.5\.23"):
+    with pytest.raises(
+        MissingDependencyError, match=r"runs SGLang 0\.4\.9, supported is >=0\.5\.23"
+    ):
         connect(launch(version="0.4.9"))
 
 
@@ -185,4 +198,7 @@ def test_options_that_make_no_sense_are_refused(options, words):
 
 def test_metrics_are_summed_over_labels_and_nonsense_is_passed_over():
     text = 'a{x="1"} 2\na{x="2"} 3.5\nb 7\nc{\na{x="3"} many\n# a 9\n'
-    assert parse_metrics(text, {"a": "ours", "b": "other", "c": "none"}) == {"ours": 5.5, "other": 7.0}
+    assert parse_metrics(text, {"a": "ours", "b": "other", "c": "none"}) == {
+        "ours": 5.5,
+        "other": 7.0,
+    }

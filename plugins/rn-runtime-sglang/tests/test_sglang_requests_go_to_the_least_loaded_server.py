@@ -75,7 +75,9 @@ def test_a_server_that_is_down_at_the_start_joins_later_but_not_with_another_mod
     assert runtime.run(token_request()).metrics["served.servers_ready"] == 1.0
     second.behaviour.served_name = "other@0123"
     second.start()
-    assert not until(lambda: runtime.run(token_request()).metrics["served.servers_ready"] == 2.0, limit_s=0.3)
+    assert not until(
+        lambda: runtime.run(token_request()).metrics["served.servers_ready"] == 2.0, limit_s=0.3
+    )
     assert second.seen.generated == []
     second.behaviour.served_name = first.behaviour.served_name
     assert until(lambda: runtime.run(token_request()).metrics["served.servers_ready"] == 2.0)

@@ -56,10 +56,14 @@ def test_what_a_user_adds_comes_last(tmp_path):
 
 
 def serve(tmp_path: Path, *arguments: str, site: Path | None) -> str:
-    environment = {name: value for name, value in os.environ.items() if name != "ROBONEURON_SGLANG_KEY"}
+    environment = {
+        name: value for name, value in os.environ.items() if name != "ROBONEURON_SGLANG_KEY"
+    }
     environment["PYTHONPATH"] = "" if site is None else str(site)
     command = [sys.executable, "-m", "rn_runtime_sglang.served", *arguments]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run(
+        command, env=environment, capture_output=True, text=True, timeout=60, check=False
+    )
     assert done.returncode != 0
     return done.stderr
 
@@ -74,10 +78,14 @@ def serve(tmp_path: Path, *arguments: str, site: Path | None) -> str:
     ],
 )
 def test_unsafe_or_wrong_commands_end_with_one_sentence(tmp_path, arguments, words):
-    text = serve(tmp_path, "--model-path", str(tmp_path), *arguments, site=write_site(tmp_path / "site"))
+    text = serve(
+        tmp_path, "--model-path", str(tmp_path), *arguments, site=write_site(tmp_path / "site")
+    )
     assert words in text
     assert "Traceback" not in text
 
 
 def test_a_missing_sglang_ends_with_the_command_that_installs_it(tmp_path):
-    assert 'pip install "sglang>=0.5.23,<0.5.24"' in serve(tmp_path, "--model-path", str(tmp_path), site=None)
+    assert 'pip install "sglang>=0.5.23,<0.5.24"' in serve(
+        tmp_path, "--model-path", str(tmp_path), site=None
+    )

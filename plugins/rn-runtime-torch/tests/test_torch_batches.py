@@ -116,7 +116,9 @@ def test_a_deadline_of_one_is_that_of_all(toy, requests):
 
 def test_a_value_that_is_not_finite_is_refused(toy, requests):
     arrays = {"features": np.full_like(requests[1].prompt.arrays["features"], np.nan)}
-    broken = dataclasses.replace(requests[1], prompt=dataclasses.replace(requests[1].prompt, arrays=arrays))
+    broken = dataclasses.replace(
+        requests[1], prompt=dataclasses.replace(requests[1].prompt, arrays=arrays)
+    )
     with pytest.raises(UnsafeError, match="NaN"):
         loaded(toy).run_batch([requests[0], broken])
 

@@ -18,13 +18,17 @@ def bench(monkeypatch):
     module = importlib.util.module_from_spec(spec)
     monkeypatch.setitem(sys.modules, "bench_vla", module)
     spec.loader.exec_module(module)
-    monkeypatch.setattr(module, "SMALL", replace(module.SMALL, hidden=48, intermediate=64, layers=3, heads=2))
+    monkeypatch.setattr(
+        module, "SMALL", replace(module.SMALL, hidden=48, intermediate=64, layers=3, heads=2)
+    )
     monkeypatch.setattr(module, "SMALL", replace(module.SMALL, key_value_heads=2))
     return module
 
 
 def test_an_engine_is_gone_before_the_next_one_is_built(bench, monkeypatch, tmp_path, capsys):
-    """On a GPU two engines of the real size would not fit; the plain loop beside it has no weights of its own."""
+    """On a GPU two engines of the real size would not fit; the plain loop beside it has no
+    weights of its own.
+    """
     engines: list[weakref.ref] = []
     made = bench.Engine
 

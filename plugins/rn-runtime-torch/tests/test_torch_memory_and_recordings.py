@@ -26,7 +26,9 @@ CPU = TorchRuntimeConfig(device="cpu", dtype="float32")
 
 def _engine_needs(toy, monkeypatch, model, config=CPU) -> Needs:
     seen = []
-    monkeypatch.setattr("rn_runtime_torch.engine.check_fits", lambda needs, device, dtype: seen.append(needs))
+    monkeypatch.setattr(
+        "rn_runtime_torch.engine.check_fits", lambda needs, device, dtype: seen.append(needs)
+    )
     Engine(model, config, None)
     return seen[0]
 
@@ -42,7 +44,9 @@ def test_the_peak_counts_what_lives_at_once_and_not_what_lived_before():
 
 
 def test_the_peak_is_that_of_a_real_run(toy):
-    """The bytes that the allocator sees for the same pass differ by alignment and attention's workspace alone."""
+    """The bytes that the allocator sees for the same pass differ by alignment and attention's
+    workspace alone.
+    """
 
     def work(device: str) -> int:
         x = torch.ones(64, 1024, device=device)
@@ -56,7 +60,9 @@ def test_the_peak_is_that_of_a_real_run(toy):
 def test_keys_values_and_activations_are_counted_besides_weights(toy, monkeypatch):
     needs = _engine_needs(toy, monkeypatch, toy.model())
     positions, shape = 16 + 64 + 7, toy.shape
-    assert needs.cache == 2 * shape.layers * shape.key_value_heads * shape.head_width * positions * 4
+    assert (
+        needs.cache == 2 * shape.layers * shape.key_value_heads * shape.head_width * positions * 4
+    )
     assert needs.activations >= 2 * shape.intermediate * (16 + 64) * 4
     assert needs.recordings == 0
 
@@ -76,7 +82,9 @@ def test_int8_copies_are_counted(toy, monkeypatch):
     config = TorchRuntimeConfig(device="cpu", dtype="float32", decode_weights="int8")
     quantized = _engine_needs(toy, monkeypatch, toy.model(), config)
     shape = toy.shape
-    matrices = (shape.heads * 2 + 2 * shape.key_value_heads) * shape.head_width + 3 * shape.intermediate
+    matrices = (
+        shape.heads * 2 + 2 * shape.key_value_heads
+    ) * shape.head_width + 3 * shape.intermediate
     assert quantized.weights - plain.weights == shape.layers * matrices * shape.hidden
 
 
@@ -84,7 +92,9 @@ def test_what_does_not_fit_beside_the_weights_is_refused_with_its_parts(monkeypa
     monkeypatch.setattr(device_module, "free_bytes", lambda device: 16_000_000_000)
     needs = Needs(weights=15_000_000_000, cache=200_000_000, activations=300_000_000)
     check_fits(needs, torch.device("cpu"), torch.bfloat16)
-    with pytest.raises(ConfigurationError, match=r"weights 15.00, keys and values 0.20, working memory 1.2"):
+    with pytest.raises(
+        ConfigurationError, match=r"weights 15.00, keys and values 0.20, working memory 1.2"
+    ):
         check_fits(dataclasses.replace(needs, recordings=29), torch.device("cuda"), torch.bfloat16)
 
 
@@ -137,14 +147,18 @@ def test_all_recordings_share_one_stream(monkeypatch):
     monkeypatch.setattr(graph_module.torch, "cuda", cuda)
     cache = GraphCache(torch.device("cpu"))
     for length in range(5):
-        cache.record(length, lambda held: {"y": held["x"] + 1}, {"x": torch.ones(length)}, lambda: 0)
+        cache.record(
+            length, lambda held: {"y": held["x"] + 1}, {"x": torch.ones(length)}, lambda: 0
+        )
     assert (len(cache), cuda.streams, len(cuda.recorded_on)) == (5, 1, 5)
     assert cache.run(3, {"x": torch.zeros(3)}) is not None
     assert cache.run(7, {"x": torch.zeros(7)}) is None
 
 
 def test_lengths_outside_the_recorded_ones_run_and_are_not_recorded(toy, monkeypatch):
-    """An engine on the CPU whose recordings are fakes: load records 8 to 10, requests record nothing."""
+    """An engine on the CPU whose recordings are fakes: load records 8 to 10, requests record
+    nothing.
+    """
     engine, plain = (Engine(toy.model(), CPU, None) for _ in range(2))
     monkeypatch.setattr(graph_module.torch, "cuda", FakeCuda())
     engine._graphs = GraphCache(torch.device("cpu"))
@@ -165,7 +179,9 @@ def test_lengths_outside_the_recorded_ones_run_and_are_not_recorded(toy, monkeyp
 
 
 def with_fake_graphs(toy, monkeypatch, config=CPU) -> Engine:
-    """An engine on the CPU that records with a fake and has recorded a prompt of 9 tokens without a preset."""
+    """An engine on the CPU that records with a fake and has recorded a prompt of 9 tokens
+    without a preset.
+    """
     engine = Engine(toy.model(), config, None)
     monkeypatch.setattr(graph_module.torch, "cuda", FakeCuda())
     engine._graphs = GraphCache(torch.device("cpu"))
@@ -216,11 +232,15 @@ def test_without_graphs_there_is_nothing_to_tell(toy):
 def test_batches_say_that_they_run_eagerly(toy, monkeypatch):
     engine = with_fake_graphs(toy, monkeypatch)
     replies = engine.answer_batch([toy.rows_request(), toy.rows_request()], lambda: None)
-    assert {(reply.note, reply.metrics["recorded"]) for reply in replies} == {("CUDA graph: eager, batch of 2.", 0.0)}
+    assert {(reply.note, reply.metrics["recorded"]) for reply in replies} == {
+        ("CUDA graph: eager, batch of 2.", 0.0)
+    }
 
 
 @pytest.mark.parametrize(("shortest", "lengths"), [(18, (18, 46)), (50, (50, 64))])
-def test_load_records_from_the_shortest_prompt_that_the_template_makes(toy, monkeypatch, shortest, lengths):
+def test_load_records_from_the_shortest_prompt_that_the_template_makes(
+    toy, monkeypatch, shortest, lengths
+):
     engine = with_fake_graphs(toy, monkeypatch)
     engine._model = dataclasses.replace(toy.model(), min_prompt_tokens=shortest)
     found = engine._warm_lengths(CPU)
@@ -240,7 +260,9 @@ class EqualSelection(EveryOtherToken):
 
 
 def test_recordings_belong_to_the_preset_that_they_were_made_with(toy, monkeypatch):
-    """Recordings are fakes that compute nothing when replayed, so a wrong one would give another request's tokens."""
+    """Recordings are fakes that compute nothing when replayed, so a wrong one would give
+    another request's tokens.
+    """
     plain, pruned = (Engine(toy.model(), CPU, preset) for preset in (None, EqualSelection()))
     engine = Engine(toy.model(), CPU, EqualSelection())
     monkeypatch.setattr(graph_module.torch, "cuda", FakeCuda())
@@ -250,7 +272,11 @@ def test_recordings_belong_to_the_preset_that_they_were_made_with(toy, monkeypat
     engine.answer(request, lambda: None)
     engine._recording = False
     engine._records_at_change = False
-    for preset, alone, recorded in ((None, plain, 0.0), (EqualSelection(), pruned, 1.0), (None, plain, 0.0)):
+    for preset, alone, recorded in (
+        (None, plain, 0.0),
+        (EqualSelection(), pruned, 1.0),
+        (None, plain, 0.0),
+    ):
         engine.set_acceleration(preset)
         reply, expected = engine.answer(request, lambda: None), alone.answer(request, lambda: None)
         assert reply.metrics["recorded"] == recorded
@@ -271,12 +297,18 @@ def test_a_selection_that_drops_words_is_refused_before_any_request(toy):
     before = engine.answer(toy.token_request(), lambda: None)
     with pytest.raises(PluginError, match="every one that holds no image patch"):
         engine.set_acceleration(KeepsNoWord())
-    assert engine.answer(toy.token_request(), lambda: None).logits.tolist() == before.logits.tolist()
+    assert (
+        engine.answer(toy.token_request(), lambda: None).logits.tolist() == before.logits.tolist()
+    )
 
 
 def test_compiled_layers_keep_their_preset(toy, monkeypatch):
     monkeypatch.setattr("rn_runtime_torch.engine._compile", lambda decoder: None)
-    engine = Engine(toy.model(), TorchRuntimeConfig(device="cpu", dtype="float32", compile=True), EveryOtherToken())
+    engine = Engine(
+        toy.model(),
+        TorchRuntimeConfig(device="cpu", dtype="float32", compile=True),
+        EveryOtherToken(),
+    )
     before = engine._decoder.selection
     with pytest.raises(ConfigurationError, match="compile"):
         engine.set_acceleration(None)
@@ -295,11 +327,15 @@ def test_there_is_nothing_to_accelerate_before_load_and_after_close(toy):
 
 
 def test_the_fake_selection_makes_its_positions_on_the_device(toy):
-    """A list of the host inside a recording is what CUDA refuses; tensors on "meta" refuse it likewise."""
+    """A list of the host inside a recording is what CUDA refuses; tensors on "meta" refuse it
+    likewise.
+    """
     from rn_vla.pruning import AttentionView
 
     key = torch.empty(1, 2, 30, 8, device="meta")
-    view = AttentionView(query=key, key=key, visual_start=1, visual_count=16, rows=None, causal=True)
+    view = AttentionView(
+        query=key, key=key, visual_start=1, visual_count=16, rows=None, causal=True
+    )
     assert EveryOtherToken().select(view).shape == (22,)
     real = torch.empty(1, 2, 30, 8)
     view = dataclasses.replace(view, query=real, key=real)

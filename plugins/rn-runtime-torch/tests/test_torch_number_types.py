@@ -33,7 +33,8 @@ def test_int8_products_differ_from_the_original_by_the_rounding_alone():
     row = torch.randn(1, 512, generator=generator)
     held = Int8Weight(weight)
     got, exact = held.times(row), row @ weight.t()
-    # Rounding to 127 steps of a row's largest value, about 3.5 sigma: 0.8 %; bfloat16 in and out adds 0.3 %.
+    # Rounding to 127 steps of a row's largest value, about 3.5 sigma: 0.8 %; bfloat16 in and out
+    # adds 0.3 %.
     assert (got - exact).norm() / exact.norm() < 0.015
     assert got.dtype is torch.float32
     assert got[0, 7] == 0
@@ -68,7 +69,8 @@ class _Copies(TorchDispatchMode):
     def __torch_dispatch__(self, func, types, args=(), kwargs=None):
         result = func(*args, **(kwargs or {}))
         shares = isinstance(result, torch.Tensor) and any(
-            isinstance(a, torch.Tensor) and a.untyped_storage().data_ptr() == result.untyped_storage().data_ptr()
+            isinstance(a, torch.Tensor)
+            and a.untyped_storage().data_ptr() == result.untyped_storage().data_ptr()
             for a in (*args, *(kwargs or {}).values())
         )
         if isinstance(result, torch.Tensor) and not shares:
@@ -78,7 +80,9 @@ class _Copies(TorchDispatchMode):
 
 @pytest.mark.parametrize("dtype", ["float32", "bfloat16"])
 def test_no_pass_copies_the_output_head(toy, dtype):
-    """A product of a three-dimensional slice copied the whole head: 2.6 s of each request at real size in bfloat16."""
+    """A product of a three-dimensional slice copied the whole head: 2.6 s of each request at
+    real size in bfloat16.
+    """
     engine = Engine(toy.model(), TorchRuntimeConfig(device="cpu", dtype=dtype), None)
     hidden = torch.randn(1, 9, toy.shape.hidden).to(engine._dtype)[:, -1:]
     assert not hidden.is_contiguous() or hidden.stride(0) != toy.shape.hidden
@@ -88,7 +92,9 @@ def test_no_pass_copies_the_output_head(toy, dtype):
 
 
 def test_a_second_pass_allocates_nothing_large(toy):
-    """Large intermediates live in buffers of the engine; what is left are normed rows of the residual stream's size."""
+    """Large intermediates live in buffers of the engine; what is left are normed rows of the
+    residual stream's size.
+    """
     engine = Engine(toy.model(), TorchRuntimeConfig(device="cpu", dtype="float32"), None)
     request, shape = toy.token_request(40), toy.shape
     engine.answer(request, lambda: None)
@@ -107,5 +113,6 @@ def test_reading_the_last_rows_gives_those_of_a_whole_pass(toy, causal, last):
     with torch.inference_mode():
         whole = engine._decoder(hidden, causal=causal).clone()
         some = engine._decoder(hidden, causal=causal, last=last)
-    torch.testing.assert_close(some, whole[:, -last:], atol=1e-5, rtol=1e-5)  # other sizes, other order of sums
+    # other sizes, other order of sums
+    torch.testing.assert_close(some, whole[:, -last:], atol=1e-5, rtol=1e-5)
     assert torch.equal(hidden, before)

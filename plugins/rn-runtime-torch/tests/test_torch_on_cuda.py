@@ -31,7 +31,9 @@ pytestmark = [
 
 WARM = (12, 14)
 TOLERANCES = {"float32": 1e-4, "bfloat16": 0.05}
-"""Kernels of CPU and CUDA, and of other sizes, sum in another order; bfloat16 has 8 bits of mantissa."""
+"""Kernels of CPU and CUDA, and of other sizes, sum in another order; bfloat16 has 8 bits of
+mantissa.
+"""
 
 
 @pytest.fixture(autouse=True)
@@ -45,14 +47,20 @@ def _plain_float32():
 
 @pytest.fixture(params=["openvla", "oft"])
 def model(request, tmp_path) -> PolicyModel:
-    """A tiny checkpoint with both vision towers; the other one with two cameras, proprioception and the L1 head."""
+    """A tiny checkpoint with both vision towers; the other one with two cameras, proprioception
+    and the L1 head.
+    """
     path = tmp_path / "checkpoint"
     if request.param == "openvla":
         make_tiny(path)
         return policy_model(Checkpoint.read(path), action_width=7, max_prompt_tokens=64)
     make_tiny_oft(path)
     policy = OftPolicy(
-        checkpoint=Checkpoint.read(path), constants=CONSTANTS["libero"], cameras=2, head="l1", proprio_width=8
+        checkpoint=Checkpoint.read(path),
+        constants=CONSTANTS["libero"],
+        cameras=2,
+        head="l1",
+        proprio_width=8,
     )
     return policy.model(64)
 
@@ -61,7 +69,8 @@ def _request(model: PolicyModel, length: int, seed: int = 0) -> Request:
     made = model.example(length)
     generator = np.random.default_rng(seed)
     arrays = {
-        name: generator.standard_normal(array.shape).astype(np.float32) for name, array in made.prompt.arrays.items()
+        name: generator.standard_normal(array.shape).astype(np.float32)
+        for name, array in made.prompt.arrays.items()
     }
     made = dataclasses.replace(made, prompt=dataclasses.replace(made.prompt, arrays=arrays))
     return made if model.max_new_tokens == 0 else dataclasses.replace(made, with_logits=True)
@@ -73,16 +82,24 @@ def _values(engine: Engine, request: Request) -> np.ndarray:
 
 
 def _engine(
-    model: PolicyModel, device: str = "cuda", dtype: str = "float32", graphs: bool = True, preset=None
+    model: PolicyModel,
+    device: str = "cuda",
+    dtype: str = "float32",
+    graphs: bool = True,
+    preset=None,
 ) -> Engine:
-    config = TorchRuntimeConfig(device=device, dtype=dtype, cuda_graphs=graphs, warm_prompt_tokens=WARM)
+    config = TorchRuntimeConfig(
+        device=device, dtype=dtype, cuda_graphs=graphs, warm_prompt_tokens=WARM
+    )
     return Engine(model, config, preset)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5])
 @pytest.mark.parametrize("dtype", ["float32", "bfloat16"])
 def test_graphs_answer_as_the_plain_loop_does(model, dtype, share):
-    """Vision front, decoder and L1 head, with FastV and without, at recorded lengths and others, several times over."""
+    """Vision front, decoder and L1 head, with FastV and without, at recorded lengths and
+    others, several times over.
+    """
     presets = [FastV(FastVConfig(k=1, r=share)) if share else None for _ in range(2)]
     recorded, plain = (_engine(model, dtype=dtype, graphs=graphs, preset=preset)
                        for graphs, preset in zip((True, False), presets, strict=True))  # fmt: skip
@@ -90,7 +107,8 @@ def test_graphs_answer_as_the_plain_loop_does(model, dtype, share):
         request = _request(model, length, seed=length)
         got, expected = _values(recorded, request), _values(plain, request)
         scale = max(1.0, float(np.abs(expected).max()))
-        np.testing.assert_allclose(got, expected, atol=1e-5 * scale)  # the same kernels on both sides
+        # the same kernels on both sides
+        np.testing.assert_allclose(got, expected, atol=1e-5 * scale)
         kept = recorded.answer(request, lambda: None).metrics["tokens_kept"]
         assert kept == round(model.visual_tokens * (1.0 - share))
 
@@ -100,7 +118,9 @@ def test_cuda_answers_as_the_cpu_does(model, dtype):
     request = _request(model, 13)
     expected = _values(_engine(model, device="cpu"), request)
     got = _values(_engine(model, dtype=dtype), request)
-    np.testing.assert_allclose(got, expected, atol=TOLERANCES[dtype] * max(1.0, float(np.abs(expected).max())))
+    np.testing.assert_allclose(
+        got, expected, atol=TOLERANCES[dtype] * max(1.0, float(np.abs(expected).max()))
+    )
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5])
@@ -147,16 +167,22 @@ def test_only_loading_records_and_on_one_stream(model, monkeypatch):
 
 
 def test_a_selection_works_inside_a_recording(toy):
-    engines = [_engine(toy.model(), graphs=graphs, preset=EveryOtherToken()) for graphs in (True, False)]
+    engines = [
+        _engine(toy.model(), graphs=graphs, preset=EveryOtherToken()) for graphs in (True, False)
+    ]
     request = toy.token_request(12)
     tokens = [engine.answer(request, lambda: None).tokens.tolist() for engine in engines]
     assert tokens[0] == tokens[1]
 
 
 def test_memory_stays_below_what_was_foreseen(model, monkeypatch):
-    """Reserved bytes over the whole life of an engine, against the estimate that decides whether it fits."""
+    """Reserved bytes over the whole life of an engine, against the estimate that decides
+    whether it fits.
+    """
     seen = []
-    monkeypatch.setattr("rn_runtime_torch.engine.check_fits", lambda needs, device, dtype: seen.append(needs))
+    monkeypatch.setattr(
+        "rn_runtime_torch.engine.check_fits", lambda needs, device, dtype: seen.append(needs)
+    )
     gc.collect()
     torch.cuda.empty_cache()
     torch.cuda.reset_peak_memory_stats()

@@ -11,7 +11,13 @@ import torch
 from rn_runtime_torch import device as device_module
 from rn_runtime_torch.config import TorchRuntimeConfig
 from rn_runtime_torch.runtime import TorchRuntime
-from roboneuron.errors import ConfigurationError, InvalidInputError, NotReadyError, StateError, UnsafeError
+from roboneuron.errors import (
+    ConfigurationError,
+    InvalidInputError,
+    NotReadyError,
+    StateError,
+    UnsafeError,
+)
 
 
 @pytest.fixture
@@ -22,12 +28,16 @@ def runtime(toy) -> TorchRuntime:
 
 
 def test_cached_decoding_gives_the_tokens_of_full_passes(toy, runtime):
-    """Each next token equals the one that a request with the tokens so far as prompt would decode first."""
+    """Each next token equals the one that a request with the tokens so far as prompt would
+    decode first.
+    """
     request = toy.token_request()
     tokens = runtime.run(request).tokens
     for count in range(1, 7):
         ids = np.concatenate([request.prompt.ids, tokens[:count]])
-        longer = dataclasses.replace(request, prompt=dataclasses.replace(request.prompt, ids=ids), max_new_tokens=1)
+        longer = dataclasses.replace(
+            request, prompt=dataclasses.replace(request.prompt, ids=ids), max_new_tokens=1
+        )
         assert runtime.run(longer).tokens[0] == tokens[count]
 
 
@@ -64,9 +74,12 @@ def test_transformers_decodes_the_same_tokens_from_the_same_weights(toy, runtime
     request = toy.token_request()
     inputs = {"features": torch.from_numpy(request.prompt.arrays["features"])[None]}
     with torch.inference_mode():
-        hidden = engine._front(inputs, torch.from_numpy(request.prompt.ids)[None], engine._decoder.embed)
+        hidden = engine._front(
+            inputs, torch.from_numpy(request.prompt.ids)[None], engine._decoder.embed
+        )
         logits = model(inputs_embeds=hidden).logits[0, -1].numpy()
-    np.testing.assert_allclose(runtime.run(request).logits, logits, atol=1e-5)  # float32, fused projections
+    # float32, fused projections
+    np.testing.assert_allclose(runtime.run(request).logits, logits, atol=1e-5)
 
 
 def test_a_passed_deadline_gives_up(toy, runtime):
@@ -161,7 +174,10 @@ def test_a_cuda_device_that_is_not_there_is_refused(toy, monkeypatch):
 def test_compiled_layers_give_the_same_tokens(toy, runtime):
     compiled = TorchRuntime(TorchRuntimeConfig(device="cpu", dtype="float32", compile=True))
     compiled.load(toy.model())
-    assert compiled.run(toy.token_request()).tokens.tolist() == runtime.run(toy.token_request()).tokens.tolist()
+    assert (
+        compiled.run(toy.token_request()).tokens.tolist()
+        == runtime.run(toy.token_request()).tokens.tolist()
+    )
 
 
 @pytest.mark.parametrize("ids", [[1, 96, 2], [1, -1, 2], [1, 2**40, 2], []])

@@ -78,7 +78,10 @@ def test_a_pickle_with_code_in_it_is_not_executed(toy, tmp_path):
     with pytest.raises(CheckpointError, match="truncated or damaged"):
         TorchRuntime().load(dataclasses.replace(toy.model(), shards=(*toy.model().shards, bad)))
     torch.save({"x": Bomb()}, tmp_path / "head.pt")
-    with pytest.raises(CheckpointError, match=r"holds a sys\.exit, expected tensors only; nothing in it was executed"):
+    with pytest.raises(
+        CheckpointError,
+        match=r"holds a sys\.exit, expected tensors only; nothing in it was executed",
+    ):
         TorchRuntime().load(dataclasses.replace(toy.model(), shards=(*toy.model().shards, bad)))
 
 
@@ -90,7 +93,9 @@ def test_weights_are_real_numbers(toy, tmp_path, kind, suffix):
     tensors[NORM] = tensors[NORM].to(kind)
     path = tmp_path / f"changed.{suffix}"
     (save_file if suffix == "safetensors" else torch.save)(tensors, path)
-    others = [dataclasses.replace(s, path=path) if s.path == shard.path else s for s in toy.model().shards]
+    others = [
+        dataclasses.replace(s, path=path) if s.path == shard.path else s for s in toy.model().shards
+    ]
     with pytest.raises(CheckpointError, match=f"1 of a number type that no weight has: {NORM}"):
         TorchRuntime().load(dataclasses.replace(toy.model(), shards=tuple(others)))
 
@@ -108,11 +113,16 @@ def test_a_state_dictionary_saved_by_torch_is_read_too(toy, tmp_path):
     moved = shards[0]
     path = tmp_path / "moved.pt"
     torch.save(load_file(moved.path), path)
-    model = dataclasses.replace(toy.model(), shards=(dataclasses.replace(moved, path=path), *shards[1:]))
+    model = dataclasses.replace(
+        toy.model(), shards=(dataclasses.replace(moved, path=path), *shards[1:])
+    )
     plain, other = TorchRuntime(), TorchRuntime()
     plain.load(toy.model())
     other.load(model)
-    assert other.run(toy.token_request()).tokens.tolist() == plain.run(toy.token_request()).tokens.tolist()
+    assert (
+        other.run(toy.token_request()).tokens.tolist()
+        == plain.run(toy.token_request()).tokens.tolist()
+    )
 
 
 def test_a_failed_load_leaves_the_runtime_ready_for_another(toy):
@@ -150,13 +160,21 @@ before = peak()
 runtime = TorchRuntime(TorchRuntimeConfig(device="cpu", dtype="bfloat16"))
 runtime.load(big.model())
 print(peak() - before)
-"""
+"""  # noqa: E501
 
 
 def test_loading_needs_no_more_host_memory_than_the_model_and_a_shard(tmp_path, toy):
-    """Peak resident memory of a fresh process, over what it had before, for a bfloat16 model of 80 MB in 4 shards."""
+    """Peak resident memory of a fresh process, over what it had before, for a bfloat16 model of
+    80 MB in 4 shards.
+    """
     shape = dataclasses.replace(
-        toy.shape, hidden=512, intermediate=1536, layers=12, heads=8, key_value_heads=8, vocabulary=8192
+        toy.shape,
+        hidden=512,
+        intermediate=1536,
+        layers=12,
+        heads=8,
+        key_value_heads=8,
+        vocabulary=8192,
     )
     big = ToyPolicy(path=tmp_path / "big", shape=shape, shards=4)
     big.path.mkdir()
@@ -174,7 +192,9 @@ def test_loading_needs_no_more_host_memory_than_the_model_and_a_shard(tmp_path, 
 
 
 def test_a_module_saved_by_distributed_training_is_described_as_torch_loads_it(tmp_path):
-    module = torch.nn.ModuleDict({"module": torch.nn.Linear(4, 3).to(torch.bfloat16), "norm": torch.nn.LayerNorm(4)})
+    module = torch.nn.ModuleDict(
+        {"module": torch.nn.Linear(4, 3).to(torch.bfloat16), "norm": torch.nn.LayerNorm(4)}
+    )
     state = module.state_dict()
     state["parameter"] = torch.nn.Parameter(torch.zeros(2, 5))
     state["view"] = torch.arange(12.0).view(3, 4).T

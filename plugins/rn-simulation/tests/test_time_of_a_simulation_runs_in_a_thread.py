@@ -1,4 +1,6 @@
-"""The thread in which a simulation runs: it keeps pace, publishes, and its failures reach whoever asks the driver."""
+"""The thread in which a simulation runs: it keeps pace, publishes, and its failures reach
+whoever asks the driver.
+"""
 
 from __future__ import annotations
 
@@ -60,9 +62,14 @@ def test_it_is_started_once_and_can_be_started_again() -> None:
 
 @pytest.mark.parametrize(
     ("error", "raised", "text"),
-    [(ConfigurationError("no display"), ConfigurationError, "no display"), (KeyError("leg"), NotReadyError, "leg")],
+    [
+        (ConfigurationError("no display"), ConfigurationError, "no display"),
+        (KeyError("leg"), NotReadyError, "leg"),
+    ],
 )
-def test_what_fails_at_the_start_is_raised_by_start(error: Exception, raised: type[Exception], text: str) -> None:
+def test_what_fails_at_the_start_is_raised_by_start(
+    error: Exception, raised: type[Exception], text: str
+) -> None:
     def fail(steps: int, factor: float, publish: bool) -> None:
         raise error
 

@@ -1,4 +1,6 @@
-"""`plugins check` tries a plugin with the case its author ships, or with one made from the descriptor alone."""
+"""`plugins check` tries a plugin with the case its author ships, or with one made from the
+descriptor alone.
+"""
 
 from __future__ import annotations
 
@@ -62,10 +64,15 @@ def test_a_case_that_is_none_is_the_plugins_fault(shipped, attribute, words):
 def test_what_cannot_start_is_skipped_for_an_automatic_case_and_fails_for_an_authors():
     rule = next(r for r in RULES["backend"] if r.id == "backend/predict-within-horizon")
     options = {"horizon": 999}
-    automatic = verify(rule, BackendCase(spec=fakes.FAKE_BACKEND, options=options, is_automatic=True))
+    automatic = verify(
+        rule, BackendCase(spec=fakes.FAKE_BACKEND, options=options, is_automatic=True)
+    )
     assert automatic.verdict is Verdict.SKIPPED
     assert "plugins.instant.horizon is 999" in automatic.detail
-    assert verify(rule, BackendCase(spec=fakes.FAKE_BACKEND, options=options)).verdict is Verdict.FAILED
+    assert (
+        verify(rule, BackendCase(spec=fakes.FAKE_BACKEND, options=options)).verdict
+        is Verdict.FAILED
+    )
 
 
 def test_an_automatic_robot_case_moves_nothing_but_a_simulation():
@@ -79,7 +86,13 @@ def test_the_worker_writes_a_line_before_and_after_each_rule(monkeypatch):
     monkeypatch.setattr(check, "discover", lambda: fakes.fake_registry())
     out = io.StringIO()
     check.run(
-        {"distribution": "rn-fakes", "plugin": "rn-fakes", "offers": [("backend", "instant")], "options": {}}, out
+        {
+            "distribution": "rn-fakes",
+            "plugin": "rn-fakes",
+            "offers": [("backend", "instant")],
+            "options": {},
+        },
+        out,
     )
     lines = [json.loads(line) for line in out.getvalue().splitlines()]
     begun, decided = lines[0::2], lines[1::2]
@@ -95,7 +108,15 @@ def test_the_worker_reports_a_broken_case_under_every_rule(monkeypatch, shipped)
     broken = replace(shipped, name="odd", case="shipped_cases:wrong")
     monkeypatch.setattr(check, "discover", lambda: fakes.fake_registry(broken))
     out = io.StringIO()
-    check.run({"distribution": "rn-fakes", "plugin": "rn-fakes", "offers": [("backend", "odd")], "options": {}}, out)
+    check.run(
+        {
+            "distribution": "rn-fakes",
+            "plugin": "rn-fakes",
+            "offers": [("backend", "odd")],
+            "options": {},
+        },
+        out,
+    )
     lines = [json.loads(line) for line in out.getvalue().splitlines()]
     details = {x["detail"] for x in lines if x["subject"] == "backend odd" and "verdict" in x}
     assert len(details) == 1

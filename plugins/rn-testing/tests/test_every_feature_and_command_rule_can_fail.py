@@ -1,4 +1,6 @@
-"""For each rule of features and commands there is a plugin that breaks it, and the good one keeps it."""
+"""For each rule of features and commands there is a plugin that breaks it, and the good one
+keeps it.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,10 @@ from rn_testing.rules import RULES
 from roboneuron import CommandSpec, FeatureSpec
 
 FEATURE = FeatureSpec(
-    name="wheels", summary="Counts wheels.", target="broken_features:Good", config="broken_features:Options"
+    name="wheels",
+    summary="Counts wheels.",
+    target="broken_features:Good",
+    config="broken_features:Options",
 )
 COMMAND = CommandSpec(name="greet", summary="greet somebody", target="broken_features:GoodCommand")
 GOOD: dict[str, Case[Any]] = {
@@ -48,13 +53,19 @@ def _visible_to_processes(monkeypatch: pytest.MonkeyPatch) -> None:
     import os
     from pathlib import Path
 
-    monkeypatch.setenv("PYTHONPATH", f"{Path(__file__).parent / 'mutants'}:{os.environ.get('PYTHONPATH', '')}")
+    monkeypatch.setenv(
+        "PYTHONPATH", f"{Path(__file__).parent / 'mutants'}:{os.environ.get('PYTHONPATH', '')}"
+    )
 
 
 @pytest.mark.parametrize(
-    ("kind", "rule_id", "changes"), BROKEN, ids=lambda v: v if isinstance(v, str) else "".join(v.values())
+    ("kind", "rule_id", "changes"),
+    BROKEN,
+    ids=lambda v: v if isinstance(v, str) else "".join(v.values()),
 )
-def test_a_broken_plugin_fails_its_rule_and_the_good_one_passes(kind: str, rule_id: str, changes: Any) -> None:
+def test_a_broken_plugin_fails_its_rule_and_the_good_one_passes(
+    kind: str, rule_id: str, changes: Any
+) -> None:
     rule = next(rule for rule in RULES[kind] if rule.id == rule_id)
     assert verify(rule, GOOD[kind]).verdict is Verdict.PASSED
     case = replace(GOOD[kind], spec=replace(GOOD[kind].spec, **changes))
@@ -64,5 +75,7 @@ def test_a_broken_plugin_fails_its_rule_and_the_good_one_passes(kind: str, rule_
 
 
 def test_every_rule_has_a_plugin_that_breaks_it() -> None:
-    own = {rule.id for kind in GOOD for rule in RULES[kind] if not rule.id.startswith("descriptor/")}
+    own = {
+        rule.id for kind in GOOD for rule in RULES[kind] if not rule.id.startswith("descriptor/")
+    }
     assert own == {rule_id for _, rule_id, _ in BROKEN}

@@ -1,4 +1,6 @@
-"""For each package rule there is a distribution that breaks it; the good one they are made from keeps all."""
+"""For each package rule there is a distribution that breaks it; the good one they are made from
+keeps all.
+"""
 
 from __future__ import annotations
 
@@ -95,24 +97,44 @@ def _write(name: str, text: str) -> Callable[[Sample], object]:
 
 
 def _entry(value: str) -> Callable[[Sample], object]:
-    return lambda sample: (sample.info / "entry_points.txt").write_text(f"[roboneuron]\nrn-sample = {value}\n")
+    return lambda sample: (sample.info / "entry_points.txt").write_text(
+        f"[roboneuron]\nrn-sample = {value}\n"
+    )
 
 
 BROKEN: dict[str, tuple[str, Callable[[Sample], object]]] = {
-    "no entry point": ("package/entry-point", lambda s: (s.info / "entry_points.txt").write_text("")),
+    "no entry point": (
+        "package/entry-point",
+        lambda s: (s.info / "entry_points.txt").write_text(""),
+    ),
     "entry point elsewhere": ("package/entry-point", _entry("rn_sample.hooks")),
     "entry point with attribute": ("package/entry-point", _entry("rn_sample.plugin:hooks")),
-    "misspelled hook": ("package/hooks-usable", _write("plugin.py", PLUGIN.replace("_backends", "_backend"))),
-    "heavy plugin module": ("package/plugin-module-light", _write("plugin.py", "import numpy\n" + PLUGIN)),
+    "misspelled hook": (
+        "package/hooks-usable",
+        _write("plugin.py", PLUGIN.replace("_backends", "_backend")),
+    ),
+    "heavy plugin module": (
+        "package/plugin-module-light",
+        _write("plugin.py", "import numpy\n" + PLUGIN),
+    ),
     "heavy package": ("package/plugin-module-light", _write("__init__.py", "import pydantic\n")),
     "no py.typed": ("package/typed", lambda s: (s.package / "py.typed").unlink()),
     "no readme": ("package/readme", lambda s: s.drop("# rn-sample")),
     "no summary": ("package/summary", lambda s: s.drop("Summary")),
     "no licence": ("package/licence", lambda s: s.drop("License-Expression")),
     "no licence file": ("package/licence", lambda s: s.drop("License-File")),
-    "licence file empty": ("package/licence", lambda s: (s.info / "licenses" / "LICENSE").write_text("\n")),
-    "licence file absent": ("package/licence", lambda s: (s.info / "licenses" / "LICENSE").unlink()),
-    "python with an upper bound only": ("package/requires-python", lambda s: s.change(">=3.11", "<3.14")),
+    "licence file empty": (
+        "package/licence",
+        lambda s: (s.info / "licenses" / "LICENSE").write_text("\n"),
+    ),
+    "licence file absent": (
+        "package/licence",
+        lambda s: (s.info / "licenses" / "LICENSE").unlink(),
+    ),
+    "python with an upper bound only": (
+        "package/requires-python",
+        lambda s: s.change(">=3.11", "<3.14"),
+    ),
     "core without bounds": (
         "package/requires-core",
         lambda s: s.change("roboneuron-core<0.2,>=0.1", "roboneuron-core"),
@@ -123,18 +145,34 @@ BROKEN: dict[str, tuple[str, Callable[[Sample], object]]] = {
     ),
     "imports cv2 with the plugin module": (
         "package/plugin-module-light",
-        lambda s: ((s.package / "plugin.py").write_text("import yaml_like\n" + PLUGIN), s.module("yaml_like", "")),
+        lambda s: (
+            (s.package / "plugin.py").write_text("import yaml_like\n" + PLUGIN),
+            s.module("yaml_like", ""),
+        ),
     ),
-    "hook of another signature": ("package/hooks-usable", _write("plugin.py", PLUGIN.replace("():", "(robot):"))),
-    "hook without marker": ("package/hooks-usable", _write("plugin.py", PLUGIN.replace("@hookimpl", ""))),
-    "hook returns a generator": ("package/hooks-usable", _write("plugin.py", PLUGIN.replace("return [", "yield ["))),
+    "hook of another signature": (
+        "package/hooks-usable",
+        _write("plugin.py", PLUGIN.replace("():", "(robot):")),
+    ),
+    "hook without marker": (
+        "package/hooks-usable",
+        _write("plugin.py", PLUGIN.replace("@hookimpl", "")),
+    ),
+    "hook returns a generator": (
+        "package/hooks-usable",
+        _write("plugin.py", PLUGIN.replace("return [", "yield [")),
+    ),
     "plugin module raises": ("package/hooks-usable", _write("plugin.py", "1 / 0\n")),
-    "plugin module prints": ("package/plugin-module-pure", _write("plugin.py", "print('hello')\n" + PLUGIN)),
+    "plugin module prints": (
+        "package/plugin-module-pure",
+        _write("plugin.py", "print('hello')\n" + PLUGIN),
+    ),
     "plugin module starts a thread": (
         "package/plugin-module-pure",
         _write(
             "plugin.py",
-            "import threading, time\nthreading.Thread(target=time.sleep, args=(9,), daemon=True).start()\n" + PLUGIN,
+            "import threading, time\nthreading.Thread(target=time.sleep, args=(9,), "
+            "daemon=True).start()\n" + PLUGIN,
         ),
     ),
     "plugin module starts a process": (
@@ -149,13 +187,22 @@ BROKEN: dict[str, tuple[str, Callable[[Sample], object]]] = {
         "package/plugin-module-pure",
         _write("plugin.py", "import time\nwhile time.thread_time() < 1.5: pass\n" + PLUGIN),
     ),
-    "imports what it does not declare": ("package/imports-declared", _write("policy.py", "import pytest\n")),
+    "imports what it does not declare": (
+        "package/imports-declared",
+        _write("policy.py", "import pytest\n"),
+    ),
     "imports late what it does not declare": (
         "package/imports-declared",
         _write("policy.py", "def load():\n    import pytest\n"),
     ),
-    "imports the gate": ("package/import-direction", _write("policy.py", "from roboneuron.gate import limits\n")),
-    "imports ros": ("package/import-direction", _write("policy.py", "import roboneuron.ros.node\n")),
+    "imports the gate": (
+        "package/import-direction",
+        _write("policy.py", "from roboneuron.gate import limits\n"),
+    ),
+    "imports ros": (
+        "package/import-direction",
+        _write("policy.py", "import roboneuron.ros.node\n"),
+    ),
     "imports the server by name": (
         "package/import-direction",
         _write("policy.py", "import importlib\nimportlib.import_module('roboneuron.server')\n"),
@@ -163,7 +210,10 @@ BROKEN: dict[str, tuple[str, Callable[[Sample], object]]] = {
     "a file that is no Python": ("package/import-direction", _write("policy.py", "def (:\n")),
     "no python": ("package/requires-python", lambda s: s.drop("Requires-Python")),
     "no core": ("package/requires-core", lambda s: s.drop("Requires-Dist")),
-    "imports the server": ("package/import-direction", _write("policy.py", "from roboneuron.server import app\n")),
+    "imports the server": (
+        "package/import-direction",
+        _write("policy.py", "from roboneuron.server import app\n"),
+    ),
     "imports a module late": (
         "package/import-direction",
         _write("policy.py", "def load():\n    from roboneuron import supervisor\n"),
@@ -175,12 +225,18 @@ BROKEN: dict[str, tuple[str, Callable[[Sample], object]]] = {
             (s.package / "policy.py").write_text("from rn_testing.fakes import MemoryTopics\n"),
         ),
     ),
-    "unpickles": ("package/no-unsafe-calls", _write("policy.py", "import pickle\npickle.load(open('m', 'rb'))\n")),
+    "unpickles": (
+        "package/no-unsafe-calls",
+        _write("policy.py", "import pickle\npickle.load(open('m', 'rb'))\n"),
+    ),
     "unpickles by another name": (
         "package/no-unsafe-calls",
         _write("policy.py", "from pickle import loads as read\ndef load(b):\n    return read(b)\n"),
     ),
-    "loads tensors with code": ("package/no-unsafe-calls", _write("policy.py", "import torch\ntorch.load('m.pt')\n")),
+    "loads tensors with code": (
+        "package/no-unsafe-calls",
+        _write("policy.py", "import torch\ntorch.load('m.pt')\n"),
+    ),
     "loads arrays with code": (
         "package/no-unsafe-calls",
         _write("policy.py", "import numpy as np\nnp.load('m.npy', allow_pickle=True)\n"),
@@ -190,8 +246,14 @@ BROKEN: dict[str, tuple[str, Callable[[Sample], object]]] = {
         "package/no-unsafe-calls",
         _write("policy.py", "import subprocess\nsubprocess.run('ls', shell=True)\n"),
     ),
-    "runs YAML": ("package/no-unsafe-calls", _write("policy.py", "import yaml\nyaml.load('a: 1', yaml.Loader)\n")),
-    "imports a sibling": ("package/siblings-declared", _write("policy.py", "import rn_other.network\n")),
+    "runs YAML": (
+        "package/no-unsafe-calls",
+        _write("policy.py", "import yaml\nyaml.load('a: 1', yaml.Loader)\n"),
+    ),
+    "imports a sibling": (
+        "package/siblings-declared",
+        _write("policy.py", "import rn_other.network\n"),
+    ),
 }
 
 
@@ -226,7 +288,10 @@ def test_every_package_rule_has_a_package_that_breaks_it():
 
 def test_the_module_of_a_case_may_import_the_kit(sample, monkeypatch):
     spec = BackendSpec(
-        name="sample", summary="A sample.", target="rn_sample.policy:Sample", case="rn_sample.policy:make"
+        name="sample",
+        summary="A sample.",
+        target="rn_sample.policy:Sample",
+        case="rn_sample.policy:make",
     )
     offer = Offer(spec=spec, plugin="rn-sample", distribution="rn-sample", status=Status.READY)
     monkeypatch.setattr(package, "discover", lambda: Registry(plugins=(), all_offers=(offer,)))
@@ -239,7 +304,9 @@ def test_a_package_with_features_may_import_what_features_may_use(sample, monkey
     spec = FeatureSpec(name="sample", summary="A sample.", target="rn_sample.policy:Sample")
     offer = Offer(spec=spec, plugin="rn-sample", distribution="rn-sample", status=Status.READY)
     monkeypatch.setattr(package, "discover", lambda: Registry(plugins=(), all_offers=(offer,)))
-    (sample.package / "policy.py").write_text("from roboneuron import Feature\nfrom roboneuron.feature import Config\n")
+    (sample.package / "policy.py").write_text(
+        "from roboneuron import Feature\nfrom roboneuron.feature import Config\n"
+    )
     rule = next(r for r in RULES["package"] if r.id == "package/import-direction")
     assert verify(rule, sample.case()).verdict is Verdict.PASSED
     (sample.package / "policy.py").write_text("from roboneuron.server import events\n")
@@ -252,7 +319,10 @@ def test_a_subpackage_that_another_program_loads_may_import_what_that_has(sample
     hosted = sample.package / "served"
     hosted.mkdir()
     (hosted / "registration.py").write_text("import pytest\n")
-    points = "[roboneuron]\nrn-sample = rn_sample.plugin\n[host.plugins]\nsample = rn_sample.served.registration:go\n"
+    points = (
+        "[roboneuron]\nrn-sample = rn_sample.plugin\n[host.plugins]\nsample = "
+        "rn_sample.served.registration:go\n"
+    )
     (sample.info / "entry_points.txt").write_text(points)
     rule = next(r for r in RULES["package"] if r.id == "package/imports-declared")
     assert verify(rule, sample.case()).verdict is Verdict.PASSED

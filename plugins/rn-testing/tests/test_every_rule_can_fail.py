@@ -1,4 +1,6 @@
-"""The kit catches what it is made for: each mutant of a good plugin fails the rule that is to catch its mistake."""
+"""The kit catches what it is made for: each mutant of a good plugin fails the rule that is to
+catch its mistake.
+"""
 
 from __future__ import annotations
 
@@ -98,10 +100,13 @@ def make_case(name: str) -> Case[Any]:
     module, _, attribute = name.partition(":")
     target = {} if mutant.target is None else {"target": f"mutants_{module}:{attribute}"}
     good = GOOD[kind_of(mutant.rule)]
-    case = replace(good, limits_s={**PATIENT, **good.limits_s})  # a mutant that hangs has a limit of its own
+    # a mutant that hangs has a limit of its own
+    case = replace(good, limits_s={**PATIENT, **good.limits_s})
     spec: Spec = case.spec
     if mutant.rule.startswith("driver/") and isinstance(spec, RobotSpec):
-        changes = {key: value for key, value in {**target, **mutant.spec}.items() if key != "drivers"}
+        changes = {
+            key: value for key, value in {**target, **mutant.spec}.items() if key != "drivers"
+        }
         drivers = mutant.spec.get("drivers", (replace(spec.drivers[0], **changes),))
         return replace(case, spec=replace(spec, drivers=drivers), **mutant.case)
     return replace(case, spec=replace(spec, **target, **mutant.spec), **mutant.case)
@@ -146,9 +151,13 @@ def test_a_mutant_fails_the_rule_for_its_mistake(name, monkeypatch):
     ],
 )
 def test_a_backend_that_continues_rows_passes_what_its_mutants_fail(declared, rule):
-    spec = replace(fakes.FAKE_BACKEND, target="mutants_backend:ContinuingBackend", **{declared: True})
+    spec = replace(
+        fakes.FAKE_BACKEND, target="mutants_backend:ContinuingBackend", **{declared: True}
+    )
     case = BackendCase(spec=spec, row_tolerance=1e-6)
-    outcome = verify(next(found for found in RULES["backend"] if found.id == f"backend/{rule}"), case)
+    outcome = verify(
+        next(found for found in RULES["backend"] if found.id == f"backend/{rule}"), case
+    )
     assert outcome.verdict is Verdict.PASSED, outcome
 
 

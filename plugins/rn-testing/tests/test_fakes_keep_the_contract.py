@@ -48,7 +48,9 @@ class TestHalvingAcceleration(AccelerationContract):
 class TestControlledSource(PerceptionContract):
     @pytest.fixture
     def plugin(self) -> PerceptionCase:
-        return PerceptionCase(spec=fakes.FAKE_PERCEPTION, feed=lambda source, topics: source.show("front"))
+        return PerceptionCase(
+            spec=fakes.FAKE_PERCEPTION, feed=lambda source, topics: source.show("front")
+        )
 
 
 class TestGantryController(ControllerContract):
@@ -83,7 +85,11 @@ def test_memory_topics_hand_messages_to_subscribers():
     topics.subscribe("words", str, received.append)
     topics.advertise("words", str)("hello")
     topics.deliver("words", "again")
-    assert (received, topics.published("words"), topics.now_ns()) == (["hello", "again"], ("hello",), 5)
+    assert (received, topics.published("words"), topics.now_ns()) == (
+        ["hello", "again"],
+        ("hello",),
+        5,
+    )
 
 
 def test_memory_topics_refuse_another_message_type():

@@ -1,4 +1,6 @@
-"""`roboneuron new KIND NAME` writes a package that passes its own contract tests, as generated, for every kind."""
+"""`roboneuron new KIND NAME` writes a package that passes its own contract tests, as generated,
+for every kind.
+"""
 
 from __future__ import annotations
 
@@ -18,9 +20,11 @@ from roboneuron.errors import ConfigurationError
 
 
 def install(project: Path, site: Path) -> None:
-    """Make a project importable as an editable installation does: its metadata and a path to its sources.
+    """Make a project importable as an editable installation does: its metadata and a path to its
+    sources.
 
-    Building wheels is hatchling's business and needs it installed; what RoboNeuron reads is the metadata.
+    Building wheels is hatchling's business and needs it installed; what RoboNeuron reads is the
+    metadata.
     """
     facts = tomllib.loads((project / "pyproject.toml").read_text())["project"]
     info = site / f"{facts['name'].replace('-', '_')}-{facts['version']}.dist-info"
@@ -35,18 +39,28 @@ def install(project: Path, site: Path) -> None:
         f"Requires-Python: {facts['requires-python']}",
         *(f"Requires-Dist: {requirement}" for requirement in facts["dependencies"]),
     ]
-    (info / "METADATA").write_text("\n".join(lines) + "\n\n" + (project / facts["readme"]).read_text())
+    (info / "METADATA").write_text(
+        "\n".join(lines) + "\n\n" + (project / facts["readme"]).read_text()
+    )
     for name in facts["license-files"]:
         (info / "licenses" / name).write_text((project / name).read_text())
     points = facts["entry-points"]["roboneuron"]
-    (info / "entry_points.txt").write_text("[roboneuron]\n" + "".join(f"{k} = {v}\n" for k, v in points.items()))
+    (info / "entry_points.txt").write_text(
+        "[roboneuron]\n" + "".join(f"{k} = {v}\n" for k, v in points.items())
+    )
 
 
 def run(words: list[str], project: Path, site: Path) -> subprocess.CompletedProcess[str]:
     path = os.pathsep.join([str(site), str(project / "src")])
     environment = {**os.environ, "PYTHONPATH": path, "PYTHONDONTWRITEBYTECODE": "1"}
     return subprocess.run(
-        [sys.executable, *words], cwd=project, env=environment, capture_output=True, text=True, timeout=120, check=False
+        [sys.executable, *words],
+        cwd=project,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
     )
 
 
@@ -58,12 +72,17 @@ def test_a_new_plugin_passes_its_own_tests_and_the_check(kind, tmp_path):
 
     tests = run(["-m", "pytest", "-q", "-p", "no:cacheprovider", "-W", "error"], project, site)
     assert tests.returncode == 0, tests.stdout + tests.stderr
-    counts = {word: int(count) for count, word in re.findall(r"(\d+) (passed|skipped|failed)", tests.stdout)}
+    counts = {
+        word: int(count)
+        for count, word in re.findall(r"(\d+) (passed|skipped|failed)", tests.stdout)
+    }
     assert counts["passed"] > 15
     assert "failed" not in counts
 
     distribution = f"rn-{PREFIXES[kind]}-my-sample"
-    check = run(["-m", "roboneuron.cli.main", "plugins", "check", distribution, "--json"], project, site)
+    check = run(
+        ["-m", "roboneuron.cli.main", "plugins", "check", distribution, "--json"], project, site
+    )
     results = json.loads(check.stdout)["results"]
     assert check.returncode == 0, [r for r in results if r["verdict"] == "failed"]
     assert {r["subject"] for r in results} == {distribution, f"{kind} my-sample"}
@@ -74,7 +93,13 @@ def test_a_new_plugin_is_complete_and_holds_no_placeholder(kind, tmp_path):
     written = write_package(kind, "a1-b2", tmp_path / "x")
     package = f"rn_{PREFIXES[kind]}_a1_b2"
     names = {str(path.relative_to(tmp_path / "x")) for path in written}
-    assert names >= {"pyproject.toml", "README.md", "LICENSE", f"src/{package}/py.typed", f"src/{package}/plugin.py"}
+    assert names >= {
+        "pyproject.toml",
+        "README.md",
+        "LICENSE",
+        f"src/{package}/py.typed",
+        f"src/{package}/plugin.py",
+    }
     assert any(name.startswith("tests/test_") for name in names)
     assert not [p for p in written if p.name != "LICENSE" and "$" in p.read_text()]
 

@@ -1,4 +1,6 @@
-"""A call that hangs fails its rule with its name, and the rules after it are decided; blame goes to the right place."""
+"""A call that hangs fails its rule with its name, and the rules after it are decided; blame
+goes to the right place.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,10 @@ def test_a_predict_that_blocks_fails_its_rules_and_the_others_are_decided():
     case = BackendCase(spec=spec, limits_s={"predict": 0.1})
     outcomes = {rule.id: verify(rule, case) for rule in RULES["backend"]}
     blocked = outcomes["backend/predict-within-horizon"]
-    assert (blocked.verdict, blocked.detail) == (Verdict.FAILED, "predict did not return within 0.1 s")
+    assert (blocked.verdict, blocked.detail) == (
+        Verdict.FAILED,
+        "predict did not return within 0.1 s",
+    )
     assert outcomes["backend/close-before-load"].verdict is Verdict.PASSED
     assert outcomes["descriptor/well-formed"].verdict is Verdict.PASSED
 
@@ -43,7 +48,10 @@ def test_what_a_rule_raises_reaches_the_outcome_with_its_traceback():
     def observe():
         raise ValueError("no picture")
 
-    outcome = verify(rule_of("backend/predict-within-horizon"), BackendCase(spec=fakes.FAKE_BACKEND, observe=observe))
+    outcome = verify(
+        rule_of("backend/predict-within-horizon"),
+        BackendCase(spec=fakes.FAKE_BACKEND, observe=observe),
+    )
     assert outcome.detail == "raised ValueError: no picture"
     assert "observe" in outcome.traceback
 
@@ -64,10 +72,14 @@ def reading_profile():
 def test_a_file_that_the_profile_reads_is_not_blamed_on_the_driver(monkeypatch):
     monkeypatch.setattr(fakes.robot, "read_profile", reading_profile, raising=False)
     spec = replace(fakes.FAKE_ROBOT, target="rn_testing.fakes.robot:read_profile")
-    assert verify(rule_of("driver/constructor-pure"), RobotCase(spec=spec)).verdict is Verdict.PASSED
+    assert (
+        verify(rule_of("driver/constructor-pure"), RobotCase(spec=spec)).verdict is Verdict.PASSED
+    )
 
 
 @pytest.mark.parametrize("option", ["runtime", "acceleration"])
 def test_a_file_that_a_factory_reads_is_not_blamed_on_the_backend(option):
-    case = BackendCase(spec=fakes.FAKE_BACKEND, **{option: lambda: Path(__file__).read_text() and None})
+    case = BackendCase(
+        spec=fakes.FAKE_BACKEND, **{option: lambda: Path(__file__).read_text() and None}
+    )
     assert verify(rule_of("backend/constructor-pure"), case).verdict is Verdict.PASSED

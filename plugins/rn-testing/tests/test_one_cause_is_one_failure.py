@@ -1,4 +1,6 @@
-"""What concerns a whole case is told once, and what lies in the working directory is no fault of a plugin."""
+"""What concerns a whole case is told once, and what lies in the working directory is no fault
+of a plugin.
+"""
 
 from __future__ import annotations
 
@@ -42,13 +44,25 @@ class TestMine(PerceptionContract):
     @pytest.fixture
     def plugin(self):
         return PerceptionCase(spec=replace(fakes.FAKE_PERCEPTION, config="mutants_descriptors:Demanding"))
-"""
+"""  # noqa: E501
     )
-    path = os.pathsep.join([str(Path(__file__).parent / "mutants"), *filter(None, [os.environ.get("PYTHONPATH")])])
+    path = os.pathsep.join(
+        [str(Path(__file__).parent / "mutants"), *filter(None, [os.environ.get("PYTHONPATH")])]
+    )
     done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-q", "-c", os.devnull, "test_mine.py"],
+        [
+            sys.executable,
+            "-m",
+            "pytest",
+            "-p",
+            "no:cacheprovider",
+            "-q",
+            "-c",
+            os.devnull,
+            "test_mine.py",
+        ],
         cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": path},
+        env={**os.environ, "PYTHONPATH": path, "PYTEST_ADDOPTS": ""},
         capture_output=True,
         text=True,
         timeout=120,

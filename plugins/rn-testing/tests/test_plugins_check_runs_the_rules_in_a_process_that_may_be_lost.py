@@ -1,4 +1,6 @@
-"""`roboneuron plugins check`: options, a worker that hangs or crashes, offers that are not ready."""
+"""`roboneuron plugins check`: options, a worker that hangs or crashes, offers that are not
+ready.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,7 @@ GOOD = """
 def roboneuron_backends():
     return [BackendSpec(name="good", summary="Works.", target="good_module:Good",
                         requires=(Requirement(module="json", install="-"),), optional_cameras=("wrist",))]
-"""
+"""  # noqa: E501
 
 
 @pytest.fixture
@@ -28,8 +30,17 @@ def only(site, monkeypatch):
 
 def test_an_option_of_something_else_is_refused(only):
     only.install("rn-good", GOOD)
-    with pytest.raises(ConfigurationError, match=r"names 'bad', which is not checked\. Checked: good"):
-        plugin_check.check(only.discover(), "rn-good", kind=None, options=["bad.gain=1"], timeout_s=60.0, as_json=True)
+    with pytest.raises(
+        ConfigurationError, match=r"names 'bad', which is not checked\. Checked: good"
+    ):
+        plugin_check.check(
+            only.discover(),
+            "rn-good",
+            kind=None,
+            options=["bad.gain=1"],
+            timeout_s=60.0,
+            as_json=True,
+        )
 
 
 def _worker(monkeypatch, tmp_path, body):
@@ -44,7 +55,9 @@ def _worker(monkeypatch, tmp_path, body):
 
 
 def _run_until(begun: Path):
-    """Results of a worker that was ended after it had written `begun`, which takes long on a busy machine."""
+    """Results of a worker that was ended after it had written `begun`, which takes long on a
+    busy machine.
+    """
     for limit_s in (1.0, 5.0, 25.0, 125.0):
         results = plugin_check.run_worker("{}", limit_s)
         if begun.exists() and begun.read_text():
@@ -54,7 +67,10 @@ def _run_until(begun: Path):
 
 def test_a_check_that_hangs_is_ended_and_names_the_rule(monkeypatch, tmp_path):
     pid_file = tmp_path / "pid"
-    body = f"import os, time, pathlib\npathlib.Path({str(pid_file)!r}).write_text(str(os.getpid()))\ntime.sleep(60)\n"
+    body = (
+        "import os, time, "
+        f"pathlib\npathlib.Path({str(pid_file)!r}).write_text(str(os.getpid()))\ntime.sleep(60)\n"
+    )
     _worker(monkeypatch, tmp_path, body)
     results = _run_until(pid_file)
     assert [(r.rule, r.verdict) for r in results] == [("x/one", "passed"), ("x/two", "timeout")]
@@ -62,11 +78,14 @@ def test_a_check_that_hangs_is_ended_and_names_the_rule(monkeypatch, tmp_path):
 
 
 @pytest.mark.parametrize("end", ["", "time.sleep(60)", "os._exit(0)"])
-def test_the_folders_that_a_case_makes_are_removed_however_the_check_ends(monkeypatch, tmp_path, end):
+def test_the_folders_that_a_case_makes_are_removed_however_the_check_ends(
+    monkeypatch, tmp_path, end
+):
     told = tmp_path / "folder"
     body = (
         "import os, pathlib, tempfile, time\nmade = tempfile.mkdtemp()\n"
-        f"pathlib.Path(made, 'weights').write_text('1')\npathlib.Path({str(told)!r}).write_text(made)\n{end}\n"
+        "pathlib.Path(made, "
+        f"'weights').write_text('1')\npathlib.Path({str(told)!r}).write_text(made)\n{end}\n"
     )
     _worker(monkeypatch, tmp_path, body)
     _run_until(told)
@@ -81,6 +100,8 @@ def test_a_check_that_crashes_names_the_rule_and_the_reason(monkeypatch, tmp_pat
 
 
 def test_check_of_what_is_not_ready_says_why_and_fails(only, capsys):
-    only.install("rn-bad", GOOD.replace('"good"', '"odd"').replace("summary", "contract=99, summary"))
+    only.install(
+        "rn-bad", GOOD.replace('"good"', '"odd"').replace("summary", "contract=99, summary")
+    )
     assert main(["plugins", "check", "odd"]) == 1
     assert "incompatible" in capsys.readouterr().out

@@ -1,4 +1,6 @@
-"""Of several plugins in one distribution each is examined by itself: its files, its descriptors, what it loads."""
+"""Of several plugins in one distribution each is examined by itself: its files, its
+descriptors, what it loads.
+"""
 
 from __future__ import annotations
 
@@ -52,7 +54,10 @@ def case(site: Path, plugin: str) -> PackageCase:
 
 
 def files(site: Path, plugin: str) -> set[str]:
-    return {str(p.relative_to(site / "rn_pair").parent / p.stem) for p in source_files(case(site, plugin))}
+    return {
+        str(p.relative_to(site / "rn_pair").parent / p.stem)
+        for p in source_files(case(site, plugin))
+    }
 
 
 def test_the_files_are_those_of_the_plugin(site):

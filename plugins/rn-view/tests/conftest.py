@@ -18,7 +18,9 @@ from view_fakes import FakeOperator, FakeSource, admission
 from rn_view.options import ViewOptions
 from rn_view.viewer import Viewer
 
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+CHROMIUM = next(
+    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
+)
 FLAGS = (
     "--no-sandbox",
     "--use-gl=angle",
@@ -61,7 +63,9 @@ def serve(source: FakeSource, operator: FakeOperator) -> Iterator[Callable[..., 
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    """A headless Chromium of this machine. For one module: playwright keeps an event loop in this thread."""
+    """A headless Chromium of this machine. For one module: playwright keeps an event loop in
+    this thread.
+    """
     if importlib.util.find_spec("playwright") is None:
         pytest.skip("playwright is not installed: pip install playwright")
     if CHROMIUM is None:

@@ -1,4 +1,6 @@
-"""The page without a browser: what its program keeps of the elements, and the messages that it sends."""
+"""The page without a browser: what its program keeps of the elements, and the messages that it
+sends.
+"""
 
 from __future__ import annotations
 
@@ -35,11 +37,15 @@ CAMERA: dict[str, Any] = {
 }
 """Where a browser says it looks from; before that viser shows it nothing."""
 _HEAD_BYTES = 16
-"""Of a message: its size and that of its compressed part, 8 bytes each. Source: viser 1.1, `_message_producer`."""
+"""Of a message: its size and that of its compressed part, 8 bytes each. Source: viser 1.1,
+`_message_producer`.
+"""
 
 
 def ask_stop(url: str, robot: str = "", **headers: str) -> str:
-    """What the button above the page does: a request; needs no page. Raises HTTPError when it is refused."""
+    """What the button above the page does: a request; needs no page. Raises HTTPError when it
+    is refused.
+    """
     path = f"{STOP_PATH}?robot={quote(robot)}" if robot else STOP_PATH
     request = Request(url + path, headers={HEADER: HEADER_VALUE, **headers})
     with urlopen(request, timeout=60) as answer:
@@ -82,10 +88,14 @@ class PageClient:
         return "\n".join(unescape(re.sub(r"<[^>]*>", " ", content)) for content in contents)
 
     def health(self, kind: str) -> str:
-        """Health of a module, as the colour's tooltip explains it; empty while the page does not show it."""
+        """Health of a module, as the colour's tooltip explains it; empty while the page does
+        not show it.
+        """
         shown = unescape("".join(str(props.get("content", "")) for _, props in self._snapshot()))
         found = re.search(rf'title="([^"]*)">[^<]*</span> <b>{kind}</b>', shown)
-        return next((word for word, text in EXPLANATIONS.items() if found and text == found.group(1)), "")
+        return next(
+            (word for word, text in EXPLANATIONS.items() if found and text == found.group(1)), ""
+        )
 
     def press_stop(self, robot: str = "") -> str:
         """Press the emergency stop above the page, of one robot or of all; what it says then."""
@@ -110,7 +120,9 @@ class PageClient:
             for data in self._socket:
                 assert isinstance(data, bytes)
                 size = int.from_bytes(data[8:_HEAD_BYTES], "little")
-                packed = zstandard.ZstdDecompressor().decompress(data[_HEAD_BYTES : _HEAD_BYTES + size])
+                packed = zstandard.ZstdDecompressor().decompress(
+                    data[_HEAD_BYTES : _HEAD_BYTES + size]
+                )
                 for message in msgspec.msgpack.decode(packed)["messages"]:
                     self._keep(message)
         except ConnectionClosed:

@@ -1,4 +1,6 @@
-"""A recorded run of a made-up robot: two seconds in which everything a page shows changes at known times."""
+"""A recorded run of a made-up robot: two seconds in which everything a page shows changes at
+known times.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,11 @@ from rn_runs.images import to_jpeg, to_string
 
 BEGIN_NS = 1_700_000_000_000_000_000
 LENGTH_S, RATE_HZ = 2.0, 50
-CONFIG = {"robot": {"name": "gantry"}, "inference": {"backend": "instant"}, "control": {"controller": "gantry"}}
+CONFIG = {
+    "robot": {"name": "gantry"},
+    "inference": {"backend": "instant"},
+    "control": {"controller": "gantry"},
+}
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 
 
@@ -40,16 +46,27 @@ class Tape:
         """Add a message to the part of its second."""
         self._counts[topic] = self._counts.get(topic, 0) + 1
         at_ns = BEGIN_NS + round(at_s * 1e9)
-        self._parts[int(at_s >= 1.0)].write(Record(topic, type_name, at_ns, at_ns, self._counts[topic], data))
+        self._parts[int(at_s >= 1.0)].write(
+            Record(topic, type_name, at_ns, at_ns, self._counts[topic], data)
+        )
 
     def send(self, topic: str, message: Any, at_s: float) -> None:
         """Add a ROS message."""
         package, kind = type(message).__module__.split(".")[:2]
-        self.add(topic, f"{package}/{kind}/{type(message).__name__}", at_s, bytes(serialize_message(message)))
+        self.add(
+            topic,
+            f"{package}/{kind}/{type(message).__name__}",
+            at_s,
+            bytes(serialize_message(message)),
+        )
 
     def tell(self, topic: str, at_s: float, **facts: Any) -> None:
         """Add a line of the server or the audit."""
-        facts = {"at_ns": BEGIN_NS + round(at_s * 1e9), "time_ns": BEGIN_NS + round(at_s * 1e9), **facts}
+        facts = {
+            "at_ns": BEGIN_NS + round(at_s * 1e9),
+            "time_ns": BEGIN_NS + round(at_s * 1e9),
+            **facts,
+        }
         self.add(topic, "std_msgs/msg/String", at_s, to_string(json.dumps(facts)))
 
     def finish(self, *, whole: bool = True) -> list[Path]:
@@ -85,17 +102,46 @@ def record(folder: Path, *, whole: bool = True) -> list[Path]:
         if step % 10 == 0:
             tape.send("/diagnostics", report(rate_hz=10.0 + at_s, note=f"at {at_s:.1f}"), at_s)
         if step == 10:
-            facts = {"tool": "start_inference", "arguments": {"instruction": "push"}, "error": "", "took_ms": 150.0}
+            facts = {
+                "tool": "start_inference",
+                "arguments": {"instruction": "push"},
+                "error": "",
+                "took_ms": 150.0,
+            }
             tape.tell("/roboneuron/events", at_s, what="call", who="agent", **facts)
             tape.tell("/gantry/predictions", at_s, instruction="push")
         if step == 20:
-            tape.tell("/roboneuron/events", at_s, what="call", tool="get_status", arguments={}, error="", took_ms=1.0)
+            tape.tell(
+                "/roboneuron/events",
+                at_s,
+                what="call",
+                tool="get_status",
+                arguments={},
+                error="",
+                took_ms=1.0,
+            )
         if step == 60:
             tape.tell("/gantry/predictions", at_s, instruction="pull")
-            tape.tell("/roboneuron/audit", at_s, verdict="latched", who="ann", tool="emergency_stop", reason="too fast")
-            tape.tell("/roboneuron/events", at_s, what="health", module="inference", before="ok", health="failing")
+            tape.tell(
+                "/roboneuron/audit",
+                at_s,
+                verdict="latched",
+                who="ann",
+                tool="emergency_stop",
+                reason="too fast",
+            )
+            tape.tell(
+                "/roboneuron/events",
+                at_s,
+                what="health",
+                module="inference",
+                before="ok",
+                health="failing",
+            )
         if step == 80:
-            tape.tell("/roboneuron/audit", at_s, verdict="reset", who="ann", tool="reset_emergency_stop")
+            tape.tell(
+                "/roboneuron/audit", at_s, verdict="reset", who="ann", tool="reset_emergency_stop"
+            )
     return tape.finish(whole=whole)
 
 
@@ -111,4 +157,6 @@ def report(*, rate_hz: float, note: str) -> DiagnosticArray:
     """What inference says of itself."""
     values = {"state": "active", "ready": "true", "rate_hz": f"{rate_hz:g}", "note": note}
     pairs = [KeyValue(key=key, value=value) for key, value in values.items()]
-    return DiagnosticArray(status=[DiagnosticStatus(name="/gantry/inference", hardware_id="123", values=pairs)])
+    return DiagnosticArray(
+        status=[DiagnosticStatus(name="/gantry/inference", hardware_id="123", values=pairs)]
+    )

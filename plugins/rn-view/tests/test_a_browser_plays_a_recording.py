@@ -1,4 +1,6 @@
-"""A recording in a real browser: slider, play and pause, jumps, and no button that would stop nothing."""
+"""A recording in a real browser: slider, play and pause, jumps, and no button that would stop
+nothing.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +46,8 @@ def test_a_recording_is_watched_with_slider_and_buttons(recorded, look):
     page.get_by_text("reset_emergency_stop").first.wait_for()
 
     page.get_by_role("button", name="previous").click()
-    wait_until(lambda: 1.1 < source.playback.position_s < 1.3)  # the emergency stop, not its release
+    # the emergency stop, not its release
+    wait_until(lambda: 1.1 < source.playback.position_s < 1.3)
     page.get_by_text("Emergency stop latched: ann: too fast").wait_for()
     wait_until(lambda: abs(page.evaluate(PIXEL) - shade(12)) <= 3)
     page.get_by_text("pull", exact=True).wait_for()
@@ -53,7 +56,8 @@ def test_a_recording_is_watched_with_slider_and_buttons(recorded, look):
     wait_until(lambda: abs(beside.evaluate(PIXEL) - shade(12)) <= 3)
     beside.context.close()
 
-    source.playback.set_speed(0.1)  # as slow as possible, so that the page can press Pause before the end
+    # as slow as possible, so that the page can press Pause before the end
+    source.playback.set_speed(0.1)
     page.get_by_role("button", name="Play").click()
     wait_until(lambda: source.playback.is_playing)
     page.get_by_role("button", name="Pause").click()

@@ -14,13 +14,16 @@ VIEWER, OPERATOR = ("a-token-for-looking-1", "viewer"), ("a-token-for-acting-22"
 
 
 def test_one_page_shows_everything_and_stops_the_robot(serve, look, source, operator):
-    """State, pictures, buttons and the stop on one page, which takes seconds to load; nothing comes from elsewhere."""
+    """State, pictures, buttons and the stop on one page, which takes seconds to load; nothing
+    comes from elsewhere.
+    """
     viewer = serve()
     assert not source.subscribed
     hosts: set[str | None] = set()
     page = look_and_note(look, viewer.url, hosts)
     page.get_by_text("lift the <cup>").wait_for()
-    page.get_by_text("failing: <b>lost</b>").wait_for()  # as text: nothing that somebody said becomes HTML
+    # as text: nothing that somebody said becomes HTML
+    page.get_by_text("failing: <b>lost</b>").wait_for()
 
     wait_until(lambda: "camera/front/image" in source.subscribed)
     source.send("joint_states", joints(turn=0.5, lift=0.1))
@@ -46,7 +49,8 @@ def test_one_page_shows_everything_and_stops_the_robot(serve, look, source, oper
     assert who in operator.open  # a page that is open renews the lease
     page.context.close()
     wait_until(lambda: not source.subscribed)  # nobody looks any more
-    wait_until(lambda: who in operator.left and not operator.open)  # the page that was reloaded has left before
+    # the page that was reloaded has left before
+    wait_until(lambda: who in operator.left and not operator.open)
 
 
 def look_and_note(look, url, hosts):

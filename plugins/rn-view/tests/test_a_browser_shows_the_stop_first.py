@@ -1,4 +1,6 @@
-"""The stop above the page in a real browser: large, never covered, by the keyboard, and with enough contrast."""
+"""The stop above the page in a real browser: large, never covered, by the keyboard, and with
+enough contrast.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,7 @@ UNLABELLED = """() => {
     (one.getAttribute('aria-labelledby') || '').split(' ').map(id => document.getElementById(id)?.innerText).join('');
   return [...document.querySelectorAll('button, input, select, textarea, a[href], [role=button], [role=slider]')]
     .filter(one => one.getClientRects().length && !named(one)).map(one => one.outerHTML);
-}"""
+}"""  # noqa: E501
 CONTRAST = """button => {
   const light = text => {
     const [red, green, blue] = text.match(/[\\d.]+/g).slice(0, 3).map(value => value / 255)
@@ -33,13 +35,13 @@ CONTRAST = """button => {
   };
   const style = getComputedStyle(button), pair = [light(style.color), light(style.backgroundColor)].sort();
   return (Math.max(...pair) + 0.05) / (Math.min(...pair) + 0.05);
-}"""
+}"""  # noqa: E501
 """Source: WCAG 2.2, "relative luminance" and "contrast ratio"."""
 ON_TOP = """button => {
   const box = button.getBoundingClientRect(), free = (x, y) => button.contains(document.elementFromPoint(x, y));
   return [0.02, 0.25, 0.5, 0.75, 0.98].every(share =>
     [0.1, 0.5, 0.9].every(part => free(box.x + share * box.width, box.y + part * box.height)));
-}"""
+}"""  # noqa: E501
 SCENE = """() => {
   const canvas = [...document.querySelectorAll('canvas')].sort((a, b) => b.clientWidth - a.clientWidth)[0];
   const box = canvas.getBoundingClientRect(), around = canvas.parentElement.parentElement.parentElement;
@@ -50,7 +52,7 @@ SCENE = """() => {
     seen += around.contains(hit) && !hit.closest(panels);
   }
   return seen * 4;
-}"""
+}"""  # noqa: E501
 """Width [px] in which the scene is not covered."""
 
 

@@ -1,4 +1,6 @@
-"""`roboneuron serve --view` as a whole: a real server, its page, and what the stop pressed there does to modules."""
+"""`roboneuron serve --view` as a whole: a real server, its page, and what the stop pressed
+there does to modules.
+"""
 
 from __future__ import annotations
 
@@ -51,7 +53,8 @@ def test_the_page_shows_the_state_and_its_stop_reaches_the_modules(tmp_path: Pat
 
         page.close()
         again = PageClient(url)
-        wait_until(lambda: "EMERGENCY STOP LATCHED" in again.text)  # a page that comes later sees it, too
+        # a page that comes later sees it, too
+        wait_until(lambda: "EMERGENCY STOP LATCHED" in again.text)
         again.close()
 
 

@@ -1,4 +1,6 @@
-"""A button is a tool call like any client's: roles are checked by the server, not by what a page shows."""
+"""A button is a tool call like any client's: roles are checked by the server, not by what a
+page shows.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,9 @@ def application(tmp_path):
     application = Application(
         parse_config('[robot]\nname = "gantry"\n'),
         plugins=PluginCatalogue(discover=lambda disabled: registry),
-        supervisor=Supervisor(tmp_path, command=lambda python: pytest.fail("nothing may be spawned")),
+        supervisor=Supervisor(
+            tmp_path, command=lambda python: pytest.fail("nothing may be spawned")
+        ),
     )
     yield application
     application.close()
@@ -53,7 +57,9 @@ def test_a_viewer_may_not_act_and_an_operator_may(application):
 
 def test_no_button_releases_the_emergency_stop(application):
     application.loop.emergency_stop.file.press(who="somebody", reason="")
-    assert "Only a person releases" in press(application, Holder(who="root", role="admin"), "reset_emergency_stop")
+    assert "Only a person releases" in press(
+        application, Holder(who="root", role="admin"), "reset_emergency_stop"
+    )
     assert application.loop.emergency_stop.is_latched()
 
 
@@ -67,8 +73,12 @@ def test_the_state_and_what_the_gate_refused_are_shown(application):
     application.loop.emergency_stop.file.press(who="ann", reason="too fast")
     assert source.snapshot().is_latched
     assert "ann" in source.snapshot().cause
-    application.host.audit.write(AuditRecord(who="a", role="admin", tool="t", endpoint="x", verdict="allowed"))
-    application.host.audit.write(AuditRecord(who="a", role="admin", tool="t", endpoint="wheels", verdict="refused"))
+    application.host.audit.write(
+        AuditRecord(who="a", role="admin", tool="t", endpoint="x", verdict="allowed")
+    )
+    application.host.audit.write(
+        AuditRecord(who="a", role="admin", tool="t", endpoint="wheels", verdict="refused")
+    )
     source.look()
     assert ["wheels" in happening.text for happening in source.happenings.newest(5)] == [True]
 

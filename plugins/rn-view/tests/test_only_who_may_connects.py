@@ -103,7 +103,11 @@ def test_the_audit_names_whoever_looks_in_that_browser(serve, source):
     ask_stop(url, Cookie=cookie)
     ask_stop(url, Cookie="roboneuron_view=another-cookie-0123456789")
     page.close()
-    assert source.stops == ["a view without a token (127.0.0.1)", "the viewer", "a view without a token (127.0.0.1)"]
+    assert source.stops == [
+        "a view without a token (127.0.0.1)",
+        "the viewer",
+        "a view without a token (127.0.0.1)",
+    ]
 
 
 def test_silent_sockets_take_no_place_and_end(serve, monkeypatch):
@@ -190,12 +194,17 @@ def test_only_a_server_needs_the_port_and_not_the_check_of_its_configuration(tmp
         other.listen()
         port = other.getsockname()[1]
         robot = '[robot]\nname = "fr3"\n'
-        file.write_text(f'{robot}[supervisor]\nstate_directory = "{tmp_path}"\n[view]\nenabled = true\nport = {port}\n')
+        file.write_text(
+            f'{robot}[supervisor]\nstate_directory = "{tmp_path}"\n[view]\nenabled = true\nport = '
+            f"{port}\n"
+        )
         assert main(["config", "check", str(file)]) == 0, capsys.readouterr().err
         served = make_served(load_config(file))
         try:
             served.check()
-            with pytest.raises(ConfigurationError, match=f"Port {port} of 127.0.0.1 cannot be used"):
+            with pytest.raises(
+                ConfigurationError, match=f"Port {port} of 127.0.0.1 cannot be used"
+            ):
                 served.listen()
         finally:
             served.close()

@@ -1,4 +1,6 @@
-"""What a page shows of a recording at a moment: everything as it was then, whichever way one got there."""
+"""What a page shows of a recording at a moment: everything as it was then, whichever way one
+got there.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,9 @@ class Cinema:
 
     def __init__(self, files: list[Path], registry: Registry) -> None:
         self.now_s = 0.0
-        self.source = RecordedSource("a-run", files, load_config(None), registry, clock=lambda: self.now_s)
+        self.source = RecordedSource(
+            "a-run", files, load_config(None), registry, clock=lambda: self.now_s
+        )
         self.playback = self.source.playback
         self.measured = Measured(self.source, self.source.profile())
         self.measured.open()
@@ -44,7 +48,9 @@ class Cinema:
 
     def shades(self) -> dict[str, int]:
         """Grey level of each camera's picture."""
-        return {camera: int(pixels[0, 0, 0]) for camera, (_, pixels, _) in self.measured.images.items()}
+        return {
+            camera: int(pixels[0, 0, 0]) for camera, (_, pixels, _) in self.measured.images.items()
+        }
 
     def texts(self) -> list[str]:
         """What had happened, newest first."""
@@ -136,7 +142,8 @@ def test_events_are_jumped_to(cinema: Cinema) -> None:
     found = []
     while (mark := cinema.playback.seek_mark(1)) is not None:
         found.append(mark)
-    assert [round(mark.at_s, 2) for mark in found] == [0.2, 1.2, 1.6]  # marks of one moment are one jump
+    # marks of one moment are one jump
+    assert [round(mark.at_s, 2) for mark in found] == [0.2, 1.2, 1.6]
     texts = [mark.text for mark in cinema.playback.marks]
     assert not any("get_status" in text for text in texts)
     assert "instruction: pull" in texts

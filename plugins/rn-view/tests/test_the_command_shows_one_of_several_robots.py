@@ -13,7 +13,10 @@ from roboneuron import ConfigurationError
 from roboneuron.config import parse_config
 from roboneuron.gate.estop import ESTOP_FILE
 
-TWO = '[robots.left]\nrobot = {name = "gantry", namespace = "hall_2/a"}\n[robots.right]\nrobot = "gantry"\n'
+TWO = (
+    '[robots.left]\nrobot = {name = "gantry", namespace = "hall_2/a"}\n[robots.right]\nrobot = '
+    '"gantry"\n'
+)
 LIVE = {"run": None, "directory": None}
 
 
@@ -24,7 +27,10 @@ def test_the_named_robot_is_shown() -> None:
 
 def test_all_robots_can_be_shown_when_none_is_named() -> None:
     chosen = _chosen(parse_config(TWO, registry=fake_registry(FLEET)), None)
-    assert {name: config.namespace for name, config in chosen.items()} == {"left": "hall_2/a", "right": "right"}
+    assert {name: config.namespace for name, config in chosen.items()} == {
+        "left": "hall_2/a",
+        "right": "right",
+    }
 
 
 def test_the_only_robot_of_a_server_needs_no_name() -> None:
@@ -48,7 +54,9 @@ def test_each_stop_is_that_of_its_robot(tmp_path) -> None:
         ('[robot]\nname = "gantry"\n', "left", "the configuration has no"),
     ],
 )
-def test_a_name_that_fits_nothing_is_refused_with_the_choices(text: str, robot: str | None, expected: str) -> None:
+def test_a_name_that_fits_nothing_is_refused_with_the_choices(
+    text: str, robot: str | None, expected: str
+) -> None:
     with pytest.raises(ConfigurationError) as refused:
         _chosen(parse_config(text, registry=fake_registry(FLEET)), robot)
     assert expected in str(refused.value)

@@ -3,7 +3,14 @@
 import pytest
 
 from rn_standard.http.plugin import FEATURE as HTTP
-from rn_testing import CommandCase, CommandContract, FeatureCase, FeatureContract, PackageCase, PackageContract
+from rn_testing import (
+    CommandCase,
+    CommandContract,
+    FeatureCase,
+    FeatureContract,
+    PackageCase,
+    PackageContract,
+)
 from rn_view.plugin import COMMAND, FEATURE
 
 

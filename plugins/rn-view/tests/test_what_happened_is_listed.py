@@ -18,7 +18,9 @@ from rn_view.source import ModuleRow, Snapshot
 def calls(result):
     """What is listed of one call with that result."""
     happenings = Happenings()
-    context = SimpleNamespace(method="tools/call", params={"name": "start_robot", "arguments": {"driver": "simulated"}})
+    context = SimpleNamespace(
+        method="tools/call", params={"name": "start_robot", "arguments": {"driver": "simulated"}}
+    )
 
     async def answer(_):
         if isinstance(result, Exception):
@@ -72,7 +74,9 @@ def test_what_a_client_is_told_is_listed():
     happenings = Happenings()
 
     async def refuse(context, params):
-        return types.CallToolResult(content=[types.TextContent(type="text", text="it runs already")], is_error=True)
+        return types.CallToolResult(
+            content=[types.TextContent(type="text", text="it runs already")], is_error=True
+        )
 
     async def no_tools(context, params):
         return types.ListToolsResult(tools=[])
@@ -85,7 +89,11 @@ def test_what_a_client_is_told_is_listed():
             await client.call_tool("start_robot", {})
 
     anyio.run(ask)
-    assert [happening.text for happening in happenings.newest(9) if happening.is_bad and "it runs" in happening.text]
+    assert [
+        happening.text
+        for happening in happenings.newest(9)
+        if happening.is_bad and "it runs" in happening.text
+    ]
 
 
 def record(number):

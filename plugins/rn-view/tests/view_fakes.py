@@ -1,4 +1,6 @@
-"""A source and an operator without a server: a small arm, pictures with a number in them, and what was pressed."""
+"""A source and an operator without a server: a small arm, pictures with a number in them, and
+what was pressed.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,7 @@ URDF = """
   <joint name="tip" type="fixed"><parent link="fore"/><child link="tcp"/><origin xyz="0.4 0 0"/></joint>
   <link name="tcp"/>
 </robot>
-"""
+"""  # noqa: E501
 CONFIG = """
 [robot]
 name = "twolink"
@@ -63,7 +65,9 @@ def profile() -> RobotProfile:
                 frame_id="front",
                 width=160,
                 height=120,
-                calibration=CameraCalibration(intrinsics=intrinsics, mount="base", T_mount_camera=pose),
+                calibration=CameraCalibration(
+                    intrinsics=intrinsics, mount="base", T_mount_camera=pose
+                ),
             ),
         ),
         workspace=Workspace(lower_m=np.array([0.1, -0.4, 0.1]), upper_m=np.array([0.6, 0.4, 0.7])),
@@ -83,7 +87,14 @@ class FakeSource:
         self.stopped = threading.Event()
         self.modules = (
             ModuleRow(kind="robot", health="ok", chosen="twolink", rate_hz=100.0),
-            ModuleRow(kind="inference", health="failing", text="<b>lost</b>", rate_hz=5.0, latency_ms=40.0, dropped=3),
+            ModuleRow(
+                kind="inference",
+                health="failing",
+                text="<b>lost</b>",
+                rate_hz=5.0,
+                latency_ms=40.0,
+                dropped=3,
+            ),
         )
 
     def now_s(self) -> float:
@@ -97,7 +108,12 @@ class FakeSource:
 
     def snapshot(self) -> Snapshot:
         cause = self.stops[-1] if self.stops else ""
-        return Snapshot(modules=self.modules, is_latched=bool(self.stops), cause=cause, instruction="lift the <cup>")
+        return Snapshot(
+            modules=self.modules,
+            is_latched=bool(self.stops),
+            cause=cause,
+            instruction="lift the <cup>",
+        )
 
     def is_latched(self) -> bool:
         return bool(self.stops)
@@ -105,7 +121,9 @@ class FakeSource:
     def look(self) -> None:
         pass
 
-    def subscribe(self, message_type: type, topic: str, callback: Callable[[Any], None]) -> Callable[[], None]:
+    def subscribe(
+        self, message_type: type, topic: str, callback: Callable[[Any], None]
+    ) -> Callable[[], None]:
         self.subscribed[topic] = callback
         return lambda: self.subscribed.__delitem__(topic)
 

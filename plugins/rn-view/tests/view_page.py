@@ -13,7 +13,7 @@ PIXEL = """() => {
   const pen = canvas.getContext('2d');
   pen.drawImage(found, 0, 0, 1, 1);
   return pen.getImageData(0, 0, 1, 1).data[0];
-}"""
+}"""  # noqa: E501
 """Red of the first picture's first pixel; -1 while there is none."""
 
 

@@ -1,4 +1,6 @@
-"""A server of its own process with its view switched on by the command line, as a client on stdio sees it."""
+"""A server of its own process with its view switched on by the command line, as a client on
+stdio sees it.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +39,9 @@ Call = Callable[..., dict[str, Any]]
 
 @contextmanager
 def served_view(folder: Path) -> Iterator[tuple[Call, str]]:
-    """`roboneuron serve --view` of the fakes: a function that calls its tools, and the address of its page."""
+    """`roboneuron serve --view` of the fakes: a function that calls its tools, and the address
+    of its page.
+    """
     PluginSite(path=folder / "site").install("rn-view-tests", "", value="rn_testing.fakes.ticking")
     config, log = folder / "roboneuron.toml", folder / "server.log"
     config.write_text(CONFIG.format(state=folder / "state"))
@@ -63,9 +67,19 @@ def served_view(folder: Path) -> Iterator[tuple[Call, str]]:
 @contextmanager
 def attached_view(folder: Path) -> Iterator[str]:
     """`roboneuron view` beside that server, within `served_view`: the address of its page."""
-    command = [sys.executable, "-m", "roboneuron.cli.main", "view", "--config", str(folder / "roboneuron.toml")]
+    command = [
+        sys.executable,
+        "-m",
+        "roboneuron.cli.main",
+        "view",
+        "--config",
+        str(folder / "roboneuron.toml"),
+    ]
     log = folder / "view.log"
-    with log.open("w") as errors, subprocess.Popen(command, stderr=errors, stdin=subprocess.DEVNULL) as child:
+    with (
+        log.open("w") as errors,
+        subprocess.Popen(command, stderr=errors, stdin=subprocess.DEVNULL) as child,
+    ):
         try:
             wait_until(lambda: "The view is at http" in log.read_text())
             yield re.findall(r"view is at (http://[\d.]+:\d+)", log.read_text())[0]

@@ -54,7 +54,12 @@ def test_bridge_values_are_metres_and_roll_pitch_yaw():
 
 @pytest.mark.parametrize(
     ("gripper", "closed", "opened"),
-    [("open_fraction", 0, 1), ("closed_fraction", 1, 0), ("signed_open", -1, 1), ("signed_close", 1, -1)],
+    [
+        ("open_fraction", 0, 1),
+        ("closed_fraction", 1, 0),
+        ("signed_open", -1, 1),
+        ("signed_close", 1, -1),
+    ],
 )
 def test_each_gripper_sign_opens_and_closes(gripper, closed, opened):
     native = np.zeros((2, 7))
@@ -80,13 +85,20 @@ def test_profiles_convert_to_the_contract_and_back(name, rows, opening):
 @settings(max_examples=40, deadline=None)
 def test_tool_frame_profiles_convert_to_the_contract_and_back(rows, turn, rotation, gripper):
     profile = _profile(frame="tcp", rotation=rotation, gripper=gripper)
-    pose = Pose(position_m=np.zeros(3), quaternion_xyzw=quaternion_from_matrix(matrix_from_rotvec(3 * np.array(turn))))
+    pose = Pose(
+        position_m=np.zeros(3),
+        quaternion_xyzw=quaternion_from_matrix(matrix_from_rotvec(3 * np.array(turn))),
+    )
     native = np.column_stack([np.array(rows), np.full(len(rows), 0.5)])
-    np.testing.assert_allclose(profile.to_native(profile.to_contract(native, pose), pose), native, atol=1e-9)
+    np.testing.assert_allclose(
+        profile.to_native(profile.to_contract(native, pose), pose), native, atol=1e-9
+    )
 
 
 def test_tool_frame_chunks_end_where_moving_along_the_tool_ends():
-    """Compose the deltas in the tool frame, and their contract form in the base frame: the same final pose."""
+    """Compose the deltas in the tool frame, and their contract form in the base frame: the same
+    final pose.
+    """
     rng = np.random.default_rng(0)
     native = np.column_stack([rng.uniform(-1, 1, (5, 6)), np.ones(5)])
     axes = matrix_from_rotvec(np.array([0.3, -2.0, 0.7]))
@@ -116,7 +128,9 @@ def test_values_survive_their_tokens_within_half_a_bin(values):
 
 
 def test_masked_values_pass_through_and_bounds_are_chosen():
-    statistics = VectorStatistics(min=(-4, -4), max=(4, 4), q01=(-2, -2), q99=(2, 2), mask=(True, False))
+    statistics = VectorStatistics(
+        min=(-4, -4), max=(4, 4), q01=(-2, -2), q99=(2, 2), mask=(True, False)
+    )
     for bounds, edge in (("q99", 2.0), ("minmax", 4.0)):
         scaling = Scaling.of(statistics, bounds, 0.0)
         np.testing.assert_allclose(scaling.to_units(np.array([1.0, 0.5])), [edge, 0.5])
@@ -125,7 +139,9 @@ def test_masked_values_pass_through_and_bounds_are_chosen():
 
 def test_masked_proprioception_is_clipped_as_in_the_public_code():
     """`normalize_proprio` of OpenVLA-OFT clips what its mask passes through."""
-    statistics = VectorStatistics(min=(-4, -4), max=(4, 4), q01=(-2, -2), q99=(2, 2), mask=(True, False))
+    statistics = VectorStatistics(
+        min=(-4, -4), max=(4, 4), q01=(-2, -2), q99=(2, 2), mask=(True, False)
+    )
     scaling = Scaling.of(statistics, "q99", 1e-8)
     np.testing.assert_allclose(scaling.to_normalized(np.array([1.0, 3.0])), [0.5, 1.0], atol=1e-8)
     np.testing.assert_allclose(scaling.to_normalized(np.array([-9.0, -1.5])), [-1.0, -1.0])
@@ -146,12 +162,20 @@ def test_image_steps_run_in_the_given_order():
     steps = ("rotate_180", "jpeg_95", "resize_lanczos", "center_crop_90")
     made = Preprocessor(size=224, towers=(), steps=steps).to_model_image(image)
     assert made.shape == (224, 224, 3)
-    assert Preprocessor(size=224, towers=(), steps=("rotate_180",)).to_model_image(image)[-1, -1, 0] == 255
+    assert (
+        Preprocessor(size=224, towers=(), steps=("rotate_180",)).to_model_image(image)[-1, -1, 0]
+        == 255
+    )
 
 
 def test_tower_channels_follow_each_other():
-    towers = (TowerPixels(mean=(0, 0, 0), std=(1, 1, 1)), TowerPixels(mean=(0.5,) * 3, std=(0.5,) * 3))
-    pixels = Preprocessor(size=4, towers=towers).to_pixels(np.full((4, 4, 3), [255, 0, 51], dtype=np.uint8))
+    towers = (
+        TowerPixels(mean=(0, 0, 0), std=(1, 1, 1)),
+        TowerPixels(mean=(0.5,) * 3, std=(0.5,) * 3),
+    )
+    pixels = Preprocessor(size=4, towers=towers).to_pixels(
+        np.full((4, 4, 3), [255, 0, 51], dtype=np.uint8)
+    )
     np.testing.assert_allclose(pixels[:, 0, 0], [1, 0, 0.2, 1, -1, -0.6], atol=1e-6)
 
 

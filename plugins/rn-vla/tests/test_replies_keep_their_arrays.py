@@ -1,4 +1,6 @@
-"""What a reply holds cannot be changed through the array it was made from, nor through its own field."""
+"""What a reply holds cannot be changed through the array it was made from, nor through its own
+field.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,10 @@ import pytest
 from rn_vla.decoding import RowsReply, TokenReply
 
 MADE = [
-    (TokenReply, {"tokens": np.arange(3, dtype=np.int64), "logits": np.arange(4, dtype=np.float32)}),
+    (
+        TokenReply,
+        {"tokens": np.arange(3, dtype=np.int64), "logits": np.arange(4, dtype=np.float32)},
+    ),
     (RowsReply, {"values": np.ones((2, 3), dtype=np.float32)}),
 ]
 

@@ -15,7 +15,9 @@ from rn_vla.testing import check_token_answer, late
 
 VOCABULARY = 32
 REQUEST = TokenRequest(
-    prompt=Prompt(text="go", ids=np.array([1, 2, 3]), images=(), arrays={}), max_new_tokens=4, with_logits=True
+    prompt=Prompt(text="go", ids=np.array([1, 2, 3]), images=(), arrays={}),
+    max_new_tokens=4,
+    with_logits=True,
 )
 MODEL = PolicyModel(
     family="openvla",
@@ -45,7 +47,9 @@ LOGITS = np.eye(VOCABULARY, dtype=np.float32)[6]
 def test_an_answer_as_it_should_be_passes():
     check_token_answer(MODEL, REQUEST, TokenReply(tokens=TOKENS, logits=LOGITS))
     check_token_answer(MODEL, REQUEST, TokenReply(tokens=TOKENS))
-    check_token_answer(MODEL, replace(REQUEST, with_logits=False), TokenReply(tokens=TOKENS, logits=LOGITS[:3]))
+    check_token_answer(
+        MODEL, replace(REQUEST, with_logits=False), TokenReply(tokens=TOKENS, logits=LOGITS[:3])
+    )
 
 
 @pytest.mark.parametrize(

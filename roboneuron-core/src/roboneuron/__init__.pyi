@@ -1,24 +1,49 @@
-"""The public API by the modules that define it; `__init__.py` reads this at run time, type checkers as a stub."""
+"""The public API by the modules that define it; `__init__.py` reads this at run time, type
+checkers as a stub.
+"""
 
-# fmt: off
 # ruff: noqa: I001
 from .config.models import (
     Section as Section,
 )
 from .contract import (
-    ACTION_FIELDS as ACTION_FIELDS, ACTION_LABEL as ACTION_LABEL, ACTION_SIZE as ACTION_SIZE,
-    Acceleration as Acceleration, Action as Action,
-    ActionChunk as ActionChunk, Ahead as Ahead, AnyAcceleration as AnyAcceleration,
-    AnyRuntime as AnyRuntime, Backend as Backend,
-    CameraCalibration as CameraCalibration, CameraProfile as CameraProfile,
-    CollisionProfile as CollisionProfile, Controller as Controller, Endpoint as Endpoint, Frame as Frame,
-    GripperProfile as GripperProfile, Hold as Hold, JointCommand as JointCommand, JointLimits as JointLimits,
-    JointSample as JointSample, Observation as Observation, Obstacle as Obstacle,
-    PerceptionSource as PerceptionSource, Pose as Pose, Posture as Posture,
-    PostureInspector as PostureInspector, Proximity as Proximity, RobotDriver as RobotDriver,
-    RobotProfile as RobotProfile, RobotState as RobotState, Runtime as Runtime,
-    Topics as Topics, Workspace as Workspace, apply_delta as apply_delta,
-    check_action_vector as check_action_vector, check_rgb8 as check_rgb8,
+    ACTION_FIELDS as ACTION_FIELDS,
+    ACTION_LABEL as ACTION_LABEL,
+    ACTION_SIZE as ACTION_SIZE,
+    Acceleration as Acceleration,
+    Action as Action,
+    ActionChunk as ActionChunk,
+    Ahead as Ahead,
+    AnyAcceleration as AnyAcceleration,
+    AnyRuntime as AnyRuntime,
+    Backend as Backend,
+    CameraCalibration as CameraCalibration,
+    CameraProfile as CameraProfile,
+    CollisionProfile as CollisionProfile,
+    Controller as Controller,
+    Endpoint as Endpoint,
+    Frame as Frame,
+    GripperProfile as GripperProfile,
+    Hold as Hold,
+    JointCommand as JointCommand,
+    JointLimits as JointLimits,
+    JointSample as JointSample,
+    Observation as Observation,
+    Obstacle as Obstacle,
+    PerceptionSource as PerceptionSource,
+    Pose as Pose,
+    Posture as Posture,
+    PostureInspector as PostureInspector,
+    Proximity as Proximity,
+    RobotDriver as RobotDriver,
+    RobotProfile as RobotProfile,
+    RobotState as RobotState,
+    Runtime as Runtime,
+    Topics as Topics,
+    Workspace as Workspace,
+    apply_delta as apply_delta,
+    check_action_vector as check_action_vector,
+    check_rgb8 as check_rgb8,
     frame_from_buffer as frame_from_buffer,
 )
 from .contract.arrays import (
@@ -28,39 +53,65 @@ from .contract.image import (
     MAX_SIDE_PX as MAX_SIDE_PX,
 )
 from .contract.rotation import (
-    matrix_from_quaternion as matrix_from_quaternion, matrix_from_rotvec as matrix_from_rotvec,
-    quaternion_from_matrix as quaternion_from_matrix, rotvec_from_matrix as rotvec_from_matrix,
+    matrix_from_quaternion as matrix_from_quaternion,
+    matrix_from_rotvec as matrix_from_rotvec,
+    quaternion_from_matrix as quaternion_from_matrix,
+    rotvec_from_matrix as rotvec_from_matrix,
 )
 from .errors import (
-    CheckpointError as CheckpointError, ConfigurationError as ConfigurationError,
-    InternalError as InternalError, InvalidInputError as InvalidInputError,
-    MissingDependencyError as MissingDependencyError, NotReadyError as NotReadyError,
-    PlanningError as PlanningError, PluginError as PluginError, RefusedError as RefusedError,
-    RoboNeuronError as RoboNeuronError, StateError as StateError, UngroundedError as UngroundedError,
+    CheckpointError as CheckpointError,
+    ConfigurationError as ConfigurationError,
+    InternalError as InternalError,
+    InvalidInputError as InvalidInputError,
+    MissingDependencyError as MissingDependencyError,
+    NotReadyError as NotReadyError,
+    PlanningError as PlanningError,
+    PluginError as PluginError,
+    RefusedError as RefusedError,
+    RoboNeuronError as RoboNeuronError,
+    StateError as StateError,
+    UngroundedError as UngroundedError,
     UnsafeError as UnsafeError,
 )
 from .plugins.hookspecs import (
-    hookimpl as hookimpl, hookspec as hookspec,
+    hookimpl as hookimpl,
+    hookspec as hookspec,
 )
 from .plugins.restricted import (
-    AgentMaySet as AgentMaySet, ConfigurationOnly as ConfigurationOnly,
+    AgentMaySet as AgentMaySet,
+    ConfigurationOnly as ConfigurationOnly,
 )
 from .plugins.specs import (
-    AccelerationSpec as AccelerationSpec, ActionSpace as ActionSpace, BackendSpec as BackendSpec,
-    CONTRACT_VERSION as CONTRACT_VERSION, CameraSpec as CameraSpec, CommandSpec as CommandSpec,
-    ControllerSpec as ControllerSpec, DriverSpec as DriverSpec, FeatureSpec as FeatureSpec,
-    PerceptionSpec as PerceptionSpec, Requirement as Requirement, RobotSpec as RobotSpec,
-    RuntimeSpec as RuntimeSpec, Spec as Spec,
+    AccelerationSpec as AccelerationSpec,
+    ActionSpace as ActionSpace,
+    BackendSpec as BackendSpec,
+    CONTRACT_VERSION as CONTRACT_VERSION,
+    CameraSpec as CameraSpec,
+    CommandSpec as CommandSpec,
+    ControllerSpec as ControllerSpec,
+    DriverSpec as DriverSpec,
+    FeatureSpec as FeatureSpec,
+    PerceptionSpec as PerceptionSpec,
+    Requirement as Requirement,
+    RobotSpec as RobotSpec,
+    RuntimeSpec as RuntimeSpec,
+    Spec as Spec,
 )
 from .server.feature import (
-    Feature as Feature, Resource as Resource,
+    Feature as Feature,
+    Resource as Resource,
 )
 from .server.host import (
     Host as Host,
 )
 from .server.tool import (
-    Arguments as Arguments, CallContext as CallContext, NoArguments as NoArguments, Picture as Picture,
-    Reply as Reply, Result as Result, Tool as Tool,
+    Arguments as Arguments,
+    CallContext as CallContext,
+    NoArguments as NoArguments,
+    Picture as Picture,
+    Reply as Reply,
+    Result as Result,
+    Tool as Tool,
 )
 
 __version__: str

@@ -1,6 +1,7 @@
 """Every exception RoboNeuron raises on purpose: a code, what happened, what to do.
 
-There is one class per reaction of the caller, not one per place: whoever catches an error wants to know whether to fix
+There is one class per reaction of the caller, not one per place: whoever catches an error wants to
+    know whether to fix
 the configuration, install something, correct an argument, retry, stop the robot, or report a bug.
 """
 
@@ -15,9 +16,11 @@ _TYPING_ERROR = 0.8
 
 
 def nearest(name: str, known: Iterable[str], otherwise: str = "", *, likeness: float = 0.6) -> str:
-    """The question whether the known name that is most like `name` was meant; `otherwise` when none is like it.
+    """The question whether the known name that is most like `name` was meant; `otherwise` when none
+    is like it.
 
-    Shared letters alone do not make a typing error ("options" is not "python"): the first letter is the same too, one
+    Shared letters alone do not make a typing error ("options" is not "python"): the first letter is
+        the same too, one
     name is a part of the other, or they differ by a letter or two.
     """
     for close in get_close_matches(name, list(known), n=3, cutoff=likeness):
@@ -48,19 +51,25 @@ class RoboNeuronError(Exception):
 
 
 class ConfigurationError(RoboNeuronError):
-    """The configuration or a command line names something that cannot be; fix it and start again."""
+    """The configuration or a command line names something that cannot be; fix it and start
+    again.
+    """
 
     code = "configuration"
 
 
 class PlanningError(ConfigurationError):
-    """The chosen backend, runtime, acceleration, cameras and robot do not fit together; choose another combination."""
+    """The chosen backend, runtime, acceleration, cameras and robot do not fit together; choose
+    another combination.
+    """
 
     code = "unfit_combination"
 
 
 class CheckpointError(ConfigurationError):
-    """A model checkpoint is missing, truncated, of another family, or holds values that cannot be used."""
+    """A model checkpoint is missing, truncated, of another family, or holds values that cannot
+    be used.
+    """
 
     code = "checkpoint"
 
@@ -86,19 +95,25 @@ class InvalidInputError(RoboNeuronError):
 
 
 class StateError(RoboNeuronError):
-    """The call is valid but not now (a second start, a stop of what is not running); look at the status first."""
+    """The call is valid but not now (a second start, a stop of what is not running); look at
+    the status first.
+    """
 
     code = "wrong_state"
 
 
 class NotReadyError(RoboNeuronError):
-    """Something did not become ready in time (no image, no joint state, no answer); mend what is named and retry."""
+    """Something did not become ready in time (no image, no joint state, no answer); mend what
+    is named and retry.
+    """
 
     code = "not_ready"
 
 
 class RefusedError(RoboNeuronError):
-    """The gate refused: not allowed, outside a limit, or the emergency stop is latched. Nothing was sent."""
+    """The gate refused: not allowed, outside a limit, or the emergency stop is latched. Nothing
+    was sent.
+    """
 
     code = "refused"
 

@@ -1,6 +1,8 @@
-"""What features and commands may use of the core, beside `roboneuron` itself; the rest of it is private.
+"""What features and commands may use of the core, beside `roboneuron` itself; the rest of it is
+private.
 
-Plugins of devices, models and robots need `roboneuron` alone. The names are listed in `feature.pyi`; a name is imported
+Plugins of devices, models and robots need `roboneuron` alone. The names are listed in
+`feature.pyi`; a name is imported
 when it is first asked for. They change with minor releases: CHANGELOG.md records it.
 """
 

@@ -1,6 +1,7 @@
-"""What features may use of the core, by the modules that define it; `feature.py` reads this at run time."""
+"""What features may use of the core, by the modules that define it; `feature.py` reads this at
+run time.
+"""
 
-# fmt: off
 # ruff: noqa: I001
 from .cli.commands import (
     COMMANDS as COMMANDS,

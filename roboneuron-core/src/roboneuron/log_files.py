@@ -1,4 +1,6 @@
-"""Log files: who may read them, and nothing in them that acts on a terminal or passes for an entry of its own."""
+"""Log files: who may read them, and nothing in them that acts on a terminal or passes for an
+entry of its own.
+"""
 
 from __future__ import annotations
 
@@ -10,8 +12,12 @@ from pathlib import Path
 
 FORMAT = "%(asctime)s %(levelname)s %(name)s: %(message)s"
 FILE_MODE, DIRECTORY_MODE = 0o640, 0o750
-_RAW = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2066-\u2069\ufeff\ud800-\udfff]")
-"""Control characters but tab and newline, and what turns or hides text. Source: Unicode, categories Cc and Cf."""
+_RAW = re.compile(
+    "[\x00-\x08\x0b-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2066-\u2069\ufeff\ud800-\udfff]"
+)
+"""Control characters but tab and newline, and what turns or hides text. Source: Unicode,
+categories Cc and Cf.
+"""
 
 
 def make_log_directory(path: Path) -> None:
@@ -31,10 +37,12 @@ def opener(path: str, flags: int) -> int:
 
 
 def escaped(text: str) -> str:
-    """The text with control characters as \\x1b and the like; further lines are indented, so that none looks like one
-    of the log's own.
+    """The text with control characters as \\x1b and the like; further lines are indented, so that
+    none looks like one of the log's own.
     """
-    return _RAW.sub(lambda m: m.group().encode("unicode_escape").decode(), text).replace("\n", "\n    ")
+    return _RAW.sub(lambda m: m.group().encode("unicode_escape").decode(), text).replace(
+        "\n", "\n    "
+    )
 
 
 class PlainFormatter(logging.Formatter):

@@ -1,4 +1,6 @@
-"""Does this combination fit? Answered from descriptors alone, in one sentence, before anything heavy is imported."""
+"""Does this combination fit? Answered from descriptors alone, in one sentence, before anything
+heavy is imported.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,8 @@ class Plan:
         perception, controller, backend: None when not asked for.
         runtime: the one asked for, or the backend's default; None when the backend takes none.
         acceleration: None when not asked for.
-        cameras: camera name by role, for every role the backend needs and each optional one the robot has.
+        cameras: camera name by role, for every role the backend needs and each optional one the
+            robot has.
     """
 
     robot: RobotSpec
@@ -64,10 +67,11 @@ def check_plan(
 
     Args:
         registry: what is installed.
-        robot, driver, perception, controller, backend, runtime, acceleration: names; None for "not wanted", except
-            that the backend's default runtime is taken when `runtime` is None.
+        robot, driver, perception, controller, backend, runtime, acceleration: names; None for "not
+            wanted", except that the backend's default runtime is taken when `runtime` is None.
         cameras: camera name by role, where the robot's own roles are not to be used.
-        elsewhere: which of "driver", "perception", "controller" and "backend" (with its runtime and acceleration) run
+        elsewhere: which of "driver", "perception", "controller" and "backend" (with its runtime and
+            acceleration) run
             under another interpreter: modules that they need may be absent here.
 
     Raises:
@@ -118,22 +122,28 @@ def _check_driver(robot: RobotSpec, name: str, is_elsewhere: bool) -> DriverSpec
     driver = robot.driver(name)
     if driver is None:
         raise PlanningError(
-            f"Robot {robot.name!r} has no driver {name!r}; choose one of: {_listed(d.name for d in robot.drivers)}."
+            f"Robot {robot.name!r} has no driver {name!r}; choose one of: "
+            f"{_listed(d.name for d in robot.drivers)}."
         )
     absent = availability.missing(driver.requires)
     if absent and not is_elsewhere:
-        raise PlanningError(f"Driver {name!r} of robot {robot.name!r} cannot be used: {availability.explain(absent)}")
+        raise PlanningError(
+            f"Driver {name!r} of robot {robot.name!r} cannot be used: "
+            f"{availability.explain(absent)}"
+        )
     return driver
 
 
 def _check_perception(perception: PerceptionSpec, robot: RobotSpec, driver: DriverSpec) -> None:
     if perception.robots and robot.name not in perception.robots:
         raise PlanningError(
-            f"Perception {perception.name!r} serves only the robots {_listed(perception.robots)}, not {robot.name!r}."
+            f"Perception {perception.name!r} serves only the robots {_listed(perception.robots)}, "
+            f"not {robot.name!r}."
         )
     if perception.drivers and driver.name not in perception.drivers:
         raise PlanningError(
-            f"Perception {perception.name!r} works only with the drivers {_listed(perception.drivers)}, "
+            f"Perception {perception.name!r} works only with the drivers "
+            f"{_listed(perception.drivers)}, "
             f"not with {driver.name!r} of robot {robot.name!r}."
         )
 
@@ -141,7 +151,8 @@ def _check_perception(perception: PerceptionSpec, robot: RobotSpec, driver: Driv
 def _check_controller(controller: ControllerSpec, robot: RobotSpec) -> None:
     if robot.robot_kind not in controller.robot_kinds:
         raise PlanningError(
-            f"Controller {controller.name!r} moves robots of kind {_listed(controller.robot_kinds)}, "
+            f"Controller {controller.name!r} moves robots of kind "
+            f"{_listed(controller.robot_kinds)}, "
             f"but {robot.name!r} is of kind {robot.robot_kind!r}."
         )
 
@@ -156,7 +167,8 @@ def _check_action_width(backend: BackendSpec, robot: RobotSpec) -> None:
     width = backend.action_space.width
     if not robot.action_widths:
         raise PlanningError(
-            f"Robot {robot.name!r} executes no model actions, so backend {backend.name!r} cannot drive it."
+            f"Robot {robot.name!r} executes no model actions, so backend {backend.name!r} cannot "
+            "drive it."
         )
     if width not in robot.action_widths:
         raise PlanningError(
@@ -170,17 +182,22 @@ def _chosen_cameras(robot: RobotSpec, cameras: Mapping[str, str]) -> dict[str, s
     for role, name in cameras.items():
         if name not in known:
             raise PlanningError(
-                f"Camera {name!r} for role {role!r} is unknown; robot {robot.name!r} has: {_listed(known)}."
+                f"Camera {name!r} for role {role!r} is unknown; robot {robot.name!r} has: "
+                f"{_listed(known)}."
             )
     return dict(cameras)
 
 
-def _resolve_cameras(backend: BackendSpec, robot: RobotSpec, cameras: Mapping[str, str]) -> dict[str, str]:
+def _resolve_cameras(
+    backend: BackendSpec, robot: RobotSpec, cameras: Mapping[str, str]
+) -> dict[str, str]:
     chosen = _chosen_cameras(robot, cameras)
     roles = (*backend.cameras, *backend.optional_cameras)
     for role in chosen:
         if role not in roles:
-            raise PlanningError(f"Backend {backend.name!r} uses no camera role {role!r}; it uses: {_listed(roles)}.")
+            raise PlanningError(
+                f"Backend {backend.name!r} uses no camera role {role!r}; it uses: {_listed(roles)}."
+            )
     by_role: dict[str, str] = {}
     for camera in robot.cameras:
         by_role.setdefault(camera.role, camera.name)
@@ -188,7 +205,8 @@ def _resolve_cameras(backend: BackendSpec, robot: RobotSpec, cameras: Mapping[st
     if absent:
         has = _listed(f"{c.name} (role {c.role})" for c in robot.cameras)
         raise PlanningError(
-            f"Backend {backend.name!r} needs a camera of role {_listed(absent)}, but robot {robot.name!r} has: {has}."
+            f"Backend {backend.name!r} needs a camera of role {_listed(absent)}, but robot "
+            f"{robot.name!r} has: {has}."
         )
     found = {**by_role, **chosen}
     return {role: found[role] for role in roles if role in found}
@@ -197,7 +215,11 @@ def _resolve_cameras(backend: BackendSpec, robot: RobotSpec, cameras: Mapping[st
 def _resolve_runtime(
     registry: Registry, backend: BackendSpec, name: str | None, is_elsewhere: bool
 ) -> RuntimeSpec | None:
-    fitting = [r.name for r in registry.specs(RuntimeSpec).values() if backend.family and backend.family in r.families]
+    fitting = [
+        r.name
+        for r in registry.specs(RuntimeSpec).values()
+        if backend.family and backend.family in r.families
+    ]
     wanted = name or backend.default_runtime
     if not wanted:
         if backend.runtimes_required:
@@ -207,23 +229,34 @@ def _resolve_runtime(
             )
         return None
     if not backend.family:
-        raise PlanningError(f"Backend {backend.name!r} takes no runtime, but {wanted!r} was asked for.")
+        raise PlanningError(
+            f"Backend {backend.name!r} takes no runtime, but {wanted!r} was asked for."
+        )
     runtime = registry.get(RuntimeSpec, wanted, elsewhere=is_elsewhere)
     if backend.family not in runtime.families:
         raise PlanningError(
-            f"Runtime {wanted!r} executes the families {_listed(runtime.families)}, but backend {backend.name!r} is of "
+            f"Runtime {wanted!r} executes the families {_listed(runtime.families)}, but backend "
+            f"{backend.name!r} is of "
             f"family {backend.family!r}; installed ones that fit: {_listed(fitting)}."
         )
     return runtime
 
 
 def _check_acceleration(
-    registry: Registry, acceleration: AccelerationSpec, backend: BackendSpec, runtime: RuntimeSpec | None
+    registry: Registry,
+    acceleration: AccelerationSpec,
+    backend: BackendSpec,
+    runtime: RuntimeSpec | None,
 ) -> None:
-    """The capability is offered by what executes the decoder: the runtime, or the backend when it runs without one."""
-    if not backend.family or (acceleration.families and backend.family not in acceleration.families):
+    """The capability is offered by what executes the decoder: the runtime, or the backend when
+    it runs without one.
+    """
+    if not backend.family or (
+        acceleration.families and backend.family not in acceleration.families
+    ):
         raise PlanningError(
-            f"Acceleration {acceleration.name!r} knows the families {_listed(acceleration.families)}, "
+            f"Acceleration {acceleration.name!r} knows the families "
+            f"{_listed(acceleration.families)}, "
             f"but backend {backend.name!r} is of family {backend.family or 'none'!r}."
         )
     word = acceleration.capability
@@ -235,12 +268,15 @@ def _check_acceleration(
     if runtime is None:
         if not word or word not in backend.capabilities:
             raise PlanningError(
-                f"Acceleration {acceleration.name!r} needs a runtime that offers {word or 'a decoder'!r}, but backend "
-                f"{backend.name!r} was to run without one; installed ones that fit: {_listed(able)}."
+                f"Acceleration {acceleration.name!r} needs a runtime that offers "
+                f"{word or 'a decoder'!r}, but backend "
+                f"{backend.name!r} was to run without one; installed ones that fit: "
+                f"{_listed(able)}."
             )
     elif word and word not in runtime.capabilities:
         where = "runs the model in another process and " if runtime.served else ""
         raise PlanningError(
-            f"Acceleration {acceleration.name!r} needs the capability {word!r}, but runtime {runtime.name!r} {where}"
+            f"Acceleration {acceleration.name!r} needs the capability {word!r}, but runtime "
+            f"{runtime.name!r} {where}"
             f"offers {_listed(runtime.capabilities)}; installed ones that fit: {_listed(able)}."
         )

@@ -1,4 +1,6 @@
-"""Whatever goes wrong, a command ends with its reason in one line and an exit status that tells what kind it is."""
+"""Whatever goes wrong, a command ends with its reason in one line and an exit status that tells
+what kind it is.
+"""
 
 from __future__ import annotations
 
@@ -75,7 +77,11 @@ WRONG = [
     (("call", "get_status", "--config", "/no/such.toml"), 2, "/no/such.toml"),
     (("demo", "--output", "/proc/no-such"), 2, "/proc/no-such: No such file or directory."),
     (("demo", "--config", "/no/such.toml"), 2, "/no/such.toml"),
-    (("new", "backend", "x", "--directory", "/proc/no-such"), 2, "/proc/no-such: No such file or directory."),
+    (
+        ("new", "backend", "x", "--directory", "/proc/no-such"),
+        2,
+        "/proc/no-such: No such file or directory.",
+    ),
     (("new", "backend", "X"), 2, "'X' is malformed"),
     (("estop", "--state", "/proc/no-such"), 2, "cannot be written"),
 ]
@@ -85,7 +91,11 @@ WRONG = [
 def test_a_command_that_cannot_be_done_says_why(
     words: tuple[str, ...], status: int, reason: str, tmp_path: Path
 ) -> None:
-    output = ("--output", str(tmp_path / "out")) if words[0] == "demo" and "--output" not in words else ()
+    output = (
+        ("--output", str(tmp_path / "out"))
+        if words[0] == "demo" and "--output" not in words
+        else ()
+    )
     done = run(*words, *output, XDG_STATE_HOME=str(tmp_path / "state"))
     if "--config" in words and words[0] == "call":
         assert reason in done.stderr  # the server's own line stands above
@@ -102,7 +112,9 @@ def test_a_page_is_no_server(page: str) -> None:
 
 
 @pytest.mark.ros
-def test_an_instruction_without_an_object_ends_the_demo_with_one_line(tmp_path: Path, free_domain: str) -> None:
+def test_an_instruction_without_an_object_ends_the_demo_with_one_line(
+    tmp_path: Path, free_domain: str
+) -> None:
     pytest.importorskip("rn_robot_fr3")
     done = run(
         "demo",
@@ -129,21 +141,40 @@ def free_domain() -> str:
 @pytest.mark.parametrize(
     ("error", "status", "words"),
     [
-        (ConfigurationError("It is wrong.", hint="Mend it."), 2, "roboneuron: It is wrong. Mend it."),
         (
-            ExceptionGroup("tasks", [ValueError("x"), ExceptionGroup("more", [ConfigurationError("It is wrong.")])]),
+            ConfigurationError("It is wrong.", hint="Mend it."),
+            2,
+            "roboneuron: It is wrong. Mend it.",
+        ),
+        (
+            ExceptionGroup(
+                "tasks",
+                [ValueError("x"), ExceptionGroup("more", [ConfigurationError("It is wrong.")])],
+            ),
             2,
             "roboneuron: It is wrong.",
         ),
-        (PermissionError(13, "Permission denied", "/closed/x"), 2, "roboneuron: /closed/x: Permission denied."),
-        (ExceptionGroup("tasks", [KeyError("x")]), 70, "roboneuron: an unexpected KeyError: 'x'. Set ROBONEURON_TRACE"),
+        (
+            PermissionError(13, "Permission denied", "/closed/x"),
+            2,
+            "roboneuron: /closed/x: Permission denied.",
+        ),
+        (
+            ExceptionGroup("tasks", [KeyError("x")]),
+            70,
+            "roboneuron: an unexpected KeyError: 'x'. Set ROBONEURON_TRACE",
+        ),
         (BaseExceptionGroup("tasks", [KeyboardInterrupt()]), 130, ""),
         (KeyboardInterrupt(), 130, ""),
     ],
     ids=["deliberate", "nested group", "system", "defect", "interrupted group", "interrupted"],
 )
 def test_every_exception_becomes_a_status_and_a_line(
-    error: BaseException, status: int, words: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    error: BaseException,
+    status: int,
+    words: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     def fail(_: object) -> int:
         raise error
@@ -157,7 +188,9 @@ def test_every_exception_becomes_a_status_and_a_line(
     assert len(shown.splitlines()) == bool(words)
 
 
-def test_a_defect_is_shown_whole_on_demand(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_defect_is_shown_whole_on_demand(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.setenv(terminal.TRACEBACK_VARIABLE, "1")
     assert terminal.show_error(KeyError("x")) == 70
     assert "KeyError: 'x'" in capsys.readouterr().err.splitlines()[-2]
@@ -172,12 +205,22 @@ def test_letters_that_the_terminal_lacks_are_replaced(monkeypatch: pytest.Monkey
 
 
 @pytest.mark.parametrize(
-    "words", [("plugins", "list"), ("plugins", "show", "servo"), ("config", "reference"), ("tools",), ("--help",)]
+    "words",
+    [
+        ("plugins", "list"),
+        ("plugins", "show", "servo"),
+        ("config", "reference"),
+        ("tools",),
+        ("--help",),
+    ],
 )
 @pytest.mark.parametrize(
-    "setting", [{"PYTHONIOENCODING": "ascii"}, {"LC_ALL": "C", "PYTHONCOERCECLOCALE": "0", "PYTHONUTF8": "0"}]
+    "setting",
+    [{"PYTHONIOENCODING": "ascii"}, {"LC_ALL": "C", "PYTHONCOERCECLOCALE": "0", "PYTHONUTF8": "0"}],
 )
-def test_commands_run_on_an_ascii_terminal(words: tuple[str, ...], setting: dict[str, str], tmp_path: Path) -> None:
+def test_commands_run_on_an_ascii_terminal(
+    words: tuple[str, ...], setting: dict[str, str], tmp_path: Path
+) -> None:
     done = run(*words, XDG_STATE_HOME=str(tmp_path), **setting)
     assert "Traceback" not in done.stderr
     assert done.returncode in (0, 2)

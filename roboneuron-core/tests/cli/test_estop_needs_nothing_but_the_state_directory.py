@@ -1,4 +1,6 @@
-"""`roboneuron estop --config FILE` stops whatever else is wrong with the file, the plugins or the robot."""
+"""`roboneuron estop --config FILE` stops whatever else is wrong with the file, the plugins or
+the robot.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,9 @@ unknown = 1
 """
 
 
-def test_a_configuration_that_no_server_would_take_still_names_the_state_directory(tmp_path: Path) -> None:
+def test_a_configuration_that_no_server_would_take_still_names_the_state_directory(
+    tmp_path: Path,
+) -> None:
     file, state = tmp_path / "roboneuron.toml", tmp_path / "state"
     file.write_text(f'{BROKEN}state_directory = "{state}"\n')
     assert main(["estop", "--config", str(file), "--reason", "smoke"]) == 0
@@ -30,13 +34,20 @@ def test_a_configuration_that_no_server_would_take_still_names_the_state_directo
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("[supervisor]\nstate_directory = 3\n", "supervisor.state_directory = 3: input should be a valid string"),
+        (
+            "[supervisor]\nstate_directory = 3\n",
+            "supervisor.state_directory = 3: input should be a valid string",
+        ),
         ("[supervisor\n", "is not valid TOML"),
         (None, "There is no file"),
     ],
 )
 def test_a_file_that_does_not_tell_the_directory_is_refused(
-    text: str | None, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    text: str | None,
+    said: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "elsewhere"))
     file = tmp_path / "roboneuron.toml"

@@ -24,9 +24,13 @@ class Options(Section):
 
 
 CONFIG = f"{__name__}:Options"
-SIREN = FeatureSpec(name="siren", summary="Makes a noise.", target=CONFIG, config=CONFIG, switch="loud")
+SIREN = FeatureSpec(
+    name="siren", summary="Makes a noise.", target=CONFIG, config=CONFIG, switch="loud"
+)
 SILENT = FeatureSpec(name="silent", summary="Makes none.", target=CONFIG, config=CONFIG)
-HOST = FeatureSpec(name="host", summary="Called as an option.", target=CONFIG, config=CONFIG, switch="loud")
+HOST = FeatureSpec(
+    name="host", summary="Called as an option.", target=CONFIG, config=CONFIG, switch="loud"
+)
 
 
 @pytest.fixture
@@ -50,17 +54,25 @@ def options(registry: Registry, *words: str, text: str = "") -> Options:
 def test_a_flag_sets_the_option_and_keeps_the_section(registry: Registry) -> None:
     assert not options(registry).loud
     assert options(registry, "--siren") == Options(loud=True)
-    assert options(registry, "--siren", text="[siren]\ntone = 220\n") == Options(loud=True, tone=220)
+    assert options(registry, "--siren", text="[siren]\ntone = 220\n") == Options(
+        loud=True, tone=220
+    )
 
 
-def test_only_a_feature_that_says_so_has_a_flag(registry: Registry, capsys: pytest.CaptureFixture[str]) -> None:
+def test_only_a_feature_that_says_so_has_a_flag(
+    registry: Registry, capsys: pytest.CaptureFixture[str]
+) -> None:
     with pytest.raises(SystemExit):
         options(registry, "--silent")
     assert "--silent" in capsys.readouterr().err
 
 
-def test_the_flag_of_a_feature_that_is_not_installed_says_what_to_install(registry: Registry) -> None:
-    with pytest.raises(ConfigurationError, match=r"rn-view brings it.*pip install -r requirements\.txt"):
+def test_the_flag_of_a_feature_that_is_not_installed_says_what_to_install(
+    registry: Registry,
+) -> None:
+    with pytest.raises(
+        ConfigurationError, match=r"rn-view brings it.*pip install -r requirements\.txt"
+    ):
         options(registry, "--view")
 
 

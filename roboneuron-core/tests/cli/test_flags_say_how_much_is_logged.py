@@ -67,7 +67,9 @@ def test_levels_move_by_steps(verbose: int, quiet: int, level: str, expected: st
     assert terminal.log_level(Namespace(verbose=verbose, quiet=quiet), level) == expected
 
 
-def test_a_command_with_a_log_level_of_its_own_begins_its_log_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_command_with_a_log_level_of_its_own_begins_its_log_itself(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(terminal, "begin_logging", lambda level: pytest.fail("begun twice"))
     arguments = Namespace(verbose=1, quiet=0, log_level="info")
     terminal.apply_verbosity(arguments)

@@ -1,4 +1,6 @@
-"""Commands in groups, `roboneuron plugins check`: whose options are whose, and what is said of an absent one."""
+"""Commands in groups, `roboneuron plugins check`: whose options are whose, and what is said of
+an absent one.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,12 @@ def only(site, monkeypatch):
     def discover(disabled=()):
         from importlib.metadata import distributions
 
-        points = [p for d in distributions(path=[str(site.path)]) for p in d.entry_points if p.group == "roboneuron"]
+        points = [
+            p
+            for d in distributions(path=[str(site.path)])
+            for p in d.entry_points
+            if p.group == "roboneuron"
+        ]
         return discover_from(points, disabled)
 
     monkeypatch.setattr("roboneuron.cli.main.discover", discover)
@@ -88,7 +95,10 @@ def test_every_installation_lists_its_plugins_with_what_is_missing(only, capsys)
 
 
 def test_options_of_a_group_may_stand_before_its_action():
-    assert named_command(["plugins", "--config", "list", "show", "x"]) == ("plugins-show", ["--config", "list", "x"])
+    assert named_command(["plugins", "--config", "list", "show", "x"]) == (
+        "plugins-show",
+        ["--config", "list", "x"],
+    )
     assert named_command(["plugins", "-v", "list"]) == ("plugins-list", ["-v"])
     assert named_command(["serve", "--config", "list"]) == ("serve", ["--config", "list"])
 

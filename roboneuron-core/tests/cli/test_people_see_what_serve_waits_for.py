@@ -39,7 +39,9 @@ def test_serve_at_a_terminal_says_that_it_waits_for_a_client(tmp_path: Path) -> 
     config = tmp_path / "roboneuron.toml"
     config.write_text(CONFIG.format(state=tmp_path / "state"))
     person, terminal = pty.openpty()
-    server = subprocess.Popen([*SERVE, "--config", str(config)], stdin=terminal, stdout=terminal, stderr=terminal)
+    server = subprocess.Popen(
+        [*SERVE, "--config", str(config)], stdin=terminal, stdout=terminal, stderr=terminal
+    )
     os.close(terminal)
     try:
         text = " ".join(read_until(person, "Ctrl-C ends it.", 60.0).split())
@@ -54,7 +56,9 @@ def test_serve_at_a_terminal_says_that_it_waits_for_a_client(tmp_path: Path) -> 
 def test_serve_for_a_client_does_not_say_so(tmp_path: Path) -> None:
     config = tmp_path / "roboneuron.toml"
     config.write_text(CONFIG.format(state=tmp_path / "state"))
-    done = subprocess.run([*SERVE, "--config", str(config)], input=b"", capture_output=True, timeout=120, check=False)
+    done = subprocess.run(
+        [*SERVE, "--config", str(config)], input=b"", capture_output=True, timeout=120, check=False
+    )
     assert b"this terminal" not in done.stderr
     assert done.stdout == b""
 

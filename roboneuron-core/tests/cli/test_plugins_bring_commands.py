@@ -1,4 +1,6 @@
-"""Commands of plugins are listed and run beside core's own; a broken one says what is wrong in one line."""
+"""Commands of plugins are listed and run beside core's own; a broken one says what is wrong in
+one line.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,7 @@ def roboneuron_commands():
         CommandSpec(name="broken", summary="never works", target="rn_greeting.command:Missing"),
         CommandSpec(name="serve", summary="would hide core's own", target="rn_greeting.command:Greet"),
     ]
-"""
+"""  # noqa: E501
 COMMAND = '''
 class Greet:
     """Greet somebody."""

@@ -18,12 +18,22 @@ REGISTRY = fake_registry(BackendSpec(name="plain", summary="Takes no options.", 
 ROBOT = '[robot]\nname = "gantry"\n'
 
 WRONG = [
-    ("[plugins.instnat]\nhorizon = 3\n", "[plugins.instnat]: nothing is called 'instnat'. Did you mean 'instant'?"),
-    ("[plugins.instant]\nhorizn = 3\n", "plugins.instant.horizn is unknown. Did you mean 'horizon'?"),
+    (
+        "[plugins.instnat]\nhorizon = 3\n",
+        "[plugins.instnat]: nothing is called 'instnat'. Did you mean 'instant'?",
+    ),
+    (
+        "[plugins.instant]\nhorizn = 3\n",
+        "plugins.instant.horizn is unknown. Did you mean 'horizon'?",
+    ),
     ("[plugins.instant]\nhorizon = 99\n", "plugins.instant.horizon is 99"),
     ("[plugins.gantry]\nstart_opne = true\n", "plugins.gantry.start_opne is unknown"),
     ("[plugins.plain]\nx = 1\n", "plugins.plain.x is unknown: 'plain' takes no options."),
-    ("[plugins.pi0]\n", "[plugins.pi0]: 'pi0' is not installed. Run: pip install \"./plugins/rn-backend-pi0[native]\""),
+    (
+        "[plugins.pi0]\n",
+        "[plugins.pi0]: 'pi0' is not installed. Run: pip install "
+        '"./plugins/rn-backend-pi0[native]"',
+    ),
     ('[inference]\nbackend = "instnat"\n', "no backend 'instnat'"),
     ('[server]\nagent_options = ["instnat.horizon"]\n', "nothing is called 'instnat'"),
     (
@@ -52,7 +62,12 @@ def test_all_that_is_wrong_is_told_at_once_and_once() -> None:
 
 @pytest.mark.parametrize(
     "text",
-    ["", "[plugins.instant]\nhorizon = 3\n", "[plugins.plain]\n", '[server]\nagent_options = ["instant.horizon"]\n'],
+    [
+        "",
+        "[plugins.instant]\nhorizon = 3\n",
+        "[plugins.plain]\n",
+        '[server]\nagent_options = ["instant.horizon"]\n',
+    ],
 )
 def test_what_is_right_passes(text: str) -> None:
     check_configuration(parse_config(ROBOT + text), REGISTRY)
@@ -61,7 +76,11 @@ def test_what_is_right_passes(text: str) -> None:
 def test_options_of_plugins_that_are_left_out_are_not_judged() -> None:
     def with_plugin(distribution: str) -> Registry:
         record = PluginRecord(
-            name=distribution, distribution=distribution, version="1", module="m", status=Status.DISABLED
+            name=distribution,
+            distribution=distribution,
+            version="1",
+            module="m",
+            status=Status.DISABLED,
         )
         return Registry(plugins=(*REGISTRY.plugins, record), all_offers=REGISTRY.all_offers)
 
@@ -82,10 +101,14 @@ def check(tmp_path: Path, text: str) -> int:
     [
         ('[robot]\nname = "no-such-robot"\n', "no robot 'no-such-robot'"),
         (
-            '[robot]\nname = "fr3"\n[[expose]]\nname = "x"\nkind = "read"\ntopic = "t"\ntype = "std_msgs/msg/Nope"\n',
+            '[robot]\nname = "fr3"\n[[expose]]\nname = "x"\nkind = "read"\ntopic = "t"\ntype = '
+            '"std_msgs/msg/Nope"\n',
             "std_msgs/msg/Nope",
         ),
-        ('[robot]\nname = "fr3"\n[server]\ntransport = "htpt"\n', "transport = 'htpt': There is no feature 'htpt'."),
+        (
+            '[robot]\nname = "fr3"\n[server]\ntransport = "htpt"\n',
+            "transport = 'htpt': There is no feature 'htpt'.",
+        ),
     ],
 )
 def test_the_command_fails_with_the_reason(

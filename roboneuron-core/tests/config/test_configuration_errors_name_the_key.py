@@ -25,7 +25,9 @@ def test_embedded_default_is_valid() -> None:
 
 def test_namespace_is_the_robot_name_unless_given() -> None:
     assert parse_config('[robot]\nname = "my-arm"\n').namespace == "my_arm"
-    assert parse_config('[robot]\nname = "my-arm"\nnamespace = "cell/left"\n').namespace == "cell/left"
+    assert (
+        parse_config('[robot]\nname = "my-arm"\nnamespace = "cell/left"\n').namespace == "cell/left"
+    )
 
 
 @pytest.mark.parametrize(
@@ -36,13 +38,22 @@ def test_namespace_is_the_robot_name_unless_given() -> None:
             "'robot.command_timeout_ms'. Did you mean 'command_timeout_s'",
         ),
         (MINIMAL + "[contrl]\n", "'contrl'. Did you mean 'control'"),
-        (MINIMAL + "[control]\ncontroller='x'\naction_timeout = 1.0", "Did you mean 'action_timeout_s'"),
+        (
+            MINIMAL + "[control]\ncontroller='x'\naction_timeout = 1.0",
+            "Did you mean 'action_timeout_s'",
+        ),
         (
             MINIMAL + "[control]\ncontroller='x'\naction_timeout_s = 0.0",
             "action_timeout_s = 0.0: input should be greater",
         ),
-        (MINIMAL + "[control]\ncontroller='x'\naction_timeout_s = '1 s'", "control.action_timeout_s = '1 s'"),
-        (MINIMAL + "[control]\ncontroller='x'\ncommand = 'torque'", "'joint_trajectory' or 'joint_state'"),
+        (
+            MINIMAL + "[control]\ncontroller='x'\naction_timeout_s = '1 s'",
+            "control.action_timeout_s = '1 s'",
+        ),
+        (
+            MINIMAL + "[control]\ncontroller='x'\ncommand = 'torque'",
+            "'joint_trajectory' or 'joint_state'",
+        ),
         (MINIMAL + "[inference]\nbackend = 'Not A Name'", "inference.backend = 'Not A Name'"),
         ("[robot]\ndriver = 'simulated'", "'robot.name' is missing"),
         ("[robot\n", "is not valid TOML"),
@@ -66,10 +77,18 @@ def test_names_that_only_share_letters_are_not_suggested() -> None:
 
 @pytest.mark.parametrize(
     ("typed", "meant"),
-    [("timeout", "timeout_s"), ("ackend", "backend"), ("bakcend", "backend"), ("tolerance", "path_tolerance")],
+    [
+        ("timeout", "timeout_s"),
+        ("ackend", "backend"),
+        ("bakcend", "backend"),
+        ("tolerance", "path_tolerance"),
+    ],
 )
 def test_typing_errors_and_parts_of_names_are_suggested(typed: str, meant: str) -> None:
-    assert nearest(typed, ["python", "backend", "timeout_s", "path_tolerance"]) == f"Did you mean {meant!r}?"
+    assert (
+        nearest(typed, ["python", "backend", "timeout_s", "path_tolerance"])
+        == f"Did you mean {meant!r}?"
+    )
 
 
 def test_every_error_is_reported_at_once() -> None:
@@ -95,25 +114,46 @@ def test_a_checkpoint_is_given_more_time_to_load() -> None:
     assert parse_config(text).start_timeout_s("inference") == 60.0
     assert parse_config(text + 'checkpoint = "/models/vla"\n').start_timeout_s("inference") == 900.0
     assert parse_config(text + "start_timeout_s = 30.0\n").start_timeout_s("inference") == 30.0
-    assert parse_config(text + "[supervisor]\nstart_timeout_s = 5.0\n").start_timeout_s("control") == 5.0
+    assert (
+        parse_config(text + "[supervisor]\nstart_timeout_s = 5.0\n").start_timeout_s("control")
+        == 5.0
+    )
 
 
 @pytest.mark.parametrize(
     ("text", "place"),
     [
         ("restart = 'never'\n", "'robot.restart' has moved: write robot under [ops.restart]"),
-        ("memory_limit_mb = 500\n", "'robot.memory_limit_mb' has moved: write robot under [ops.memory_limit_mb]"),
+        (
+            "memory_limit_mb = 500\n",
+            "'robot.memory_limit_mb' has moved: write robot under [ops.memory_limit_mb]",
+        ),
         (
             "[perception]\nsource='x'\nrestart = 'on_failure'\n",
             "'perception.restart' has moved: write perception under [ops.restart]",
         ),
-        ("[supervisor]\nrestart_limit = 3\n", "'supervisor.restart_limit' has moved: write restart_limit under [ops]"),
-        ("[supervisor]\nunresponsive_s = 3.0\n", "'supervisor.unresponsive_s' has moved: write unresponsive_s"),
+        (
+            "[supervisor]\nrestart_limit = 3\n",
+            "'supervisor.restart_limit' has moved: write restart_limit under [ops]",
+        ),
+        (
+            "[supervisor]\nunresponsive_s = 3.0\n",
+            "'supervisor.unresponsive_s' has moved: write unresponsive_s",
+        ),
         ("[server]\nport = 1\n", "'server.port' has moved: write port under [http]"),
         ("[direct]\ndry_run = true\n", "'direct.dry_run' has moved: write dry_run under [server]"),
-        ("[direct]\nmax_duration_s = 5.0\n", "'direct.max_duration_s' has moved: write max_duration_s under [server]"),
-        ("[direct]\nee_speed_m_s = 0.1\n", "'direct.ee_speed_m_s' has moved: write ee_speed_m_s under [tools_arm]"),
-        ("[direct]\nee_turn_rad_s = 0.1\n", "'direct.ee_turn_rad_s' has moved: write ee_turn_rad_s under [tools_arm]"),
+        (
+            "[direct]\nmax_duration_s = 5.0\n",
+            "'direct.max_duration_s' has moved: write max_duration_s under [server]",
+        ),
+        (
+            "[direct]\nee_speed_m_s = 0.1\n",
+            "'direct.ee_speed_m_s' has moved: write ee_speed_m_s under [tools_arm]",
+        ),
+        (
+            "[direct]\nee_turn_rad_s = 0.1\n",
+            "'direct.ee_turn_rad_s' has moved: write ee_turn_rad_s under [tools_arm]",
+        ),
     ],
 )
 def test_a_key_of_an_older_file_says_where_it_is_now(text: str, place: str) -> None:
@@ -123,7 +163,9 @@ def test_a_key_of_an_older_file_says_where_it_is_now(text: str, place: str) -> N
 
 
 def test_keys_have_moved_to_keys_that_there_are() -> None:
-    moved = tomllib.loads(files("roboneuron").joinpath("data/moved.toml").read_text(encoding="utf-8"))
+    moved = tomllib.loads(
+        files("roboneuron").joinpath("data/moved.toml").read_text(encoding="utf-8")
+    )
     assert len(moved) > 20
     for place in moved.values():
         key, section = re.fullmatch(r"(\w+) under \[([\w.]+)\]", place).groups()  # type: ignore[union-attr]
@@ -134,6 +176,8 @@ def test_keys_have_moved_to_keys_that_there_are() -> None:
 
 
 def test_a_section_of_a_feature_that_is_not_installed_names_its_package() -> None:
-    with pytest.raises(ConfigurationError, match="a feature of rn-standard, which is not installed") as caught:
+    with pytest.raises(
+        ConfigurationError, match="a feature of rn-standard, which is not installed"
+    ) as caught:
         parse_config(MINIMAL + "[ops]\n", registry=Registry(plugins=(), all_offers=()))
     assert "pip install -r requirements.txt" in caught.value.hint

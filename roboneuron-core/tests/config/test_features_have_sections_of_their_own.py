@@ -12,9 +12,15 @@ from roboneuron.modules.settings import ModuleSettings
 from roboneuron.plugins.registry import Offer, Registry, Status
 
 ROBOT = '[robot]\nname = "gantry"\n'
-RECORDER = FeatureSpec(name="run-recorder", summary="Records.", target="m:F", config=f"{__name__}:RecorderSection")
+RECORDER = FeatureSpec(
+    name="run-recorder", summary="Records.", target="m:F", config=f"{__name__}:RecorderSection"
+)
 PAIR = FeatureSpec(
-    name="pair", summary="Two sections.", target="m:F", config=f"{__name__}:PairSections", sections=("left", "right")
+    name="pair",
+    summary="Two sections.",
+    target="m:F",
+    config=f"{__name__}:PairSections",
+    sections=("left", "right"),
 )
 
 
@@ -46,7 +52,9 @@ REGISTRY = fake_registry(RECORDER, PAIR)
 
 
 def test_a_section_is_read_into_the_features_own_model():
-    config = parse_config(f"{ROBOT}[run_recorder]\nrate_hz = 5.0\n[[right]]\ndepth = 4\n", registry=REGISTRY)
+    config = parse_config(
+        f"{ROBOT}[run_recorder]\nrate_hz = 5.0\n[[right]]\ndepth = 4\n", registry=REGISTRY
+    )
     assert feature_options(RECORDER, config).rate_hz == 5.0
     assert [entry.depth for entry in feature_options(PAIR, config).right] == [4]
     assert feature_options(PAIR, parse_config(ROBOT)).left.depth == 1
@@ -57,8 +65,14 @@ def test_a_section_is_read_into_the_features_own_model():
     [
         ("[run_recorde]\n", "unknown key 'run_recorde'. Did you mean 'run_recorder'?"),
         ("[supervisr]\n", "unknown key 'supervisr'. Did you mean 'supervisor'?"),
-        ("[run_recorder]\nrate = 3.0\n", "unknown key 'run_recorder.rate'. Did you mean 'rate_hz'?"),
-        ("[run_recorder]\nrate_hz = -1.0\n", "run_recorder.rate_hz = -1.0: input should be greater than 0"),
+        (
+            "[run_recorder]\nrate = 3.0\n",
+            "unknown key 'run_recorder.rate'. Did you mean 'rate_hz'?",
+        ),
+        (
+            "[run_recorder]\nrate_hz = -1.0\n",
+            "run_recorder.rate_hz = -1.0: input should be greater than 0",
+        ),
         ("[left]\ndeep = 3\n", "unknown key 'left.deep'. Did you mean 'depth'?"),
         ("[[right]]\ndepth = 'x'\n", "right.0.depth = 'x'"),
         ("sections = 3\n", "unknown key 'sections'"),
@@ -80,7 +94,10 @@ def test_a_section_of_a_feature_that_cannot_be_used_says_why():
         reason="Needs 'mcap'.",
     )
     registry = Registry(plugins=(), all_offers=(offer,))
-    with pytest.raises(ConfigurationError, match=r"belongs to the feature 'run-recorder' of rn-recorder.*Needs 'mcap'"):
+    with pytest.raises(
+        ConfigurationError,
+        match=r"belongs to the feature 'run-recorder' of rn-recorder.*Needs 'mcap'",
+    ):
         parse_config(f"{ROBOT}[run_recorder]\n", registry=registry)
 
 
@@ -93,10 +110,14 @@ def test_modules_are_not_told_the_sections_of_features():
 
 
 def test_the_section_of_a_package_that_is_absent_names_the_package():
-    with pytest.raises(ConfigurationError, match=r"'http' belongs to a feature of rn-standard.* Run: pip install"):
+    with pytest.raises(
+        ConfigurationError, match=r"'http' belongs to a feature of rn-standard.* Run: pip install"
+    ):
         parse_config(f"{ROBOT}[http]\nport = 1\n", registry=REGISTRY)
 
 
 def test_a_key_that_moved_to_a_feature_is_told_where():
-    with pytest.raises(ConfigurationError, match=r"'server.port' has moved: write port under \[http\]"):
+    with pytest.raises(
+        ConfigurationError, match=r"'server.port' has moved: write port under \[http\]"
+    ):
         parse_config(f"{ROBOT}[server]\nport = 1\n")

@@ -8,12 +8,27 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from roboneuron.contract import ACTION_FIELDS, Action, ActionChunk, Pose, apply_delta, check_action_vector
-from roboneuron.contract.rotation import matrix_from_quaternion, matrix_from_rotvec, quaternion_from_matrix
+from roboneuron.contract import (
+    ACTION_FIELDS,
+    Action,
+    ActionChunk,
+    Pose,
+    apply_delta,
+    check_action_vector,
+)
+from roboneuron.contract.rotation import (
+    matrix_from_quaternion,
+    matrix_from_rotvec,
+    quaternion_from_matrix,
+)
 from roboneuron.errors import InvalidInputError, UnsafeError
 
 SIX = arrays(np.float64, 6, elements=st.floats(-1.0, 1.0))
-POSE = Pose(position_m=np.array([0.4, -0.1, 0.3]), quaternion_xyzw=np.array([1.0, 0.0, 0.0, 0.0]), stamp_ns=7)
+POSE = Pose(
+    position_m=np.array([0.4, -0.1, 0.3]),
+    quaternion_xyzw=np.array([1.0, 0.0, 0.0, 0.0]),
+    stamp_ns=7,
+)
 
 
 @given(SIX, st.floats(0.0, 1.0))
@@ -51,7 +66,9 @@ def test_an_action_does_not_share_memory_with_its_vector():
 
 @given(SIX)
 def test_a_delta_adds_the_translation_and_turns_on_the_left(six):
-    start = Pose(position_m=np.array([0.1, 0.2, 0.3]), quaternion_xyzw=np.array([0.0, 0.6, 0.0, 0.8]))
+    start = Pose(
+        position_m=np.array([0.1, 0.2, 0.3]), quaternion_xyzw=np.array([0.0, 0.6, 0.0, 0.8])
+    )
     moved = apply_delta(start, Action.from_vector(np.append(six, 1.0)))
     np.testing.assert_allclose(moved.position_m, start.position_m + six[:3], atol=1e-15)
     expected = matrix_from_rotvec(six[3:]) @ matrix_from_quaternion(start.quaternion_xyzw)
@@ -103,4 +120,6 @@ def test_a_chunk_of_whole_numbers_becomes_float64():
 
 
 def test_quaternions_of_poses_come_back_as_they_went():
-    np.testing.assert_allclose(quaternion_from_matrix(matrix_from_quaternion(POSE.quaternion_xyzw)), [1, 0, 0, 0])
+    np.testing.assert_allclose(
+        quaternion_from_matrix(matrix_from_quaternion(POSE.quaternion_xyzw)), [1, 0, 0, 0]
+    )

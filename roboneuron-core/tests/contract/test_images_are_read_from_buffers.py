@@ -62,7 +62,9 @@ def test_another_encoding_is_refused_and_named(encoding):
 
 
 @pytest.mark.parametrize(
-    ("size", "step"), [(11, 6), (12, 5), (13, 6), (0, 6), (12, 0)], ids=["short", "step", "long", "empty", "zero"]
+    ("size", "step"),
+    [(11, 6), (12, 5), (13, 6), (0, 6), (12, 0)],
+    ids=["short", "step", "long", "empty", "zero"],
 )
 def test_a_buffer_that_does_not_hold_the_rows_is_refused(size, step):
     with pytest.raises(InvalidInputError, match="Image buffer holds"):

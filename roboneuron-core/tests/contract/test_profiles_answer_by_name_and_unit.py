@@ -1,4 +1,6 @@
-"""Profiles answer by name and unit: cameras, openings, calibrations at other resolutions; errors say what to do."""
+"""Profiles answer by name and unit: cameras, openings, calibrations at other resolutions;
+errors say what to do.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,9 @@ from roboneuron import errors
 from roboneuron.contract import CameraCalibration, CameraProfile, GripperProfile
 
 GRIPPERS = st.builds(
-    lambda closed, span, sign: GripperProfile(joint="f", closed_position=closed, open_position=closed + sign * span),
+    lambda closed, span, sign: GripperProfile(
+        joint="f", closed_position=closed, open_position=closed + sign * span
+    ),
     st.floats(-1, 1),
     st.floats(0.01, 1),
     st.sampled_from([-1, 1]),
@@ -40,7 +44,9 @@ def test_cameras_are_found_by_name():
 def _camera() -> CameraProfile:
     intrinsics = np.array([[500.0, 0, 320], [0, 500.0, 240], [0, 0, 1]])
     calibration = CameraCalibration(intrinsics=intrinsics, mount="base", T_mount_camera=np.eye(4))
-    return CameraProfile(name="c", role="primary", frame_id="f", width=640, height=480, calibration=calibration)
+    return CameraProfile(
+        name="c", role="primary", frame_id="f", width=640, height=480, calibration=calibration
+    )
 
 
 def test_a_calibration_scales_with_the_image():
@@ -54,7 +60,11 @@ def test_a_calibration_of_another_aspect_ratio_is_unknown():
 
 
 def test_every_error_has_a_code_of_its_own_and_a_docstring():
-    classes = [c for _, c in inspect.getmembers(errors, inspect.isclass) if issubclass(c, errors.RoboNeuronError)]
+    classes = [
+        c
+        for _, c in inspect.getmembers(errors, inspect.isclass)
+        if issubclass(c, errors.RoboNeuronError)
+    ]
     codes = [c.code for c in classes]
     assert len(set(codes)) == len(codes)
     assert all(c.__doc__ for c in classes)

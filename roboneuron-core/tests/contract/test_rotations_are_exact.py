@@ -1,6 +1,7 @@
 """Rotation maths: maps invert each other, matrices are rotations, quaternions are unit with w >= 0.
 
-Tolerances: float64 carries 1e-16 relative; near pi the logarithm loses half of the digits, hence 1e-7 there.
+Tolerances: float64 carries 1e-16 relative; near pi the logarithm loses half of the digits, hence
+    1e-7 there.
 """
 
 from __future__ import annotations
@@ -59,7 +60,9 @@ def test_a_quaternion_of_another_length_is_normalised(rotvec, length):
 
 
 def test_a_quarter_turn_about_z_takes_x_to_y():
-    np.testing.assert_allclose(matrix_from_rotvec(np.array([0, 0, np.pi / 2])) @ [1, 0, 0], [0, 1, 0], atol=1e-15)
+    np.testing.assert_allclose(
+        matrix_from_rotvec(np.array([0, 0, np.pi / 2])) @ [1, 0, 0], [0, 1, 0], atol=1e-15
+    )
 
 
 def test_half_turns_about_each_axis_survive_the_logarithm():

@@ -1,4 +1,6 @@
-"""What a contract value holds cannot be changed through the array it was made from, nor through its own field."""
+"""What a contract value holds cannot be changed through the array it was made from, nor through
+its own field.
+"""
 
 from __future__ import annotations
 
@@ -33,8 +35,14 @@ MADE: dict[str, tuple[Arrays, Callable[[Arrays], Any]]] = {
     ),
     "ActionChunk": ({"actions": np.zeros((2, 7))}, lambda a: ActionChunk(**a, step_s=0.1)),
     "Pose": ({"position_m": np.zeros(3), "quaternion_xyzw": np.eye(4)[3]}, lambda a: Pose(**a)),
-    "JointSample": ({"position": np.zeros(2), "velocity": np.zeros(2)}, lambda a: JointSample(names=("a", "b"), **a)),
-    "JointCommand": ({"position": np.zeros(2)}, lambda a: JointCommand(names=("a", "b"), duration_s=1.0, **a)),
+    "JointSample": (
+        {"position": np.zeros(2), "velocity": np.zeros(2)},
+        lambda a: JointSample(names=("a", "b"), **a),
+    ),
+    "JointCommand": (
+        {"position": np.zeros(2)},
+        lambda a: JointCommand(names=("a", "b"), duration_s=1.0, **a),
+    ),
     "CameraCalibration": (
         {"intrinsics": np.eye(3), "T_mount_camera": np.eye(4)},
         lambda a: CameraCalibration(mount="base", **a),
@@ -88,4 +96,8 @@ def test_a_dictionary_used_again_does_not_change_what_was_made_from_it():
     state = RobotState(joints=JointSample(names=(), position=np.zeros(0)), detail=detail)
     metrics["tokens"], detail["cubes"] = 2.0, "three"
     frames["primary"] = None
-    assert (chunk.metrics, dict(observation.frames), state.detail) == ({"tokens": 1.0}, {}, {"cubes": "none"})
+    assert (chunk.metrics, dict(observation.frames), state.detail) == (
+        {"tokens": 1.0},
+        {},
+        {"cubes": "none"},
+    )

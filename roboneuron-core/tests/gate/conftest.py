@@ -1,4 +1,6 @@
-"""Fixtures of the gate tests: clocks that tests turn, a latch and an audit in an empty directory."""
+"""Fixtures of the gate tests: clocks that tests turn, a latch and an audit in an empty
+directory.
+"""
 
 from __future__ import annotations
 

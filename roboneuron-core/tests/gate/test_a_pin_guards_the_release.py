@@ -1,4 +1,6 @@
-"""The optional PIN of a release: asked for on every way, counted, delayed, audited, and kept as a hash only."""
+"""The optional PIN of a release: asked for on every way, counted, delayed, audited, and kept as
+a hash only.
+"""
 
 from __future__ import annotations
 
@@ -62,7 +64,9 @@ def test_the_file_holds_no_pin_and_is_private(pin: ReleasePin) -> None:
     assert pin.path.stat().st_mode & 0o777 == 0o600
 
 
-def test_the_stop_stays_latched_without_the_pin(tmp_path: Path, pin: ReleasePin, audit: AuditLog) -> None:
+def test_the_stop_stays_latched_without_the_pin(
+    tmp_path: Path, pin: ReleasePin, audit: AuditLog
+) -> None:
     latch = EmergencyStopLatch(tmp_path / ESTOP_FILE, time.time_ns)
     latch.press(who="ann", reason="smoke")
     for wrong in ("", "4711"):
@@ -97,7 +101,9 @@ def test_a_damaged_file_releases_nothing(pin: ReleasePin, audit: AuditLog) -> No
         pin.check(PIN, who="ann", audit=audit)
 
 
-def test_a_robot_of_a_fleet_uses_the_pin_of_the_fleet(tmp_path: Path, pin: ReleasePin, audit: AuditLog) -> None:
+def test_a_robot_of_a_fleet_uses_the_pin_of_the_fleet(
+    tmp_path: Path, pin: ReleasePin, audit: AuditLog
+) -> None:
     folder = tmp_path / "robots" / "left"
     folder.mkdir(parents=True)
     with pytest.raises(RefusedError):
@@ -112,7 +118,15 @@ def test_a_short_pin_is_refused(tmp_path: Path) -> None:
 def in_a_terminal(state: Path, *options: str, types: list[str]) -> tuple[int, str]:
     """What `script -qec` makes of it: a terminal of its own, and an answer to each question."""
     person, terminal = pty.openpty()
-    command = [sys.executable, "-m", "roboneuron.cli.main", "estop", *options, "--state", str(state)]
+    command = [
+        sys.executable,
+        "-m",
+        "roboneuron.cli.main",
+        "estop",
+        *options,
+        "--state",
+        str(state),
+    ]
     process = subprocess.Popen(
         command,
         stdin=terminal,
@@ -151,7 +165,9 @@ def test_a_faked_terminal_does_not_release_without_the_pin(tmp_path: Path) -> No
     assert PIN not in told
 
 
-def test_the_pin_is_changed_by_those_who_know_it(tmp_path: Path, pin: ReleasePin, audit: AuditLog) -> None:
+def test_the_pin_is_changed_by_those_who_know_it(
+    tmp_path: Path, pin: ReleasePin, audit: AuditLog
+) -> None:
     code, told = in_a_terminal(tmp_path, "--set-pin", types=["wrong", "abcd", "abcd"])
     assert code != 0, told
     assert in_a_terminal(tmp_path, "--set-pin", types=[PIN, "abcdef", "abcdef"])[0] == 0

@@ -1,4 +1,6 @@
-"""What the latch's file holds and who may read it, what is recorded, who is told when, and what the disk may refuse."""
+"""What the latch's file holds and who may read it, what is recorded, who is told when, and what
+the disk may refuse.
+"""
 
 from __future__ import annotations
 
@@ -58,7 +60,9 @@ def records(audit: AuditLog) -> list[AuditRecord]:
 def synced(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Files and directories that are waited for until they are on the disk."""
     seen: list[str] = []
-    monkeypatch.setattr(os, "fsync", lambda descriptor: seen.append(os.readlink(f"/proc/self/fd/{descriptor}")))
+    monkeypatch.setattr(
+        os, "fsync", lambda descriptor: seen.append(os.readlink(f"/proc/self/fd/{descriptor}"))
+    )
     return seen
 
 
@@ -112,7 +116,9 @@ def test_a_cause_in_any_script_reaches_the_other_processes(latch) -> None:
     assert (found.who, found.reason) == ("\U0001f6d1" * 200, "\U0001f525" * 500)
 
 
-def test_a_cause_that_a_person_has_written_is_cut_too_and_was_never_restored(tmp_path: Path) -> None:
+def test_a_cause_that_a_person_has_written_is_cut_too_and_was_never_restored(
+    tmp_path: Path,
+) -> None:
     told = json.dumps({"who": "w" * 300, "reason": "r" * 600, "time_ns": 5})
     found = make_by_hand(tmp_path / "state" / "stop", told.encode()).read_state()
     assert found == LatchState(latched=True, who="w" * 200, reason="r" * 500, time_ns=5, restored=0)
@@ -128,13 +134,21 @@ def test_a_cause_is_read_as_utf_8_in_whatever_locale(latch) -> None:
     assert found.read_state().who == "Jürgen"
     plain = {**os.environ, "LC_ALL": "C", "PYTHONCOERCECLOCALE": "0", "PYTHONUTF8": "0"}
     done = subprocess.run(
-        [sys.executable, "-c", CAUSE, str(latch.path)], env=plain, timeout=60, check=True, capture_output=True
+        [sys.executable, "-c", CAUSE, str(latch.path)],
+        env=plain,
+        timeout=60,
+        check=True,
+        capture_output=True,
     )
     assert done.stdout.decode().strip() == r"'J\xfcrgen'"
 
 
-@pytest.mark.parametrize(("spaces", "who"), [(0, "ann"), (1, "")], ids=["16384 characters", "one more"])
-def test_a_file_without_end_costs_no_more_than_its_beginning(tmp_path: Path, spaces: int, who: str) -> None:
+@pytest.mark.parametrize(
+    ("spaces", "who"), [(0, "ann"), (1, "")], ids=["16384 characters", "one more"]
+)
+def test_a_file_without_end_costs_no_more_than_its_beginning(
+    tmp_path: Path, spaces: int, who: str
+) -> None:
     told = '{"who": "ann", "reason": "", "time_ns": 5'
     content = told + " " * (16_384 - len(told) - 1 + spaces) + "}"
     assert make_by_hand(tmp_path / "state" / "stop", content.encode()).read_state().who == who
@@ -170,7 +184,9 @@ def test_what_cannot_be_read_is_a_latch_without_a_cause(tmp_path: Path) -> None:
     ("who", "reason", "cause"),
     [("ann", "smoke", " by ann: smoke"), ("ann", "", " by ann"), ("", "smoke", ""), ("", "", "")],
 )
-def test_a_refusal_names_the_cause_and_then_what_the_caller_adds(latch, who: str, reason: str, cause: str) -> None:
+def test_a_refusal_names_the_cause_and_then_what_the_caller_adds(
+    latch, who: str, reason: str, cause: str
+) -> None:
     assert latch.read_state() == LatchState(latched=False)
     latch.press(who=who, reason=reason)
     with pytest.raises(RefusedError) as refused:
@@ -188,7 +204,9 @@ def test_a_latch_is_on_the_disk_and_recorded_when_it_returns(latch, audit, recor
     state = latch.latch(who="ann", reason="smoke", audit=audit)
     assert state == LatchState(latched=True, who="ann", reason="smoke", time_ns=TIME_NS)
     assert synced == [str(latch.path), str(latch.path.parent)]
-    expected = AuditRecord(who="ann", role="", tool="emergency_stop", verdict="latched", reason="smoke")
+    expected = AuditRecord(
+        who="ann", role="", tool="emergency_stop", verdict="latched", reason="smoke"
+    )
     assert records == [expected]
 
 
@@ -197,7 +215,9 @@ def test_a_latch_that_cannot_be_written_is_recorded_all_the_same(audit, records)
     with pytest.raises(UnsafeError):
         latch.latch(who="ann", reason="smoke", audit=audit)
     assert [record.verdict for record in records] == ["latched"]
-    assert latch.read_state() == LatchState(latched=True, who="ann", reason="smoke", time_ns=TIME_NS)
+    assert latch.read_state() == LatchState(
+        latched=True, who="ann", reason="smoke", time_ns=TIME_NS
+    )
 
 
 def test_a_disk_that_does_not_sync_stops_no_stop(latch, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -240,15 +260,21 @@ def test_reserving_a_descriptor_where_there_is_none_is_no_failure(latch) -> None
 # Who is told.
 
 
-def test_all_robots_are_stopped_before_a_file_is_written_and_all_files_before_anybody_is_told(tmp_path: Path) -> None:
+def test_all_robots_are_stopped_before_a_file_is_written_and_all_files_before_anybody_is_told(
+    tmp_path: Path,
+) -> None:
     left, nowhere, right = a_latch(tmp_path / "left"), a_latch(NOWHERE), a_latch(tmp_path / "right")
     seen: list[tuple[str, str, list[str]]] = []
     for name, latch in (("left", left), ("nowhere", nowhere), ("right", right)):
         latch.on_press(lambda name=name: seen.append(("press", name, sorted(os.listdir(tmp_path)))))
-        latch.on_pressed(lambda name=name: seen.append(("pressed", name, sorted(os.listdir(tmp_path)))))
+        latch.on_pressed(
+            lambda name=name: seen.append(("pressed", name, sorted(os.listdir(tmp_path))))
+        )
     failures = press_together([left, nowhere, right], who="ann", reason="smoke")
     names, both = ("left", "nowhere", "right"), ["left", "right"]
-    assert seen == [("press", name, []) for name in names] + [("pressed", name, both) for name in names]
+    assert seen == [("press", name, []) for name in names] + [
+        ("pressed", name, both) for name in names
+    ]
     assert [str(NOWHERE) in failure.message for failure in failures] == [True]
     assert all(latch.is_latched() for latch in (left, nowhere, right))
 
@@ -292,7 +318,9 @@ def test_who_presses_what_another_has_latched_is_released_with_it(latch, audit) 
     assert not latch.path.exists()
 
 
-def test_a_file_that_vanishes_while_it_is_pressed_fails_no_press(latch, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_that_vanishes_while_it_is_pressed_fails_no_press(
+    latch, monkeypatch: pytest.MonkeyPatch
+) -> None:
     a_latch(latch.path).press(who="bob", reason="fire")
 
     def vanish(path: Path) -> os.stat_result:
@@ -327,7 +355,9 @@ def test_a_latch_that_cannot_be_written_is_tried_once_a_second(
 # The reset.
 
 
-def test_a_reset_is_recorded_with_who_asked_and_what_refused_it(latch, audit, records, synced) -> None:
+def test_a_reset_is_recorded_with_who_asked_and_what_refused_it(
+    latch, audit, records, synced
+) -> None:
     latch.press(who="ann", reason="smoke")
     with pytest.raises(RefusedError):
         latch.reset(who="bob", role="operator", audit=audit)
@@ -362,7 +392,9 @@ def test_a_reset_keeps_the_file_with_its_cause_under_another_name(latch, audit) 
     assert json.loads((latch.path.parent / "stop.reset").read_text())["who"] == "ann"
 
 
-def test_a_latch_that_was_never_written_is_written_before_it_is_reset(tmp_path: Path, audit) -> None:
+def test_a_latch_that_was_never_written_is_written_before_it_is_reset(
+    tmp_path: Path, audit
+) -> None:
     """Without a file that can be written there is no reset."""
     (tmp_path / "state").touch()  # in the way
     latch = a_latch(tmp_path / "state" / "stop")

@@ -1,4 +1,6 @@
-"""The audit's lines byte by byte, the size at which it rotates, its lock, and what it does with its descriptor."""
+"""The audit's lines byte by byte, the size at which it rotates, its lock, and what it does with
+its descriptor.
+"""
 
 from __future__ import annotations
 
@@ -33,14 +35,20 @@ def a_log(path: Path, **settings: int) -> AuditLog:
 
 def written(arguments: dict[Any, Any], path: Path) -> Any:
     """The arguments as the audit tells them."""
-    a_log(path).write(AuditRecord(who="ann", role="viewer", tool="t", verdict="allowed", arguments=arguments))
+    a_log(path).write(
+        AuditRecord(who="ann", role="viewer", tool="t", verdict="allowed", arguments=arguments)
+    )
     return json.loads(path.read_text())["arguments"]
 
 
 def handles(path: Path) -> list[int]:
     """This process's descriptors of a file and of those that were renamed from it."""
     names = ((int(entry), f"/proc/self/fd/{entry}") for entry in os.listdir("/proc/self/fd"))
-    return [number for number, name in names if os.path.lexists(name) and os.readlink(name).startswith(str(path))]
+    return [
+        number
+        for number, name in names
+        if os.path.lexists(name) and os.readlink(name).startswith(str(path))
+    ]
 
 
 def fill(path: Path, size_bytes: int) -> None:
@@ -85,7 +93,8 @@ def test_a_line_tells_every_field_that_is_not_empty(tmp_path: Path) -> None:
     assert (tmp_path / "a").read_bytes() == (
         b'{"time":"2023-11-14T22:13:20.123+00:00","time_ns":1700000000123456789,'
         b'"who":"J\\u00fcrgen","role":"operator","tool":"move_ee","verdict":"scaled","robot":"left","endpoint":"arm",'
-        b'"rule":"speed","reason":"too fast","arguments":{"x":1,"y":[0.5,null]},"clamped":["x: 1 -> 0.5"]}\n'
+        b'"rule":"speed","reason":"too fast","arguments":{"x":1,"y":[0.5,null]},"clamped":["x: 1 '
+        b'-> 0.5"]}\n'
     )
 
 
@@ -101,7 +110,9 @@ def test_a_line_tells_every_field_that_is_not_empty(tmp_path: Path) -> None:
     ],
     ids=["no JSON type", "no JSON number", "no JSON key"],
 )
-def test_arguments_that_json_does_not_know_are_named(tmp_path: Path, arguments: dict, told: dict) -> None:
+def test_arguments_that_json_does_not_know_are_named(
+    tmp_path: Path, arguments: dict, told: dict
+) -> None:
     assert written(arguments, tmp_path / "a") == told
 
 
@@ -128,14 +139,18 @@ def test_the_file_is_for_its_owner_and_group_and_so_is_the_lock(tmp_path: Path) 
         log.write(RECORD)
     finally:
         os.umask(before)
-    modes = {path.name: stat.S_IMODE(path.stat().st_mode) for path in (tmp_path / "state").iterdir()}
+    modes = {
+        path.name: stat.S_IMODE(path.stat().st_mode) for path in (tmp_path / "state").iterdir()
+    }
     assert modes == {"a": 0o640, "a.1": 0o640, "a.lock": 0o640}
     assert stat.S_IMODE((tmp_path / "state").stat().st_mode) == 0o750
 
 
 @pytest.mark.parametrize("settings", [{}, {"max_bytes": 1000}], ids=["10 MB", "1 kB"])
 @pytest.mark.parametrize("more_bytes", [-1, 0, 1])
-def test_a_file_is_filled_to_its_last_byte_and_rotated_beyond(tmp_path: Path, settings, more_bytes: int) -> None:
+def test_a_file_is_filled_to_its_last_byte_and_rotated_beyond(
+    tmp_path: Path, settings, more_bytes: int
+) -> None:
     path = tmp_path / "a"
     size = settings.get("max_bytes", MOST_BYTES) - len(LINE) + more_bytes
     fill(path, size)
@@ -173,7 +188,9 @@ def is_locked(path: Path) -> bool:
     return False
 
 
-def test_nobody_else_can_rotate_while_the_files_are_renamed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nobody_else_can_rotate_while_the_files_are_renamed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     rename, locked = Path.replace, []
 
     def replace(self: Path, target: Path) -> Path:
@@ -232,7 +249,9 @@ def test_who_waited_for_the_lock_looks_again_before_it_rotates(
     [(b"", False), (b"\n", False), (b"{}\n", False), (b"{", True), (b"{}\n{", True)],
     ids=["empty", "an end", "a line", "a character", "a line and a character"],
 )
-def test_only_a_line_without_an_end_is_called_cut(tmp_path: Path, there: bytes, is_cut: bool) -> None:
+def test_only_a_line_without_an_end_is_called_cut(
+    tmp_path: Path, there: bytes, is_cut: bool
+) -> None:
     path = tmp_path / "a"
     path.write_bytes(there)
     log = a_log(path)
@@ -311,7 +330,9 @@ def test_descriptor_zero_is_one_like_any_other(tmp_path: Path) -> None:
     assert path.read_bytes() == 2 * LINE
 
 
-def test_closing_what_was_never_opened_closes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_closing_what_was_never_opened_closes_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     with monkeypatch.context() as patch:
         patch.setattr(os, "close", lambda descriptor: pytest.fail(f"closed {descriptor}"))
         a_log(tmp_path / "a").close()

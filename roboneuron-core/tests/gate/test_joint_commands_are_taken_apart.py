@@ -17,7 +17,10 @@ LIMITS = {"finger": JointLimit(lower=0.0, upper=0.04), "thumb": JointLimit(lower
 
 
 def others(
-    names: tuple[str, ...], position: list[float], measured_names: tuple[str, ...], measured: list[float]
+    names: tuple[str, ...],
+    position: list[float],
+    measured_names: tuple[str, ...],
+    measured: list[float],
 ) -> dict[str, float]:
     command = JointCommand(names=names, position=np.array(position), duration_s=0.1)
     joints = JointSample(names=measured_names, position=np.array(measured))
@@ -79,7 +82,11 @@ def test_an_arm_alone_has_no_other_joints() -> None:
 
 def test_other_joints_are_as_commanded_and_else_as_measured() -> None:
     measured = ("finger", "a", "thumb", "b", "wheel")
-    assert others(ARM, [1.0, 2.0], measured, [0.01, 8.0, 0.5, 9.0, 7.0]) == {"finger": 0.01, "thumb": 0.5, "wheel": 7.0}
+    assert others(ARM, [1.0, 2.0], measured, [0.01, 8.0, 0.5, 9.0, 7.0]) == {
+        "finger": 0.01,
+        "thumb": 0.5,
+        "wheel": 7.0,
+    }
     commanded = others(("a", "thumb", "b"), [1.0, -0.25, 2.0], measured, [0.01, 8.0, 0.5, 9.0, 7.0])
     assert commanded == {"finger": 0.01, "thumb": -0.25, "wheel": 7.0}
 
@@ -89,18 +96,27 @@ def test_a_commanded_joint_need_not_be_measured() -> None:
 
 
 @pytest.mark.parametrize(
-    ("value", "is_kept"), [(1e4, True), (-1e4, True), (1.1e4, False), (-1.1e4, False), (math.nan, False)]
+    ("value", "is_kept"),
+    [(1e4, True), (-1e4, True), (1.1e4, False), (-1.1e4, False), (math.nan, False)],
 )
 def test_measured_joints_at_no_possible_position_are_left_out(value: float, is_kept: bool) -> None:
-    assert others(ARM, [1.0, 2.0], ("a", "b", "wheel"), [0.0, 0.0, value]) == ({"wheel": value} if is_kept else {})
+    assert others(ARM, [1.0, 2.0], ("a", "b", "wheel"), [0.0, 0.0, value]) == (
+        {"wheel": value} if is_kept else {}
+    )
 
 
-@pytest.mark.parametrize(("opening", "is_allowed"), [(0.0, True), (0.04, True), (0.0401, False), (-0.0001, False)])
+@pytest.mark.parametrize(
+    ("opening", "is_allowed"), [(0.0, True), (0.04, True), (0.0401, False), (-0.0001, False)]
+)
 def test_a_commanded_gripper_stays_within_its_travel(opening: float, is_allowed: bool) -> None:
     if is_allowed:
-        assert others(("finger", "a", "b"), [opening, 1.0, 2.0], ARM, [0.0, 0.0]) == {"finger": opening}
+        assert others(("finger", "a", "b"), [opening, 1.0, 2.0], ARM, [0.0, 0.0]) == {
+            "finger": opening
+        }
         return
-    with pytest.raises(UnsafeError, match=r"The gripper would go to .*, its travel is 0 \.\. 0\.04"):
+    with pytest.raises(
+        UnsafeError, match=r"The gripper would go to .*, its travel is 0 \.\. 0\.04"
+    ):
         others(("a", "b", "finger"), [1.0, 2.0, opening], ARM, [0.0, 0.0])
 
 
@@ -121,17 +137,25 @@ def test_a_joint_that_nobody_knows_is_not_commanded() -> None:
         (99.0, 2.0, 0.0),
     ],
 )
-def test_a_setpoint_moves_evenly_and_rests_at_its_end(now_s: float, position: float, velocity: float) -> None:
-    setpoint = Setpoint(start=np.ones(1), way=np.ones(1), duration_s=0.5, sent_s=10.0, immediate=False)
+def test_a_setpoint_moves_evenly_and_rests_at_its_end(
+    now_s: float, position: float, velocity: float
+) -> None:
+    setpoint = Setpoint(
+        start=np.ones(1), way=np.ones(1), duration_s=0.5, sent_s=10.0, immediate=False
+    )
     where, speed = setpoint.at(now_s)
     assert where.tolist() == pytest.approx([position])
     assert speed.tolist() == [velocity]
 
 
-@pytest.mark.parametrize(("now_s", "velocity"), [(10.0, 2.0), (10.75, 2.0), (11.0, 2.0), (11.001, 0.0), (99.0, 0.0)])
+@pytest.mark.parametrize(
+    ("now_s", "velocity"), [(10.0, 2.0), (10.75, 2.0), (11.0, 2.0), (11.001, 0.0), (99.0, 0.0)]
+)
 def test_an_immediate_setpoint_is_there_at_once_and_moves_until_the_next_one_is_due(
     now_s: float, velocity: float
 ) -> None:
-    setpoint = Setpoint(start=np.ones(1), way=np.ones(1), duration_s=0.5, sent_s=10.0, immediate=True)
+    setpoint = Setpoint(
+        start=np.ones(1), way=np.ones(1), duration_s=0.5, sent_s=10.0, immediate=True
+    )
     where, speed = setpoint.at(now_s)
     assert (where.tolist(), speed.tolist()) == ([2.0], [velocity])

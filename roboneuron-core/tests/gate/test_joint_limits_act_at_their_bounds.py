@@ -1,4 +1,6 @@
-"""Limits of the joints at their bounds: just inside, exactly at, just outside; numbers worked out by hand."""
+"""Limits of the joints at their bounds: just inside, exactly at, just outside; numbers worked
+out by hand.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,12 @@ import pytest
 
 from roboneuron.contract import GripperProfile, JointLimits, RobotProfile
 from roboneuron.gate.motion import MotionRules
-from roboneuron.gate.motion.joint_space import JointLimit, JointSpace, braking_velocity, joint_limits
+from roboneuron.gate.motion.joint_space import (
+    JointLimit,
+    JointSpace,
+    braking_velocity,
+    joint_limits,
+)
 
 NAMES = ("a", "b")
 
@@ -19,7 +26,9 @@ def space(*limits: JointLimit) -> JointSpace:
     return JointSpace(NAMES[: len(limits)], limits)
 
 
-def pace(limit: JointLimit, start: float, change: float, step_s: float = 1.0) -> list[tuple[str, float, str]]:
+def pace(
+    limit: JointLimit, start: float, change: float, step_s: float = 1.0
+) -> list[tuple[str, float, str]]:
     return list(space(limit).pace(np.array([start]), np.array([change]), step_s))
 
 
@@ -28,7 +37,8 @@ def pace(limit: JointLimit, start: float, change: float, step_s: float = 1.0) ->
     [
         (1.0, 0.0, 2.0, 0.0, 2.0),  # v^2 = 2 a s
         (1.0, 0.5, 2.0, 0.0, 1.5),  # half a rad/s in reserve
-        (1.0, 1.0, 4.0, 0.5, 1.0),  # 0.5 rad in the step; of the other 0.5 it brakes from 2, less 1 in reserve
+        # 0.5 rad in the step; of the other 0.5 it brakes from 2, less 1 in reserve
+        (1.0, 1.0, 4.0, 0.5, 1.0),
         (0.0, 0.0, 2.0, 0.0, 0.0),
         (0.0, 0.1, 2.0, 0.0, 0.0),
         (-0.1, 0.1, 2.0, 0.0, 0.0),
@@ -43,7 +53,9 @@ def test_braking_velocity_is_that_of_even_deceleration_to_the_limit(
 
 def test_a_braking_velocity_that_may_change_at_once_is_asked_for_without_a_step() -> None:
     assert braking_velocity(1.0, 0.5, 2.0) == pytest.approx(1.5)
-    assert JointLimit(lower=0.0, upper=1.0, braking=(0.5, 2.0)).fastest(0.0, True) == pytest.approx(1.5)
+    assert JointLimit(lower=0.0, upper=1.0, braking=(0.5, 2.0)).fastest(0.0, True) == pytest.approx(
+        1.5
+    )
 
 
 @pytest.mark.parametrize(
@@ -54,7 +66,9 @@ def test_a_braking_velocity_that_may_change_at_once_is_asked_for_without_a_step(
         *((0.0, True), (math.nan, False), (math.inf, False), (-math.inf, False)),
     ],
 )
-def test_the_slack_of_a_position_is_a_millionth_of_its_bound_or_of_one(value: float, is_allowed: bool) -> None:
+def test_the_slack_of_a_position_is_a_millionth_of_its_bound_or_of_one(
+    value: float, is_allowed: bool
+) -> None:
     assert JointLimit(lower=-3.0, upper=0.5).allows("position", value) is is_allowed
     assert JointLimit(lower=-0.5, upper=3.0).allows("position", -value) is is_allowed
 
@@ -91,10 +105,14 @@ def test_a_joint_that_brakes_is_slower_towards_the_nearer_limit() -> None:
 
 
 @pytest.mark.parametrize(("acceleration", "fastest"), [(4.0, 1.0), (100.0, math.sqrt(40.0) - 5.0)])
-def test_a_joint_brakes_after_a_step_no_harder_than_commands_may_ask(acceleration: float, fastest: float) -> None:
+def test_a_joint_brakes_after_a_step_no_harder_than_commands_may_ask(
+    acceleration: float, fastest: float
+) -> None:
     limit = JointLimit(lower=0.0, upper=1.0, acceleration=acceleration, braking=(1.0, 8.0))
     assert limit.fastest(0.0, True, 0.5) == pytest.approx(fastest)
-    assert limit.fastest(0.0, True) == pytest.approx(3.0), "the bound at this very position is the robot's own"
+    assert limit.fastest(0.0, True) == pytest.approx(3.0), (
+        "the bound at this very position is the robot's own"
+    )
 
 
 LIMITS = JointLimits(
@@ -130,7 +148,9 @@ def test_braking_needs_both_of_its_numbers() -> None:
 
 
 @pytest.mark.parametrize(("closed", "opened"), [(0.0, 0.04), (0.8, 0.1)])
-def test_a_gripper_is_limited_to_its_travel_whichever_end_is_closed(closed: float, opened: float) -> None:
+def test_a_gripper_is_limited_to_its_travel_whichever_end_is_closed(
+    closed: float, opened: float
+) -> None:
     gripper = GripperProfile(joint="finger", closed_position=closed, open_position=opened)
     found = joint_limits(RobotProfile(name="gripper", gripper=gripper))
     assert found == {"finger": JointLimit(lower=min(closed, opened), upper=max(closed, opened))}
@@ -147,7 +167,13 @@ def test_a_robot_without_limits_and_gripper_has_none() -> None:
         *((1.0, 1.0 + 1.9e-6, None), (1.0, 1.0 + 2.1e-6, 1.0)),
         *((-2.0, -1.0 - 2.9e-6, None), (-2.0, -1.0 - 3.1e-6, 1.0)),
         # Outside: not farther, but any way back, also beyond the other end.
-        *((2.5, 0.1, 0.0), (2.5, -0.1, None), (2.5, -5.5, None), (2.5, -6.5, 5.5 / 6.5), (-3.5, 0.1, None)),
+        *(
+            (2.5, 0.1, 0.0),
+            (2.5, -0.1, None),
+            (2.5, -5.5, None),
+            (2.5, -6.5, 5.5 / 6.5),
+            (-3.5, 0.1, None),
+        ),
         *((-3.5, -0.1, 0.0), (2.5, 0.0, None), (-3.5, 0.0, None)),
     ],
 )
@@ -185,7 +211,13 @@ def test_a_change_may_take_up_the_slack_itself() -> None:
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 @pytest.mark.parametrize(
     ("change", "step_s", "share"),
-    [(1.0, 0.5, None), (2.0, 0.5, 0.5), (1.0, 0.25, 0.5), (1.0 + 0.9e-6, 0.5, None), (1.0 + 1.1e-6, 0.5, 1.0)],
+    [
+        (1.0, 0.5, None),
+        (2.0, 0.5, 0.5),
+        (1.0, 0.25, 0.5),
+        (1.0 + 0.9e-6, 0.5, None),
+        (1.0 + 1.1e-6, 0.5, 1.0),
+    ],
 )
 def test_a_change_is_shortened_to_the_velocity_limit(
     sign: float, change: float, step_s: float, share: float | None
@@ -205,7 +237,9 @@ def test_the_velocity_of_a_whole_step_is_one_that_can_be_braked_after_it() -> No
 
 
 @pytest.mark.parametrize(("change", "is_named"), [(1e-10, False), (1e-9, False), (1e-8, True)])
-def test_rounding_is_no_motion_towards_a_limit_that_allows_none(change: float, is_named: bool) -> None:
+def test_rounding_is_no_motion_towards_a_limit_that_allows_none(
+    change: float, is_named: bool
+) -> None:
     limit = JointLimit(lower=0.0, upper=1.0, braking=(0.1, 1.0))
     assert bool(pace(limit, 1.0, change)) == is_named
 
@@ -221,7 +255,9 @@ def test_the_joint_that_allows_least_decides(nearer: int) -> None:
 
 
 def test_of_joints_that_allow_the_same_the_first_is_named() -> None:
-    found = space(*[JointLimit(lower=-1.0, upper=1.0, velocity=1.0)] * 2).pace(np.zeros(2), np.full(2, -2.0), 1.0)
+    found = space(*[JointLimit(lower=-1.0, upper=1.0, velocity=1.0)] * 2).pace(
+        np.zeros(2), np.full(2, -2.0), 1.0
+    )
     assert [reason[:8] for _, _, reason in found] == ["a would ", "a would "]
 
 
@@ -231,7 +267,9 @@ def test_a_joint_that_rests_does_not_hide_one_that_moves() -> None:
     assert (name, share) == ("position", 0.5)
 
 
-def reach(before: list[float], wanted: list[float], acceleration: float = 4.0) -> tuple[list[float], str]:
+def reach(
+    before: list[float], wanted: list[float], acceleration: float = 4.0
+) -> tuple[list[float], str]:
     """After a quarter of a second: 4 rad/s^2 are 1 rad/s."""
     limits = [JointLimit(acceleration=acceleration)] * len(before)
     velocity, joint = space(*limits).reach(np.array(before), np.array(wanted), 0.25)
@@ -273,11 +311,19 @@ def test_a_velocity_is_reached_as_far_as_acceleration_allows(
 
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
-@pytest.mark.parametrize(("change", "can"), [(1.0, True), (1.0 + 1.9e-6, True), (1.0 + 2.1e-6, False), (3.0, False)])
-def test_the_slack_of_an_acceleration_is_two_millionths(sign: float, change: float, can: bool) -> None:
+@pytest.mark.parametrize(
+    ("change", "can"), [(1.0, True), (1.0 + 1.9e-6, True), (1.0 + 2.1e-6, False), (3.0, False)]
+)
+def test_the_slack_of_an_acceleration_is_two_millionths(
+    sign: float, change: float, can: bool
+) -> None:
     joints = space(JointLimit(acceleration=4.0))
-    assert joints.is_reachable(np.array([sign * 0.5]), np.array([sign * (0.5 + change)]), 0.25) is can
-    assert joints.is_reachable(np.array([sign * 0.5]), np.array([sign * (0.5 - change)]), 0.25) is can
+    assert (
+        joints.is_reachable(np.array([sign * 0.5]), np.array([sign * (0.5 + change)]), 0.25) is can
+    )
+    assert (
+        joints.is_reachable(np.array([sign * 0.5]), np.array([sign * (0.5 - change)]), 0.25) is can
+    )
 
 
 def test_in_no_time_a_velocity_only_stays_as_it_is() -> None:

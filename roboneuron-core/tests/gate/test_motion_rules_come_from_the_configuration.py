@@ -1,4 +1,6 @@
-"""Rules of motion: each number of `[limits]` arrives where it belongs, and nothing is ever wider than before."""
+"""Rules of motion: each number of `[limits]` arrives where it belongs, and nothing is ever
+wider than before.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,8 @@ from roboneuron.gate.motion.rules import collision_of
 
 ROBOT = RobotProfile(name="arm")
 BOXED = RobotProfile(
-    name="arm", workspace=Workspace(lower_m=np.array([-1.0, -2.0, -3.0]), upper_m=np.array([1.0, 2.0, 3.0]))
+    name="arm",
+    workspace=Workspace(lower_m=np.array([-1.0, -2.0, -3.0]), upper_m=np.array([1.0, 2.0, 3.0])),
 )
 VASE: dict[str, Any] = {"name": "vase", "lower_m": [0.0, 0.1, 0.2], "upper_m": [1.0, 1.1, 1.2]}
 POT: dict[str, Any] = {"name": "pot", "lower_m": [5.0, 5.0, 5.0], "upper_m": [6.0, 6.0, 6.0]}
@@ -47,7 +50,9 @@ def config(**values: Any) -> LimitsConfig:
         ("min_singular_value", 0.07),
     ],
 )
-def test_a_number_of_the_configuration_becomes_the_rule_of_the_same_name(key: str, value: float) -> None:
+def test_a_number_of_the_configuration_becomes_the_rule_of_the_same_name(
+    key: str, value: float
+) -> None:
     assert getattr(motion_rules(config(**{key: value}), ROBOT), key) == value
 
 
@@ -77,8 +82,16 @@ def test_the_workspace_is_the_robots_own_where_none_is_configured() -> None:
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_a_workspace_may_be_as_wide_as_the_robots_and_no_wider(axis: int) -> None:
     lower, upper = [-1.0, -2.0, -3.0], [1.0, 2.0, 3.0]
-    assert motion_rules(config(workspace_lower_m=lower, workspace_upper_m=upper), BOXED).upper_m.tolist() == upper
-    for key, corner, by in (("workspace_lower_m", lower, -0.001), ("workspace_upper_m", upper, 0.001)):
+    assert (
+        motion_rules(
+            config(workspace_lower_m=lower, workspace_upper_m=upper), BOXED
+        ).upper_m.tolist()
+        == upper
+    )
+    for key, corner, by in (
+        ("workspace_lower_m", lower, -0.001),
+        ("workspace_upper_m", upper, 0.001),
+    ):
         wider = list(corner)
         wider[axis] += by
         with pytest.raises(ConfigurationError, match="wider than that of robot 'arm'"):
@@ -95,7 +108,9 @@ def test_a_box_has_an_extent_along_every_axis(axis: int) -> None:
     ):
         with pytest.raises(ConfigurationError, match=f"^limits.{key}: "):
             motion_rules(wrong, ROBOT)
-    with pytest.raises(ConfigurationError, match=r"^limits.obstacles: 'vase' reaches from .* which is no box"):
+    with pytest.raises(
+        ConfigurationError, match=r"^limits.obstacles: 'vase' reaches from .* which is no box"
+    ):
         collision_of(config(obstacles=[VASE | {"upper_m": flat}]), ROBOT)
 
 
@@ -118,7 +133,9 @@ def test_zones_keep_their_names_and_corners() -> None:
         ("workspace_upper_m", [1.0, 1.0, 0.9], [1.0, 1.0, 1.0], [0.9, 0.9, 1.1]),
     ],
 )
-def test_a_number_may_stay_or_be_tightened(key: str, tighter: Any, configured: Any, wider: Any) -> None:
+def test_a_number_may_stay_or_be_tightened(
+    key: str, tighter: Any, configured: Any, wider: Any
+) -> None:
     before = config(**{key: configured})
     for allowed in (tighter, configured):
         check_tighter(config(**{key: allowed}), before)
@@ -128,7 +145,11 @@ def test_a_number_may_stay_or_be_tightened(key: str, tighter: Any, configured: A
 
 @pytest.mark.parametrize(
     ("key", "value"),
-    [("min_height_m", -5.0), ("workspace_lower_m", [0.0, 0.0, 0.0]), ("workspace_upper_m", [1.0, 1.0, 1.0])],
+    [
+        ("min_height_m", -5.0),
+        ("workspace_lower_m", [0.0, 0.0, 0.0]),
+        ("workspace_upper_m", [1.0, 1.0, 1.0]),
+    ],
 )
 def test_a_limit_may_be_added_and_none_removed(key: str, value: Any) -> None:
     check_tighter(config(**{key: value}), LimitsConfig())
@@ -146,7 +167,13 @@ def test_zones_may_be_added_and_none_removed_or_changed() -> None:
 
 
 @pytest.mark.parametrize(
-    ("key", "value"), [("on_zone", "refuse"), ("on_position", "scale"), ("collision", False), ("min_distance_m", 0.1)]
+    ("key", "value"),
+    [
+        ("on_zone", "refuse"),
+        ("on_position", "scale"),
+        ("collision", False),
+        ("min_distance_m", 0.1),
+    ],
 )
 def test_whatever_is_no_number_to_tighten_stays(key: str, value: Any) -> None:
     check_tighter(config(**{key: value}), config(**{key: value}))
@@ -174,11 +201,17 @@ def test_collisions_that_are_switched_off_are_not_checked() -> None:
 def test_the_least_distance_may_be_the_robots_or_longer(distance_m: float) -> None:
     made = collision_of(config(min_distance_m=distance_m), CAREFUL)
     assert made is not None
-    assert (made.min_distance_m, made.obstacles, made.tool_links) == (distance_m, (TABLE,), ("hand",))
+    assert (made.min_distance_m, made.obstacles, made.tool_links) == (
+        distance_m,
+        (TABLE,),
+        ("hand",),
+    )
 
 
 def test_the_least_distance_is_no_shorter_than_the_robots() -> None:
-    with pytest.raises(ConfigurationError, match=r"min_distance_m = 0.019 is less than the 0.02 m of robot 'arm'"):
+    with pytest.raises(
+        ConfigurationError, match=r"min_distance_m = 0.019 is less than the 0.02 m of robot 'arm'"
+    ):
         collision_of(config(min_distance_m=0.019), CAREFUL)
 
 
@@ -215,7 +248,9 @@ class Plain(Controller):
     def close(self) -> None: ...
 
     def forward(self, joints: JointSample) -> Pose:
-        return Pose(position_m=np.array([1.0 + joints.position[0], 0.0, 0.0]), quaternion_xyzw=np.eye(4)[3])
+        return Pose(
+            position_m=np.array([1.0 + joints.position[0], 0.0, 0.0]), quaternion_xyzw=np.eye(4)[3]
+        )
 
 
 class Inspecting(Plain):
@@ -230,4 +265,8 @@ def test_a_controller_that_inspects_is_asked_for_the_posture_and_another_for_the
     full = inspector_of(Inspecting())(joints)
     assert (full.pose.position_m[0], full.smallest_singular_value) == (1.25, 0.5)
     plain = inspector_of(Plain())(joints)
-    assert (plain.pose.position_m[0], plain.smallest_singular_value, plain.near) == (1.25, None, None)
+    assert (plain.pose.position_m[0], plain.smallest_singular_value, plain.near) == (
+        1.25,
+        None,
+        None,
+    )

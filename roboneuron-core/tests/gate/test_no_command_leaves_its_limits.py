@@ -1,4 +1,6 @@
-"""The limits on control's commands, judged with a planar arm of two joints whose kinematics fit on two lines."""
+"""The limits on control's commands, judged with a planar arm of two joints whose kinematics fit
+on two lines.
+"""
 
 from __future__ import annotations
 
@@ -54,14 +56,18 @@ def profile(*, braking: bool = False) -> RobotProfile:
 
 
 def inspect(joints: JointSample) -> Posture:
-    """Two links of 0.5 m in the x-z plane; straight (b = 0) is singular; "touching" when folded beyond 2.4 rad."""
+    """Two links of 0.5 m in the x-z plane; straight (b = 0) is singular; "touching" when folded
+    beyond 2.4 rad.
+    """
     a, b = joints.position[:2].tolist()
     x, z = 0.5 * math.cos(a) + 0.5 * math.cos(a + b), 0.5 * math.sin(a) + 0.5 * math.sin(a + b)
     turn = matrix_from_rotvec(np.array([0.0, -(a + b), 0.0]))
     return Posture(
         pose=Pose(position_m=np.array([x, 0.0, z]), quaternion_xyzw=quaternion_from_matrix(turn)),
         smallest_singular_value=0.3 * abs(math.sin(b)),
-        near=(Proximity(first="link1", second="link2", distance_m=(2.4 - b) / 10.0, least_m=0.0),) if b > 2.4 else (),
+        near=(Proximity(first="link1", second="link2", distance_m=(2.4 - b) / 10.0, least_m=0.0),)
+        if b > 2.4
+        else (),
     )
 
 
@@ -78,12 +84,16 @@ def sample(position: np.ndarray) -> JointSample:
 
 
 def command(position: np.ndarray, duration_s: float = STEP_S) -> JointCommand:
-    return JointCommand(names=NAMES, position=np.asarray(position, dtype=float), duration_s=duration_s)
+    return JointCommand(
+        names=NAMES, position=np.asarray(position, dtype=float), duration_s=duration_s
+    )
 
 
 def limiter(rules: MotionRules | None = None, **options: bool) -> MotionLimiter:
     braking = options.pop("braking", False)
-    return MotionLimiter(rules or MotionRules(reactions=SCALE), profile(braking=braking), forward, inspect, **options)
+    return MotionLimiter(
+        rules or MotionRules(reactions=SCALE), profile(braking=braking), forward, inspect, **options
+    )
 
 
 def sent(verdict: Verdict) -> JointCommand:
@@ -114,11 +124,22 @@ CASES = {
     "acceleration": (MotionRules(reactions=HOLD), START, np.array([0.05, 0.0]), STEP_S),
     "step": (MotionRules(reactions=HOLD, max_step_m=0.01), START, np.array([0.03, 0.0]), STEP_S),
     "speed": (MotionRules(reactions=HOLD, max_speed_m_s=0.1), START, np.array([0.03, 0.0]), STEP_S),
-    "workspace": (MotionRules(reactions=HOLD, upper_m=place(START) + 0.001), START, np.array([-0.03, 0.0]), STEP_S),
+    "workspace": (
+        MotionRules(reactions=HOLD, upper_m=place(START) + 0.001),
+        START,
+        np.array([-0.03, 0.0]),
+        STEP_S,
+    ),
     "zone": (
         MotionRules(
             reactions=HOLD,
-            zones=(Obstacle(name="vase", lower_m=place(START) - [0.02, 1, 1], upper_m=place(START) - [0.01, -1, -1]),),
+            zones=(
+                Obstacle(
+                    name="vase",
+                    lower_m=place(START) - [0.02, 1, 1],
+                    upper_m=place(START) - [0.01, -1, -1],
+                ),
+            ),
         ),
         START,
         np.array([0.03, 0.0]),
@@ -130,8 +151,18 @@ CASES = {
         np.array([-0.03, -0.03]),
         STEP_S,
     ),
-    "singularity": (MotionRules(reactions=HOLD, min_singular_value=0.278), START, np.array([0.0, -0.03]), STEP_S),
-    "collision": (MotionRules(reactions=HOLD), np.array([0.0, 2.39]), np.array([0.0, 0.03]), STEP_S),
+    "singularity": (
+        MotionRules(reactions=HOLD, min_singular_value=0.278),
+        START,
+        np.array([0.0, -0.03]),
+        STEP_S,
+    ),
+    "collision": (
+        MotionRules(reactions=HOLD),
+        np.array([0.0, 2.39]),
+        np.array([0.0, 0.03]),
+        STEP_S,
+    ),
 }
 
 
@@ -163,7 +194,8 @@ def test_each_limit_can_shorten_the_command_in_its_direction(name: str) -> None:
     moved = sent(verdict).position - start
     assert verdict.acted == (name,)
     assert 0.0 < verdict.share < 1.0
-    np.testing.assert_allclose(moved, verdict.share * way, atol=1e-12)  # the same direction, exactly
+    # the same direction, exactly
+    np.testing.assert_allclose(moved, verdict.share * way, atol=1e-12)
     again = limiter(replace(rules, reactions=HOLD | {name: "hold"})).limit(
         command(start + moved, duration_s), sample(start), 1.0
     )
@@ -184,12 +216,19 @@ def test_numbers_that_are_not_finite_hold(bad: float) -> None:
 
 @pytest.mark.parametrize(
     ("names", "position"),
-    [(("a",), [0.3]), (("a", "a"), [0.3, 0.3]), (("a", "b", "c"), [0.3, 1.2, 0.0]), (("a", "b"), [0.3])],
+    [
+        (("a",), [0.3]),
+        (("a", "a"), [0.3, 0.3]),
+        (("a", "b", "c"), [0.3, 1.2, 0.0]),
+        (("a", "b"), [0.3]),
+    ],
     ids=["missing", "twice", "unknown", "short"],
 )
 def test_commands_for_other_joints_hold(names: tuple[str, ...], position: list[float]) -> None:
     verdict = limiter().limit(
-        JointCommand(names=names, position=np.array(position), duration_s=STEP_S), sample(START), 1.0
+        JointCommand(names=names, position=np.array(position), duration_s=STEP_S),
+        sample(START),
+        1.0,
     )
     assert hold(verdict).code == "unsafe_command"
 
@@ -204,18 +243,27 @@ def test_posture_that_cannot_be_judged_holds() -> None:
         raise UnsafeError("The robot description is gone.")
 
     judge = MotionLimiter(MotionRules(reactions=SCALE), profile(), forward, fail)
-    assert hold(judge.limit(command(START), sample(START), 1.0)).reason == "The robot description is gone."
+    assert (
+        hold(judge.limit(command(START), sample(START), 1.0)).reason
+        == "The robot description is gone."
+    )
 
 
-@pytest.mark.parametrize(("opening", "is_held"), [(0.02, False), (0.041, True), (-0.01, True), (math.nan, True)])
+@pytest.mark.parametrize(
+    ("opening", "is_held"), [(0.02, False), (0.041, True), (-0.01, True), (math.nan, True)]
+)
 def test_gripper_stays_within_its_travel(opening: float, is_held: bool) -> None:
-    asked = JointCommand(names=("a", "b", "finger"), position=np.array([*START, opening]), duration_s=STEP_S)
+    asked = JointCommand(
+        names=("a", "b", "finger"), position=np.array([*START, opening]), duration_s=STEP_S
+    )
     verdict = limiter().limit(asked, sample(START), 1.0)
     assert isinstance(verdict.command, Hold) == is_held
 
 
 def test_shortening_the_arm_leaves_the_gripper_alone_and_the_order_of_names() -> None:
-    asked = JointCommand(names=("finger", "b", "a"), position=np.array([0.03, 1.2, 1.0]), duration_s=STEP_S)
+    asked = JointCommand(
+        names=("finger", "b", "a"), position=np.array([0.03, 1.2, 1.0]), duration_s=STEP_S
+    )
     moved = sent(limiter().limit(asked, sample(START), 1.0))
     assert moved.names == asked.names
     assert moved.position[0] == 0.03
@@ -232,23 +280,30 @@ def test_way_through_a_thin_zone_is_seen() -> None:
     assert "'pane'" in hold(verdict).reason
 
 
-@pytest.mark.parametrize(("way", "is_held"), [([0.02, 0.0], True), ([-0.02, 0.0], False), ([0.0, 0.0], True)])
+@pytest.mark.parametrize(
+    ("way", "is_held"), [([0.02, 0.0], True), ([-0.02, 0.0], False), ([0.0, 0.0], True)]
+)
 def test_only_ways_out_lead_out_of_a_forbidden_place(way: list[float], is_held: bool) -> None:
     # Outside the workspace on the low side of x: more of joint a moves the TCP to lower x.
     lower = place(START) + np.array([0.005, -9.0, -9.0])
-    verdict = limiter(MotionRules(reactions=HOLD, lower_m=lower)).limit(command(START + way), sample(START), 1.0)
+    verdict = limiter(MotionRules(reactions=HOLD, lower_m=lower)).limit(
+        command(START + way), sample(START), 1.0
+    )
     assert isinstance(verdict.command, Hold) == is_held
 
 
 def test_arm_that_moves_fast_turns_no_faster_than_it_can() -> None:
     judge, position, now_s = limiter(), START.copy(), 1.0
     for _ in range(4):
-        position = sent(judge.limit(command(position + np.array([0.09, 0.0])), sample(position), now_s)).position
+        position = sent(
+            judge.limit(command(position + np.array([0.09, 0.0])), sample(position), now_s)
+        ).position
         now_s += STEP_S
     verdict = judge.limit(command(position - [0.09, 0.0]), sample(position), now_s - 0.06)
     moved = sent(verdict)
     assert verdict.acted == ("acceleration",)
-    # 0.9 rad/s before, at most 4 rad/s^2 for 0.04 s: still going on, from where the command has come in that time.
+    # 0.9 rad/s before, at most 4 rad/s^2 for 0.04 s: still going on, from where the command has
+    # come in that time.
     assert moved.position[0] > position[0] - 0.06 * 0.9
     assert moved.position[1] == pytest.approx(START[1])
 
@@ -266,7 +321,9 @@ def test_hundredfold_rate_does_not_make_the_arm_faster() -> None:
     """Every 1 ms somebody asks for 0.1 rad more; the arm follows its commands exactly."""
     judge, position, now_s, travelled = limiter(), START.copy(), 1.0, 0.0
     for _ in range(500):
-        verdict = judge.limit(command(position + np.array([0.1, 0.0]), 0.02), sample(position), now_s)
+        verdict = judge.limit(
+            command(position + np.array([0.1, 0.0]), 0.02), sample(position), now_s
+        )
         target = sent(verdict)
         step = (target.position - position) * (0.001 / target.duration_s)
         assert abs(step[0]) <= 1.0 * 0.001 * 1.001
@@ -276,7 +333,9 @@ def test_hundredfold_rate_does_not_make_the_arm_faster() -> None:
 
 way = st.tuples(*[st.floats(-1.0, 1.0, allow_nan=False) for _ in NAMES])
 steps = st.lists(
-    st.tuples(way, st.floats(0.001, 0.4), st.floats(0.02, 0.3), st.floats(0.0, 1.0)), min_size=1, max_size=25
+    st.tuples(way, st.floats(0.001, 0.4), st.floats(0.02, 0.3), st.floats(0.0, 1.0)),
+    min_size=1,
+    max_size=25,
 )
 RULES = MotionRules(
     reactions=SCALE,
@@ -287,7 +346,9 @@ RULES = MotionRules(
     lower_m=np.array([0.1, -1.0, -0.2]),
     upper_m=np.array([0.9, 1.0, 0.9]),
     min_height_m=0.1,
-    zones=(Obstacle(name="vase", lower_m=np.array([0.3, -1, 0.3]), upper_m=np.array([0.45, 1, 0.45])),),
+    zones=(
+        Obstacle(name="vase", lower_m=np.array([0.3, -1, 0.3]), upper_m=np.array([0.45, 1, 0.45])),
+    ),
     min_singular_value=0.1,
 )
 
@@ -311,15 +372,21 @@ def test_random_actions_never_produce_a_command_outside_any_limit(
                 assert limit.lower - 1e-6 <= target.position[i] <= limit.upper + 1e-6
                 bound = min(limit.fastest(commanded[i], change[i] > 0, time_s), limit.velocity)
                 assert abs(change[i]) / time_s <= bound * (1 + 1e-5) + 1e-9
-                assert abs(change[i] / time_s - velocity[i]) <= 4.0 * min(now_s - last_s, time_s) * (1 + 1e-5) + 1e-9
-            assert np.linalg.norm(place(target.position) - place(commanded)) / time_s <= 0.4 * (1 + 1e-6)
+                assert (
+                    abs(change[i] / time_s - velocity[i])
+                    <= 4.0 * min(now_s - last_s, time_s) * (1 + 1e-5) + 1e-9
+                )
+            assert np.linalg.norm(place(target.position) - place(commanded)) / time_s <= 0.4 * (
+                1 + 1e-6
+            )
             tcp = place(target.position)
             assert (tcp >= RULES.lower_m - 1e-9).all()
             assert (tcp <= RULES.upper_m + 1e-9).all()
             assert tcp[2] >= 0.1 - 1e-9
             assert not ((tcp > [0.3, -1, 0.3]) & (tcp < [0.45, 1, 0.45])).all()
             assert inspect(sample(target.position)).smallest_singular_value >= 0.1 - 1e-9
-            while min(abs(wait_s - time_s), abs(wait_s - 2 * time_s)) < 1e-6:  # whether it rests by then is rounding
+            # whether it rests by then is rounding
+            while min(abs(wait_s - time_s), abs(wait_s - 2 * time_s)) < 1e-6:
                 wait_s += 1e-3
             # The robot follows: it is where the command brings it in `wait_s`, or a little behind.
             part = 1.0 if immediate else min(1.0, wait_s / time_s)
@@ -328,7 +395,10 @@ def test_random_actions_never_produce_a_command_outside_any_limit(
             if (immediate and wait_s > 2 * time_s) or (not immediate and wait_s >= time_s):
                 velocity = np.zeros(2)
             behind = min(lag, 0.05 / max(1e-9, float(np.abs(change * part).max())))
-            position, commanded = commanded + change * part * (1 - behind), commanded + change * part
+            position, commanded = (
+                commanded + change * part * (1 - behind),
+                commanded + change * part,
+            )
         else:
             judge.rest(sample(position), now_s)
             commanded, velocity, last_s = position.copy(), np.zeros(2), now_s
@@ -337,7 +407,9 @@ def test_random_actions_never_produce_a_command_outside_any_limit(
 
 @settings(max_examples=100, deadline=None)
 @given(way=way, duration_s=st.floats(0.02, 1.0))
-def test_from_rest_every_shortened_command_keeps_the_direction(way: tuple[float, float], duration_s: float) -> None:
+def test_from_rest_every_shortened_command_keeps_the_direction(
+    way: tuple[float, float], duration_s: float
+) -> None:
     verdict = limiter(RULES).limit(command(START + way, duration_s), sample(START), 1.0)
     if not isinstance(verdict.command, JointCommand):
         return
@@ -346,7 +418,10 @@ def test_from_rest_every_shortened_command_keeps_the_direction(way: tuple[float,
 
 
 @given(
-    distance=st.floats(0.0, 3.0), offset=st.floats(0.0, 0.5), deceleration=st.floats(0.5, 20.0), step=st.floats(0, 0.5)
+    distance=st.floats(0.0, 3.0),
+    offset=st.floats(0.0, 0.5),
+    deceleration=st.floats(0.5, 20.0),
+    step=st.floats(0, 0.5),
 )
 def test_velocity_towards_a_limit_can_always_be_braked_before_it(
     distance: float, offset: float, deceleration: float, step: float
@@ -354,7 +429,9 @@ def test_velocity_towards_a_limit_can_always_be_braked_before_it(
     velocity = braking_velocity(distance, offset, deceleration, step)
     left = distance - velocity * step
     assert left >= -1e-9
-    assert velocity == 0.0 or velocity <= -offset + math.sqrt(2 * deceleration * max(left, 0.0)) + 1e-6
+    assert (
+        velocity == 0.0 or velocity <= -offset + math.sqrt(2 * deceleration * max(left, 0.0)) + 1e-6
+    )
 
 
 def test_limits_of_a_configuration_can_only_be_tightened() -> None:
@@ -363,11 +440,17 @@ def test_limits_of_a_configuration_can_only_be_tightened() -> None:
     assert rules.min_height_m == 0.2
     assert rules.reactions["zone"] == "refuse"
     box = replace(robot, workspace=Workspace(lower_m=np.zeros(3), upper_m=np.ones(3)))
-    assert motion_rules(LimitsConfig(workspace_upper_m=[0.5, 0.5, 0.5]), box).upper_m.tolist() == [0.5, 0.5, 0.5]
+    assert motion_rules(LimitsConfig(workspace_upper_m=[0.5, 0.5, 0.5]), box).upper_m.tolist() == [
+        0.5,
+        0.5,
+        0.5,
+    ]
     with pytest.raises(ConfigurationError, match="only be tightened"):
         motion_rules(LimitsConfig(workspace_lower_m=[-0.1, 0.0, 0.0]), box)
     with pytest.raises(ConfigurationError, match="no box"):
-        motion_rules(LimitsConfig(workspace_lower_m=[0.5, 0.5, 0.5], workspace_upper_m=[0.4, 0.9, 0.9]), box)
+        motion_rules(
+            LimitsConfig(workspace_lower_m=[0.5, 0.5, 0.5], workspace_upper_m=[0.4, 0.9, 0.9]), box
+        )
     zones = ({"name": "vase", "lower_m": [0.0, 0.0, 0.0], "upper_m": [0.0, 1.0, 1.0]},)
     with pytest.raises(ConfigurationError, match="'vase'"):
         motion_rules(LimitsConfig.model_validate({"zones": zones}), robot)
@@ -386,14 +469,19 @@ def test_an_arm_that_is_behind_its_setpoint_gets_the_time_that_it_needs_from_whe
     frozen = judge.limit(command(START + 2 * step), sample(START), 1.1)
     assert sent(frozen).duration_s > STEP_S
     assert fastest_m_s(frozen, START) <= 0.1
-    np.testing.assert_allclose(sent(frozen).position, START + 2 * step, err_msg="it is slower, and goes as far")
+    np.testing.assert_allclose(
+        sent(frozen).position, START + 2 * step, err_msg="it is slower, and goes as far"
+    )
 
 
 def test_an_arm_that_follows_gets_no_other_time() -> None:
     judge = limiter(MotionRules(reactions=SCALE, max_speed_m_s=0.5))
     step = np.array([0.01, 0.0])
     judge.limit(command(START + step), sample(START), 1.0)
-    assert sent(judge.limit(command(START + 2 * step), sample(START + 0.8 * step), 1.1)).duration_s == STEP_S
+    assert (
+        sent(judge.limit(command(START + 2 * step), sample(START + 0.8 * step), 1.1)).duration_s
+        == STEP_S
+    )
 
 
 def test_a_command_without_a_time_is_shortened_when_the_arm_is_behind() -> None:

@@ -27,11 +27,17 @@ for i in range(300):
 
 
 def record(**changes) -> AuditRecord:
-    return AuditRecord(**{"who": "a", "role": "viewer", "tool": "t", "verdict": "allowed", **changes})
+    return AuditRecord(
+        **{"who": "a", "role": "viewer", "tool": "t", "verdict": "allowed", **changes}
+    )
 
 
 def read(*paths: Path) -> list[dict]:
-    return [json.loads(line, parse_constant=pytest.fail) for p in paths for line in p.read_text().splitlines()]
+    return [
+        json.loads(line, parse_constant=pytest.fail)
+        for p in paths
+        for line in p.read_text().splitlines()
+    ]
 
 
 def test_a_line_holds_time_and_all_that_is_known(audit, clock) -> None:
@@ -89,10 +95,14 @@ def test_it_rotates_by_size_and_keeps_so_many(tmp_path: Path, clock) -> None:
 
 def test_several_processes_and_threads_lose_nothing(tmp_path: Path) -> None:
     path = tmp_path / "a"
-    children = [subprocess.Popen([sys.executable, "-c", WRITE, str(path), who]) for who in ("p", "q")]
+    children = [
+        subprocess.Popen([sys.executable, "-c", WRITE, str(path), who]) for who in ("p", "q")
+    ]
     log = AuditLog(path, lambda: 1, max_bytes=4_000, backups=40)
     threads = [
-        threading.Thread(target=lambda n=n: [log.write(record(who=f"t{n}", tool=str(i))) for i in range(100)])
+        threading.Thread(
+            target=lambda n=n: [log.write(record(who=f"t{n}", tool=str(i))) for i in range(100)]
+        )
         for n in (0, 1)
     ]
     for thread in threads:
@@ -102,7 +112,8 @@ def test_several_processes_and_threads_lose_nothing(tmp_path: Path) -> None:
     assert [child.wait(timeout=60) for child in children] == [0, 0]
     lines = read(*(p for p in tmp_path.iterdir() if not p.name.endswith(".lock")))
     assert sorted((line["who"], int(line["tool"])) for line in lines) == sorted(
-        [(who, i) for who in ("p", "q") for i in range(300)] + [(who, i) for who in ("t0", "t1") for i in range(100)]
+        [(who, i) for who in ("p", "q") for i in range(300)]
+        + [(who, i) for who in ("t0", "t1") for i in range(100)]
     )
 
 
@@ -115,7 +126,9 @@ def test_a_deleted_file_is_begun_again(audit) -> None:
 
 @contextmanager
 def room_for(size_bytes: int) -> Iterator[None]:
-    """Files of this process end at that size, as on a disk that is full: the last write is a short one."""
+    """Files of this process end at that size, as on a disk that is full: the last write is a
+    short one.
+    """
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size_bytes, hard))
     try:
@@ -138,7 +151,9 @@ def test_a_full_disk_leaves_no_cut_line(audit) -> None:
 
 
 def test_a_line_that_somebody_left_cut_is_ended_and_told(audit) -> None:
-    """As a power failure leaves it: whoever writes next, in whatever process, does not add to it."""
+    """As a power failure leaves it: whoever writes next, in whatever process, does not add to
+    it.
+    """
     audit.write(record(tool="before"))
     audit.close()
     with audit.path.open("ab") as file:

@@ -1,4 +1,6 @@
-"""Sampling of paths: no point of the arm moves farther from one posture to the next than the spacing."""
+"""Sampling of paths: no point of the arm moves farther from one posture to the next than the
+spacing.
+"""
 
 from __future__ import annotations
 
@@ -17,12 +19,14 @@ URDF = """<robot name="arm">
   <joint name="wrist" type="revolute"><origin xyz="0.3 0 -0.4"/><parent link="l2"/><child link="l3"/></joint>
   <joint name="finger" type="prismatic"><origin xyz="5 0 0"/><parent link="l3"/><child link="l4"/></joint>
   <joint name="flange" type="fixed"><origin xyz="0 0.2 0"/><parent link="l3"/><child link="tcp"/></joint>
-</robot>"""
+</robot>"""  # noqa: E501
 
 
 def robot(urdf: str = URDF, min_distance_m: float | None = None) -> RobotProfile:
     collision = None if min_distance_m is None else CollisionProfile(min_distance_m=min_distance_m)
-    return RobotProfile(name="arm", urdf=urdf, base_link="base", tcp_link="tcp", collision=collision)
+    return RobotProfile(
+        name="arm", urdf=urdf, base_link="base", tcp_link="tcp", collision=collision
+    )
 
 
 def test_a_lever_is_the_way_along_the_links_from_a_joint_to_the_tcp_and_a_hand_more() -> None:
@@ -38,7 +42,12 @@ def test_a_lever_is_the_way_along_the_links_from_a_joint_to_the_tcp_and_a_hand_m
 
 @pytest.mark.parametrize(
     ("limit", "travel_m"),
-    [("", 2.0), ('<limit effort="1"/>', 2.0), ('<limit lower="0"/>', 1.0), ('<limit upper="0.5"/>', 1.5)],
+    [
+        ("", 2.0),
+        ('<limit effort="1"/>', 2.0),
+        ('<limit lower="0"/>', 1.0),
+        ('<limit upper="0.5"/>', 1.5),
+    ],
 )
 def test_a_slide_that_does_not_say_its_travel_has_two_metres(limit: str, travel_m: float) -> None:
     urdf = URDF.replace('<limit lower="-0.125" upper="0.375"/>', limit)
@@ -47,7 +56,9 @@ def test_a_slide_that_does_not_say_its_travel_has_two_metres(limit: str, travel_
 
 @pytest.mark.parametrize("origin", ["", "<origin/>", '<origin rpy="1 2 3"/>'])
 def test_a_joint_that_does_not_say_where_it_is_lies_at_the_one_before(origin: str) -> None:
-    assert levers_m(robot(URDF.replace('<origin xyz="0 0 0.25"/>', origin)))["shoulder"] == pytest.approx(1.3)
+    assert levers_m(robot(URDF.replace('<origin xyz="0 0 0.25"/>', origin)))[
+        "shoulder"
+    ] == pytest.approx(1.3)
 
 
 @pytest.mark.parametrize(
@@ -76,10 +87,23 @@ def test_links_in_a_ring_are_passed_once() -> None:
 
 @pytest.mark.parametrize(
     ("min_distance_m", "count"),
-    [(None, 50), (0.005, 100), (0.001, 200), (0.0, 200), (0.0025, 200), (0.01, 50), (0.05, 50), (0.0075, 67)],
+    [
+        (None, 50),
+        (0.005, 100),
+        (0.001, 200),
+        (0.0, 200),
+        (0.0025, 200),
+        (0.01, 50),
+        (0.05, 50),
+        (0.0075, 67),
+    ],
 )
-def test_the_spacing_is_twice_the_least_distance_within_5_and_20_mm(min_distance_m: float | None, count: int) -> None:
-    assert Reach(robot(min_distance_m=min_distance_m)).count(("slide",), np.array([0.9999])) == count
+def test_the_spacing_is_twice_the_least_distance_within_5_and_20_mm(
+    min_distance_m: float | None, count: int
+) -> None:
+    assert (
+        Reach(robot(min_distance_m=min_distance_m)).count(("slide",), np.array([0.9999])) == count
+    )
 
 
 @pytest.mark.parametrize(

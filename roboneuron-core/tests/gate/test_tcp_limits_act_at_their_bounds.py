@@ -1,4 +1,6 @@
-"""Limits of the TCP and of postures at their bounds: just inside, at and just outside; ways in, through and out."""
+"""Limits of the TCP and of postures at their bounds: just inside, at and just outside; ways in,
+through and out.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,9 @@ def pose(*position_m: float, turn_rad: float = 0.0, axis: int = 2) -> Pose:
 
 def posture(*position_m: float, singular: float | None = None, **near_m: float) -> Posture:
     """A posture in which `a` and the named links are so far apart; 10 mm are required."""
-    pairs = tuple(Proximity(first="a", second=name, distance_m=d, least_m=0.01) for name, d in near_m.items())
+    pairs = tuple(
+        Proximity(first="a", second=name, distance_m=d, least_m=0.01) for name, d in near_m.items()
+    )
     return Posture(pose=pose(*position_m), smallest_singular_value=singular, near=pairs)
 
 
@@ -36,7 +40,9 @@ def places(rules: MotionRules, start: Posture, end: Posture) -> list[tuple[str, 
     return list(TaskSpace(rules).places(start.pose, end, lambda: start))
 
 
-def line(rules: MotionRules, start: tuple[float, ...], end: tuple[float, ...]) -> list[tuple[str, str]]:
+def line(
+    rules: MotionRules, start: tuple[float, ...], end: tuple[float, ...]
+) -> list[tuple[str, str]]:
     return places(rules, posture(*start), posture(*end))
 
 
@@ -50,10 +56,13 @@ def test_a_distance_is_the_length_of_the_straight_line() -> None:
     axis=st.integers(0, 2),
     sign=st.sampled_from([-1.0, 1.0]),
 )
-def test_an_angle_is_that_of_the_shorter_turn(first: float, second: float, axis: int, sign: float) -> None:
+def test_an_angle_is_that_of_the_shorter_turn(
+    first: float, second: float, axis: int, sign: float
+) -> None:
     here, there = pose(turn_rad=first, axis=axis), pose(turn_rad=second, axis=axis)
     same = Pose(position_m=there.position_m, quaternion_xyzw=sign * there.quaternion_xyzw)
-    assert angle_rad(here, same) == pytest.approx(abs(first - second), abs=1e-7)  # 1 - cos^2 is rounded
+    # 1 - cos^2 is rounded
+    assert angle_rad(here, same) == pytest.approx(abs(first - second), abs=1e-7)
     opposite = pose(turn_rad=-second, axis=axis)
     turn = first + second
     assert angle_rad(here, opposite) == pytest.approx(min(turn, 2.0 * math.pi - turn), abs=1e-7)
@@ -80,7 +89,9 @@ def test_a_motion_is_measured_from_the_tcp_and_timed_from_the_setpoint() -> None
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
 def test_a_motion_with_a_number_that_is_not_finite_is_unsafe(bad: float) -> None:
     far = Posture(pose=pose(bad, 0.0, 0.0))
-    turned = Posture(pose=Pose(position_m=np.zeros(3), quaternion_xyzw=np.array([0.0, 0.0, bad, 1.0])))
+    turned = Posture(
+        pose=Pose(position_m=np.zeros(3), quaternion_xyzw=np.array([0.0, 0.0, bad, 1.0]))
+    )
     task = TaskSpace(RULES)
     with np.errstate(invalid="ignore"):
         for measured, start, end, speed in (
@@ -112,7 +123,9 @@ def test_a_motion_may_have_a_singular_value_or_none(singular: float | None) -> N
         ("speed", "turn_rad_s", "max_turn_rad_s", "rad/s"),
     ],
 )
-def test_a_step_or_speed_is_in_excess_above_its_own_limit(name: str, value: str, limit: str, unit: str) -> None:
+def test_a_step_or_speed_is_in_excess_above_its_own_limit(
+    name: str, value: str, limit: str, unit: str
+) -> None:
     task = TaskSpace(replace(RULES, **{limit: 0.25}))
     for allowed in (0.0, 0.2499, 0.25):
         assert list(task.excess(replace(STILL, **{value: allowed}))) == []
@@ -158,9 +171,18 @@ def test_outside_of_the_workspace_only_ways_back_are_allowed(
 
 @pytest.mark.parametrize(
     ("start_m", "end_m", "is_broken"),
-    [(1.0, 0.5, False), (1.0, 0.499, True), (0.5, 0.499, True), (0.2, 0.3, False), (0.2, 0.2, True), (0.2, 0.1, True)],
+    [
+        (1.0, 0.5, False),
+        (1.0, 0.499, True),
+        (0.5, 0.499, True),
+        (0.2, 0.3, False),
+        (0.2, 0.2, True),
+        (0.2, 0.1, True),
+    ],
 )
-def test_the_tcp_stays_at_its_height_or_rises_to_it(start_m: float, end_m: float, is_broken: bool) -> None:
+def test_the_tcp_stays_at_its_height_or_rises_to_it(
+    start_m: float, end_m: float, is_broken: bool
+) -> None:
     found = line(replace(RULES, min_height_m=0.5), (0.0, 0.0, start_m), (9.0, 9.0, end_m))
     reason = f"The TCP would be at a height of {end_m:.4f} m, allowed is 0.5 m."
     assert found == ([("height", reason)] if is_broken else [])
@@ -216,7 +238,11 @@ def test_a_line_enters_a_zone_where_it_passes_within_it(
     order = list(axes)
     zone = Obstacle(name="vase", lower_m=ZONE.lower_m[order], upper_m=ZONE.upper_m[order])
     other = Obstacle(name="far", lower_m=np.full(3, 50.0), upper_m=np.full(3, 51.0))
-    found = line(replace(RULES, zones=(other, zone)), tuple(np.array(start)[order]), tuple(np.array(end)[order]))
+    found = line(
+        replace(RULES, zones=(other, zone)),
+        tuple(np.array(start)[order]),
+        tuple(np.array(end)[order]),
+    )
     reason = f"The TCP would enter 'vase' on its way to {np.array(end)[order].tolist()} m."
     assert found == ([("zone", reason)] if is_broken else [])
 
@@ -245,7 +271,9 @@ def test_the_end_of_a_way_into_a_zone_is_given_in_tenths_of_a_millimetre() -> No
 def test_the_arm_keeps_away_from_singularities_or_leaves_them(
     start: float | None, end: float | None, is_broken: bool
 ) -> None:
-    found = places(replace(RULES, min_singular_value=0.1), posture(singular=start), posture(singular=end))
+    found = places(
+        replace(RULES, min_singular_value=0.1), posture(singular=start), posture(singular=end)
+    )
     assert [name for name, _ in found] == (["singularity"] if is_broken else [])
     if is_broken:
         assert found[0][1] == f"The smallest singular value would be {end:.4f}, allowed is 0.1."
@@ -271,7 +299,10 @@ def test_bodies_that_are_too_near_may_only_part(
 ) -> None:
     found = places(RULES, posture(**start), posture(**end))
     assert found == [
-        ("collision", f"a and {name} would be {end[name] * 1e3:.1f} mm apart, at least 10 mm are required.")
+        (
+            "collision",
+            f"a and {name} would be {end[name] * 1e3:.1f} mm apart, at least 10 mm are required.",
+        )
         for name in broken
     ]
 
@@ -299,7 +330,13 @@ def test_the_posture_at_the_start_is_asked_for_only_when_it_matters() -> None:
 
 
 def test_every_broken_limit_of_place_is_named() -> None:
-    rules = replace(RULES, **BOX, min_height_m=0.0, zones=(ZONE, replace(ZONE, name="pot")), min_singular_value=0.1)
+    rules = replace(
+        RULES,
+        **BOX,
+        min_height_m=0.0,
+        zones=(ZONE, replace(ZONE, name="pot")),
+        min_singular_value=0.1,
+    )
     found = places(rules, posture(0.0, 0.0, 0.5), posture(3.0, 3.0, -0.5, singular=0.0, b=0.0))
     assert [name for name, _ in found] == ["workspace", "height", "singularity", "collision"]
     through = line(rules, (0.0, 0.0, 0.0), (1.5, 1.5, 1.5))

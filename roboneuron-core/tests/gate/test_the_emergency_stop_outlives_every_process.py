@@ -1,4 +1,6 @@
-"""The latch: across processes and restarts, closed when in doubt, reset by an admin only and never without a record."""
+"""The latch: across processes and restarts, closed when in doubt, reset by an admin only and
+never without a record.
+"""
 
 from __future__ import annotations
 
@@ -110,7 +112,9 @@ def test_there_is_no_reset_without_an_audit(latch, tmp_path: Path, clock) -> Non
     latch.latch(who="a", reason="b")
     (tmp_path / "file").touch()
     with pytest.raises(RefusedError, match="audit"):
-        latch.reset(who="c", role="admin", audit=AuditLog(tmp_path / "file" / "audit", clock.wall_ns))
+        latch.reset(
+            who="c", role="admin", audit=AuditLog(tmp_path / "file" / "audit", clock.wall_ns)
+        )
     assert latch.is_latched()
 
 
@@ -127,7 +131,10 @@ def test_a_reset_of_an_open_latch_is_harmless(latch, audit) -> None:
 
 
 def test_pressing_from_many_threads_leaves_one_whole_file(latch) -> None:
-    threads = [threading.Thread(target=latch.latch, kwargs={"who": f"t{i}", "reason": "x" * 100}) for i in range(16)]
+    threads = [
+        threading.Thread(target=latch.latch, kwargs={"who": f"t{i}", "reason": "x" * 100})
+        for i in range(16)
+    ]
     for thread in threads:
         thread.start()
     for thread in threads:
@@ -138,7 +145,9 @@ def test_pressing_from_many_threads_leaves_one_whole_file(latch) -> None:
 
 def test_who_listens_is_told_before_anything_is_written(latch) -> None:
     seen = []
-    latch.on_press(lambda: seen.append((latch.is_latched(), latch.path.exists(), latch.read_state().who)))
+    latch.on_press(
+        lambda: seen.append((latch.is_latched(), latch.path.exists(), latch.read_state().who))
+    )
     latch.latch(who="a", reason="b")
     latch.latch(who="c", reason="d")
     assert seen == [(True, False, "a")]
@@ -183,11 +192,17 @@ def put_a_copy_of_the_directory(path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "remove", [remove_file, remove_directory, move_directory_away, rename_file, put_a_copy_of_the_directory]
+    "remove",
+    [remove_file, remove_directory, move_directory_away, rename_file, put_a_copy_of_the_directory],
 )
 @pytest.mark.parametrize("had_a_reset", [False, True])
 def test_a_file_that_vanishes_without_a_reset_is_written_again(
-    latch, clock, audit, remove: Callable[[Path], None], had_a_reset: bool, caplog: pytest.LogCaptureFixture
+    latch,
+    clock,
+    audit,
+    remove: Callable[[Path], None],
+    had_a_reset: bool,
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
     if had_a_reset:
         latch.latch(who="earlier", reason="")
@@ -201,7 +216,9 @@ def test_a_file_that_vanishes_without_a_reset_is_written_again(
         assert latch.path.exists()
         assert (watching.read_state().who, watching.read_state().restored) == ("a", times)
         assert "vanished without a reset" in caplog.text
-        assert other(latch, clock).read_state().restored == times, "a new process learns it from the file"
+        assert other(latch, clock).read_state().restored == times, (
+            "a new process learns it from the file"
+        )
         shutil.rmtree(latch.path.parent.with_suffix(".old"), ignore_errors=True)
     latch.reset(who="c", role="admin", audit=audit)
     assert not latch.is_latched()
@@ -209,7 +226,9 @@ def test_a_file_that_vanishes_without_a_reset_is_written_again(
     assert not latch.path.exists()
 
 
-@pytest.mark.parametrize("make", [Path.touch, lambda path: path.symlink_to("nowhere")], ids=["touch", "dangling-link"])
+@pytest.mark.parametrize(
+    "make", [Path.touch, lambda path: path.symlink_to("nowhere")], ids=["touch", "dangling-link"]
+)
 def test_a_file_made_by_hand_holds_and_is_reset_like_any_other(latch, clock, audit, make) -> None:
     latch.path.parent.mkdir()
     make(latch.path)
@@ -222,7 +241,9 @@ def test_a_file_made_by_hand_holds_and_is_reset_like_any_other(latch, clock, aud
     assert not os.path.lexists(latch.path)
 
 
-def test_a_reset_reaches_who_holds_it_however_often_it_is_pressed_again(latch, clock, audit) -> None:
+def test_a_reset_reaches_who_holds_it_however_often_it_is_pressed_again(
+    latch, clock, audit
+) -> None:
     for _ in range(5):
         latch.latch(who="a", reason="b")
         watching = other(latch, clock)
@@ -231,7 +252,9 @@ def test_a_reset_reaches_who_holds_it_however_often_it_is_pressed_again(latch, c
         assert not latch.is_latched()
 
 
-def test_what_cannot_be_written_again_stays_latched_and_is_tried_again(latch, clock, tmp_path, caplog) -> None:
+def test_what_cannot_be_written_again_stays_latched_and_is_tried_again(
+    latch, clock, tmp_path, caplog
+) -> None:
     now_s = [100.0]
     latch.latch(who="a", reason="b")
     watching = other(latch, clock, clock_s=lambda: now_s[0])

@@ -1,4 +1,6 @@
-"""The limiter on a gantry whose TCP is where its joints say: each verdict by numbers that are worked out by hand."""
+"""The limiter on a gantry whose TCP is where its joints say: each verdict by numbers that are
+worked out by hand.
+"""
 
 from __future__ import annotations
 
@@ -59,7 +61,10 @@ class Gantry:
         self.asked.append(joints)
         x, z, turn = joints.position[:3].tolist()
         half = turn / 2.0
-        return Pose(position_m=np.array([x, 0.0, z]), quaternion_xyzw=np.array([0, 0, math.sin(half), math.cos(half)]))
+        return Pose(
+            position_m=np.array([x, 0.0, z]),
+            quaternion_xyzw=np.array([0, 0, math.sin(half), math.cos(half)]),
+        )
 
     def inspect(self, joints: JointSample) -> Posture:
         pose = self.forward(joints)
@@ -77,7 +82,10 @@ class Gantry:
 
 
 def limiter(
-    rules: MotionRules = SCALE, robot: RobotProfile | None = None, gantry: Gantry | None = None, **options: Any
+    rules: MotionRules = SCALE,
+    robot: RobotProfile | None = None,
+    gantry: Gantry | None = None,
+    **options: Any,
 ) -> MotionLimiter:
     arm = gantry or Gantry()
     return MotionLimiter(rules, robot or profile(), arm.forward, arm.inspect, **options)
@@ -126,11 +134,17 @@ def test_a_command_is_described_as_it_was_asked_and_as_it_is_sent() -> None:
     assert asked is not None
     assert is_sent is not None
     assert (asked.step_m, asked.step_rad, asked.speed_m_s) == pytest.approx((0.5, 0.2, 5.0))
-    assert (asked.turn_rad_s, asked.joint_speed, asked.smallest_singular_value) == (pytest.approx(2.0), 4.0, None)
+    assert (asked.turn_rad_s, asked.joint_speed, asked.smallest_singular_value) == (
+        pytest.approx(2.0),
+        4.0,
+        None,
+    )
     # 0.5 m/s of 5 m/s, and of that 98 %: a straight line of the joints is a curve of the TCP.
     assert verdict.share == pytest.approx(0.098)
     assert place(verdict) == pytest.approx([0.0294, 0.0392, 0.0196])
-    assert (is_sent.step_m, is_sent.speed_m_s, is_sent.joint_speed) == pytest.approx((0.049, 0.49, 0.392))
+    assert (is_sent.step_m, is_sent.speed_m_s, is_sent.joint_speed) == pytest.approx(
+        (0.049, 0.49, 0.392)
+    )
     assert verdict.acted == ("speed",)
     assert verdict.reason == "The TCP would move at 5 m/s, allowed is 0.5 m/s."
     assert not verdict.reference_lost
@@ -164,9 +178,13 @@ def test_a_shortened_command_keeps_its_names_its_gripper_and_its_residuals() -> 
 def test_postures_are_asked_for_with_the_joints_beside_the_arm_and_the_stamp() -> None:
     gantry = Gantry()
     judge = limiter(gantry=gantry)
-    measured = JointSample(names=("finger", *ARM), position=np.array([0.01, 0.0, 0.0, 0.0]), stamp_ns=77)
+    measured = JointSample(
+        names=("finger", *ARM), position=np.array([0.01, 0.0, 0.0, 0.0]), stamp_ns=77
+    )
     judge.limit(to(0.05), measured, 10.0)
-    with_finger = JointCommand(names=("finger", *ARM), position=np.array([0.03, 0.1, 0.0, 0.0]), duration_s=STEP_S)
+    with_finger = JointCommand(
+        names=("finger", *ARM), position=np.array([0.03, 0.1, 0.0, 0.0]), duration_s=STEP_S
+    )
     judge.limit(with_finger, measured, 10.1)
     assert {joints.stamp_ns for joints in gantry.asked} == {77}
     assert {joints.names for joints in gantry.asked} == {(*ARM, "finger")}
@@ -182,14 +200,20 @@ def test_postures_are_asked_for_with_the_joints_beside_the_arm_and_the_stamp() -
 def test_an_arm_without_limits_of_its_own_is_limited_by_the_rules_alone() -> None:
     robot = RobotProfile(name="gantry", arm_joints=ARM)
     assert place(limiter(robot=robot).limit(to(50.0), at(), 10.0)) == [50.0, 0.0, 0.0]
-    assert limiter(replace(SCALE, max_step_m=0.05), robot).limit(to(50.0), at(), 10.0).acted == ("step",)
+    assert limiter(replace(SCALE, max_step_m=0.05), robot).limit(to(50.0), at(), 10.0).acted == (
+        "step",
+    )
 
 
 # Commands that cannot be judged
 
 
-@pytest.mark.parametrize(("duration_s", "is_held"), [(1.999, False), (2.0, False), (2.001, True), (math.inf, True)])
-def test_a_command_lasts_no_longer_than_control_may_be_away(duration_s: float, is_held: bool) -> None:
+@pytest.mark.parametrize(
+    ("duration_s", "is_held"), [(1.999, False), (2.0, False), (2.001, True), (math.inf, True)]
+)
+def test_a_command_lasts_no_longer_than_control_may_be_away(
+    duration_s: float, is_held: bool
+) -> None:
     judge = limiter(longest_s=2.0)
     verdict = judge.limit(to(0.5, duration_s=duration_s), at(), 10.0)
     if not is_held:
@@ -207,7 +231,9 @@ def test_a_command_without_a_time_that_it_takes_holds(duration_s: float) -> None
     assert (verdict.acted, verdict.asked, verdict.reference_lost) == ((), None, False)
 
 
-@pytest.mark.parametrize(("duration_s", "taken_s"), [(0.5, 0.5), (0.002, 0.002), (0.001, 0.001), (0.0005, 0.001)])
+@pytest.mark.parametrize(
+    ("duration_s", "taken_s"), [(0.5, 0.5), (0.002, 0.002), (0.001, 0.001), (0.0005, 0.001)]
+)
 def test_a_command_takes_a_millisecond_at_the_least(duration_s: float, taken_s: float) -> None:
     assert sent(limiter().limit(to(0.0, duration_s=duration_s), at(), 10.0)).duration_s == taken_s
 
@@ -229,7 +255,13 @@ def test_a_posture_that_cannot_be_told_holds_and_says_whether_the_setpoint_was_l
 
 def test_a_limit_that_holds_after_others_have_shortened_names_them_all_once() -> None:
     rules = replace(HOLD, reactions=HOLD.reactions | {"step": "scale", "speed": "scale"})
-    rules = replace(rules, max_step_m=0.1, max_step_rad=0.1, max_speed_m_s=1.5, upper_m=np.array([0.02, 9.0, 9.0]))
+    rules = replace(
+        rules,
+        max_step_m=0.1,
+        max_step_rad=0.1,
+        max_speed_m_s=1.5,
+        upper_m=np.array([0.02, 9.0, 9.0]),
+    )
     verdict = limiter(rules).limit(to(0.4, 0.0, 0.4), at(), 10.0)
     hold(verdict, "limit_workspace", "m outside the workspace")
     assert verdict.acted == ("step", "speed", "workspace")
@@ -250,7 +282,9 @@ def test_what_is_not_sent_leaves_the_setpoint_as_it_is(reaction: Any, is_held: b
     assert (verdict.acted, verdict.share, verdict.sent) == (("step",), 0.0, None)
     assert verdict.asked is not None
     assert verdict.asked.speed_m_s == pytest.approx(4.5)
-    assert speed_m_s(judge, 0.06, at(0.05), 10.1) == pytest.approx(0.1), "from 0.05 m, where the first one ends"
+    assert speed_m_s(judge, 0.06, at(0.05), 10.1) == pytest.approx(0.1), (
+        "from 0.05 m, where the first one ends"
+    )
 
 
 # The setpoint
@@ -262,7 +296,9 @@ def test_a_command_takes_over_from_where_the_last_one_has_come() -> None:
     assert speed_m_s(judge, 0.06, at(), 10.04) == pytest.approx(0.4), "from 0.02 m"
 
 
-@pytest.mark.parametrize(("now_s", "speed"), [(10.5, 0.1), (10.999, 0.1), (11.0, 0.2), (12.0, 0.2), (math.inf, 0.2)])
+@pytest.mark.parametrize(
+    ("now_s", "speed"), [(10.5, 0.1), (10.999, 0.1), (11.0, 0.2), (12.0, 0.2), (math.inf, 0.2)]
+)
 def test_a_setpoint_is_good_for_a_second(now_s: float, speed: float) -> None:
     judge = limiter()
     judge.limit(to(0.05), at(), 10.0)
@@ -275,13 +311,20 @@ def test_before_the_first_command_the_setpoint_is_what_is_measured() -> None:
 
 SLIDES = """<robot name="gantry">
   <joint name="x" type="prismatic"/><joint name="z" type="revolute"/><joint name="turn" type="revolute"/>
-</robot>"""
+</robot>"""  # noqa: E501
 
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 @pytest.mark.parametrize(
     ("joint", "away", "is_lost"),
-    [(0, 0.02, False), (0, 0.0201, True), (1, 0.1, False), (1, 0.1001, True), (2, 0.1, False), (2, 0.1001, True)],
+    [
+        (0, 0.02, False),
+        (0, 0.0201, True),
+        (1, 0.1, False),
+        (1, 0.1001, True),
+        (2, 0.1, False),
+        (2, 0.1001, True),
+    ],
 )
 def test_a_setpoint_is_lost_when_a_joint_is_2_cm_or_a_tenth_of_a_radian_away(
     sign: float, joint: int, away: float, is_lost: bool
@@ -334,7 +377,9 @@ def test_an_arm_at_rest_speeds_up_from_the_time_on_when_it_was_seen_to_rest() ->
     assert place(verdict) == pytest.approx([0.03, 0.0, 0.0]), "0.1 m/s after 0.01 s"
 
 
-@pytest.mark.parametrize("joints", [None, at(math.nan), JointSample(names=("x",), position=np.zeros(1))])
+@pytest.mark.parametrize(
+    "joints", [None, at(math.nan), JointSample(names=("x",), position=np.zeros(1))]
+)
 def test_an_arm_of_which_nothing_is_known_has_no_setpoint(joints: JointSample | None) -> None:
     judge = limiter(robot=profile(acceleration=10.0))
     judge.limit(to(0.05), at(), 10.0)
@@ -402,10 +447,21 @@ UP = np.array([0.61, 9.0, 9.0])
     ("limits", "name"),
     [
         ({"upper_m": UP}, "workspace"),
-        ({"zones": (Obstacle(name="vase", lower_m=np.array([0.61, -1, -1]), upper_m=np.array([2.0, 1, 1])),)}, "zone"),
+        (
+            {
+                "zones": (
+                    Obstacle(
+                        name="vase", lower_m=np.array([0.61, -1, -1]), upper_m=np.array([2.0, 1, 1])
+                    ),
+                )
+            },
+            "zone",
+        ),
     ],
 )
-def test_a_way_to_a_forbidden_place_is_cut_to_a_64th_of_it(limits: dict[str, Any], name: str) -> None:
+def test_a_way_to_a_forbidden_place_is_cut_to_a_64th_of_it(
+    limits: dict[str, Any], name: str
+) -> None:
     verdict = limiter(replace(SCALE, **limits)).limit(to(1.0, 0.5), at(), 10.0)
     assert verdict.acted == (name,)
     assert verdict.share == pytest.approx(39 / 64), "0.609 m, where 0.61 m are allowed"
@@ -417,7 +473,8 @@ def test_a_way_to_a_forbidden_place_is_cut_to_a_64th_of_it(limits: dict[str, Any
 def test_a_way_is_cut_from_where_the_setpoint_is() -> None:
     judge = limiter(replace(SCALE, upper_m=UP))
     judge.limit(to(0.05), at(), 10.0)
-    assert place(judge.limit(to(0.69), at(), 10.5)) == pytest.approx([0.05 + 0.56, 0.0, 0.0])  # 56 of 64 parts
+    # 56 of 64 parts
+    assert place(judge.limit(to(0.69), at(), 10.5)) == pytest.approx([0.05 + 0.56, 0.0, 0.0])
 
 
 def test_every_forbidden_place_on_the_way_is_named() -> None:
@@ -449,14 +506,20 @@ def test_an_arm_too_fast_for_its_position_limit_holds() -> None:
     judge = moving(SCALE, x=2.45)
     verdict = judge.limit(to(2.95), at(2.95), 10.5)
     # 1 m/s less 4 m/s^2 in 0.1 s: it would go 0.06 m, and 0.05 m are left.
-    hold(verdict, "limit_position", "No part of the command is within the limits: x would go to 3.0100")
+    hold(
+        verdict,
+        "limit_position",
+        "No part of the command is within the limits: x would go to 3.0100",
+    )
     assert verdict.acted == ("acceleration", "position")
     assert sent(judge.limit(to(2.95), at(2.94), 10.49)).position[0] == pytest.approx(3.0)
 
 
 def test_an_arm_too_fast_for_a_zone_holds() -> None:
     verdict = moving(replace(SCALE, upper_m=UP), x=0.1).limit(to(0.7), at(0.6), 10.5)
-    hold(verdict, "limit_acceleration", "The arm is too fast for a limit before it: The TCP would be")
+    hold(
+        verdict, "limit_acceleration", "The arm is too fast for a limit before it: The TCP would be"
+    )
     assert verdict.acted == ("workspace", "acceleration")
 
 
@@ -504,7 +567,9 @@ def test_an_arm_behind_its_setpoint_has_the_time_that_it_needs(acceleration: flo
 
 
 @pytest.mark.parametrize("longest_s", [0.15, 0.1])
-def test_an_arm_behind_its_setpoint_has_no_more_time_than_a_command_may_last(longest_s: float) -> None:
+def test_an_arm_behind_its_setpoint_has_no_more_time_than_a_command_may_last(
+    longest_s: float,
+) -> None:
     assert sent(behind(max_speed_m_s=0.11, longest_s=longest_s)).duration_s == longest_s
 
 
@@ -526,8 +591,8 @@ def test_an_arm_behind_its_setpoint_that_turns_has_the_time_to_turn() -> None:
 def test_an_arm_behind_its_setpoint_brakes_no_harder_than_it_may() -> None:
     verdict = behind(max_speed_m_s=0.11, acceleration=0.3)
     assert verdict.acted == ()
-    # From 0.1 m/s by 0.3 m/s^2 in 0.1 s to 0.07 m/s, with which 10 mm take 0.143 s; of the time to be found in
-    # halves, 0.1 to 0.186 s, a 64th is 1.4 ms.
+    # From 0.1 m/s by 0.3 m/s^2 in 0.1 s to 0.07 m/s, with which 10 mm take 0.143 s; of the time to
+    # be found in halves, 0.1 to 0.186 s, a 64th is 1.4 ms.
     assert 0.01 / 0.07 - 0.0014 < sent(verdict).duration_s <= 0.01 / 0.07 + 1e-6
 
 
@@ -550,7 +615,9 @@ def test_an_immediate_command_is_judged_by_the_time_since_the_last_one() -> None
     judge = limiter(immediate=True)
     assert sent(judge.limit(to(0.001), at(), 10.0)).duration_s == STEP_S
     for now_s, duration_s in ((10.0625, 0.0625), (10.5, STEP_S), (10.5, 0.001)):
-        assert sent(judge.limit(to(0.001), at(0.001), now_s)).duration_s == pytest.approx(duration_s, abs=1e-12)
+        assert sent(judge.limit(to(0.001), at(0.001), now_s)).duration_s == pytest.approx(
+            duration_s, abs=1e-12
+        )
 
 
 def test_an_immediate_command_is_where_it_goes_at_once() -> None:
@@ -564,13 +631,16 @@ def test_an_immediate_command_is_where_it_goes_at_once() -> None:
 def test_an_immediate_command_has_its_velocity_until_the_next_one_is_due() -> None:
     judge = limiter(robot=profile(acceleration=1.0), immediate=True)
     judge.follow(to(0.05, duration_s=0.1), at(), 10.0)
-    assert place(judge.limit(to(0.15), at(0.05), 10.1)) == pytest.approx([0.11, 0.0, 0.0]), "0.6 m/s after 0.5 m/s"
+    assert place(judge.limit(to(0.15), at(0.05), 10.1)) == pytest.approx([0.11, 0.0, 0.0]), (
+        "0.6 m/s after 0.5 m/s"
+    )
 
 
 @pytest.mark.parametrize(
     ("setpoint", "asked", "reached"),
     [
-        # Measured at 0; 0.1 m/s in the 0.1 s that a robot takes are 10 mm, and 98 % of them are used.
+        # Measured at 0; 0.1 m/s in the 0.1 s that a robot takes are 10 mm, and 98 % of them are
+        # used.
         (0.005, 0.02, 0.0098),
         (0.0, 0.02, 0.0098),
         (0.009, 0.0101, 0.0098),
@@ -595,7 +665,8 @@ def test_an_immediate_command_is_as_short_as_the_farther_of_way_and_turn_needs()
     judge = limiter(replace(SCALE, max_speed_m_s=0.1, max_turn_rad_s=10.0), immediate=True)
     judge.follow(to(0.001, 0.0, 0.05), at(), 10.0)
     verdict = judge.limit(to(0.02, 0.0, 0.1, duration_s=0.5), at(), 10.9)
-    # Twice too fast: 51 % of the 0.1 rad and 20 mm from where it is, which are twice the turn from the setpoint.
+    # Twice too fast: 51 % of the 0.1 rad and 20 mm from where it is, which are twice the turn from
+    # the setpoint.
     share = max(0.0, 1.0 - 0.51 * 2.0)
     assert place(verdict) == pytest.approx([0.001 + share * 0.019, 0.0, 0.05 + share * 0.05])
 
@@ -604,7 +675,11 @@ def test_an_immediate_command_of_an_arm_behind_may_hold() -> None:
     judge = limiter(replace(HOLD, max_speed_m_s=0.1), immediate=True)
     judge.follow(to(0.005), at(), 10.0)
     verdict = judge.limit(to(0.014, duration_s=0.5), at(), 10.9)
-    hold(verdict, "limit_speed", "The arm is behind its setpoint; its TCP would be 1.4 times too fast.")
+    hold(
+        verdict,
+        "limit_speed",
+        "The arm is behind its setpoint; its TCP would be 1.4 times too fast.",
+    )
 
 
 def test_an_immediate_command_of_an_arm_that_follows_is_not_too_fast() -> None:
@@ -655,7 +730,9 @@ def test_the_way_of_an_arm_behind_its_setpoint_is_looked_at_from_where_it_is() -
     assert gantry.places() == [0.01, 0.02, 0.035, 0.018333, 0.026667]
 
 
-@pytest.mark.parametrize(("end", "is_held"), [(0.02, False), (0.03, True), (0.06, True), (-0.06, False)])
+@pytest.mark.parametrize(
+    ("end", "is_held"), [(0.02, False), (0.03, True), (0.06, True), (-0.06, False)]
+)
 def test_a_post_in_the_midst_of_the_way_is_met(end: float, is_held: bool) -> None:
     judge, _ = careful(post)
     verdict = judge.limit(to(end), at(), 10.0)

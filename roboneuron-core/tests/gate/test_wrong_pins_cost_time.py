@@ -1,4 +1,6 @@
-"""The PIN's file, its length, what each wrong one costs, and what is recorded, with numbers of its own."""
+"""The PIN's file, its length, what each wrong one costs, and what is recorded, with numbers of
+its own.
+"""
 
 from __future__ import annotations
 
@@ -67,9 +69,15 @@ def test_the_file_holds_the_documented_hash_and_a_salt_of_its_own(tmp_path: Path
 
 @pytest.mark.parametrize(
     ("folder", "path"),
-    [("state", f"state/{NAME}"), ("state/robots/left", f"state/{NAME}"), ("robots/left/x", f"robots/left/x/{NAME}")],
+    [
+        ("state", f"state/{NAME}"),
+        ("state/robots/left", f"state/{NAME}"),
+        ("robots/left/x", f"robots/left/x/{NAME}"),
+    ],
 )
-def test_robots_of_a_fleet_share_a_pin_and_nobody_else_does(tmp_path: Path, folder: str, path: str) -> None:
+def test_robots_of_a_fleet_share_a_pin_and_nobody_else_does(
+    tmp_path: Path, folder: str, path: str
+) -> None:
     assert ReleasePin(tmp_path / folder).path == tmp_path / path
 
 
@@ -90,7 +98,9 @@ def test_a_pin_is_removed_and_removing_none_is_no_failure(pin: ReleasePin) -> No
         assert not pin.is_set
 
 
-def test_what_is_left_of_a_write_that_was_killed_is_in_nobodys_way(pin: ReleasePin, tmp_path: Path) -> None:
+def test_what_is_left_of_a_write_that_was_killed_is_in_nobodys_way(
+    pin: ReleasePin, tmp_path: Path
+) -> None:
     elsewhere = tmp_path / "elsewhere"
     elsewhere.write_text("kept")
     (tmp_path / f"{NAME}.new").symlink_to(elsewhere)
@@ -129,7 +139,9 @@ def test_each_wrong_pin_after_the_third_doubles_the_wait_up_to_five_minutes(
 
 
 @pytest.mark.parametrize("wait_s", [0.25, 1.0, 300.0])
-def test_nothing_is_looked_at_while_an_attempt_has_to_wait(pin: ReleasePin, audit: AuditLog, wait_s: float) -> None:
+def test_nothing_is_looked_at_while_an_attempt_has_to_wait(
+    pin: ReleasePin, audit: AuditLog, wait_s: float
+) -> None:
     write(pin, failures=7, not_before_s=NOW_S + wait_s)
     before = read(pin)
     with pytest.raises(RefusedError, match="after 7 wrong PINs"):
@@ -148,8 +160,12 @@ def test_the_right_pin_is_taken_after_the_wait_or_when_the_clock_was_put_back(
     assert read(pin) == {**before, "failures": 0, "not_before_s": 0.0}
 
 
-@pytest.mark.parametrize(("typed", "word"), [("", "missing"), ("4711-rub", "wrong"), ("4711-ruby ", "wrong")])
-def test_a_refusal_is_recorded_with_who_tried_and_why(pin: ReleasePin, audit: AuditLog, typed: str, word: str) -> None:
+@pytest.mark.parametrize(
+    ("typed", "word"), [("", "missing"), ("4711-rub", "wrong"), ("4711-ruby ", "wrong")]
+)
+def test_a_refusal_is_recorded_with_who_tried_and_why(
+    pin: ReleasePin, audit: AuditLog, typed: str, word: str
+) -> None:
     records: list[AuditRecord] = []
     audit.on_record = records.append
     with pytest.raises(RefusedError) as refused:
@@ -157,7 +173,14 @@ def test_a_refusal_is_recorded_with_who_tried_and_why(pin: ReleasePin, audit: Au
     reason = f"the PIN is {word} (attempt 1 since the last right one)."
     assert refused.value.message == f"The emergency stop stays latched: {reason}"
     assert records == [
-        AuditRecord(who="w" * 200, role="", tool="reset_emergency_stop", verdict="refused", rule="pin", reason=reason)
+        AuditRecord(
+            who="w" * 200,
+            role="",
+            tool="reset_emergency_stop",
+            verdict="refused",
+            rule="pin",
+            reason=reason,
+        )
     ]
 
 
@@ -173,10 +196,24 @@ def test_the_right_pin_is_not_recorded_and_a_wrong_one_is_refused_without_a_reco
 
 @pytest.mark.parametrize(
     "changes",
-    [{"salt": "no hex"}, {"salt": 5}, {"failures": "x"}, {"failures": float("inf")}, {"not_before_s": None}],
-    ids=["salt of letters", "salt of a number", "failures of letters", "endless failures", "no time"],
+    [
+        {"salt": "no hex"},
+        {"salt": 5},
+        {"failures": "x"},
+        {"failures": float("inf")},
+        {"not_before_s": None},
+    ],
+    ids=[
+        "salt of letters",
+        "salt of a number",
+        "failures of letters",
+        "endless failures",
+        "no time",
+    ],
 )
-def test_a_damaged_file_releases_nothing_and_is_left_as_it_is(pin: ReleasePin, audit: AuditLog, changes: dict) -> None:
+def test_a_damaged_file_releases_nothing_and_is_left_as_it_is(
+    pin: ReleasePin, audit: AuditLog, changes: dict
+) -> None:
     write(pin, **changes)
     before = pin.path.read_bytes()
     with pytest.raises(RefusedError, match="cannot be read"):
@@ -185,9 +222,13 @@ def test_a_damaged_file_releases_nothing_and_is_left_as_it_is(pin: ReleasePin, a
 
 
 @pytest.mark.parametrize(
-    "content", [b"", b"[]", b"{}", b"\xff", b"[" * 100_000], ids=["empty", "list", "object", "no text", "deep"]
+    "content",
+    [b"", b"[]", b"{}", b"\xff", b"[" * 100_000],
+    ids=["empty", "list", "object", "no text", "deep"],
 )
-def test_whatever_the_file_holds_a_pin_is_asked_for(pin: ReleasePin, audit: AuditLog, content: bytes) -> None:
+def test_whatever_the_file_holds_a_pin_is_asked_for(
+    pin: ReleasePin, audit: AuditLog, content: bytes
+) -> None:
     pin.path.write_bytes(content)
     assert pin.is_set
     with pytest.raises(RefusedError, match="cannot be read"):
@@ -202,7 +243,9 @@ def test_a_link_to_nowhere_is_a_pin_that_nobody_knows(tmp_path: Path, audit: Aud
         pin.check(PIN, who="ann", audit=audit)
 
 
-def test_one_attempt_at_a_time_is_looked_at(pin: ReleasePin, audit: AuditLog, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_attempt_at_a_time_is_looked_at(
+    pin: ReleasePin, audit: AuditLog, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Attempts at once would each find the same number of failures, and count as one."""
     lock, held = pin.path.with_name(f"{NAME}.lock"), []
 

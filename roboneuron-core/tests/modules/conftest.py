@@ -1,4 +1,6 @@
-"""Modules run inside the test process on a ROS graph of their own, beside a node that plays the rest of the world."""
+"""Modules run inside the test process on a ROS graph of their own, beside a node that plays the
+rest of the world.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +46,9 @@ def wait_until(condition: Callable[[], bool], timeout_s: float = 5.0) -> bool:
 
 
 class World:
-    """A ROS context of its own with one node for the test and the modules it starts, spun by a thread."""
+    """A ROS context of its own with one node for the test and the modules it starts, spun by a
+    thread.
+    """
 
     def __init__(self, state_directory: Path) -> None:
         self.state_directory = state_directory
@@ -83,7 +87,12 @@ class World:
         assert self.run(lambda: node.set_parameters(asked))[0].successful
 
     def module(
-        self, kind: ModuleKind, *, extra: str = "", replace: dict[str, str] | None = None, shadow: bool = False
+        self,
+        kind: ModuleKind,
+        *,
+        extra: str = "",
+        replace: dict[str, str] | None = None,
+        shadow: bool = False,
     ) -> Any:
         """Build a module's node; the caller triggers its transitions."""
         from roboneuron.modules.control import ControlModule
@@ -121,7 +130,9 @@ class World:
 
         node = self.module(kind, **options)
         for transition in (node.trigger_configure, node.trigger_activate):
-            assert self.run(transition) is TransitionCallbackReturn.SUCCESS, node.status.to_message().message
+            assert self.run(transition) is TransitionCallbackReturn.SUCCESS, (
+                node.status.to_message().message
+            )
         return node
 
     def listen(self, message_type: Any, topic: str) -> list[Any]:
@@ -133,7 +144,9 @@ class World:
     def publisher(self, message_type: Any, topic: str) -> Any:
         """A publisher that has found its subscriber."""
         publisher = self.node.create_publisher(message_type, topic, 1)
-        assert wait_until(lambda: publisher.get_subscription_count() > 0), f"nobody listens on {topic}"
+        assert wait_until(lambda: publisher.get_subscription_count() > 0), (
+            f"nobody listens on {topic}"
+        )
         return publisher
 
     def close(self) -> None:

@@ -1,4 +1,6 @@
-"""A robot with two joints, a camera, a controller and backends with faults, as one plugin for tests of the modules."""
+"""A robot with two joints, a camera, a controller and backends with faults, as one plugin for
+tests of the modules.
+"""
 
 from __future__ import annotations
 
@@ -55,7 +57,11 @@ def roboneuron_backends() -> Sequence[BackendSpec]:
     }
     return [
         BackendSpec(
-            name=name, summary="x", target=f"loop_plugin:{cls}", action_space=SPACE, needs_state=name == "picky"
+            name=name,
+            summary="x",
+            target=f"loop_plugin:{cls}",
+            action_space=SPACE,
+            needs_state=name == "picky",
         )
         for name, cls in names.items()
     ] + [
@@ -73,7 +79,9 @@ def roboneuron_backends() -> Sequence[BackendSpec]:
 
 @hookimpl
 def roboneuron_runtimes() -> Sequence[RuntimeSpec]:
-    return [RuntimeSpec(name="patient", summary="x", target="loop_plugin:Patient", families=("pair",))]
+    return [
+        RuntimeSpec(name="patient", summary="x", target="loop_plugin:Patient", families=("pair",))
+    ]
 
 
 @hookimpl
@@ -93,7 +101,15 @@ def roboneuron_controllers() -> Sequence[ControllerSpec]:
 def roboneuron_robots() -> Sequence[RobotSpec]:
     driver = DriverSpec(name="simulated", summary="x", target="loop_plugin:Driver")
     camera = CameraSpec(name="front", role="primary")
-    return [RobotSpec(name="pair", summary="x", target="loop_plugin:profile", drivers=(driver,), cameras=(camera,))]
+    return [
+        RobotSpec(
+            name="pair",
+            summary="x",
+            target="loop_plugin:profile",
+            drivers=(driver,),
+            cameras=(camera,),
+        )
+    ]
 
 
 def profile() -> RobotProfile:
@@ -104,7 +120,9 @@ def profile() -> RobotProfile:
         arm_joints=JOINTS,
         limits=JointLimits(lower=-one, upper=one, velocity=one, acceleration=one, effort=one),
         home_rad=np.zeros(2),
-        cameras=(CameraProfile(name="front", role="primary", frame_id="optical", width=8, height=6),),
+        cameras=(
+            CameraProfile(name="front", role="primary", frame_id="optical", width=8, height=6),
+        ),
     )
 
 
@@ -113,7 +131,11 @@ class Windows(Handover):
 
     def __init__(self, shadow: bool, status: Any) -> None:
         super().__init__(status)
-        self.moments = {"act_from_ns": 2**62 if shadow else 0, "act_until_ns": 0, "play_until_ns": 0}
+        self.moments = {
+            "act_from_ns": 2**62 if shadow else 0,
+            "act_until_ns": 0,
+            "play_until_ns": 0,
+        }
         self.withheld: list[Any] = []
         self.sent: list[str] = []
 
@@ -139,7 +161,9 @@ class Windows(Handover):
 def join(host: Any) -> None:
     windows = host.handover = Windows(host.settings.shadow, host.status)
     for name, moment_ns in windows.moments.items():
-        host.add_parameter(name, moment_ns, partial(windows.set, name), lambda ns: "no ROS time" if ns < 0 else "")
+        host.add_parameter(
+            name, moment_ns, partial(windows.set, name), lambda ns: "no ROS time" if ns < 0 else ""
+        )
 
 
 class Instant:
@@ -149,7 +173,11 @@ class Instant:
     def load(self) -> None: ...
 
     def predict(self, observation: Observation) -> ActionChunk:
-        return ActionChunk(actions=np.array([[0.01, 0, 0, 0, 0, 0, 1.0]]), step_s=0.02, metrics={"tokens_kept": 3.0})
+        return ActionChunk(
+            actions=np.array([[0.01, 0, 0, 0, 0, 0, 1.0]]),
+            step_s=0.02,
+            metrics={"tokens_kept": 3.0},
+        )
 
     def reset(self) -> None:
         self.resets += 1
@@ -250,7 +278,11 @@ class Adder:
     def load(self) -> None: ...
 
     def forward(self, joints: JointSample) -> Pose:
-        return Pose(position_m=np.zeros(3), quaternion_xyzw=np.array([0, 0, 0, 1.0]), stamp_ns=joints.stamp_ns)
+        return Pose(
+            position_m=np.zeros(3),
+            quaternion_xyzw=np.array([0, 0, 0, 1.0]),
+            stamp_ns=joints.stamp_ns,
+        )
 
     def compute(self, action: Action, joints: JointSample, step_s: float) -> JointCommand | Hold:
         if action.translation_m[0] > 0.1:

@@ -1,4 +1,6 @@
-"""Signals that come in a burst, and a process that hangs on its way out: nothing outlives its server."""
+"""Signals that come in a burst, and a process that hangs on its way out: nothing outlives its
+server.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +39,11 @@ lock.acquire()
 
 def python(script: str) -> subprocess.Popen[str]:
     process = subprocess.Popen(
-        [sys.executable, "-c", script], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, encoding="utf-8"
+        [sys.executable, "-c", script],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        encoding="utf-8",
     )
     assert process.stdout is not None
     process.stdout.readline()
@@ -45,7 +51,9 @@ def python(script: str) -> subprocess.Popen[str]:
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
-def test_signals_that_interrupt_each_other_end_the_module_all_the_same(number: signal.Signals) -> None:
+def test_signals_that_interrupt_each_other_end_the_module_all_the_same(
+    number: signal.Signals,
+) -> None:
     """The kernel sends the death signal again with the end of each thread of the server."""
     for _ in range(5):
         with python(LISTENS) as process:

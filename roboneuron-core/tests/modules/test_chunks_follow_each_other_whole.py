@@ -1,4 +1,6 @@
-"""Without a feature that does better, chunks are executed one after the other, each at its own period."""
+"""Without a feature that does better, chunks are executed one after the other, each at its own
+period.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,9 @@ from roboneuron.modules.execution import Bounds, ChunkExecutor, make_sequential
 from roboneuron.plugins.specs import ActionSpace, BackendSpec
 
 STEP_S = 0.05
-BACKEND = BackendSpec(name="plain", summary="x", target="x:X", action_space=ActionSpace(step_s=STEP_S))
+BACKEND = BackendSpec(
+    name="plain", summary="x", target="x:X", action_space=ActionSpace(step_s=STEP_S)
+)
 
 
 def chunk(rows: int) -> ActionChunk:
@@ -21,13 +25,18 @@ def chunk(rows: int) -> ActionChunk:
 
 
 def observation(captured_ns: int) -> Observation:
-    frame = Frame(camera="front", image=np.zeros((1, 1, 3), np.uint8), stamp_ns=captured_ns, frame_id="front")
+    frame = Frame(
+        camera="front", image=np.zeros((1, 1, 3), np.uint8), stamp_ns=captured_ns, frame_id="front"
+    )
     return Observation(frames={"primary": frame}, instruction="go", stamp_ns=captured_ns)
 
 
 def answered(rows: int, captured_ns: int = 0) -> ChunkExecutor:
     made = make_sequential(BACKEND, "auto", Bounds(first_s=0.5))
-    assert made.answer(made.begin(observation(captured_ns), captured_ns), chunk(rows), captured_ns) == "accepted"
+    assert (
+        made.answer(made.begin(observation(captured_ns), captured_ns), chunk(rows), captured_ns)
+        == "accepted"
+    )
     return made
 
 
@@ -79,7 +88,8 @@ def test_the_first_row_comes_a_period_after_the_predecessors_last() -> None:
         assert made.due_s() == pytest.approx(1.0 + STEP_S)
         assert made.play(1.0 + 0.9 * STEP_S, 0) is None
         assert made.play(1.0 + 1.1 * STEP_S, 0) is not None
-        assert made.due_s() == pytest.approx(1.0 + 2 * STEP_S)  # jitter: the predecessor's grid stays
+        # jitter: the predecessor's grid stays
+        assert made.due_s() == pytest.approx(1.0 + 2 * STEP_S)
 
 
 def test_a_row_is_not_sent_when_its_image_is_too_old() -> None:

@@ -1,4 +1,6 @@
-"""Faults in joint states, clocks and commands, judged by what the control module publishes and reports."""
+"""Faults in joint states, clocks and commands, judged by what the control module publishes and
+reports.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,9 @@ TIMEOUT_S = 0.25
 
 
 class Cell:
-    """Control, fed with joint states by a timer that a test can change, and publishers of a policy and a stranger."""
+    """Control, fed with joint states by a timer that a test can change, and publishers of a
+    policy and a stranger.
+    """
 
     def __init__(self, world: Any, wait_until: Callable[..., bool], **options: Any) -> None:
         self.world = world
@@ -44,7 +48,11 @@ class Cell:
 
     def state(self, **changes: Any) -> JointState:
         now_ns = self.frozen_ns or self.world.node.get_clock().now().nanoseconds + self.shift_ns
-        values = {"names": self.names, "position": self.position.copy(), "stamp_ns": now_ns} | changes
+        values = {
+            "names": self.names,
+            "position": self.position.copy(),
+            "stamp_ns": now_ns,
+        } | changes
         return to_joint_state(JointSample(**values))
 
     def send_state(self) -> None:
@@ -72,9 +80,14 @@ def cell(world: Any, wait_until: Callable[..., bool]) -> Cell:
 FAULTS: dict[str, Callable[[Cell], None]] = {
     "stale": lambda cell: setattr(cell, "shift_ns", -1_000_000_000),
     "future": lambda cell: setattr(cell, "shift_ns", 3_600_000_000_000),
-    "frozen": lambda cell: setattr(cell, "frozen_ns", cell.world.node.get_clock().now().nanoseconds),
+    "frozen": lambda cell: setattr(
+        cell, "frozen_ns", cell.world.node.get_clock().now().nanoseconds
+    ),
     "unstamped": lambda cell: setattr(cell, "frozen_ns", 1),
-    "missing-joint": lambda cell: (setattr(cell, "names", ("a",)), setattr(cell, "position", np.array([0.5])))[0],
+    "missing-joint": lambda cell: (
+        setattr(cell, "names", ("a",)),
+        setattr(cell, "position", np.array([0.5])),
+    )[0],
     "unknown-names": lambda cell: setattr(cell, "names", ("c", "d")),
     "nan": lambda cell: setattr(cell, "position", np.array([0.5, np.nan])),
     "infinity": lambda cell: setattr(cell, "position", np.array([-np.inf, 0.0])),
@@ -86,7 +99,8 @@ FAULTS: dict[str, Callable[[Cell], None]] = {
 def test_joint_states_with_a_fault_end_the_commands_until_the_arm_can_be_held_where_it_is(
     cell: Cell, fault: str
 ) -> None:
-    policy = cell.world.node.create_timer(0.03, cell.act)  # it goes on; only the states are at fault
+    # it goes on; only the states are at fault
+    policy = cell.world.node.create_timer(0.03, cell.act)
     assert cell.wait_until(lambda: len(cell.commands) > 1)
     assert cell.last()[0] > 0.5
     FAULTS[fault](cell)
@@ -94,11 +108,18 @@ def test_joint_states_with_a_fault_end_the_commands_until_the_arm_can_be_held_wh
     time.sleep(0.05)
     count = len(cell.commands)
     assert cell.wait_until(lambda: cell.count("dropped.stale_joint_state") > 0)
-    assert not cell.wait_until(lambda: len(cell.commands) > count, 0.2), "nothing leads back to an old posture"
+    assert not cell.wait_until(lambda: len(cell.commands) > count, 0.2), (
+        "nothing leads back to an old posture"
+    )
     policy.cancel()
     if fault not in ("silent", "frozen"):
         assert cell.count("dropped.bad_joint_state") > 0
-    cell.names, cell.position, cell.shift_ns, cell.frozen_ns = ("a", "b"), np.array([0.51, -0.5]), 0, 0
+    cell.names, cell.position, cell.shift_ns, cell.frozen_ns = (
+        ("a", "b"),
+        np.array([0.51, -0.5]),
+        0,
+        0,
+    )
     cell.timer.reset()
     assert cell.wait_until(lambda: len(cell.commands) == count + 1)
     assert cell.last() == pytest.approx([0.51, -0.5])
@@ -115,7 +136,9 @@ STRANGE: dict[str, dict[str, Any]] = {
 
 
 @pytest.mark.parametrize("fault", STRANGE)
-def test_bad_joint_states_of_a_stranger_are_counted_and_do_not_matter(cell: Cell, fault: str) -> None:
+def test_bad_joint_states_of_a_stranger_are_counted_and_do_not_matter(
+    cell: Cell, fault: str
+) -> None:
     for _ in range(20):
         cell.stranger.publish(cell.state(**STRANGE[fault]))
         time.sleep(0.005)
@@ -130,7 +153,9 @@ def test_reordered_joint_states_do_not_bring_an_old_posture_back(cell: Cell) -> 
     time.sleep(0.05)
     now_ns = cell.world.node.get_clock().now().nanoseconds
     for _ in range(20):
-        cell.stranger.publish(cell.state(position=np.array([0.48, -0.5]), stamp_ns=now_ns - 100_000_000))
+        cell.stranger.publish(
+            cell.state(position=np.array([0.48, -0.5]), stamp_ns=now_ns - 100_000_000)
+        )
         time.sleep(0.005)
     assert cell.wait_until(lambda: cell.count("dropped.bad_joint_state") > 0)
     cell.act()
@@ -139,7 +164,9 @@ def test_reordered_joint_states_do_not_bring_an_old_posture_back(cell: Cell) -> 
 
 
 @pytest.mark.parametrize("jump_s", [-0.2, 0.2], ids=["back", "forward"])
-def test_stamps_of_a_robot_whose_clock_jumps_stop_the_arm_for_one_timeout_only(cell: Cell, jump_s: float) -> None:
+def test_stamps_of_a_robot_whose_clock_jumps_stop_the_arm_for_one_timeout_only(
+    cell: Cell, jump_s: float
+) -> None:
     cell.act()
     assert cell.wait_until(lambda: len(cell.commands) == 1)
     cell.shift_ns = int(jump_s * 1e9)
@@ -159,21 +186,31 @@ def test_server_that_is_frozen_stops_the_arm_until_it_asks_for_motion_again(cell
         cell.control.note_beat()
         if cell.control.needs_start:
             count = len(cell.commands)
-            assert not cell.wait_until(lambda count=count: len(cell.commands) > count, 0.2), "its life starts nothing"
+            assert not cell.wait_until(lambda count=count: len(cell.commands) > count, 0.2), (
+                "its life starts nothing"
+            )
             cell.control.note_beat()
             cell.world.permit(cell.control)
         before, dropped = len(cell.commands), cell.count("dropped.server_silent")
         assert cell.wait_until(lambda before=before: len(cell.commands) > before + 3)
-        assert cell.wait_until(lambda dropped=dropped: cell.count("dropped.server_silent") > dropped + 5)
+        assert cell.wait_until(
+            lambda dropped=dropped: cell.count("dropped.server_silent") > dropped + 5
+        )
         assert cell.value("hold_code") == "server_silent"
         count = len(cell.commands)
         assert not cell.wait_until(lambda count=count: len(cell.commands) > count, 0.2)
     policy.cancel()
 
 
-def test_a_control_that_was_frozen_needs_a_new_start_though_the_server_is_heard_first(world, wait_until) -> None:
+def test_a_control_that_was_frozen_needs_a_new_start_though_the_server_is_heard_first(
+    world, wait_until
+) -> None:
     """The thread that reads the signs of life goes on before the executor does."""
-    cell = Cell(world, wait_until, replace={"action_timeout_s = 0.3": "action_timeout_s = 0.3\nserver_timeout_s = 0.4"})
+    cell = Cell(
+        world,
+        wait_until,
+        replace={"action_timeout_s = 0.3": "action_timeout_s = 0.3\nserver_timeout_s = 0.4"},
+    )
     beats = cell.world.node.create_timer(0.03, cell.control.note_beat)
     policy = cell.world.node.create_timer(0.03, cell.act)
     assert cell.wait_until(lambda: len(cell.commands) > 5)
@@ -183,9 +220,13 @@ def test_a_control_that_was_frozen_needs_a_new_start_though_the_server_is_heard_
         cell.control.note_beat()
 
     cell.world.run(freeze)
-    assert cell.wait_until(lambda: cell.control.needs_start == SERVER_SILENT), "it goes on by itself"
+    assert cell.wait_until(lambda: cell.control.needs_start == SERVER_SILENT), (
+        "it goes on by itself"
+    )
     count = len(cell.commands)
-    assert not cell.wait_until(lambda: len(cell.commands) > count + 1, 0.4), "one command may have been on its way"
+    assert not cell.wait_until(lambda: len(cell.commands) > count + 1, 0.4), (
+        "one command may have been on its way"
+    )
     cell.world.permit(cell.control)
     assert cell.wait_until(lambda: len(cell.commands) > count + 5)
     beats.cancel()
@@ -212,7 +253,9 @@ def test_a_silence_while_a_module_was_loading_is_no_stop(world) -> None:
 
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
-    """Return a function that sets control's wall clock by so many seconds against that of the publishers."""
+    """Return a function that sets control's wall clock by so many seconds against that of the
+    publishers.
+    """
 
     class Shifted:
         monotonic = staticmethod(time.monotonic)
@@ -228,7 +271,12 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
 
 @pytest.mark.parametrize(
     ("jump_s", "word"),
-    [(10.0, "stale_action"), (-10.0, "future_action"), (3e7, "stale_action"), (-3e7, "future_action")],
+    [
+        (10.0, "stale_action"),
+        (-10.0, "future_action"),
+        (3e7, "stale_action"),
+        (-3e7, "future_action"),
+    ],
 )
 def test_clock_that_jumps_stops_actions_and_lets_them_through_once_it_is_right(
     cell: Cell, clock: Callable[[float], None], jump_s: float, word: str
@@ -247,13 +295,17 @@ def test_clock_that_jumps_stops_actions_and_lets_them_through_once_it_is_right(
 
 
 def test_clock_set_back_on_the_whole_machine_does_not_forbid_newer_actions(cell: Cell) -> None:
-    """An action was taken an hour ahead of the present time; later ones carry smaller time stamps."""
+    """An action was taken an hour ahead of the present time; later ones carry smaller time
+    stamps.
+    """
     cell.control.module._action_ns = time.time_ns() + 3_600_000_000_000
     cell.act()
     assert cell.wait_until(lambda: len(cell.commands) == 1)
 
 
-def test_limits_are_applied_counted_reported_and_audited(world: Any, wait_until: Callable[..., bool]) -> None:
+def test_limits_are_applied_counted_reported_and_audited(
+    world: Any, wait_until: Callable[..., bool]
+) -> None:
     cell = Cell(world, wait_until, extra="[limits]\nvelocity_fraction = 0.05\n")
     cell.act(np.array([0.09, 0, 0, 0, 0, 0, 1.0]))
     assert wait_until(lambda: len(cell.commands) == 1)
@@ -269,8 +321,12 @@ def test_limits_are_applied_counted_reported_and_audited(world: Any, wait_until:
     assert record["arguments"]["asked"]["joint_speed"] > record["arguments"]["sent"]["joint_speed"]
 
 
-def test_limit_that_holds_commands_the_measured_posture(world: Any, wait_until: Callable[..., bool]) -> None:
-    cell = Cell(world, wait_until, extra='[limits]\nvelocity_fraction = 0.5\non_velocity = "hold"\n')
+def test_limit_that_holds_commands_the_measured_posture(
+    world: Any, wait_until: Callable[..., bool]
+) -> None:
+    cell = Cell(
+        world, wait_until, extra='[limits]\nvelocity_fraction = 0.5\non_velocity = "hold"\n'
+    )
     cell.act(np.array([0.01, 0, 0, 0, 0, 0, 1.0]))
     assert wait_until(lambda: len(cell.commands) == 1)
     cell.position = np.array([0.505, -0.5])
@@ -283,7 +339,9 @@ def test_limit_that_holds_commands_the_measured_posture(world: Any, wait_until: 
 
 
 def test_limit_that_refuses_sends_nothing(world: Any, wait_until: Callable[..., bool]) -> None:
-    cell = Cell(world, wait_until, extra='[limits]\nvelocity_fraction = 0.5\non_velocity = "refuse"\n')
+    cell = Cell(
+        world, wait_until, extra='[limits]\nvelocity_fraction = 0.5\non_velocity = "refuse"\n'
+    )
     cell.act(np.array([0.09, 0, 0, 0, 0, 0, 1.0]))
     assert wait_until(lambda: cell.count("dropped.limit_velocity") == 1)
     assert not cell.commands

@@ -39,13 +39,19 @@ class Cell:
         self.actions = world.publisher(Float64MultiArray, "action")
         self.timer = world.node.create_timer(0.01, self.send_state)
         assert wait_until(lambda: self.value("ready") == "true")
-        topic = "joint_command" if self.control.settings.config.control.command == "joint_state" else "joint_trajectory"
+        topic = (
+            "joint_command"
+            if self.control.settings.config.control.command == "joint_state"
+            else "joint_trajectory"
+        )
         assert wait_until(lambda: self.value(f"listeners.{topic}") == "1")
 
     def send_state(self) -> None:
         now_ns = self.world.node.get_clock().now().nanoseconds
         self.states.publish(
-            to_joint_state(JointSample(names=self.names, position=self.position.copy(), stamp_ns=now_ns))
+            to_joint_state(
+                JointSample(names=self.names, position=self.position.copy(), stamp_ns=now_ns)
+            )
         )
 
     def value(self, key: str) -> str:
@@ -101,7 +107,9 @@ def test_joint_states_that_stop_forbid_acting(cell: Cell) -> None:
         ([1e308, 0, 0, 0, 0, 0, 1], "too_far"),
     ],
 )
-def test_bad_action_is_counted_and_moves_nothing(cell: Cell, values: list[float], word: str) -> None:
+def test_bad_action_is_counted_and_moves_nothing(
+    cell: Cell, values: list[float], word: str
+) -> None:
     cell.actions.publish(Float64MultiArray(data=values))
     assert cell.wait_until(lambda: cell.dropped(word) == 1)
     assert not cell.commands
@@ -144,14 +152,18 @@ def test_damaged_joint_states_count_as_none(cell: Cell, damage: Callable[[Cell],
     assert not cell.commands
 
 
-@pytest.mark.parametrize("qos", [LATCHED, NEWEST], ids=["transient local", "volatile, as ros2 topic pub"])
+@pytest.mark.parametrize(
+    "qos", [LATCHED, NEWEST], ids=["transient local", "volatile, as ros2 topic pub"]
+)
 def test_any_node_may_stop_and_the_latch_outlives_it(cell: Cell, qos: QoSProfile) -> None:
     publisher = cell.world.node.create_publisher(Bool, "emergency_stop", qos)
     assert cell.wait_until(lambda: publisher.get_subscription_count() > 0)
     publisher.publish(Bool(data=True))
     assert cell.wait_until(lambda: cell.value("emergency_stop") == "true")
     latch = EmergencyStopLatch(cell.world.state_directory / ESTOP_FILE, time.time_ns)
-    assert cell.wait_until(lambda: "topic" in latch.read_state().who), "it stops first, and writes then"
+    assert cell.wait_until(lambda: "topic" in latch.read_state().who), (
+        "it stops first, and writes then"
+    )
 
 
 def reset(cell: Cell) -> None:
@@ -172,9 +184,13 @@ def test_emergency_stop_holds_and_refuses_until_it_is_reset(cell: Cell) -> None:
     assert cell.wait_until(lambda: cell.dropped("emergency_stop") == 1)
     assert len(cell.commands) == 2
     stop.publish(Bool(data=False))
-    assert not cell.wait_until(lambda: cell.value("emergency_stop") == "false", 0.2), "released without the latch"
+    assert not cell.wait_until(lambda: cell.value("emergency_stop") == "false", 0.2), (
+        "released without the latch"
+    )
     (cell.world.state_directory / ESTOP_FILE).unlink()
-    assert not cell.wait_until(lambda: cell.value("emergency_stop") == "false", 0.2), "released without a reset"
+    assert not cell.wait_until(lambda: cell.value("emergency_stop") == "false", 0.2), (
+        "released without a reset"
+    )
     reset(cell)
     assert cell.wait_until(lambda: cell.value("emergency_stop") == "false")
     cell.actions.publish(to_action_message(FORWARD))
@@ -246,7 +262,9 @@ def test_a_command_that_would_outlive_a_frozen_control_is_not_sent(
     assert not cell.commands
 
 
-def test_a_command_that_was_ready_too_late_is_not_sent(cell: Cell, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_command_that_was_ready_too_late_is_not_sent(
+    cell: Cell, monkeypatch: pytest.MonkeyPatch
+) -> None:
     controller = cell.control.module._controller
     compute = controller.compute
 
@@ -269,7 +287,9 @@ def test_limits_are_tightened_while_it_runs_and_never_widened(cell: Cell) -> Non
     configured = cell.control.settings.config.limits
 
     def set_limits(text: str) -> Any:
-        return cell.world.run(lambda: cell.control.set_parameters([Parameter("limits", value=text)]))[0]
+        return cell.world.run(
+            lambda: cell.control.set_parameters([Parameter("limits", value=text)])
+        )[0]
 
     slow = configured.model_copy(update={"velocity_fraction": 0.02})
     assert set_limits(slow.model_dump_json()).successful

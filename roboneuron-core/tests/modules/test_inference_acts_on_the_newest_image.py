@@ -26,7 +26,12 @@ class Cell:
     """Inference, and a camera that delivers when told to."""
 
     def __init__(
-        self, world: Any, wait_until: Callable[..., bool], status_of: Any, backend: str, **options: Any
+        self,
+        world: Any,
+        wait_until: Callable[..., bool],
+        status_of: Any,
+        backend: str,
+        **options: Any,
     ) -> None:
         self.world, self.wait_until, self._status_of = world, wait_until, status_of
         self.actions = world.listen(Float64MultiArray, "action")
@@ -38,7 +43,9 @@ class Cell:
     def send_image(self, *, age_s: float = 0.0, **changes: Any) -> int:
         stamp_ns = self.world.node.get_clock().now().nanoseconds - int(age_s * 1e9)
         image = np.zeros((6, 8, 3), dtype=np.uint8)
-        message = to_image(Frame(camera="front", image=image, stamp_ns=stamp_ns, frame_id="optical"))
+        message = to_image(
+            Frame(camera="front", image=image, stamp_ns=stamp_ns, frame_id="optical")
+        )
         for name, value in changes.items():
             setattr(message, name, value)
         self.images.publish(message)
@@ -53,7 +60,9 @@ class Cell:
         assert all(result.successful for result in results)
 
     def instruct(self, text: Any) -> Any:
-        return self.world.run(lambda: self.inference.set_parameters([Parameter("instruction", value=text)]))[0]
+        return self.world.run(
+            lambda: self.inference.set_parameters([Parameter("instruction", value=text)])
+        )[0]
 
 
 @pytest.fixture
@@ -74,7 +83,10 @@ def test_an_image_becomes_one_labelled_action(build: Callable[..., Cell]) -> Non
 
 def test_what_is_missing_is_named(build: Callable[..., Cell]) -> None:
     cell = build("picky")
-    expected = "images on camera/front/image and joint states on joint_states and the end-effector pose on ee_pose"
+    expected = (
+        "images on camera/front/image and joint states on joint_states and the "
+        "end-effector pose on ee_pose"
+    )
     assert cell.wait_until(lambda: cell.status()["waiting_for"].startswith(expected))
 
 
@@ -91,11 +103,17 @@ def test_image_from_the_future_is_never_acted_on(build: Callable[..., Cell]) -> 
     assert cell.wait_until(lambda: cell.status().get("dropped.future_image") == "1")
     assert not cell.actions
     cell.send_image(age_s=-0.05)
-    assert cell.wait_until(lambda: len(cell.actions) == 1), "clocks of two machines are never quite the same"
+    assert cell.wait_until(lambda: len(cell.actions) == 1), (
+        "clocks of two machines are never quite the same"
+    )
 
 
-@pytest.mark.parametrize(("old", "said"), [("ee_pose", "end-effector pose"), ("joint_state", "joint state")])
-def test_old_proprioception_is_never_acted_on(build: Callable[..., Cell], old: str, said: str) -> None:
+@pytest.mark.parametrize(
+    ("old", "said"), [("ee_pose", "end-effector pose"), ("joint_state", "joint state")]
+)
+def test_old_proprioception_is_never_acted_on(
+    build: Callable[..., Cell], old: str, said: str
+) -> None:
     """A control that died leaves its last pose behind; steps reckoned from that would never end."""
     cell = build("picky", replace={'instruction = "go"': 'instruction = "the red one"'})
     states = cell.world.publisher(JointState, "joint_states")
@@ -104,10 +122,14 @@ def test_old_proprioception_is_never_acted_on(build: Callable[..., Cell], old: s
     def send_all(age_s: float = 0.0) -> None:
         now_ns = cell.world.node.get_clock().now().nanoseconds
         ages_ns = {"joint_state": 0, "ee_pose": 0, old: int(age_s * 1e9)}
-        joints = JointSample(names=("a",), position=np.zeros(1), stamp_ns=now_ns - ages_ns["joint_state"])
+        joints = JointSample(
+            names=("a",), position=np.zeros(1), stamp_ns=now_ns - ages_ns["joint_state"]
+        )
         states.publish(to_joint_state(joints))
         upright = np.array([0, 0, 0, 1.0])
-        pose = Pose(position_m=np.zeros(3), quaternion_xyzw=upright, stamp_ns=now_ns - ages_ns["ee_pose"])
+        pose = Pose(
+            position_m=np.zeros(3), quaternion_xyzw=upright, stamp_ns=now_ns - ages_ns["ee_pose"]
+        )
         poses.publish(to_pose_stamped(pose, "base"))
         time.sleep(0.02)
         cell.send_image()
@@ -116,13 +138,17 @@ def test_old_proprioception_is_never_acted_on(build: Callable[..., Cell], old: s
     time.sleep(0.1)
     sent = len(cell.actions)
     refused = f"dropped.old_{old}"
-    assert cell.wait_until(lambda: send_all(0.6) is None and f"No usable {said} for" in cell.status()["message"], 4.0)
+    assert cell.wait_until(
+        lambda: send_all(0.6) is None and f"No usable {said} for" in cell.status()["message"], 4.0
+    )
     assert int(cell.status()[refused]) > 2
     assert len(cell.actions) == sent
     assert cell.wait_until(lambda: send_all() is None and len(cell.actions) > sent)
 
 
-def test_answer_that_comes_too_late_for_its_image_is_dropped_and_reported(build: Callable[..., Cell]) -> None:
+def test_answer_that_comes_too_late_for_its_image_is_dropped_and_reported(
+    build: Callable[..., Cell],
+) -> None:
     old, new = 'instruction = "go"', 'instruction = "go"\nmax_image_age_s = 0.2'
     cell = build("slow", replace={old: new})
     cell.send_image()
@@ -157,15 +183,21 @@ def test_images_that_stop_are_an_error_and_end_the_actions(build: Callable[..., 
     assert cell.wait_until(lambda: cell.status()["error_code"] == "")
 
 
-@pytest.mark.parametrize(("field", "value"), [("encoding", "16UC1"), ("width", 9), ("step", 1), ("height", 0)])
-def test_image_of_a_wrong_encoding_or_size_is_an_error(build: Callable[..., Cell], field: str, value: Any) -> None:
+@pytest.mark.parametrize(
+    ("field", "value"), [("encoding", "16UC1"), ("width", 9), ("step", 1), ("height", 0)]
+)
+def test_image_of_a_wrong_encoding_or_size_is_an_error(
+    build: Callable[..., Cell], field: str, value: Any
+) -> None:
     cell = build("instant")
     cell.send_image(**{field: value})
     assert cell.wait_until(lambda: cell.status()["error_code"] == "invalid_input")
     assert not cell.actions
 
 
-def test_topic_of_a_wrong_type_is_refused_at_activation(world: Any, wait_until: Callable[..., bool]) -> None:
+def test_topic_of_a_wrong_type_is_refused_at_activation(
+    world: Any, wait_until: Callable[..., bool]
+) -> None:
     context = rclpy.Context()
     context.init()
     stranger = rclpy.create_node("stranger", namespace="pair", context=context)
@@ -173,14 +205,21 @@ def test_topic_of_a_wrong_type_is_refused_at_activation(world: Any, wait_until: 
     node = world.module("inference")
     assert world.run(node.trigger_configure) is TransitionCallbackReturn.SUCCESS
     topic = "/pair/camera/front/image"
-    assert wait_until(lambda: "std_msgs/msg/String" in dict(node.get_topic_names_and_types())[topic])
+    assert wait_until(
+        lambda: "std_msgs/msg/String" in dict(node.get_topic_names_and_types())[topic]
+    )
     assert world.run(node.trigger_activate) is TransitionCallbackReturn.FAILURE
-    assert "carries std_msgs/msg/String, expected sensor_msgs/msg/Image" in node.status.to_message().message
+    assert (
+        "carries std_msgs/msg/String, expected sensor_msgs/msg/Image"
+        in node.status.to_message().message
+    )
     stranger.destroy_node()
     context.shutdown()
 
 
-def test_slow_backend_skips_to_the_newest_image(build: Callable[..., Cell], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_slow_backend_skips_to_the_newest_image(
+    build: Callable[..., Cell], monkeypatch: pytest.MonkeyPatch
+) -> None:
     cell = build("instant")
     module = cell.inference.module
     seen: list[int] = []
@@ -209,10 +248,14 @@ def test_chunk_is_played_out_one_action_per_step(build: Callable[..., Cell]) -> 
     assert cell.wait_until(lambda: len(cell.actions) == 5)
     assert time.monotonic() - started_s >= 4 * 0.05
     assert [round(a.data[0] * 1000) for a in cell.actions] == [0, 1, 2, 3, 4]
-    assert cell.wait_until(lambda: (cell.status()["chunk_row"], cell.status()["chunk_rows"]) == ("5", "5"))
+    assert cell.wait_until(
+        lambda: (cell.status()["chunk_row"], cell.status()["chunk_rows"]) == ("5", "5")
+    )
 
 
-def test_new_instruction_cuts_a_chunk_short_and_resets_the_backend(build: Callable[..., Cell]) -> None:
+def test_new_instruction_cuts_a_chunk_short_and_resets_the_backend(
+    build: Callable[..., Cell],
+) -> None:
     cell = build("chunked")
     cell.send_image()
     assert cell.wait_until(lambda: len(cell.actions) == 1)
@@ -241,15 +284,21 @@ def test_instruction_that_is_no_sentence_is_refused(build: Callable[..., Cell], 
     assert cell.status()["instruction"] == "go"
 
 
-def test_instruction_that_cannot_be_grounded_is_an_error_without_motion(build: Callable[..., Cell]) -> None:
+def test_instruction_that_cannot_be_grounded_is_an_error_without_motion(
+    build: Callable[..., Cell],
+) -> None:
     cell = build("picky")
     states = cell.world.publisher(JointState, "joint_states")
     poses = cell.world.publisher(PoseStamped, "ee_pose")
 
     def send_all() -> bool:
         now_ns = cell.world.node.get_clock().now().nanoseconds
-        states.publish(to_joint_state(JointSample(names=("a",), position=np.zeros(1), stamp_ns=now_ns)))
-        pose = Pose(position_m=np.zeros(3), quaternion_xyzw=np.array([0, 0, 0, 1.0]), stamp_ns=now_ns)
+        states.publish(
+            to_joint_state(JointSample(names=("a",), position=np.zeros(1), stamp_ns=now_ns))
+        )
+        pose = Pose(
+            position_m=np.zeros(3), quaternion_xyzw=np.array([0, 0, 0, 1.0]), stamp_ns=now_ns
+        )
         poses.publish(to_pose_stamped(pose, "base"))
         cell.send_image()
         return cell.status()["error_code"] == "ungrounded"
@@ -260,14 +309,18 @@ def test_instruction_that_cannot_be_grounded_is_an_error_without_motion(build: C
     assert cell.wait_until(lambda: not send_all() and len(cell.actions) > 0)
 
 
-def test_backend_that_produces_nan_publishes_nothing_and_says_so(build: Callable[..., Cell]) -> None:
+def test_backend_that_produces_nan_publishes_nothing_and_says_so(
+    build: Callable[..., Cell],
+) -> None:
     cell = build("nan")
     cell.send_image()
     assert cell.wait_until(lambda: cell.status()["error_code"] == "unsafe")
     assert not cell.actions
 
 
-def test_backend_that_does_not_load_leaves_the_module_unconfigured(world: Any, status_of: Any) -> None:
+def test_backend_that_does_not_load_leaves_the_module_unconfigured(
+    world: Any, status_of: Any
+) -> None:
     node = world.module("inference", replace={'backend = "instant"': 'backend = "broken"'})
     assert world.run(node.trigger_configure) is TransitionCallbackReturn.FAILURE
     told = status_of(node)
@@ -285,7 +338,9 @@ def test_deactivation_silences_within_a_step(build: Callable[..., Cell]) -> None
     assert not cell.wait_until(lambda: len(cell.actions) > count + 1, 0.3)
 
 
-def test_in_shadow_it_predicts_and_reports_but_publishes_nothing(build: Callable[..., Cell]) -> None:
+def test_in_shadow_it_predicts_and_reports_but_publishes_nothing(
+    build: Callable[..., Cell],
+) -> None:
     cell = build("instant")
     cell.set(act_from_ns=2**62)
     cell.send_image()
@@ -295,7 +350,9 @@ def test_in_shadow_it_predicts_and_reports_but_publishes_nothing(build: Callable
     assert not cell.inference.handover.sent
 
 
-def test_its_turn_begins_and_ends_with_the_capture_time_of_the_image(build: Callable[..., Cell]) -> None:
+def test_its_turn_begins_and_ends_with_the_capture_time_of_the_image(
+    build: Callable[..., Cell],
+) -> None:
     cell = build("instant")
     now_ns = cell.world.node.get_clock().now().nanoseconds
     cell.set(act_from_ns=now_ns, act_until_ns=now_ns + 300_000_000)
@@ -304,7 +361,9 @@ def test_its_turn_begins_and_ends_with_the_capture_time_of_the_image(build: Call
     assert not cell.actions
     cell.send_image()
     assert cell.wait_until(lambda: len(cell.actions) == 1)
-    assert cell.wait_until(lambda: cell.world.node.get_clock().now().nanoseconds > now_ns + 300_000_000)
+    assert cell.wait_until(
+        lambda: cell.world.node.get_clock().now().nanoseconds > now_ns + 300_000_000
+    )
     cell.send_image()
     assert cell.wait_until(lambda: cell.status().get("note") == "handed over to the successor")
     assert len(cell.actions) == 1
@@ -321,7 +380,9 @@ def test_a_chunk_ends_when_the_successor_begins(build: Callable[..., Cell]) -> N
 def test_a_parameter_of_another_type_is_refused(build: Callable[..., Cell]) -> None:
     cell = build("instant")
     for name, value in (("instruction", 5), ("act_from_ns", "now")):
-        answer = cell.world.run(lambda n=name, v=value: cell.inference.set_parameters([Parameter(n, value=v)]))[0]
+        answer = cell.world.run(
+            lambda n=name, v=value: cell.inference.set_parameters([Parameter(n, value=v)])
+        )[0]
         assert not answer.successful
         assert "type" in answer.reason
 

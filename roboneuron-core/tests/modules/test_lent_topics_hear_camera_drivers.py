@@ -1,4 +1,6 @@
-"""What `NodeTopics` lends a plugin: subscriptions that follow their publishers' reliability, and who publishes what."""
+"""What `NodeTopics` lends a plugin: subscriptions that follow their publishers' reliability,
+and who publishes what.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,9 @@ pytestmark = pytest.mark.ros
 BEST_EFFORT = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
-def deliver_until(world: Any, publisher: Any, heard: list[Any], wait_until: Callable[..., bool]) -> bool:
+def deliver_until(
+    world: Any, publisher: Any, heard: list[Any], wait_until: Callable[..., bool]
+) -> bool:
     def was_heard() -> bool:
         publisher.publish(String(data="click"))
         return bool(heard)

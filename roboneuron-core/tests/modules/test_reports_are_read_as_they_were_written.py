@@ -42,7 +42,9 @@ def test_nothing_said_is_an_empty_report() -> None:
 
 
 def test_a_failure_comes_back_as_its_own_class() -> None:
-    failure = StatusReport(error_code="ungrounded", error="No cube.", error_hint="Show one.").failure()
+    failure = StatusReport(
+        error_code="ungrounded", error="No cube.", error_hint="Show one."
+    ).failure()
     assert isinstance(failure, UngroundedError)
     assert str(failure) == "No cube. Show one."
     assert isinstance(StatusReport(error_code="of the future", error="?").failure(), InternalError)

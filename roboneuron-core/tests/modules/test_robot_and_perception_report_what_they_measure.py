@@ -24,7 +24,9 @@ pytestmark = pytest.mark.ros
 
 
 def command(first: float, duration_s: float = 0.05) -> JointTrajectory:
-    return to_joint_trajectory(JointCommand(names=("a", "b"), position=np.array([first, 0.0]), duration_s=duration_s))
+    return to_joint_trajectory(
+        JointCommand(names=("a", "b"), position=np.array([first, 0.0]), duration_s=duration_s)
+    )
 
 
 @pytest.fixture
@@ -32,14 +34,18 @@ def robot(world: Any) -> Any:
     return world.start("robot")
 
 
-def test_joint_states_flow_at_the_configured_rate(world: Any, robot: Any, wait_until: Callable[..., bool]) -> None:
+def test_joint_states_flow_at_the_configured_rate(
+    world: Any, robot: Any, wait_until: Callable[..., bool]
+) -> None:
     received = world.listen(JointState, "joint_states")
     assert wait_until(lambda: len(received) > 100)
     assert robot.status.output.rate_hz() == pytest.approx(120, rel=0.2)  # a shared machine
     assert list(received[-1].name) == ["a", "b"]
 
 
-def test_driver_facts_are_reported(robot: Any, wait_until: Callable[..., bool], status_of: Any) -> None:
+def test_driver_facts_are_reported(
+    robot: Any, wait_until: Callable[..., bool], status_of: Any
+) -> None:
     assert wait_until(lambda: status_of(robot).get("detail.mood") == "fine")
     assert status_of(robot)["gripper_open"] == "0.5"
 
@@ -60,7 +66,9 @@ def test_driver_facts_are_forgotten_while_the_driver_cannot_read_the_robot(
     assert wait_until(lambda: status_of(robot).get("detail.mood") == "fine")
 
 
-def test_command_reaches_the_driver(world: Any, robot: Any, wait_until: Callable[..., bool]) -> None:
+def test_command_reaches_the_driver(
+    world: Any, robot: Any, wait_until: Callable[..., bool]
+) -> None:
     world.publisher(JointTrajectory, "joint_trajectory").publish(command(0.3))
     assert wait_until(lambda: robot.module.driver.position[0] == 0.3)
 
@@ -72,7 +80,9 @@ def test_trajectory_is_played_point_by_point_and_replaced_by_a_newer_one(
     message = command(0.1, 0.2)
     for index in range(1, 5):
         point = JointTrajectoryPoint(positions=[0.1 + index / 10, 0.0])
-        point.time_from_start.sec, point.time_from_start.nanosec = divmod((index + 1) * 200_000_000, 10**9)
+        point.time_from_start.sec, point.time_from_start.nanosec = divmod(
+            (index + 1) * 200_000_000, 10**9
+        )
         message.points.append(point)
     publisher.publish(message)
     driver = robot.module.driver
@@ -82,7 +92,9 @@ def test_trajectory_is_played_point_by_point_and_replaced_by_a_newer_one(
     assert not wait_until(lambda: len(driver.sent) > 3, 0.4)
 
 
-def test_commands_that_cease_are_followed_by_one_hold(world: Any, robot: Any, wait_until: Callable[..., bool]) -> None:
+def test_commands_that_cease_are_followed_by_one_hold(
+    world: Any, robot: Any, wait_until: Callable[..., bool]
+) -> None:
     driver = robot.module.driver
     publisher = world.publisher(JointTrajectory, "joint_trajectory")
     publisher.publish(command(0.1))
@@ -91,7 +103,9 @@ def test_commands_that_cease_are_followed_by_one_hold(world: Any, robot: Any, wa
 
 
 @pytest.mark.parametrize(
-    "positions", [[float("nan"), 0.0], [0.1], [0.1, 0.2, 0.3]], ids=["not-finite", "too-few", "too-many"]
+    "positions",
+    [[float("nan"), 0.0], [0.1], [0.1, 0.2, 0.3]],
+    ids=["not-finite", "too-few", "too-many"],
 )
 def test_damaged_command_is_counted_and_moves_nothing(
     world: Any, robot: Any, wait_until: Callable[..., bool], status_of: Any, positions: list[float]
@@ -103,7 +117,9 @@ def test_damaged_command_is_counted_and_moves_nothing(
     assert not robot.module.driver.sent
 
 
-@pytest.mark.parametrize(("jump_s", "word"), [(-3600.0, "future_command"), (3600.0, "stale_command")])
+@pytest.mark.parametrize(
+    ("jump_s", "word"), [(-3600.0, "future_command"), (3600.0, "stale_command")]
+)
 def test_robot_whose_clock_is_wrong_takes_no_commands_until_it_is_right(
     world: Any,
     robot: Any,
@@ -113,7 +129,9 @@ def test_robot_whose_clock_is_wrong_takes_no_commands_until_it_is_right(
     jump_s: float,
     word: str,
 ) -> None:
-    """A command from the future may be an old one: as long as the clocks are apart, its age is not known."""
+    """A command from the future may be an old one: as long as the clocks are apart, its age is
+    not known.
+    """
 
     class Shifted:
         monotonic = staticmethod(time.monotonic)
@@ -148,7 +166,9 @@ def long_trajectory(points: int, step_s: float) -> JointTrajectory:
     message = command(0.1, step_s)
     for index in range(2, points + 1):
         point = JointTrajectoryPoint(positions=[0.1 * index, 0.0])
-        point.time_from_start.sec, point.time_from_start.nanosec = divmod(round(index * step_s * 1e9), 10**9)
+        point.time_from_start.sec, point.time_from_start.nanosec = divmod(
+            round(index * step_s * 1e9), 10**9
+        )
         message.points.append(point)
     return message
 
@@ -156,11 +176,16 @@ def long_trajectory(points: int, step_s: float) -> JointTrajectory:
 def test_a_trajectory_ends_in_a_hold_when_its_server_falls_silent_and_is_not_taken_up_again(
     world: Any, wait_until: Callable[..., bool], status_of: Any
 ) -> None:
-    robot = world.start("robot", replace={"command_timeout_s = 0.3": "command_timeout_s = 5.0\nserver_timeout_s = 0.4"})
+    robot = world.start(
+        "robot",
+        replace={"command_timeout_s = 0.3": "command_timeout_s = 5.0\nserver_timeout_s = 0.4"},
+    )
     driver = robot.module.driver
     publisher = world.publisher(JointTrajectory, "joint_trajectory")
     publisher.publish(long_trajectory(3, 0.15))
-    assert wait_until(lambda: len(driver.sent) == 3), "a module without a server has no server to wait for"
+    assert wait_until(lambda: len(driver.sent) == 3), (
+        "a module without a server has no server to wait for"
+    )
     for silences in (1, 2):
         if robot.needs_start:
             world.permit(robot)
@@ -168,11 +193,15 @@ def test_a_trajectory_ends_in_a_hold_when_its_server_falls_silent_and_is_not_tak
         sent, holds = len(driver.sent), driver.holds
         assert wait_until(lambda: not robot.module._is_server_silent)
         publisher.publish(long_trajectory(40, 0.1))
-        assert wait_until(lambda holds=holds: driver.holds == holds + 1, 2.0), "held though the trajectory lasts 4 s"
+        assert wait_until(lambda holds=holds: driver.holds == holds + 1, 2.0), (
+            "held though the trajectory lasts 4 s"
+        )
         played = len(driver.sent)
         assert sent < played < sent + 20
         publisher.publish(command(0.9))
-        assert wait_until(lambda n=silences: int(status_of(robot)["dropped.server_silent"]) == 2 * n)
+        assert wait_until(
+            lambda n=silences: int(status_of(robot)["dropped.server_silent"]) == 2 * n
+        )
         assert not wait_until(lambda played=played: len(driver.sent) > played, 0.3)
         assert "no sign of life of the server" in status_of(robot)["note"]
 
@@ -191,7 +220,11 @@ def test_a_trajectory_ends_in_a_hold_when_its_server_falls_silent_and_is_not_tak
 
 
 def test_a_fault_of_the_robot_ends_what_was_asked_for_even_when_it_heals(
-    world: Any, robot: Any, wait_until: Callable[..., bool], status_of: Any, monkeypatch: pytest.MonkeyPatch
+    world: Any,
+    robot: Any,
+    wait_until: Callable[..., bool],
+    status_of: Any,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     driver, fault = robot.module.driver, ["reflex"]
     read = driver.read
@@ -212,7 +245,11 @@ def test_a_driver_s_own_topics_are_closed_while_the_server_is_silent(
     """A mobile base takes its velocities from a topic of its own."""
     robot = world.start("robot", replace={"command_timeout_s = 0.3": "server_timeout_s = 0.2"})
     heard: list[bool] = []
-    world.run(lambda: robot.module._topics.subscribe("cmd", Bool, lambda message: heard.append(message.data)))
+    world.run(
+        lambda: robot.module._topics.subscribe(
+            "cmd", Bool, lambda message: heard.append(message.data)
+        )
+    )
     publisher = world.publisher(Bool, "cmd")
     publisher.publish(Bool(data=True))
     assert wait_until(lambda: heard == [True])
@@ -224,9 +261,15 @@ def test_a_driver_s_own_topics_are_closed_while_the_server_is_silent(
 
 @pytest.mark.parametrize("cause", ["stop", "silence"])
 def test_a_command_that_was_taken_before_a_stop_does_not_outlive_it(
-    world: Any, robot: Any, wait_until: Callable[..., bool], monkeypatch: pytest.MonkeyPatch, cause: str
+    world: Any,
+    robot: Any,
+    wait_until: Callable[..., bool],
+    monkeypatch: pytest.MonkeyPatch,
+    cause: str,
 ) -> None:
-    """The stop comes between taking a command and sending it: its hold reaches the driver before the command."""
+    """The stop comes between taking a command and sending it: its hold reaches the driver
+    before the command.
+    """
     driver, events = robot.module.driver, []
     send, hold = driver.send, driver.hold
 
@@ -249,7 +292,11 @@ def test_a_command_that_was_taken_before_a_stop_does_not_outlive_it(
 
 
 def test_a_trajectory_that_was_frozen_is_not_taken_up_again(
-    world: Any, robot: Any, wait_until: Callable[..., bool], status_of: Any, monkeypatch: pytest.MonkeyPatch
+    world: Any,
+    robot: Any,
+    wait_until: Callable[..., bool],
+    status_of: Any,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     driver = robot.module.driver
     send = driver.send
@@ -287,7 +334,9 @@ def test_unknown_robot_or_driver_names_the_choices(world: Any) -> None:
         assert says in node.status.to_message().message
 
 
-def test_images_carry_capture_time_frame_and_encoding(world: Any, wait_until: Callable[..., bool]) -> None:
+def test_images_carry_capture_time_frame_and_encoding(
+    world: Any, wait_until: Callable[..., bool]
+) -> None:
     received = world.listen(Image, "camera/front/image")
     world.start("perception")
     assert wait_until(lambda: len(received) > 2)
@@ -308,6 +357,10 @@ def test_camera_that_never_delivers_is_an_error_that_says_what_to_do(
 
 
 def test_unknown_camera_names_the_choices(world: Any) -> None:
-    node = world.module("perception", replace={'source = "noise"': 'source = "noise"\ncameras = ["rear"]'})
+    node = world.module(
+        "perception", replace={'source = "noise"': 'source = "noise"\ncameras = ["rear"]'}
+    )
     assert world.run(node.trigger_configure) is TransitionCallbackReturn.FAILURE
-    assert "'pair' has no camera 'rear'; its cameras are 'front'" in node.status.to_message().message
+    assert (
+        "'pair' has no camera 'rear'; its cameras are 'front'" in node.status.to_message().message
+    )

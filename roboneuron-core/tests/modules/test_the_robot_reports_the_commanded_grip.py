@@ -1,4 +1,6 @@
-"""The robot module says which opening was commanded last: what fingers around an object measure does not tell it."""
+"""The robot module says which opening was commanded last: what fingers around an object measure
+does not tell it.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,9 @@ def robot() -> Any:
 
 
 def command(**positions: float) -> JointCommand:
-    return JointCommand(names=tuple(positions), position=np.array(list(positions.values())), duration_s=0.1)
+    return JointCommand(
+        names=tuple(positions), position=np.array(list(positions.values())), duration_s=0.1
+    )
 
 
 def told(robot: Any) -> str | None:
@@ -32,7 +36,9 @@ def told(robot: Any) -> str | None:
     return found
 
 
-def test_the_last_command_of_the_gripper_counts_and_one_of_the_arm_alone_does_not(robot: Any) -> None:
+def test_the_last_command_of_the_gripper_counts_and_one_of_the_arm_alone_does_not(
+    robot: Any,
+) -> None:
     robot._note_gripper(command(a=0.1))
     assert told(robot) is None
     robot._note_gripper(command(a=0.1, finger=0.01))

@@ -25,7 +25,11 @@ def roboneuron_backends():
 BROKEN = {
     "raises at import": ("1 / 0", Status.FAILED, "ZeroDivisionError"),
     "exits at import": ("raise SystemExit(3)", Status.FAILED, "SystemExit: 3"),
-    "imports what is absent": ("import module_that_is_absent", Status.FAILED, "module_that_is_absent"),
+    "imports what is absent": (
+        "import module_that_is_absent",
+        Status.FAILED,
+        "module_that_is_absent",
+    ),
     "offers nothing": ("", Status.FAILED, "offers nothing"),
     "misspells a hook": (
         "@hookimpl\ndef roboneuron_backend(): return []",
@@ -37,27 +41,44 @@ BROKEN = {
         Status.FAILED,
         "Did you mean 'roboneuron_robots'?",
     ),
-    "decorates what is no hook": ("@hookimpl\ndef backends(): return []", Status.FAILED, "backends is no hook"),
+    "decorates what is no hook": (
+        "@hookimpl\ndef backends(): return []",
+        Status.FAILED,
+        "backends is no hook",
+    ),
     "forgets the decorator": (
         "def roboneuron_backends(): return []",
         Status.FAILED,
         "roboneuron_backends is not decorated",
     ),
-    "takes an argument": ("@hookimpl\ndef roboneuron_backends(config): return []", Status.FAILED, "config"),
+    "takes an argument": (
+        "@hookimpl\ndef roboneuron_backends(config): return []",
+        Status.FAILED,
+        "config",
+    ),
     "raises in a hook": (
         "@hookimpl\ndef roboneuron_backends(): raise KeyError('weights')",
         Status.FAILED,
         "roboneuron_backends raised KeyError: 'weights'",
     ),
-    "returns no sequence": ("@hookimpl\ndef roboneuron_backends(): return 3", Status.FAILED, "returned int"),
-    "returns None": ("@hookimpl\ndef roboneuron_backends(): return None", Status.FAILED, "returned None"),
+    "returns no sequence": (
+        "@hookimpl\ndef roboneuron_backends(): return 3",
+        Status.FAILED,
+        "returned int",
+    ),
+    "returns None": (
+        "@hookimpl\ndef roboneuron_backends(): return None",
+        Status.FAILED,
+        "returned None",
+    ),
     "returns another type": (
         "@hookimpl\ndef roboneuron_backends(): return [{'name': 'x'}]",
         Status.FAILED,
         "returned dict {'name': 'x'}, expected a BackendSpec",
     ),
     "returns another kind": (
-        "@hookimpl\ndef roboneuron_backends(): return [RuntimeSpec(name='x', summary='X.', target='m:X')]",
+        "@hookimpl\ndef roboneuron_backends(): return [RuntimeSpec(name='x', summary='X.', "
+        "target='m:X')]",
         Status.FAILED,
         "expected a BackendSpec",
     ),
@@ -71,9 +92,17 @@ BROKEN = {
         Status.FAILED,
         "`width` of `action_space` of backend 'x' is str '7', expected int",
     ),
-    "has a bad name": (_backend("name='Bad Name', summary='X.', target='m:X'"), Status.FAILED, "'Bad Name'"),
+    "has a bad name": (
+        _backend("name='Bad Name', summary='X.', target='m:X'"),
+        Status.FAILED,
+        "'Bad Name'",
+    ),
     "has no summary": (_backend("name='x', summary=' ', target='m:X'"), Status.FAILED, "summary"),
-    "has a bad target": (_backend("name='x', summary='X.', target='m.X'"), Status.FAILED, "`target` of backend 'x'"),
+    "has a bad target": (
+        _backend("name='x', summary='X.', target='m.X'"),
+        Status.FAILED,
+        "`target` of backend 'x'",
+    ),
     "has a bad config": (
         _backend("name='x', summary='X.', target='m:X', config='m'"),
         Status.FAILED,
@@ -85,7 +114,10 @@ BROKEN = {
         "`case` of backend 'x'",
     ),
     "requires a submodule": (
-        _backend("name='x', summary='X.', target='m:X', requires=(Requirement(module='a.b', install='-'),)"),
+        _backend(
+            "name='x', summary='X.', target='m:X', requires=(Requirement(module='a.b', "
+            "install='-'),)"
+        ),
         Status.FAILED,
         "requires 'a.b', expected a top-level module name",
     ),
@@ -103,18 +135,21 @@ BROKEN = {
     ),
     "has an unknown kind of robot": (
         "d = DriverSpec(name='d', summary='D.', target='m:D')\n@hookimpl\ndef roboneuron_robots():"
-        " return [RobotSpec(name='x', summary='X.', target='m:x', drivers=(d,), robot_kind='boat')]",
+        " return [RobotSpec(name='x', summary='X.', target='m:x', drivers=(d,), "
+        "robot_kind='boat')]",
         Status.FAILED,
         "robot_kind of robot 'x' is 'boat', expected one of arm, base",
     ),
     "claims one name twice by itself": (
-        "@hookimpl\ndef roboneuron_backends(): return 2 * [BackendSpec(name='x', summary='X.', target='m:X')]",
+        "@hookimpl\ndef roboneuron_backends(): return 2 * [BackendSpec(name='x', summary='X.', "
+        "target='m:X')]",
         Status.CONFLICT,
         "claimed by rn-zzz-broken and by rn-zzz-broken",
     ),
     "lacks a module": (
         _backend(
-            "name='x', summary='X.', target='m:X', requires=(Requirement(module='absent_x', install='pip install x'),)"
+            "name='x', summary='X.', target='m:X', requires=(Requirement(module='absent_x', "
+            "install='pip install x'),)"
         ),
         Status.UNAVAILABLE,
         "Needs 'absent_x', not installed; run: pip install x",
@@ -125,7 +160,8 @@ BROKEN = {
         "contract 99",
     ),
     "has a robot without drivers": (
-        "@hookimpl\ndef roboneuron_robots(): return [RobotSpec(name='x', summary='X.', target='m:x')]",
+        "@hookimpl\ndef roboneuron_robots(): return [RobotSpec(name='x', summary='X.', "
+        "target='m:x')]",
         Status.FAILED,
         "robot 'x' has no drivers",
     ),
@@ -154,7 +190,10 @@ def test_an_entry_point_to_an_absent_module_is_a_failure(site):
 
 
 def test_two_claims_on_one_name_disable_both_and_name_both(site):
-    other = '\n@hookimpl\ndef roboneuron_runtimes(): return [RuntimeSpec(name="r", summary="R.", target="m:R")]\n'
+    other = (
+        '\n@hookimpl\ndef roboneuron_runtimes(): return [RuntimeSpec(name="r", summary="R.", '
+        'target="m:R")]\n'
+    )
     site.install("rn-one", GOOD + other)
     site.install("rn-two", GOOD)
     registry = site.discover()
@@ -162,12 +201,18 @@ def test_two_claims_on_one_name_disable_both_and_name_both(site):
     assert list(registry.specs("runtime")) == ["r"]
     assert [p.status for p in registry.plugins] == [Status.CONFLICT, Status.CONFLICT]
     assert all("rn-one" in p.reason and "rn-two" in p.reason for p in registry.plugins)
-    with pytest.raises(ConfigurationError, match="claimed by rn-one and by rn-two; uninstall or disable all but one"):
+    with pytest.raises(
+        ConfigurationError,
+        match="claimed by rn-one and by rn-two; uninstall or disable all but one",
+    ):
         registry.get("backend", "good")
 
 
 def test_one_name_in_two_kinds_is_no_conflict(site):
-    other = '\n@hookimpl\ndef roboneuron_runtimes(): return [RuntimeSpec(name="good", summary="R.", target="m:R")]\n'
+    other = (
+        '\n@hookimpl\ndef roboneuron_runtimes(): return [RuntimeSpec(name="good", '
+        'summary="R.", target="m:R")]\n'
+    )
     site.install("rn-one", GOOD + other)
     assert site.discover().plugins[0].status is Status.READY
 
@@ -181,7 +226,9 @@ def test_a_disabled_plugin_is_never_imported(site):
 
 def test_disabling_what_is_not_installed_names_the_nearest(site):
     site.install("rn-good", GOOD)
-    with pytest.raises(ConfigurationError, match=r"'rn-god' is not installed\. Did you mean 'rn-good'"):
+    with pytest.raises(
+        ConfigurationError, match=r"'rn-god' is not installed\. Did you mean 'rn-good'"
+    ):
         site.discover(disabled=["rn-god"])
 
 

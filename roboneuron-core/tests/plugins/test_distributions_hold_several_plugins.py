@@ -49,7 +49,10 @@ def test_each_plugin_has_its_own_name_and_names_its_distribution(site):
 def test_a_broken_plugin_leaves_the_others_of_its_distribution(site, fault):
     install(site, "rn-many", one=fault, two=backend("second"))
     registry = site.discover()
-    assert {p.name: p.status for p in registry.plugins} == {"rn-one": Status.FAILED, "rn-two": Status.READY}
+    assert {p.name: p.status for p in registry.plugins} == {
+        "rn-one": Status.FAILED,
+        "rn-two": Status.READY,
+    }
     assert list(registry.specs("backend")) == ["second"]
 
 
@@ -57,11 +60,16 @@ def test_a_broken_plugin_leaves_the_others_of_its_distribution(site, fault):
 def test_one_of_them_is_disabled_by_its_name(site, written):
     install(site, "rn-many", one="raise RuntimeError('imported')", two=backend("second"))
     registry = site.discover(disabled=[written])
-    assert {p.name: p.status for p in registry.plugins} == {"rn-one": Status.DISABLED, "rn-two": Status.READY}
+    assert {p.name: p.status for p in registry.plugins} == {
+        "rn-one": Status.DISABLED,
+        "rn-two": Status.READY,
+    }
 
 
 def test_the_name_of_the_distribution_disables_all_of_them(site):
-    install(site, "rn-many", one="raise RuntimeError('imported')", two="raise RuntimeError('imported')")
+    install(
+        site, "rn-many", one="raise RuntimeError('imported')", two="raise RuntimeError('imported')"
+    )
     site.install("rn-other", backend("other"))
     registry = site.discover(disabled=["rn-many"])
     assert [p.status for p in registry.plugins] == [Status.DISABLED, Status.READY, Status.DISABLED]
@@ -70,9 +78,13 @@ def test_the_name_of_the_distribution_disables_all_of_them(site):
 
 def test_a_name_that_is_neither_is_refused_with_the_nearest(site):
     install(site, "rn-many", one=backend("first"))
-    with pytest.raises(ConfigurationError, match=r"'rn-ones' is not installed\. Did you mean 'rn-one'"):
+    with pytest.raises(
+        ConfigurationError, match=r"'rn-ones' is not installed\. Did you mean 'rn-one'"
+    ):
         site.discover(disabled=["rn-ones"])
-    with pytest.raises(ConfigurationError, match=r"'rn-man' is not installed\. Did you mean 'rn-many'"):
+    with pytest.raises(
+        ConfigurationError, match=r"'rn-man' is not installed\. Did you mean 'rn-many'"
+    ):
         site.discover(disabled=["rn-man"])
 
 
@@ -80,19 +92,27 @@ def test_a_conflict_names_plugin_and_distribution(site):
     install(site, "rn-many", one=backend("same"), two=backend("same"))
     site.install("rn-alone", backend("same"))
     with pytest.raises(
-        ConfigurationError, match="claimed by rn-alone and by rn-one of rn-many and by rn-two of rn-many; uninstall"
+        ConfigurationError,
+        match="claimed by rn-alone and by rn-one of rn-many and by rn-two of rn-many; uninstall",
     ):
         site.discover().get("backend", "same")
 
 
 def test_what_a_disabled_plugin_may_hold_is_not_said_to_be_absent(site):
-    """The hint of a package that is installed would be wrong: rn-standard holds the tools, and they are disabled."""
+    """The hint of a package that is installed would be wrong: rn-standard holds the tools, and
+    they are disabled.
+    """
     install(site, "rn-standard", one=backend("first"), two=backend("second"))
     registry = site.discover(disabled=["rn-one"])
     assert registry.not_loaded("rn-standard") == "rn-one (disabled)"
     assert registry.not_loaded("rn-eval") == ""
-    with pytest.raises(ConfigurationError, match=r"no feature 'http'.*Not loaded: rn-one \(disabled\)") as caught:
+    with pytest.raises(
+        ConfigurationError, match=r"no feature 'http'.*Not loaded: rn-one \(disabled\)"
+    ) as caught:
         registry.get("feature", "http")
     assert "pip install" not in str(caught.value)
-    with pytest.raises(ConfigurationError, match=r"a feature of rn-standard, which is not loaded: rn-one \(disabled\)"):
+    with pytest.raises(
+        ConfigurationError,
+        match=r"a feature of rn-standard, which is not loaded: rn-one \(disabled\)",
+    ):
         parse_config(MINIMAL + "[http]\n", registry=registry)

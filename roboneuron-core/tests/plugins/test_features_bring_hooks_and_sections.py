@@ -33,7 +33,7 @@ HOOKS = {"roboneuron_suites": SuiteSpec}
 @hookimpl
 def roboneuron_features():
     return [FeatureSpec(name="evaluation", summary="Evaluates.", target="m:F", hooks="{module}:{table}")]
-'''
+'''  # noqa: E501
 CUBES = """
 from {module} import SuiteSpec
 from roboneuron import hookimpl
@@ -48,7 +48,7 @@ from roboneuron import FeatureSpec, hookimpl
 @hookimpl
 def roboneuron_features():
     return [FeatureSpec(name="{name}", summary="Has a section.", target="m:F", config="m:C", sections=("shared",))]
-"""
+"""  # noqa: E501
 
 
 @pytest.fixture
@@ -70,7 +70,9 @@ def write(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[object]:
 def test_a_plugin_offers_what_a_feature_or_command_asks_for(write, kind):
     feature = EVALUATION.replace("{module}", "evaluation_one").replace("{table}", "HOOKS")
     feature = feature.replace("Feature", kind).replace("features", f"{kind.lower()}s")
-    registry = discover_from(write(a_suite=CUBES.format(module="evaluation_one"), evaluation_one=feature))
+    registry = discover_from(
+        write(a_suite=CUBES.format(module="evaluation_one"), evaluation_one=feature)
+    )
     assert [p.status for p in registry.plugins] == [Status.READY, Status.READY]
     assert registry.get("suite", "cubes").tasks == 3
     assert "suite" in registry.kinds
@@ -85,11 +87,19 @@ def test_without_the_feature_its_hook_is_unknown(write):
 
 @pytest.mark.parametrize(
     ("table", "fault"),
-    [("MISSING", "there is no attribute 'MISSING'"), ("__name__", "expected a mapping"), ("TWICE", "there already")],
+    [
+        ("MISSING", "there is no attribute 'MISSING'"),
+        ("__name__", "expected a mapping"),
+        ("TWICE", "there already"),
+    ],
 )
 def test_a_feature_with_unusable_hooks_fails_alone(write, table, fault):
-    feature = EVALUATION.replace("{module}", f"evaluation_{table.lower()}").replace("{table}", table)
-    feature += '\nfrom roboneuron import BackendSpec\nTWICE = {"roboneuron_backends": BackendSpec}\n'
+    feature = EVALUATION.replace("{module}", f"evaluation_{table.lower()}").replace(
+        "{table}", table
+    )
+    feature += (
+        '\nfrom roboneuron import BackendSpec\nTWICE = {"roboneuron_backends": BackendSpec}\n'
+    )
     other = SECTION.format(name="fine")
     registry = discover_from(write(**{f"evaluation_{table.lower()}": feature, "fine_one": other}))
     by_module = {p.module: p for p in registry.plugins}
@@ -99,9 +109,14 @@ def test_a_feature_with_unusable_hooks_fails_alone(write, table, fault):
 
 
 def test_two_owners_of_one_section_disable_both(write):
-    registry = discover_from(write(first_owner=SECTION.format(name="one"), second_owner=SECTION.format(name="two")))
+    registry = discover_from(
+        write(first_owner=SECTION.format(name="one"), second_owner=SECTION.format(name="two"))
+    )
     assert {p.status for p in registry.plugins} == {Status.CONFLICT}
-    assert "The section 'shared' is claimed by first_owner and by second_owner" in registry.plugins[0].reason
+    assert (
+        "The section 'shared' is claimed by first_owner and by second_owner"
+        in registry.plugins[0].reason
+    )
 
 
 @pytest.mark.parametrize(

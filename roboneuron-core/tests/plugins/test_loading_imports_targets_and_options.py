@@ -32,7 +32,9 @@ class Servo: ...
 @pytest.fixture
 def servo(site):
     (site.path / "servo_module.py").write_text(MODULE)
-    return BackendSpec(name="servo", summary="S.", target="servo_module:Servo", config="servo_module:Options")
+    return BackendSpec(
+        name="servo", summary="S.", target="servo_module:Servo", config="servo_module:Options"
+    )
 
 
 def _spec(target, **more):
@@ -44,7 +46,10 @@ def test_load_target_returns_the_class(servo):
 
 
 def test_load_target_of_a_driver(servo):
-    assert load_target(DriverSpec(name="d", summary="D.", target="servo_module:Servo")).__name__ == "Servo"
+    assert (
+        load_target(DriverSpec(name="d", summary="D.", target="servo_module:Servo")).__name__
+        == "Servo"
+    )
 
 
 def test_load_target_names_the_nearest_attribute(servo):
@@ -84,7 +89,9 @@ def test_load_options_reads_paths_and_tuples(servo):
 
 
 def test_load_options_names_the_key_and_the_nearest(servo):
-    with pytest.raises(ConfigurationError, match=r"plugins\.servo\.gian is unknown\. Did you mean 'gain'\?"):
+    with pytest.raises(
+        ConfigurationError, match=r"plugins\.servo\.gian is unknown\. Did you mean 'gain'\?"
+    ):
         load_options(servo, {"gian": 2.0})
 
 
@@ -93,7 +100,9 @@ def test_load_options_uses_the_section_of_the_caller(servo):
         load_options(servo, {"gian": 2.0}, section="robot.options")
 
 
-@pytest.mark.parametrize(("value", "words"), [("2", "valid number"), (True, "valid number"), (-1.0, "greater than 0")])
+@pytest.mark.parametrize(
+    ("value", "words"), [("2", "valid number"), (True, "valid number"), (-1.0, "greater than 0")]
+)
 def test_load_options_refuses_wrong_types_and_ranges(servo, value, words):
     with pytest.raises(ConfigurationError, match=rf"plugins\.servo\.gain is {value!r}: .*{words}"):
         load_options(servo, {"gain": value})
@@ -101,7 +110,9 @@ def test_load_options_refuses_wrong_types_and_ranges(servo, value, words):
 
 def test_load_options_without_a_model_takes_none():
     assert load_options(_spec("m:X"), {}) is None
-    with pytest.raises(ConfigurationError, match=r"plugins\.x\.gain is unknown: 'x' takes no options"):
+    with pytest.raises(
+        ConfigurationError, match=r"plugins\.x\.gain is unknown: 'x' takes no options"
+    ):
         load_options(_spec("m:X"), {"gain": 1})
 
 
@@ -112,13 +123,17 @@ def test_load_options_refuses_a_model_that_is_no_pydantic_model(servo):
 
 def test_load_options_names_what_is_required(servo):
     strict = _spec("m:X", config="servo_module:Strict")
-    with pytest.raises(ConfigurationError, match=r"plugins\.x\.checkpoint is required and not given"):
+    with pytest.raises(
+        ConfigurationError, match=r"plugins\.x\.checkpoint is required and not given"
+    ):
         load_options(strict, {})
 
 
 def test_load_options_refuses_unknown_keys_inside_sections(servo):
     strict = _spec("m:X", config="servo_module:Strict")
-    with pytest.raises(ConfigurationError, match=r"plugins\.x\.inner\.gian is 2: Extra inputs are not permitted"):
+    with pytest.raises(
+        ConfigurationError, match=r"plugins\.x\.inner\.gian is 2: Extra inputs are not permitted"
+    ):
         load_options(strict, {"checkpoint": "/c", "inner": {"gian": 2}})
 
 

@@ -1,4 +1,6 @@
-"""Planning resolves names to descriptors, or refuses in one sentence, without importing any target."""
+"""Planning resolves names to descriptors, or refuses in one sentence, without importing any
+target.
+"""
 
 from __future__ import annotations
 
@@ -72,7 +74,9 @@ SPECS = (
 )
 REGISTRY = Registry(
     plugins=(),
-    all_offers=tuple(Offer(spec=s, plugin="rn-test", distribution="rn-test", status=Status.READY) for s in SPECS),
+    all_offers=tuple(
+        Offer(spec=s, plugin="rn-test", distribution="rn-test", status=Status.READY) for s in SPECS
+    ),
 )
 
 
@@ -81,7 +85,13 @@ def _plan(**names: object):
 
 
 def test_a_fitting_combination_is_resolved():
-    plan = _plan(perception="sim-camera", controller="ik", backend="vla", runtime="local", acceleration="prune")
+    plan = _plan(
+        perception="sim-camera",
+        controller="ik",
+        backend="vla",
+        runtime="local",
+        acceleration="prune",
+    )
     names = [plan.robot.name, plan.driver.name, plan.perception.name, plan.controller.name]
     names += [plan.backend.name, plan.runtime.name, plan.acceleration.name]
     assert names == ["arm", "simulated", "sim-camera", "ik", "vla", "local", "prune"]
@@ -100,7 +110,10 @@ def test_a_backend_without_family_runs_without_runtime():
 
 def test_roles_follow_the_robot_and_yield_to_the_caller():
     assert _plan(backend="wristed").cameras == {"primary": "front", "wrist": "hand"}
-    assert _plan(backend="wristed", cameras={"primary": "hand"}).cameras == {"primary": "hand", "wrist": "hand"}
+    assert _plan(backend="wristed", cameras={"primary": "hand"}).cameras == {
+        "primary": "hand",
+        "wrist": "hand",
+    }
     assert _plan(backend="wristed", cameras={"overhead": "front"}).cameras["overhead"] == "front"
 
 
@@ -116,7 +129,13 @@ def test_a_robot_alone_is_a_plan():
 LACKING = Registry(
     plugins=(),
     all_offers=tuple(
-        Offer(spec=s, plugin="rn-test", distribution="rn-test", status=Status.UNAVAILABLE, reason="Needs 'absent_x'.")
+        Offer(
+            spec=s,
+            plugin="rn-test",
+            distribution="rn-test",
+            status=Status.UNAVAILABLE,
+            reason="Needs 'absent_x'.",
+        )
         if not isinstance(s, RobotSpec)
         else Offer(spec=s, plugin="rn-test", distribution="rn-test", status=Status.READY)
         for s in SPECS
@@ -141,27 +160,50 @@ def test_what_runs_under_another_interpreter_may_lack_its_modules_here(part):
 
 
 REFUSALS = {
-    "unknown driver": ({"driver": "simulate"}, "no driver 'simulate'; choose one of: simulated, hardware"),
-    "driver lacks a module": ({"driver": "hardware"}, "'hardware' of robot 'arm' cannot be used: .*pip install x"),
+    "unknown driver": (
+        {"driver": "simulate"},
+        "no driver 'simulate'; choose one of: simulated, hardware",
+    ),
+    "driver lacks a module": (
+        {"driver": "hardware"},
+        "'hardware' of robot 'arm' cannot be used: .*pip install x",
+    ),
     "missing roles": (
         {"backend": "three-eyed"},
-        r"needs a camera of role left, right, but robot 'arm' has: front \(role primary\), hand \(role wrist\)",
+        r"needs a camera of role left, right, but robot 'arm' has: front \(role primary\), hand "
+        r"\(role wrist\)",
     ),
     "unknown camera": (
         {"backend": "plain", "cameras": {"primary": "top"}},
         "Camera 'top' for role 'primary' is unknown; robot 'arm' has: front, hand",
     ),
-    "unused role": ({"backend": "plain", "cameras": {"wrist": "hand"}}, "uses no camera role 'wrist'"),
+    "unused role": (
+        {"backend": "plain", "cameras": {"wrist": "hand"}},
+        "uses no camera role 'wrist'",
+    ),
     "width": ({"backend": "two-armed"}, "actions of width 14, but robot 'arm' executes widths 7"),
-    "no actions at all": ({"robot": "rover", "backend": "blind"}, "'rover' executes no model actions"),
-    "runtime for none": ({"backend": "plain", "runtime": "local"}, "'plain' takes no runtime, but 'local' was asked"),
+    "no actions at all": (
+        {"robot": "rover", "backend": "blind"},
+        "'rover' executes no model actions",
+    ),
+    "runtime for none": (
+        {"backend": "plain", "runtime": "local"},
+        "'plain' takes no runtime, but 'local' was asked",
+    ),
     "runtime family": (
         {"backend": "flow", "runtime": "local"},
-        "executes the families openvla, but backend 'flow' is of family 'pi0'; installed ones that fit: flow-engine",
+        "executes the families openvla, but backend 'flow' is of family 'pi0'; installed ones "
+        "that fit: flow-engine",
     ),
-    "runtime required": ({"backend": "vla"}, "needs a runtime for the family 'openvla'.*fit: local, remote"),
+    "runtime required": (
+        {"backend": "vla"},
+        "needs a runtime for the family 'openvla'.*fit: local, remote",
+    ),
     "runtime without backend": ({"runtime": "local"}, "runtime 'local' has nothing to execute"),
-    "acceleration without backend": ({"acceleration": "prune"}, "acceleration 'prune' has nothing to execute"),
+    "acceleration without backend": (
+        {"acceleration": "prune"},
+        "acceleration 'prune' has nothing to execute",
+    ),
     "acceleration family": (
         {"backend": "flow", "acceleration": "quantise"},
         "'quantise' knows the families openvla, but backend 'flow' is of family 'pi0'",
@@ -173,14 +215,21 @@ REFUSALS = {
     "acceleration for none": ({"backend": "plain", "acceleration": "prune"}, "is of family 'none'"),
     "served runtime that cannot": (
         {"backend": "vla", "runtime": "remote", "acceleration": "prune"},
-        "'remote' runs the model in another process and offers none; installed ones that fit: local",
+        "'remote' runs the model in another process and offers none; installed ones that fit: "
+        "local",
     ),
-    "source of another robot": ({"perception": "rover-camera"}, "serves only the robots rover, not 'arm'"),
+    "source of another robot": (
+        {"perception": "rover-camera"},
+        "serves only the robots rover, not 'arm'",
+    ),
     "source of another driver": (
         {"perception": "real-camera"},
         "works only with the drivers hardware, not with 'simulated' of robot 'arm'",
     ),
-    "controller of another kind": ({"controller": "drive"}, "moves robots of kind base, but 'arm' is of kind 'arm'"),
+    "controller of another kind": (
+        {"controller": "drive"},
+        "moves robots of kind base, but 'arm' is of kind 'arm'",
+    ),
 }
 
 
@@ -193,7 +242,9 @@ def test_an_unfit_combination_is_refused_in_one_sentence(case):
     assert "never_imported_module" not in sys.modules
 
 
-@pytest.mark.parametrize("kind", ["robot", "perception", "controller", "backend", "runtime", "acceleration"])
+@pytest.mark.parametrize(
+    "kind", ["robot", "perception", "controller", "backend", "runtime", "acceleration"]
+)
 def test_an_unknown_name_of_any_kind_is_a_configuration_error(kind):
     names = {"backend": "vla", "runtime": "local"} if kind != "robot" else {}
     with pytest.raises(ConfigurationError, match=f"There is no {kind} 'nothing-like-it'"):

@@ -38,14 +38,17 @@ def test_get_returns_the_descriptor(site):
 def test_get_names_the_nearest_and_the_choices(site):
     site.install("rn-a", SOURCE)
     with pytest.raises(
-        ConfigurationError, match=r"no backend 'sevro'\. Did you mean 'servo'\? Choose one of: policy, servo"
+        ConfigurationError,
+        match=r"no backend 'sevro'\. Did you mean 'servo'\? Choose one of: policy, servo",
     ):
         site.discover().get("backend", "sevro")
 
 
 def test_get_says_how_to_install_what_is_missing(site):
     site.install("rn-a", SOURCE)
-    with pytest.raises(ConfigurationError, match=r"'gpu' cannot be used.*unavailable.*run: pip install x"):
+    with pytest.raises(
+        ConfigurationError, match=r"'gpu' cannot be used.*unavailable.*run: pip install x"
+    ):
         site.discover().get("backend", "gpu")
 
 
@@ -57,7 +60,9 @@ def test_get_names_plugins_that_did_not_load(site):
 
 
 def test_an_unknown_kind_is_refused(site):
-    with pytest.raises(ConfigurationError, match=r"'backends' is no kind of plugin.*Did you mean 'backend'"):
+    with pytest.raises(
+        ConfigurationError, match=r"'backends' is no kind of plugin.*Did you mean 'backend'"
+    ):
         site.discover().specs("backends")
 
 

@@ -1,4 +1,6 @@
-"""`roboneuron.feature` offers what it lists, lazily, and nothing that `roboneuron` has under another meaning."""
+"""`roboneuron.feature` offers what it lists, lazily, and nothing that `roboneuron` has under
+another meaning.
+"""
 
 from __future__ import annotations
 
@@ -24,6 +26,12 @@ def test_a_name_that_is_not_listed_is_no_attribute() -> None:
 
 def test_importing_it_imports_nothing_heavy() -> None:
     script = (
-        "import sys, roboneuron.feature; print([m for m in ('numpy', 'pydantic', 'rclpy', 'mcp') if m in sys.modules])"
+        "import sys, roboneuron.feature; print([m for m in ('numpy', 'pydantic', 'rclpy', "
+        "'mcp') if m in sys.modules])"
     )
-    assert subprocess.run([sys.executable, "-c", script], capture_output=True, text=True).stdout.strip() == "[]"
+    assert (
+        subprocess.run(
+            [sys.executable, "-c", script], capture_output=True, text=True
+        ).stdout.strip()
+        == "[]"
+    )

@@ -1,4 +1,6 @@
-"""A node's name is held by one process of the machine, and free again when that ends, however it ends."""
+"""A node's name is held by one process of the machine, and free again when that ends, however
+it ends.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,9 @@ def node() -> str:
 @pytest.fixture
 def other(node: str) -> Iterator[subprocess.Popen[bytes]]:
     """A process that holds the node."""
-    with subprocess.Popen([sys.executable, "-c", HOLD, node], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+    with subprocess.Popen(
+        [sys.executable, "-c", HOLD, node], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as process:
         assert process.stdout is not None
         assert process.stdout.readline() == b"held\n"
         yield process
@@ -42,7 +46,9 @@ def test_nobody_holds_a_node_that_does_not_run(node: str) -> None:
     assert claimant(node) is None
 
 
-def test_a_second_process_is_told_who_holds_the_node(node: str, other: subprocess.Popen[bytes]) -> None:
+def test_a_second_process_is_told_who_holds_the_node(
+    node: str, other: subprocess.Popen[bytes]
+) -> None:
     assert claimant(node) == other.pid
     with pytest.raises(StateError, match=f"{node} runs already, as process {other.pid}") as caught:
         claim(node)
@@ -51,7 +57,9 @@ def test_a_second_process_is_told_who_holds_the_node(node: str, other: subproces
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
-def test_a_dead_process_holds_nothing(node: str, other: subprocess.Popen[bytes], number: int) -> None:
+def test_a_dead_process_holds_nothing(
+    node: str, other: subprocess.Popen[bytes], number: int
+) -> None:
     other.send_signal(number)
     other.wait(10)
     with claim(node):
@@ -64,7 +72,9 @@ def test_who_leaves_in_time_is_waited_for(node: str, other: subprocess.Popen[byt
     claim(node, wait_s=10.0).close()
 
 
-def test_domains_are_apart(node: str, other: subprocess.Popen[bytes], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_domains_are_apart(
+    node: str, other: subprocess.Popen[bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", "99" if os.environ.get("ROS_DOMAIN_ID") != "99" else "98")
     assert claimant(node) is None
     claim(node).close()

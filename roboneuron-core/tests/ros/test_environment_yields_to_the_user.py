@@ -66,7 +66,9 @@ def test_a_sourced_ros_installation_is_refused() -> None:
 
 @pytest.mark.parametrize("domain", ["abc", "-1", "233", "300", "1.0", "\u0661"])
 def test_a_domain_for_which_rcl_would_end_the_process_is_refused(domain: str) -> None:
-    with pytest.raises(ConfigurationError, match=r"ROS_DOMAIN_ID is .*expected a whole number from 0 to 232"):
+    with pytest.raises(
+        ConfigurationError, match=r"ROS_DOMAIN_ID is .*expected a whole number from 0 to 232"
+    ):
         defaults(ROS_DOMAIN_ID=domain)
 
 
@@ -81,9 +83,14 @@ def test_a_middleware_that_is_not_installed_is_refused(tmp_path: Path) -> None:
     for name in ("rmw_implementation", "rmw_one_cpp"):
         (index / name).touch()
     for name in ("rmw_two_cpp", "rmw_implementation"):
-        with pytest.raises(ConfigurationError, match=f"'{name}', which is not installed.*choose one of: rmw_one_cpp"):
+        with pytest.raises(
+            ConfigurationError,
+            match=f"'{name}', which is not installed.*choose one of: rmw_one_cpp",
+        ):
             set_defaults({"RMW_IMPLEMENTATION": name}, prefix=str(tmp_path), log_directory=tmp_path)
-    set_defaults({"RMW_IMPLEMENTATION": "rmw_one_cpp"}, prefix=str(tmp_path), log_directory=tmp_path)
+    set_defaults(
+        {"RMW_IMPLEMENTATION": "rmw_one_cpp"}, prefix=str(tmp_path), log_directory=tmp_path
+    )
 
 
 def test_modules_get_no_tokens(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -96,11 +103,17 @@ def test_modules_get_no_tokens(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_shipped_profile_has_a_32_mib_segment() -> None:
-    sizes = [e.text for e in ElementTree.parse(fast_dds_profile()).iter() if e.tag.endswith("segment_size")]
+    sizes = [
+        e.text
+        for e in ElementTree.parse(fast_dds_profile()).iter()
+        if e.tag.endswith("segment_size")
+    ]
     assert sizes == [str(32 * 2**20)]
 
 
-def test_another_interpreter_does_not_inherit_our_libraries(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_another_interpreter_does_not_inherit_our_libraries(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     for key in (BOOTSTRAP_GUARD, "LD_LIBRARY_PATH", "AMENT_PREFIX_PATH"):
         monkeypatch.setenv(key, "x")
     assert "LD_LIBRARY_PATH" in module_environment(None, 0)

@@ -12,7 +12,14 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import CameraInfo, Image, JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from roboneuron.contract import CameraCalibration, CameraProfile, Frame, JointCommand, JointSample, Pose
+from roboneuron.contract import (
+    CameraCalibration,
+    CameraProfile,
+    Frame,
+    JointCommand,
+    JointSample,
+    Pose,
+)
 from roboneuron.errors import InvalidInputError
 from roboneuron.modules.inputs import CalibratedCamera
 from roboneuron.ros import messages
@@ -42,7 +49,9 @@ def calibration() -> CameraCalibration:
 
 
 def test_intrinsics_cross_the_wire_with_pixel_centres_at_integers() -> None:
-    frame = Frame(camera="c", image=image(), stamp_ns=STAMP_NS, frame_id="optical", calibration=calibration())
+    frame = Frame(
+        camera="c", image=image(), stamp_ns=STAMP_NS, frame_id="optical", calibration=calibration()
+    )
     info = over_the_wire(messages.to_camera_info(frame))
     assert (info.width, info.height, info.header.frame_id, messages.to_ns(info.header.stamp)) == (
         6,
@@ -51,11 +60,15 @@ def test_intrinsics_cross_the_wire_with_pixel_centres_at_integers() -> None:
         STAMP_NS,
     )
     assert (info.k[2], info.k[5], info.k[8]) == (319.5, 239.5, 1.0)
-    np.testing.assert_array_equal(messages.intrinsics_from_camera_info(info), calibration().intrinsics)
+    np.testing.assert_array_equal(
+        messages.intrinsics_from_camera_info(info), calibration().intrinsics
+    )
 
 
 def test_a_frame_without_calibration_has_no_camera_info() -> None:
-    assert messages.to_camera_info(Frame(camera="c", image=image(), stamp_ns=1, frame_id="f")) is None
+    assert (
+        messages.to_camera_info(Frame(camera="c", image=image(), stamp_ns=1, frame_id="f")) is None
+    )
 
 
 @pytest.mark.parametrize("k", [[0.0] * 9, [float("nan")] * 9])
@@ -65,10 +78,16 @@ def test_camera_info_of_an_uncalibrated_camera_is_refused(k: list[float]) -> Non
 
 
 def test_published_intrinsics_count_before_those_of_the_profile() -> None:
-    profile = CameraProfile(name="c", role="primary", frame_id="f", width=8, height=8, calibration=calibration())
+    profile = CameraProfile(
+        name="c", role="primary", frame_id="f", width=8, height=8, calibration=calibration()
+    )
     camera = CalibratedCamera(profile)
-    wide = Frame(camera="c", image=image(), stamp_ns=STAMP_NS, frame_id="f", calibration=calibration())
-    assert camera.to_frame(messages.to_image(wide)).calibration is None, "6x4 is not the profile's aspect ratio"
+    wide = Frame(
+        camera="c", image=image(), stamp_ns=STAMP_NS, frame_id="f", calibration=calibration()
+    )
+    assert camera.to_frame(messages.to_image(wide)).calibration is None, (
+        "6x4 is not the profile's aspect ratio"
+    )
     camera.set_info(messages.to_camera_info(wide))
     found = camera.to_frame(messages.to_image(wide)).calibration
     np.testing.assert_array_equal(found.intrinsics, calibration().intrinsics)
@@ -87,7 +106,9 @@ def test_rows_with_padding_are_read_without_it() -> None:
 def test_bgr8_is_turned_into_rgb() -> None:
     message = messages.to_image(Frame(camera="c", image=image(), stamp_ns=1, frame_id="f"))
     message.encoding = "bgr8"
-    np.testing.assert_array_equal(messages.frame_from_message(message, "c").image, image()[:, :, ::-1])
+    np.testing.assert_array_equal(
+        messages.frame_from_message(message, "c").image, image()[:, :, ::-1]
+    )
 
 
 @pytest.mark.parametrize(
@@ -112,13 +133,17 @@ def test_image_without_capture_time_is_refused() -> None:
         messages.frame_from_message(message, "c")
 
 
-@pytest.mark.parametrize(("height", "width", "focal_px"), [(8, 12, 200.0), (4, 6, 100.0), (4, 4, None)])
+@pytest.mark.parametrize(
+    ("height", "width", "focal_px"), [(8, 12, 200.0), (4, 6, 100.0), (4, 4, None)]
+)
 def test_calibration_follows_the_image_size_and_is_dropped_for_another_shape(
     height: int, width: int, focal_px: float | None
 ) -> None:
     intrinsics = np.array([[100.0, 0, 3], [0, 100.0, 2], [0, 0, 1]])
     known = CameraCalibration(intrinsics=intrinsics, mount="base", T_mount_camera=np.eye(4))
-    profile = CameraProfile(name="c", role="primary", frame_id="f", width=6, height=4, calibration=known)
+    profile = CameraProfile(
+        name="c", role="primary", frame_id="f", width=6, height=4, calibration=known
+    )
     frame = Frame(camera="c", image=image(height, width), stamp_ns=1, frame_id="f")
     got = CalibratedCamera(profile).to_frame(messages.to_image(frame)).calibration
     assert (None if got is None else got.intrinsics[0, 0]) == focal_px
@@ -141,7 +166,10 @@ def test_action_of_another_meaning_is_refused() -> None:
 
 def test_joint_state_survives_the_wire() -> None:
     joints = JointSample(
-        names=("a", "b"), position=np.array([1.5, -2.0]), velocity=np.array([0.1, 0.2]), stamp_ns=STAMP_NS
+        names=("a", "b"),
+        position=np.array([1.5, -2.0]),
+        velocity=np.array([0.1, 0.2]),
+        stamp_ns=STAMP_NS,
     )
     back = messages.joints_from_message(over_the_wire(messages.to_joint_state(joints)))
     assert back.names == joints.names
@@ -162,7 +190,11 @@ def test_joint_state_that_does_not_match_itself_is_refused(
 
 
 def test_pose_survives_the_wire() -> None:
-    pose = Pose(position_m=np.array([1.0, 2.0, 3.0]), quaternion_xyzw=np.array([0.0, 0.6, 0.0, 0.8]), stamp_ns=5)
+    pose = Pose(
+        position_m=np.array([1.0, 2.0, 3.0]),
+        quaternion_xyzw=np.array([0.0, 0.6, 0.0, 0.8]),
+        stamp_ns=5,
+    )
     back = messages.pose_from_message(over_the_wire(messages.to_pose_stamped(pose, "base")))
     np.testing.assert_array_equal(back.position_m, pose.position_m)
     np.testing.assert_array_equal(back.quaternion_xyzw, pose.quaternion_xyzw)
@@ -175,7 +207,9 @@ def test_command_becomes_one_trajectory_point_and_comes_back() -> None:
     assert back.duration_s == pytest.approx(0.1, abs=1e-9)  # nanoseconds on the wire
 
 
-def trajectory(*points: tuple[float, list[float]], names: tuple[str, ...] = ("a",)) -> JointTrajectory:
+def trajectory(
+    *points: tuple[float, list[float]], names: tuple[str, ...] = ("a",)
+) -> JointTrajectory:
     message = JointTrajectory(joint_names=list(names))
     for seconds, positions in points:
         point = JointTrajectoryPoint(positions=positions)

@@ -1,4 +1,6 @@
-"""An application in this process without ROS, and a site with plugins for servers in processes of their own."""
+"""An application in this process without ROS, and a site with plugins for servers in processes
+of their own.
+"""
 
 from __future__ import annotations
 
@@ -40,15 +42,20 @@ state_directory = "{state}"
 def application(tmp_path: Path) -> Iterator[Application]:
     """The fakes as installed plugins; no ROS is touched until something is started."""
     config = parse_config(
-        '[robot]\nname = "gantry"\n[perception]\nsource = "controlled"\n[inference]\nbackend = "instant"\n'
+        '[robot]\nname = "gantry"\n[perception]\nsource = "controlled"\n[inference]\nbackend = '
+        '"instant"\n'
         '[control]\ncontroller = "gantry"\n'
     )
-    heavy = BackendSpec(name="heavy", summary="Needs weights.", target="nowhere:Heavy", needs_checkpoint=True)
+    heavy = BackendSpec(
+        name="heavy", summary="Needs weights.", target="nowhere:Heavy", needs_checkpoint=True
+    )
     registry = fake_registry(heavy)
     application = Application(
         config,
         plugins=PluginCatalogue(discover=lambda disabled: registry),
-        supervisor=Supervisor(tmp_path, command=lambda python: pytest.fail("nothing may be spawned")),
+        supervisor=Supervisor(
+            tmp_path, command=lambda python: pytest.fail("nothing may be spawned")
+        ),
     )
     try:
         yield application
@@ -71,8 +78,19 @@ def serve_command(tmp_path: Path) -> Callable[..., list[str]]:
 
     def make(*, source: str = "ticking", start_timeout_s: float = 60.0) -> list[str]:
         path = tmp_path / "roboneuron.toml"
-        path.write_text(CONFIG.format(source=source, start_timeout_s=start_timeout_s, state=tmp_path / "state"))
-        return [sys.executable, "-m", "roboneuron.cli.main", "serve", "--config", str(path), "--log-level", "warning"]
+        path.write_text(
+            CONFIG.format(source=source, start_timeout_s=start_timeout_s, state=tmp_path / "state")
+        )
+        return [
+            sys.executable,
+            "-m",
+            "roboneuron.cli.main",
+            "serve",
+            "--config",
+            str(path),
+            "--log-level",
+            "warning",
+        ]
 
     return make
 

@@ -1,4 +1,6 @@
-"""A plugin that exists for the tests of the server: the public fakes, a camera that ticks, and things that refuse."""
+"""A plugin that exists for the tests of the server: the public fakes, a camera that ticks, and
+things that refuse.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,9 @@ class TickingSource:
         self.index += 1
         camera = self.cameras[self.index % len(self.cameras)]
         image = gradient_image(camera.width, camera.height)
-        return Frame(camera=camera.name, image=image, stamp_ns=self.topics.now_ns(), frame_id=camera.frame_id)
+        return Frame(
+            camera=camera.name, image=image, stamp_ns=self.topics.now_ns(), frame_id=camera.frame_id
+        )
 
     def close(self) -> None:
         pass
@@ -56,7 +60,9 @@ def picky(config, runtime=None, acceleration=None):
     class Picky(InstantBackend):
         def predict(self, observation):
             if "unicorn" in observation.instruction:
-                raise UngroundedError("There is no unicorn in the image.", hint="Name what is visible.")
+                raise UngroundedError(
+                    "There is no unicorn in the image.", hint="Name what is visible."
+                )
             return super().predict(observation)
 
     return Picky(None)
@@ -85,9 +91,18 @@ def roboneuron_backends() -> Sequence[BackendSpec]:
     here = "rn_server_tests_plugin"
     return [
         FAKE_BACKEND,
-        BackendSpec(name="picky", summary="Refuses unicorns.", target=f"{here}:picky", needs_state=True),
-        BackendSpec(name="heavy", summary="Needs weights.", target=f"{here}:picky", needs_checkpoint=True),
-        BackendSpec(name="blind", summary="Needs a thermal camera.", target=f"{here}:picky", cameras=("thermal",)),
+        BackendSpec(
+            name="picky", summary="Refuses unicorns.", target=f"{here}:picky", needs_state=True
+        ),
+        BackendSpec(
+            name="heavy", summary="Needs weights.", target=f"{here}:picky", needs_checkpoint=True
+        ),
+        BackendSpec(
+            name="blind",
+            summary="Needs a thermal camera.",
+            target=f"{here}:picky",
+            cameras=("thermal",),
+        ),
     ]
 
 

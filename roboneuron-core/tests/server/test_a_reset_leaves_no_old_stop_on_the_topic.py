@@ -30,7 +30,9 @@ class Topic:
 
         return publish
 
-    def subscribe(self, message_type: type, topic: str, callback: Callable[[Any], None], qos: Any) -> None:
+    def subscribe(
+        self, message_type: type, topic: str, callback: Callable[[Any], None], qos: Any
+    ) -> None:
         self.listeners.append(callback)
         if self.last is not None:
             callback(self.last)
@@ -43,7 +45,9 @@ def server(folder: Path, topic: Topic) -> EmergencyStop:
     return EmergencyStop(cast(Any, SimpleNamespace(state_directory=folder, link=topic, views=list)))
 
 
-def test_a_second_server_is_not_stopped_by_a_stop_that_a_person_has_released(tmp_path: Path) -> None:
+def test_a_second_server_is_not_stopped_by_a_stop_that_a_person_has_released(
+    tmp_path: Path,
+) -> None:
     pytest.importorskip("rclpy")
     topic = Topic()
     first = server(tmp_path, topic)

@@ -20,16 +20,25 @@ RECEIVED_S = 1.0
 class Process:
     """A module that takes its parameters as a real one does, unless it hangs."""
 
-    def __init__(self, kind: str, pid: int, *, instruction: str = "", needs_start: str = "") -> None:
+    def __init__(
+        self, kind: str, pid: int, *, instruction: str = "", needs_start: str = ""
+    ) -> None:
         self.kind, self.pid = kind, pid
-        self.instruction, self.needs_start, self.stops = instruction, needs_start, int(bool(needs_start))
+        self.instruction, self.needs_start, self.stops = (
+            instruction,
+            needs_start,
+            int(bool(needs_start)),
+        )
         self.hangs = self.ended = False
         self.told: list[dict[str, Any]] = []
 
     @property
     def report(self) -> Report:
         return Report(
-            received_s=RECEIVED_S, instruction=self.instruction, needs_start=self.needs_start, stops=self.stops
+            received_s=RECEIVED_S,
+            instruction=self.instruction,
+            needs_start=self.needs_start,
+            stops=self.stops,
         )
 
     def stop(self, reason: str) -> None:
@@ -53,9 +62,12 @@ class Machine:
 
     def __init__(self) -> None:
         self.needs_start = ""
-        self.changes = SimpleNamespace(lock=threading.RLock(), wait_for=lambda look, timeout_s: look())
+        self.changes = SimpleNamespace(
+            lock=threading.RLock(), wait_for=lambda look, timeout_s: look()
+        )
         self.slots: dict[str, list[Any]] = {
-            kind: [self.slot_of(Process(kind, 10 + number))] for number, kind in enumerate(MODULE_KINDS)
+            kind: [self.slot_of(Process(kind, 10 + number))]
+            for number, kind in enumerate(MODULE_KINDS)
         }
 
     def slot_of(self, process: Process) -> Any:
@@ -72,7 +84,9 @@ class Machine:
         for kind in MODULE_KINDS:
             slot = self.slots[kind][0]
             report = slot.process.report if slot.phase == "running" else None
-            found.append(ModuleView(kind=kind, phase=slot.phase, process=slot.process, report=report))
+            found.append(
+                ModuleView(kind=kind, phase=slot.phase, process=slot.process, report=report)
+            )
         return found
 
     def report_of(self, slot: Any) -> Report:
@@ -101,7 +115,9 @@ def starts(machine: Machine) -> MotionStarts:
 
 
 @pytest.mark.parametrize("kind", ["robot", "perception", "control"])
-def test_a_module_that_ends_takes_the_policy_s_instruction(machine: Machine, starts: MotionStarts, kind: str) -> None:
+def test_a_module_that_ends_takes_the_policy_s_instruction(
+    machine: Machine, starts: MotionStarts, kind: str
+) -> None:
     starts.give("pick it up", 1.0)
     machine.slots[kind][0].phase = "exited"
     starts.look(False)
@@ -137,18 +153,24 @@ def test_whoever_settles_meets_no_thread_that_has_not_begun(
     watching.join()
 
 
-def test_robot_and_control_that_come_back_keep_still(machine: Machine, starts: MotionStarts) -> None:
+def test_robot_and_control_that_come_back_keep_still(
+    machine: Machine, starts: MotionStarts
+) -> None:
     machine.slots["control"][0].phase = "exited"
     starts.look(False)
     assert machine.needs_start == "control has ended by itself"
-    machine.slots["control"] = [machine.slot_of(Process("control", 99, needs_start=machine.needs_start))]
+    machine.slots["control"] = [
+        machine.slot_of(Process("control", 99, needs_start=machine.needs_start))
+    ]
     starts.arm_started()
     assert machine["control"].needs_start, "a start of a module is no start of motion"
     starts.permit()
     assert (machine["control"].needs_start, machine.needs_start) == ("", "")
 
 
-def test_the_loss_of_a_camera_ends_no_motion_of_agents(machine: Machine, starts: MotionStarts) -> None:
+def test_the_loss_of_a_camera_ends_no_motion_of_agents(
+    machine: Machine, starts: MotionStarts
+) -> None:
     machine.slots["perception"][0].phase = "exited"
     starts.look(False)
     assert (starts.stops, starts.arm_stops, machine.needs_start) == (1, 0, "")
@@ -178,14 +200,18 @@ def test_a_stop_that_nobody_has_seen_yet_is_not_ended_by_a_request_from_before(
     assert machine["robot"].told == []
 
 
-def test_the_emergency_stop_ends_what_was_asked_for_once(machine: Machine, starts: MotionStarts) -> None:
+def test_the_emergency_stop_ends_what_was_asked_for_once(
+    machine: Machine, starts: MotionStarts
+) -> None:
     starts.give("pick it up", 1.0)
     for is_latched in (True, True, False):
         starts.look(is_latched)
     assert (starts.stops, starts.instruction) == (1, "")
 
 
-def test_an_instruction_is_taken_back_from_everybody_who_holds_it(machine: Machine, starts: MotionStarts) -> None:
+def test_an_instruction_is_taken_back_from_everybody_who_holds_it(
+    machine: Machine, starts: MotionStarts
+) -> None:
     successor = Process("inference", 77)
     machine.slots["inference"].append(machine.slot_of(successor))
     ticket, refused = starts.give("pick it up", 1.0)
@@ -194,7 +220,9 @@ def test_an_instruction_is_taken_back_from_everybody_who_holds_it(machine: Machi
     assert (machine["inference"].instruction, successor.instruction) == ("", "")
 
 
-def test_a_policy_that_was_loaded_meanwhile_follows_the_end(machine: Machine, starts: MotionStarts) -> None:
+def test_a_policy_that_was_loaded_meanwhile_follows_the_end(
+    machine: Machine, starts: MotionStarts
+) -> None:
     ticket, _ = starts.give("pick it up", 1.0)
     starts.withdraw(ticket)
     successor = machine.slot_of(Process("inference", 77, instruction="pick it up"))
@@ -209,7 +237,9 @@ def test_whoever_ends_takes_no_other_s_instruction(machine: Machine, starts: Mot
     assert machine["inference"].instruction == starts.instruction == "put it down"
 
 
-def test_a_policy_that_does_not_give_it_back_is_ended(machine: Machine, starts: MotionStarts) -> None:
+def test_a_policy_that_does_not_give_it_back_is_ended(
+    machine: Machine, starts: MotionStarts
+) -> None:
     ticket, _ = starts.give("pick it up", 1.0)
     machine["inference"].hangs = True
     starts.withdraw(ticket)

@@ -1,4 +1,6 @@
-"""A real MCP client, a real server, real module processes over real ROS; robot, camera and policy are fakes."""
+"""A real MCP client, a real server, real module processes over real ROS; robot, camera and
+policy are fakes.
+"""
 
 from __future__ import annotations
 
@@ -58,7 +60,9 @@ class Agent:
         assert not answer.is_error, answer.content
         picture = next(block for block in answer.content if isinstance(block, types.ImageContent))
         assert picture.mime_type == "image/png"
-        return answer.structured_content, np.asarray(Image.open(io.BytesIO(base64.b64decode(picture.data))))
+        return answer.structured_content, np.asarray(
+            Image.open(io.BytesIO(base64.b64decode(picture.data)))
+        )
 
     async def module(self, kind: str) -> dict[str, Any]:
         """One module of get_status."""
@@ -72,7 +76,10 @@ async def agree(context: Any, params: types.ElicitRequestParams) -> types.Elicit
 
 
 def run_agent(
-    command: list[str], environment: dict[str, str], scenario: Callable[[Agent], Awaitable[None]], mode: str = "auto"
+    command: list[str],
+    environment: dict[str, str],
+    scenario: Callable[[Agent], Awaitable[None]],
+    mode: str = "auto",
 ) -> None:
     async def connect() -> None:
         server = StdioServerParameters(command=command[0], args=command[1:], env=environment)
@@ -82,7 +89,9 @@ def run_agent(
     anyio.run(connect)
 
 
-def test_the_whole_loop_from_start_to_stop(serve_command: ServeCommand, server_environment: dict[str, str]) -> None:
+def test_the_whole_loop_from_start_to_stop(
+    serve_command: ServeCommand, server_environment: dict[str, str]
+) -> None:
     pids: list[int] = []
 
     async def scenario(agent: Agent) -> None:
@@ -105,7 +114,10 @@ def test_the_whole_loop_from_start_to_stop(serve_command: ServeCommand, server_e
         assert told["instruction"] == "move on"
         assert (await agent.module("inference"))["actions_for_instruction"] >= 1
         code, text = await agent.fail("set_instruction", instruction="fetch the unicorn")
-        assert (code, text) == ("ungrounded", "There is no unicorn in the image. Name what is visible.")
+        assert (code, text) == (
+            "ungrounded",
+            "There is no unicorn in the image. Name what is visible.",
+        )
         await agent.do("set_instruction", instruction="move on")
 
         code, text = await agent.fail("start_robot")
@@ -154,7 +166,12 @@ def test_a_camera_that_never_delivers_is_named_and_a_cancelled_start_leaves_noth
         assert code == "not_ready"
         assert "is the robot running?" in text
 
-    run_agent(serve_command(source="silent", start_timeout_s=7.0), server_environment, scenario, mode="legacy")
+    run_agent(
+        serve_command(source="silent", start_timeout_s=7.0),
+        server_environment,
+        scenario,
+        mode="legacy",
+    )
 
 
 def test_a_killed_module_shows_with_its_exit_and_can_be_started_again(
@@ -206,8 +223,10 @@ def test_an_image_topic_of_another_type_is_refused(
 ) -> None:
     script = (
         "from roboneuron.ros.environment import prepare_environment\nprepare_environment()\n"
-        "import rclpy\nfrom std_msgs.msg import String\nrclpy.init()\nnode = rclpy.create_node('stranger')\n"
-        "node.create_publisher(String, '/gantry/camera/front/image', 1)\nprint('up', flush=True)\nrclpy.spin(node)\n"
+        "import rclpy\nfrom std_msgs.msg import String\nrclpy.init()\nnode = "
+        "rclpy.create_node('stranger')\n"
+        "node.create_publisher(String, '/gantry/camera/front/image', 1)\nprint('up', "
+        "flush=True)\nrclpy.spin(node)\n"
     )
 
     async def scenario(agent: Agent) -> None:
@@ -216,7 +235,9 @@ def test_an_image_topic_of_another_type_is_refused(
         assert "carries std_msgs/msg/String, expected sensor_msgs/msg/Image" in text
 
     environment = {**server_environment, "ROS_LOG_DIR": str(tmp_path)}
-    with subprocess.Popen([sys.executable, "-c", script], env=environment, stdout=subprocess.PIPE) as stranger:
+    with subprocess.Popen(
+        [sys.executable, "-c", script], env=environment, stdout=subprocess.PIPE
+    ) as stranger:
         try:
             assert stranger.stdout is not None
             assert stranger.stdout.readline() == b"up\n"

@@ -1,4 +1,6 @@
-"""Calls that cannot be served: refused before anything is spawned, with a code, a message and what to do."""
+"""Calls that cannot be served: refused before anything is spawned, with a code, a message and
+what to do.
+"""
 
 from __future__ import annotations
 
@@ -29,12 +31,27 @@ CASES: list[tuple[str, dict[str, Any], str, str]] = [
     ("start_inference", {"instruction": 3}, "invalid_input", "Argument 'instruction' is 3"),
     ("start_inference", {"instruction": "   "}, "invalid_input", "The instruction is empty."),
     ("start_inference", {"instruction": "x" * 1001}, "invalid_input", "at most 1000 characters"),
-    ("start_inference", {"instruction": "go\0on"}, "invalid_input", "control character U+0000 at position 2"),
-    ("set_instruction", {"instruction": "go\x1b[2J"}, "invalid_input", "control character U+001B at position 2"),
+    (
+        "start_inference",
+        {"instruction": "go\0on"},
+        "invalid_input",
+        "control character U+0000 at position 2",
+    ),
+    (
+        "set_instruction",
+        {"instruction": "go\x1b[2J"},
+        "invalid_input",
+        "control character U+001B at position 2",
+    ),
     ("set_instruction", {"instruction": ""}, "invalid_input", "The instruction is empty."),
     ("set_instruction", {}, "invalid_input", "Argument 'instruction' is missing."),
     ("set_instruction", {"instruction": "go"}, "wrong_state", "inference is not running"),
-    ("set_instruction", {"instruction": "go", "timeout_s": -1}, "invalid_input", "Argument 'timeout_s' is -1"),
+    (
+        "set_instruction",
+        {"instruction": "go", "timeout_s": -1},
+        "invalid_input",
+        "Argument 'timeout_s' is -1",
+    ),
     ("stop_robot", {}, "wrong_state", "robot is not running"),
 ]
 
@@ -52,7 +69,9 @@ def test_a_bad_call_is_refused_with_a_reason(
     assert all(view.phase == "stopped" for view in application.supervisor.views())
 
 
-def test_an_unexpected_failure_tells_no_internals(application: Application, caplog: pytest.LogCaptureFixture) -> None:
+def test_an_unexpected_failure_tells_no_internals(
+    application: Application, caplog: pytest.LogCaptureFixture
+) -> None:
     async def explode(arguments: NoArguments, context: CallContext) -> Result:
         raise KeyError("/secret/path")
 

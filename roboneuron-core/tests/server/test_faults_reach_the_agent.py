@@ -96,9 +96,18 @@ def test_faults_are_told_and_survived(
         await agent.do("start_perception")
         assert (await agent.module("perception"))["pid"] != perception["pid"]
         await agent.until_health("inference", "ok")
-        assert not (await agent.module("inference"))["instruction"], "a module that ended needs a new start"
+        assert not (await agent.module("inference"))["instruction"], (
+            "a module that ended needs a new start"
+        )
 
-        estop = [sys.executable, "-m", "roboneuron.cli.main", "estop", "--state", str(tmp_path / "state")]
+        estop = [
+            sys.executable,
+            "-m",
+            "roboneuron.cli.main",
+            "estop",
+            "--state",
+            str(tmp_path / "state"),
+        ]
         run = await anyio.run_process([*estop, "--reason", "smoke"], env=server_environment)
         assert b"latched" in run.stdout
         for kind in ("robot", "control", "inference"):
@@ -110,7 +119,12 @@ def test_faults_are_told_and_survived(
         status = await agent.do("get_status")
         assert status["emergency_stop"]
         assert status["emergency_stop_cause"].endswith("at the command line: smoke")
-        assert subprocess.run([*estop, "--status"], env=server_environment, capture_output=True).returncode == 1
+        assert (
+            subprocess.run(
+                [*estop, "--status"], env=server_environment, capture_output=True
+            ).returncode
+            == 1
+        )
         await anyio.to_thread.run_sync(release_in_terminal, [*estop, "--reset"], server_environment)
         assert not (await agent.do("get_status"))["emergency_stop"]
 
@@ -123,7 +137,9 @@ def test_faults_are_told_and_survived(
 
                 await agent.until(is_stopped_too, 2.0)
             assert "SIGUSR1" in (await agent.do("get_status"))["emergency_stop_cause"]
-            await anyio.to_thread.run_sync(release_in_terminal, [*estop, "--reset"], server_environment)
+            await anyio.to_thread.run_sync(
+                release_in_terminal, [*estop, "--reset"], server_environment
+            )
 
             async def is_released() -> bool:
                 return not (await agent.do("get_status"))["emergency_stop"]
@@ -141,5 +157,10 @@ def test_faults_are_told_and_survived(
             await scenario(Agent(client))
 
     anyio.run(connect)
-    audit = [json.loads(line) for line in (tmp_path / "state" / "audit.jsonl").read_text().splitlines()]
-    assert [a["tool"] for a in audit if "command line" in a["who"]] == ["estop", *3 * ["reset_emergency_stop"]]
+    audit = [
+        json.loads(line) for line in (tmp_path / "state" / "audit.jsonl").read_text().splitlines()
+    ]
+    assert [a["tool"] for a in audit if "command line" in a["who"]] == [
+        "estop",
+        *3 * ["reset_emergency_stop"],
+    ]

@@ -10,7 +10,17 @@ import pytest
 from mcp import Client
 
 from rn_testing.fakes import fake_registry
-from roboneuron import CallContext, Feature, FeatureSpec, Host, NoArguments, Resource, Result, StateError, Tool
+from roboneuron import (
+    CallContext,
+    Feature,
+    FeatureSpec,
+    Host,
+    NoArguments,
+    Resource,
+    Result,
+    StateError,
+    Tool,
+)
 from roboneuron.config import Config
 from roboneuron.errors import ConfigurationError, RefusedError, RoboNeuronError
 from roboneuron.server.app import Application
@@ -46,7 +56,15 @@ class Odometer(Feature[None]):
         ]
 
     def resources(self, host: Host) -> list[Resource]:
-        return [Resource(uri="roboneuron://odometer", name="o", title="O", description="D", read=lambda: "12 m")]
+        return [
+            Resource(
+                uri="roboneuron://odometer",
+                name="o",
+                title="O",
+                description="D",
+                read=lambda: "12 m",
+            )
+        ]
 
     def start(self, host: Host) -> None:
         TRACE.append("start")
@@ -142,7 +160,9 @@ def make(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
         application = Application(
             Config.model_validate({"robot": {"name": "gantry"}, **config}),
             plugins=PluginCatalogue(discover=lambda disabled: registry),
-            supervisor=Supervisor(tmp_path, command=lambda python: pytest.fail("nothing may be spawned")),
+            supervisor=Supervisor(
+                tmp_path, command=lambda python: pytest.fail("nothing may be spawned")
+            ),
         )
         made.append(application)
         return application
@@ -181,7 +201,10 @@ def test_what_a_feature_needs_is_there_before_it(make):
     ("broken", "reason"),
     [
         (spec(BadTools, "bad"), "two tools called"),
-        (FeatureSpec(name="bad", summary="X.", target=f"{__name__}:Missing"), "no attribute 'Missing'"),
+        (
+            FeatureSpec(name="bad", summary="X.", target=f"{__name__}:Missing"),
+            "no attribute 'Missing'",
+        ),
         (FeatureSpec(name="bad", summary="X.", target=f"{__name__}:Number"), "bad"),
         (spec(Dependent, "bad", needs=("absent",)), "needs the feature 'absent'"),
     ],
@@ -227,7 +250,11 @@ def test_a_feature_serves_the_transport_that_is_configured(make):
 @pytest.mark.parametrize(
     ("specs", "transport", "words"),
     [
-        ((), "http", r"'http'.* the package rn-standard brings it.* pip install -r requirements.txt"),
+        (
+            (),
+            "http",
+            r"'http'.* the package rn-standard brings it.* pip install -r requirements.txt",
+        ),
         ((), "pigeon", "There is no feature 'pigeon'"),
         ((spec(Odometer),), "odometer", "choose one of: stdio"),
         ((spec(BadTools, "x", transports=("bad",)),), "bad", "two tools called"),
@@ -266,14 +293,18 @@ def test_the_gate_is_what_a_feature_lends(make):
 
 def test_without_such_a_feature_there_is_no_gate_and_the_error_says_what_to_install(make):
     host = make(spec(Odometer)).host
-    with pytest.raises(StateError, match=r"No feature sends messages.*pip install -r requirements.txt"):
+    with pytest.raises(
+        StateError, match=r"No feature sends messages.*pip install -r requirements.txt"
+    ):
         host.gate  # noqa: B018
     assert not host.is_moving
     host.end_motion("Nobody is there.", 1.0)
 
 
 def test_two_gates_are_refused_by_the_names_of_their_features(make):
-    with pytest.raises(ConfigurationError, match=r"'one' and 'two' lend a gate each.*disabled_plugins"):
+    with pytest.raises(
+        ConfigurationError, match=r"'one' and 'two' lend a gate each.*disabled_plugins"
+    ):
         make(spec(Sender, "two"), spec(Sender, "one"))
 
 
@@ -284,9 +315,13 @@ def test_what_keeps_a_feature_from_being_complete_keeps_the_server_from_starting
 
 def test_motions_of_features_end_before_modules_stop_and_features_close(make, monkeypatch):
     application = make(spec(Unstoppable, "first"), spec(Sender, "second"))
-    monkeypatch.setattr(application.supervisor, "stop_all", lambda within_s: TRACE.append("stop modules"))
+    monkeypatch.setattr(
+        application.supervisor, "stop_all", lambda within_s: TRACE.append("stop modules")
+    )
     TRACE.clear()
-    assert not application.end_direct_motion("The lease has lapsed.", 1.0), "one did not end its motions"
+    assert not application.end_direct_motion("The lease has lapsed.", 1.0), (
+        "one did not end its motions"
+    )
     application.close()
     ended = ["end: The lease has lapsed.", "end: The server is shutting down."]
     assert TRACE[:4] == [*ended, "stop modules", "close"]

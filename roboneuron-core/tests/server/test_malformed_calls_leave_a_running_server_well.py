@@ -1,4 +1,6 @@
-"""Ten thousand malformed calls over MCP to a server process: each is an error, nothing is on the bus, it serves on."""
+"""Ten thousand malformed calls over MCP to a server process: each is an error, nothing is on
+the bus, it serves on.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,9 @@ import psutil
 import pytest
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(1200)]
-AXES = ", ".join(f'"{part}.{axis}" = [-0.5, 0.5]' for part in ("linear", "angular") for axis in "xyz")
+AXES = ", ".join(
+    f'"{part}.{axis}" = [-0.5, 0.5]' for part in ("linear", "angular") for axis in "xyz"
+)
 CONFIG = f"""
 [[expose]]
 name = "velocity"
@@ -65,8 +69,14 @@ GOOD: dict[str, dict[str, Any]] = {
     "publish_velocity": {"message": TWIST, "duration_s": 1, "timeout_s": 1, "dry_run": False},
     "publish_velocity_sequence": {"steps": [{"message": TWIST, "duration_s": 1}], "times": 2},
     "publish_speech": {"message": {"data": "x"}, "timeout_s": 1},
-    "publish_picture": {"message": {"height": 1, "width": 1, "data": [1], "is_bigendian": 0}, "timeout_s": 1},
-    "publish_joint_trajectory": {"message": {"joint_names": ["slide_x"], "points": [POINT]}, "timeout_s": 1},
+    "publish_picture": {
+        "message": {"height": 1, "width": 1, "data": [1], "is_bigendian": 0},
+        "timeout_s": 1,
+    },
+    "publish_joint_trajectory": {
+        "message": {"joint_names": ["slide_x"], "points": [POINT]},
+        "timeout_s": 1,
+    },
     "call_light": {"request": {"data": True}, "timeout_s": 1},
     "send_count_goal": {"goal": {"order": 3}, "timeout_s": 1, "server_timeout_s": 1},
     "set_parameters": {"node": "node", "parameters": {"gain": 1.0}, "timeout_s": 1},
@@ -84,8 +94,26 @@ DEEP: Any = 0
 for _ in range(200):
     DEEP = [DEEP]
 WRONG: list[Any] = [
-    *(float("nan"), float("inf"), float("-inf"), 1e308, -1e308, 10**400, -(10**400), 2**64, -(2**63) - 1),
-    *("x" * 1_000_000, "../../etc/passwd", "/gantry/cmd_vel", "a\x00b", "\ud800", "{{7*7}}", "'; drop"),
+    *(
+        float("nan"),
+        float("inf"),
+        float("-inf"),
+        1e308,
+        -1e308,
+        10**400,
+        -(10**400),
+        2**64,
+        -(2**63) - 1,
+    ),
+    *(
+        "x" * 1_000_000,
+        "../../etc/passwd",
+        "/gantry/cmd_vel",
+        "a\x00b",
+        "\ud800",
+        "{{7*7}}",
+        "'; drop",
+    ),
     *({"x": 1}, {"": {}}, {"__class__": {}}, [[]], [None], DEEP, ["x"] * 10_000, True),
 ]
 ODD: list[Any] = [
@@ -99,7 +127,8 @@ ODD: list[Any] = [
     {"name": "publish_velocity", "arguments": 1},
 ]
 INTERNALS = re.compile(
-    r"Traceback|File \"|site-packages|\.py\b|object at 0x|incident|KeyError|TypeError|/root|/work|/home"
+    r"Traceback|File \"|site-packages|\.py\b|object at "
+    r"0x|incident|KeyError|TypeError|/root|/work|/home"
 )
 
 
@@ -107,7 +136,13 @@ def leaves(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
     """Paths of everything inside a value."""
     if path:
         yield path
-    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    items = (
+        value.items()
+        if isinstance(value, dict)
+        else enumerate(value)
+        if isinstance(value, list)
+        else ()
+    )
     for key, inner in items:
         yield from leaves(inner, (*path, key))
 
@@ -134,7 +169,11 @@ class Wire:
     def __init__(self, process: subprocess.Popen[bytes]) -> None:
         self.process = process
         self._number = 0
-        params = {"protocolVersion": "2025-06-18", "capabilities": {}, "clientInfo": {"name": "fuzz", "version": "1"}}
+        params = {
+            "protocolVersion": "2025-06-18",
+            "capabilities": {},
+            "clientInfo": {"name": "fuzz", "version": "1"},
+        }
         self.ask("initialize", params)
         self.send({"jsonrpc": "2.0", "method": "notifications/initialized"})
 
@@ -151,7 +190,9 @@ class Wire:
         return answer
 
     def ask(self, method: str, params: Any) -> dict[str, Any]:
-        """The answer; one without an id is to what the server cannot read as a message. A ping shows that it lives."""
+        """The answer; one without an id is to what the server cannot read as a message. A ping
+        shows that it lives.
+        """
         self._number += 2
         self.send({"jsonrpc": "2.0", "id": self._number, "method": method, "params": params})
         self.send({"jsonrpc": "2.0", "id": self._number + 1, "method": "ping"})
@@ -166,13 +207,19 @@ class Wire:
 
 
 @pytest.fixture
-def wire(serve_command: Callable[..., list[str]], server_environment: dict[str, str], tmp_path: Path) -> Iterator[Wire]:
+def wire(
+    serve_command: Callable[..., list[str]], server_environment: dict[str, str], tmp_path: Path
+) -> Iterator[Wire]:
     command = serve_command()
     configuration = Path(command[command.index("--config") + 1])
     configuration.write_text(configuration.read_text() + CONFIG)
     with (tmp_path / "server.log").open("wb") as log:
         process = subprocess.Popen(
-            command, env=server_environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log
+            command,
+            env=server_environment,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=log,
         )
     try:
         yield Wire(process)
@@ -192,7 +239,10 @@ def malformed(chance: random.Random) -> tuple[str, Any]:
     if kind < 0.05:
         return "tools/call", chance.choice(ODD)
     if kind < 0.1:
-        return "tools/call", {"name": chance.choice([*map(str, WRONG[:4]), "x" * 10_000, "", "../x"]), "arguments": {}}
+        return "tools/call", {
+            "name": chance.choice([*map(str, WRONG[:4]), "x" * 10_000, "", "../x"]),
+            "arguments": {},
+        }
     if kind < 0.25:
         return "tools/call", {
             "name": name,
@@ -231,7 +281,10 @@ def throw(wire: Wire, wheels: Any, calls: int) -> None:
     print(f"{calls} malformed calls in {took_s:.1f} s, {told}")
     assert grown < 100
     assert not wheels.speeds
-    answer = wire.ask("tools/call", {"name": "publish_velocity", "arguments": {"message": TWIST, "duration_s": 0.1}})
+    answer = wire.ask(
+        "tools/call",
+        {"name": "publish_velocity", "arguments": {"message": TWIST, "duration_s": 0.1}},
+    )
     assert not answer["result"].get("isError"), answer
     deadline_s = time.monotonic() + 5
     while len(wheels.speeds) < 2:

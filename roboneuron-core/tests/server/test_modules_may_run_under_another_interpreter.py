@@ -1,4 +1,6 @@
-"""With `python` in its section a module runs elsewhere: what its plugin needs is not looked for in the server."""
+"""With `python` in its section a module runs elsewhere: what its plugin needs is not looked for
+in the server.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +40,11 @@ REGISTRY = Registry(
         Offer(spec=ARM, plugin="rn-test", distribution="rn-test", status=Status.READY),
         *(
             Offer(
-                spec=s, plugin="rn-test", distribution="rn-test", status=Status.UNAVAILABLE, reason="Needs 'absent_x'."
+                spec=s,
+                plugin="rn-test",
+                distribution="rn-test",
+                status=Status.UNAVAILABLE,
+                reason="Needs 'absent_x'.",
             )
             for s in PARTS
         ),
@@ -54,7 +60,9 @@ SECTIONS = {
 
 @pytest.mark.parametrize("kind", SECTIONS)
 def test_its_plugin_needs_nothing_here(kind):
-    sections = {name: {**section, "python": "/other/bin/python"} for name, section in SECTIONS.items()}
+    sections = {
+        name: {**section, "python": "/other/bin/python"} for name, section in SECTIONS.items()
+    }
     selection = select(kind, Config.model_validate(sections), REGISTRY)
     assert selection.python == "/other/bin/python"
     del sections[kind]["python"]

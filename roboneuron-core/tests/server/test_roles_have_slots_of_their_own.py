@@ -28,11 +28,19 @@ def test_a_viewer_with_all_its_slots_taken_leaves_those_of_the_others() -> None:
 
         def tool(name: str, handler: Any, **more: Any) -> Tool[Any]:
             return Tool(
-                name=name, title=name, description=name, arguments=NoArguments, result=Result, handler=handler, **more
+                name=name,
+                title=name,
+                description=name,
+                arguments=NoArguments,
+                result=Result,
+                handler=handler,
+                **more,
             )
 
         stop = tool("stop", act, always=True, role="viewer")
-        registry = ToolRegistry([tool("look", wait, read_only=True), tool("act", act), stop], most_calls=3)
+        registry = ToolRegistry(
+            [tool("look", wait, read_only=True), tool("act", act), stop], most_calls=3
+        )
         async with anyio.create_task_group() as group:
             for _ in range(3):
                 group.start_soon(registry.call, "look", {}, context("viewer"))

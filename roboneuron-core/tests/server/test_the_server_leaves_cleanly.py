@@ -1,4 +1,6 @@
-"""However the server ends, its modules end with it; and nothing but JSON-RPC was ever on its stdout."""
+"""However the server ends, its modules end with it; and nothing but JSON-RPC was ever on its
+stdout.
+"""
 
 from __future__ import annotations
 
@@ -52,7 +54,10 @@ class Wire:
     def shake_hands(self) -> None:
         """The handshake of a client of 2025."""
         client = {"name": "wire", "version": "1"}
-        self.request("initialize", {"protocolVersion": "2025-06-18", "capabilities": {}, "clientInfo": client})
+        self.request(
+            "initialize",
+            {"protocolVersion": "2025-06-18", "capabilities": {}, "clientInfo": client},
+        )
         self._write({"jsonrpc": "2.0", "method": "notifications/initialized"})
 
     def call(self, name: str, **arguments: Any) -> dict[str, Any]:
@@ -69,7 +74,9 @@ class Wire:
 
 @contextmanager
 def serving(command: list[str], environment: dict[str, str]) -> Iterator[Wire]:
-    process = subprocess.Popen(command, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    process = subprocess.Popen(
+        command, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    )
     try:
         yield Wire(process)
     finally:
@@ -99,7 +106,14 @@ def wait_until(fact: Callable[[], bool], timeout_s: float, what: str) -> None:
 
 @pytest.mark.parametrize(
     ("end", "is_frozen"),
-    [("stdin", False), ("stdin", True), ("SIGTERM", False), ("SIGINT", False), ("SIGKILL", False), ("SIGKILL", True)],
+    [
+        ("stdin", False),
+        ("stdin", True),
+        ("SIGTERM", False),
+        ("SIGINT", False),
+        ("SIGKILL", False),
+        ("SIGKILL", True),
+    ],
     ids=["stdin", "stdin-frozen", "SIGTERM", "SIGINT", "SIGKILL", "SIGKILL-frozen"],
 )
 def test_modules_end_with_the_server(
@@ -137,7 +151,9 @@ def test_a_client_that_leaves_during_a_start_is_not_waited_for(
         started_s = time.monotonic()
         assert wire.process.wait(PATIENCE_S) == 0
         assert time.monotonic() - started_s < PATIENCE_S
-        children = subprocess.run(["ps", "--ppid", str(wire.process.pid)], capture_output=True, text=True, check=False)
+        children = subprocess.run(
+            ["ps", "--ppid", str(wire.process.pid)], capture_output=True, text=True, check=False
+        )
         assert "python" not in children.stdout
 
 

@@ -18,7 +18,11 @@ from roboneuron.server.stdio import MAX_LINE_BYTES, LineWriter, MessageReader, M
 from roboneuron.server.tool import CallContext, NoArguments, Result, Tool
 
 Work = Callable[["Wire"], Awaitable[None]]
-HELLO = {"protocolVersion": "2025-06-18", "capabilities": {}, "clientInfo": {"name": "wire", "version": "1"}}
+HELLO = {
+    "protocolVersion": "2025-06-18",
+    "capabilities": {},
+    "clientInfo": {"name": "wire", "version": "1"},
+}
 
 
 class Wire:
@@ -46,7 +50,9 @@ class Wire:
         await self.raw(json.dumps(message).encode() + b"\n")
 
     async def notify(self, method: str, **params: Any) -> None:
-        await self.raw(json.dumps({"jsonrpc": "2.0", "method": method, "params": params}).encode() + b"\n")
+        await self.raw(
+            json.dumps({"jsonrpc": "2.0", "method": method, "params": params}).encode() + b"\n"
+        )
 
     async def answer(self, wanted: Any = ...) -> dict[str, Any]:
         """The next message, or the next with this id."""
@@ -108,13 +114,24 @@ def slow_tool(application: Application) -> threading.Event:
         return await context.run(work, on_cancel=cancelled.set)
 
     application.tools.add_all(
-        [Tool(name="slow", title="s", description="s", arguments=NoArguments, result=Result, handler=handle)]
+        [
+            Tool(
+                name="slow",
+                title="s",
+                description="s",
+                arguments=NoArguments,
+                result=Result,
+                handler=handle,
+            )
+        ]
     )
     return cancelled
 
 
 @pytest.mark.parametrize("request_id", [None, True, 1.5, 2.0, [], {}])
-def test_a_request_with_an_impossible_id_is_answered(serve: Callable[[Work], None], request_id: Any) -> None:
+def test_a_request_with_an_impossible_id_is_answered(
+    serve: Callable[[Work], None], request_id: Any
+) -> None:
     async def work(wire: Wire) -> None:
         await wire.send(request_id, "ping")
         assert (await wire.answer(None))["error"]["code"] == -32600
@@ -127,7 +144,11 @@ def test_a_request_with_an_impossible_id_is_answered(serve: Callable[[Work], Non
     ("line", "code"),
     [
         (b'{"jsonrpc": "2.0", "id": 5, "method": "ping\xff"}', -32700),
-        (b'{"jsonrpc": "2.0", "id": 5, "method": "tools/call", "params": {"name": "\xed\xa0\x80"}}', -32700),
+        (
+            b'{"jsonrpc": "2.0", "id": 5, "method": "tools/call", "params": {"name": '
+            b'"\xed\xa0\x80"}}',
+            -32700,
+        ),
         (b"x" * (MAX_LINE_BYTES + 1), -32600),
         (b"no json", -32700),
         (b"[" * 100_000, -32700),
@@ -136,7 +157,9 @@ def test_a_request_with_an_impossible_id_is_answered(serve: Callable[[Work], Non
     ],
     ids=["not UTF-8", "surrogate", "too long", "not JSON", "deep", "batch", "number"],
 )
-def test_a_line_that_is_no_message_is_answered(serve: Callable[[Work], None], line: bytes, code: int) -> None:
+def test_a_line_that_is_no_message_is_answered(
+    serve: Callable[[Work], None], line: bytes, code: int
+) -> None:
     async def work(wire: Wire) -> None:
         await wire.raw(line + b"\n")
         answer = await wire.answer()
@@ -176,13 +199,24 @@ def test_an_id_is_free_once_it_was_answered(serve: Callable[[Work], None]) -> No
 
 
 def test_a_flood_of_pings_lets_everything_else_pass(serve: Callable[[Work], None]) -> None:
-    """Of what waits, the stop is done first and the call before any ping: not after 100,000 answers."""
+    """Of what waits, the stop is done first and the call before any ping: not after 100,000
+    answers.
+    """
 
     async def work(wire: Wire) -> None:
-        flood = b"".join(b'{"jsonrpc": "2.0", "id": %d, "method": "ping"}\n' % i for i in range(1000, 101_000))
-        call = {"jsonrpc": "2.0", "id": 1, "method": "tools/call", "params": {"name": "get_status", "arguments": {}}}
+        flood = b"".join(
+            b'{"jsonrpc": "2.0", "id": %d, "method": "ping"}\n' % i for i in range(1000, 101_000)
+        )
+        call = {
+            "jsonrpc": "2.0",
+            "id": 1,
+            "method": "tools/call",
+            "params": {"name": "get_status", "arguments": {}},
+        }
         stop = {**call, "id": 2, "params": {"name": "emergency_stop", "arguments": {}}}
-        await wire.raw(flood + json.dumps(call).encode() + b"\n" + json.dumps(stop).encode() + b"\n")
+        await wire.raw(
+            flood + json.dumps(call).encode() + b"\n" + json.dumps(stop).encode() + b"\n"
+        )
         answered, order = 0, []
         while len(order) < 2:
             message = await wire.answer()
@@ -195,11 +229,18 @@ def test_a_flood_of_pings_lets_everything_else_pass(serve: Callable[[Work], None
     serve(work)
 
 
-def test_what_waits_can_be_cancelled(serve: Callable[[Work], None], application: Application) -> None:
+def test_what_waits_can_be_cancelled(
+    serve: Callable[[Work], None], application: Application
+) -> None:
     slow_tool(application)
     reader = MessageReader(0, lambda text: None, 1)
     for request_id in (1, 2):
-        line = {"jsonrpc": "2.0", "id": request_id, "method": "tools/call", "params": {"name": "slow"}}
+        line = {
+            "jsonrpc": "2.0",
+            "id": request_id,
+            "method": "tools/call",
+            "params": {"name": "slow"},
+        }
         reader._take(json.dumps(line).encode())
     assert reader._next().id == 1
     assert reader._next() is None  # one is at work
@@ -216,6 +257,11 @@ def test_too_many_waiting_requests_are_refused_and_a_stop_is_not() -> None:
     for request_id in range(1002):
         reader._take(b'{"jsonrpc": "2.0", "id": %d, "method": "tools/list"}' % request_id)
     assert [(a["id"], a["error"]["code"]) for a in answers] == [(1000, -32000), (1001, -32000)]
-    stop = {"jsonrpc": "2.0", "id": 9999, "method": "tools/call", "params": {"name": "emergency_stop"}}
+    stop = {
+        "jsonrpc": "2.0",
+        "id": 9999,
+        "method": "tools/call",
+        "params": {"name": "emergency_stop"},
+    }
     reader._take(json.dumps(stop).encode())
     assert reader._next().id == 9999

@@ -37,7 +37,9 @@ def listing(application: Application, mode: str = "auto") -> dict[str, types.Too
     return anyio.run(ask)
 
 
-def call(application: Application, name: str, arguments: dict[str, Any] | None = None) -> types.CallToolResult:
+def call(
+    application: Application, name: str, arguments: dict[str, Any] | None = None
+) -> types.CallToolResult:
     async def ask() -> types.CallToolResult:
         async with Client(application.server) as client:
             return await client.call_tool(name, arguments or {})
@@ -70,7 +72,9 @@ def test_annotations_tell_what_a_tool_may_do(application: Application) -> None:
         assert hints is not None
         reads = tool.name.startswith(("list_", "get_", "read_", "describe_"))
         assert hints.read_only_hint == reads
-        assert bool(hints.destructive_hint) == (tool.name.startswith(("stop_", "emergency", "reset")))
+        assert bool(hints.destructive_hint) == (
+            tool.name.startswith(("stop_", "emergency", "reset"))
+        )
         assert not (hints.read_only_hint and hints.destructive_hint)
 
 
@@ -79,7 +83,10 @@ def test_without_plugins_there_are_no_empty_enums() -> None:
     config = Config.model_validate({"robot": {"name": "gantry"}})
     application = Application(config, plugins=PluginCatalogue(discover=lambda disabled: empty))
     for tool in application.tools.listing():
-        assert all("enum" not in entry or entry["enum"] for entry in tool.input_schema["properties"].values())
+        assert all(
+            "enum" not in entry or entry["enum"]
+            for entry in tool.input_schema["properties"].values()
+        )
     application.close()
 
 
@@ -113,13 +120,17 @@ def test_the_status_of_nothing_is_short_and_fits_its_whole_schema(application: A
     status = call(application, "get_status").structured_content
     assert status is not None
     assert len(json.dumps(status)) < 1200, "it was 2.7 kB, mostly null"
-    assert all(value not in (None, "", {}, []) for module in status["modules"] for value in module.values())
+    assert all(
+        value not in (None, "", {}, []) for module in status["modules"] for value in module.values()
+    )
     tool = application.tools.get("get_status")
     assert tool is not None
     jsonschema.validate(status, tool.output_schema())
 
 
-def test_which_robot_it_is_and_whether_a_real_one_is_told_before_anything_runs(application: Application) -> None:
+def test_which_robot_it_is_and_whether_a_real_one_is_told_before_anything_runs(
+    application: Application,
+) -> None:
     facts = {"name": "gantry", "driver": "simulated", "kind": "simulated"}
     status = call(application, "get_status").structured_content
     assert status is not None
@@ -127,7 +138,9 @@ def test_which_robot_it_is_and_whether_a_real_one_is_told_before_anything_runs(a
     assert str(application.server.instructions).startswith(
         "RoboNeuron operates one simulated robot gantry (driver simulated). "
     )
-    assert "simulated robot gantry (driver simulated)" in str(listing(application)["start_robot"].description)
+    assert "simulated robot gantry (driver simulated)" in str(
+        listing(application)["start_robot"].description
+    )
 
 
 def test_a_driver_that_does_not_say_that_it_is_simulated_counts_as_real() -> None:
@@ -136,14 +149,18 @@ def test_a_driver_that_does_not_say_that_it_is_simulated_counts_as_real() -> Non
     registry = fake_registry(robot)
     for name, named in (("arm", "arm"), ("unknown", "unknown")):
         config = Config.model_validate({"robot": {"name": name, "driver": "network"}})
-        application = Application(config, plugins=PluginCatalogue(discover=lambda disabled: registry))
+        application = Application(
+            config, plugins=PluginCatalogue(discover=lambda disabled: registry)
+        )
         try:
             assert str(application.loop.robot_facts) == f"real robot {named} (driver network)"
         finally:
             application.close()
 
 
-def test_answers_of_what_acts_name_the_robot_and_those_of_what_reads_do_not(application: Application) -> None:
+def test_answers_of_what_acts_name_the_robot_and_those_of_what_reads_do_not(
+    application: Application,
+) -> None:
     stopped = call(application, "stop_all").structured_content
     assert stopped is not None
     assert stopped["acts_on"] == "simulated robot gantry (driver simulated)"
@@ -171,9 +188,14 @@ def test_an_answer_too_long_to_read_is_refused_unless_something_was_done(
         return Long(text="x" * 200_000)
 
     tool = Tool(
-        name="get_much", title="Much", description="Too much text for an agent.", arguments=NoArguments, result=Long,
-        handler=handler, read_only=read_only,
-    )  # fmt: skip
+        name="get_much",
+        title="Much",
+        description="Too much text for an agent.",
+        arguments=NoArguments,
+        result=Long,
+        handler=handler,
+        read_only=read_only,
+    )
     application.tools.add_all([tool])
     answer = call(application, "get_much")
     assert bool(answer.is_error) is refused

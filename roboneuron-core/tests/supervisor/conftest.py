@@ -36,15 +36,17 @@ def make_config() -> Callable[..., Config]:
         lines = [f'{kind} = "{word}"' for kind, word in faults.items()]
         return parse_config(
             '[robot]\nname = "fake"\n[inference]\nbackend = "fake"\n[supervisor]\n'
-            f"start_timeout_s = {start_timeout_s}\nstop_timeout_s = {stop_timeout_s}\n[plugins.fault]\n"
-            + "\n".join(lines)
+            f"start_timeout_s = {start_timeout_s}\nstop_timeout_s = "
+            f"{stop_timeout_s}\n[plugins.fault]\n" + "\n".join(lines)
         )
 
     return make
 
 
 @pytest.fixture
-def supervisor(tmp_path: Path, fake_command: Callable[[str | None], list[str]]) -> Iterator[Supervisor]:
+def supervisor(
+    tmp_path: Path, fake_command: Callable[[str | None], list[str]]
+) -> Iterator[Supervisor]:
     """A supervisor that is closed at the end of the test, whatever happened."""
     supervisor = Supervisor(tmp_path, command=fake_command)
     try:

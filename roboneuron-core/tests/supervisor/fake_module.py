@@ -1,4 +1,5 @@
-"""A module process with faults on demand: the real node, protocol and parent watch around behaviour that misbehaves.
+"""A module process with faults on demand: the real node, protocol and parent watch around behaviour
+that misbehaves.
 
 The fault is read from `[plugins.fault]` of the configuration: module kind -> word.
 """
@@ -44,7 +45,9 @@ class FakeModule(Module):
         super().__init__(node)
         node.resources.callback(print, "closed", flush=True)
         if fault == "refuses-configure":
-            raise CheckpointError("The weights of 'fake' are truncated: 3 of 7 shards.", hint="Download them again.")
+            raise CheckpointError(
+                "The weights of 'fake' are truncated: 3 of 7 shards.", hint="Download them again."
+            )
         if fault == "dies-in-configure":
             print("segmentation fault, not really", flush=True)
             os._exit(11)

@@ -28,22 +28,31 @@ def freeze(supervisor: Supervisor) -> int:
     return process.pid
 
 
-def test_a_start_ends_when_its_process_is_frozen(supervisor: Supervisor, make_config: MakeConfig) -> None:
+def test_a_start_ends_when_its_process_is_frozen(
+    supervisor: Supervisor, make_config: MakeConfig
+) -> None:
     def freeze_when_configuring(stage: str) -> None:
         if stage == "robot: configuring":
             freeze(supervisor)
 
     started_s = time.monotonic()
     with pytest.raises(NotReadyError, match=r"frozen .* while configuring"):
-        supervisor.start("robot", make_config(START_S, robot="slow-configure"), on_stage=freeze_when_configuring)
+        supervisor.start(
+            "robot", make_config(START_S, robot="slow-configure"), on_stage=freeze_when_configuring
+        )
     assert time.monotonic() - started_s < SOON_S
     assert supervisor.view("robot").phase == "stopped"
 
 
-def test_a_process_that_is_stopped_for_a_moment_is_waited_for(supervisor: Supervisor, make_config: MakeConfig) -> None:
+def test_a_process_that_is_stopped_for_a_moment_is_waited_for(
+    supervisor: Supervisor, make_config: MakeConfig
+) -> None:
     def stop_for_a_moment(stage: str) -> None:
         if stage == "robot: configuring":
             pid = freeze(supervisor)
             threading.Timer(0.1, os.kill, [pid, signal.SIGCONT]).start()
 
-    assert supervisor.start("robot", make_config(START_S), on_stage=stop_for_a_moment).phase == "running"
+    assert (
+        supervisor.start("robot", make_config(START_S), on_stage=stop_for_a_moment).phase
+        == "running"
+    )

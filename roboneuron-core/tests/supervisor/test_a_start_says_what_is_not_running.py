@@ -34,7 +34,9 @@ def test_a_backend_without_cameras_names_the_call_that_is_missing(
 
 @pytest.mark.ros
 @pytest.mark.timeout(90)
-def test_what_is_being_started_is_waited_for(supervisor: Supervisor, make_config: MakeConfig) -> None:
+def test_what_is_being_started_is_waited_for(
+    supervisor: Supervisor, make_config: MakeConfig
+) -> None:
     config = make_config(12.0, inference="never-ready", perception="slow-configure")
     starting = threading.Thread(target=lambda: supervisor.start("perception", config))
     starting.start()
@@ -51,12 +53,16 @@ def test_cameras_of_a_simulation_without_the_robot_name_the_call_at_once(
     plan = Plan(
         robot=RobotSpec(name="fake", summary="Fake.", target="x:y", drivers=(driver,)),
         driver=driver,
-        perception=PerceptionSpec(name="sim-camera", summary="Renders.", target="x:y", drivers=("simulated",)),
+        perception=PerceptionSpec(
+            name="sim-camera", summary="Renders.", target="x:y", drivers=("simulated",)
+        ),
     )
     supervisor = Supervisor(tmp_path, command=lambda python: pytest.fail("nothing may be spawned"))
     started_s = time.monotonic()
     try:
-        with pytest.raises(NotReadyError, match="come from the driver of the robot, which is not running") as caught:
+        with pytest.raises(
+            NotReadyError, match="come from the driver of the robot, which is not running"
+        ) as caught:
             supervisor.start("perception", make_config(60.0), plan=plan)
     finally:
         supervisor.close()
@@ -66,9 +72,12 @@ def test_cameras_of_a_simulation_without_the_robot_name_the_call_at_once(
 
 
 @pytest.mark.parametrize(
-    ("phase", "hint"), [("stopped", "Call it first."), ("starting", "wait for that"), ("stopping", "wait for that")]
+    ("phase", "hint"),
+    [("stopped", "Call it first."), ("starting", "wait for that"), ("stopping", "wait for that")],
 )
-def test_what_to_do_about_a_module_depends_on_what_happens_to_it(tmp_path: Path, phase: Phase, hint: str) -> None:
+def test_what_to_do_about_a_module_depends_on_what_happens_to_it(
+    tmp_path: Path, phase: Phase, hint: str
+) -> None:
     supervisor = Supervisor(tmp_path, command=lambda python: pytest.fail("nothing may be spawned"))
     try:
         slot = supervisor.slot("perception")

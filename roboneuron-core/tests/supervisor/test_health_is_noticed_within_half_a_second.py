@@ -29,14 +29,23 @@ class Diary:
             self.entries.append((time.monotonic(), view.kind, health))
             self._changed.notify_all()
 
-    def wait_for(self, kind: str, *words: Health, since_s: float = 0.0, timeout_s: float = 5.0) -> float:
+    def wait_for(
+        self, kind: str, *words: Health, since_s: float = 0.0, timeout_s: float = 5.0
+    ) -> float:
         """Time of the first such entry after `since_s`."""
 
         def found() -> float | None:
-            return next((at for at, k, h in self.entries if at >= since_s and k == kind and h in words), None)
+            return next(
+                (at for at, k, h in self.entries if at >= since_s and k == kind and h in words),
+                None,
+            )
 
         with self._changed:
-            assert self._changed.wait_for(lambda: found() is not None, timeout_s), (kind, words, self.entries)
+            assert self._changed.wait_for(lambda: found() is not None, timeout_s), (
+                kind,
+                words,
+                self.entries,
+            )
         at = found()
         assert at is not None
         return at
@@ -68,8 +77,13 @@ def report(**values: float | str | bool) -> Report:
         ({"ready": False}, 100.0, "waiting"),
     ],
 )
-def test_one_word_says_how_a_module_is(values: dict[str, float | str | bool], now_s: float, expected: str) -> None:
-    assert assess(ModuleView(kind="robot", phase="running", report=report(**values)), now_s) == expected
+def test_one_word_says_how_a_module_is(
+    values: dict[str, float | str | bool], now_s: float, expected: str
+) -> None:
+    assert (
+        assess(ModuleView(kind="robot", phase="running", report=report(**values)), now_s)
+        == expected
+    )
 
 
 @pytest.mark.ros

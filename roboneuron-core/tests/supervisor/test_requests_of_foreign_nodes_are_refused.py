@@ -1,4 +1,6 @@
-"""A foreign node may call a module's services; only what its own server asks for is done, the rest is reported."""
+"""A foreign node may call a module's services; only what its own server asks for is done, the
+rest is reported.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,10 @@ MakeConfig = Callable[..., Config]
 
 def test_what_was_announced_is_taken_once_and_in_any_pieces() -> None:
     announced = Announcements()
-    first, second = digest_of_transition(3, "activate"), digest_of_parameters({"instruction": "go", "act_from_ns": 3})
+    first, second = (
+        digest_of_transition(3, "activate"),
+        digest_of_parameters({"instruction": "go", "act_from_ns": 3}),
+    )
     assert announced.take(first), "a module without a server belongs to whoever calls"
     stream = b"\n" + first + b"\n\n" + second + b"\n"
     for i in range(0, len(stream), 7):
@@ -39,7 +44,9 @@ def test_what_was_announced_is_taken_once_and_in_any_pieces() -> None:
 def test_the_server_s_own_requests_are_known_whoever_reads_their_announcements_and_when(
     supervisor: Supervisor, make_config: MakeConfig, fault: str
 ) -> None:
-    """The thread that reads stdin may not get the processor in time; what a plugin starts may read its stdin too."""
+    """The thread that reads stdin may not get the processor in time; what a plugin starts may
+    read its stdin too.
+    """
     view = supervisor.start("inference", make_config(inference=fault))
     assert view.process is not None
     own = NodeClient(supervisor.link, supervisor.changes, "/fake/inference", view.process.announce)
@@ -52,7 +59,9 @@ def test_the_server_s_own_requests_are_known_whoever_reads_their_announcements_a
 
 
 def test_a_request_that_cannot_be_announced_is_not_sent(tmp_path: Path) -> None:
-    """The pipe of a process that hangs is full at some time: what is lost there would make a request a foreign one."""
+    """The pipe of a process that hangs is full at some time: what is lost there would make a
+    request a foreign one.
+    """
     log = tmp_path / "log" / "hangs.log"
     process = spawn("hangs", ["sleep", "60"], os.environ, "", log, ProcessEvents())
     process.reap(lambda ended: None)
@@ -73,7 +82,9 @@ def test_a_request_that_cannot_be_announced_is_not_sent(tmp_path: Path) -> None:
 
 def test_a_signal_leaves_what_has_ended_to_who_waits_for_it(tmp_path: Path) -> None:
     """Whoever reaps it besides takes its end away: it would count as running for ever."""
-    process = spawn("ends", ["true"], os.environ, "", tmp_path / "log" / "ends.log", ProcessEvents())
+    process = spawn(
+        "ends", ["true"], os.environ, "", tmp_path / "log" / "ends.log", ProcessEvents()
+    )
     os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)
     process.terminate()
     process.kill()
@@ -115,7 +126,10 @@ def test_foreign_requests_are_refused_and_reported_by_name(
         report = supervisor.view("robot").report
         return 0 if report is None else report.dropped_by.get("foreign_request", 0)
 
-    sim_time = Parameter(name="use_sim_time", value=ParameterValue(type=ParameterType.PARAMETER_BOOL, bool_value=True))
+    sim_time = Parameter(
+        name="use_sim_time",
+        value=ParameterValue(type=ParameterType.PARAMETER_BOOL, bool_value=True),
+    )
     for number, label in ((4, "deactivate"), (7, "shutdown"), (0, "deactivate"), (4, "")):
         request = ChangeState.Request(transition=Transition(id=number, label=label))
         assert not ask(ChangeState, "change_state", request).success
@@ -126,7 +140,9 @@ def test_foreign_requests_are_refused_and_reported_by_name(
     assert "only the server" in answer.results[0].reason
     atomic = SetParametersAtomically.Request(parameters=[sim_time])
     assert not ask(SetParametersAtomically, "set_parameters_atomically", atomic).result.successful
-    assert ask(GetState, "get_state", GetState.Request()).current_state.label == "active", "reading is for everybody"
+    assert ask(GetState, "get_state", GetState.Request()).current_state.label == "active", (
+        "reading is for everybody"
+    )
 
     assert changes.wait_for(lambda: refused() == 7, 5.0)
     report = supervisor.view("robot").report
@@ -152,7 +168,9 @@ def test_the_server_s_own_requests_are_followed_beside_foreign_ones(
         assert own.set({"instruction": f"own {round_}"}, 5.0) == ""
         report = supervisor.changes.wait_for(
             lambda round_=round_: (
-                (seen := supervisor.view("inference").report) and seen.instruction == f"own {round_}" and seen
+                (seen := supervisor.view("inference").report)
+                and seen.instruction == f"own {round_}"
+                and seen
             ),
             5.0,
         )

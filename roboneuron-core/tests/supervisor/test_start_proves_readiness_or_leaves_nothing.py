@@ -12,7 +12,13 @@ from pathlib import Path
 import pytest
 
 from roboneuron.config import Config
-from roboneuron.errors import CheckpointError, ConfigurationError, NotReadyError, StateError, UngroundedError
+from roboneuron.errors import (
+    CheckpointError,
+    ConfigurationError,
+    NotReadyError,
+    StateError,
+    UngroundedError,
+)
 from roboneuron.supervisor.supervisor import Supervisor
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(60)]
@@ -29,12 +35,18 @@ def children() -> set[int]:
     tasks = f"/proc/{os.getpid()}/task"
     found = set()
     for task in os.listdir(tasks):
-        with suppress(FileNotFoundError, ProcessLookupError), open(f"{tasks}/{task}/children") as file:  # it has ended
+        # it has ended
+        with (
+            suppress(FileNotFoundError, ProcessLookupError),
+            open(f"{tasks}/{task}/children") as file,
+        ):
             found |= {int(word) for word in file.read().split()}
     return found
 
 
-def test_a_started_module_is_active_ready_and_reported(supervisor: Supervisor, make_config: MakeConfig) -> None:
+def test_a_started_module_is_active_ready_and_reported(
+    supervisor: Supervisor, make_config: MakeConfig
+) -> None:
     stages: list[str] = []
     view = supervisor.start("robot", make_config(), names={"robot": "fake"}, on_stage=stages.append)
     assert view.phase == "running"
@@ -63,7 +75,9 @@ def test_answers_that_are_lost_hinder_neither_start_nor_stop(
     assert "did not answer" not in caplog.text
 
 
-def test_a_refused_configure_raises_the_modules_own_error(supervisor: Supervisor, make_config: MakeConfig) -> None:
+def test_a_refused_configure_raises_the_modules_own_error(
+    supervisor: Supervisor, make_config: MakeConfig
+) -> None:
     before = children()
     with pytest.raises(CheckpointError, match="truncated: 3 of 7 shards") as caught:
         supervisor.start("robot", make_config(robot="refuses-configure"))
@@ -76,7 +90,10 @@ def test_a_refused_configure_raises_the_modules_own_error(supervisor: Supervisor
     ("fault", "words"),
     [
         ("dies-at-once", ["exit code 7", "cannot open the thing"]),
-        ("dies-in-configure", ["exit code 11", "while configuring", "segmentation fault, not really"]),
+        (
+            "dies-in-configure",
+            ["exit code 11", "while configuring", "segmentation fault, not really"],
+        ),
     ],
 )
 def test_a_death_during_the_start_is_told_with_the_last_lines(
@@ -90,9 +107,13 @@ def test_a_death_during_the_start_is_told_with_the_last_lines(
     assert children() == before
 
 
-def test_what_is_missing_is_named_when_the_time_is_over(supervisor: Supervisor, make_config: MakeConfig) -> None:
+def test_what_is_missing_is_named_when_the_time_is_over(
+    supervisor: Supervisor, make_config: MakeConfig
+) -> None:
     before = children()
-    with pytest.raises(NotReadyError, match=r"not ready within 10 s; missing: images on camera/front/image"):
+    with pytest.raises(
+        NotReadyError, match=r"not ready within 10 s; missing: images on camera/front/image"
+    ):
         supervisor.start("perception", make_config(start_timeout_s=10.0, perception="never-ready"))
     assert children() == before
     assert supervisor.view("perception").phase == "stopped"
@@ -103,24 +124,35 @@ def test_a_hang_in_configure_ends_at_the_timeout_of_that_module(
 ) -> None:
     before = children()
     config = make_config(start_timeout_s=600.0, stop_timeout_s=0.5, robot="hangs-in-configure")
-    config = config.model_copy(update={"robot": config.robot.model_copy(update={"start_timeout_s": 10.0})})
+    config = config.model_copy(
+        update={"robot": config.robot.model_copy(update={"start_timeout_s": 10.0})}
+    )
     stages: list[str] = []
     with pytest.raises(NotReadyError, match="missing: the end of 'configure'") as caught:
         supervisor.start("robot", config, on_stage=stages.append)
     assert "raise start_timeout_s in [robot]" in caught.value.hint
-    assert any(re.fullmatch(r"robot: configuring, \d+ of at most 10 s, \d+\.\d GB in memory", s) for s in stages)
+    assert any(
+        re.fullmatch(r"robot: configuring, \d+ of at most 10 s, \d+\.\d GB in memory", s)
+        for s in stages
+    )
     assert children() == before
 
 
-def test_an_error_that_stays_ends_the_start_with_that_error(supervisor: Supervisor, make_config: MakeConfig) -> None:
+def test_an_error_that_stays_ends_the_start_with_that_error(
+    supervisor: Supervisor, make_config: MakeConfig
+) -> None:
     with pytest.raises(UngroundedError, match="Nothing here is a 'red cube'"):
         supervisor.start("inference", make_config(inference="fails-when-active"))
 
 
-def test_a_second_start_says_what_is_running_and_harms_nothing(supervisor: Supervisor, make_config: MakeConfig) -> None:
+def test_a_second_start_says_what_is_running_and_harms_nothing(
+    supervisor: Supervisor, make_config: MakeConfig
+) -> None:
     view = supervisor.start("inference", make_config(), names={"backend": "fake"})
     assert view.process is not None
-    with pytest.raises(StateError, match=rf"already running \(pid {view.process.pid}, backend 'fake', since \d\d:"):
+    with pytest.raises(
+        StateError, match=rf"already running \(pid {view.process.pid}, backend 'fake', since \d\d:"
+    ):
         supervisor.start("inference", make_config())
     assert supervisor.require_running("inference").process is view.process
 
@@ -135,7 +167,9 @@ def test_a_start_during_a_start_is_refused_and_the_first_succeeds(
         if stage == "robot: configuring":
             configuring.set()
 
-    first = threading.Thread(target=supervisor.start, args=("robot", config), kwargs={"on_stage": on_stage})
+    first = threading.Thread(
+        target=supervisor.start, args=("robot", config), kwargs={"on_stage": on_stage}
+    )
     first.start()
     assert configuring.wait(20)
     with pytest.raises(StateError, match="already starting"):

@@ -47,7 +47,9 @@ def start(supervisor: Supervisor, config: Config, kind: str = "robot") -> int:
     return view.process.pid
 
 
-def test_a_stopped_module_was_deactivated_and_is_reaped(supervisor: Supervisor, make_config: MakeConfig) -> None:
+def test_a_stopped_module_was_deactivated_and_is_reaped(
+    supervisor: Supervisor, make_config: MakeConfig
+) -> None:
     pid = start(supervisor, make_config())
     stopped = supervisor.stop("robot")
     assert stopped is not None
@@ -60,7 +62,9 @@ def test_a_stopped_module_was_deactivated_and_is_reaped(supervisor: Supervisor, 
 def test_a_failed_start_whose_process_cannot_be_ended_leaves_a_slot_that_can_be_used(
     supervisor: Supervisor, make_config: MakeConfig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A process that hangs in a driver survives SIGKILL for a while, as one does on a machine without time for it."""
+    """A process that hangs in a driver survives SIGKILL for a while, as one does on a machine
+    without time for it.
+    """
 
     def end(processes: Sequence[ModuleProcess], timeout_s: float) -> set[int]:
         end_processes(processes, timeout_s)
@@ -92,7 +96,9 @@ def test_what_does_not_leave_is_killed_with_its_children(
     assert stopped.took_s < PATIENCE_S
     assert is_gone(pid)
     if fault == "has-a-child":
-        wait_until(lambda: is_gone(int(report.metrics["child_pid"])), PATIENCE_S, "its child is gone")
+        wait_until(
+            lambda: is_gone(int(report.metrics["child_pid"])), PATIENCE_S, "its child is gone"
+        )
 
 
 def test_a_frozen_process_is_killed(supervisor: Supervisor, make_config: MakeConfig) -> None:
@@ -110,7 +116,9 @@ def test_an_unexpected_death_is_noticed_at_once_with_its_last_words(
     pid = start(supervisor, make_config())
     killed_s = time.monotonic()
     os.kill(pid, signal.SIGKILL)
-    wait_until(lambda: supervisor.view("robot").phase == "exited", 0.5, "the death is in the status")
+    wait_until(
+        lambda: supervisor.view("robot").phase == "exited", 0.5, "the death is in the status"
+    )
     print(f"noticed after {1e3 * (time.monotonic() - killed_s):.0f} ms")
     view = supervisor.view("robot")
     assert view.exit is not None
@@ -122,9 +130,13 @@ def test_an_unexpected_death_is_noticed_at_once_with_its_last_words(
     assert supervisor.view("robot").phase == "running"
 
 
-def test_a_death_right_after_the_proof_is_noticed(supervisor: Supervisor, make_config: MakeConfig) -> None:
+def test_a_death_right_after_the_proof_is_noticed(
+    supervisor: Supervisor, make_config: MakeConfig
+) -> None:
     start(supervisor, make_config(robot="dies-when-ready"))
-    wait_until(lambda: supervisor.view("robot").phase == "exited", 3.0, "the death is in the status")
+    wait_until(
+        lambda: supervisor.view("robot").phase == "exited", 3.0, "the death is in the status"
+    )
     exited = supervisor.view("robot").exit
     assert exited is not None
     assert exited.code == 13
@@ -169,22 +181,34 @@ def test_the_modules_of_a_killed_server_end_with_it(
     tmp_path: Path, fake_command: Callable[[str | None], list[str]]
 ) -> None:
     script = PARENT.format(command=fake_command(None), state=str(tmp_path))
-    with subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True) as parent:
+    with subprocess.Popen(
+        [sys.executable, "-c", script], stdout=subprocess.PIPE, text=True
+    ) as parent:
         assert parent.stdout is not None
         pids = [int(parent.stdout.readline()) for _ in range(3)]
         parent.kill()
-    wait_until(lambda: all(is_gone(pid) for pid in pids), PATIENCE_S, "both modules are gone, and the child of one")
+    wait_until(
+        lambda: all(is_gone(pid) for pid in pids),
+        PATIENCE_S,
+        "both modules are gone, and the child of one",
+    )
 
 
 def test_modules_and_their_children_die_when_their_parent_is_killed(
     tmp_path: Path, fake_command: Callable[[str | None], list[str]]
 ) -> None:
     script = PARENT.format(command=fake_command(None), state=str(tmp_path))
-    with subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True) as parent:
+    with subprocess.Popen(
+        [sys.executable, "-c", script], stdout=subprocess.PIPE, text=True
+    ) as parent:
         assert parent.stdout is not None
         pids = [int(parent.stdout.readline()) for _ in range(3)]
         parent.kill()
         parent.wait(5)
         killed_s = time.monotonic()
-        wait_until(lambda: all(is_gone(pid) for pid in pids), PATIENCE_S, "both modules are gone, and the child of one")
+        wait_until(
+            lambda: all(is_gone(pid) for pid in pids),
+            PATIENCE_S,
+            "both modules are gone, and the child of one",
+        )
         print(f"all gone {1e3 * (time.monotonic() - killed_s):.0f} ms after their parent")

@@ -30,7 +30,9 @@ def test_a_step_that_raises_is_logged_once_and_repeated(caplog: pytest.LogCaptur
     assert again.wait(SOON_S)
     thread.close()
     assert len(set(steps)) == 1, "one thread, although it was started twice"
-    assert [record.exc_text for record in caplog.records if "the look failed" in str(record.exc_text)], caplog.text
+    assert [
+        record.exc_text for record in caplog.records if "the look failed" in str(record.exc_text)
+    ], caplog.text
     assert len(caplog.records) == 1
     assert not [t for t in threading.enumerate() if t.name == "looks"]
 

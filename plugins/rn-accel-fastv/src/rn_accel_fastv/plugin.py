@@ -1,4 +1,6 @@
-"""What this package offers: the presets `fastv-p25`, `fastv-p50`, `fastv-p75`, and `fastv` with a free share."""
+"""What this package offers: the presets `fastv-p25`, `fastv-p50`, `fastv-p75`, and `fastv` with
+a free share.
+"""
 
 from __future__ import annotations
 
@@ -18,8 +20,12 @@ def _spec(name: str, summary: str, target: str, config: str, case: str) -> Accel
         config=f"rn_accel_fastv.config:{config}",
         case=f"rn_accel_fastv.case:{case}",
         requires=(
-            Requirement(module="torch", install="pip install torch (which build: README.md, PyTorch)"),
-            Requirement(module="rn_runtime_torch", install="pip install ./plugins/rn-runtime-torch"),
+            Requirement(
+                module="torch", install="pip install torch (which build: README.md, PyTorch)"
+            ),
+            Requirement(
+                module="rn_runtime_torch", install="pip install ./plugins/rn-runtime-torch"
+            ),
         ),
         families=FAMILIES,
         capability="visual-token-pruning",
@@ -40,4 +46,9 @@ def _named(percent: int) -> AccelerationSpec:
 def roboneuron_accelerations() -> Sequence[AccelerationSpec]:
     """FastV with named and with free shares of dropped visual tokens."""
     free = "FastV with a free layer k and a free share r of dropped visual tokens."
-    return (_named(25), _named(50), _named(75), _spec("fastv", free, "FastV", "FastVConfig", "free_case"))
+    return (
+        _named(25),
+        _named(50),
+        _named(75),
+        _spec("fastv", free, "FastV", "FastVConfig", "free_case"),
+    )

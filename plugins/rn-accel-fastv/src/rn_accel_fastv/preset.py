@@ -25,7 +25,8 @@ class _Preset:
         """
         if not callable(getattr(decoder, "install_selection", None)):
             raise ConfigurationError(
-                f"FastV cannot be installed into a {type(decoder).__name__}: it cannot drop visual tokens.",
+                f"FastV cannot be installed into a {type(decoder).__name__}: it cannot drop "
+                "visual tokens.",
                 hint='Choose a runtime with the capability "visual-token-pruning", such as torch.',
             )
         from rn_accel_fastv.selection import AttendedTokens  # heavy: torch

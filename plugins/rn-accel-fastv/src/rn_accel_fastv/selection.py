@@ -1,4 +1,6 @@
-"""Which visual tokens stay. Source: Chen et al. 2024 (FastV), its public code for the row that counts."""
+"""Which visual tokens stay. Source: Chen et al. 2024 (FastV), its public code for the row that
+counts.
+"""
 
 from __future__ import annotations
 
@@ -14,10 +16,11 @@ from roboneuron import ConfigurationError
 
 @dataclass(frozen=True, slots=True)
 class AttendedTokens:
-    """Keeps the visual tokens with the highest attention from one row, averaged over heads; all others as they are.
+    """Keeps the visual tokens with the highest attention from one row, averaged over heads; all
+    others as they are.
 
-    Kept positions stay in order and keep their rotary positions. Only the rows that count are computed, with a softmax
-    in float32, so that attention itself can stay fused.
+    Kept positions stay in order and keep their rotary positions. Only the rows that count are
+    computed, with a softmax in float32, so that attention itself can stay fused.
 
     Attributes:
         layer: see `TokenSelection`.
@@ -42,10 +45,14 @@ class AttendedTokens:
         start, end = view.visual_start, view.visual_start + view.visual_count
         best = attention[start:end].topk(kept).indices.sort().values + start
         count, device = view.key.shape[2], view.key.device
-        return torch.cat((torch.arange(start, device=device), best, torch.arange(end, count, device=device)))
+        return torch.cat(
+            (torch.arange(start, device=device), best, torch.arange(end, count, device=device))
+        )
 
     def _attention(self, view: AttentionView) -> Tensor:
-        """Mean attention (positions,) of the rows that count; the last row sees everything, causal or not."""
+        """Mean attention (positions,) of the rows that count; the last row sees everything,
+        causal or not.
+        """
         count = view.query.shape[2]
         if self.query == "last":
             first, end = count - 1, count
@@ -53,7 +60,8 @@ class AttendedTokens:
             first, end = view.rows
         else:
             raise ConfigurationError(
-                'FastV with query = "actions" needs a model that reads action rows in one pass (OpenVLA-OFT).',
+                'FastV with query = "actions" needs a model that reads action rows in one pass '
+                "(OpenVLA-OFT).",
                 hint='Set query = "last".',
             )
         query = view.query[0, :, first:end].float()

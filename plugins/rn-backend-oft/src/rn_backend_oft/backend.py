@@ -12,7 +12,14 @@ from numpy.typing import NDArray
 from rn_backend_oft.config import OftConfig
 from rn_backend_oft.policy import OftPolicy
 from rn_backend_oft.state import read_state, state_width
-from rn_vla.decoding import BatchRuntime, LlamaAcceleration, Reply, RowsReply, RowsRequest, RowsRuntime
+from rn_vla.decoding import (
+    BatchRuntime,
+    LlamaAcceleration,
+    Reply,
+    RowsReply,
+    RowsRequest,
+    RowsRuntime,
+)
 from rn_vla.openvla.bins import ActionBins, OutsideCounter
 from rn_vla.openvla.checkpoint import Checkpoint
 from rn_vla.openvla.policy import action_bins, prompt_encoder
@@ -34,7 +41,9 @@ F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
 _EPSILON = 1e-8
-"""Added to every range. Source: OpenVLA-OFT, un-normalisation of actions and normalisation of proprioception."""
+"""Added to every range. Source: OpenVLA-OFT, un-normalisation of actions and normalisation of
+proprioception.
+"""
 
 
 class OftBackend:
@@ -44,7 +53,11 @@ class OftBackend:
     """Roles in the order of the model's images."""
 
     def __init__(
-        self, config: OftConfig, *, runtime: RowsRuntime | None = None, acceleration: LlamaAcceleration | None = None
+        self,
+        config: OftConfig,
+        *,
+        runtime: RowsRuntime | None = None,
+        acceleration: LlamaAcceleration | None = None,
     ) -> None:
         self._config = config
         self._profile = config.action_profile()
@@ -65,19 +78,25 @@ class OftBackend:
         """Read the checkpoint with its component files and give it to the runtime.
 
         Raises:
-            CheckpointError: files are absent, damaged, of another family or of a kind that is not implemented.
+            CheckpointError: files are absent, damaged, of another family or of a kind that is not
+                implemented.
             ConfigurationError: an option does not fit the checkpoint or the contract.
         """
         config, constants = self._config, self._constants
         if self._runtime is None:
-            raise ConfigurationError("Backend 'oft' needs a runtime.", hint="Install rn-runtime-torch.")
+            raise ConfigurationError(
+                "Backend 'oft' needs a runtime.", hint="Install rn-runtime-torch."
+            )
         if constants.action_width != ACTION_SIZE:
             raise ConfigurationError(
-                f"constants = {config.constants!r} has {constants.action_width} values per action (two arms' joints); "
+                f"constants = {config.constants!r} has {constants.action_width} values per action "
+                "(two arms' joints); "
                 f"the contract carries the TCP delta and gripper of one arm, {ACTION_SIZE} values."
             )
         checkpoint = Checkpoint.read(config.checkpoint)
-        key, statistics = choose_statistics(checkpoint.statistics, config.unnorm_key, checkpoint.statistics_source)
+        key, statistics = choose_statistics(
+            checkpoint.statistics, config.unnorm_key, checkpoint.statistics_source
+        )
         self._read_scalings(key, statistics)
         self._policy = OftPolicy(
             checkpoint=checkpoint,
@@ -88,7 +107,9 @@ class OftBackend:
         )
         self._encoder = prompt_encoder(checkpoint, "v02")
         self._preprocessor = Preprocessor(
-            size=checkpoint.vision.towers[0].image, towers=checkpoint.towers, steps=config.image_steps
+            size=checkpoint.vision.towers[0].image,
+            towers=checkpoint.towers,
+            steps=config.image_steps,
         )
         self._bins = action_bins(checkpoint)
         self._outside = OutsideCounter(self._bins, config.max_outside_share)
@@ -112,7 +133,8 @@ class OftBackend:
         if statistics.proprio is None or len(statistics.proprio.min) != width:
             has = "none" if statistics.proprio is None else str(len(statistics.proprio.min))
             raise ConfigurationError(
-                f"Data set {key!r} has {has} proprio values, the state layout {constants.state!r} gives {width}."
+                f"Data set {key!r} has {has} proprio values, the state layout {constants.state!r} "
+                f"gives {width}."
             )
         statistics.proprio.check_order(f"data set {key!r}, proprio,")
         self._proprio = Scaling.of(statistics.proprio, constants.bounds, _EPSILON)
@@ -121,8 +143,8 @@ class OftBackend:
         """A chunk of actions for the newest images and state.
 
         Raises:
-            UngroundedError: a camera or the state is missing from the observation, or too many of the decoded tokens
-                are no action tokens (`head = "tokens"`).
+            UngroundedError: a camera or the state is missing from the observation, or too many of
+                the decoded tokens are no action tokens (`head = "tokens"`).
             UnsafeError: the model produced non-finite values.
         """
         runtime, started = self._loaded_runtime(), time.perf_counter()
@@ -131,10 +153,11 @@ class OftBackend:
         return self._chunk(observation, runtime.run(request), started, prepared)
 
     def predict_batch(self, observations: Sequence[Observation]) -> list[ActionChunk]:
-        """A chunk for each observation, in their order, from one pass where the runtime can do that.
+        """A chunk for each observation, in their order, from one pass where the runtime can do
+        that.
 
-        With the runtime `torch` in float32, each is within 1e-5 of what `predict` gives; times are those of all.
-        A runtime without `run_batch` is asked one after the other.
+        With the runtime `torch` in float32, each is within 1e-5 of what `predict` gives; times are
+        those of all. A runtime without `run_batch` is asked one after the other.
 
         Raises:
             RoboNeuronError: as `predict`, for all of them.
@@ -164,7 +187,8 @@ class OftBackend:
             frame = observation.frames.get(role)
             if frame is None:
                 raise UngroundedError(
-                    f"The observation has no image of role {role!r}, only {sorted(observation.frames)}."
+                    f"The observation has no image of role {role!r}, only "
+                    f"{sorted(observation.frames)}."
                 )
             images.append(self._preprocessor.to_model_image(frame.image))
         text = self._encoder.to_text(observation.instruction)
@@ -177,7 +201,9 @@ class OftBackend:
             timeout_s=self._config.timeout_s,
         )
 
-    def _chunk(self, observation: Observation, reply: Reply, started: float, prepared: float) -> ActionChunk:
+    def _chunk(
+        self, observation: Observation, reply: Reply, started: float, prepared: float
+    ) -> ActionChunk:
         if not isinstance(reply, RowsReply):
             raise PluginError(f"The runtime answered {type(reply).__name__}, expected RowsReply.")
         normalized, outside, note = self._to_normalized(reply.values)
@@ -202,10 +228,14 @@ class OftBackend:
             finger_joints=self._config.finger_joints,
             by_quaternion=self._config.state_rotation == "quaternion",
         )
-        return None if self._proprio is None else self._proprio.to_normalized(state).astype(np.float32)
+        return (
+            None if self._proprio is None else self._proprio.to_normalized(state).astype(np.float32)
+        )
 
     def _to_normalized(self, values: F32) -> tuple[F64, dict[str, float], str]:
-        """Normalised actions (chunk, width), metrics of the tokens they were decoded from, and a note on them."""
+        """Normalised actions (chunk, width), metrics of the tokens they were decoded from, and
+        a note on them.
+        """
         shape = (self._constants.chunk, self._constants.action_width)
         if values.size != shape[0] * shape[1]:
             raise PluginError(f"The runtime answered values {values.shape}, expected {shape}.")

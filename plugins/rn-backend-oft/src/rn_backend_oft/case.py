@@ -28,7 +28,12 @@ def _case(spec: BackendSpec) -> BackendCase:
 
     return BackendCase(
         spec=spec,
-        options={"checkpoint": str(_checkpoint()), "profile": "libero", "constants": "libero", "proprio": True},
+        options={
+            "checkpoint": str(_checkpoint()),
+            "profile": "libero",
+            "constants": "libero",
+            "proprio": True,
+        },
         runtime=lambda: TorchRuntime(TorchRuntimeConfig(device="cpu", dtype="float32")),
     )
 

@@ -1,4 +1,6 @@
-"""The files beside the base checkpoint: action head and proprio projector, and those that cannot be used."""
+"""The files beside the base checkpoint: action head and proprio projector, and those that
+cannot be used.
+"""
 
 from __future__ import annotations
 
@@ -11,8 +13,10 @@ _PREFIX = "module."
 """Left in the files by distributed training."""
 _BLOCKS = 2
 _REFUSED = {
-    "noisy_action_projector": "a diffusion head, which is not implemented; use the L1 checkpoint of the same suite",
-    "vision_backbone": "FiLM conditioning of the vision towers, which is not implemented; use a checkpoint without it",
+    "noisy_action_projector": "a diffusion head, which is not implemented; use the L1 checkpoint "
+    "of the same suite",
+    "vision_backbone": "FiLM conditioning of the vision towers, which is not implemented; use a "
+    "checkpoint without it",
 }
 
 
@@ -23,26 +27,35 @@ def find_component(checkpoint: Path, component: str) -> Path:
         names = ", ".join(path.name for path in found) or "none"
         raise CheckpointError(
             f"{checkpoint} must hold exactly one file {component}--*checkpoint.pt, found: {names}.",
-            hint="Download the component file of one training step, or set `head` and `proprio` as it was trained.",
+            hint="Download the component file of one training step, or set `head` and `proprio` "
+            "as it was trained.",
         )
     return found[0]
 
 
 def _files(checkpoint: Path, component: str) -> list[Path]:
-    return sorted(path for path in checkpoint.glob(f"*{component}*.pt") if "checkpoint" in path.name)
+    return sorted(
+        path for path in checkpoint.glob(f"*{component}*.pt") if "checkpoint" in path.name
+    )
 
 
 def check_components(checkpoint: Path, *, head: bool, proprio: bool) -> None:
-    """Raise CheckpointError when a component is there that would be left out, or one that is not implemented."""
+    """Raise CheckpointError when a component is there that would be left out, or one that is
+    not implemented.
+    """
     for component, reason in _REFUSED.items():
         for path in _files(checkpoint, component):
             raise CheckpointError(f"{path.name} says that the checkpoint has {reason}.")
-    wanted = {"action_head": (head, 'head = "l1"'), "proprio_projector": (proprio, "proprio = true")}
+    wanted = {
+        "action_head": (head, 'head = "l1"'),
+        "proprio_projector": (proprio, "proprio = true"),
+    }
     for component, (used, option) in wanted.items():
         found = _files(checkpoint, component)
         if found and not used:
             raise CheckpointError(
-                f"{found[0].name} would be left out, but the model was trained with it.", hint=f"Set {option}."
+                f"{found[0].name} would be left out, but the model was trained with it.",
+                hint=f"Set {option}.",
             )
 
 
@@ -66,7 +79,8 @@ def head_shard(path: Path, decoder: DecoderShape, action_width: int) -> Shard:
     return Shard(
         path=path,
         weights={
-            f"{_PREFIX}model.{name}": Weight(shape=shape, target=f"back.{name}") for name, shape in shapes.items()
+            f"{_PREFIX}model.{name}": Weight(shape=shape, target=f"back.{name}")
+            for name, shape in shapes.items()
         },
     )
 

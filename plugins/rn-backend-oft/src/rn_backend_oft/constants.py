@@ -1,4 +1,6 @@
-"""Constants of a training platform that the checkpoint does not say: they are options, never guessed."""
+"""Constants of a training platform that the checkpoint does not say: they are options, never
+guessed.
+"""
 
 from __future__ import annotations
 

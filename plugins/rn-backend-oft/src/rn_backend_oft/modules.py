@@ -13,16 +13,24 @@ from rn_vla.openvla.layout import VisionShape
 
 
 class OftFront(OpenVlaFront):
-    """First prompt token, patches of all cameras, proprioception, the rest of the prompt, empty rows, stop token."""
+    """First prompt token, patches of all cameras, proprioception, the rest of the prompt, empty
+    rows, stop token.
+    """
 
     def __init__(self, shape: VisionShape, *, placeholders: int, proprio_width: int) -> None:
         """`proprio_width` 0 is for checkpoints without proprioception."""
         super().__init__(shape)
         self.placeholders = placeholders
-        self.proprio_projector = Projector((proprio_width, shape.hidden, shape.hidden)) if proprio_width else None
+        self.proprio_projector = (
+            Projector((proprio_width, shape.hidden, shape.hidden)) if proprio_width else None
+        )
 
-    def forward(self, arrays: dict[str, Tensor], ids: Tensor, embed: Callable[[Tensor], Tensor]) -> Tensor:
-        """Arrays {"pixel_values", "proprio"?} and ids (b, n) with placeholders -> (b, patches + 0 or 1 + n, hidden)."""
+    def forward(
+        self, arrays: dict[str, Tensor], ids: Tensor, embed: Callable[[Tensor], Tensor]
+    ) -> Tensor:
+        """Arrays {"pixel_values", "proprio"?} and ids (b, n) with placeholders -> (b, patches +
+        0 or 1 + n, hidden).
+        """
         words = embed(ids)
         end = words.shape[1] - 1
         start = end - self.placeholders

@@ -18,7 +18,9 @@ def _spec(name: str, summary: str, target: str, case: str, cameras: tuple[str, .
         config="rn_backend_oft.config:OftConfig",
         case=f"rn_backend_oft.case:{case}",
         requires=(
-            Requirement(module="torch", install="pip install torch (which build: README.md, PyTorch)"),
+            Requirement(
+                module="torch", install="pip install torch (which build: README.md, PyTorch)"
+            ),
             Requirement(module="tokenizers", install="pip install tokenizers"),
             Requirement(module="simplejpeg", install="pip install simplejpeg"),
             Requirement(module="rn_vla", install="pip install ./plugins/rn-vla"),
@@ -47,7 +49,8 @@ def roboneuron_backends() -> Sequence[BackendSpec]:
     return (
         _spec(
             "oft",
-            "OpenVLA-OFT: a chunk of actions in one pass, from a primary and a wrist camera and the measured state.",
+            "OpenVLA-OFT: a chunk of actions in one pass, from a primary and a wrist camera and "
+            "the measured state.",
             "OftBackend",
             "oft_case",
             ("primary", "wrist"),

@@ -1,4 +1,6 @@
-"""From a checkpoint to what a runtime loads, and from an observation to what it runs; no units, no robot."""
+"""From a checkpoint to what a runtime loads, and from an observation to what it runs; no units,
+no robot.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,9 @@ FAMILY = "openvla-oft"
 _PLACEHOLDER_ID = 1
 _STOP_ID = 2
 _TAIL = 2
-"""Rows after the read ones: read-out begins one row early, at the last prompt token, so a placeholder stays too."""
+"""Rows after the read ones: read-out begins one row early, at the last prompt token, so a
+placeholder stays too.
+"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -57,9 +61,17 @@ class OftPolicy:
         check_components(path, head=has_head, proprio=bool(self.proprio_width))
         shards = list(self.checkpoint.shards)
         if has_head:
-            shards.append(head_shard(find_component(path, "action_head"), decoder, self.constants.action_width))
+            shards.append(
+                head_shard(
+                    find_component(path, "action_head"), decoder, self.constants.action_width
+                )
+            )
         if self.proprio_width:
-            shards.append(proprio_shard(find_component(path, "proprio_projector"), decoder, self.proprio_width))
+            shards.append(
+                proprio_shard(
+                    find_component(path, "proprio_projector"), decoder, self.proprio_width
+                )
+            )
         return PolicyModel(
             family=FAMILY,
             checkpoint=path,
@@ -90,7 +102,8 @@ class OftPolicy:
 
         Args:
             text: the whole prompt.
-            ids: int64 (n,), ended by the prompt's final id; placeholders and stop id are added here.
+            ids: int64 (n,), ended by the prompt's final id; placeholders and stop id are added
+                here.
             images: uint8 (H, W, 3), one per camera.
             pixel_values: float32 (cameras * channels, side, side), primary camera first.
             proprio: float32 (n,) normalised, or None for a checkpoint without.
@@ -100,7 +113,9 @@ class OftPolicy:
         arrays = {"pixel_values": pixel_values}
         if proprio is not None:
             arrays["proprio"] = proprio
-        whole = np.concatenate([ids, np.full(self.constants.tokens, _PLACEHOLDER_ID), [_STOP_ID]]).astype(np.int64)
+        whole = np.concatenate(
+            [ids, np.full(self.constants.tokens, _PLACEHOLDER_ID), [_STOP_ID]]
+        ).astype(np.int64)
         return RowsRequest(
             prompt=Prompt(text=text, ids=whole, images=images, arrays=arrays),
             rows=self.constants.tokens,
@@ -123,7 +138,11 @@ class OftPolicy:
     def _build_front(self) -> object:
         from rn_backend_oft.modules import OftFront  # heavy: torch
 
-        return OftFront(self.checkpoint.vision, placeholders=self.constants.tokens, proprio_width=self.proprio_width)
+        return OftFront(
+            self.checkpoint.vision,
+            placeholders=self.constants.tokens,
+            proprio_width=self.proprio_width,
+        )
 
     def _build_head(self) -> object:
         from rn_backend_oft.modules import L1Head  # heavy: torch

@@ -14,15 +14,20 @@ from roboneuron import ConfigurationError, Observation, UngroundedError, matrix_
 
 F64 = NDArray[np.float64]
 
-STATE_WIDTHS: Mapping[StateLayout, int] = MappingProxyType({"xyz_rotvec_fingers": 8, "xyz_rpy_opening": 7})
+STATE_WIDTHS: Mapping[StateLayout, int] = MappingProxyType(
+    {"xyz_rotvec_fingers": 8, "xyz_rpy_opening": 7}
+)
 """Values of each layout that one arm's measured state gives."""
 
 
 def state_width(layout: StateLayout) -> int:
-    """Values of the layout. Raises ConfigurationError for one that a single arm's state does not give."""
+    """Values of the layout. Raises ConfigurationError for one that a single arm's state does
+    not give.
+    """
     if layout not in STATE_WIDTHS:
         raise ConfigurationError(
-            f"The state layout {layout!r} is that of two arms' joints; the contract carries one TCP pose and gripper.",
+            f"The state layout {layout!r} is that of two arms' joints; the contract carries one "
+            "TCP pose and gripper.",
             hint=f"Layouts that can be filled: {', '.join(STATE_WIDTHS)}.",
         )
     return STATE_WIDTHS[layout]
@@ -39,11 +44,11 @@ def read_state(
 ) -> F64:
     """Measured state (n,): TCP position [m], then by layout
 
-    - "xyz_rotvec_fingers": rotation vector [rad] around that of a gripper pointing down (or, `by_quaternion`, of up to
-      2 pi as the quaternion's sign tells), both finger joints [m] (the
+    - "xyz_rotvec_fingers": rotation vector [rad] around that of a gripper pointing down (or,
+      `by_quaternion`, of up to 2 pi as the quaternion's sign tells), both finger joints [m] (the
       second one negative; as measured where `finger_joints` names them); as in LIBERO;
-    - "xyz_rpy_opening": roll, pitch, yaw [rad] against a gripper pointing down, opening 0 closed .. 1 open; as in
-      BridgeData.
+    - "xyz_rpy_opening": roll, pitch, yaw [rad] against a gripper pointing down, opening 0 closed ..
+      1 open; as in BridgeData.
 
     Raises:
         UngroundedError: pose or gripper is missing or not finite; nothing is put in its place.
@@ -51,19 +56,27 @@ def read_state(
     pose, opening = observation.ee_pose, observation.gripper_open
     if pose is None or opening is None:
         missing = "TCP pose" if pose is None else "gripper opening"
-        raise UngroundedError(f"The observation has no {missing}, which the checkpoint's proprioception needs.")
+        raise UngroundedError(
+            f"The observation has no {missing}, which the checkpoint's proprioception needs."
+        )
     rotation = matrix_from_quaternion(pose.quaternion_xyzw)
     position = pose.position_m + origin_m
     if layout == "xyz_rotvec_fingers":
         fingers = [opening * finger_travel_m, -opening * finger_travel_m]
         if finger_joints is not None:
             fingers = _measured(observation, finger_joints)
-        turn = rotvec_by_quaternion(pose.quaternion_xyzw) if by_quaternion else rotvec_by_down(rotation)
+        turn = (
+            rotvec_by_quaternion(pose.quaternion_xyzw)
+            if by_quaternion
+            else rotvec_by_down(rotation)
+        )
         state = np.concatenate([position, turn, fingers])
     else:
         state = np.concatenate([position, rpy_by_down(rotation), [opening]])
     if not np.isfinite(state).all():
-        raise UngroundedError(f"The measured state holds a non-finite value: {np.round(state, 4).tolist()}.")
+        raise UngroundedError(
+            f"The measured state holds a non-finite value: {np.round(state, 4).tolist()}."
+        )
     return state
 
 
@@ -71,5 +84,7 @@ def _measured(observation: Observation, names: tuple[str, str]) -> list[float]:
     joints = observation.joints
     absent = [name for name in names if joints is None or name not in joints.names]
     if joints is None or absent:
-        raise UngroundedError(f"The observation has no joint {absent}, whose position the checkpoint's state needs.")
+        raise UngroundedError(
+            f"The observation has no joint {absent}, whose position the checkpoint's state needs."
+        )
     return [float(joints.position[joints.names.index(name)]) for name in names]

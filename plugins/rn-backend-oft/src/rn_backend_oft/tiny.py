@@ -15,7 +15,8 @@ from rn_vla.openvla.tiny import STATISTICS_KEY, make_tiny, random_values, tiny_s
 
 
 def make_tiny_oft(path: Path, *, seed: int = 0) -> None:
-    """Write a checkpoint with L1 head and proprio projector (constants "libero") into the new or empty `path`.
+    """Write a checkpoint with L1 head and proprio projector (constants "libero") into the new or
+    empty `path`.
 
     Raises:
         ConfigurationError: the directory is not empty.
@@ -26,7 +27,9 @@ def make_tiny_oft(path: Path, *, seed: int = 0) -> None:
     width = state_width(constants.state)
     make_tiny(path, seed=seed, proprio_width=width)
     statistics = {STATISTICS_KEY: tiny_statistics(width)}
-    (path / "dataset_statistics.json").write_text(json.dumps(statistics, indent=1) + "\n", encoding="utf-8")
+    (path / "dataset_statistics.json").write_text(
+        json.dumps(statistics, indent=1) + "\n", encoding="utf-8"
+    )
     decoder = Checkpoint.read(path).decoder
     generator = np.random.default_rng(seed + 1)
     for shard in (

@@ -1,1 +1,3 @@
-"""OpenVLA behind the fixed action contract; network, files and conversions are those of `rn_vla.openvla`."""
+"""OpenVLA behind the fixed action contract; network, files and conversions are those of
+`rn_vla.openvla`.
+"""

@@ -39,7 +39,9 @@ class OpenVlaBackend:
     """Follows `roboneuron.contract.Backend`."""
 
     frame: ClassVar[str] = "base"
-    """Frame of the profiles it takes: without the TCP pose only base-frame actions can be converted."""
+    """Frame of the profiles it takes: without the TCP pose only base-frame actions can be
+    converted.
+    """
 
     def __init__(
         self,
@@ -69,20 +71,29 @@ class OpenVlaBackend:
         """
         config = self._config
         if self._runtime is None:
-            raise ConfigurationError("Backend 'openvla' needs a runtime.", hint="Install rn-runtime-torch.")
+            raise ConfigurationError(
+                "Backend 'openvla' needs a runtime.", hint="Install rn-runtime-torch."
+            )
         check_frame(self._profile.frame, self.frame)
         checkpoint = Checkpoint.read(config.checkpoint)
         _check_no_components(checkpoint)
-        key, statistics = choose_statistics(checkpoint.statistics, config.unnorm_key, checkpoint.statistics_source)
+        key, statistics = choose_statistics(
+            checkpoint.statistics, config.unnorm_key, checkpoint.statistics_source
+        )
         self._scaling = Scaling.of(statistics.action, "q99", 0.0)
         if self._scaling.width != ACTION_SIZE:
             raise ConfigurationError(
-                f"Data set {key!r} has {self._scaling.width} action values, a single arm's TCP delta has {ACTION_SIZE}."
+                f"Data set {key!r} has {self._scaling.width} action values, a single arm's TCP "
+                f"delta has {ACTION_SIZE}."
             )
-        template = config.prompt if config.prompt != "auto" else "v01" if checkpoint.is_vicuna else "v02"
+        template = (
+            config.prompt if config.prompt != "auto" else "v01" if checkpoint.is_vicuna else "v02"
+        )
         self._encoder = prompt_encoder(checkpoint, template)
         self._preprocessor = Preprocessor(
-            size=checkpoint.vision.towers[0].image, towers=checkpoint.towers, steps=config.image_steps
+            size=checkpoint.vision.towers[0].image,
+            towers=checkpoint.towers,
+            steps=config.image_steps,
         )
         self._bins = action_bins(checkpoint)
         self._outside = OutsideCounter(self._bins, config.max_outside_share)
@@ -100,8 +111,8 @@ class OpenVlaBackend:
         """One action for the newest image.
 
         Raises:
-            UngroundedError: the camera or the pose is missing from the observation, or too many of the decoded tokens
-                are no action tokens.
+            UngroundedError: the camera or the pose is missing from the observation, or too many of
+                the decoded tokens are no action tokens.
             UnsafeError: the model produced non-finite values.
         """
         if not self._loaded or self._runtime is None:
@@ -110,7 +121,8 @@ class OpenVlaBackend:
         frame = observation.frames.get(CAMERA)
         if frame is None:
             raise UngroundedError(
-                f"The observation has no image of role {CAMERA!r}, only {sorted(observation.frames)}."
+                f"The observation has no image of role {CAMERA!r}, only "
+                f"{sorted(observation.frames)}."
             )
         if self.frame == "tcp":
             check_pose(observation.ee_pose)
@@ -160,11 +172,14 @@ class OpenVlaTcpBackend(OpenVlaBackend):
 
 
 def _check_no_components(checkpoint: Checkpoint) -> None:
-    """An OFT checkpoint also loads as OpenVLA, but its language model no longer decodes one token after the other."""
+    """An OFT checkpoint also loads as OpenVLA, but its language model no longer decodes one
+    token after the other.
+    """
     found = sorted(checkpoint.path.glob("*--*checkpoint.pt"))
     if found:
         raise CheckpointError(
-            f"{checkpoint.path} holds {found[0].name}: it is an OpenVLA-OFT checkpoint.", hint="Use the backend 'oft'."
+            f"{checkpoint.path} holds {found[0].name}: it is an OpenVLA-OFT checkpoint.",
+            hint="Use the backend 'oft'.",
         )
 
 
@@ -173,13 +188,17 @@ def check_pose(pose: Pose | None) -> None:
     if pose is None:
         raise UngroundedError("The observation has no TCP pose, which tool-frame actions need.")
     if not (np.isfinite(pose.position_m).all() and np.isfinite(pose.quaternion_xyzw).all()):
-        raise UngroundedError("The measured TCP pose holds a non-finite value; the robot is to hold.")
+        raise UngroundedError(
+            "The measured TCP pose holds a non-finite value; the robot is to hold."
+        )
 
 
 def check_frame(profile: str, backend: str) -> None:
     """Raise ConfigurationError when a profile's frame is not the one that a backend converts."""
     if profile != backend:
         raise ConfigurationError(
-            f"The profile's actions are in the frame {profile!r}, this backend converts from {backend!r}.",
-            hint="Backends whose names end in -tcp take tool-frame checkpoints, the others base-frame ones.",
+            f"The profile's actions are in the frame {profile!r}, this backend converts from "
+            f"{backend!r}.",
+            hint="Backends whose names end in -tcp take tool-frame checkpoints, the others "
+            "base-frame ones.",
         )

@@ -14,7 +14,9 @@ _REQUIRES = (
 )
 
 
-def _spec(name: str, summary: str, target: str, case: str, frame: str, needs_state: bool) -> BackendSpec:
+def _spec(
+    name: str, summary: str, target: str, case: str, frame: str, needs_state: bool
+) -> BackendSpec:
     return BackendSpec(
         name=name,
         summary=summary,
@@ -26,7 +28,12 @@ def _spec(name: str, summary: str, target: str, case: str, frame: str, needs_sta
         needs_state=needs_state,
         needs_checkpoint=True,
         action_space=ActionSpace(
-            width=7, translation="checkpoint", rotation="checkpoint", frame=frame, gripper="checkpoint", step_s=0.0
+            width=7,
+            translation="checkpoint",
+            rotation="checkpoint",
+            frame=frame,
+            gripper="checkpoint",
+            step_s=0.0,
         ),
         family="openvla",
         runtimes_required=True,
@@ -40,7 +47,8 @@ def roboneuron_backends() -> Sequence[BackendSpec]:
     return (
         _spec(
             "openvla",
-            "OpenVLA (7B and alike): one action per image from seven decoded tokens; base-frame checkpoints.",
+            "OpenVLA (7B and alike): one action per image from seven decoded tokens; base-frame "
+            "checkpoints.",
             "OpenVlaBackend",
             "openvla_case",
             "base",

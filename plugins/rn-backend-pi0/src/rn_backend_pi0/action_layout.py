@@ -1,4 +1,6 @@
-"""What a checkpoint's action values mean, and the conversion to and from the contract's 7-vector."""
+"""What a checkpoint's action values mean, and the conversion to and from the contract's
+7-vector.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,8 @@ Gripper = Literal["open_fraction", "closed_fraction", "signed_close", "signed_op
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ActionLayout:
-    """Seven values a step: translation (3), rotation (3), gripper (1), in the checkpoint's own convention.
+    """Seven values a step: translation (3), rotation (3), gripper (1), in the checkpoint's own
+    convention.
 
     Attributes:
         meaning: "delta" moves the TCP by the values; "absolute" says where it should be.
@@ -35,10 +38,12 @@ class ActionLayout:
         rotation: "rotvec", or "rpy" (fixed axes x, y, z).
         translation_scale_m: metres of one unit.
         rotation_scale_rad: radians of one unit.
-        limit: the first six values are clipped to -limit..limit before scaling, as the training environment does; 0
-            for no clipping.
-        adds_state: the first six values are relative to the first six of the state, which is added before all else.
-        gripper: "open_fraction" 0 closed..1 open, "closed_fraction", "signed_close" -1 open..1 closed, "signed_open".
+        limit: the first six values are clipped to -limit..limit before scaling, as the training
+            environment does; 0 for no clipping.
+        adds_state: the first six values are relative to the first six of the state, which is added
+            before all else.
+        gripper: "open_fraction" 0 closed..1 open, "closed_fraction", "signed_close" -1 open..1
+            closed, "signed_open".
         step_s: time between two actions [s].
     """
 
@@ -53,7 +58,8 @@ class ActionLayout:
     adds_state: bool = False
 
     def to_contract(self, raw: F64, *, state: F64, pose: Pose | None, base_position_m: F64) -> F64:
-        """The checkpoint's actions (H, 7) -> the contract's (H, 7): base-frame deltas [m, rad] and opening 0..1.
+        """The checkpoint's actions (H, 7) -> the contract's (H, 7): base-frame deltas [m, rad] and
+        opening 0..1.
 
         Args:
             raw: float64 (H, 7), un-normalised.
@@ -70,7 +76,10 @@ class ActionLayout:
         moves = raw[:, :6] + state[:6] if self.adds_state else raw[:, :6]
         if self.limit:
             moves = np.clip(moves, -self.limit, self.limit)
-        translations, rotations = moves[:, :3] * self.translation_scale_m, moves[:, 3:] * self.rotation_scale_rad
+        translations, rotations = (
+            moves[:, :3] * self.translation_scale_m,
+            moves[:, 3:] * self.rotation_scale_rad,
+        )
         out = np.empty((len(raw), ACTION_SIZE))
         if self.meaning == "delta" and self.frame == "base":
             out[:, :3], out[:, 3:6] = translations, self._rotation_vectors(rotations)
@@ -79,8 +88,12 @@ class ActionLayout:
         out[:, 6] = np.clip(self._opening(raw[:, 6]), 0.0, 1.0)
         return out
 
-    def from_contract(self, actions: F64, *, state: F64, pose: Pose | None, base_position_m: F64) -> F64:
-        """The inverse of `to_contract`, for values inside `limit`: contract (H, 7) -> the checkpoint's (H, 7)."""
+    def from_contract(
+        self, actions: F64, *, state: F64, pose: Pose | None, base_position_m: F64
+    ) -> F64:
+        """The inverse of `to_contract`, for values inside `limit`: contract (H, 7) -> the
+        checkpoint's (H, 7).
+        """
         raw = np.empty((len(actions), ACTION_SIZE))
         position, rotation = np.zeros(3), np.eye(3)
         if self.meaning == "absolute" or self.frame == "tcp":
@@ -105,13 +118,19 @@ class ActionLayout:
         return raw
 
     def _rotation_vectors(self, rotations: F64) -> F64:
-        """(H, 3) as the checkpoint writes them -> (H, 3) rotation vectors; those up to pi long stay as they are."""
+        """(H, 3) as the checkpoint writes them -> (H, 3) rotation vectors; those up to pi long
+        stay as they are.
+        """
         if self.rotation == "rotvec" and (np.linalg.norm(rotations, axis=1) <= np.pi).all():
             return rotations
         return np.array([rotvec_from_matrix(self._matrix(rotation)) for rotation in rotations])
 
-    def _follow(self, out: F64, translations: F64, rotations: F64, pose: Pose, base_position_m: F64) -> None:
-        """Write base-frame deltas into `out`, each from where the one before it leads, starting at `pose`."""
+    def _follow(
+        self, out: F64, translations: F64, rotations: F64, pose: Pose, base_position_m: F64
+    ) -> None:
+        """Write base-frame deltas into `out`, each from where the one before it leads, starting
+        at `pose`.
+        """
         position, orientation = pose.position_m, matrix_from_quaternion(pose.quaternion_xyzw)
         for row, translation, rotation in zip(out, translations, rotations, strict=True):
             matrix = self._matrix(rotation)
@@ -120,11 +139,16 @@ class ActionLayout:
                 row[:3], row[3:6] = target - position, rotvec_from_matrix(matrix @ orientation.T)
                 position, orientation = target, matrix
             else:
-                row[:3], row[3:6] = orientation @ translation, orientation @ rotvec_from_matrix(matrix)
+                row[:3], row[3:6] = (
+                    orientation @ translation,
+                    orientation @ rotvec_from_matrix(matrix),
+                )
                 orientation = orientation @ matrix
 
     def _matrix(self, rotation: F64) -> F64:
-        return matrix_from_rotvec(rotation) if self.rotation == "rotvec" else matrix_from_rpy(rotation)
+        return (
+            matrix_from_rotvec(rotation) if self.rotation == "rotvec" else matrix_from_rpy(rotation)
+        )
 
     def _values(self, matrix: F64) -> F64:
         return rotvec_from_matrix(matrix) if self.rotation == "rotvec" else rpy_from_matrix(matrix)
@@ -132,7 +156,8 @@ class ActionLayout:
     def _needed(self, pose: Pose | None) -> Pose:
         if pose is None:
             raise UngroundedError(
-                f"Actions of kind {self.meaning!r} in frame {self.frame!r} need the measured TCP pose; it comes from "
+                f"Actions of kind {self.meaning!r} in frame {self.frame!r} need the measured TCP "
+                "pose; it comes from "
                 "the topic ee_pose, which control publishes."
             )
         return pose
@@ -163,4 +188,7 @@ def _check_raw(raw: F64) -> None:
     finite = np.isfinite(raw)
     if not finite.all():
         row, column = (int(i) for i in np.argwhere(~finite)[0])
-        raise UnsafeError(f"The model produced a non-finite value ({raw[row, column]}) at step {row}, column {column}.")
+        raise UnsafeError(
+            f"The model produced a non-finite value ({raw[row, column]}) at step {row}, column "
+            f"{column}."
+        )

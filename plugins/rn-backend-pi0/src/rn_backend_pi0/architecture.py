@@ -11,7 +11,9 @@ _VISION = _PALIGEMMA + "model.vision_tower.vision_model."
 _PREFIX = _PALIGEMMA + "model.language_model."
 _EXPERT = "paligemma_with_expert.gemma_expert."
 EMBEDDING_KEYS = (_PALIGEMMA + "lm_head.weight", _PREFIX + "embed_tokens.weight")
-"""The token embedding is tied to the head: a checkpoint holds it under one of these names, or under both."""
+"""The token embedding is tied to the head: a checkpoint holds it under one of these names, or
+under both.
+"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -72,13 +74,16 @@ class Pi0Dims:
         a, b = self.prefix, self.expert
         if (a.depth, a.heads, a.kv_heads, a.head_dim) != (b.depth, b.heads, b.kv_heads, b.head_dim):
             raise CheckpointError(
-                "The language model and the action expert share keys and values, so their depth, heads and head size "
+                "The language model and the action expert share keys and values, so their depth, "
+                "heads and head size "
                 f"must be equal; got {a} and {b}. Check vlm_config and dit_config in config.json."
             )
         if self.vision.image % self.vision.patch or self.expert.width % 2 or a.heads % a.kv_heads:
             raise CheckpointError(
-                f"Model dimensions do not divide: image {self.vision.image} by patch {self.vision.patch}, expert width "
-                f"{self.expert.width} by 2, heads {a.heads} by key heads {a.kv_heads}. Check config.json."
+                f"Model dimensions do not divide: image {self.vision.image} by patch "
+                f"{self.vision.patch}, expert width "
+                f"{self.expert.width} by 2, heads {a.heads} by key heads {a.kv_heads}. Check "
+                "config.json."
             )
 
 
@@ -117,8 +122,12 @@ def _vision(dims: VisionDims) -> dict[str, Shape]:
         layer = f"{_VISION}encoder.layers.{index}."
         for part in ("q_proj", "k_proj", "v_proj", "out_proj"):
             shapes |= _linear(f"{layer}self_attn.{part}", dims.width, dims.width)
-        shapes |= _linear(layer + "mlp.fc1", dims.mlp, dims.width) | _linear(layer + "mlp.fc2", dims.width, dims.mlp)
-        shapes |= _norm(layer + "layer_norm1", dims.width) | _norm(layer + "layer_norm2", dims.width)
+        shapes |= _linear(layer + "mlp.fc1", dims.mlp, dims.width) | _linear(
+            layer + "mlp.fc2", dims.width, dims.mlp
+        )
+        shapes |= _norm(layer + "layer_norm1", dims.width) | _norm(
+            layer + "layer_norm2", dims.width
+        )
     return shapes | _norm(_VISION + "post_layernorm", dims.width)
 
 
@@ -142,13 +151,16 @@ def _gemma(prefix: str, dims: GemmaDims) -> dict[str, Shape]:
 def required_tensors(dims: Pi0Dims) -> dict[str, Shape]:
     """Shape by key (without LeRobot's leading "model.") of every tensor a checkpoint must hold.
 
-    The token embedding is not among them: see EMBEDDING_KEYS. Source: the key lists of openpi's and LeRobot's PyTorch
+    The token embedding is not among them: see EMBEDDING_KEYS. Source: the key lists of openpi's and
+        LeRobot's PyTorch
     checkpoints.
     """
     width = dims.expert.width
     return {
         **_vision(dims.vision),
-        **_linear(_PALIGEMMA + "model.multi_modal_projector.linear", dims.prefix.width, dims.vision.width),
+        **_linear(
+            _PALIGEMMA + "model.multi_modal_projector.linear", dims.prefix.width, dims.vision.width
+        ),
         **_gemma(_PREFIX, dims.prefix),
         **_gemma(_EXPERT + "model.", dims.expert),
         **_linear("state_proj", width, dims.state),
@@ -160,7 +172,9 @@ def required_tensors(dims: Pi0Dims) -> dict[str, Shape]:
 
 
 def optional_tensors(dims: Pi0Dims) -> dict[str, Shape]:
-    """Shape by key of tensors that a checkpoint may hold and that inference never reads (the expert's head)."""
+    """Shape by key of tensors that a checkpoint may hold and that inference never reads (the
+    expert's head).
+    """
     shape = (dims.vocabulary, dims.expert.width)
     return {_EXPERT + "lm_head.weight": shape, _EXPERT + "model.embed_tokens.weight": shape}
 
@@ -168,13 +182,16 @@ def optional_tensors(dims: Pi0Dims) -> dict[str, Shape]:
 def module_keys(dims: Pi0Dims) -> dict[str, str]:
     """Checkpoint key by parameter name of the network, for everything that inference reads.
 
-    The last layer of the language model only yields keys and values for the expert, so the rest of it is left out.
+    The last layer of the language model only yields keys and values for the expert, so the rest of
+    it is left out.
     """
     last = f"{_PREFIX}layers.{dims.prefix.depth - 1}."
     last_used = ("input_layernorm.", "self_attn.k_proj.", "self_attn.v_proj.")
     names: dict[str, str] = {}
     for key in required_tensors(dims):
-        if key == _PREFIX + "norm.weight" or (key.startswith(last) and not key[len(last) :].startswith(last_used)):
+        if key == _PREFIX + "norm.weight" or (
+            key.startswith(last) and not key[len(last) :].startswith(last_used)
+        ):
             continue
         names[_parameter_name(key)] = key
     return names

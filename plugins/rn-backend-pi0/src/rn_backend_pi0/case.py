@@ -15,7 +15,9 @@ ROW_TOLERANCE = 0.01
 
 
 def native_case() -> BackendCase:
-    """The backend "pi0" with a checkpoint in a temporary directory that lasts as long as the process."""
+    """The backend "pi0" with a checkpoint in a temporary directory that lasts as long as the
+    process.
+    """
     from rn_backend_pi0.tiny import make_tiny  # heavy
 
     directory = Path(tempfile.mkdtemp(prefix="roboneuron-pi0-"))

@@ -29,7 +29,8 @@ class Checkpoint:
         prompt_length: most tokens of a prompt.
         relative_actions: the family's own code adds the state to the first six action values.
         profile: what PROFILE_FILE says; empty without one.
-        trained_prefix_rows: it was trained to continue clean prefixes of up to so many rows; 0 when it was not.
+        trained_prefix_rows: it was trained to continue clean prefixes of up to so many rows; 0 when
+            it was not.
     """
 
     directory: Path

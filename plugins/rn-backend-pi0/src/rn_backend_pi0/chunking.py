@@ -1,6 +1,7 @@
 """Real-time chunking: a new chunk continues the rows that are played while it is computed.
 
-Source: arXiv 2506.07339 and real-time-chunking-kinetix (guided), arXiv 2512.05964 (training time), lerobot 0.6.1 (names
+Source: arXiv 2506.07339 and real-time-chunking-kinetix (guided), arXiv 2512.05964 (training time),
+    lerobot 0.6.1 (names
 and defaults). Flow time runs from 1 (noise) to 0 (actions), as in pi0; tau = 1 - t.
 """
 
@@ -42,8 +43,10 @@ class Prefix:
         horizon: rows guided at all; None for all of them.
         schedule: how the weights of the rows after the committed ones fall.
         max_weight: greatest guidance weight, that of the first step.
-        jacobian: "identity" as LeRobot computes it, "full" as the paper has it (one backward pass for each step).
-        trained: the checkpoint was trained on clean prefixes: they are put in instead of guided towards.
+        jacobian: "identity" as LeRobot computes it, "full" as the paper has it (one backward pass
+            for each step).
+        trained: the checkpoint was trained on clean prefixes: they are put in instead of guided
+            towards.
     """
 
     rows: F32
@@ -62,8 +65,8 @@ def prefix_weights(committed: int, end: int, total: int, schedule: Schedule) -> 
         committed: the first rows weigh 1.
         end: rows from here on weigh 0; at most as many as the left-over has.
         total: rows of a chunk.
-        schedule: between them: "linear" (end - i) / (end - committed + 1), "exp" w (e^w - 1) / (e - 1) of it, "ones",
-            "zeros".
+        schedule: between them: "linear" (end - i) / (end - committed + 1), "exp" w (e^w - 1) / (e -
+            1) of it, "ones", "zeros".
     """
     start = min(committed, end)
     index = np.arange(total)
@@ -81,7 +84,9 @@ def prefix_weights(committed: int, end: int, total: int, schedule: Schedule) -> 
 
 
 def guidance_weights(times: Sequence[float], max_weight: float) -> tuple[float, ...]:
-    """Weight of the guidance at each Euler step: (tau^2 + (1-tau)^2) / (tau (1-tau)), clipped at `max_weight`."""
+    """Weight of the guidance at each Euler step: (tau^2 + (1-tau)^2) / (tau (1-tau)), clipped
+    at `max_weight`.
+    """
     weights = []
     for time in times:
         tau = 1.0 - time

@@ -11,16 +11,26 @@ from roboneuron import MissingDependencyError, RoboNeuronError
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; returns 0, 1 for a failure that is printed, or exits with 2 for wrong usage."""
+    """Run the command; returns 0, 1 for a failure that is printed, or exits with 2 for wrong
+    usage.
+    """
     parser = argparse.ArgumentParser(prog="roboneuron-pi0", description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
-    make = commands.add_parser("make-tiny", help="write a tiny random checkpoint (0.3 MB), for trying things out")
+    make = commands.add_parser(
+        "make-tiny", help="write a tiny random checkpoint (0.3 MB), for trying things out"
+    )
     make.add_argument("directory", type=Path, help="new or empty directory")
-    make.add_argument("--layout", choices=("lerobot", "openpi"), default="lerobot", help="default: %(default)s")
+    make.add_argument(
+        "--layout", choices=("lerobot", "openpi"), default="lerobot", help="default: %(default)s"
+    )
     make.add_argument("--seed", type=int, default=0, help="of the weights; default: %(default)s")
-    check = commands.add_parser("check", help="compare a checkpoint's files with what the backend needs")
+    check = commands.add_parser(
+        "check", help="compare a checkpoint's files with what the backend needs"
+    )
     check.add_argument("directory", type=Path, help="LeRobot or openpi checkpoint")
-    check.add_argument("--asset-id", help="which statistics of an openpi checkpoint that has several")
+    check.add_argument(
+        "--asset-id", help="which statistics of an openpi checkpoint that has several"
+    )
     chosen = parser.parse_args(arguments)
     try:
         if chosen.command == "make-tiny":
@@ -45,7 +55,10 @@ def _make_tiny(directory: Path, layout: str, seed: int) -> None:
     except ImportError as error:
         raise _missing(error) from error
     make_tiny(directory, layout="openpi" if layout == "openpi" else "lerobot", seed=seed)
-    print(f"Wrote a tiny random pi0 checkpoint to {directory}. Use it as the checkpoint of backend 'pi0'.")
+    print(
+        f"Wrote a tiny random pi0 checkpoint to {directory}. Use it as the checkpoint of backend "
+        "'pi0'."
+    )
 
 
 def _check(directory: Path, asset_id: str | None) -> None:
@@ -57,13 +70,19 @@ def _check(directory: Path, asset_id: str | None) -> None:
 
     checkpoint = read_checkpoint(directory, asset_id=asset_id)
     with open_shards(directory) as shards:
-        check_keys({key: tuple(s.get_slice(full).get_shape()) for key, (s, full) in shards.items()}, checkpoint.dims)
+        check_keys(
+            {key: tuple(s.get_slice(full).get_shape()) for key, (s, full) in shards.items()},
+            checkpoint.dims,
+        )
         count = len(shards)
     print(f"family          {checkpoint.family}")
     print(f"weights         {count} tensors, all accounted for")
     print(f"camera slots    {', '.join(checkpoint.slots)}")
     print(f"state, action   {checkpoint.state.width}, {checkpoint.action.width} values")
-    print(f"chunk           {checkpoint.dims.chunk} actions, {checkpoint.denoising_steps} denoising steps")
+    print(
+        f"chunk           {checkpoint.dims.chunk} actions, {checkpoint.denoising_steps} denoising "
+        "steps"
+    )
     print(f"profile         {checkpoint.profile or 'not said: set the option profile'}")
 
 

@@ -1,4 +1,6 @@
-"""A client of openpi's websocket policy server: one request at a time, bounded waits, reconnects by itself."""
+"""A client of openpi's websocket policy server: one request at a time, bounded waits,
+reconnects by itself.
+"""
 
 from __future__ import annotations
 
@@ -42,8 +44,10 @@ def is_loopback(host: str) -> bool:
 class PolicyClient:
     """Speaks openpi's policy protocol; used from one thread, except `close`.
 
-    A request that fails is never sent again: by then its images are old, and the caller has newer ones. The connection
-    is dropped after every failure, so that a late answer is never taken for that of the next request.
+    A request that fails is never sent again: by then its images are old, and the caller has newer
+        ones. The connection
+    is dropped after every failure, so that a late answer is never taken for that of the next
+    request.
 
     Args:
         url: "ws://host:port" or "wss://host:port".
@@ -98,7 +102,8 @@ class PolicyClient:
         """Send one request and return the reply. Must be connected.
 
         Raises:
-            NotReadyError: the connection broke, the server reported a failure, or no reply came within `timeout_s`.
+            NotReadyError: the connection broke, the server reported a failure, or no reply came
+                within `timeout_s`.
             ConfigurationError: the reply is not of the protocol.
         """
         connection = self._connection
@@ -115,9 +120,12 @@ class PolicyClient:
             if late.is_set() or isinstance(error, TimeoutError):
                 raise NotReadyError(
                     f"The policy server at {self._url} gave no answer within {timeout_s:g} s.",
-                    hint="It may be overloaded or gone; raise request_timeout_s if its inference takes longer.",
+                    hint="It may be overloaded or gone; raise request_timeout_s if its inference "
+                    "takes longer.",
                 ) from error
-            raise NotReadyError(f"The connection to {self._url} broke: {_reason(error)}.") from error
+            raise NotReadyError(
+                f"The connection to {self._url} broke: {_reason(error)}."
+            ) from error
         return self._decoded(reply)
 
     def close(self) -> None:
@@ -127,7 +135,8 @@ class PolicyClient:
 
     def _attempt(self, timeout_s: float) -> dict[Any, Any]:
         deadline_s = time.monotonic() + timeout_s
-        # A socket of our own: no proxy and no redirect, the URL alone says where images go and actions come from.
+        # A socket of our own: no proxy and no redirect, the URL alone says where images go and
+        # actions come from.
         plain = socket.create_connection(self._address, timeout=timeout_s)
         plain.settimeout(None)
         self._stack.callback(plain.close)
@@ -152,7 +161,9 @@ class PolicyClient:
             self._drop()
             log.warning("policy server at %s failed:\n%s", self._url, frame)
             last = (frame.strip().splitlines() or ["no text"])[-1][:_SHOWN]
-            raise NotReadyError(f"The policy server at {self._url} reported a failure: {last}", hint="See its log.")
+            raise NotReadyError(
+                f"The policy server at {self._url} reported a failure: {last}", hint="See its log."
+            )
         try:
             return unpack(frame)
         except ConfigurationError:
@@ -168,12 +179,15 @@ class PolicyClient:
         if isinstance(error, ssl.SSLCertVerificationError):
             raise ConfigurationError(
                 f"The certificate of {self._url} is not trusted: {error.verify_message}.",
-                hint="Name the host as its certificate does, or add its authority with SSL_CERT_FILE.",
+                hint="Name the host as its certificate does, or add its authority with "
+                "SSL_CERT_FILE.",
             ) from error
         if isinstance(error, InvalidStatus) and error.response.status_code in _UNAUTHORIZED:
             raise ConfigurationError(
-                f"The policy server at {self._url} refused the key (HTTP {error.response.status_code}).",
-                hint="Set api_key_variable to the name of the environment variable that holds a valid key.",
+                f"The policy server at {self._url} refused the key (HTTP "
+                f"{error.response.status_code}).",
+                hint="Set api_key_variable to the name of the environment variable that holds a "
+                "valid key.",
             ) from error
 
     def _drop(self) -> None:
@@ -199,7 +213,8 @@ def check_url(url: str, *, has_key: bool, allow_insecure_key: bool) -> str:
         raise ConfigurationError(f"The option 'url' cannot be read: {error}.") from error
     if not host or parts.username is not None:
         raise ConfigurationError(
-            "The option 'url' must name a host and hold no user or password.", hint="A key goes into api_key_variable."
+            "The option 'url' must name a host and hold no user or password.",
+            hint="A key goes into api_key_variable.",
         )
     if parts.scheme == "wss" or is_loopback(host):
         return ""
@@ -209,7 +224,8 @@ def check_url(url: str, *, has_key: bool, allow_insecure_key: bool) -> str:
             hint="Use wss://, a tunnel, or allow_insecure_key = true.",
         )
     return (
-        f"the connection to {host} is not encrypted: anyone on the way can read the images and change the robot's "
+        f"the connection to {host} is not encrypted: anyone on the way can read the images and "
+        "change the robot's "
         "actions; use wss:// or a tunnel"
     )
 

@@ -16,8 +16,11 @@ from rn_backend_pi0.documents import DimensionsDocument, GemmaBlock, VisionBlock
 from roboneuron import CheckpointError
 
 
-def read_dims(config: DimensionsDocument, path: Path, *, chunk: int, state: int, action: int) -> Pi0Dims:
-    """Model dimensions: from the blocks vlm_config and dit_config when there, else by the names of the variants.
+def read_dims(
+    config: DimensionsDocument, path: Path, *, chunk: int, state: int, action: int
+) -> Pi0Dims:
+    """Model dimensions: from the blocks vlm_config and dit_config when there, else by the names of
+    the variants.
 
     Raises:
         CheckpointError: an unknown variant, or blocks that do not fit together.
@@ -50,7 +53,9 @@ def _variant(key: str, name: str | None, path: Path) -> GemmaDims:
             if str(name).endswith("_lora")
             else "Own sizes go into vlm_config/dit_config."
         )
-        raise CheckpointError(f"{path}: {key!r} is {name!r}, expected one of {', '.join(GEMMA_VARIANTS)}.", hint=hint)
+        raise CheckpointError(
+            f"{path}: {key!r} is {name!r}, expected one of {', '.join(GEMMA_VARIANTS)}.", hint=hint
+        )
     return GEMMA_VARIANTS[name]
 
 

@@ -1,7 +1,8 @@
-"""The JSON files of a checkpoint as typed models with bounds; keys that inference does not need are ignored.
+"""The JSON files of a checkpoint as typed models with bounds; keys that inference does not need are
+ignored.
 
-The bounds hold every released pi0 with room to spare. They keep a damaged number from costing memory or time before it
-is compared with the tensors it describes.
+The bounds hold every released pi0 with room to spare. They keep a damaged number from costing
+memory or time before it is compared with the tensors it describes.
 """
 
 from __future__ import annotations
@@ -17,7 +18,8 @@ Inner = Annotated[int, Field(ge=1, le=262_144, strict=True)]
 Count = Annotated[int, Field(ge=1, le=256, strict=True)]
 Epsilon = Annotated[float, Field(ge=1e-12, le=0.01)]
 Vector = Annotated[
-    tuple[Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)], ...], Field(min_length=1, max_length=256)
+    tuple[Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)], ...],
+    Field(min_length=1, max_length=256),
 ]
 Activation = Literal["gelu_pytorch_tanh"]
 
@@ -57,7 +59,9 @@ class VisionBlock(_Document):
     @model_validator(mode="after")
     def _heads_divide(self) -> Self:
         if self.hidden_size % self.num_attention_heads:
-            raise ValueError(f"hidden_size {self.hidden_size} is no multiple of {self.num_attention_heads} heads")
+            raise ValueError(
+                f"hidden_size {self.hidden_size} is no multiple of {self.num_attention_heads} heads"
+            )
         return self
 
 
@@ -89,7 +93,9 @@ class DimensionsDocument(_Document):
         if (self.vlm_config is None) != (self.dit_config is None):
             raise ValueError("vlm_config and dit_config must be given together")
         if self.min_period >= self.max_period:
-            raise ValueError(f"min_period {self.min_period} is not below max_period {self.max_period}")
+            raise ValueError(
+                f"min_period {self.min_period} is not below max_period {self.max_period}"
+            )
         return self
 
 
@@ -102,7 +108,9 @@ class Feature(_Document):
     """One entry of input_features."""
 
     type: Name
-    shape: Annotated[tuple[Annotated[int, Field(ge=1, le=65_536, strict=True)], ...], Field(max_length=8)] = ()
+    shape: Annotated[
+        tuple[Annotated[int, Field(ge=1, le=65_536, strict=True)], ...], Field(max_length=8)
+    ] = ()
 
 
 class LerobotConfig(DimensionsDocument):
@@ -188,4 +196,7 @@ class ProfileDocument(_Document):
 class Index(_Document):
     """model.safetensors.index.json: file by tensor."""
 
-    weight_map: Annotated[dict[Annotated[str, Field(max_length=400)], FileName], Field(min_length=1, max_length=50_000)]
+    weight_map: Annotated[
+        dict[Annotated[str, Field(max_length=400)], FileName],
+        Field(min_length=1, max_length=50_000),
+    ]

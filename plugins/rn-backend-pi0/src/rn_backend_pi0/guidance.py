@@ -1,4 +1,6 @@
-"""What bends pi0's flow so that a new chunk continues the rows that are being played (see `chunking`)."""
+"""What bends pi0's flow so that a new chunk continues the rows that are being played (see
+`chunking`).
+"""
 
 from __future__ import annotations
 

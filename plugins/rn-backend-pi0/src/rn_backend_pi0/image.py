@@ -1,4 +1,6 @@
-"""Images as pi0 takes them: 224 x 224, aspect kept, black bars, resized the way the checkpoint's own code does."""
+"""Images as pi0 takes them: 224 x 224, aspect kept, black bars, resized the way the
+checkpoint's own code does.
+"""
 
 from __future__ import annotations
 
@@ -15,21 +17,26 @@ Flip = Literal["none", "rotate-180", "mirror"]
 
 
 def flip_image(image: U8, flip: Flip) -> U8:
-    """Turn an upright image (H, W, 3) into what the checkpoint was trained on ("mirror" swaps left and right)."""
+    """Turn an upright image (H, W, 3) into what the checkpoint was trained on ("mirror" swaps
+    left and right).
+    """
     if flip == "rotate-180":
         return image[::-1, ::-1]
     return image[:, ::-1] if flip == "mirror" else image
 
 
 def _fitted(height: int, width: int, side: int) -> tuple[int, int, int, int]:
-    """Height and width inside the square, and the top and left margin. Source: openpi and LeRobot alike."""
+    """Height and width inside the square, and the top and left margin. Source: openpi and
+    LeRobot alike.
+    """
     ratio = max(height / side, width / side)
     inner_height, inner_width = int(height / ratio), int(width / ratio)
     return inner_height, inner_width, (side - inner_height) // 2, (side - inner_width) // 2
 
 
 def resize_antialiased(image: U8, side: int) -> U8:
-    """uint8 (H, W, 3) -> uint8 (side, side, 3), bilinear with antialiasing when shrinking, centred on black.
+    """uint8 (H, W, 3) -> uint8 (side, side, 3), bilinear with antialiasing when shrinking, centred
+    on black.
 
     Source: openpi's client, image_tools.resize_with_pad (PIL).
     """
@@ -46,8 +53,12 @@ def resize_antialiased(image: U8, side: int) -> U8:
 
 
 def _sample_axis(size: int, target: int) -> tuple[NDArray[np.intp], NDArray[np.intp], F32]:
-    """Lower and upper index and the weight of the upper, for half-pixel-centred bilinear sampling."""
-    position = np.maximum((np.arange(target, dtype=np.float32) + 0.5) * np.float32(size / target) - 0.5, 0.0)
+    """Lower and upper index and the weight of the upper, for half-pixel-centred bilinear
+    sampling.
+    """
+    position = np.maximum(
+        (np.arange(target, dtype=np.float32) + 0.5) * np.float32(size / target) - 0.5, 0.0
+    )
     lower = np.minimum(np.floor(position).astype(np.intp), size - 1)
     return lower, np.minimum(lower + 1, size - 1), (position - lower).astype(np.float32)
 
@@ -63,9 +74,11 @@ def _mix(first: NDArray[Any], second: NDArray[Any], weight: F32) -> F32:
 
 
 def resize_plain(image: U8, side: int) -> F32:
-    """uint8 (H, W, 3) -> float32 (side, side, 3) in 0..255, bilinear without antialiasing, centred on black.
+    """uint8 (H, W, 3) -> float32 (side, side, 3) in 0..255, bilinear without antialiasing, centred
+    on black.
 
-    Source: LeRobot's pi0, resize_with_pad_torch (interpolation with align_corners off and antialias off).
+    Source: LeRobot's pi0, resize_with_pad_torch (interpolation with align_corners off and antialias
+        off).
     """
     height, width = image.shape[:2]
     if (height, width) == (side, side):

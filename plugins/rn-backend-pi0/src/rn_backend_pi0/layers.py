@@ -1,4 +1,6 @@
-"""The building blocks of pi0 as PyTorch modules: SigLIP for images, Gemma for language and actions."""
+"""The building blocks of pi0 as PyTorch modules: SigLIP for images, Gemma for language and
+actions.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,9 @@ class VisionLayer(nn.Module):
         self.layer_norm2 = nn.LayerNorm(dims.width, eps=dims.norm_eps)
         parts = ("q_proj", "k_proj", "v_proj", "out_proj")
         self.self_attn = nn.ModuleDict({part: nn.Linear(dims.width, dims.width) for part in parts})
-        self.mlp = nn.ModuleDict({"fc1": nn.Linear(dims.width, dims.mlp), "fc2": nn.Linear(dims.mlp, dims.width)})
+        self.mlp = nn.ModuleDict(
+            {"fc1": nn.Linear(dims.width, dims.mlp), "fc2": nn.Linear(dims.mlp, dims.width)}
+        )
 
     def forward(self, x: Tensor) -> Tensor:
         """(cameras, tokens, width) -> the same shape."""
@@ -36,7 +40,9 @@ class VisionLayer(nn.Module):
             self.self_attn[part](normed).view(count, tokens, self.heads, -1).transpose(1, 2)
             for part in ("q_proj", "k_proj", "v_proj")
         )
-        mixed = F.scaled_dot_product_attention(q, k, v).transpose(1, 2).reshape(count, tokens, width)
+        mixed = (
+            F.scaled_dot_product_attention(q, k, v).transpose(1, 2).reshape(count, tokens, width)
+        )
         x = x + self.self_attn["out_proj"](mixed)
         hidden = F.gelu(self.mlp["fc1"](self.layer_norm2(x)), approximate="tanh")
         out: Tensor = x + self.mlp["fc2"](hidden)
@@ -110,7 +116,9 @@ class GemmaLayer(nn.Module):
             )
 
     def keys_values(self, normed: Tensor, rotary: Rotary) -> KeyValue:
-        """(tokens, width), already normed -> keys and values (kv_heads, tokens, head_dim), keys rotated."""
+        """(tokens, width), already normed -> keys and values (kv_heads, tokens, head_dim), keys
+        rotated.
+        """
         shape = (normed.shape[0], self.dims.kv_heads, self.dims.head_dim)
         key = self.self_attn["k_proj"](normed).view(shape).transpose(0, 1)
         value = self.self_attn["v_proj"](normed).view(shape).transpose(0, 1)
@@ -120,7 +128,9 @@ class GemmaLayer(nn.Module):
         """(tokens, width) -> the same shape, every token attending to all of `cached`."""
         dims, tokens = self.dims, x.shape[0]
         groups = dims.heads // dims.kv_heads
-        query = self.self_attn["q_proj"](normed).view(tokens, dims.heads, dims.head_dim).transpose(0, 1)
+        query = (
+            self.self_attn["q_proj"](normed).view(tokens, dims.heads, dims.head_dim).transpose(0, 1)
+        )
         query = _rotate(query, rotary).reshape(dims.kv_heads, groups * tokens, dims.head_dim)
         key, value = cached
         # Nothing is masked, so the heads of one key head are just more queries.
@@ -134,13 +144,16 @@ class GemmaLayer(nn.Module):
 
 
 class Gemma(nn.Module):
-    """A stack of Gemma blocks; `keys_only_last` for the prefix, whose last hidden state nobody reads."""
+    """A stack of Gemma blocks; `keys_only_last` for the prefix, whose last hidden state nobody
+    reads.
+    """
 
     def __init__(self, dims: GemmaDims, *, keys_only_last: bool) -> None:
         super().__init__()
         self.dims = dims
         self.layers = nn.ModuleList(
-            GemmaLayer(dims, keys_only=keys_only_last and index == dims.depth - 1) for index in range(dims.depth)
+            GemmaLayer(dims, keys_only=keys_only_last and index == dims.depth - 1)
+            for index in range(dims.depth)
         )
         if not keys_only_last:
             self.norm = RmsNorm(dims.width, dims.norm_eps)

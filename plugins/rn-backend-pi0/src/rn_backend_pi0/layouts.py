@@ -1,4 +1,6 @@
-"""Describes a checkpoint in one of the two public layouts of pi0: LeRobot's and openpi's. No weights are read."""
+"""Describes a checkpoint in one of the two public layouts of pi0: LeRobot's and openpi's. No
+weights are read.
+"""
 
 from __future__ import annotations
 
@@ -58,15 +60,19 @@ def read_checkpoint(directory: Path, *, asset_id: str | None = None) -> Checkpoi
     """Describe the checkpoint in `directory`.
 
     Args:
-        directory: a LeRobot checkpoint (config.json with "type": "pi0" and policy_*.json) or an openpi PyTorch
-            checkpoint (config.json with "action_horizon", and assets/<asset id>/norm_stats.json).
+        directory: a LeRobot checkpoint (config.json with "type": "pi0" and policy_*.json) or an
+            openpi PyTorch checkpoint (config.json with "action_horizon", and assets/<asset
+            id>/norm_stats.json).
         asset_id: which assets of an openpi checkpoint; only needed when it has several.
 
     Raises:
-        CheckpointError: not a pi0 checkpoint, or a file is missing or cannot be used; says which and what to do.
+        CheckpointError: not a pi0 checkpoint, or a file is missing or cannot be used; says which
+            and what to do.
     """
     if not directory.is_dir():
-        raise CheckpointError(f"Checkpoint {str(directory)!r} is not a directory.", hint=f"Looked in {Path.cwd()}.")
+        raise CheckpointError(
+            f"Checkpoint {str(directory)!r} is not a directory.", hint=f"Looked in {Path.cwd()}."
+        )
     path = directory / "config.json"
     config = read_json(path)
     if not isinstance(config, dict):
@@ -80,12 +86,15 @@ def read_checkpoint(directory: Path, *, asset_id: str | None = None) -> Checkpoi
     if kind == "pi0":
         checkpoint = _lerobot(directory, check_schema(config, TypeAdapter(LerobotConfig), path))
     elif "action_horizon" in config:
-        checkpoint = _openpi(directory, check_schema(config, TypeAdapter(OpenpiConfig), path), asset_id)
+        checkpoint = _openpi(
+            directory, check_schema(config, TypeAdapter(OpenpiConfig), path), asset_id
+        )
     else:
         raise CheckpointError(
             f'{path} has neither "type": "pi0" (LeRobot) nor "action_horizon" (openpi); keys: '
             f"{list_names(sorted(config))}.",
-            hint="Give the directory of a pi0 checkpoint; JAX checkpoints are converted by openpi's own script.",
+            hint="Give the directory of a pi0 checkpoint; JAX checkpoints are converted by "
+            "openpi's own script.",
         )
     sidecar = directory / PROFILE_FILE
     if sidecar.is_symlink() or sidecar.exists():
@@ -99,25 +108,42 @@ def _lerobot(directory: Path, config: LerobotConfig) -> Checkpoint:
         got = config.normalization_mapping.get(kind)
         if got != expected:
             raise CheckpointError(
-                f"{path}: normalization_mapping.{kind} is {got!r}; this backend reads {expected!r} only."
+                f"{path}: normalization_mapping.{kind} is {got!r}; this backend reads "
+                f"{expected!r} only."
             )
-    slots = [name.removeprefix(_IMAGES) for name, f in config.input_features.items() if f.type == "VISUAL"]
+    slots = [
+        name.removeprefix(_IMAGES)
+        for name, f in config.input_features.items()
+        if f.type == "VISUAL"
+    ]
     slots += [f"empty_camera_{i}" for i in range(config.empty_cameras)]
     slots = list(dict.fromkeys(slots))
     if not 0 < len(slots) <= _MAX_SLOTS:
-        raise CheckpointError(f"{path}: input_features names {len(slots)} images, pi0 needs 1 to {_MAX_SLOTS}.")
+        raise CheckpointError(
+            f"{path}: input_features names {len(slots)} images, pi0 needs 1 to {_MAX_SLOTS}."
+        )
     pre, post = directory / "policy_preprocessor.json", directory / "policy_postprocessor.json"
     if not pre.exists() and not post.exists():
         raise CheckpointError(
-            f"{directory} has no {pre.name} and {post.name}, which hold the statistics of state and actions.",
-            hint="Checkpoints of LeRobot before 0.4 must be migrated with LeRobot's own migration script.",
+            f"{directory} has no {pre.name} and {post.name}, which hold the statistics of state "
+            "and actions.",
+            hint="Checkpoints of LeRobot before 0.4 must be migrated with LeRobot's own migration "
+            "script.",
         )
     before, after = _steps(pre), _steps(post)
     relative = _is_relative(before, pre) or _is_relative(after, post)
-    dims = read_dims(config, path, chunk=config.chunk_size, state=config.max_state_dim, action=config.max_action_dim)
+    dims = read_dims(
+        config,
+        path,
+        chunk=config.chunk_size,
+        state=config.max_state_dim,
+        action=config.max_action_dim,
+    )
     resolution = config.image_resolution
     if resolution not in (None, (dims.vision.image, dims.vision.image)):
-        raise CheckpointError(f"{path}: image_resolution is {resolution}, the vision tower takes {dims.vision.image}.")
+        raise CheckpointError(
+            f"{path}: image_resolution is {resolution}, the vision tower takes {dims.vision.image}."
+        )
     state = _lerobot_statistics(directory, pre, before, "normalizer_processor", "observation.state")
     action = _lerobot_statistics(directory, post, after, "unnormalizer_processor", "action")
     return Checkpoint(
@@ -141,8 +167,10 @@ def _steps(path: Path) -> dict[str, Step]:
     for step in read_schema(path, Pipeline).steps:
         if step.registry_name not in _KNOWN_STEPS:
             raise CheckpointError(
-                f"{path}: step {step.registry_name!r} is unknown; known are {', '.join(sorted(_KNOWN_STEPS))}.",
-                hint="A step that is left out would change the actions, so this checkpoint is refused.",
+                f"{path}: step {step.registry_name!r} is unknown; known are "
+                f"{', '.join(sorted(_KNOWN_STEPS))}.",
+                hint="A step that is left out would change the actions, so this checkpoint is "
+                "refused.",
             )
         steps[step.registry_name] = step
     return steps
@@ -160,13 +188,19 @@ def _is_relative(steps: dict[str, Step], path: Path) -> bool:
             enabled = enabled or settings.enabled
             if enabled and settings.exclude_joints != ("gripper",):
                 kept = list_names(settings.exclude_joints or ()) or "nothing"
-                raise CheckpointError(f"{path}: {name} leaves {kept} absolute; only 'gripper' can be followed.")
+                raise CheckpointError(
+                    f"{path}: {name} leaves {kept} absolute; only 'gripper' can be followed."
+                )
     return enabled
 
 
-def _lerobot_statistics(directory: Path, path: Path, steps: dict[str, Step], name: str, feature: str) -> ZScore:
+def _lerobot_statistics(
+    directory: Path, path: Path, steps: dict[str, Step], name: str, feature: str
+) -> ZScore:
     if name not in steps:
-        raise CheckpointError(f"{path} has no step {name!r}, so the statistics of {feature!r} are unknown.")
+        raise CheckpointError(
+            f"{path} has no step {name!r}, so the statistics of {feature!r} are unknown."
+        )
     state_file = steps[name].state_file
     if state_file is None:
         raise CheckpointError(f"{path}: state_file of {name!r} is missing, expected a file name.")
@@ -174,12 +208,18 @@ def _lerobot_statistics(directory: Path, path: Path, steps: dict[str, Step], nam
     tensors = _read_tensors(source)
     absent = [key for key in (f"{feature}.mean", f"{feature}.std") if key not in tensors]
     if absent:
-        raise CheckpointError(f"{source} lacks {', '.join(absent)}; it holds {list_names(sorted(tensors))}.")
+        raise CheckpointError(
+            f"{source} lacks {', '.join(absent)}; it holds {list_names(sorted(tensors))}."
+        )
     moments = check_schema(
-        {"mean": tensors[f"{feature}.mean"], "std": tensors[f"{feature}.std"]}, TypeAdapter(Moments), source
+        {"mean": tensors[f"{feature}.mean"], "std": tensors[f"{feature}.std"]},
+        TypeAdapter(Moments),
+        source,
     )
     # LeRobot adds eps when it divides, and nothing when it multiplies back.
-    return ZScore.of(moments.mean, moments.std, forward_eps=_settings(steps[name], path).eps, backward_eps=0.0)
+    return ZScore.of(
+        moments.mean, moments.std, forward_eps=_settings(steps[name], path).eps, backward_eps=0.0
+    )
 
 
 def _read_tensors(path: Path) -> dict[str, object]:
@@ -191,7 +231,9 @@ def _read_tensors(path: Path) -> dict[str, object]:
         tensors = load_file(path)
     for name, values in tensors.items():
         if values.dtype.kind != "f":
-            raise CheckpointError(f"{path}: {clip(name)!r} has the number type {values.dtype}, expected real numbers.")
+            raise CheckpointError(
+                f"{path}: {clip(name)!r} has the number type {values.dtype}, expected real numbers."
+            )
     return {name: values.tolist() for name, values in tensors.items()}
 
 
@@ -199,30 +241,37 @@ def _openpi(directory: Path, config: OpenpiConfig, asset_id: str | None) -> Chec
     path = directory / "config.json"
     found = sorted(p.parent.name for p in directory.glob("assets/*/norm_stats.json"))
     nested = sorted(
-        str(p.parent.relative_to(directory / "assets")) for p in directory.glob("assets/*/*/norm_stats.json")
+        str(p.parent.relative_to(directory / "assets"))
+        for p in directory.glob("assets/*/*/norm_stats.json")
     )
     choices = found + nested
     flat = directory / "norm_stats.json"
     if asset_id is not None and asset_id not in choices:
         raise CheckpointError(
-            f"asset_id {clip(asset_id)!r} is not in {directory / 'assets'}; choose one of {list_names(choices)}."
+            f"asset_id {clip(asset_id)!r} is not in {directory / 'assets'}; choose one of "
+            f"{list_names(choices)}."
         )
     if asset_id is None and len(choices) > 1:
         raise CheckpointError(
-            f"{directory / 'assets'} holds several statistics; set asset_id to one of {list_names(choices)}."
+            f"{directory / 'assets'} holds several statistics; set asset_id to one of "
+            f"{list_names(choices)}."
         )
     if not choices and not flat.exists():
         raise CheckpointError(
             f"{directory} has no assets/<asset id>/norm_stats.json.",
             hint="Copy the assets directory of the original checkpoint beside model.safetensors.",
         )
-    source = directory / "assets" / (asset_id or choices[0]) / "norm_stats.json" if choices else flat
+    source = (
+        directory / "assets" / (asset_id or choices[0]) / "norm_stats.json" if choices else flat
+    )
     stats = read_schema(source, NormStatsDocument).norm_stats
     chunk = config.action_horizon
     return Checkpoint(
         directory=directory,
         family="openpi",
-        dims=read_dims(config, path, chunk=chunk, state=config.action_dim, action=config.action_dim),
+        dims=read_dims(
+            config, path, chunk=chunk, state=config.action_dim, action=config.action_dim
+        ),
         slots=OPENPI_SLOTS,
         state=_openpi_statistics(stats.state),
         action=_openpi_statistics(stats.actions),

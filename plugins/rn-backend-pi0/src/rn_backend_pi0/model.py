@@ -1,4 +1,6 @@
-"""A loaded pi0: pictures, token ids, a measured state and noise in; normalised actions out. One sample at a time."""
+"""A loaded pi0: pictures, token ids, a measured state and noise in; normalised actions out. One
+sample at a time.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,9 @@ def resolve_device(name: str) -> torch.device:
         return torch.device("cuda" if available else "cpu")
     device = torch.device(name)
     if device.type == "cuda" and (device.index or 0) >= available:
-        raise ConfigurationError(f"Device {name!r} is not there; PyTorch sees {available} GPUs.", hint="Use 'cpu'.")
+        raise ConfigurationError(
+            f"Device {name!r} is not there; PyTorch sees {available} GPUs.", hint="Use 'cpu'."
+        )
     return device
 
 
@@ -41,7 +45,8 @@ class Pi0Model:
     Args:
         checkpoint: what was read of the directory.
         device, dtype: where and how to compute ("auto" allowed).
-        numerics: whose rounding, resizing and eps to follow; None for the family that wrote the checkpoint.
+        numerics: whose rounding, resizing and eps to follow; None for the family that wrote the
+            checkpoint.
         resize: overrides the resizing alone.
         steps: Euler steps; None for the checkpoint's.
         cpu_threads: threads of PyTorch, for the whole process; None leaves them as they are.
@@ -72,7 +77,9 @@ class Pi0Model:
         self._times = flow_times(family, steps or checkpoint.denoising_steps)
         self.state = checkpoint.state if numerics is None else with_eps(checkpoint.state, family)
         self.action = checkpoint.action if numerics is None else with_eps(checkpoint.action, family)
-        self._network = load_network(checkpoint.directory, checkpoint.dims, device=self.device, dtype=self.dtype)
+        self._network = load_network(
+            checkpoint.directory, checkpoint.dims, device=self.device, dtype=self.dtype
+        )
 
     @property
     def noise_shape(self) -> tuple[int, int]:
@@ -107,7 +114,9 @@ class Pi0Model:
         """
         dims = self.checkpoint.dims
         present = [
-            to_pixels(i, side=dims.vision.image, resize=self._resize, flip=flip) for i in images if i is not None
+            to_pixels(i, side=dims.vision.image, resize=self._resize, flip=flip)
+            for i in images
+            if i is not None
         ]
         if not present:
             raise UngroundedError("All camera slots are empty; pi0 needs at least one image.")
@@ -130,7 +139,9 @@ class Pi0Model:
             ConfigurationError: the device ran out of memory.
         """
         side = self.checkpoint.dims.vision.image
-        grey: list[U8 | None] = [np.full((side, side, 3), 128, dtype=np.uint8) for _ in range(images)]
+        grey: list[U8 | None] = [
+            np.full((side, side, 3), 128, dtype=np.uint8) for _ in range(images)
+        ]
         noise = np.zeros(self.noise_shape, dtype=np.float32)
         state = self.state.mean[:state_width]
         duration_ms = 0.0
@@ -141,7 +152,8 @@ class Pi0Model:
                 duration_ms = (time.perf_counter() - start) * 1e3
         except torch.OutOfMemoryError as error:
             raise ConfigurationError(
-                f"{self.device} has not enough free memory to run the model.", hint="Free it or use dtype = 'bfloat16'."
+                f"{self.device} has not enough free memory to run the model.",
+                hint="Free it or use dtype = 'bfloat16'.",
             ) from error
         return duration_ms
 

@@ -55,50 +55,69 @@ def resolve_slots(slots: Sequence[str], wanted: Sequence[str] | None) -> tuple[s
         wanted: the user's choice; None for the usual roles of well-known names.
 
     Raises:
-        ConfigurationError: wrong number, a role twice, no role at all, or an unknown name without a choice.
+        ConfigurationError: wrong number, a role twice, no role at all, or an unknown name without a
+            choice.
     """
     shown = ", ".join(slots)
     if wanted is None:
-        unknown = [name for name in slots if name not in _ROLE_BY_SLOT and not name.startswith("empty_camera_")]
+        unknown = [
+            name
+            for name in slots
+            if name not in _ROLE_BY_SLOT and not name.startswith("empty_camera_")
+        ]
         if unknown:
             raise ConfigurationError(
                 f"The roles of the checkpoint's camera slots {', '.join(unknown)} are not known.",
-                hint=f"Set camera_slots to a role ('primary', 'wrist') or '-' for each of: {shown}.",
+                hint="Set camera_slots to a role ('primary', 'wrist') or '-' for each of: "
+                f"{shown}.",
             )
         roles = tuple(_ROLE_BY_SLOT.get(name, EMPTY) for name in slots)
     else:
         roles = tuple(wanted)
         if len(roles) != len(slots):
             raise ConfigurationError(
-                f"camera_slots has {len(roles)} entries, the checkpoint {len(slots)} slots: {shown}."
+                f"camera_slots has {len(roles)} entries, the checkpoint {len(slots)} slots: "
+                f"{shown}."
             )
     used = [role for role in roles if role != EMPTY]
     if not used or len(set(used)) != len(used):
-        raise ConfigurationError(f"The camera slots ({shown}) get the roles {roles}; each role once, at least one.")
+        raise ConfigurationError(
+            f"The camera slots ({shown}) get the roles {roles}; each role once, at least one."
+        )
     return roles
 
 
-def _fit(score: ZScore, columns: Sequence[str], padded: int, what: str, checkpoint: Checkpoint) -> None:
+def _fit(
+    score: ZScore, columns: Sequence[str], padded: int, what: str, checkpoint: Checkpoint
+) -> None:
     """Compare statistics with a profile's columns. Raises CheckpointError."""
     width = len(columns)
     if score.width != width and score.width != padded:
         raise CheckpointError(
-            f"{checkpoint.directory} has statistics of {score.width} {what} values, the profile has {width}.",
-            hint="Choose the profile that belongs to the checkpoint, or describe it with profile = 'own'.",
+            f"{checkpoint.directory} has statistics of {score.width} {what} values, the profile "
+            f"has {width}.",
+            hint="Choose the profile that belongs to the checkpoint, or describe it with profile "
+            "= 'own'.",
         )
-    still = [f"{i} ({name})" for i, name in enumerate(columns) if name != "padding" and score.std[i] == 0]
+    still = [
+        f"{i} ({name})" for i, name in enumerate(columns) if name != "padding" and score.std[i] == 0
+    ]
     if still:
         raise CheckpointError(
-            f"{checkpoint.directory}: the standard deviation of the {what} values {', '.join(still)} is 0, so they "
+            f"{checkpoint.directory}: the standard deviation of the {what} values "
+            f"{', '.join(still)} is 0, so they "
             "cannot be normalised.",
-            hint="Copy the statistics of the original checkpoint again, or choose the profile that belongs to it.",
+            hint="Copy the statistics of the original checkpoint again, or choose the profile "
+            "that belongs to it.",
         )
 
 
 class Pi0Backend:
     """Follows the protocol `Backend`; construction is pure, `load` does the work."""
 
-    def __init__(self, config: Pi0Options, *, runtime: object = None, acceleration: object = None) -> None:
+    def __init__(
+        self, config: Pi0Options, *, runtime: object = None, acceleration: object = None
+    ) -> None:
         if runtime is not None or acceleration is not None:
             raise ConfigurationError("Backend 'pi0' takes no runtime and no acceleration.")
         self._config = config
@@ -123,7 +142,8 @@ class Pi0Backend:
         profile = config.resolve_profile(checkpoint.profile)
         if checkpoint.relative_actions and not profile.action.adds_state:
             raise ConfigurationError(
-                f"{checkpoint.directory} was trained on actions relative to the state, the profile's are not.",
+                f"{checkpoint.directory} was trained on actions relative to the state, the "
+                "profile's are not.",
                 hint="Choose profile 'libero-openpi', or 'own' with adds_state = true.",
             )
         dims = checkpoint.dims
@@ -131,7 +151,9 @@ class Pi0Backend:
         _fit(checkpoint.action, ACTION_FIELDS, dims.action, "action", checkpoint)
         self._slots = resolve_slots(checkpoint.slots, config.camera_slots)
         if config.action_steps is not None and config.action_steps > dims.chunk:
-            raise ConfigurationError(f"action_steps is {config.action_steps}, the model yields {dims.chunk} actions.")
+            raise ConfigurationError(
+                f"action_steps is {config.action_steps}, the model yields {dims.chunk} actions."
+            )
         self._prompt = load_prompt(
             checkpoint.directory,
             config.tokenizer,
@@ -151,14 +173,20 @@ class Pi0Backend:
         self._profile = profile
         cameras = sum(role != EMPTY for role in self._slots)
         self._warm_ms = self._model.warm_up(cameras, checkpoint.prompt_length, profile.state.width)
-        log.info("pi0 on %s in %s, warm inference %.0f ms", self._model.device, self._model.dtype, self._warm_ms)
+        log.info(
+            "pi0 on %s in %s, warm inference %.0f ms",
+            self._model.device,
+            self._model.dtype,
+            self._warm_ms,
+        )
         self.reset()
 
     def predict(self, observation: Observation) -> ActionChunk:
         """Return the next actions.
 
         Raises:
-            UngroundedError: a camera, the pose, joints or the gripper is missing, or the instruction is too long.
+            UngroundedError: a camera, the pose, joints or the gripper is missing, or the
+                instruction is too long.
             UnsafeError: the measured state or the model's output is not finite.
             StateError: `load` was not called.
         """
@@ -172,17 +200,31 @@ class Pi0Backend:
         narrow = state.astype(np.float32)
         prefix = self._prefix(observation.ahead, narrow)
         normalized = model.infer(
-            images, token_ids, narrow, self._noise(model.noise_shape), flip=self._config.image_flip, prefix=prefix
+            images,
+            token_ids,
+            narrow,
+            self._noise(model.noise_shape),
+            flip=self._config.image_flip,
+            prefix=prefix,
         )
         if not np.isfinite(normalized).all():
             raise UnsafeError("The pi0 model produced non-finite values; nothing is executed.")
         steps = self._config.action_steps or model.checkpoint.action_steps
-        raw = model.action.head(ACTION_SIZE).denormalize(normalized[:steps, :ACTION_SIZE]).astype(np.float64)
-        actions = profile.action.to_contract(raw, state=state, pose=observation.ee_pose, base_position_m=base)
+        raw = (
+            model.action.head(ACTION_SIZE)
+            .denormalize(normalized[:steps, :ACTION_SIZE])
+            .astype(np.float64)
+        )
+        actions = profile.action.to_contract(
+            raw, state=state, pose=observation.ee_pose, base_position_m=base
+        )
         deviation = float(np.abs(model.state.head(len(narrow)).normalize(narrow)).max())
         note = ""
         if deviation > _FAR_FROM_TRAINING:
-            note = f"proprioception is {deviation:.0f} standard deviations from the training data; check the profile"
+            note = (
+                f"proprioception is {deviation:.0f} standard deviations from the training "
+                "data; check the profile"
+            )
         return ActionChunk(
             actions=actions,
             step_s=profile.action.step_s,
@@ -214,15 +256,25 @@ class Pi0Backend:
             frame = observation.frames.get(role)
             if frame is None and role != EMPTY and role not in self._config.optional_roles:
                 have = ", ".join(observation.frames) or "none"
-                raise UngroundedError(f"pi0 needs a frame of the camera role {role!r}; the observation has: {have}.")
+                raise UngroundedError(
+                    f"pi0 needs a frame of the camera role {role!r}; the observation has: {have}."
+                )
             images.append(None if frame is None else frame.image)
         return images
 
     def _prefix(self, ahead: Ahead | None, state: NDArray[np.float32]) -> Prefix | None:
-        """The rest of the running chunk in the model's own form; None when there is none to continue."""
+        """The rest of the running chunk in the model's own form; None when there is none to
+        continue.
+        """
         config, model, profile = self._config, self._model, self._profile
         running = None if ahead is None else ahead.context
-        if not config.rtc or ahead is None or not isinstance(running, RunningChunk) or model is None or profile is None:
+        if (
+            not config.rtc
+            or ahead is None
+            or not isinstance(running, RunningChunk)
+            or model is None
+            or profile is None
+        ):
             return None
         rows = running.normalized[ahead.context_row :]
         if not len(rows):
@@ -243,5 +295,9 @@ class Pi0Backend:
         )
 
     def _noise(self, shape: tuple[int, int]) -> NDArray[np.float32]:
-        random = np.random.default_rng(self._config.numpy_seed) if self._config.noise == "fixed" else self._random
+        random = (
+            np.random.default_rng(self._config.numpy_seed)
+            if self._config.noise == "fixed"
+            else self._random
+        )
         return random.standard_normal(shape, dtype=np.float32)

@@ -1,7 +1,9 @@
-"""pi0 as PyTorch modules, for inference of one sample: nothing masked is computed, everything constant only once.
+"""pi0 as PyTorch modules, for inference of one sample: nothing masked is computed, everything
+constant only once.
 
-Missing cameras and prompt padding take no positions, so leaving them out is the same as masking them. The state token
-sees only the prefix, so its keys and values are constant over the Euler steps and join the prefix cache.
+Missing cameras and prompt padding take no positions, so leaving them out is the same as masking
+them. The state token sees only the prefix, so its keys and values are constant over the Euler steps
+and join the prefix cache.
 """
 
 from __future__ import annotations
@@ -20,7 +22,9 @@ from rn_backend_pi0.layers import Gemma, KeyValue, Rotary, VisionTower
 
 
 class Pi0Network(nn.Module):
-    """The whole model. Parameters are named as in `architecture.module_keys`; projections at the border are float32."""
+    """The whole model. Parameters are named as in `architecture.module_keys`; projections at
+    the border are float32.
+    """
 
     def __init__(self, dims: Pi0Dims) -> None:
         super().__init__()
@@ -53,14 +57,16 @@ class Pi0Network(nn.Module):
             token_ids: int64 (n,), the prompt without padding.
             state: float32 (dims.state,), normalised and zero-padded.
             noise: float32 (dims.chunk, dims.action).
-            times: flow time at each Euler step, from 1 downwards; their number is the number of steps.
+            times: flow time at each Euler step, from 1 downwards; their number is the number of
+                steps.
             prefix: rows to continue; None for a chunk of its own.
 
         Returns:
             float32 (dims.chunk, dims.action), normalised.
         """
         needs_gradient = prefix is not None and prefix.jacobian == "full" and not prefix.trained
-        # Tensors made in inference mode cannot be differentiated through; no_grad allows it where it is asked for.
+        # Tensors made in inference mode cannot be differentiated through; no_grad allows it where
+        # it is asked for.
         with torch.no_grad() if needs_gradient else torch.inference_mode():
             return self._integrate(pixels, token_ids, state, noise, times, prefix)
 
@@ -78,7 +84,9 @@ class Pi0Network(nn.Module):
         length = embedded.shape[0]
         rotary = self._rotary(length + 1 + dims.chunk, device, dtype)
         cache = self._fill_prefix(embedded, _part(rotary, 0, length))
-        self._fill_state(self.state_proj(state)[None].to(dtype), _part(rotary, length, length + 1), cache, length)
+        self._fill_state(
+            self.state_proj(state)[None].to(dtype), _part(rotary, length, length + 1), cache, length
+        )
         time_terms = self._time_terms(times, device)
         action_weight = self.action_time_mlp_in.weight[:, : dims.expert.width]
         suffix_rotary = _part(rotary, length + 1, length + 1 + dims.chunk)
@@ -109,7 +117,9 @@ class Pi0Network(nn.Module):
         return x if clean is None else clean.put(x)
 
     def _embed_prefix(self, pixels: Tensor, token_ids: Tensor) -> Tensor:
-        """(images x tokens + prompt, width): images as they are, the prompt scaled by sqrt(width)."""
+        """(images x tokens + prompt, width): images as they are, the prompt scaled by
+        sqrt(width).
+        """
         images = self.projector(self.vision(pixels)).flatten(0, 1)
         return torch.cat([images, self.embedding(token_ids) * math.sqrt(self.dims.prefix.width)])
 
@@ -122,7 +132,9 @@ class Pi0Network(nn.Module):
         return angles.cos().to(dtype), angles.sin().to(dtype)
 
     def _fill_prefix(self, x: Tensor, rotary: Rotary) -> list[KeyValue]:
-        """Run the language model over the prefix; returns each layer's cache with room for state and actions."""
+        """Run the language model over the prefix; returns each layer's cache with room for
+        state and actions.
+        """
         dims = self.dims.prefix
         room = 1 + self.dims.chunk
         cache: list[KeyValue] = []
@@ -135,7 +147,9 @@ class Pi0Network(nn.Module):
         return cache
 
     def _fill_state(self, x: Tensor, rotary: Rotary, cache: list[KeyValue], position: int) -> None:
-        """Run the expert over the state token, which sees the prefix and itself, and write its keys and values."""
+        """Run the expert over the state token, which sees the prefix and itself, and write its
+        keys and values.
+        """
         for index, layer in enumerate(self.expert.blocks()):
             normed = layer.input_layernorm(x)
             _write(cache[index], layer.keys_values(normed, rotary), position)
@@ -145,7 +159,8 @@ class Pi0Network(nn.Module):
     def _velocity(
         self, x: Tensor, rotary: Rotary, cache: list[KeyValue], position: int, *, keep: bool = False
     ) -> Tensor:
-        """Run the expert over the action tokens, which see everything; float32 (chunk, dims.action).
+        """Run the expert over the action tokens, which see everything; float32 (chunk,
+        dims.action).
 
         With `keep` the cache stays as it is, as a backward pass needs it.
         """
@@ -164,14 +179,17 @@ class Pi0Network(nn.Module):
     def _time_terms(self, times: tuple[float, ...], device: torch.device) -> Tensor:
         """What each flow time adds before the SiLU: float32 (steps, expert width).
 
-        The sinusoid is computed in float64: its highest frequency is 1571 rad, so float32 angles are off by 1e-4.
+        The sinusoid is computed in float64: its highest frequency is 1571 rad, so float32 angles
+            are off by 1e-4.
         Source: openpi, create_sinusoidal_pos_embedding.
         """
         dims = self.dims
         share = torch.linspace(0.0, 1.0, dims.expert.width // 2, dtype=torch.float64)
         period = dims.min_period * (dims.max_period / dims.min_period) ** share
         angles = torch.tensor(times, dtype=torch.float64)[:, None] * (2 * math.pi / period)
-        embedding = torch.cat([angles.sin(), angles.cos()], dim=1).to(device=device, dtype=torch.float32)
+        embedding = torch.cat([angles.sin(), angles.cos()], dim=1).to(
+            device=device, dtype=torch.float32
+        )
         layer = self.action_time_mlp_in
         return F.linear(embedding, layer.weight[:, dims.expert.width :], layer.bias)
 

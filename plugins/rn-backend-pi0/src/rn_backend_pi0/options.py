@@ -28,12 +28,18 @@ class _Section(BaseModel):
 class StateOptions(_Section):
     """The state vector of an own profile."""
 
-    terms: tuple[StateTerm, ...] = Field(min_length=1, description="parts of the state vector, in order")
-    joint_names: tuple[str, ...] = Field(default=(), description="joints of the term 'joints', in order")
+    terms: tuple[StateTerm, ...] = Field(
+        min_length=1, description="parts of the state vector, in order"
+    )
+    joint_names: tuple[str, ...] = Field(
+        default=(), description="joints of the term 'joints', in order"
+    )
     rotvec_near_rad: Vector = Field(
         default=(0.0, 0.0, 0.0), description="which of two rotation vectors is written [rad]"
     )
-    finger_travel_m: float = Field(default=0.04, gt=0, description="position of one finger joint when open [m]")
+    finger_travel_m: float = Field(
+        default=0.04, gt=0, description="position of one finger joint when open [m]"
+    )
 
     @model_validator(mode="after")
     def _joints_are_named(self) -> Self:
@@ -52,18 +58,24 @@ class ActionOptions(_Section):
     step_s: float = Field(gt=0, le=10, description="time between two actions [s]")
     translation_scale_m: float = Field(default=1.0, gt=0, description="metres of one unit")
     rotation_scale_rad: float = Field(default=1.0, gt=0, description="radians of one unit")
-    limit: float = Field(default=0.0, ge=0, description="clip the first six values to +-limit; 0 for no clipping")
-    adds_state: bool = Field(default=False, description="the first six values are relative to the state")
+    limit: float = Field(
+        default=0.0, ge=0, description="clip the first six values to +-limit; 0 for no clipping"
+    )
+    adds_state: bool = Field(
+        default=False, description="the first six values are relative to the state"
+    )
 
 
 class _Common(_Section):
     profile: ProfileName | None = Field(
-        default=None, description="what state and actions mean; the checkpoint's roboneuron.json when not given"
+        default=None,
+        description="what state and actions mean; the checkpoint's roboneuron.json when not given",
     )
     state: StateOptions | None = Field(default=None, description="for profile 'own'")
     action: ActionOptions | None = Field(default=None, description="for profile 'own'")
     base_position_m: Vector = Field(
-        default=(0.0, 0.0, 0.0), description="where the robot's base stands in the frame of the training data [m]"
+        default=(0.0, 0.0, 0.0),
+        description="where the robot's base stands in the frame of the training data [m]",
     )
     action_steps: int | None = Field(
         default=None, ge=1, description="actions of a chunk to execute before the next one"
@@ -105,13 +117,15 @@ class _Common(_Section):
             got = f", and the checkpoint names the unknown {name!r}" if name else ""
             raise ConfigurationError(
                 f"The option 'profile' is not set{got}; choose one of {', '.join(PROFILES)}, own.",
-                hint="The profile says what state the model takes and what its actions mean; it is never guessed.",
+                hint="The profile says what state the model takes and what its actions mean; it "
+                "is never guessed.",
             )
         base = np.array(self.base_position_m)
         profile = replace(profile, state=replace(profile.state, base_position_m=base))
         if profile.action.adds_state and profile.state.width < 6:
             raise ConfigurationError(
-                f"adds_state needs a state of at least 6 values, this one has {profile.state.width}."
+                "adds_state needs a state of at least 6 values, this one has "
+                f"{profile.state.width}."
             )
         return profile
 
@@ -125,7 +139,9 @@ class Pi0Options(_Common):
     tokenizer: Annotated[Path | None, ConfigurationOnly()] = Field(
         default=None, description="tokenizer.json; the checkpoint's own when not given"
     )
-    asset_id: str | None = Field(default=None, description="which statistics of an openpi checkpoint that has several")
+    asset_id: str | None = Field(
+        default=None, description="which statistics of an openpi checkpoint that has several"
+    )
     camera_slots: tuple[Role, ...] | None = Field(
         default=None, description="camera role for each slot of the model, '-' for an empty one"
     )
@@ -133,38 +149,54 @@ class Pi0Options(_Common):
         default=("wrist",), description="roles that may be absent; their slot is then masked"
     )
     device: str = Field(
-        default="auto", pattern=r"^(auto|cpu|cuda(:\d+)?)$", description="auto takes a GPU if there is one"
+        default="auto",
+        pattern=r"^(auto|cpu|cuda(:\d+)?)$",
+        description="auto takes a GPU if there is one",
     )
     dtype: Literal["auto", "float32", "bfloat16"] = Field(
         default="auto", description="auto is bfloat16 on a GPU and float32 on a CPU"
     )
     cpu_threads: int | None = Field(
-        default=None, ge=1, le=512, description="threads of PyTorch in this process; PyTorch's own choice if unset"
+        default=None,
+        ge=1,
+        le=512,
+        description="threads of PyTorch in this process; PyTorch's own choice if unset",
     )
     denoising_steps: int | None = Field(
         default=None, ge=1, le=1000, description="Euler steps; the checkpoint's if unset"
     )
     numerics: Literal["lerobot", "openpi"] | None = Field(
         default=None,
-        description="whose rounding, resizing and eps to follow; the family that wrote the checkpoint if unset",
+        description="whose rounding, resizing and eps to follow; the family that wrote the "
+        "checkpoint if unset",
     )
     resize: Resize | None = Field(
-        default=None, description="'antialiased' as openpi serves, 'plain' as LeRobot; by numerics if unset"
+        default=None,
+        description="'antialiased' as openpi serves, 'plain' as LeRobot; by numerics if unset",
     )
     seed: Annotated[int, Field(ge=0)] | Literal["random"] = Field(
-        default=0, description="of the noise, restarted by every reset; 'random' for another one each time"
+        default=0,
+        description="of the noise, restarted by every reset; 'random' for another one each time",
     )
     noise: Literal["fresh", "fixed"] = Field(
         default="fresh", description="'fixed' starts every inference from the same noise"
     )
-    rtc: bool = Field(default=True, description="continue the rows that are played meanwhile (real-time chunking)")
-    rtc_schedule: Schedule = Field(
-        default="linear", description="how the guidance falls after the rows that will be played in any case"
+    rtc: bool = Field(
+        default=True, description="continue the rows that are played meanwhile (real-time chunking)"
     )
-    rtc_horizon: int | None = Field(default=None, ge=1, description="rows that are guided; all that are left if unset")
-    rtc_max_weight: float = Field(default=10.0, gt=0, le=1000, description="greatest weight of the guidance")
+    rtc_schedule: Schedule = Field(
+        default="linear",
+        description="how the guidance falls after the rows that will be played in any case",
+    )
+    rtc_horizon: int | None = Field(
+        default=None, ge=1, description="rows that are guided; all that are left if unset"
+    )
+    rtc_max_weight: float = Field(
+        default=10.0, gt=0, le=1000, description="greatest weight of the guidance"
+    )
     rtc_jacobian: Jacobian = Field(
-        default="identity", description="'full' adds a backward pass to each step, as in the paper; slower"
+        default="identity",
+        description="'full' adds a backward pass to each step, as in the paper; slower",
     )
 
     @property
@@ -183,7 +215,9 @@ class Pi0RemoteOptions(_Common):
     """Options of the remote backend."""
 
     url: Annotated[str, ConfigurationOnly()] = Field(
-        default="ws://127.0.0.1:8000", pattern=r"^wss?://\S+$", description="of openpi's policy server"
+        default="ws://127.0.0.1:8000",
+        pattern=r"^wss?://\S+$",
+        description="of openpi's policy server",
     )
     api_key_variable: Annotated[str | None, ConfigurationOnly()] = Field(
         default=None, description="name of the environment variable with the API key"
@@ -191,9 +225,15 @@ class Pi0RemoteOptions(_Common):
     allow_insecure_key: Annotated[bool, ConfigurationOnly()] = Field(
         default=False, description="send the key over an unencrypted remote connection"
     )
-    connect_timeout_s: float = Field(default=10.0, gt=0, le=600, description="until the server answers, during load")
-    warm_up_timeout_s: float = Field(default=120.0, gt=0, le=600, description="for the first inference (compilation)")
-    request_timeout_s: float = Field(default=1.5, gt=0, le=60, description="for one inference, reconnecting included")
+    connect_timeout_s: float = Field(
+        default=10.0, gt=0, le=600, description="until the server answers, during load"
+    )
+    warm_up_timeout_s: float = Field(
+        default=120.0, gt=0, le=600, description="for the first inference (compilation)"
+    )
+    request_timeout_s: float = Field(
+        default=1.5, gt=0, le=60, description="for one inference, reconnecting included"
+    )
     image_keys: Annotated[dict[Role, str], AgentMaySet()] = Field(
         default={"primary": "observation/image", "wrist": "observation/wrist_image"},
         min_length=1,
@@ -205,4 +245,6 @@ class Pi0RemoteOptions(_Common):
     prompt_key: Annotated[str, AgentMaySet()] = Field(
         default="prompt", min_length=1, description="key of the instruction"
     )
-    image_side_px: int = Field(default=224, ge=16, le=1024, description="images are sent as squares of this side")
+    image_side_px: int = Field(
+        default=224, ge=16, le=1024, description="images are sent as squares of this side"
+    )

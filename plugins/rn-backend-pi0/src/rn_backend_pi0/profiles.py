@@ -51,7 +51,9 @@ _BRIDGE = Profile(
     state=StateLayout(
         terms=("position", "rpy_by_down", "padding", "gripper_open"),
     ),
-    action=ActionLayout(meaning="delta", frame="base", rotation="rpy", gripper="open_fraction", step_s=0.2),
+    action=ActionLayout(
+        meaning="delta", frame="base", rotation="rpy", gripper="open_fraction", step_s=0.2
+    ),
 )
 
 PROFILES: Mapping[str, Profile] = MappingProxyType(
@@ -63,12 +65,13 @@ PROFILES: Mapping[str, Profile] = MappingProxyType(
 )
 """Profile by name.
 
-"libero": actions are inputs of robosuite's OSC_POSE controller, clipped to -1..1, 0.05 m and 0.5 rad a unit, applied on
-the left in world axes at 20 Hz; gripper -1 open, 1 closed. State: TCP position, rotation vector (gripper down is near
-(pi, 0, 0)), two finger joints. Source: robosuite controllers/osc.py, LIBERO env_wrapper.py (control_freq 20), openpi
-examples/libero.
-"libero-openpi": the same, but the network's output is relative to the state. Source: openpi training/config.py,
-extra_delta_transform of pi0_libero. openpi's policy server adds the state itself, so the remote backend uses "libero".
-"bridge": metres and radians at 5 Hz, rotation as roll, pitch, yaw, gripper 1 open; the rotation of the state is taken
+"libero": actions are inputs of robosuite's OSC_POSE controller, clipped to -1..1, 0.05 m and 0.5
+rad a unit, applied on the left in world axes at 20 Hz; gripper -1 open, 1 closed. State: TCP
+position, rotation vector (gripper down is near (pi, 0, 0)), two finger joints. Source: robosuite
+controllers/osc.py, LIBERO env_wrapper.py (control_freq 20), openpi examples/libero.
+"libero-openpi": the same, but the network's output is relative to the state. Source: openpi
+training/config.py, extra_delta_transform of pi0_libero. openpi's policy server adds the state
+itself, so the remote backend uses "libero". "bridge": metres and radians at 5 Hz, rotation as roll,
+pitch, yaw, gripper 1 open; the rotation of the state is taken
 against a gripper that points down. Source: see `rn_vla.rotation.rpy_by_down`.
 """

@@ -15,7 +15,8 @@ if TYPE_CHECKING:
 TOKENIZER_FILE = "tokenizer.json"
 _BOS = "<bos>"
 _WHERE = (
-    "Copy tokenizer.json of google/paligemma-3b-pt-224 (its licence must be accepted once) into the checkpoint "
+    "Copy tokenizer.json of google/paligemma-3b-pt-224 (its licence must be accepted once) into "
+    "the checkpoint "
     "directory, or set the option 'tokenizer' to its path."
 )
 
@@ -23,14 +24,21 @@ _WHERE = (
 class Prompt:
     """Encodes instructions as pi0 was trained: BOS, the text, a newline of its own, no padding.
 
-    Padding takes no positions and is masked in the original codes, so leaving it out changes nothing.
+    Padding takes no positions and is masked in the original codes, so leaving it out changes
+    nothing.
     """
 
-    def __init__(self, tokenizer: Tokenizer, *, family: Family, max_tokens: int, vocabulary: int, source: str) -> None:
-        bos, newline = tokenizer.token_to_id(_BOS), tokenizer.encode("\n", add_special_tokens=False).ids
+    def __init__(
+        self, tokenizer: Tokenizer, *, family: Family, max_tokens: int, vocabulary: int, source: str
+    ) -> None:
+        bos, newline = (
+            tokenizer.token_to_id(_BOS),
+            tokenizer.encode("\n", add_special_tokens=False).ids,
+        )
         if bos is None or len(newline) != 1:
             raise CheckpointError(
-                f"{source} is no PaliGemma tokenizer: it lacks {_BOS} or has no single token for a newline.",
+                f"{source} is no PaliGemma tokenizer: it lacks {_BOS} or has no single token for "
+                "a newline.",
                 hint=_WHERE,
             )
         self._tokenizer, self._family = tokenizer, family
@@ -39,39 +47,50 @@ class Prompt:
         highest = max(bos, *newline, *tokenizer.get_vocab(with_added_tokens=True).values())
         if highest >= vocabulary:
             raise CheckpointError(
-                f"{source} knows the id {highest}, the model has {vocabulary} embeddings.", hint=_WHERE
+                f"{source} knows the id {highest}, the model has {vocabulary} embeddings.",
+                hint=_WHERE,
             )
 
     def encode(self, instruction: str) -> list[int]:
         """Token ids of an instruction.
 
         Raises:
-            UngroundedError: the instruction is empty or longer than the model takes; it is never cut short silently.
+            UngroundedError: the instruction is empty or longer than the model takes; it is never
+                cut short silently.
             CheckpointError: the tokenizer yields an id outside the model's vocabulary.
         """
-        # Source: openpi's tokenizer replaces underscores and newlines, LeRobot's pipeline does not; a newline inside
-        # the text would end the prompt early, so it becomes a space for both.
+        # Source: openpi's tokenizer replaces underscores and newlines, LeRobot's pipeline does not;
+        # a newline inside the text would end the prompt early, so it becomes a space for both.
         text = instruction.strip().replace("\n", " ")
         if self._family == "openpi":
             text = text.replace("_", " ")
         if not text:
             raise UngroundedError("The instruction is empty; say what to do.")
         with reading(Path(self._source), "a tokenizer"):
-            ids = [self._bos, *self._tokenizer.encode(text, add_special_tokens=False).ids, self._newline]
+            ids = [
+                self._bos,
+                *self._tokenizer.encode(text, add_special_tokens=False).ids,
+                self._newline,
+            ]
         if len(ids) > self._max_tokens:
             raise UngroundedError(
-                f"The instruction takes {len(ids)} tokens, the model at most {self._max_tokens}; shorten it."
+                f"The instruction takes {len(ids)} tokens, the model at most {self._max_tokens}; "
+                "shorten it."
             )
         if max(ids) >= self._vocabulary:
             raise CheckpointError(
-                f"{self._source} yields the id {max(ids)}, the model's vocabulary ends at {self._vocabulary - 1}.",
+                f"{self._source} yields the id {max(ids)}, the model's vocabulary ends at "
+                f"{self._vocabulary - 1}.",
                 hint=_WHERE,
             )
         return ids
 
 
-def load_prompt(directory: Path, path: Path | None, *, family: Family, max_tokens: int, vocabulary: int) -> Prompt:
-    """Load the tokenizer from `path` (a tokenizer.json or its directory), else from the checkpoint's directory.
+def load_prompt(
+    directory: Path, path: Path | None, *, family: Family, max_tokens: int, vocabulary: int
+) -> Prompt:
+    """Load the tokenizer from `path` (a tokenizer.json or its directory), else from the
+    checkpoint's directory.
 
     Raises:
         CheckpointError: there is none, or it cannot be read.
@@ -83,10 +102,14 @@ def load_prompt(directory: Path, path: Path | None, *, family: Family, max_token
     if not file.exists():
         raise CheckpointError(f"There is no tokenizer at {file}.", hint=_WHERE)
     if file.suffix != ".json":
-        raise CheckpointError(f"{file} is not a {TOKENIZER_FILE}; SentencePiece models are not read.", hint=_WHERE)
+        raise CheckpointError(
+            f"{file} is not a {TOKENIZER_FILE}; SentencePiece models are not read.", hint=_WHERE
+        )
     check_file(file, MAX_TOKENIZER_BYTES)
     with reading(file, "a tokenizer"):
         tokenizer = Tokenizer.from_str(file.read_bytes().decode("utf-8"))
         tokenizer.no_padding()
         tokenizer.no_truncation()
-        return Prompt(tokenizer, family=family, max_tokens=max_tokens, vocabulary=vocabulary, source=str(file))
+        return Prompt(
+            tokenizer, family=family, max_tokens=max_tokens, vocabulary=vocabulary, source=str(file)
+        )

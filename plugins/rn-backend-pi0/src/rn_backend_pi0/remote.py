@@ -32,7 +32,9 @@ if TYPE_CHECKING:
     from rn_backend_pi0.client import PolicyClient
 
 _FRESH_S = 0.2
-"""When reconnecting took longer than this, the images at hand are old and the caller is asked for newer ones."""
+"""When reconnecting took longer than this, the images at hand are old and the caller is asked
+for newer ones.
+"""
 _DOWN_XYZW = (1.0, 0.0, 0.0, 0.0)
 log = logging.getLogger(__name__)
 
@@ -40,7 +42,9 @@ log = logging.getLogger(__name__)
 class Pi0RemoteBackend:
     """Follows the protocol `Backend`; construction is pure, `load` connects."""
 
-    def __init__(self, config: Pi0RemoteOptions, *, runtime: object = None, acceleration: object = None) -> None:
+    def __init__(
+        self, config: Pi0RemoteOptions, *, runtime: object = None, acceleration: object = None
+    ) -> None:
         if runtime is not None or acceleration is not None:
             raise ConfigurationError("Backend 'pi0-remote' takes no runtime and no acceleration.")
         self._config = config
@@ -49,27 +53,34 @@ class Pi0RemoteBackend:
         self._warning = ""
 
     def load(self) -> None:
-        """Connect, and ask for one chunk, so that the server has compiled and its answer is known to fit.
+        """Connect, and ask for one chunk, so that the server has compiled and its answer is known
+        to fit.
 
         Raises:
-            ConfigurationError: an option does not fit, the key is refused, or the server's answer does not fit.
+            ConfigurationError: an option does not fit, the key is refused, or the server's answer
+                does not fit.
             NotReadyError: the server cannot be reached in time or fails.
             UnsafeError: the server's model produces non-finite values.
             StateError: it is loaded already.
         """
         if self._client is not None:
-            raise StateError("Backend 'pi0-remote' is connected already.", hint="Call close() first.")
+            raise StateError(
+                "Backend 'pi0-remote' is connected already.", hint="Call close() first."
+            )
         from rn_backend_pi0.client import PolicyClient, check_url  # heavy
 
         config = self._config
         profile = config.resolve_profile()
         if config.profile == "libero-openpi":
             raise ConfigurationError(
-                "Profile 'libero-openpi' adds the state to the actions, which openpi's server has done already.",
+                "Profile 'libero-openpi' adds the state to the actions, which openpi's server has "
+                "done already.",
                 hint="Use profile 'libero'.",
             )
         key = self._read_key()
-        self._warning = check_url(config.url, has_key=key is not None, allow_insecure_key=config.allow_insecure_key)
+        self._warning = check_url(
+            config.url, has_key=key is not None, allow_insecure_key=config.allow_insecure_key
+        )
         if self._warning:
             log.warning("%s", self._warning)
         with ExitStack() as undo:
@@ -92,7 +103,8 @@ class Pi0RemoteBackend:
         """Return the next actions.
 
         Raises:
-            NotReadyError: no answer in time, or the connection is gone; the next call connects again.
+            NotReadyError: no answer in time, or the connection is gone; the next call connects
+                again.
             UngroundedError: a camera, the pose, joints or the gripper is missing.
             UnsafeError: the measured state or the answer is not finite.
             ConfigurationError: the answer is not what the protocol and the profile say.
@@ -106,11 +118,15 @@ class Pi0RemoteBackend:
         if not client.is_connected:
             client.open(config.request_timeout_s)
             if time.monotonic() - start > _FRESH_S:
-                raise NotReadyError(f"Connected to {config.url} again; the observation has grown old meanwhile.")
+                raise NotReadyError(
+                    f"Connected to {config.url} again; the observation has grown old meanwhile."
+                )
         reply = client.infer(request, config.request_timeout_s - (time.monotonic() - start))
         base = np.array(config.base_position_m)
         raw = _actions(reply)[: config.action_steps]
-        actions = profile.action.to_contract(raw, state=state, pose=observation.ee_pose, base_position_m=base)
+        actions = profile.action.to_contract(
+            raw, state=state, pose=observation.ee_pose, base_position_m=base
+        )
         metrics = {
             "inference_ms": (time.monotonic() - start) * 1e3,
             "chunk_horizon": float(len(actions)),
@@ -120,7 +136,9 @@ class Pi0RemoteBackend:
         server_ms = _server_ms(reply)
         if server_ms is not None:
             metrics["server_ms"] = server_ms
-        return ActionChunk(actions=actions, step_s=profile.action.step_s, metrics=metrics, note=self._warning)
+        return ActionChunk(
+            actions=actions, step_s=profile.action.step_s, metrics=metrics, note=self._warning
+        )
 
     def reset(self) -> None:
         """Nothing to forget: the server keeps no episode."""
@@ -137,20 +155,28 @@ class Pi0RemoteBackend:
             return None
         key = os.environ.get(name, "").strip()
         if not key:
-            raise ConfigurationError(f"The environment variable {name!r} (api_key_variable) is not set.")
+            raise ConfigurationError(
+                f"The environment variable {name!r} (api_key_variable) is not set."
+            )
         return key
 
-    def _request(self, observation: Observation, profile: Profile) -> tuple[dict[str, Any], NDArray[np.float64]]:
+    def _request(
+        self, observation: Observation, profile: Profile
+    ) -> tuple[dict[str, Any], NDArray[np.float64]]:
         """The request's map, and the state in it."""
         config = self._config
         state = profile.state.build(observation)
-        request: dict[str, Any] = {config.state_key: state, config.prompt_key: observation.instruction}
+        request: dict[str, Any] = {
+            config.state_key: state,
+            config.prompt_key: observation.instruction,
+        }
         for role, key in config.image_keys.items():
             frame = observation.frames.get(role)
             if frame is None:
                 have = ", ".join(observation.frames) or "none"
                 raise UngroundedError(
-                    f"The policy server needs a frame of the camera role {role!r}; the observation has: {have}.",
+                    f"The policy server needs a frame of the camera role {role!r}; the "
+                    f"observation has: {have}.",
                     hint="Remove the role from image_keys if the served model does without.",
                 )
             turned = flip_image(frame.image, config.image_flip)
@@ -164,7 +190,10 @@ def _nominal(config: Pi0RemoteOptions, profile: Profile) -> Observation:
     grey = np.full((side, side, 3), 128, dtype=np.uint8)
     names = profile.state.joint_names
     return Observation(
-        frames={role: Frame(camera=role, image=grey, stamp_ns=0, frame_id=role) for role in config.image_keys},
+        frames={
+            role: Frame(camera=role, image=grey, stamp_ns=0, frame_id=role)
+            for role in config.image_keys
+        },
         instruction="warm up",
         joints=JointSample(names=names, position=np.zeros(len(names))),
         ee_pose=Pose(position_m=np.array([0.45, 0.0, 0.45]), quaternion_xyzw=np.array(_DOWN_XYZW)),
@@ -173,15 +202,19 @@ def _nominal(config: Pi0RemoteOptions, profile: Profile) -> Observation:
 
 
 def _actions(reply: dict[Any, Any]) -> NDArray[np.float64]:
-    """float64 (H, 7) of a reply. Raises ConfigurationError for anything else; non-finite values are left to others."""
+    """float64 (H, 7) of a reply. Raises ConfigurationError for anything else; non-finite values
+    are left to others.
+    """
     actions = reply.get("actions")
     if not isinstance(actions, np.ndarray):
         raise ConfigurationError(
-            f"The policy server's reply has no array 'actions'; its keys: {sorted(map(str, reply))}."
+            "The policy server's reply has no array 'actions'; its keys: "
+            f"{sorted(map(str, reply))}."
         )
     if actions.ndim != 2 or actions.shape[0] < 1 or actions.shape[1] != ACTION_SIZE:
         raise ConfigurationError(
-            f"The policy server yields actions of shape {actions.shape}, expected (H >= 1, {ACTION_SIZE}).",
+            f"The policy server yields actions of shape {actions.shape}, expected (H >= 1, "
+            f"{ACTION_SIZE}).",
             hint="Joint-space and two-armed policies cannot be turned into TCP motion here.",
         )
     return actions.astype(np.float64)

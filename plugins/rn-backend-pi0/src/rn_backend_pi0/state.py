@@ -1,4 +1,6 @@
-"""Proprioception: the state vector a checkpoint was trained on, from what the robot measures. Nothing is made up."""
+"""Proprioception: the state vector a checkpoint was trained on, from what the robot measures.
+Nothing is made up.
+"""
 
 from __future__ import annotations
 
@@ -44,14 +46,16 @@ class StateLayout:
     """What a state vector consists of, in order.
 
     Attributes:
-        terms: "position" [m], "rotvec" [rad], "rpy" [rad], "rpy_by_down" [rad] (against a gripper that points down),
-            "quaternion" (x y z w, w >= 0) of the TCP; "joints" [rad, m] by `joint_names`; "gripper_open" 0..1,
-            "gripper_closed" 1 - open; "fingers" two finger joints +q, -q [m]; "padding" one column that is 0 in the
-            training data itself.
+        terms: "position" [m], "rotvec" [rad], "rpy" [rad], "rpy_by_down" [rad] (against a gripper
+            that points down), "quaternion" (x y z w, w >= 0) of the TCP; "joints" [rad, m] by
+            `joint_names`; "gripper_open" 0..1, "gripper_closed" 1 - open; "fingers" two finger
+            joints +q, -q [m]; "padding" one column that is 0 in the training data itself.
         joint_names: joints of the term "joints", in order.
-        base_position_m: float64 (3,), where the robot's base stands in the frame of the training data's positions.
-        rotvec_near_rad: float64 (3,); a rotation has two rotation vectors (r and r (|r| - 2 pi) / |r|), and the one
-            nearer to this is written, so that a gripper pointing down does not flip between them.
+        base_position_m: float64 (3,), where the robot's base stands in the frame of the training
+            data's positions.
+        rotvec_near_rad: float64 (3,); a rotation has two rotation vectors (r and r (|r| - 2 pi) /
+            |r|), and the one nearer to this is written, so that a gripper pointing down does not
+                flip between them.
         finger_travel_m: joint position of one finger when open.
     """
 
@@ -76,24 +80,30 @@ class StateLayout:
         """float64 (width,) in the training data's units.
 
         Raises:
-            UngroundedError: the observation lacks something a term needs; says which and who provides it.
+            UngroundedError: the observation lacks something a term needs; says which and who
+                provides it.
             UnsafeError: a measured value is not finite.
         """
         state = np.concatenate([self._term(term, observation) for term in self.terms])
         if not np.isfinite(state).all():
             raise UnsafeError(
-                f"The measured state holds a non-finite value: {state.tolist()} ({', '.join(self.terms)})."
+                f"The measured state holds a non-finite value: {state.tolist()} "
+                f"({', '.join(self.terms)})."
             )
         return state
 
     def _term(self, term: StateTerm, observation: Observation) -> F64:
         if term in _POSE_TERMS:
             if observation.ee_pose is None:
-                raise UngroundedError(_absent(term, "the TCP pose", "the topic ee_pose, which control publishes"))
+                raise UngroundedError(
+                    _absent(term, "the TCP pose", "the topic ee_pose, which control publishes")
+                )
             return self._pose_term(term, observation.ee_pose)
         if term in _GRIPPER_TERMS:
             if observation.gripper_open is None:
-                raise UngroundedError(_absent(term, "the gripper's opening", "joint_states with the gripper's joint"))
+                raise UngroundedError(
+                    _absent(term, "the gripper's opening", "joint_states with the gripper's joint")
+                )
             opening = observation.gripper_open
             if term == "fingers":
                 return np.array([opening * self.finger_travel_m, -opening * self.finger_travel_m])
@@ -117,15 +127,24 @@ class StateLayout:
     def _joints(self, observation: Observation) -> F64:
         joints = observation.joints
         if joints is None:
-            raise UngroundedError(_absent("joints", "joint states", "the topic joint_states of the robot"))
+            raise UngroundedError(
+                _absent("joints", "joint states", "the topic joint_states of the robot")
+            )
         absent = [name for name in self.joint_names if name not in joints.names]
         if absent:
             raise UngroundedError(
-                f"The state needs the joints {', '.join(absent)}, measured are {', '.join(joints.names)}.",
+                f"The state needs the joints {', '.join(absent)}, measured are "
+                f"{', '.join(joints.names)}.",
                 hint="Correct joint_names in the options.",
             )
-        return np.array([joints.position[joints.names.index(name)] for name in self.joint_names], dtype=np.float64)
+        return np.array(
+            [joints.position[joints.names.index(name)] for name in self.joint_names],
+            dtype=np.float64,
+        )
 
 
 def _absent(term: str, what: str, provider: str) -> str:
-    return f"The state's {term!r} needs {what}, and the observation has none; it comes from {provider}."
+    return (
+        f"The state's {term!r} needs {what}, and the observation has none; it comes from "
+        f"{provider}."
+    )

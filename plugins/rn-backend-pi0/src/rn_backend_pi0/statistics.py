@@ -13,7 +13,8 @@ F32 = NDArray[np.float32]
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class ZScore:
-    """Mean and standard deviation of one vector, and the small numbers that a code family adds to the latter.
+    """Mean and standard deviation of one vector, and the small numbers that a code family adds to
+    the latter.
 
     Attributes:
         mean, std: float32 (n,).
@@ -27,10 +28,17 @@ class ZScore:
     backward_eps: float
 
     @classmethod
-    def of(cls, mean: Sequence[float], std: Sequence[float], *, forward_eps: float, backward_eps: float) -> ZScore:
+    def of(
+        cls, mean: Sequence[float], std: Sequence[float], *, forward_eps: float, backward_eps: float
+    ) -> ZScore:
         """Build from what a file holds, two checked sequences of one length."""
         numbers = (np.asarray(values, dtype=np.float32) for values in (mean, std))
-        return cls(mean=next(numbers), std=next(numbers), forward_eps=forward_eps, backward_eps=backward_eps)
+        return cls(
+            mean=next(numbers),
+            std=next(numbers),
+            forward_eps=forward_eps,
+            backward_eps=backward_eps,
+        )
 
     @property
     def width(self) -> int:

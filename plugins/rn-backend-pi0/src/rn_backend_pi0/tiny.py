@@ -1,4 +1,6 @@
-"""A tiny random pi0 checkpoint in a public layout: for trying out the plumbing, useless on a robot."""
+"""A tiny random pi0 checkpoint in a public layout: for trying out the plumbing, useless on a
+robot.
+"""
 
 from __future__ import annotations
 
@@ -49,7 +51,9 @@ _ACTIVATION = "gelu_pytorch_tanh"
 
 
 def make_tokenizer(vocabulary: int) -> Tokenizer:
-    """A byte-complete BPE tokenizer with PaliGemma's special tokens, trained on six sentences of our own."""
+    """A byte-complete BPE tokenizer with PaliGemma's special tokens, trained on six sentences
+    of our own.
+    """
     tokenizer = Tokenizer(models.BPE(byte_fallback=False))
     tokenizer.normalizer = normalizers.NFC()
     tokenizer.pre_tokenizer = pre_tokenizers.ByteLevel(add_prefix_space=False)
@@ -76,7 +80,9 @@ def make_tiny(directory: Path, *, layout: Family = "lerobot", seed: int = 0) -> 
         ConfigurationError: the directory holds something, or cannot be written.
     """
     if directory.exists() and (not directory.is_dir() or any(directory.iterdir())):
-        raise ConfigurationError(f"{directory} exists and is not an empty directory; choose another.")
+        raise ConfigurationError(
+            f"{directory} exists and is not an empty directory; choose another."
+        )
     try:
         directory.mkdir(parents=True, exist_ok=True)
         _write_weights(directory, layout, seed)
@@ -155,7 +161,8 @@ def _write_lerobot(directory: Path) -> None:
     side = TINY.vision.image
     norms = {"VISUAL": "IDENTITY", "STATE": "MEAN_STD", "ACTION": "MEAN_STD"}
     inputs: dict[str, object] = {
-        f"observation.images.{slot}": {"type": "VISUAL", "shape": [3, side, side]} for slot in OPENPI_SLOTS
+        f"observation.images.{slot}": {"type": "VISUAL", "shape": [3, side, side]}
+        for slot in OPENPI_SLOTS
     }
     inputs["observation.state"] = {"type": "STATE", "shape": [len(_STATE["mean"])]}
     action = {"action": {"type": "ACTION", "shape": [len(_ACTION["mean"])]}}

@@ -1,4 +1,6 @@
-"""Weights from safetensors files into a network: every tensor is accounted for, one tensor in host memory at a time."""
+"""Weights from safetensors files into a network: every tensor is accounted for, one tensor in
+host memory at a time.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,13 @@ from rn_vla.checkpoint_files import check_safetensors, clip, list_names, read_sc
 from roboneuron import CheckpointError, ConfigurationError
 
 _LEROBOT_PREFIX = "model."
-_FLOAT32 = ("state_proj.", "action_in_proj.", "action_time_mlp_in.", "action_time_mlp_out.", "action_out_proj.")
+_FLOAT32 = (
+    "state_proj.",
+    "action_in_proj.",
+    "action_time_mlp_in.",
+    "action_time_mlp_out.",
+    "action_out_proj.",
+)
 _REAL_NUMBERS = frozenset({"F64", "F32", "F16", "BF16"})
 _MAX_INDEX_BYTES = 16 * 2**20
 
@@ -46,7 +54,8 @@ def open_shards(directory: Path) -> Iterator[dict[str, tuple[_Shard, str]]]:
     """Yield the open shard and the key in it, by key without LeRobot's leading "model.".
 
     Raises:
-        CheckpointError: no file, a truncated or damaged one, one key in two shards, or a tensor of integers.
+        CheckpointError: no file, a truncated or damaged one, one key in two shards, or a tensor of
+            integers.
     """
     index = directory / "model.safetensors.index.json"
     if index.is_symlink() or index.exists():
@@ -59,14 +68,19 @@ def open_shards(directory: Path) -> Iterator[dict[str, tuple[_Shard, str]]]:
             path = directory / name
             check_safetensors(path)
             with reading(path, "safetensors: it is truncated or damaged"):
-                shard = cast("_Shard", stack.enter_context(safe_open(path, framework="pt", device="cpu")))
+                shard = cast(
+                    "_Shard", stack.enter_context(safe_open(path, framework="pt", device="cpu"))
+                )
             for key in shard.keys():  # noqa: SIM118 - not a mapping
                 plain = key.removeprefix(_LEROBOT_PREFIX)
                 if plain in by_key:
-                    raise CheckpointError(f"{path} holds {clip(key)!r}, which another shard holds too.")
+                    raise CheckpointError(
+                        f"{path} holds {clip(key)!r}, which another shard holds too."
+                    )
                 if shard.get_slice(key).get_dtype() not in _REAL_NUMBERS:
                     raise CheckpointError(
-                        f"{path} holds {clip(key)!r} of the number type {shard.get_slice(key).get_dtype()}, which no "
+                        f"{path} holds {clip(key)!r} of the number type "
+                        f"{shard.get_slice(key).get_dtype()}, which no "
                         "weight has."
                     )
                 by_key[plain] = (shard, key)
@@ -74,7 +88,8 @@ def open_shards(directory: Path) -> Iterator[dict[str, tuple[_Shard, str]]]:
 
 
 def check_keys(shapes: Mapping[str, Shape], dims: Pi0Dims) -> str:
-    """Compare what a checkpoint holds with what its dimensions ask for; returns the key of the token embedding.
+    """Compare what a checkpoint holds with what its dimensions ask for; returns the key of the
+    token embedding.
 
     Raises:
         CheckpointError: lists missing, unexpected and misshaped keys.
@@ -95,24 +110,32 @@ def check_keys(shapes: Mapping[str, Shape], dims: Pi0Dims) -> str:
     if missing or unexpected or misshaped:
         parts = [
             f"{len(names)} {word}: {list_names(names)}"
-            for word, names in (("missing", missing), ("unexpected", unexpected), ("misshaped", misshaped))
+            for word, names in (
+                ("missing", missing),
+                ("unexpected", unexpected),
+                ("misshaped", misshaped),
+            )
             if names
         ]
         pi05 = any(name.startswith("time_mlp_in.") for name in unexpected)
         hint = "These look like the keys of pi0.5, which this backend does not run." if pi05 else ""
         raise CheckpointError(
-            "The weights do not fit a pi0 model of these dimensions. " + ". ".join(parts) + ".", hint=hint
+            "The weights do not fit a pi0 model of these dimensions. " + ". ".join(parts) + ".",
+            hint=hint,
         )
     return present[0]
 
 
-def load_network(directory: Path, dims: Pi0Dims, *, device: torch.device, dtype: torch.dtype) -> Pi0Network:
+def load_network(
+    directory: Path, dims: Pi0Dims, *, device: torch.device, dtype: torch.dtype
+) -> Pi0Network:
     """Build the network and fill it.
 
     Args:
         directory: holds model.safetensors, or shards and their index.
         dims: dimensions of the model.
-        device, dtype: where the weights go and as what; norms and the projections at the border stay float32.
+        device, dtype: where the weights go and as what; norms and the projections at the border
+            stay float32.
 
     Raises:
         CheckpointError: keys or shapes do not fit, or a value is not finite.
@@ -120,20 +143,32 @@ def load_network(directory: Path, dims: Pi0Dims, *, device: torch.device, dtype:
     """
     try:
         with open_shards(directory) as shards:
-            shapes = {key: tuple(shard.get_slice(full).get_shape()) for key, (shard, full) in shards.items()}
+            shapes = {
+                key: tuple(shard.get_slice(full).get_shape())
+                for key, (shard, full) in shards.items()
+            }
             embedding = check_keys(shapes, dims)
             with torch.device("meta"):
                 network = Pi0Network(dims)
-            names = {key: name for name, key in (module_keys(dims) | {"embedding.weight": embedding}).items()}
+            names = {
+                key: name
+                for name, key in (module_keys(dims) | {"embedding.weight": embedding}).items()
+            }
             for key, (shard, full) in shards.items():
                 tensor = shard.get_tensor(full)
                 if not tensor.is_floating_point() or not bool(torch.isfinite(tensor).all()):
                     raise CheckpointError(
-                        f"{directory}: {key!r} ({tensor.dtype}) holds values that are not finite numbers."
+                        f"{directory}: {key!r} ({tensor.dtype}) holds values that are not finite "
+                        "numbers."
                     )
-                if key in names:  # the others, such as the expert's head, are never read by inference
+                # the others, such as the expert's head, are never read by inference
+                if key in names:
                     name = names[key]
-                    _assign(network, name, tensor.to(device=device, dtype=_dtype_of(name, dtype), copy=True))
+                    _assign(
+                        network,
+                        name,
+                        tensor.to(device=device, dtype=_dtype_of(name, dtype), copy=True),
+                    )
     except torch.OutOfMemoryError as error:
         raise ConfigurationError(
             f"{device} has not enough free memory for the weights in {directory}.",

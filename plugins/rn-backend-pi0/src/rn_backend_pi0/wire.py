@@ -1,7 +1,10 @@
-"""openpi's wire format: msgpack, with numpy arrays as maps of byte-string keys. Nothing is ever unpickled.
+"""openpi's wire format: msgpack, with numpy arrays as maps of byte-string keys. Nothing is ever
+unpickled.
 
-Source: openpi-client, msgpack_numpy (format only): {b"__ndarray__": True, b"data", b"dtype", b"shape"} for arrays and
-{b"__npgeneric__": True, b"data", b"dtype"} for scalars; void, object and complex types do not travel.
+Source: openpi-client, msgpack_numpy (format only): {b"__ndarray__": True, b"data", b"dtype",
+    b"shape"} for arrays and
+{b"__npgeneric__": True, b"data", b"dtype"} for scalars; void, object and complex types do not
+travel.
 """
 
 from __future__ import annotations
@@ -18,7 +21,18 @@ from roboneuron import ConfigurationError
 
 _KINDS = frozenset("biuf")
 _MAX_DIMENSIONS = 8
-Value = str | bytes | int | float | bool | NDArray[Any] | np.generic | list[Any] | Mapping[Any, Any] | None
+Value = (
+    str
+    | bytes
+    | int
+    | float
+    | bool
+    | NDArray[Any]
+    | np.generic
+    | list[Any]
+    | Mapping[Any, Any]
+    | None
+)
 
 
 def pack(value: Mapping[str, Value]) -> bytes:
@@ -40,11 +54,14 @@ def unpack(data: bytes) -> dict[Any, Any]:
         value = msgpack.unpackb(data, object_hook=_decode, strict_map_key=True)
     except (ValueError, TypeError, msgpack.UnpackException) as error:
         raise ConfigurationError(
-            f"The policy server sent {len(data)} bytes that are not openpi's format: {error or type(error).__name__}.",
+            f"The policy server sent {len(data)} bytes that are not openpi's format: "
+            f"{error or type(error).__name__}.",
             hint="Check that the URL is that of an openpi policy server.",
         ) from error
     if not isinstance(value, dict):
-        raise ConfigurationError(f"The policy server sent a {type(value).__name__}, expected a map.")
+        raise ConfigurationError(
+            f"The policy server sent a {type(value).__name__}, expected a map."
+        )
     return value
 
 
@@ -53,7 +70,12 @@ def _encode(value: object) -> dict[bytes, object]:
         raise TypeError(f"{type(value).__name__} cannot be sent to a policy server")
     if isinstance(value, np.ndarray):
         shape = list(value.shape)
-        return {b"__ndarray__": True, b"data": value.tobytes(), b"dtype": value.dtype.str, b"shape": shape}
+        return {
+            b"__ndarray__": True,
+            b"data": value.tobytes(),
+            b"dtype": value.dtype.str,
+            b"shape": shape,
+        }
     return {b"__npgeneric__": True, b"data": value.item(), b"dtype": value.dtype.str}
 
 
@@ -78,6 +100,8 @@ def _array(value: dict[Any, Any]) -> NDArray[Any]:
     dtype, shape, data = _dtype(value.get(b"dtype")), value.get(b"shape"), value.get(b"data")
     if not isinstance(data, bytes) or not isinstance(shape, list) or len(shape) > _MAX_DIMENSIONS:
         raise ValueError("an array lacks data or shape")
-    if not all(isinstance(n, int) and n >= 0 for n in shape) or math.prod(shape) * dtype.itemsize != len(data):
+    if not all(isinstance(n, int) and n >= 0 for n in shape) or math.prod(
+        shape
+    ) * dtype.itemsize != len(data):
         raise ValueError(f"an array of {len(data)} bytes says it is {dtype} {shape}")
     return np.frombuffer(data, dtype=dtype).reshape(shape).copy()

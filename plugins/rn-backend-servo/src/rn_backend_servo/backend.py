@@ -27,11 +27,13 @@ from roboneuron import (
 
 
 class ServoBackend:
-    """Picks up the cube that the instruction names; uses images, TCP pose and gripper opening, nothing else.
+    """Picks up the cube that the instruction names; uses images, TCP pose and gripper opening,
+    nothing else.
 
-    One action per prediction, or `rows` of them, each at most `max_step_m` long. A chunk of several rows continues the
-    rows that are played meanwhile (`Observation.ahead`) and then leads from where they end to the goal. Raising leaves
-    the state machine where it was, so that the episode goes on when the cause (a black image, a hidden cube) is gone.
+    One action per prediction, or `rows` of them, each at most `max_step_m` long. A chunk of several
+    rows continues the rows that are played meanwhile (`Observation.ahead`) and then leads from
+    where they end to the goal. Raising leaves the state machine where it was, so that the episode
+    goes on when the cause (a black image, a hidden cube) is gone.
     """
 
     def __init__(
@@ -67,20 +69,25 @@ class ServoBackend:
         """Return the next small motions of the TCP.
 
         Raises:
-            UngroundedError: the instruction, the images or a run of failed grasps leave nothing sensible to do.
+            UngroundedError: the instruction, the images or a run of failed grasps leave nothing
+                sensible to do.
             InvalidInputError: the primary image, the TCP pose or the gripper opening is absent.
             UnsafeError: the state is not finite.
             StateError: not loaded.
         """
         if not self._is_loaded:
-            raise StateError("The backend 'servo' was used before it was loaded.", hint="Call load() first.")
+            raise StateError(
+                "The backend 'servo' was used before it was loaded.", hint="Call load() first."
+            )
         pose, gripper_open = _state(observation)
         colour = parse_instruction(observation.instruction)
         if observation.instruction != self._instruction:
             self.reset()
             self._instruction = observation.instruction
         self._history.add(pose)
-        places = {role: self._history.at(frame.stamp_ns) for role, frame in observation.frames.items()}
+        places = {
+            role: self._history.at(frame.stamp_ns) for role, frame in observation.frames.items()
+        }
         newest_ns = max(frame.stamp_ns for frame in observation.frames.values())
         for role, frame in observation.frames.items():
             is_fixed = frame.calibration is not None and frame.calibration.mount == "base"
@@ -122,7 +129,9 @@ def _state(observation: Observation) -> tuple[Pose, float]:
         raise InvalidInputError("The observation has no frame of role 'primary'.", path="frames")
     pose, gripper_open = observation.ee_pose, observation.gripper_open
     if pose is None:
-        raise InvalidInputError("The observation has no ee_pose.", hint="Is control running?", path="ee_pose")
+        raise InvalidInputError(
+            "The observation has no ee_pose.", hint="Is control running?", path="ee_pose"
+        )
     if gripper_open is None:
         raise InvalidInputError("The observation has no gripper_open.", path="gripper_open")
     values = np.concatenate([pose.position_m, pose.quaternion_xyzw, [gripper_open]])

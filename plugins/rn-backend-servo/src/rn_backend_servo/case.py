@@ -1,4 +1,6 @@
-"""The backend's contract case: a painted table with one cube, seen by a calibrated camera; loaded by the kit only."""
+"""The backend's contract case: a painted table with one cube, seen by a calibrated camera;
+loaded by the kit only.
+"""
 
 from __future__ import annotations
 
@@ -16,19 +18,30 @@ from roboneuron import CameraCalibration, Frame, JointSample, Observation, Pose
 F64 = NDArray[np.float64]
 
 SIDE_PX = 224
-TABLE_RGB, PAINT_RGB = (200, 190, 175), {"red": (200, 25, 25), "green": (30, 150, 60), "blue": (25, 60, 210)}
+TABLE_RGB, PAINT_RGB = (
+    (200, 190, 175),
+    {"red": (200, 25, 25), "green": (30, 150, 60), "blue": (25, 60, 210)},
+)
 POINTING_DOWN_XYZW = np.array([1.0, 0.0, 0.0, 0.0])
 
 
 def overhead_camera() -> CameraCalibration:
-    """A camera 0.8 m above (0.5, 0, 0) in the base frame, looking straight down, image up being base +x."""
-    pose = np.array([[0.0, -1.0, 0.0, 0.5], [-1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.8], [0.0, 0.0, 0.0, 1.0]])
+    """A camera 0.8 m above (0.5, 0, 0) in the base frame, looking straight down, image up being
+    base +x.
+    """
+    pose = np.array(
+        [[0.0, -1.0, 0.0, 0.5], [-1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.8], [0.0, 0.0, 0.0, 1.0]]
+    )
     intrinsics = np.array([[220.0, 0.0, SIDE_PX / 2], [0.0, 220.0, SIDE_PX / 2], [0.0, 0.0, 1.0]])
     return CameraCalibration(intrinsics=intrinsics, mount="base", T_mount_camera=pose)
 
 
-def paint_table(cubes: dict[str, tuple[float, float, float]], edge_m: float = 0.044) -> NDArray[np.uint8]:
-    """An image (SIDE_PX, SIDE_PX, 3) of cubes, colour -> x_m, y_m, yaw_rad: filled outlines and a hint of noise."""
+def paint_table(
+    cubes: dict[str, tuple[float, float, float]], edge_m: float = 0.044
+) -> NDArray[np.uint8]:
+    """An image (SIDE_PX, SIDE_PX, 3) of cubes, colour -> x_m, y_m, yaw_rad: filled outlines and
+    a hint of noise.
+    """
     noise = np.random.default_rng(0).integers(-4, 5, (SIDE_PX, SIDE_PX, 3))
     image = np.asarray(TABLE_RGB) + noise
     view = View.of(overhead_camera(), np.eye(4))
@@ -40,7 +53,9 @@ def paint_table(cubes: dict[str, tuple[float, float, float]], edge_m: float = 0.
 
 
 def _inside_hull(points: F64, columns: F64, rows: F64) -> NDArray[np.bool_]:
-    """Pixels inside the convex hull of `points` (n, 2): those that no direction sees beyond the outermost point."""
+    """Pixels inside the convex hull of `points` (n, 2): those that no direction sees beyond the
+    outermost point.
+    """
     inside = np.ones(columns.shape, dtype=bool)
     for angle in np.linspace(0.0, 2 * np.pi, 180, endpoint=False):
         normal = np.array([np.cos(angle), np.sin(angle)])
@@ -58,19 +73,29 @@ def observe(
 ) -> Observation:
     """What the backend sees with the hand pointing down at `tcp_m`."""
     now_ns = time.time_ns() if stamp_ns is None else stamp_ns
-    frame = Frame(camera="front", image=image, stamp_ns=now_ns, frame_id="optical", calibration=overhead_camera())
+    frame = Frame(
+        camera="front",
+        image=image,
+        stamp_ns=now_ns,
+        frame_id="optical",
+        calibration=overhead_camera(),
+    )
     return Observation(
         frames={"primary": frame},
         instruction=instruction,
         joints=JointSample(names=("joint",), position=np.zeros(1), stamp_ns=now_ns),
-        ee_pose=Pose(position_m=np.array(tcp_m), quaternion_xyzw=POINTING_DOWN_XYZW, stamp_ns=now_ns),
+        ee_pose=Pose(
+            position_m=np.array(tcp_m), quaternion_xyzw=POINTING_DOWN_XYZW, stamp_ns=now_ns
+        ),
         gripper_open=gripper_open,
         stamp_ns=now_ns,
     )
 
 
 def _grained(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """The image with one grey value changed by the time, as a camera never gives the same picture twice."""
+    """The image with one grey value changed by the time, as a camera never gives the same
+    picture twice.
+    """
     grained = image.copy()
     grained[0, time.time_ns() // 1000 % SIDE_PX] ^= 1
     return grained

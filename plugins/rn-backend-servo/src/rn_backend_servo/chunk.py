@@ -1,4 +1,6 @@
-"""Several rows from one prediction: what is under way is kept, then the way to the goal goes on row by row."""
+"""Several rows from one prediction: what is under way is kept, then the way to the goal goes on
+row by row.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,8 @@ def pose_after(tcp: F64, rows: F64, done_rows: float) -> F64:
     Args:
         tcp: measured TCP pose (4, 4).
         rows: float64 (N, 7), oldest first; the first was the next one when the image was taken.
-        done_rows: how many the arm had carried out when its pose was measured; a part of a row is scaled.
+        done_rows: how many the arm had carried out when its pose was measured; a part of a row is
+            scaled.
 
     Returns:
         (4, 4).
@@ -41,12 +44,16 @@ def pose_after(tcp: F64, rows: F64, done_rows: float) -> F64:
 
 
 def rows_done(pose_ns: int, captured_ns: int, step_s: float) -> float:
-    """Rows carried out between the capture of an image and the measurement of a pose; never negative."""
+    """Rows carried out between the capture of an image and the measurement of a pose; never
+    negative.
+    """
     return max(0.0, (pose_ns - captured_ns) / 1e9 / step_s - _HALF_A_ROW)
 
 
 def chunk_rows(policy: PickPolicy, motion: Motion, start: F64, kept: F64, count: int) -> F64:
-    """Rows (`count`, 7): `kept`, then `motion` from `start` (4, 4), then on towards the same goal."""
+    """Rows (`count`, 7): `kept`, then `motion` from `start` (4, 4), then on towards the same
+    goal.
+    """
     rows = list(kept)
     here = start
     while len(rows) < count:

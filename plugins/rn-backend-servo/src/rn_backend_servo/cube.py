@@ -14,7 +14,9 @@ F64 = NDArray[np.float64]
 
 _DIRECTIONS = 24
 _HALF_PIXEL = 0.35
-"""How far outlines reach beyond the centres of their outermost pixels, on average over all directions [px]."""
+"""How far outlines reach beyond the centres of their outermost pixels, on average over all
+directions [px].
+"""
 _STARTS_RAD = tuple(np.deg2rad([0.0, 22.5, 45.0, 67.5]))
 _ITERATIONS = 8
 _NUDGES = np.array([1e-4, 1e-4, 1e-3, 1e-4])
@@ -22,7 +24,9 @@ _NUDGES = np.array([1e-4, 1e-4, 1e-3, 1e-4])
 _DAMPING = np.array([1.0, 1.0, 0.1, 1.0])
 _CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (0.0, 1.0)])
 _POOR_PX, _POOR_SHARE = 0.9, 0.05
-"""An outline that misses the model by more than this, or this share of its size, is hidden in part or is no cube."""
+"""An outline that misses the model by more than this, or this share of its size, is hidden in
+part or is no cube.
+"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -46,7 +50,9 @@ class CubeEstimate:
 
 
 def cube_corners(parameters: F64, table_m: float) -> F64:
-    """Corners (..., 8, 3) in the base frame of cubes on the table; parameters (..., 4): x, y, yaw, edge."""
+    """Corners (..., 8, 3) in the base frame of cubes on the table; parameters (..., 4): x, y,
+    yaw, edge.
+    """
     x, y, yaw, edge = (parameters[..., i, None] for i in range(4))
     c, s = np.cos(yaw), np.sin(yaw)
     ahead, left, up = (edge * _CORNERS[:, i] for i in range(3))
@@ -54,9 +60,13 @@ def cube_corners(parameters: F64, table_m: float) -> F64:
 
 
 class _OutlineFit:
-    """Gauss-Newton on the differences between the outline of a cube and one seen, for several cubes at once."""
+    """Gauss-Newton on the differences between the outline of a cube and one seen, for several
+    cubes at once.
+    """
 
-    def __init__(self, pixels: F64, view: View, table_m: float, edge_m: float, edge_spread_m: float) -> None:
+    def __init__(
+        self, pixels: F64, view: View, table_m: float, edge_m: float, edge_spread_m: float
+    ) -> None:
         angles = np.arange(_DIRECTIONS) * (2 * np.pi / _DIRECTIONS)
         self._normals = np.stack([np.cos(angles), np.sin(angles)])
         self._seen = (pixels @ self._normals).max(axis=0) + _HALF_PIXEL
@@ -64,8 +74,12 @@ class _OutlineFit:
         self._edge_m, self._edge_spread_m = edge_m, edge_spread_m
 
     def residuals(self, parameters: F64) -> F64:
-        """Parameters (..., 4) -> how much farther the cubes' outlines reach in each direction [px], then the prior."""
-        reach = (self._view.project(cube_corners(parameters, self._table_m)) @ self._normals).max(axis=-2)
+        """Parameters (..., 4) -> how much farther the cubes' outlines reach in each direction
+        [px], then the prior.
+        """
+        reach = (self._view.project(cube_corners(parameters, self._table_m)) @ self._normals).max(
+            axis=-2
+        )
         prior = (parameters[..., 3:] - self._edge_m) / self._edge_spread_m
         return np.concatenate([reach - self._seen, prior], axis=-1)
 
@@ -77,9 +91,9 @@ class _OutlineFit:
             nudged = self.residuals(parameters[:, None, :] + np.diag(_NUDGES))
             jacobian = np.swapaxes((nudged - errors[:, None, :]) / _NUDGES[:, None], 1, 2)
             transposed = np.swapaxes(jacobian, 1, 2)
-            step = np.linalg.solve(transposed @ jacobian + np.diag(_DAMPING), -(transposed @ errors[:, :, None]))[
-                :, :, 0
-            ]
+            step = np.linalg.solve(
+                transposed @ jacobian + np.diag(_DAMPING), -(transposed @ errors[:, :, None])
+            )[:, :, 0]
             moved = self.residuals(parameters + step)
             better = (moved**2).sum(axis=1) < (errors**2).sum(axis=1)
             parameters = np.where(better[:, None], parameters + step, parameters)
@@ -90,11 +104,15 @@ class _OutlineFit:
         return parameters[best], errors[best]
 
 
-def measure_cube(blob: Blob, view: View, *, table_m: float, edge_m: float, edge_spread_m: float) -> CubeEstimate | None:
-    """Fit a cube that stands on the table to the outline of `blob`; None when the blob cannot be on the table.
+def measure_cube(
+    blob: Blob, view: View, *, table_m: float, edge_m: float, edge_spread_m: float
+) -> CubeEstimate | None:
+    """Fit a cube that stands on the table to the outline of `blob`; None when the blob cannot be on
+    the table.
 
-    Position, yaw and edge are chosen so that the projected cube reaches as far as the blob in every direction of the
-    image (equal support functions), from four yaw angles, with the usual edge as prior.
+    Position, yaw and edge are chosen so that the projected cube reaches as far as the blob in every
+    direction of the image (equal support functions), from four yaw angles, with the usual edge as
+    prior.
     """
     centre = view.meet_plane(blob.centre, table_m + edge_m / 2)
     if centre is None:
@@ -108,7 +126,11 @@ def measure_cube(blob: Blob, view: View, *, table_m: float, edge_m: float, edge_
         return None
     misfit_px = float(np.sqrt(np.mean(errors[:-1] ** 2)))
     size_px = float(np.sqrt(blob.area_px))
-    is_whole = not blob.is_cut and misfit_px <= max(_POOR_PX, _POOR_SHARE * size_px) and abs(errors[-1]) <= 3.0
+    is_whole = (
+        not blob.is_cut
+        and misfit_px <= max(_POOR_PX, _POOR_SHARE * size_px)
+        and abs(errors[-1]) <= 3.0
+    )
     return CubeEstimate(
         x_m=float(parameters[0]),
         y_m=float(parameters[1]),

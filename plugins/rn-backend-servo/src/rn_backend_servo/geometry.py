@@ -21,7 +21,9 @@ def matrix_of(pose: Pose) -> F64:
 
 
 def downward(yaw_rad: float) -> F64:
-    """Rotation (3, 3) of a TCP that points straight down (z along -z of the base), its x axis at `yaw_rad` from x."""
+    """Rotation (3, 3) of a TCP that points straight down (z along -z of the base), its x axis
+    at `yaw_rad` from x.
+    """
     c, s = np.cos(yaw_rad), np.sin(yaw_rad)
     return np.array([[c, s, 0.0], [s, -c, 0.0], [0.0, 0.0, -1.0]])
 
@@ -32,7 +34,9 @@ def yaw_of(rotation: F64) -> float:
 
 
 def quarter_turn_near(angle_rad: float, reference_rad: float) -> float:
-    """The angle nearest to `reference_rad` that differs from `angle_rad` by quarter turns: a cube looks the same."""
+    """The angle nearest to `reference_rad` that differs from `angle_rad` by quarter turns: a
+    cube looks the same.
+    """
     quarter = np.pi / 2
     return float(angle_rad + quarter * np.round((reference_rad - angle_rad) / quarter))
 
@@ -58,10 +62,14 @@ class View:
     def of(cls, calibration: CameraCalibration, T_base_tcp: F64) -> View:
         """The view of a camera on the base or at a TCP that is at `T_base_tcp` (4, 4)."""
         mount = T_base_tcp if calibration.mount == "tcp" else np.eye(4)
-        return cls(intrinsics=calibration.intrinsics, T_base_camera=mount @ calibration.T_mount_camera)
+        return cls(
+            intrinsics=calibration.intrinsics, T_base_camera=mount @ calibration.T_mount_camera
+        )
 
     def project(self, points_m: F64) -> F64:
-        """Points (..., 3) in the base frame -> pixels (..., 2); those behind the camera become NaN."""
+        """Points (..., 3) in the base frame -> pixels (..., 2); those behind the camera become
+        NaN.
+        """
         rotation, origin = self.T_base_camera[:3, :3], self.T_base_camera[:3, 3]
         camera = (points_m - origin) @ rotation
         depth = np.where(camera[..., 2:] > 1e-6, camera[..., 2:], np.nan)
@@ -70,8 +78,12 @@ class View:
         return pixels
 
     def meet_plane(self, pixel: F64, height_m: float) -> F64 | None:
-        """Where the ray through `pixel` (2,) meets z = `height_m`: (3,) in the base frame, None when it does not."""
-        ray = self.T_base_camera[:3, :3] @ np.linalg.solve(self.intrinsics, np.array([pixel[0], pixel[1], 1.0]))
+        """Where the ray through `pixel` (2,) meets z = `height_m`: (3,) in the base frame, None
+        when it does not.
+        """
+        ray = self.T_base_camera[:3, :3] @ np.linalg.solve(
+            self.intrinsics, np.array([pixel[0], pixel[1], 1.0])
+        )
         origin = self.T_base_camera[:3, 3]
         if abs(ray[2]) < 1e-9:
             return None

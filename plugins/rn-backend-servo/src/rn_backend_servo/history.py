@@ -1,4 +1,6 @@
-"""Where the TCP was when an image was taken: images arrive 100 ms and more after the pose that belongs to them."""
+"""Where the TCP was when an image was taken: images arrive 100 ms and more after the pose that
+belongs to them.
+"""
 
 from __future__ import annotations
 
@@ -29,20 +31,26 @@ class PoseHistory:
         self._poses.clear()
 
     def add(self, pose: Pose) -> None:
-        """Note a measured pose; one no newer than the last is ignored, after a clock set back all start anew."""
+        """Note a measured pose; one no newer than the last is ignored, after a clock set back
+        all start anew.
+        """
         if self._poses and pose.stamp_ns < self._poses[-1].stamp_ns:
             self._poses.clear()
         if not self._poses or pose.stamp_ns > self._poses[-1].stamp_ns:
             self._poses.append(pose)
 
     def at(self, stamp_ns: int) -> F64 | None:
-        """TCP pose (4, 4) in the base frame at `stamp_ns`, interpolated; None when the motion then is not known."""
+        """TCP pose (4, 4) in the base frame at `stamp_ns`, interpolated; None when the motion
+        then is not known.
+        """
         poses = self._poses
         if not poses or stamp_ns > poses[-1].stamp_ns + _AHEAD_NS:
             return None
         if stamp_ns >= poses[-1].stamp_ns:
             return matrix_of(poses[-1])
-        for earlier, later in zip(reversed(list(poses)[:-1]), reversed(list(poses)[1:]), strict=True):
+        for earlier, later in zip(
+            reversed(list(poses)[:-1]), reversed(list(poses)[1:]), strict=True
+        ):
             if earlier.stamp_ns <= stamp_ns:
                 return matrix_of(_between(earlier, later, stamp_ns))
         is_resting = np.linalg.norm(poses[-1].position_m - poses[0].position_m) < _AT_REST_M
@@ -50,7 +58,9 @@ class PoseHistory:
 
 
 def _between(earlier: Pose, later: Pose, stamp_ns: int) -> Pose:
-    """Linear in position, normalised linear in rotation: poses lie at most a tenth of a second apart."""
+    """Linear in position, normalised linear in rotation: poses lie at most a tenth of a second
+    apart.
+    """
     share = (stamp_ns - earlier.stamp_ns) / (later.stamp_ns - earlier.stamp_ns)
     start, end = earlier.quaternion_xyzw, later.quaternion_xyzw
     quaternion = (1 - share) * start + share * np.copysign(1.0, float(start @ end)) * end

@@ -1,4 +1,6 @@
-"""Grounding of instructions: a known verb and one known colour, or an UngroundedError that says what is understood."""
+"""Grounding of instructions: a known verb and one known colour, or an UngroundedError that says
+what is understood.
+"""
 
 from __future__ import annotations
 
@@ -19,28 +21,97 @@ COLOUR_BY_WORD = {
 }
 """Understood colour words; the values are the colours that can be found in images."""
 
-VERBS = ("pick", "grab", "grasp", "take", "lift", "raise", "get", "fetch", "seize", "collect", "hold")
+VERBS = (
+    "pick",
+    "grab",
+    "grasp",
+    "take",
+    "lift",
+    "raise",
+    "get",
+    "fetch",
+    "seize",
+    "collect",
+    "hold",
+)
 """Verbs that mean: grasp it and lift it."""
 
-_OBJECTS = frozenset({"cube", "block", "box", "brick", "dice", "die", "one", "object", "thing", "item"})
+_OBJECTS = frozenset(
+    {"cube", "block", "box", "brick", "dice", "die", "one", "object", "thing", "item"}
+)
 _ADJECTIVES = frozenset(
-    {"small", "little", "tiny", "big", "large", "wooden", "plastic", "toy", "coloured", "colored", "solid", "bright"}
+    {
+        "small",
+        "little",
+        "tiny",
+        "big",
+        "large",
+        "wooden",
+        "plastic",
+        "toy",
+        "coloured",
+        "colored",
+        "solid",
+        "bright",
+    }
 )
 _AFTER_THE_COLOUR = frozenset(
-    {"up", "please", "now", "from", "on", "off", "at", "in", "for", "with", "using", "that", "which", "out", "over"}
+    {
+        "up",
+        "please",
+        "now",
+        "from",
+        "on",
+        "off",
+        "at",
+        "in",
+        "for",
+        "with",
+        "using",
+        "that",
+        "which",
+        "out",
+        "over",
+    }
 )
 _OTHER_ACTIONS = frozenset(
     {
-        "put", "place", "drop", "release", "push", "pull", "move", "throw", "stack", "pour", "open", "close", "rotate",
-        "turn", "press", "slide", "touch", "hand", "give", "bring", "insert", "wipe", "swap", "knock",
+        "put",
+        "place",
+        "drop",
+        "release",
+        "push",
+        "pull",
+        "move",
+        "throw",
+        "stack",
+        "pour",
+        "open",
+        "close",
+        "rotate",
+        "turn",
+        "press",
+        "slide",
+        "touch",
+        "hand",
+        "give",
+        "bring",
+        "insert",
+        "wipe",
+        "swap",
+        "knock",
     }
-)  # fmt: skip
-_NEGATIONS = frozenset({"not", "don", "dont", "never", "no", "avoid", "without", "except", "stop", "cancel", "ignore"})
+)
+_NEGATIONS = frozenset(
+    {"not", "don", "dont", "never", "no", "avoid", "without", "except", "stop", "cancel", "ignore"}
+)
 
 
 def _known() -> str:
     colours = ", ".join(dict.fromkeys(COLOUR_BY_WORD.values()))
-    return f'Say for instance "pick up the red cube". Colours: {colours}. Verbs: {", ".join(VERBS)}.'
+    return (
+        f'Say for instance "pick up the red cube". Colours: {colours}. Verbs: {", ".join(VERBS)}.'
+    )
 
 
 def parse_instruction(instruction: str) -> str:
@@ -49,8 +120,8 @@ def parse_instruction(instruction: str) -> str:
     Case, punctuation and politeness do not matter; English only.
 
     Raises:
-        UngroundedError: no verb, an action that is not picking up, a negation, no colour, several colours, or an object
-            that is no cube; the hint lists the known words.
+        UngroundedError: no verb, an action that is not picking up, a negation, no colour, several
+            colours, or an object that is no cube; the hint lists the known words.
     """
     words = re.findall(r"[^\W\d_]+", instruction.lower())
     if not words:
@@ -58,26 +129,36 @@ def parse_instruction(instruction: str) -> str:
     quoted = f"The instruction {instruction.strip()!r}"
     negation = next((word for word in words if word in _NEGATIONS), None)
     if negation is not None:
-        raise UngroundedError(f"{quoted} says {negation!r}; only plain requests are understood.", hint=_known())
+        raise UngroundedError(
+            f"{quoted} says {negation!r}; only plain requests are understood.", hint=_known()
+        )
     other = next((word for word in words if word in _OTHER_ACTIONS), None)
     if other is not None:
-        raise UngroundedError(f"{quoted} asks to {other!r}; this backend only picks up.", hint=_known())
+        raise UngroundedError(
+            f"{quoted} asks to {other!r}; this backend only picks up.", hint=_known()
+        )
     if not any(word in VERBS for word in words):
         raise UngroundedError(f"{quoted} has no verb that is understood.", hint=_known())
     colours = list(dict.fromkeys(COLOUR_BY_WORD[word] for word in words if word in COLOUR_BY_WORD))
     if not colours:
         raise UngroundedError(f"{quoted} names no known colour.", hint=_known())
     if len(colours) > 1:
-        raise UngroundedError(f"{quoted} names {' and '.join(colours)}; one at a time.", hint=_known())
+        raise UngroundedError(
+            f"{quoted} names {' and '.join(colours)}; one at a time.", hint=_known()
+        )
     _check_object(words, quoted)
     return colours[0]
 
 
 def _check_object(words: list[str], quoted: str) -> None:
-    """Raise UngroundedError when what follows the colour is the name of something that is no cube."""
+    """Raise UngroundedError when what follows the colour is the name of something that is no
+    cube.
+    """
     last = max(i for i, word in enumerate(words) if word in COLOUR_BY_WORD)
     for word in words[last + 1 :]:
         if word in _OBJECTS or word in _AFTER_THE_COLOUR:
             return
         if word not in _ADJECTIVES:
-            raise UngroundedError(f"{quoted} names a {word!r}; this backend knows cubes only.", hint=_known())
+            raise UngroundedError(
+                f"{quoted} names a {word!r}; this backend knows cubes only.", hint=_known()
+            )

@@ -1,4 +1,6 @@
-"""What a user may set under `[plugins.servo]`: where the table is, what lies on it, how fast to move."""
+"""What a user may set under `[plugins.servo]`: where the table is, what lies on it, how fast to
+move.
+"""
 
 from __future__ import annotations
 
@@ -12,20 +14,47 @@ class ServoOptions(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    table_m: float = Field(default=0.0, ge=-2, le=2, description="Height of the table top in the base frame [m].")
-    edge_m: float = Field(default=0.044, gt=0.01, le=0.2, description="Usual edge of the cubes [m].")
-    edge_spread_m: float = Field(default=0.004, gt=0, le=0.05, description="How much edges differ from it [m].")
-    hover_m: float = Field(default=0.12, gt=0, le=0.5, description="TCP above the table before the descent [m].")
-    grasp_m: float = Field(default=0.02, gt=0, le=0.2, description="TCP above the table when the gripper closes [m].")
-    lift_m: float = Field(default=0.20, ge=0.15, le=0.5, description="How far the grasped cube is lifted [m].")
-    max_step_m: float = Field(default=0.03, gt=0, le=0.05, description="Longest translation per action [m].")
-    max_turn_rad: float = Field(default=0.2, gt=0, le=0.3, description="Largest rotation per action [rad].")
-    gain: float = Field(default=0.5, gt=0, le=1, description="Share of the remaining error that one action asks for.")
+    table_m: float = Field(
+        default=0.0, ge=-2, le=2, description="Height of the table top in the base frame [m]."
+    )
+    edge_m: float = Field(
+        default=0.044, gt=0.01, le=0.2, description="Usual edge of the cubes [m]."
+    )
+    edge_spread_m: float = Field(
+        default=0.004, gt=0, le=0.05, description="How much edges differ from it [m]."
+    )
+    hover_m: float = Field(
+        default=0.12, gt=0, le=0.5, description="TCP above the table before the descent [m]."
+    )
+    grasp_m: float = Field(
+        default=0.02, gt=0, le=0.2, description="TCP above the table when the gripper closes [m]."
+    )
+    lift_m: float = Field(
+        default=0.20, ge=0.15, le=0.5, description="How far the grasped cube is lifted [m]."
+    )
+    max_step_m: float = Field(
+        default=0.03, gt=0, le=0.05, description="Longest translation per action [m]."
+    )
+    max_turn_rad: float = Field(
+        default=0.2, gt=0, le=0.3, description="Largest rotation per action [rad]."
+    )
+    gain: float = Field(
+        default=0.5,
+        gt=0,
+        le=1,
+        description="Share of the remaining error that one action asks for.",
+    )
     step_s: float = Field(default=0.1, gt=0, le=1, description="Time between two actions [s].")
     rows: int = Field(
-        default=1, ge=1, le=MAX_ROWS, description="Actions per prediction; more keep the arm moving while it computes."
+        default=1,
+        ge=1,
+        le=MAX_ROWS,
+        description="Actions per prediction; more keep the arm moving while it computes.",
     )
     max_attempts: int = Field(default=4, ge=1, le=20, description="Grasps tried before giving up.")
     holding_open: float = Field(
-        default=0.15, gt=0, lt=1, description="Gripper opening above which something is between the closed fingers."
+        default=0.15,
+        gt=0,
+        lt=1,
+        description="Gripper opening above which something is between the closed fingers.",
     )

@@ -59,7 +59,9 @@ class Target:
         )
 
     def updated(self, estimate: CubeEstimate) -> Target:
-        """After another view: clear ones are averaged, a clear one far away or after unclear ones replaces."""
+        """After another view: clear ones are averaged, a clear one far away or after unclear
+        ones replaces.
+        """
         if not estimate.is_clear:
             return self
         yaw = quarter_turn_near(estimate.yaw_rad, self.yaw_rad)

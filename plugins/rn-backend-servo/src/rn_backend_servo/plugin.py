@@ -16,7 +16,8 @@ def roboneuron_backends() -> Sequence[BackendSpec]:
     return [
         BackendSpec(
             name="servo",
-            summary="Picks up the cube named by its colour, by classical visual servoing; no weights, no GPU",
+            summary="Picks up the cube named by its colour, by classical visual servoing; no "
+            "weights, no GPU",
             target="rn_backend_servo.backend:ServoBackend",
             config="rn_backend_servo.options:ServoOptions",
             case="rn_backend_servo.case:contract_case",

@@ -20,14 +20,24 @@ _NEAR_M, _NEAR_HEIGHT_M, _NEAR_RAD = 0.004, 0.006, 0.04
 _STRAY_M = 0.008
 """The descent waits while the TCP is farther than this beside its line."""
 _BLIND_M = 0.09
-"""Below this height of the TCP above the table the fingers hide the cube: its place is remembered."""
+"""Below this height of the TCP above the table the fingers hide the cube: its place is
+remembered.
+"""
 _RETREAT_M = 0.30
 """Height above the table from which the hand hides nothing."""
 _SEEN_TWICE = 2
 _CLOSING_STEPS, _STEADY_STEPS, _STEADY = 6, 3, 0.02
-"""A grasp is judged after so many actions, once the opening changes by less than _STEADY over _STEADY_STEPS."""
+"""A grasp is judged after so many actions, once the opening changes by less than _STEADY over
+_STEADY_STEPS.
+"""
 _FULLY_OPEN = 0.85
-_MOST_STEPS = {Phase.APPROACH: 150, Phase.DESCEND: 80, Phase.GRASP: 30, Phase.LIFT: 80, Phase.RETREAT: 80}
+_MOST_STEPS = {
+    Phase.APPROACH: 150,
+    Phase.DESCEND: 80,
+    Phase.GRASP: 30,
+    Phase.LIFT: 80,
+    Phase.RETREAT: 80,
+}
 _MOST_STEPS_RELEASE = 120
 
 
@@ -61,19 +71,28 @@ class PickPolicy:
         """Start anew."""
         self.episode = Episode()
 
-    def step(self, sighting: Sighting | None, T_base_tcp: F64, gripper_open: float, start: F64 | None = None) -> Motion:
+    def step(
+        self,
+        sighting: Sighting | None,
+        T_base_tcp: F64,
+        gripper_open: float,
+        start: F64 | None = None,
+    ) -> Motion:
         """Return the next motion.
 
-        What has happened is judged by the measured pose; the motion leads on from where the arm will be.
+        What has happened is judged by the measured pose; the motion leads on from where the arm
+        will be.
 
         Args:
-            sighting: the named cube; None when it is not visible, which must not be in phase SEARCH.
+            sighting: the named cube; None when it is not visible, which must not be in phase
+                SEARCH.
             T_base_tcp: measured TCP pose (4, 4).
             gripper_open: measured opening.
             start: TCP pose (4, 4) in which the motion will begin; the measured one when not given.
 
         Raises:
-            UngroundedError: every attempt failed, or the arm does not get where it is sent; `reset` starts anew.
+            UngroundedError: every attempt failed, or the arm does not get where it is sent; `reset`
+                starts anew.
         """
         episode = self.episode
         if episode.failure:
@@ -94,7 +113,9 @@ class PickPolicy:
         return action(sighting, T_base_tcp, gripper_open)
 
     def continued(self, motion: Motion, start: F64) -> Motion:
-        """The motion after `motion`, from `start` (4, 4) on towards the same goal with the same opening."""
+        """The motion after `motion`, from `start` (4, 4) on towards the same goal with the same
+        opening.
+        """
         self._start = start
         return motion if motion.goal is None else self._towards(motion.goal, motion.gripper_open)
 
@@ -155,7 +176,10 @@ class PickPolicy:
             return self._failed("the cube slipped out", tcp)
         anchor = self.episode.anchor
         goal = self._goal(
-            anchor[0, 3], anchor[1, 3], anchor[2, 3] - self._options.table_m + self._options.lift_m, yaw_of(anchor)
+            anchor[0, 3],
+            anchor[1, 3],
+            anchor[2, 3] - self._options.table_m + self._options.lift_m,
+            yaw_of(anchor),
         )
         if abs(goal[2, 3] - tcp[2, 3]) < _NEAR_HEIGHT_M:
             self.episode.enter(Phase.HOLD, tcp)
@@ -180,7 +204,9 @@ class PickPolicy:
         return self._towards(goal, OPEN)
 
     def _release(self, sighting: Sighting | None, tcp: F64, gripper_open: float) -> Motion:
-        """Straight down with the gripper closed, then open it: what was lifted goes back where it came from."""
+        """Straight down with the gripper closed, then open it: what was lifted goes back where
+        it came from.
+        """
         episode, anchor = self.episode, self.episode.anchor
         goal = self._goal(anchor[0, 3], anchor[1, 3], self._options.grasp_m, yaw_of(anchor))
         is_down = tcp[2, 3] - goal[2, 3] < _NEAR_HEIGHT_M
@@ -237,7 +263,9 @@ class PickPolicy:
         episode = self.episode
         episode.attempts += 1
         if episode.attempts >= self._options.max_attempts:
-            episode.failure = f"Gave up after {episode.attempts} attempts; in the last one {reason}."
+            episode.failure = (
+                f"Gave up after {episode.attempts} attempts; in the last one {reason}."
+            )
             raise UngroundedError(episode.failure, hint="Give the instruction again to start anew.")
         episode.enter(Phase.RETREAT, tcp)
         return Motion(translation_m=np.zeros(3), rotation_rad=np.zeros(3), gripper_open=OPEN)

@@ -25,7 +25,9 @@ LEAST_VALUE = 0.15
 LEAST_AREA_PX = 16
 """Smaller regions are noise."""
 LEAST_FILL = 0.45
-"""Share of its bounding box that a compact region fills: a cube's outline fills at least half, seen from anywhere."""
+"""Share of its bounding box that a compact region fills: a cube's outline fills at least half,
+seen from anywhere.
+"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -62,7 +64,9 @@ def colour_mask(image: NDArray[np.uint8], colour: str) -> Mask:
     red, green, blue = image[vivid].astype(np.float64).T
     top, width = high[vivid].astype(np.float64), spread[vivid].astype(np.float64)
     sector = np.select(
-        [top == red, top == green], [(green - blue) / width, 2.0 + (blue - red) / width], 4.0 + (red - green) / width
+        [top == red, top == green],
+        [(green - blue) / width, 2.0 + (blue - red) / width],
+        4.0 + (red - green) / width,
     )
     hue = 60.0 * sector % 360.0
     low, up = HUES_DEG[colour]
@@ -79,7 +83,9 @@ def _runs(mask: Mask) -> list[tuple[int, int, int]]:
 
 
 def regions(mask: Mask) -> list[list[tuple[int, int, int]]]:
-    """Connected regions (four neighbours) as lists of horizontal runs (row, first column, column after the last)."""
+    """Connected regions (four neighbours) as lists of horizontal runs (row, first column,
+    column after the last).
+    """
     runs = _runs(mask)
     parent = list(range(len(runs)))
 
@@ -114,14 +120,21 @@ def find_blob(image: NDArray[np.uint8], colour: str) -> Blob | None:
     best_area = LEAST_AREA_PX - 1
     for region in regions(mask):
         area = sum(end - start for _, start, end in region)
-        box = (region[-1][0] - region[0][0] + 1) * (max(r[2] for r in region) - min(r[1] for r in region))
+        box = (region[-1][0] - region[0][0] + 1) * (
+            max(r[2] for r in region) - min(r[1] for r in region)
+        )
         if area > best_area and area >= LEAST_FILL * box:
             best, best_area = region, area
     if best is None:
         return None
     columns = np.concatenate([np.arange(start, end) for _, start, end in best])
     rows = np.repeat([row for row, _, _ in best], [end - start for _, start, end in best])
-    is_cut = bool(rows.min() == 0 or columns.min() == 0 or rows.max() == height - 1 or columns.max() == width - 1)
+    is_cut = bool(
+        rows.min() == 0
+        or columns.min() == 0
+        or rows.max() == height - 1
+        or columns.max() == width - 1
+    )
     return Blob(pixels=np.column_stack([columns, rows]) + 0.5, is_cut=is_cut)
 
 

@@ -31,7 +31,10 @@ class Sighting:
 
 
 def look(
-    frames: Mapping[str, Frame], T_base_tcp: Mapping[str, F64 | None], colour: str, options: ServoOptions
+    frames: Mapping[str, Frame],
+    T_base_tcp: Mapping[str, F64 | None],
+    colour: str,
+    options: ServoOptions,
 ) -> Sighting | None:
     """Find the cube of `colour`; None when no camera shows it.
 
@@ -54,7 +57,11 @@ def look(
             continue
         view = View.of(calibration, np.eye(4) if tcp is None else tcp)
         estimate = measure_cube(
-            blob, view, table_m=options.table_m, edge_m=options.edge_m, edge_spread_m=options.edge_spread_m
+            blob,
+            view,
+            table_m=options.table_m,
+            edge_m=options.edge_m,
+            edge_spread_m=options.edge_spread_m,
         )
         if estimate is None:
             continue
@@ -66,8 +73,11 @@ def look(
 
 def not_visible(frames: Mapping[str, Frame], colour: str) -> UngroundedError:
     """The error that says that no cube of `colour` is in sight, and which colours are."""
-    seen = list(dict.fromkeys(name for frame in frames.values() for name in visible_colours(frame.image)))
+    seen = list(
+        dict.fromkeys(name for frame in frames.values() for name in visible_colours(frame.image))
+    )
     return UngroundedError(
-        f"No {colour} cube is visible in {', '.join(repr(frame.camera) for frame in frames.values())}.",
+        f"No {colour} cube is visible in "
+        f"{', '.join(repr(frame.camera) for frame in frames.values())}.",
         hint=f"Visible colours: {', '.join(seen) or 'none'}.",
     )

@@ -1,4 +1,6 @@
-"""Is there something to see, and is it now? Black, blank, repeated and frozen images are refused."""
+"""Is there something to see, and is it now? Black, blank, repeated and frozen images are
+refused.
+"""
 
 from __future__ import annotations
 
@@ -17,9 +19,13 @@ _EVEN = 1.5
 """An image whose values spread less than this (standard deviation, of 255) shows nothing."""
 _STRIDE = 4
 _FROZEN_M, _FROZEN_UNSYNCHRONISED_M = 0.02, 0.10
-"""The TCP has moved this far between two identical images: by the images' times, or where those are not comparable."""
+"""The TCP has moved this far between two identical images: by the images' times, or where those
+are not comparable.
+"""
 _OLD_POSE_NS = 500_000_000
-"""A pose this much older than the image belongs to another moment; going on would move the arm blindly."""
+"""A pose this much older than the image belongs to another moment; going on would move the arm
+blindly.
+"""
 
 _BEHIND_NS = 400_000_000
 """An image that comes again may be this much older than the newest one of another camera."""
@@ -42,7 +48,13 @@ class FrameWatch:
         self._reference: _Reference | None = None
 
     def check(
-        self, frame: Frame, pose: Pose, T_base_tcp: F64 | None, *, newest_ns: int, must_change: bool = True
+        self,
+        frame: Frame,
+        pose: Pose,
+        T_base_tcp: F64 | None,
+        *,
+        newest_ns: int,
+        must_change: bool = True,
     ) -> None:
         """Accept `frame`, or say why it cannot be acted on.
 
@@ -50,14 +62,14 @@ class FrameWatch:
             frame: the image.
             pose: the newest measured TCP pose.
             T_base_tcp: the TCP pose (4, 4) when the image was taken; None when not known.
-            newest_ns: capture time of the newest image of any camera; cameras take turns, so one of them may show its
-                last image again while another has a new one.
-            must_change: the camera sees something that moves in its image when the arm moves. A camera on the hand that
-                sees only what the hand holds, and an even table, does not.
+            newest_ns: capture time of the newest image of any camera; cameras take turns, so one of
+                them may show its last image again while another has a new one.
+            must_change: the camera sees something that moves in its image when the arm moves. A
+                camera on the hand that sees only what the hand holds, and an even table, does not.
 
         Raises:
-            UngroundedError: the image is black, blank, one seen before, or frozen while the arm moves; or the pose is
-                far older than the image.
+            UngroundedError: the image is black, blank, one seen before, or frozen while the arm
+                moves; or the pose is far older than the image.
         """
         who = f"The image of camera {frame.camera!r}"
         sample = frame.image[::_STRIDE, ::_STRIDE]
@@ -68,12 +80,14 @@ class FrameWatch:
         if frame.stamp_ns - pose.stamp_ns > _OLD_POSE_NS:
             age_s = (frame.stamp_ns - pose.stamp_ns) / 1e9
             raise UngroundedError(
-                f"The measured TCP pose is {age_s:.1f} s older than the image.", hint="Is control running?"
+                f"The measured TCP pose is {age_s:.1f} s older than the image.",
+                hint="Is control running?",
             )
         is_behind = newest_ns == frame.stamp_ns or newest_ns - frame.stamp_ns > _BEHIND_NS
         if frame.stamp_ns == self._stamp_ns and is_behind:
             raise UngroundedError(
-                f"{who} is the one seen before; no new image has come.", hint="Is perception running?"
+                f"{who} is the one seen before; no new image has come.",
+                hint="Is perception running?",
             )
         if must_change:
             self._check_frozen(frame, pose, T_base_tcp, who)

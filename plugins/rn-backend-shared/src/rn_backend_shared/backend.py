@@ -14,7 +14,9 @@ from roboneuron import ActionChunk, Backend, InvalidInputError, Observation, Plu
 class SharedBackend:
     """Follows `roboneuron.contract.Backend`."""
 
-    def __init__(self, config: SharedOptions, *, runtime: object = None, acceleration: object = None) -> None:
+    def __init__(
+        self, config: SharedOptions, *, runtime: object = None, acceleration: object = None
+    ) -> None:
         self._options = config
         self._links: Links | None = None
         self._cameras: list[str] = []
@@ -40,7 +42,8 @@ class SharedBackend:
         """What the shared model answers.
 
         Raises:
-            NotReadyError: no answer in time, or the server is gone; the next observation may be answered again.
+            NotReadyError: no answer in time, or the server is gone; the next observation may be
+                answered again.
             InvalidInputError: a camera that the model needs, or the state, is absent.
             RoboNeuronError: what the model says of this observation.
         """
@@ -48,15 +51,23 @@ class SharedBackend:
             raise StateError("Backend 'shared' is not loaded; call load first.")
         lacking = [role for role in ("primary", *self._cameras) if role not in observation.frames]
         if lacking or observation.joints is None:
-            raise InvalidInputError(f"The observation has no {f'image of {lacking[0]!r}' if lacking else 'state'}.")
+            raise InvalidInputError(
+                f"The observation has no {f'image of {lacking[0]!r}' if lacking else 'state'}."
+            )
         began_s = time.monotonic()
-        told = self._links.ask(wire.from_observation(observation), began_s + self._options.timeout_s)
+        told = self._links.ask(
+            wire.from_observation(observation), began_s + self._options.timeout_s
+        )
         try:
             chunk = wire.to_answer(told)
         except (KeyError, TypeError, ValueError) as error:
-            raise PluginError(f"The server of the shared model answered what is no chunk: {error!r}.") from error
+            raise PluginError(
+                f"The server of the shared model answered what is no chunk: {error!r}."
+            ) from error
         metrics = {**chunk.metrics, "shared.round_trip_ms": (time.monotonic() - began_s) * 1e3}
-        return ActionChunk(actions=chunk.actions, step_s=chunk.step_s, metrics=metrics, note=chunk.note)
+        return ActionChunk(
+            actions=chunk.actions, step_s=chunk.step_s, metrics=metrics, note=chunk.note
+        )
 
     def reset(self) -> None:
         """Nothing is remembered between observations: only such models can be shared."""

@@ -1,4 +1,6 @@
-"""What waits for the model: the earliest deadline first, as many at once as can be answered in time."""
+"""What waits for the model: the earliest deadline first, as many at once as can be answered in
+time.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,9 @@ Answer = ActionChunk | RoboNeuronError
 _NEW = 0.3
 """Share of the newest measurement in the expected time of a batch."""
 _FORGET = 0.9
-"""The expected time of a size that was not tried shrinks by this: one hiccup must not bar large batches for good."""
+"""The expected time of a size that was not tried shrinks by this: one hiccup must not bar large
+batches for good.
+"""
 _POLL_S = 0.2
 
 
@@ -77,7 +81,8 @@ class Batcher:
         with self._changed:
             if self._is_over or len(self._waiting) >= self._most_waiting:
                 raise NotReadyError(
-                    f"The shared model has {len(self._waiting)} observations waiting, no more are taken.",
+                    f"The shared model has {len(self._waiting)} observations waiting, no more are "
+                    "taken.",
                     hint="Fewer robots, a faster model, or more replicas.",
                 )
             self._waiting.append(waiting)
@@ -88,7 +93,9 @@ class Batcher:
         self._thread.start()
 
     def close(self) -> None:
-        """Answer no more, after the batch that may be under way; idempotent. What waits is refused."""
+        """Answer no more, after the batch that may be under way; idempotent. What waits is
+        refused.
+        """
         with self._changed:
             self._is_over = True
             self._changed.notify()
@@ -99,11 +106,17 @@ class Batcher:
         self._waiting = []
 
     def expected_s(self, count: int) -> float:
-        """How long a batch of that size takes, as far as is known; larger ones take as long as smaller at least."""
-        return max((took_s for size, took_s in self._expected_s.items() if size <= count), default=0.0)
+        """How long a batch of that size takes, as far as is known; larger ones take as long as
+        smaller at least.
+        """
+        return max(
+            (took_s for size, took_s in self._expected_s.items() if size <= count), default=0.0
+        )
 
     def take(self) -> tuple[list[Waiting], list[Waiting]]:
-        """The next batch, earliest deadline first, and those that are too late; both leave the queue."""
+        """The next batch, earliest deadline first, and those that are too late; both leave the
+        queue.
+        """
         now_s = self._clock()
         with self._changed:
             in_order = sorted(self._waiting, key=lambda waiting: waiting.deadline_s)
@@ -122,7 +135,11 @@ class Batcher:
         """Answer one batch, and refuse what is too late."""
         batch, late = self.take()
         for waiting in late:
-            waiting.tell(NotReadyError("The shared model had no time before the deadline; too many robots wait."))
+            waiting.tell(
+                NotReadyError(
+                    "The shared model had no time before the deadline; too many robots wait."
+                )
+            )
         if not batch:
             return
         began_s = self._clock()
@@ -137,15 +154,23 @@ class Batcher:
         try:
             answers = self._predict(observations)
             if len(answers) != len(observations):
-                raise PluginError(f"{len(observations)} observations were answered by {len(answers)} chunks.")
+                raise PluginError(
+                    f"{len(observations)} observations were answered by {len(answers)} chunks."
+                )
         except Exception as error:  # the border to the model: every robot that waits is told
             log.exception("A batch of %d failed.", len(observations))
-            known = error if isinstance(error, RoboNeuronError) else PluginError(f"The shared model failed: {error!r}.")
+            known = (
+                error
+                if isinstance(error, RoboNeuronError)
+                else PluginError(f"The shared model failed: {error!r}.")
+            )
             return [known] * len(observations)
         return answers
 
     def _forget_above(self, count: int) -> None:
-        shrunk = {size: took_s * _FORGET for size, took_s in self._expected_s.items() if size > count}
+        shrunk = {
+            size: took_s * _FORGET for size, took_s in self._expected_s.items() if size > count
+        }
         self._expected_s |= shrunk
 
     def _run(self) -> None:

@@ -1,4 +1,6 @@
-"""The backend's contract case: a server with a small model that answers several robots with one matrix product."""
+"""The backend's contract case: a server with a small model that answers several robots with one
+matrix product.
+"""
 
 from __future__ import annotations
 
@@ -81,7 +83,7 @@ def roboneuron_backends():
         BackendSpec(name="reflex", summary="Small.", target=__name__ + ":Reflex", **common),
         BackendSpec(name="rememberer", summary="Not sharable.", target=__name__ + ":Rememberer", **common),
     ]
-'''
+'''  # noqa: E501
 
 
 def shared_case() -> BackendCase:

@@ -12,14 +12,19 @@ from roboneuron import ConfigurationError
 class SharedModel:
     """Serve the model of [plugins.shared] in this process until Ctrl-C or SIGTERM.
 
-    Optional: the first robot starts a server by itself. Use it under a service manager, or to load the model before
+    Optional: the first robot starts a server by itself. Use it under a service manager, or to load
+        the model before
     any robot starts.
     """
 
     def configure(self, parser: ArgumentParser) -> None:
         """Add the arguments."""
-        parser.add_argument("--config", type=Path, metavar="FILE", help="a roboneuron.toml with [plugins.shared]")
-        parser.add_argument("--replica", type=int, default=0, metavar="N", help="which of `replicas`, from 0 on")
+        parser.add_argument(
+            "--config", type=Path, metavar="FILE", help="a roboneuron.toml with [plugins.shared]"
+        )
+        parser.add_argument(
+            "--replica", type=int, default=0, metavar="N", help="which of `replicas`, from 0 on"
+        )
 
     def run(self, arguments: Namespace) -> int:
         """Serve."""
@@ -32,6 +37,10 @@ class SharedModel:
         options = load_options(BACKEND, load_config(arguments.config).options(BACKEND.name))
         assert isinstance(options, SharedOptions)
         if not 0 <= arguments.replica < options.replicas:
-            raise ConfigurationError(f"There is no replica {arguments.replica}; replicas = {options.replicas}.")
+            raise ConfigurationError(
+                f"There is no replica {arguments.replica}; replicas = {options.replicas}."
+            )
         logging.getLogger("rn_backend_shared").setLevel(logging.INFO)
-        return serve(options, directory_of(options) / f"{options.identity()}-{arguments.replica}.sock", None)
+        return serve(
+            options, directory_of(options) / f"{options.identity()}-{arguments.replica}.sock", None
+        )

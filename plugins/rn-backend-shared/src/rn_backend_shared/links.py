@@ -1,4 +1,6 @@
-"""A robot's connection to the servers of its model: started when there is none, left for another when one dies."""
+"""A robot's connection to the servers of its model: started when there is none, left for
+another when one dies.
+"""
 
 from __future__ import annotations
 
@@ -38,9 +40,13 @@ def directory_of(options: SharedOptions) -> Path:
         path.mkdir(mode=0o700, parents=True, exist_ok=True)
         found = path.lstat()
     except OSError as error:
-        raise ConfigurationError(f"The directory {path} of shared models cannot be used: {error}.") from error
+        raise ConfigurationError(
+            f"The directory {path} of shared models cannot be used: {error}."
+        ) from error
     if found.st_uid != os.getuid() or found.st_mode & 0o077:
-        raise ConfigurationError(f"The directory {path} of shared models must be this user's alone (mode 700).")
+        raise ConfigurationError(
+            f"The directory {path} of shared models must be this user's alone (mode 700)."
+        )
     return path
 
 
@@ -64,7 +70,8 @@ class Links:
         self._is_closed = False
 
     def open(self) -> list[str]:
-        """Start the servers that do not run, and wait for the first that is ready; returns the cameras it needs.
+        """Start the servers that do not run, and wait for the first that is ready; returns the
+        cameras it needs.
 
         Raises:
             RoboNeuronError: why it could not load its model.
@@ -83,13 +90,15 @@ class Links:
                     return [str(camera) for camera in told["cameras"]]
             if time.monotonic() > deadline_s:
                 raise NotReadyError(
-                    f"No server of the shared model was ready within {self._options.start_timeout_s:g} s.",
+                    "No server of the shared model was ready within "
+                    f"{self._options.start_timeout_s:g} s.",
                     hint=f"Its log is {self._paths[0].with_suffix('.log')}.",
                 )
             time.sleep(_POLL_S)
 
     def ask(self, observation: wire.Document, deadline_s: float) -> wire.Document:
-        """The answer to an observation. A server that dies meanwhile is replaced by another one that is ready.
+        """The answer to an observation. A server that dies meanwhile is replaced by another one
+        that is ready.
 
         Raises:
             NotReadyError: none by the deadline, or no server is ready; another is being started.
@@ -97,19 +106,28 @@ class Links:
         while True:
             if self._channel is None and not any(self._is_ready(path) for path in self._paths):
                 self._revive()
-                raise NotReadyError("The server of the shared model is gone; it is being started again.")
+                raise NotReadyError(
+                    "The server of the shared model is gone; it is being started again."
+                )
             assert self._channel is not None
             self._number += 1
             try:
                 left_s = max(deadline_s - time.monotonic(), 1e-3)
-                asked = {"ask": "predict", "number": self._number, "deadline_s": deadline_s, "observation": observation}
+                asked = {
+                    "ask": "predict",
+                    "number": self._number,
+                    "deadline_s": deadline_s,
+                    "observation": observation,
+                }
                 self._channel.send(asked, left_s)
                 return self._receive(deadline_s)
             except TimeoutError as error:
                 if len(self._paths) > 1:  # it may hang: another one is asked next
                     self._paths.append(self._paths.pop(0))
                     self._drop()
-                raise NotReadyError("The shared model did not answer before the deadline.") from error
+                raise NotReadyError(
+                    "The shared model did not answer before the deadline."
+                ) from error
             except (OSError, ValueError, KeyError) as error:
                 log.warning("The server of the shared model was lost: %s", error)
                 self._drop()
@@ -130,7 +148,9 @@ class Links:
         return told is not None and told["state"] == READY
 
     def _greet(self, path: Path) -> wire.Document | None:
-        """What the server there says of itself; a ready one is connected from now on. None: there is none."""
+        """What the server there says of itself; a ready one is connected from now on. None:
+        there is none.
+        """
         connected = socket.socket(socket.AF_UNIX)
         try:
             connected.settimeout(_HELLO_S)
@@ -162,7 +182,9 @@ class Links:
                 self._start(path)
 
     def _start(self, path: Path) -> None:
-        """Start a server in the background, unless it was just started; one that runs already makes it end at once."""
+        """Start a server in the background, unless it was just started; one that runs already
+        makes it end at once.
+        """
         now_s = time.monotonic()
         if now_s - self._started_s.get(path, -_AGAIN_S) < _AGAIN_S:
             return
@@ -180,9 +202,13 @@ class Links:
             )
         except subprocess.CalledProcessError as error:
             lines = error.stderr.strip().splitlines() or ["it said nothing"]
-            raise ConfigurationError(f"The server of the shared model cannot be started: {lines[-1]}.") from error
+            raise ConfigurationError(
+                f"The server of the shared model cannot be started: {lines[-1]}."
+            ) from error
         except (OSError, subprocess.TimeoutExpired) as error:
-            raise ConfigurationError(f"The server of the shared model cannot be started: {error}.") from error
+            raise ConfigurationError(
+                f"The server of the shared model cannot be started: {error}."
+            ) from error
 
     def _revive(self) -> None:
         """Start what is gone, beside the caller: a robot must not wait for a process."""
@@ -190,7 +216,8 @@ class Links:
             return
 
         def start() -> None:
-            end_s = time.monotonic() + 2 * _AGAIN_S  # one that died soon after its start is not started at once
+            # one that died soon after its start is not started at once
+            end_s = time.monotonic() + 2 * _AGAIN_S
             try:
                 while not self._is_closed and time.monotonic() < end_s:
                     gone = [path for path in self._paths if not _is_served(path)]

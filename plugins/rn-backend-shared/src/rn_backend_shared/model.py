@@ -1,4 +1,6 @@
-"""The backend that a server holds, built as the inference module builds it, and asked for several robots at once."""
+"""The backend that a server holds, built as the inference module builds it, and asked for
+several robots at once.
+"""
 
 from __future__ import annotations
 
@@ -21,8 +23,8 @@ from roboneuron.feature import build, discover
 
 Many = Callable[[Sequence[Observation]], Sequence[ActionChunk]]
 METHOD = "predict_batch"
-"""What a backend may offer beside `Backend`: one chunk for each observation, in their order, from one forward. Offering
-it says that predictions depend on the observation alone."""
+"""What a backend may offer beside `Backend`: one chunk for each observation, in their order, from
+one forward. Offering it says that predictions depend on the observation alone."""
 
 
 class SharedModel:
@@ -61,15 +63,19 @@ class SharedModel:
         self._many = getattr(self._backend, METHOD, None)
         if self._many is None and not options.stateless:
             raise ConfigurationError(
-                f"The backend {spec.name!r} cannot answer several observations at once, and may remember robots.",
-                hint="If it remembers nothing from one observation to the next, set stateless = true in "
+                f"The backend {spec.name!r} cannot answer several observations at once, and may "
+                "remember robots.",
+                hint="If it remembers nothing from one observation to the next, set stateless = "
+                "true in "
                 "[plugins.shared]: it is then asked one by one.",
             )
         self._backend.load()
 
     @property
     def most(self) -> int:
-        """Most observations that are worth a batch: one that is asked one by one has nothing to gain."""
+        """Most observations that are worth a batch: one that is asked one by one has nothing to
+        gain.
+        """
         return self._options.most if self._many is not None else 1
 
     def answer(self, observations: Sequence[Observation]) -> Sequence[Answer]:

@@ -1,4 +1,6 @@
-"""What this package offers: the backend `shared`, and the command that keeps its server in a terminal."""
+"""What this package offers: the backend `shared`, and the command that keeps its server in a
+terminal.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,8 @@ from roboneuron import ActionSpace, BackendSpec, CommandSpec, hookimpl
 
 BACKEND = BackendSpec(
     name="shared",
-    summary="One model for several robots on a machine: another backend in a server process that answers in batches.",
+    summary="One model for several robots on a machine: another backend in a server process that "
+    "answers in batches.",
     target="rn_backend_shared.backend:SharedBackend",
     config="rn_backend_shared.options:SharedOptions",
     optional_cameras=("wrist",),

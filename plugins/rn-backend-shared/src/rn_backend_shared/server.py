@@ -1,4 +1,6 @@
-"""The process that holds a model: one socket, a thread for each robot that asks, one for the model."""
+"""The process that holds a model: one socket, a thread for each robot that asks, one for the
+model.
+"""
 
 from __future__ import annotations
 
@@ -59,7 +61,9 @@ class ModelServer:
         self._used_s = time.monotonic()
 
     def run(self) -> int:
-        """Serve until `stop`, or idle; returns the exit status. One server of a path at a time: another one ends."""
+        """Serve until `stop`, or idle; returns the exit status. One server of a path at a time:
+        another one ends.
+        """
         with self._path.with_suffix(".lock").open("a") as lock:
             try:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -69,7 +73,9 @@ class ModelServer:
             with socket.socket(socket.AF_UNIX) as listener:
                 listener.bind(str(self._path))
                 listener.listen(_BACKLOG)
-                threading.Thread(target=self._accept, args=(listener,), name="accept", daemon=True).start()
+                threading.Thread(
+                    target=self._accept, args=(listener,), name="accept", daemon=True
+                ).start()
                 try:
                     return self._serve()
                 finally:
@@ -86,7 +92,9 @@ class ModelServer:
             self._model.load()
         except RoboNeuronError as error:
             return self._fail(error)
-        except Exception as error:  # the border to the model: robots are told before the process ends
+        except (
+            Exception
+        ) as error:  # the border to the model: robots are told before the process ends
             log.exception("The model cannot be loaded.")
             return self._fail(NotReadyError(f"The shared model cannot be loaded: {error!r}."))
         options = self._options
@@ -138,7 +146,9 @@ class ModelServer:
         self._robots.pop(robot, None)
 
     def _accept(self, listener: socket.socket) -> None:
-        """Take connections until the end; a robot that has asked nothing yet gives way when there are too many."""
+        """Take connections until the end; a robot that has asked nothing yet gives way when
+        there are too many.
+        """
         while not self._end.is_set():
             try:
                 connected, _ = listener.accept()
@@ -148,9 +158,12 @@ class ModelServer:
                     return
                 log.error("A robot cannot connect: %s. Who has so many files open?", error.strerror)
                 self._drop_silent()
-                self._end.wait(_NO_HANDLES_S)  # the queue stays full until somebody closes something
+                # the queue stays full until somebody closes something
+                self._end.wait(_NO_HANDLES_S)
                 continue
-            if peer_user(connected) != os.getuid() or (len(self._robots) >= _MOST_ROBOTS and not self._drop_silent()):
+            if peer_user(connected) != os.getuid() or (
+                len(self._robots) >= _MOST_ROBOTS and not self._drop_silent()
+            ):
                 channel.close()
                 continue
             robot = _Robot(channel, self)
@@ -203,7 +216,9 @@ class _Robot:
 
         try:
             observation = wire.to_observation(asked["observation"])
-            self._server.submit(Waiting(observation=observation, deadline_s=float(asked["deadline_s"]), tell=tell))
+            self._server.submit(
+                Waiting(observation=observation, deadline_s=float(asked["deadline_s"]), tell=tell)
+            )
         except RoboNeuronError as error:
             tell(error)
         except (KeyError, TypeError, ValueError) as error:
@@ -233,7 +248,9 @@ def _channel_of(connected: socket.socket) -> wire.Channel:
 def peer_user(connected: socket.socket) -> int:
     """User id of the process at the other end."""
     size = struct.calcsize("3i")
-    return int(struct.unpack("3i", connected.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, size))[1])
+    return int(
+        struct.unpack("3i", connected.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, size))[1]
+    )
 
 
 def serve(options: SharedOptions, path: Path, idle_s: float | None) -> int:
@@ -247,7 +264,8 @@ def serve(options: SharedOptions, path: Path, idle_s: float | None) -> int:
 def main(source: IO[str] = sys.stdin, arguments: list[str] = sys.argv[1:]) -> int:
     """A server in the background: options as JSON on stdin, path of the socket as argument.
 
-    Returns at once in the process that was started, which leaves one behind that belongs to nobody's group.
+    Returns at once in the process that was started, which leaves one behind that belongs to
+    nobody's group.
     """
     options, path = SharedOptions.model_validate_json(source.read()), Path(arguments[0])
     if os.fork():
@@ -263,7 +281,8 @@ def main(source: IO[str] = sys.stdin, arguments: list[str] = sys.argv[1:]) -> in
         code = serve(options, path, options.idle_s)
     finally:
         logging.shutdown()
-        os._exit(code)  # threads of robots may be in the middle of something, and hold nothing that must be saved
+        # threads of robots may be in the middle of something, and hold nothing that must be saved
+        os._exit(code)
 
 
 if __name__ == "__main__":

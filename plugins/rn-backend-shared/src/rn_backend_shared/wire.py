@@ -1,4 +1,6 @@
-"""Messages between robots and server: a JSON document and the arrays it refers to, in one frame of bounded size."""
+"""Messages between robots and server: a JSON document and the arrays it refers to, in one frame
+of bounded size.
+"""
 
 from __future__ import annotations
 
@@ -102,7 +104,9 @@ def _filled(value: Any, arrays: list[NDArray[Any]]) -> Any:
 
 
 class Channel:
-    """Frames over a connected socket. One thread reads; `send` from any thread that holds no other `send`."""
+    """Frames over a connected socket. One thread reads; `send` from any thread that holds no
+    other `send`.
+    """
 
     def __init__(self, connected: socket.socket) -> None:
         self._in, self._out = connected, connected.dup()  # each with a time limit of its own
@@ -114,7 +118,8 @@ class Channel:
         self._out.sendall(encode(document))
 
     def receive(self, deadline_s: float | None) -> Document:
-        """The next document; what has come of a frame by the deadline (monotonic [s]) is kept for the next call.
+        """The next document; what has come of a frame by the deadline (monotonic [s]) is kept for
+        the next call.
 
         Raises:
             TimeoutError: none by then.
@@ -152,12 +157,16 @@ class Channel:
 
 
 def from_observation(observation: Observation) -> Document:
-    """What is sent of an observation; rows ahead stay at home, since no shared backend continues them."""
+    """What is sent of an observation; rows ahead stay at home, since no shared backend
+    continues them.
+    """
     joints, pose = observation.joints, observation.ee_pose
     return {
         "frames": {role: _from_frame(frame) for role, frame in observation.frames.items()},
         "instruction": observation.instruction,
-        "joints": None if joints is None else [list(joints.names), joints.position, joints.velocity, joints.stamp_ns],
+        "joints": None
+        if joints is None
+        else [list(joints.names), joints.position, joints.velocity, joints.stamp_ns],
         "ee_pose": None if pose is None else [pose.position_m, pose.quaternion_xyzw, pose.stamp_ns],
         "gripper_open": observation.gripper_open,
         "stamp_ns": observation.stamp_ns,
@@ -171,20 +180,28 @@ def _from_frame(frame: Frame) -> Document:
         "image": frame.image,
         "stamp_ns": frame.stamp_ns,
         "frame_id": frame.frame_id,
-        "calibration": None if known is None else [known.intrinsics, known.mount, known.T_mount_camera],
+        "calibration": None
+        if known is None
+        else [known.intrinsics, known.mount, known.T_mount_camera],
     }
 
 
 def to_observation(document: Document) -> Observation:
-    """The observation that was sent. Raises KeyError, TypeError, ValueError or RoboNeuronError for anything else."""
+    """The observation that was sent. Raises KeyError, TypeError, ValueError or RoboNeuronError
+    for anything else.
+    """
     joints, pose = document["joints"], document["ee_pose"]
     return Observation(
         frames={role: _to_frame(frame) for role, frame in document["frames"].items()},
         instruction=document["instruction"],
         joints=None
         if joints is None
-        else JointSample(names=tuple(joints[0]), position=joints[1], velocity=joints[2], stamp_ns=joints[3]),
-        ee_pose=None if pose is None else Pose(position_m=pose[0], quaternion_xyzw=pose[1], stamp_ns=pose[2]),
+        else JointSample(
+            names=tuple(joints[0]), position=joints[1], velocity=joints[2], stamp_ns=joints[3]
+        ),
+        ee_pose=None
+        if pose is None
+        else Pose(position_m=pose[0], quaternion_xyzw=pose[1], stamp_ns=pose[2]),
         gripper_open=document["gripper_open"],
         stamp_ns=document["stamp_ns"],
     )
@@ -194,7 +211,9 @@ def _to_frame(document: Document) -> Frame:
     known = document["calibration"]
     calibration = None
     if known is not None:
-        calibration = CameraCalibration(intrinsics=known[0], mount=known[1], T_mount_camera=known[2])
+        calibration = CameraCalibration(
+            intrinsics=known[0], mount=known[1], T_mount_camera=known[2]
+        )
     return Frame(
         camera=document["camera"],
         image=document["image"],
@@ -209,7 +228,12 @@ def from_answer(answer: ActionChunk | RoboNeuronError) -> Document:
     if isinstance(answer, RoboNeuronError):
         return {"error": answer.code, "message": answer.message, "hint": answer.hint}
     metrics = {name: float(value) for name, value in answer.metrics.items()}
-    return {"actions": answer.actions, "step_s": answer.step_s, "metrics": metrics, "note": answer.note}
+    return {
+        "actions": answer.actions,
+        "step_s": answer.step_s,
+        "metrics": metrics,
+        "note": answer.note,
+    }
 
 
 def to_answer(document: Document) -> ActionChunk:
@@ -220,7 +244,12 @@ def to_answer(document: Document) -> ActionChunk:
         KeyError, TypeError, ValueError: neither.
     """
     if "error" in document:
-        raise _ERRORS.get(document["error"], PluginError)(str(document["message"]), hint=str(document["hint"]))
+        raise _ERRORS.get(document["error"], PluginError)(
+            str(document["message"]), hint=str(document["hint"])
+        )
     return ActionChunk(
-        actions=document["actions"], step_s=document["step_s"], metrics=document["metrics"], note=document["note"]
+        actions=document["actions"],
+        step_s=document["step_s"],
+        metrics=document["metrics"],
+        note=document["note"],
     )

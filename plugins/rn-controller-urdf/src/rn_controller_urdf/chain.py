@@ -1,4 +1,6 @@
-"""The serial chain between two links of a URDF: kinematics only, without meshes, masses and side branches."""
+"""The serial chain between two links of a URDF: kinematics only, without meshes, masses and
+side branches.
+"""
 
 from __future__ import annotations
 
@@ -67,7 +69,9 @@ def _number(element: ET.Element | None, attribute: str, default: float, joint: s
     except ValueError:
         value = math.nan
     if math.isnan(value):
-        raise ConfigurationError(f"URDF joint {joint!r}: {attribute} is {text!r}, expected a number.")
+        raise ConfigurationError(
+            f"URDF joint {joint!r}: {attribute} is {text!r}, expected a number."
+        )
     return value
 
 
@@ -78,7 +82,9 @@ def _vector(element: ET.Element | None, attribute: str, default: str, joint: str
     except ValueError:
         values = []
     if len(values) != 3 or not all(math.isfinite(v) for v in values):
-        raise ConfigurationError(f"URDF joint {joint!r}: {attribute} is {text!r}, expected three finite numbers.")
+        raise ConfigurationError(
+            f"URDF joint {joint!r}: {attribute} is {text!r}, expected three finite numbers."
+        )
     return text
 
 
@@ -86,7 +92,9 @@ def _link(element: ET.Element, role: str, joint: str) -> str:
     node = element.find(role)
     link = None if node is None else node.get("link")
     if not link:
-        raise ConfigurationError(f'URDF joint {joint!r} has no {role} link, expected <{role} link="..."/>.')
+        raise ConfigurationError(
+            f'URDF joint {joint!r} has no {role} link, expected <{role} link="..."/>.'
+        )
     return link
 
 
@@ -124,8 +132,8 @@ def parse_chain(urdf: str, base_link: str, tcp_link: str) -> tuple[ChainJoint, .
     """Return the joints from `base_link` to `tcp_link`, base to tip, fixed ones included.
 
     Raises:
-        ConfigurationError: not a URDF, a link is missing, `base_link` is not above `tcp_link`, or a joint on the way is
-            of a type that this controller cannot move (floating, planar).
+        ConfigurationError: not a URDF, a link is missing, `base_link` is not above `tcp_link`, or a
+            joint on the way is of a type that this controller cannot move (floating, planar).
     """
     try:
         root = ET.fromstring(urdf)
@@ -134,7 +142,9 @@ def parse_chain(urdf: str, base_link: str, tcp_link: str) -> tuple[ChainJoint, .
             f"The robot description is not XML: {error}.", hint="Expand xacro files to URDF first."
         ) from error
     if root.tag != "robot":
-        raise ConfigurationError(f"The robot description is a <{root.tag}>, expected a URDF <robot>.")
+        raise ConfigurationError(
+            f"The robot description is a <{root.tag}>, expected a URDF <robot>."
+        )
     links = {link.get("name", "") for link in root.findall("link")}
     for role, link in (("base_link", base_link), ("tcp_link", tcp_link)):
         if link not in links:
@@ -142,7 +152,10 @@ def parse_chain(urdf: str, base_link: str, tcp_link: str) -> tuple[ChainJoint, .
                 f"The robot description has no link {link!r} ({role} of the profile).",
                 hint=f"Its links are: {', '.join(sorted(links))}.",
             )
-    above = {_link(element, "child", element.get("name", "")): element for element in root.findall("joint")}
+    above = {
+        _link(element, "child", element.get("name", "")): element
+        for element in root.findall("joint")
+    }
     chain: list[ChainJoint] = []
     link = tcp_link
     while link != base_link:
@@ -154,7 +167,8 @@ def parse_chain(urdf: str, base_link: str, tcp_link: str) -> tuple[ChainJoint, .
         joint = _parse_joint(above[link])
         if joint.is_moving and joint.type not in _MOVING:
             raise ConfigurationError(
-                f"URDF joint {joint.name!r} is of type {joint.type!r}, expected fixed or one of {', '.join(_MOVING)}."
+                f"URDF joint {joint.name!r} is of type {joint.type!r}, expected fixed or one of "
+                f"{', '.join(_MOVING)}."
             )
         chain.append(joint)
         link = joint.parent
@@ -162,12 +176,15 @@ def parse_chain(urdf: str, base_link: str, tcp_link: str) -> tuple[ChainJoint, .
 
 
 def kinematic_urdf(chain: tuple[ChainJoint, ...]) -> str:
-    """Return a URDF that holds nothing but `chain`, rooted at its first link, with unbounded joints."""
+    """Return a URDF that holds nothing but `chain`, rooted at its first link, with unbounded
+    joints.
+    """
     robot = ET.Element("robot", name="chain")
     for link in (chain[0].parent, *(joint.child for joint in chain)):
         ET.SubElement(robot, "link", name=link)
     for joint in chain:
-        # A continuous joint would get two coordinates (cosine, sine) in pinocchio; as a revolute one it has one.
+        # A continuous joint would get two coordinates (cosine, sine) in pinocchio; as a revolute
+        # one it has one.
         kind = "revolute" if joint.type == "continuous" else joint.type
         element = ET.SubElement(robot, "joint", name=joint.name, type=kind)
         ET.SubElement(element, "parent", link=joint.parent)

@@ -1,4 +1,6 @@
-"""Distances of a URDF arm's links to each other and to obstacles, by coal on the URDF's own collision shapes."""
+"""Distances of a URDF arm's links to each other and to obstacles, by coal on the URDF's own
+collision shapes.
+"""
 
 from __future__ import annotations
 
@@ -8,20 +10,31 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from roboneuron import CollisionProfile, ConfigurationError, JointSample, Proximity, RobotProfile, UnsafeError
+from roboneuron import (
+    CollisionProfile,
+    ConfigurationError,
+    JointSample,
+    Proximity,
+    RobotProfile,
+    UnsafeError,
+)
 
 F64 = NDArray[np.float64]
 
 _TOUCH_M = 5e-4
-"""What tool links keep from obstacles: rounding, and what a path bends between two checked postures."""
+"""What tool links keep from obstacles: rounding, and what a path bends between two checked
+postures.
+"""
 
 
 class CollisionModel:
     """Tells which links are too near to each other or to an obstacle; used from one thread.
 
-    Links of one joint and links that a joint connects are not compared, nor fingers of one hand, nor links that touch
-    each other at the profile's home posture, nor a base that stands on an obstacle: these overlap by construction.
-    Only boxes, cylinders, spheres and capsules count: meshes are refused. Joints that a sample does not name stay at
+    Links of one joint and links that a joint connects are not compared, nor fingers of one hand,
+    nor links that touch each other at the profile's home posture, nor a base that stands on an
+    obstacle: these overlap by construction.
+    Only boxes, cylinders, spheres and capsules count: meshes are refused. Joints that a sample does
+        not name stay at
     zero, or at the limit next to it; mimic joints follow.
     """
 
@@ -29,14 +42,16 @@ class CollisionModel:
         """Build the shapes.
 
         Raises:
-            ConfigurationError: meshes among the collision shapes, an unknown tool link, or no pair that could touch.
+            ConfigurationError: meshes among the collision shapes, an unknown tool link, or no pair
+                that could touch.
         """
         import pinocchio  # heavy
 
         root = ET.fromstring(profile.urdf)
         if any(shape.find("geometry/mesh") is not None for shape in root.iter("collision")):
             raise ConfigurationError(
-                f"Robot {profile.name!r}: its description has meshes, collision checks need boxes, cylinders or "
+                f"Robot {profile.name!r}: its description has meshes, collision checks need "
+                "boxes, cylinders or "
                 "spheres.",
                 hint="Set limits.collision = false to go without.",
             )
@@ -44,12 +59,18 @@ class CollisionModel:
         self._collision = collision
         self._model = pinocchio.buildModelFromXML(profile.urdf)
         self._data = self._model.createData()
-        self._shapes = pinocchio.buildGeomFromUrdfString(self._model, profile.urdf, pinocchio.GeometryType.COLLISION)
-        self._links = [str(self._model.frames[s.parentFrame].name) for s in self._shapes.geometryObjects]
+        self._shapes = pinocchio.buildGeomFromUrdfString(
+            self._model, profile.urdf, pinocchio.GeometryType.COLLISION
+        )
+        self._links = [
+            str(self._model.frames[s.parentFrame].name) for s in self._shapes.geometryObjects
+        ]
         self._base = self._place_base(profile.base_link)
         self._add_obstacles()
         self._rest: F64 = np.clip(
-            pinocchio.neutral(self._model), self._model.lowerPositionLimit, self._model.upperPositionLimit
+            pinocchio.neutral(self._model),
+            self._model.lowerPositionLimit,
+            self._model.upperPositionLimit,
         )
         self._mimics = _mimics(root)
         self._order: tuple[tuple[str, ...], list[int], list[int]] = ((), [], [])
@@ -60,13 +81,18 @@ class CollisionModel:
             home = self._full(JointSample(names=profile.arm_joints, position=profile.home_rad))
             self._measure(home)
             own = len(self._links) - len(collision.obstacles)
-            touching = [pair for pair, _, distance_m in self._results() if pair.second < own and distance_m <= 0.0]
+            touching = [
+                pair
+                for pair, _, distance_m in self._results()
+                if pair.second < own and distance_m <= 0.0
+            ]
             for pair in touching:
                 self._shapes.removeCollisionPair(pair)
             self._prepare()
         if not len(self._shapes.collisionPairs):
             raise ConfigurationError(
-                f"Robot {profile.name!r}: no two links of its description have collision shapes that could touch.",
+                f"Robot {profile.name!r}: no two links of its description have collision shapes "
+                "that could touch.",
                 hint="Set limits.collision = false to go without.",
             )
 
@@ -76,16 +102,24 @@ class CollisionModel:
         return len(self._shapes.collisionPairs)
 
     def near(self, joints: JointSample) -> tuple[Proximity, ...]:
-        """Every pair of bodies that is nearer than allowed, each once with its smallest distance."""
+        """Every pair of bodies that is nearer than allowed, each once with its smallest
+        distance.
+        """
         full = self._full(joints)
-        if not self._pin.computeCollisions(self._model, self._data, self._shapes, self._contacts, full, True):
+        if not self._pin.computeCollisions(
+            self._model, self._data, self._shapes, self._contacts, full, True
+        ):
             return ()
         self._measure(full)
         found: dict[tuple[str, str], Proximity] = {}
         for pair, least_m, distance_m in self._results():
             names = (self._links[pair.first], self._links[pair.second])
-            if distance_m < least_m and (names not in found or distance_m < found[names].distance_m):
-                found[names] = Proximity(first=names[0], second=names[1], distance_m=distance_m, least_m=least_m)
+            if distance_m < least_m and (
+                names not in found or distance_m < found[names].distance_m
+            ):
+                found[names] = Proximity(
+                    first=names[0], second=names[1], distance_m=distance_m, least_m=least_m
+                )
         return tuple(found.values())
 
     def _place_base(self, base_link: str) -> Any:
@@ -102,7 +136,11 @@ class CollisionModel:
             size = (obstacle.upper_m - obstacle.lower_m).tolist()
             centre = self._pin.SE3(np.eye(3), (obstacle.upper_m + obstacle.lower_m) / 2.0)
             shape = self._pin.GeometryObject(
-                obstacle.name, 0, self._model.getFrameId("universe"), self._base * centre, coal.Box(*size)
+                obstacle.name,
+                0,
+                self._model.getFrameId("universe"),
+                self._base * centre,
+                coal.Box(*size),
             )
             self._shapes.addGeometryObject(shape)
             self._links.append(obstacle.name)
@@ -110,10 +148,14 @@ class CollisionModel:
     def _check_tools(self) -> None:
         unknown = [name for name in self._collision.tool_links if name not in self._links]
         if unknown:
-            raise ConfigurationError(f"The tool link {unknown[0]!r} has no collision shape in the robot description.")
+            raise ConfigurationError(
+                f"The tool link {unknown[0]!r} has no collision shape in the robot description."
+            )
 
     def _choose_pairs(self, root: ET.Element) -> None:
-        neighbours = {frozenset((_link(j, "parent"), _link(j, "child"))) for j in root.findall("joint")}
+        neighbours = {
+            frozenset((_link(j, "parent"), _link(j, "child"))) for j in root.findall("joint")
+        }
         shapes, parents = self._shapes.geometryObjects, self._model.parents
         own = len(shapes) - len(self._collision.obstacles)
         for first in range(own):
@@ -121,7 +163,11 @@ class CollisionModel:
                 a, b = shapes[first].parentJoint, shapes[second].parentJoint
                 if second < own:
                     siblings = a > 0 and b > 0 and parents[a] == parents[b]
-                    if a == b or siblings or frozenset((self._links[first], self._links[second])) in neighbours:
+                    if (
+                        a == b
+                        or siblings
+                        or frozenset((self._links[first], self._links[second])) in neighbours
+                    ):
                         continue
                 elif a == 0:  # what does not move cannot come near an obstacle
                     continue
@@ -132,7 +178,9 @@ class CollisionModel:
         self._contacts = self._shapes.createData()
         obstacles = {obstacle.name for obstacle in self._collision.obstacles}
         self._least: list[float] = []
-        for pair, request in zip(self._shapes.collisionPairs, self._contacts.collisionRequests, strict=True):
+        for pair, request in zip(
+            self._shapes.collisionPairs, self._contacts.collisionRequests, strict=True
+        ):
             is_tool = self._links[pair.first] in self._collision.tool_links
             is_close = is_tool and self._links[pair.second] in obstacles
             least_m = self._collision.min_distance_m
@@ -143,24 +191,35 @@ class CollisionModel:
         self._pin.computeDistances(self._model, self._data, self._shapes, self._contacts, full)
 
     def _results(self) -> list[tuple[Any, float, float]]:
-        """Pair, least distance and distance [m] of the last `_measure`; copies, as removing one moves others."""
+        """Pair, least distance and distance [m] of the last `_measure`; copies, as removing one
+        moves others.
+        """
         return [
             (self._pin.CollisionPair(pair.first, pair.second), least_m, float(result.min_distance))
             for pair, least_m, result in zip(
-                self._shapes.collisionPairs, self._least, self._contacts.distanceResults, strict=True
+                self._shapes.collisionPairs,
+                self._least,
+                self._contacts.distanceResults,
+                strict=True,
             )
         ]
 
     def _full(self, joints: JointSample) -> F64:
         names, source, place = self._order
         if names != joints.names:
-            known = [(i, name) for i, name in enumerate(joints.names) if self._model.existJointName(name)]
+            known = [
+                (i, name) for i, name in enumerate(joints.names) if self._model.existJointName(name)
+            ]
             source = [i for i, _ in known]
-            place = [int(self._model.joints[self._model.getJointId(name)].idx_q) for _, name in known]
+            place = [
+                int(self._model.joints[self._model.getJointId(name)].idx_q) for _, name in known
+            ]
             self._order = (joints.names, source, place)
         position = np.asarray(joints.position, dtype=np.float64)[source]
         if not np.isfinite(position).all():
-            raise UnsafeError(f"A joint is not finite: {dict(zip(joints.names, joints.position, strict=False))}.")
+            raise UnsafeError(
+                f"A joint is not finite: {dict(zip(joints.names, joints.position, strict=False))}."
+            )
         full = self._rest.copy()
         full[place] = position
         for follower, leader, multiplier, offset in self._mimics:

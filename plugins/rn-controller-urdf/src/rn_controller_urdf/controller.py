@@ -1,4 +1,6 @@
-"""The controller "urdf": action and measured joints to a joint command, or a refusal with the reason."""
+"""The controller "urdf": action and measured joints to a joint command, or a refusal with the
+reason.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,17 @@ from rn_controller_urdf.refusals import (
     joint_bounds,
     shortest_duration_s,
 )
-from roboneuron import Action, Hold, JointCommand, JointSample, Pose, Posture, RobotProfile, StateError, UnsafeError
+from roboneuron import (
+    Action,
+    Hold,
+    JointCommand,
+    JointSample,
+    Pose,
+    Posture,
+    RobotProfile,
+    StateError,
+    UnsafeError,
+)
 
 F64 = NDArray[np.float64]
 
@@ -32,7 +44,9 @@ _STOP_FRACTION = 0.1
 
 
 def _not_loaded() -> StateError:
-    return StateError("The controller 'urdf' was used before it was loaded.", hint="Call load() first.")
+    return StateError(
+        "The controller 'urdf' was used before it was loaded.", hint="Call load() first."
+    )
 
 
 def _pose(viewer: InverseKinematics, position: F64, stamp_ns: int) -> Pose:
@@ -45,10 +59,12 @@ def _pose(viewer: InverseKinematics, position: F64, stamp_ns: int) -> Pose:
 
 
 class UrdfController:
-    """Differential inverse kinematics on the URDF of `profile`; seeded with the measured joints, without memory.
+    """Differential inverse kinematics on the URDF of `profile`; seeded with the measured joints,
+    without memory.
 
-    A command whose joints would need more than their velocity limits over `step_s` is given more time
-    (`JointCommand.duration_s` >= step_s), never more speed. Not thread-safe; `forward` may run beside `compute`.
+    A command whose joints would need more than their velocity limits over `step_s` is given more
+    time (`JointCommand.duration_s` >= step_s), never more speed. Not thread-safe; `forward` may run
+    beside `compute`.
     """
 
     def __init__(self, config: UrdfControllerOptions | None, profile: RobotProfile) -> None:
@@ -85,7 +101,9 @@ class UrdfController:
         return _pose(viewer, position, joints.stamp_ns)
 
     def inspect(self, joints: JointSample) -> Posture:
-        """TCP pose, smallest singular value and, where the profile asks, what is too near. Raises as `forward`."""
+        """TCP pose, smallest singular value and, where the profile asks, what is too near.
+        Raises as `forward`.
+        """
         viewer, position = self._viewed(joints)
         return Posture(
             pose=_pose(viewer, position, joints.stamp_ns),
@@ -156,7 +174,9 @@ class UrdfController:
         if isinstance(position, Hold):
             raise UnsafeError(position.reason)
         if not all(map(math.isfinite, position.tolist())):
-            raise UnsafeError(f"A measured joint of {list(model.joints)} is not finite: {position.tolist()}.")
+            raise UnsafeError(
+                f"A measured joint of {list(model.joints)} is not finite: {position.tolist()}."
+            )
         return viewer, position
 
     def _loaded(self) -> tuple[ArmModel, InverseKinematics, tuple[JointBounds, ...]]:
@@ -180,7 +200,8 @@ class UrdfController:
         if values.shape != (len(joints.names),):
             return Hold(
                 code=BAD_STATE,
-                reason=f"{len(joints.names)} joints are named but positions have shape {values.shape}.",
+                reason=f"{len(joints.names)} joints are named but positions have shape "
+                f"{values.shape}.",
             )
         position: F64 = values[indices]
         return position

@@ -14,11 +14,17 @@ from rn_controller_urdf.model import ArmModel
 F64 = NDArray[np.float64]
 
 _DAMPING = 1e-8
-"""Smallest squared damping: far below the squares of the singular values of a usable posture (about 0.1 each)."""
+"""Smallest squared damping: far below the squares of the singular values of a usable posture
+(about 0.1 each).
+"""
 _DAMPING_BY_ERROR = 1e-2
-"""Squared damping per squared error: careful steps far away, undamped ones close by. Source: Sugihara 2011, eq. 22."""
+"""Squared damping per squared error: careful steps far away, undamped ones close by. Source:
+Sugihara 2011, eq. 22.
+"""
 _FARTHEST_STEP = 0.5
-"""Longest change of one joint in one iteration [rad or m]: beyond it the linearisation says nothing."""
+"""Longest change of one joint in one iteration [rad or m]: beyond it the linearisation says
+nothing.
+"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -66,18 +72,28 @@ class InverseKinematics:
         return values if values[3] >= 0.0 else -values
 
     def smallest_singular_value(self, position: F64, *, track_rotation: bool = True) -> float:
-        """Distance of a posture (n,) from a singularity: of the TCP's Jacobian, in m and rad per joint unit."""
+        """Distance of a posture (n,) from a singularity: of the TCP's Jacobian, in m and rad
+        per joint unit.
+        """
         model, pin = self._model, self._pin
         pin.computeJointJacobians(model.kinematics, self._data, self._chain_positions(position))
         pin.updateFramePlacement(model.kinematics, self._data, model.tcp_frame)
-        jacobian: F64 = pin.getFrameJacobian(model.kinematics, self._data, model.tcp_frame, self._local)
+        jacobian: F64 = pin.getFrameJacobian(
+            model.kinematics, self._data, model.tcp_frame, self._local
+        )
         if model.coupling is not None:
             jacobian = jacobian @ model.coupling[0]
-        return float(np.linalg.svd(jacobian if track_rotation else jacobian[:3], compute_uv=False)[-1])
+        return float(
+            np.linalg.svd(jacobian if track_rotation else jacobian[:3], compute_uv=False)[-1]
+        )
 
     def shift(self, pose: Any, translation_m: F64, rotation_rad: F64) -> Any:
-        """`pose` after a delta in the base frame: p' = p + d, R' = exp(r) R, as `roboneuron.contract.apply_delta`."""
-        return self._pin.SE3(np.dot(self._pin.exp3(rotation_rad), pose.rotation), pose.translation + translation_m)
+        """`pose` after a delta in the base frame: p' = p + d, R' = exp(r) R, as
+        `roboneuron.contract.apply_delta`.
+        """
+        return self._pin.SE3(
+            np.dot(self._pin.exp3(rotation_rad), pose.rotation), pose.translation + translation_m
+        )
 
     def solve(
         self,
@@ -98,7 +114,8 @@ class InverseKinematics:
             max_iterations: where it gives up.
             track_rotation: False solves for the position alone.
 
-        Source: Nakamura and Hanafusa 1986 (damped least squares); joints that meet a limit are frozen and the step is
+        Source: Nakamura and Hanafusa 1986 (damped least squares); joints that meet a limit are
+            frozen and the step is
         taken again with the others.
         """
         q, best, lowest = start, None, math.inf
@@ -107,13 +124,22 @@ class InverseKinematics:
             score = residual_m + residual_rad if track_rotation else residual_m
             if score < lowest:
                 lowest = score
-                best = Solution(position=q, residual_m=residual_m, residual_rad=residual_rad, iterations=iteration)
-                if residual_m <= tolerance_m and (residual_rad <= tolerance_rad or not track_rotation):
+                best = Solution(
+                    position=q,
+                    residual_m=residual_m,
+                    residual_rad=residual_rad,
+                    iterations=iteration,
+                )
+                if residual_m <= tolerance_m and (
+                    residual_rad <= tolerance_rad or not track_rotation
+                ):
                     break
             if iteration < max_iterations:
                 q = self._step(q, error, jacobian)
         # No score was a number: the caller sees infinite residuals and refuses.
-        return best or Solution(position=start, residual_m=math.inf, residual_rad=math.inf, iterations=0)
+        return best or Solution(
+            position=start, residual_m=math.inf, residual_rad=math.inf, iterations=0
+        )
 
     def _chain_positions(self, position: F64) -> F64:
         if self._model.coupling is None:
@@ -122,12 +148,18 @@ class InverseKinematics:
         chain: F64 = gain @ position + offset
         return chain
 
-    def _linearise(self, position: F64, target: Any, track_rotation: bool) -> tuple[F64, F64, float, float]:
-        """Error (k,), Jacobian (k, n), both in axes of the TCP frame, and the distances [m], [rad]; k is 6 or 3."""
+    def _linearise(
+        self, position: F64, target: Any, track_rotation: bool
+    ) -> tuple[F64, F64, float, float]:
+        """Error (k,), Jacobian (k, n), both in axes of the TCP frame, and the distances [m],
+        [rad]; k is 6 or 3.
+        """
         model, pin = self._model, self._pin
         pin.computeJointJacobians(model.kinematics, self._data, self._chain_positions(position))
         pose = pin.updateFramePlacement(model.kinematics, self._data, model.tcp_frame)
-        jacobian: F64 = pin.getFrameJacobian(model.kinematics, self._data, model.tcp_frame, self._local)
+        jacobian: F64 = pin.getFrameJacobian(
+            model.kinematics, self._data, model.tcp_frame, self._local
+        )
         if model.coupling is not None:
             jacobian = jacobian @ model.coupling[0]
         difference = pose.actInv(target)
@@ -140,7 +172,9 @@ class InverseKinematics:
 
     def _step(self, q: F64, error: F64, jacobian: F64) -> F64:
         lower, upper = self._model.lower, self._model.upper
-        damping = self._identity[len(error)] * (_DAMPING + _DAMPING_BY_ERROR * float(np.dot(error, error)))
+        damping = self._identity[len(error)] * (
+            _DAMPING + _DAMPING_BY_ERROR * float(np.dot(error, error))
+        )
         while True:
             normal = np.inner(jacobian, jacobian) + damping
             change = np.dot(jacobian.T, self._cholesky(normal).solve(error))

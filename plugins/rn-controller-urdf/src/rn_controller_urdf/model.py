@@ -1,4 +1,6 @@
-"""The arm as the solver needs it: pinocchio model of the chain, limits, and the map from arm joints to chain joints."""
+"""The arm as the solver needs it: pinocchio model of the chain, limits, and the map from arm
+joints to chain joints.
+"""
 
 from __future__ import annotations
 
@@ -16,14 +18,15 @@ F64 = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class ArmModel:
-    """A chain of n arm joints, m >= n moving chain joints (the difference mimics arm joints) and one TCP frame.
+    """A chain of n arm joints, m >= n moving chain joints (the difference mimics arm joints) and
+    one TCP frame.
 
     Attributes:
         joints: arm joint names, base to tip.
         prismatic: bool (n,), True where positions are metres.
         lower, upper, velocity: float64 (n,) [rad or m, per second for velocity].
-        coupling: (gain, offset), float64 (m, n) and (m,): chain positions = gain @ arm positions + offset; None when
-            no joint mimics another.
+        coupling: (gain, offset), float64 (m, n) and (m,): chain positions = gain @ arm positions +
+            offset; None when no joint mimics another.
         kinematics: pinocchio.Model of the chain, rooted at the base link.
         tcp_frame: index of the TCP frame in it.
     """
@@ -39,25 +42,31 @@ class ArmModel:
 
 
 def _arm_joints(profile: RobotProfile, moving: list[ChainJoint]) -> list[ChainJoint]:
-    """The joints that the profile commands, in chain order; every other moving joint must follow one of them."""
+    """The joints that the profile commands, in chain order; every other moving joint must
+    follow one of them.
+    """
     arm = [joint for joint in moving if joint.name in profile.arm_joints]
     missing = set(profile.arm_joints) - {joint.name for joint in arm}
     if missing or not arm:
         raise ConfigurationError(
-            f"Robot {profile.name!r}: arm joints {sorted(missing) or '(none given)'} do not move {profile.tcp_link!r} "
-            f"against {profile.base_link!r}; the joints between them are {[joint.name for joint in moving]}."
+            f"Robot {profile.name!r}: arm joints {sorted(missing) or '(none given)'} do not move "
+            f"{profile.tcp_link!r} "
+            f"against {profile.base_link!r}; the joints between them are "
+            f"{[joint.name for joint in moving]}."
         )
     for joint in moving:
         if joint in arm:
             if joint.mimic is not None:
                 raise ConfigurationError(
-                    f"Robot {profile.name!r}: arm joint {joint.name!r} mimics {joint.mimic.leader!r} and cannot be "
+                    f"Robot {profile.name!r}: arm joint {joint.name!r} mimics "
+                    f"{joint.mimic.leader!r} and cannot be "
                     "commanded.",
                     hint="Take it out of arm_joints.",
                 )
         elif joint.mimic is None or joint.mimic.leader not in profile.arm_joints:
             raise ConfigurationError(
-                f"Robot {profile.name!r}: joint {joint.name!r} lies between {profile.base_link!r} and "
+                f"Robot {profile.name!r}: joint {joint.name!r} lies between {profile.base_link!r} "
+                "and "
                 f"{profile.tcp_link!r} but is neither an arm joint nor mimics one.",
                 hint="Add it to arm_joints, or make it fixed in the URDF.",
             )
@@ -72,7 +81,9 @@ def _limits(profile: RobotProfile, arm: list[ChainJoint]) -> tuple[F64, F64, F64
         velocity = np.array([joint.velocity for joint in arm])
     else:
         order = [profile.arm_joints.index(joint.name) for joint in arm]
-        arrays = [np.asarray(a, dtype=np.float64) for a in (profile.limits.lower, profile.limits.upper)]
+        arrays = [
+            np.asarray(a, dtype=np.float64) for a in (profile.limits.lower, profile.limits.upper)
+        ]
         arrays.append(np.asarray(profile.limits.velocity, dtype=np.float64))
         if any(a.shape != (len(arm),) for a in arrays):
             raise ConfigurationError(
@@ -83,11 +94,14 @@ def _limits(profile: RobotProfile, arm: list[ChainJoint]) -> tuple[F64, F64, F64
     for i, joint in enumerate(arm):
         if not (lower[i] < upper[i] and velocity[i] > 0):
             raise ConfigurationError(
-                f"Robot {profile.name!r}: joint {joint.name!r} has limits {lower[i]:g}..{upper[i]:g} and velocity "
+                f"Robot {profile.name!r}: joint {joint.name!r} has limits "
+                f"{lower[i]:g}..{upper[i]:g} and velocity "
                 f"{velocity[i]:g}, expected lower < upper and a velocity > 0."
             )
         if joint.is_prismatic and not (np.isfinite(lower[i]) and np.isfinite(upper[i])):
-            raise ConfigurationError(f"Robot {profile.name!r}: prismatic joint {joint.name!r} has no position limits.")
+            raise ConfigurationError(
+                f"Robot {profile.name!r}: prismatic joint {joint.name!r} has no position limits."
+            )
     return lower, upper, velocity
 
 
@@ -107,7 +121,8 @@ def build_arm_model(profile: RobotProfile) -> ArmModel:
     """Build the arm of `profile` from its URDF.
 
     Raises:
-        ConfigurationError: the URDF, the link names, the joint names or the limits do not make an arm; says which.
+        ConfigurationError: the URDF, the link names, the joint names or the limits do not make an
+            arm; says which.
     """
     import pinocchio  # heavy
 
@@ -118,7 +133,8 @@ def build_arm_model(profile: RobotProfile) -> ArmModel:
     kinematics = pinocchio.buildModelFromXML(kinematic_urdf(chain))
     if kinematics.nq != len(moving):
         raise ConfigurationError(
-            f"Robot {profile.name!r}: its chain has {kinematics.nq} coordinates for {len(moving)} joints."
+            f"Robot {profile.name!r}: its chain has {kinematics.nq} coordinates for {len(moving)} "
+            "joints."
         )
     return ArmModel(
         joints=tuple(joint.name for joint in arm),

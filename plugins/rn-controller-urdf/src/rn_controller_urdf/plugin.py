@@ -13,7 +13,8 @@ def roboneuron_controllers() -> Sequence[ControllerSpec]:
     return [
         ControllerSpec(
             name="urdf",
-            summary="Differential inverse kinematics for any URDF arm: converges within its limits or holds",
+            summary="Differential inverse kinematics for any URDF arm: converges within its "
+            "limits or holds",
             target="rn_controller_urdf.controller:UrdfController",
             config="rn_controller_urdf.options:UrdfControllerOptions",
             requires=(Requirement(module="pinocchio", install="pip install pin"),),

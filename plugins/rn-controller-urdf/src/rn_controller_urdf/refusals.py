@@ -16,7 +16,9 @@ from roboneuron import Action, Hold, Workspace
 F64 = NDArray[np.float64]
 
 BAD_ACTION = "bad_action"
-"""The action is not seven finite numbers with the gripper in [0, 1], or the step time is not a positive number."""
+"""The action is not seven finite numbers with the gripper in [0, 1], or the step time is not a
+positive number.
+"""
 ACTION_TOO_LARGE = "action_too_large"
 """One action asks for a longer translation or a larger rotation than the options allow."""
 UNKNOWN_JOINT = "unknown_joint"
@@ -94,18 +96,23 @@ def check_action(action: Action, step_s: float, options: UrdfControllerOptions) 
     if translation.shape != (3,) or rotation.shape != (3,):
         return Hold(
             code=BAD_ACTION,
-            reason=f"Translation and rotation have shapes {translation.shape} and {rotation.shape}, "
+            reason=f"Translation and rotation have shapes {translation.shape} and "
+            f"{rotation.shape}, "
             "expected (3,) and (3,).",
         )
     length, angle = math.hypot(*translation.tolist()), math.hypot(*rotation.tolist())
     if not (math.isfinite(length) and math.isfinite(angle) and 0.0 <= action.gripper_open <= 1.0):
         return Hold(
             code=BAD_ACTION,
-            reason=f"The action moves {length:g} m and {angle:g} rad with gripper_open {action.gripper_open:g}, "
+            reason=f"The action moves {length:g} m and {angle:g} rad with gripper_open "
+            f"{action.gripper_open:g}, "
             "expected finite values and an opening in [0, 1].",
         )
     if not (math.isfinite(step_s) and step_s > 0):
-        return Hold(code=BAD_ACTION, reason=f"step_s is {step_s:g}, expected a finite number of seconds > 0.")
+        return Hold(
+            code=BAD_ACTION,
+            reason=f"step_s is {step_s:g}, expected a finite number of seconds > 0.",
+        )
     if length > options.max_translation_m or angle > options.max_rotation_rad:
         return Hold(
             code=ACTION_TOO_LARGE,
@@ -123,15 +130,21 @@ def check_start(position: list[float], bounds: tuple[JointBounds, ...]) -> Hold 
                 return Hold(code=BAD_STATE, reason=f"Joint {joint.name!r} is measured at {value}.")
             return Hold(
                 code=OUTSIDE_LIMITS,
-                reason=f"Joint {joint.name!r} is measured at {value:.4f} {joint.unit}, outside its limits "
+                reason=f"Joint {joint.name!r} is measured at {value:.4f} {joint.unit}, outside "
+                "its limits "
                 f"{joint.lower:.4f}..{joint.upper:.4f}; move it back by other means.",
             )
     return None
 
 
 def check_workspace(here_m: F64, target_m: F64, workspace: Workspace | None) -> Hold | None:
-    """OUTSIDE_WORKSPACE for a target (3,) [m, base frame]; ways back in from outside are allowed."""
-    if workspace is None or ((target_m >= workspace.lower_m) & (target_m <= workspace.upper_m)).all():
+    """OUTSIDE_WORKSPACE for a target (3,) [m, base frame]; ways back in from outside are
+    allowed.
+    """
+    if (
+        workspace is None
+        or ((target_m >= workspace.lower_m) & (target_m <= workspace.upper_m)).all()
+    ):
         return None
     wanted = np.maximum(workspace.lower_m - target_m, target_m - workspace.upper_m)
     present = np.maximum(workspace.lower_m - here_m, here_m - workspace.upper_m)
@@ -139,7 +152,8 @@ def check_workspace(here_m: F64, target_m: F64, workspace: Workspace | None) -> 
         return None
     return Hold(
         code=OUTSIDE_WORKSPACE,
-        reason=f"The target {np.round(target_m, 4).tolist()} m is {wanted.max():.4f} m outside the workspace "
+        reason=f"The target {np.round(target_m, 4).tolist()} m is {wanted.max():.4f} m outside "
+        "the workspace "
         f"{np.asarray(workspace.lower_m).tolist()}..{np.asarray(workspace.upper_m).tolist()} m.",
     )
 
@@ -153,9 +167,11 @@ def check_solution(solution: Solution, options: UrdfControllerOptions) -> Hold |
         return None
     return Hold(
         code=NO_SOLUTION,
-        reason=f"No posture within the joint limits was found for the target: {off_m * 1e3:.3f} mm and "
+        reason=f"No posture within the joint limits was found for the target: {off_m * 1e3:.3f} "
+        "mm and "
         f"{off_rad * 1e3:.3f} mrad remain after {options.max_iterations} iterations, at most "
-        f"{options.position_tolerance_m * 1e3:g} mm and {options.rotation_tolerance_rad * 1e3:g} mrad are allowed.",
+        f"{options.position_tolerance_m * 1e3:g} mm and {options.rotation_tolerance_rad * 1e3:g} "
+        "mrad are allowed.",
     )
 
 
@@ -165,12 +181,15 @@ def check_step(step: list[float], bounds: tuple[JointBounds, ...]) -> Hold | Non
         if not abs(change) <= joint.step:
             return Hold(
                 code=JOINT_JUMP,
-                reason=f"Joint {joint.name!r} would move {change:.3f} {joint.unit} in one step, at most {joint.step:g} "
+                reason=f"Joint {joint.name!r} would move {change:.3f} {joint.unit} in one step, "
+                f"at most {joint.step:g} "
                 f"{joint.unit} is allowed; the arm is close to a singularity or a limit.",
             )
     return None
 
 
 def shortest_duration_s(step: list[float], bounds: tuple[JointBounds, ...]) -> float:
-    """Time [s] in which joint changes of either sign [rad or m] keep every joint within its velocity."""
+    """Time [s] in which joint changes of either sign [rad or m] keep every joint within its
+    velocity.
+    """
     return max(abs(change) / joint.velocity for change, joint in zip(step, bounds, strict=True))

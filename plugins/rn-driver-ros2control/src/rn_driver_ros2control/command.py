@@ -11,16 +11,21 @@ def checked(command: JointCommand, profile: RobotProfile) -> dict[str, float]:
     """Positions by joint.
 
     Raises:
-        InvalidInputError: unknown joints, one twice, none, unequal lengths, no duration, a value that is not finite.
+        InvalidInputError: unknown joints, one twice, none, unequal lengths, no duration, a value
+            that is not finite.
     """
     gripper = profile.gripper
     known = {*profile.arm_joints, *(() if gripper is None else (gripper.joint,))}
     unknown = [name for name in command.names if name not in known]
     if unknown or len(set(command.names)) != len(command.names) or not command.names:
         asked = ", ".join(command.names) or "no joint"
-        raise InvalidInputError(f"A command is for {asked}; known are {', '.join(sorted(known))}, once each.")
+        raise InvalidInputError(
+            f"A command is for {asked}; known are {', '.join(sorted(known))}, once each."
+        )
     if command.position.shape != (len(command.names),) or not np.isfinite(command.position).all():
-        raise InvalidInputError(f"A command for {len(command.names)} joints holds {command.position.tolist()}.")
+        raise InvalidInputError(
+            f"A command for {len(command.names)} joints holds {command.position.tolist()}."
+        )
     if not np.isfinite(command.duration_s) or command.duration_s <= 0.0:
         raise InvalidInputError(f"A command lasts {command.duration_s} s, expected more than 0.")
     return dict(zip(command.names, command.position.tolist(), strict=True))

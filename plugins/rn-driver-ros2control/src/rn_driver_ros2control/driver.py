@@ -1,4 +1,6 @@
-"""The driver `ros2-control`: joint commands -> a joint_trajectory_controller, its states and faults -> the robot's."""
+"""The driver `ros2-control`: joint commands -> a joint_trajectory_controller, its states and
+faults -> the robot's.
+"""
 
 from __future__ import annotations
 
@@ -36,13 +38,18 @@ _SETTLE_S = 0.05
 
 
 class Ros2ControlDriver:
-    """Follows the protocol `RobotDriver`, and may be asked to `recover`; every method may be called from any thread.
+    """Follows the protocol `RobotDriver`, and may be asked to `recover`; every method may be called
+    from any thread.
 
-    The controller keeps the arm: it interpolates, holds its last point when commands cease or this process dies, and
-    checks its own tolerances. What it reports as a fault is kept here until the robot is stopped and started again.
+    The controller keeps the arm: it interpolates, holds its last point when commands cease or this
+        process dies, and
+    checks its own tolerances. What it reports as a fault is kept here until the robot is stopped
+    and started again.
     """
 
-    def __init__(self, config: Ros2ControlOptions | None, profile: RobotProfile, topics: Topics) -> None:
+    def __init__(
+        self, config: Ros2ControlOptions | None, profile: RobotProfile, topics: Topics
+    ) -> None:
         """Remember what to drive."""
         self._options = config or Ros2ControlOptions()
         self._profile = profile
@@ -63,16 +70,19 @@ class Ros2ControlDriver:
         """Find the controller, its states and the gripper; nothing moves.
 
         Raises:
-            ConfigurationError: the controller moves other joints, the profile is no arm, or another node publishes the
-                robot's own `joint_states`.
-            NotReadyError: controller, joint states or gripper are not there, or the controller is not active.
+            ConfigurationError: the controller moves other joints, the profile is no arm, or another
+                node publishes the robot's own `joint_states`.
+            NotReadyError: controller, joint states or gripper are not there, or the controller is
+                not active.
             MissingDependencyError: control_msgs is not installed.
             StateError: it is open already.
         """
         if self._link is not None:
             raise StateError("The connection to ros2_control is open already.")
         if self._profile.limits is None or not self._profile.arm_joints:
-            raise ConfigurationError(f"The robot {self._profile.name!r} has no arm; ros2-control moves arms.")
+            raise ConfigurationError(
+                f"The robot {self._profile.name!r} has no arm; ros2-control moves arms."
+            )
         link = self._connect()
         try:
             link.open(self)
@@ -93,8 +103,9 @@ class Ros2ControlDriver:
     def read(self) -> RobotState:
         """Return the newest measured state.
 
-        `detail` holds "controller" (active, inactive, absent, not watched), "mode", "goal" (how the newest ended),
-        "fault" (empty without), "following_error" (greatest, rad or m), "speed_scaling" and "gripper".
+        `detail` holds "controller" (active, inactive, absent, not watched), "mode", "goal" (how the
+        newest ended), "fault" (empty without), "following_error" (greatest, rad or m),
+        "speed_scaling" and "gripper".
 
         Raises:
             StateError: not open.
@@ -105,21 +116,33 @@ class Ros2ControlDriver:
         measured = link.joints()
         self._judge(link)
         self._watch.check_read(link, measured, self._fault)
-        note = "not driven: option gripper is none" if self._options.gripper == "none" else link.gripper_note()
-        told = {"mode": self._options.mode, "goal": self._goal_note, "fault": self._fault, "gripper": note}
+        note = (
+            "not driven: option gripper is none"
+            if self._options.gripper == "none"
+            else link.gripper_note()
+        )
+        told = {
+            "mode": self._options.mode,
+            "goal": self._goal_note,
+            "fault": self._fault,
+            "gripper": note,
+        }
         return self._watch.state(link, measured, told)
 
     def send(self, command: JointCommand) -> JointCommand:
-        """Move towards `command`; it replaces the one before. Arm joints that it lacks stay where they were sent.
+        """Move towards `command`; it replaces the one before. Arm joints that it lacks stay where
+        they were sent.
 
         Returns:
-            What was sent: positions within the limits, the duration that they allow, and no gripper joint when the
+            What was sent: positions within the limits, the duration that they allow, and no gripper
+                joint when the
             options drive none.
 
         Raises:
-            InvalidInputError: unknown joints, unequal lengths, no duration, a value that is not finite, or a goal that
-                the controller rejects; nothing moves.
-            NotReadyError: states have ceased, or the controller is absent, inactive or does not answer.
+            InvalidInputError: unknown joints, unequal lengths, no duration, a value that is not
+                finite, or a goal that the controller rejects; nothing moves.
+            NotReadyError: states have ceased, or the controller is absent, inactive or does not
+                answer.
             UnsafeError: a fault stands; see `recover`.
             StateError: not open.
         """
@@ -131,7 +154,8 @@ class Ros2ControlDriver:
         self._judge(link)
         if self._fault:
             raise UnsafeError(
-                f"{self._options.controller}: {self._fault}. Commands are refused until a person has looked.",
+                f"{self._options.controller}: {self._fault}. Commands are refused until a person "
+                "has looked.",
                 hint="When the cause is gone, call recover_robot, or stop and start the robot.",
             )
         self._watch.check_fresh(measured)
@@ -141,8 +165,14 @@ class Ros2ControlDriver:
         if arm:
             with self._lock:
                 names, limits = self._profile.arm_joints, self._limits()
-                rest = [measured[name].position for name in names] if self._target is None else self._target[0]
-                asked = [wanted.get(name, float(place)) for name, place in zip(names, rest, strict=True)]
+                rest = (
+                    [measured[name].position for name in names]
+                    if self._target is None
+                    else self._target[0]
+                )
+                asked = [
+                    wanted.get(name, float(place)) for name, place in zip(names, rest, strict=True)
+                ]
                 goal = np.clip(np.array(asked), limits.lower, limits.upper)
                 sent_s, number = self._move(link, goal, command.duration_s)
             if self._options.mode == "action":
@@ -155,19 +185,28 @@ class Ros2ControlDriver:
                 names = tuple(name for name in names if name != gripper.joint)
             else:
                 finger = measured.get(gripper.joint)
-                self._fingers.move(link, wanted[gripper.joint], None if finger is None else finger.position)
-        return replace(command, names=names, position=np.array([wanted[name] for name in names]), duration_s=sent_s)
+                self._fingers.move(
+                    link, wanted[gripper.joint], None if finger is None else finger.position
+                )
+        return replace(
+            command,
+            names=names,
+            position=np.array([wanted[name] for name in names]),
+            duration_s=sent_s,
+        )
 
     def hold(self) -> None:
         """Brake evenly to a standstill and stay there; the gripper keeps its grasp.
 
-        The controller is sent one point: where the arm comes to rest with 80 % of its acceleration limits. In mode
-        action it is a goal that replaces the running one, which is cancelled when the controller rejects it.
+        The controller is sent one point: where the arm comes to rest with 80 % of its acceleration
+            limits. In mode
+        action it is a goal that replaces the running one, which is cancelled when the controller
+        rejects it.
 
         Raises:
             StateError: not open.
-            NotReadyError: nobody tells where the arm is. The running goal is cancelled; what was published before is
-                executed to its end.
+            NotReadyError: nobody tells where the arm is. The running goal is cancelled; what was
+                published before is executed to its end.
         """
         link = self._opened()
         with self._lock:
@@ -176,7 +215,8 @@ class Ros2ControlDriver:
                 self._own_cancel = True
                 link.cancel_goals()
                 raise NotReadyError(
-                    f"{self._options.joint_states} has ceased, so that nobody knows where to hold; the controller "
+                    f"{self._options.joint_states} has ceased, so that nobody knows where to "
+                    "hold; the controller "
                     "keeps its last point."
                 )
             position, duration_s = stop_point(*start, self._limits())
@@ -210,7 +250,9 @@ class Ros2ControlDriver:
             self._watch.check_fresh(link.joints())
             self._watch.check_controller(link)
         except NotReadyError as error:
-            raise RefusedError(f"The arm cannot be recovered: {error.message}", hint=error.hint) from error
+            raise RefusedError(
+                f"The arm cannot be recovered: {error.message}", hint=error.hint
+            ) from error
         return self._forget_fault()
 
     def _forget_fault(self) -> str:
@@ -236,14 +278,17 @@ class Ros2ControlDriver:
         with self._lock:
             is_newest = goal == self._goal
             if not is_newest:
-                return  # replaced by a newer one of this driver, which the controller reports as preempted
+                # replaced by a newer one of this driver, which the controller reports as preempted
+                return
             own_cancel, self._own_cancel = self._own_cancel, False
             self._end, self._goal_note = end, f"{end.value}: {text}" if text else end.value
             if end in FAULTS and not (end is End.CANCELLED and own_cancel):
                 self._fault = worded(end, text)
 
     def _judge(self, link: ControllerLink) -> None:
-        """In mode topic nobody reports violated tolerances: compare the controller's own error with the options."""
+        """In mode topic nobody reports violated tolerances: compare the controller's own error
+        with the options.
+        """
         report = link.report()
         if self._options.mode != "topic" or report is None or self._fault:
             return
@@ -252,7 +297,9 @@ class Ros2ControlDriver:
                 return  # the report is about what was before the command
             goal, due_s = self._target
             places = dict(zip(self._profile.arm_joints, goal.tolist(), strict=True))
-            self._fault = violation(report, link.joints(), places, time.monotonic() - due_s, self._options)
+            self._fault = violation(
+                report, link.joints(), places, time.monotonic() - due_s, self._options
+            )
             is_violated = bool(self._fault)
         if is_violated:
             self.hold()
@@ -275,7 +322,9 @@ class Ros2ControlDriver:
         return duration_s, self._goal
 
     def _await_acceptance(self, link: ControllerLink, number: int) -> None:
-        """Without the lock: `hold` must not wait for it, and the link reports from its own thread."""
+        """Without the lock: `hold` must not wait for it, and the link reports from its own
+        thread.
+        """
         if link.wait_accepted(number, 2 * self._options.goal_timeout_s):
             return
         with self._lock:
@@ -283,7 +332,10 @@ class Ros2ControlDriver:
             note, end = self._goal_note, self._end
         if end is End.REJECTED:
             raise InvalidInputError(f"{self._options.controller} did not take a goal: {note}.")
-        raise NotReadyError(f"{self._options.controller} did not answer a goal in {self._options.goal_timeout_s:g} s.")
+        raise NotReadyError(
+            f"{self._options.controller} did not answer a goal in "
+            f"{self._options.goal_timeout_s:g} s."
+        )
 
     def _limits(self) -> JointLimits:
         assert self._profile.limits is not None  # open() has checked

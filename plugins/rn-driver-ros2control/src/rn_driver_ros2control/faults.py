@@ -17,7 +17,10 @@ def worded(end: End, text: str) -> str:
     if end is End.CANCELLED:
         return f"another client has cancelled the goal{said}"
     if end is End.ABORTED:
-        return f"the goal was aborted{said}: another client sends goals, or the controller was deactivated"
+        return (
+            f"the goal was aborted{said}: another client sends goals, or the controller was "
+            "deactivated"
+        )
     return f"{end.value}{said}"
 
 

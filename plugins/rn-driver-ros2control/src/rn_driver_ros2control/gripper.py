@@ -1,4 +1,6 @@
-"""Goals for the gripper: a policy repeats its gripper value with every action, a goal each time would never end."""
+"""Goals for the gripper: a policy repeats its gripper value with every action, a goal each time
+would never end.
+"""
 
 from __future__ import annotations
 
@@ -6,13 +8,16 @@ from rn_driver_ros2control.link import ControllerLink
 from roboneuron import GripperProfile
 
 _SAME_OPENING = 0.02
-"""Share of the gripper's travel: a smaller change is no new command, unless it opens or closes fully."""
+"""Share of the gripper's travel: a smaller change is no new command, unless it opens or closes
+fully.
+"""
 
 
 class GripperGoals:
     """Sends a goal when the wanted opening changes.
 
-    To be where the fingers are is no goal as long as there was none: it would end the force on what they hold.
+    To be where the fingers are is no goal as long as there was none: it would end the force on what
+        they hold.
     """
 
     def __init__(self, profile: GripperProfile | None) -> None:
@@ -20,7 +25,9 @@ class GripperGoals:
         self._opening: float | None = None
 
     def move(self, link: ControllerLink, position: float, measured: float | None = None) -> None:
-        """Go to `position` of the gripper's joint [rad or m], unless it was sent there or never left `measured`."""
+        """Go to `position` of the gripper's joint [rad or m], unless it was sent there or never
+        left `measured`.
+        """
         if self._profile is None:
             return
         opening = self._profile.to_opening(position)

@@ -1,4 +1,6 @@
-"""What lies between the driver and a controller: a small protocol, so that the driver's rules need no ROS graph."""
+"""What lies between the driver and a controller: a small protocol, so that the driver's rules
+need no ROS graph.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +42,8 @@ class ControllerReport:
 
     Attributes:
         joints: what the controller moves.
-        reference: by joint, (position, velocity) that it wants now; the velocity is 0 when it tells none.
+        reference: by joint, (position, velocity) that it wants now; the velocity is 0 when it tells
+            none.
         error: by joint, reference - measured [rad or m].
         speed_scaling: 1 when the trajectory runs as planned.
         received_s: monotonic time of its arrival.
@@ -78,7 +81,9 @@ class ControllerLink(Protocol):
     """The controller and its topics, connected; every method may be called from any thread."""
 
     def open(self, observer: GoalObserver) -> None:
-        """Join ROS and look for everything the options name. Raises NotReadyError, MissingDependencyError."""
+        """Join ROS and look for everything the options name. Raises NotReadyError,
+        MissingDependencyError.
+        """
         ...
 
     def joints(self) -> Mapping[str, Measured]:
@@ -142,6 +147,7 @@ def connect(options: Ros2ControlOptions, joints: tuple[str, ...]) -> ControllerL
             raise
         raise MissingDependencyError(
             "The ROS 2 types of ros2_control are not installed (package control_msgs).",
-            hint="pip install ./plugins/rn-driver-ros2control (in RoboNeuron's source folder) compiles them.",
+            hint="pip install ./plugins/rn-driver-ros2control (in RoboNeuron's source folder) "
+            "compiles them.",
         ) from error
     return RosLink(options, joints)

@@ -15,15 +15,20 @@ class Ros2ControlOptions(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     controller: TopicName = Field(
-        default="/joint_trajectory_controller", description="Absolute name of the joint_trajectory_controller."
+        default="/joint_trajectory_controller",
+        description="Absolute name of the joint_trajectory_controller.",
     )
     mode: Literal["topic", "action"] = Field(
         default="topic",
-        description="topic: publish every target, for policies; action: a FollowJointTrajectory goal for each target.",
+        description="topic: publish every target, for policies; action: a FollowJointTrajectory "
+        "goal for each target.",
     )
-    joint_states: TopicName = Field(default="/joint_states", description="Where the measured joints come from.")
+    joint_states: TopicName = Field(
+        default="/joint_states", description="Where the measured joints come from."
+    )
     gripper_joint_states: TopicName | None = Field(
-        default=None, description="Where the gripper's joint comes from, when that is another topic."
+        default=None,
+        description="Where the gripper's joint comes from, when that is another topic.",
     )
     gripper: Literal["none", "gripper-command", "parallel-gripper-command"] = Field(
         default="none", description="Action type that moves the gripper; none: it is not driven."
@@ -31,28 +36,44 @@ class Ros2ControlOptions(BaseModel):
     gripper_action: TopicName = Field(
         default="/gripper_controller/gripper_cmd", description="Absolute name of that action."
     )
-    gripper_effort_n: float = Field(default=20.0, gt=0.0, description="Greatest effort of the gripper [N].")
+    gripper_effort_n: float = Field(
+        default=20.0, gt=0.0, description="Greatest effort of the gripper [N]."
+    )
     interpolation: Literal["linear", "cubic"] = Field(
         default="linear",
-        description="linear: positions only, for targets that follow each other; cubic: come to rest at each target.",
+        description="linear: positions only, for targets that follow each other; cubic: come to "
+        "rest at each target.",
     )
     path_tolerance: float = Field(
-        default=0.0, ge=0.0, description="Following error of a joint that is a fault [rad or m]; 0: the controller's."
+        default=0.0,
+        ge=0.0,
+        description="Following error of a joint that is a fault [rad or m]; 0: the controller's.",
     )
     goal_tolerance: float = Field(
-        default=0.0, ge=0.0, description="Error of a joint at the end that is a fault [rad or m]; 0: the controller's."
+        default=0.0,
+        ge=0.0,
+        description="Error of a joint at the end that is a fault [rad or m]; 0: the controller's.",
     )
     goal_time_tolerance_s: float = Field(
         default=0.0, ge=0.0, description="How late the end may be reached [s]; 0: the controller's."
     )
     resume_after_fault: bool = Field(
-        default=False, description="Follow commands again after a fault without stopping and starting the robot."
+        default=False,
+        description="Follow commands again after a fault without stopping and starting the robot.",
     )
     watch_controller: bool = Field(
-        default=True, description="Read `controller_state`; without it an inactive controller is not noticed."
+        default=True,
+        description="Read `controller_state`; without it an inactive controller is not noticed.",
     )
-    connect_timeout_s: float = Field(default=10.0, gt=0.0, le=120.0, description="Time for finding all of it [s].")
-    goal_timeout_s: float = Field(default=1.0, gt=0.0, le=30.0, description="Time for accepting a goal [s].")
+    connect_timeout_s: float = Field(
+        default=10.0, gt=0.0, le=120.0, description="Time for finding all of it [s]."
+    )
+    goal_timeout_s: float = Field(
+        default=1.0, gt=0.0, le=30.0, description="Time for accepting a goal [s]."
+    )
     state_timeout_s: float = Field(
-        default=0.5, gt=0.0, le=10.0, description="Age of joint or controller states that counts as silence [s]."
+        default=0.5,
+        gt=0.0,
+        le=10.0,
+        description="Age of joint or controller states that counts as silence [s].",
     )

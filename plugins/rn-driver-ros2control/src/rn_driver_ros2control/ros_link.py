@@ -47,7 +47,9 @@ class _Goal:
 
 
 class RosLink:
-    """Follows `ControllerLink`. Its ROS context is its own, so that it can be opened in any process."""
+    """Follows `ControllerLink`. Its ROS context is its own, so that it can be opened in any
+    process.
+    """
 
     def __init__(self, options: Ros2ControlOptions, joints: tuple[str, ...]) -> None:
         """Remember what to talk to; `joints` are the arm's, which tolerances are asked for."""
@@ -72,29 +74,51 @@ class RosLink:
         rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
         name = f"roboneuron_{self._options.controller.rpartition('/')[2]}"
         self._executor = SingleThreadedExecutor(context=self._context)
-        node = self._node = Node(name, context=self._context, enable_rosout=False, start_parameter_services=False)
-        topics = {self._options.joint_states, self._options.gripper_joint_states or self._options.joint_states}
+        node = self._node = Node(
+            name, context=self._context, enable_rosout=False, start_parameter_services=False
+        )
+        topics = {
+            self._options.joint_states,
+            self._options.gripper_joint_states or self._options.joint_states,
+        }
         for topic in sorted(topics):
             node.create_subscription(JointState, topic, self._on_joints, _STATES)
         if self._options.watch_controller:
             topic = f"{self._options.controller}/controller_state"
-            node.create_subscription(JointTrajectoryControllerState, topic, self._on_report, _STATES)
-        self._publisher = node.create_publisher(JointTrajectory, f"{self._options.controller}/joint_trajectory", 1)
+            node.create_subscription(
+                JointTrajectoryControllerState, topic, self._on_report, _STATES
+            )
+        self._publisher = node.create_publisher(
+            JointTrajectory, f"{self._options.controller}/joint_trajectory", 1
+        )
         action = f"{self._options.controller}/follow_joint_trajectory"
         self._actions: Any = ActionClient(node, FollowJointTrajectory, action)
         self._clients.append(self._actions)
         if self._options.gripper != "none":
-            kind = GripperCommand if self._options.gripper == "gripper-command" else ParallelGripperCommand
+            kind = (
+                GripperCommand
+                if self._options.gripper == "gripper-command"
+                else ParallelGripperCommand
+            )
             self._gripper = ActionClient(node, kind, self._options.gripper_action)
             self._clients.append(self._gripper)
         node.create_timer(_LOOK_S, self._look_for_unanswered)
         self._executor.add_node(node)
         self._thread = threading.Thread(target=self._spin, name="ros2-control", daemon=True)
         self._thread.start()
-        self._wait(lambda: bool(self._measured), f"nobody publishes joint states on {self._options.joint_states}")
-        self._wait(self.is_present, f"there is no controller {self._options.controller} (or not configured)")
+        self._wait(
+            lambda: bool(self._measured),
+            f"nobody publishes joint states on {self._options.joint_states}",
+        )
+        self._wait(
+            self.is_present,
+            f"there is no controller {self._options.controller} (or not configured)",
+        )
         if self._gripper is not None:
-            self._wait(self._gripper.server_is_ready, f"there is no gripper action {self._options.gripper_action}")
+            self._wait(
+                self._gripper.server_is_ready,
+                f"there is no gripper action {self._options.gripper_action}",
+            )
 
     def _spin(self) -> None:
         with contextlib.suppress(ExternalShutdownException):
@@ -106,7 +130,8 @@ class RosLink:
             if time.monotonic() > deadline_s:
                 raise NotReadyError(
                     f"After {self._options.connect_timeout_s:g} s {absent}.",
-                    hint="Start ros2_control and its controllers (`ros2 control list_controllers`), compare the names "
+                    hint="Start ros2_control and its controllers (`ros2 control "
+                    "list_controllers`), compare the names "
                     "with the options, and ROS_DOMAIN_ID and the discovery range on both sides.",
                 )
             time.sleep(_LOOK_S)
@@ -225,7 +250,9 @@ class RosLink:
         moving = velocities if len(velocities) == len(names) else [0.0] * len(names)
         self._report = ControllerReport(
             joints=names,
-            reference={n: (float(p), float(v)) for n, p, v in zip(names, positions, moving, strict=False)},
+            reference={
+                n: (float(p), float(v)) for n, p, v in zip(names, positions, moving, strict=False)
+            },
             error={n: float(e) for n, e in zip(names, message.error.positions, strict=False)},
             speed_scaling=float(message.speed_scaling_factor),
             received_s=time.monotonic(),
@@ -237,13 +264,18 @@ class RosLink:
             return
         state.handle, state.accepted = handle, True
         state.answered.set()
-        handle.get_result_async().add_done_callback(lambda done: self._on_result(goal, done.result()))
+        handle.get_result_async().add_done_callback(
+            lambda done: self._on_result(goal, done.result())
+        )
 
     def _on_result(self, goal: int, answer: Any) -> None:
         result: FollowJointTrajectory.Result = answer.result
         if answer.status == _CANCELLED:
             end = End.CANCELLED
-        elif answer.status == _ABORTED or result.error_code != FollowJointTrajectory.Result.SUCCESSFUL:
+        elif (
+            answer.status == _ABORTED
+            or result.error_code != FollowJointTrajectory.Result.SUCCESSFUL
+        ):
             end = _CODES.get(result.error_code, End.ABORTED)
         else:
             end = End.SUCCEEDED
@@ -258,9 +290,17 @@ class RosLink:
 
     def _look_for_unanswered(self) -> None:
         now_s = time.monotonic()
-        late = [n for n, state in list(self._goals.items()) if not state.answered.is_set() and now_s > state.deadline_s]
+        late = [
+            n
+            for n, state in list(self._goals.items())
+            if not state.answered.is_set() and now_s > state.deadline_s
+        ]
         for goal in late:
-            self._end(goal, End.UNANSWERED, f"no answer to a goal within {self._options.goal_timeout_s:g} s")
+            self._end(
+                goal,
+                End.UNANSWERED,
+                f"no answer to a goal within {self._options.goal_timeout_s:g} s",
+            )
 
     def _on_gripper_answer(self, number: int, handle: Any) -> None:
         if number != self._gripper_goals:
@@ -268,7 +308,9 @@ class RosLink:
         if not handle.accepted:
             self._gripper_note = "rejected by the gripper"
             return
-        handle.get_result_async().add_done_callback(lambda done: self._on_gripper_result(number, done.result()))
+        handle.get_result_async().add_done_callback(
+            lambda done: self._on_gripper_result(number, done.result())
+        )
 
     def _on_gripper_result(self, number: int, answer: Any) -> None:
         if number != self._gripper_goals:

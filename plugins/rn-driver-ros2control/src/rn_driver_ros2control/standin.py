@@ -1,9 +1,12 @@
-"""The rules of ros2_control's joint_trajectory_controller, for tests and for trying things without a robot.
+"""The rules of ros2_control's joint_trajectory_controller, for tests and for trying things without
+a robot.
 
-Pure computation: time is an argument. Not the controller itself, and slower; what it keeps of it is listed in
-`docs/ros2-control.md`. Source of the rules: the documentation of joint_trajectory_controller (ros2_controllers, Jazzy:
-userdoc.rst, trajectory.rst, parameters) and of `control_msgs` JointTolerance; how it behaves where the documentation
-is silent (an empty trajectory is refused, who is told what) was read in its public source at ed360c9.
+Pure computation: time is an argument. Not the controller itself, and slower; what it keeps of it is
+    listed in
+`docs/ros2-control.md`. Source of the rules: the documentation of joint_trajectory_controller
+(ros2_controllers, Jazzy: userdoc.rst, trajectory.rst, parameters) and of `control_msgs`
+JointTolerance; how it behaves where the documentation is silent (an empty trajectory is refused,
+who is told what) was read in its public source at ed360c9.
 """
 
 from __future__ import annotations
@@ -35,7 +38,9 @@ class Tolerances:
     goal: Mapping[str, float] = field(default_factory=dict)
     goal_time_s: float = 0.0
 
-    def with_goal(self, path: Mapping[str, float], goal: Mapping[str, float], goal_time_s: float) -> Tolerances:
+    def with_goal(
+        self, path: Mapping[str, float], goal: Mapping[str, float], goal_time_s: float
+    ) -> Tolerances:
         """These, as an action goal changes them: 0 keeps, a positive value replaces, -1 erases."""
 
         def resolve(default: float, asked: float) -> float:
@@ -72,7 +77,9 @@ class StandIn:
         allow_nonzero_end: bool = False,
         from_desired: bool = False,
     ) -> None:
-        """Stand at `start`; the options are the controller's parameters of like names and defaults."""
+        """Stand at `start`; the options are the controller's parameters of like names and
+        defaults.
+        """
         self.joints = tuple(joints)
         self.defaults = tolerances or Tolerances()
         self.active = True
@@ -115,14 +122,24 @@ class StandIn:
             if len(point.positions) != len(names) or len(point.velocities) not in (0, len(names)):
                 return "Mismatch between joint_names and positions or velocities."
             if len(point.effort):
-                return "Trajectories with effort fields are only supported with the 'effort' command interface."
+                return (
+                    "Trajectories with effort fields are only supported with the 'effort' "
+                    "command interface."
+                )
         return ""
 
-    def take(self, trajectory: JointTrajectory, now_s: float, tolerances: Tolerances | None = None) -> None:
-        """Follow a trajectory that `refusal` has nothing against; it replaces the one before at once."""
+    def take(
+        self, trajectory: JointTrajectory, now_s: float, tolerances: Tolerances | None = None
+    ) -> None:
+        """Follow a trajectory that `refusal` has nothing against; it replaces the one before at
+        once.
+        """
         stamp_s = trajectory.header.stamp.sec + trajectory.header.stamp.nanosec * 1e-9
         begin_s = stamp_s or now_s
-        order = [list(trajectory.joint_names).index(n) if n in trajectory.joint_names else -1 for n in self.joints]
+        order = [
+            list(trajectory.joint_names).index(n) if n in trajectory.joint_names else -1
+            for n in self.joints
+        ]
         base = self.reference if self._from_desired else self.measured
         velocity = self.reference_velocity if self._from_desired else self.measured_velocity
         self._points = [(now_s, base.copy(), velocity.copy())]
@@ -130,7 +147,9 @@ class StandIn:
             due_s = begin_s + _seconds(point)
             if due_s <= now_s and point is not trajectory.points[-1]:
                 continue  # the part that lies in the past is dropped
-            position = np.array([point.positions[i] if i >= 0 else b for i, b in zip(order, base, strict=True)])
+            position = np.array(
+                [point.positions[i] if i >= 0 else b for i, b in zip(order, base, strict=True)]
+            )
             moving = None
             if len(point.velocities):
                 moving = np.array([point.velocities[i] if i >= 0 else 0.0 for i in order])

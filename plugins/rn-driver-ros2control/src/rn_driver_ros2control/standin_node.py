@@ -1,8 +1,9 @@
-"""`python -m rn_driver_ros2control.standin_node`: the stand-in as a ROS 2 node, with joint states and a gripper.
+"""`python -m rn_driver_ros2control.standin_node`: the stand-in as a ROS 2 node, with joint states
+and a gripper.
 
-Offers what a real controller does under its name (`joint_trajectory`, `follow_joint_trajectory`, `controller_state`),
-`/joint_states`, a gripper action, and two services for tests: `<controller>/activate` and `<controller>/block`
-(std_srvs/SetBool). It moves nothing.
+Offers what a real controller does under its name (`joint_trajectory`, `follow_joint_trajectory`,
+`controller_state`), `/joint_states`, a gripper action, and two services for tests:
+`<controller>/activate` and `<controller>/block` (std_srvs/SetBool). It moves nothing.
 """
 
 from __future__ import annotations
@@ -45,9 +46,15 @@ class StandInNode(Node):  # type: ignore[misc]
             goal=dict.fromkeys(joints, options.goal_tolerance),
             goal_time_s=options.goal_time,
         )
-        self.controller = StandIn(joints, start, tolerances=bounds, from_desired=options.from_desired)
+        self.controller = StandIn(
+            joints, start, tolerances=bounds, from_desired=options.from_desired
+        )
         self.controller.active = not options.inactive
-        self._finger, self._finger_m, self._finger_goal_m = options.gripper_joint, options.opening, options.opening
+        self._finger, self._finger_m, self._finger_goal_m = (
+            options.gripper_joint,
+            options.opening,
+            options.opening,
+        )
         self._object_m = options.object
         self._goal: Any = None
         self._done: Future | None = None
@@ -57,7 +64,9 @@ class StandInNode(Node):  # type: ignore[misc]
         self._finger_states: Any = None  # none: the fingers stand among the arm's joints
         if finger_states != options.joint_states:
             self._finger_states = self.create_publisher(JointState, finger_states, 10)
-        self._reports = self.create_publisher(JointTrajectoryControllerState, "~/controller_state", 10)
+        self._reports = self.create_publisher(
+            JointTrajectoryControllerState, "~/controller_state", 10
+        )
         self.create_subscription(JointTrajectory, "~/joint_trajectory", self._on_trajectory, 10)
         self.create_service(SetBool, "~/activate", self._on_activate)
         self.create_service(SetBool, "~/block", self._on_block)
@@ -71,7 +80,9 @@ class StandInNode(Node):  # type: ignore[misc]
             cancel_callback=self._on_cancel,
         )
         if self._finger:
-            self._gripper: Any = ActionServer(self, GripperCommand, options.gripper_action, self._execute_gripper)
+            self._gripper: Any = ActionServer(
+                self, GripperCommand, options.gripper_action, self._execute_gripper
+            )
         self._period_s = 1.0 / options.rate
         self.create_timer(self._period_s, self._cycle)
 
@@ -93,7 +104,9 @@ class StandInNode(Node):  # type: ignore[misc]
         return GoalResponse.REJECT if reason else GoalResponse.ACCEPT
 
     def _on_accepted(self, handle: Any) -> None:
-        self._finish(Verdict(code=INVALID_GOAL, text="Current goal preempted by new incoming action."))
+        self._finish(
+            Verdict(code=INVALID_GOAL, text="Current goal preempted by new incoming action.")
+        )
         goal = handle.request
         bounds = self.controller.defaults.with_goal(
             {t.name: t.position for t in goal.path_tolerance},
@@ -105,7 +118,9 @@ class StandInNode(Node):  # type: ignore[misc]
         handle.execute()
 
     def _on_cancel(self, handle: Any) -> CancelResponse:
-        if handle is self._goal or (self._goal is not None and handle.goal_id == self._goal.goal_id):
+        if handle is self._goal or (
+            self._goal is not None and handle.goal_id == self._goal.goal_id
+        ):
             self.controller.hold()
         return CancelResponse.ACCEPT
 
@@ -127,9 +142,15 @@ class StandInNode(Node):  # type: ignore[misc]
         if done is not None and not done.done():
             done.set_result(verdict)
 
-    def _on_activate(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+    def _on_activate(
+        self, request: SetBool.Request, response: SetBool.Response
+    ) -> SetBool.Response:
         if not request.data:
-            self._finish(Verdict(code=INVALID_GOAL, text="Current goal cancelled during deactivate transition."))
+            self._finish(
+                Verdict(
+                    code=INVALID_GOAL, text="Current goal cancelled during deactivate transition."
+                )
+            )
         self.controller.hold()
         self.controller.active = request.data
         response.success = True
@@ -148,14 +169,24 @@ class StandInNode(Node):  # type: ignore[misc]
         reached = await self._finger_done
         handle.succeed() if reached is not False else handle.abort()
         stalled = abs(self._finger_m - self._finger_goal_m) > 1e-4
-        return GripperCommand.Result(position=float(self._finger_m), stalled=stalled, reached_goal=not stalled)
+        return GripperCommand.Result(
+            position=float(self._finger_m), stalled=stalled, reached_goal=not stalled
+        )
 
     def _move_finger(self) -> None:
-        least_m = max(self._finger_goal_m, self._object_m) if self._finger_goal_m < self._finger_m else -np.inf
+        least_m = (
+            max(self._finger_goal_m, self._object_m)
+            if self._finger_goal_m < self._finger_m
+            else -np.inf
+        )
         goal_m = max(self._finger_goal_m, least_m)
         step_m = _FINGER_M_S * self._period_s
         self._finger_m += float(np.clip(goal_m - self._finger_m, -step_m, step_m))
-        if abs(goal_m - self._finger_m) < 1e-6 and self._finger_done is not None and not self._finger_done.done():
+        if (
+            abs(goal_m - self._finger_m) < 1e-6
+            and self._finger_done is not None
+            and not self._finger_done.done()
+        ):
             self._finger_done.set_result(True)
 
     def _add_finger(self, state: JointState) -> None:
@@ -176,7 +207,11 @@ class StandInNode(Node):  # type: ignore[misc]
             self._finish(verdict)
         self._move_finger()
         stamp = self.get_clock().now().to_msg()
-        names, position, velocity = list(controller.joints), controller.measured.tolist(), controller.measured_velocity
+        names, position, velocity = (
+            list(controller.joints),
+            controller.measured.tolist(),
+            controller.measured_velocity,
+        )
         state = JointState(name=names, position=position, velocity=velocity.tolist())
         state.header.stamp = stamp
         if self._finger:
@@ -195,20 +230,40 @@ class StandInNode(Node):  # type: ignore[misc]
 
 def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     """Options of the program."""
-    parser = argparse.ArgumentParser(prog="python -m rn_driver_ros2control.standin_node", description=__doc__)
-    parser.add_argument("--controller", default="/joint_trajectory_controller", help="absolute name")
+    parser = argparse.ArgumentParser(
+        prog="python -m rn_driver_ros2control.standin_node", description=__doc__
+    )
+    parser.add_argument(
+        "--controller", default="/joint_trajectory_controller", help="absolute name"
+    )
     parser.add_argument("--joints", nargs="+", required=True, help="names of the joints it moves")
-    parser.add_argument("--start", nargs="+", type=float, help="their positions at the start; 0 each when left out")
+    parser.add_argument(
+        "--start", nargs="+", type=float, help="their positions at the start; 0 each when left out"
+    )
     parser.add_argument("--joint-states", default="/joint_states")
-    parser.add_argument("--gripper-joint", default="", help="name of a gripper joint; none when left out")
+    parser.add_argument(
+        "--gripper-joint", default="", help="name of a gripper joint; none when left out"
+    )
     parser.add_argument("--gripper-action", default="/gripper_controller/gripper_cmd")
-    parser.add_argument("--gripper-joint-states", default="", help="topic of that joint; the arm's when left out")
-    parser.add_argument("--opening", type=float, default=0.04, help="position of the gripper joint at the start [m]")
-    parser.add_argument("--object", type=float, default=0.0, help="where closing fingers meet something [m]")
-    parser.add_argument("--path-tolerance", type=float, default=0.0, help="constraints.<joint>.trajectory")
-    parser.add_argument("--goal-tolerance", type=float, default=0.0, help="constraints.<joint>.goal")
+    parser.add_argument(
+        "--gripper-joint-states", default="", help="topic of that joint; the arm's when left out"
+    )
+    parser.add_argument(
+        "--opening", type=float, default=0.04, help="position of the gripper joint at the start [m]"
+    )
+    parser.add_argument(
+        "--object", type=float, default=0.0, help="where closing fingers meet something [m]"
+    )
+    parser.add_argument(
+        "--path-tolerance", type=float, default=0.0, help="constraints.<joint>.trajectory"
+    )
+    parser.add_argument(
+        "--goal-tolerance", type=float, default=0.0, help="constraints.<joint>.goal"
+    )
     parser.add_argument("--goal-time", type=float, default=0.0, help="constraints.goal_time")
-    parser.add_argument("--from-desired", action="store_true", help="interpolate_from_desired_state")
+    parser.add_argument(
+        "--from-desired", action="store_true", help="interpolate_from_desired_state"
+    )
     parser.add_argument("--inactive", action="store_true", help="begin inactive")
     parser.add_argument("--rate", type=float, default=100.0, help="cycles per second")
     return parser.parse_args(arguments)

@@ -1,4 +1,6 @@
-"""Targets -> `JointTrajectory`: durations within the limits, and braking to a standstill. Pure computation."""
+"""Targets -> `JointTrajectory`: durations within the limits, and braking to a standstill. Pure
+computation.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,9 @@ def to_duration(seconds: float) -> Duration:
 
 
 def shortest_s(start: F64, goal: F64, limits: JointLimits, *, cubic: bool) -> float:
-    """Least duration of one segment from `start` to `goal`, float64 (n,), within velocity (and acceleration) limits."""
+    """Least duration of one segment from `start` to `goal`, float64 (n,), within velocity (and
+    acceleration) limits.
+    """
     distance = np.abs(goal - start)
     if not cubic:
         return float(np.max(distance / limits.velocity, initial=_LEAST_S))
@@ -40,15 +44,22 @@ def shortest_s(start: F64, goal: F64, limits: JointLimits, *, cubic: bool) -> fl
 def stop_point(position: F64, velocity: F64, limits: JointLimits) -> tuple[F64, float]:
     """Where and when to come to rest from `position` moving at `velocity`, each (n,).
 
-    All joints brake evenly for the time T that the slowest needs. The cubic from there with velocity zero at the end
-    is then exactly the parabola p + v t - v t^2 / (2 T): constant deceleration, no overshoot.
+    All joints brake evenly for the time T that the slowest needs. The cubic from there with
+    velocity zero at the end is then exactly the parabola p + v t - v t^2 / (2 T): constant
+    deceleration, no overshoot.
     """
-    duration_s = float(np.max(np.abs(velocity) / (_BRAKING_SHARE * limits.acceleration), initial=_LEAST_S))
+    duration_s = float(
+        np.max(np.abs(velocity) / (_BRAKING_SHARE * limits.acceleration), initial=_LEAST_S)
+    )
     return np.clip(position + velocity * duration_s / 2.0, limits.lower, limits.upper), duration_s
 
 
-def to_message(names: Sequence[str], position: F64, duration_s: float, *, rest: bool) -> JointTrajectory:
-    """A trajectory of one point that begins when it arrives; with `rest`, at velocity zero there."""
+def to_message(
+    names: Sequence[str], position: F64, duration_s: float, *, rest: bool
+) -> JointTrajectory:
+    """A trajectory of one point that begins when it arrives; with `rest`, at velocity zero
+    there.
+    """
     point = JointTrajectoryPoint(positions=[float(value) for value in position])
     if rest:
         point.velocities = [0.0] * len(names)

@@ -1,4 +1,6 @@
-"""Whether the controller and its joint states are there: asked at the start, and before everything that is sent."""
+"""Whether the controller and its joint states are there: asked at the start, and before
+everything that is sent.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,9 @@ from roboneuron import (
 
 F64 = NDArray[np.float64]
 _MOST_CLOCK_ERROR_NS = 500_000_000
-"""A stamp farther than this from ROS time here is of another clock; then the time of arrival is used."""
+"""A stamp farther than this from ROS time here is of another clock; then the time of arrival is
+used.
+"""
 _LEAST_CLOSE = 0.1
 """A reference farther than this [rad or m] from the measured joint is not where a stop begins."""
 
@@ -50,26 +54,34 @@ class ControllerWatch:
                 break
             if time.monotonic() > deadline_s:
                 if missing:
-                    raise NotReadyError(f"{self._options.joint_states} does not tell {', '.join(missing)}.")
+                    raise NotReadyError(
+                        f"{self._options.joint_states} does not tell {', '.join(missing)}."
+                    )
                 raise NotReadyError(self._inactive())
             time.sleep(0.02)
         if report is not None and set(report.joints) != set(self._profile.arm_joints):
             raise ConfigurationError(
-                f"{self._options.controller} moves {', '.join(report.joints)}, the profile {self._profile.name!r} has "
+                f"{self._options.controller} moves {', '.join(report.joints)}, the profile "
+                f"{self._profile.name!r} has "
                 f"{', '.join(self._profile.arm_joints)}; choose another controller or robot."
             )
 
     def check_topics(self) -> None:
-        """Two publishers of one robot's joint states: this driver would read what its own module repeats."""
+        """Two publishers of one robot's joint states: this driver would read what its own
+        module repeats.
+        """
         if self._topics.publisher_types("joint_states"):
             raise ConfigurationError(
                 "Another node already publishes `joint_states` in the robot's namespace.",
-                hint="Set [robot] namespace to one that ros2_control does not use; the driver reads absolute names.",
+                hint="Set [robot] namespace to one that ros2_control does not use; the driver "
+                "reads absolute names.",
             )
 
     def check_fresh(self, joints: Mapping[str, Measured]) -> None:
         """Raise NotReadyError when the arm's joint states have ceased."""
-        oldest_s = min((joints[n].received_s for n in self._profile.arm_joints if n in joints), default=0.0)
+        oldest_s = min(
+            (joints[n].received_s for n in self._profile.arm_joints if n in joints), default=0.0
+        )
         age_s = time.monotonic() - oldest_s
         if age_s > self._options.state_timeout_s:
             raise NotReadyError(
@@ -78,11 +90,16 @@ class ControllerWatch:
             )
 
     def check_read(self, link: ControllerLink, joints: Mapping[str, Measured], fault: str) -> None:
-        """As `check_fresh`; the error also tells what else is known: no state can be read that would."""
+        """As `check_fresh`; the error also tells what else is known: no state can be read that
+        would.
+        """
         try:
             self.check_fresh(joints)
         except NotReadyError as error:
-            known = [error.message, f"The controller {self._options.controller} {self._heard(link)}."]
+            known = [
+                error.message,
+                f"The controller {self._options.controller} {self._heard(link)}.",
+            ]
             if fault:
                 known.append(f"Its fault: {fault}.")
             raise NotReadyError(" ".join(known), hint=error.hint) from error
@@ -100,7 +117,8 @@ class ControllerWatch:
         state = self.controller_state(link)
         if state == "absent":
             raise NotReadyError(
-                f"The controller {self._options.controller} has gone.", hint="Load and activate it: `ros2 control`."
+                f"The controller {self._options.controller} has gone.",
+                hint="Load and activate it: `ros2 control`.",
             )
         if state == "inactive":
             raise NotReadyError(self._inactive())
@@ -112,10 +130,15 @@ class ControllerWatch:
         if not self._options.watch_controller:
             return "not watched"
         report = link.report()
-        is_fresh = report is not None and time.monotonic() - report.received_s <= self._options.state_timeout_s
+        is_fresh = (
+            report is not None
+            and time.monotonic() - report.received_s <= self._options.state_timeout_s
+        )
         return "active" if is_fresh else "inactive"
 
-    def state(self, link: ControllerLink, measured: Mapping[str, Measured], told: Mapping[str, str]) -> RobotState:
+    def state(
+        self, link: ControllerLink, measured: Mapping[str, Measured], told: Mapping[str, str]
+    ) -> RobotState:
         """The arm as it was last measured, with what the driver tells of itself.
 
         Raises:
@@ -129,12 +152,20 @@ class ControllerWatch:
         position = np.array([joint.position for joint in chosen])
         velocities = [joint.velocity for joint in chosen]
         velocity = None if None in velocities else np.array(velocities, dtype=np.float64)
-        if not np.isfinite(position).all() or (velocity is not None and not np.isfinite(velocity).all()):
+        if not np.isfinite(position).all() or (
+            velocity is not None and not np.isfinite(velocity).all()
+        ):
             raise UnsafeError(f"{self._options.joint_states} tells a value that is not finite.")
         report = link.report()
-        error = max((abs(value) for value in report.error.values()), default=0.0) if report is not None else 0.0
+        error = (
+            max((abs(value) for value in report.error.values()), default=0.0)
+            if report is not None
+            else 0.0
+        )
         return RobotState(
-            joints=JointSample(names=names, position=position, velocity=velocity, stamp_ns=self._stamp(chosen)),
+            joints=JointSample(
+                names=names, position=position, velocity=velocity, stamp_ns=self._stamp(chosen)
+            ),
             gripper_open=opening,
             detail={
                 "controller": self.controller_state(link),
@@ -147,8 +178,9 @@ class ControllerWatch:
     def moving_from(self, link: ControllerLink, *, by_reference: bool) -> tuple[F64, F64] | None:
         """Position and velocity (n,) where a stop begins; None when nobody tells.
 
-        The controller's reference where it is near the arm and asked for, otherwise the measured joints: after a fault
-        it is always these, for an arm that was blocked must not go on pressing.
+        The controller's reference where it is near the arm and asked for, otherwise the measured
+        joints: after a fault it is always these, for an arm that was blocked must not go on
+            pressing.
         """
         joints, report, names = link.joints(), link.report(), self._profile.arm_joints
         try:
@@ -164,7 +196,9 @@ class ControllerWatch:
         return position, np.where(np.isfinite(velocity), velocity, 0.0)
 
     def _stamp(self, joints: Sequence[Measured]) -> int:
-        """When the oldest of `joints` was measured, in ROS time here; never before what was told earlier."""
+        """When the oldest of `joints` was measured, in ROS time here; never before what was
+        told earlier.
+        """
         now_ns, oldest = self._topics.now_ns(), min(joints, key=lambda joint: joint.received_s)
         stamp_ns = oldest.stamp_ns
         if abs(now_ns - stamp_ns) > _MOST_CLOCK_ERROR_NS:
@@ -175,7 +209,9 @@ class ControllerWatch:
     def _inactive(self) -> str:
         name = self._options.controller
         return (
-            f"{name} is there but not active, or its process has just died: {name}/controller_state is silent. "
-            "Look at `ros2 control list_controllers`; activate it: `ros2 control switch_controllers --activate "
+            f"{name} is there but not active, or its process has just died: "
+            f"{name}/controller_state is silent. "
+            "Look at `ros2 control list_controllers`; activate it: `ros2 control "
+            "switch_controllers --activate "
             f"{name.rpartition('/')[2]}`."
         )

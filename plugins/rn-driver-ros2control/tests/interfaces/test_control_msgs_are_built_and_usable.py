@@ -1,4 +1,6 @@
-"""control_msgs is built from its definitions, serialises, is found by its definitions, and fails with what to do."""
+"""control_msgs is built from its definitions, serialises, is found by its definitions, and
+fails with what to do.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,9 @@ def test_every_definition_has_a_type_of_its_name():
 
     for name in typesupport.definitions(DEFINITIONS):
         kind, _, file = name.partition("/")
-        assert hasattr(importlib.import_module(f"control_msgs.{kind}"), file.partition(".")[0]), name
+        assert hasattr(importlib.import_module(f"control_msgs.{kind}"), file.partition(".")[0]), (
+            name
+        )
 
 
 def test_a_controller_state_survives_serialisation():
@@ -50,14 +54,20 @@ def test_an_action_has_goal_result_and_codes():
 def test_interfaces_are_found_in_the_ament_index():
     index = Path(sys.prefix) / "share/ament_index/resource_index/rosidl_interfaces/control_msgs"
     listed = index.read_text(encoding="utf-8").split("\n")
-    assert {"action/FollowJointTrajectory.idl", "msg/JointTolerance.json", "msg/JointTolerance.msg"} <= set(listed)
+    assert {
+        "action/FollowJointTrajectory.idl",
+        "msg/JointTolerance.json",
+        "msg/JointTolerance.msg",
+    } <= set(listed)
     assert all((Path(sys.prefix) / "share/control_msgs" / name).is_file() for name in listed)
 
 
 def test_another_package_is_built_with_the_same_command(tmp_path):
     folder = tmp_path / "probe_msgs" / "msg"
     folder.mkdir(parents=True)
-    (folder / "Reading.msg").write_text("std_msgs/Header header\nfloat64[3] force\nstring<=8 unit N\n")
+    (folder / "Reading.msg").write_text(
+        "std_msgs/Header header\nfloat64[3] force\nstring<=8 unit N\n"
+    )
     command = [
         sys.executable,
         "-m",
@@ -67,20 +77,29 @@ def test_another_package_is_built_with_the_same_command(tmp_path):
     ]
     subprocess.run(command, check=True, capture_output=True, timeout=300)
     script = (
-        "from probe_msgs.msg import Reading; from rclpy.serialization import serialize_message as s,"
+        "from probe_msgs.msg import Reading; from rclpy.serialization import serialize_message as "
+        "s,"
         " deserialize_message as d; r = Reading(force=[1.0, 2.0, 3.0]);"
         " assert d(s(r), Reading) == r and r.unit == 'N'"
     )
     libraries = f"{tmp_path / 'out' / 'lib'}:{os.environ.get('LD_LIBRARY_PATH', '')}"
     environment = {**os.environ, "LD_LIBRARY_PATH": libraries}
-    subprocess.run([sys.executable, "-c", script], check=True, cwd=tmp_path / "out", timeout=60, env=environment)
+    subprocess.run(
+        [sys.executable, "-c", script],
+        check=True,
+        cwd=tmp_path / "out",
+        timeout=60,
+        env=environment,
+    )
 
 
 def test_without_a_compiler_it_says_what_to_do(monkeypatch, tmp_path):
     monkeypatch.delenv("CXX", raising=False)
     monkeypatch.setenv("PATH", str(tmp_path))
     monkeypatch.setattr(typesupport.importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(typesupport.BuildError, match=r"No C\+\+ compiler .*apt-get install g\+\+.* ziglang"):
+    with pytest.raises(
+        typesupport.BuildError, match=r"No C\+\+ compiler .*apt-get install g\+\+.* ziglang"
+    ):
         typesupport.build(DEFINITIONS, tmp_path / "out")
 
 
@@ -105,7 +124,9 @@ def test_a_folder_without_definitions_is_refused(tmp_path):
 
 @pytest.mark.ros
 def test_messages_services_and_actions_pass_the_middleware():
-    """Creating endpoints needs more of the typesupport than serialising: rmw_fastrtps describes the type as well."""
+    """Creating endpoints needs more of the typesupport than serialising: rmw_fastrtps describes
+    the type as well.
+    """
     import rclpy
     from control_msgs.action import FollowJointTrajectory
     from control_msgs.msg import JointTrajectoryControllerState
@@ -120,13 +141,17 @@ def test_messages_services_and_actions_pass_the_middleware():
     received = []
     node.create_subscription(JointTrajectoryControllerState, "probe_state", received.append, 1)
     publisher = node.create_publisher(JointTrajectoryControllerState, "probe_state", 1)
-    service = node.create_service(QueryTrajectoryState, "probe_query", lambda request, response: response)
+    service = node.create_service(
+        QueryTrajectoryState, "probe_query", lambda request, response: response
+    )
     action = ActionClient(node, FollowJointTrajectory, "probe_action")
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(node)
     deadline_s = time.monotonic() + 30.0
     while not received and time.monotonic() < deadline_s:
-        publisher.publish(JointTrajectoryControllerState(joint_names=["a"], speed_scaling_factor=0.5))
+        publisher.publish(
+            JointTrajectoryControllerState(joint_names=["a"], speed_scaling_factor=0.5)
+        )
         executor.spin_once(timeout_sec=0.1)
     assert received[0].joint_names == ["a"]
     assert service.srv_name.endswith("probe_query")

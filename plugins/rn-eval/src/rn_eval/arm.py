@@ -1,6 +1,8 @@
-"""The path from action to joint command, as the control module of a running robot has it: controller and limits.
+"""The path from action to joint command, as the control module of a running robot has it:
+controller and limits.
 
-The module is a ROS node on the wall clock; here the same controller and limiter run by the clock of a simulation.
+The module is a ROS node on the wall clock; here the same controller and limiter run by the clock of
+a simulation.
 """
 
 from __future__ import annotations
@@ -48,7 +50,9 @@ class DeployedArm:
         self._action_s = -1e9
         self._holding = True
 
-    def command(self, vector: F64, joints: JointSample, now_s: float) -> tuple[JointCommand | None, str]:
+    def command(
+        self, vector: F64, joints: JointSample, now_s: float
+    ) -> tuple[JointCommand | None, str]:
         """What is sent for an action, and a word for what stopped or changed it.
 
         Args:
@@ -57,17 +61,25 @@ class DeployedArm:
             now_s: simulated time [s].
 
         Returns:
-            A command (which may be a hold), or None when it is refused and the one before goes on; and "", "scaled" or
-            the code of the hold.
+            A command (which may be a hold), or None when it is refused and the one before goes on;
+            and "", "scaled" or the code of the hold.
         """
         since_s = now_s - self._action_s
         step_s = max(since_s, SHORTEST_STEP_S) if since_s < self._timeout_s else FIRST_STEP_S
-        outcome: JointCommand | Hold | None = self._controller.compute(Action.from_vector(vector), joints, step_s)
+        outcome: JointCommand | Hold | None = self._controller.compute(
+            Action.from_vector(vector), joints, step_s
+        )
         word = ""
         if isinstance(outcome, JointCommand):
             verdict = self._limiter.limit(outcome, joints, now_s)
             outcome = verdict.command
-            word = f"limit_{verdict.acted[-1]}" if outcome is None else "scaled" if verdict.acted else ""
+            word = (
+                f"limit_{verdict.acted[-1]}"
+                if outcome is None
+                else "scaled"
+                if verdict.acted
+                else ""
+            )
         if outcome is None:
             return None, word
         self._action_s = now_s
@@ -88,4 +100,6 @@ class DeployedArm:
         self._holding = True
         index = [joints.names.index(name) for name in self._names]
         self._limiter.rest(joints, now_s)
-        return JointCommand(names=self._names, position=joints.position[index], duration_s=HOLD_DURATION_S)
+        return JointCommand(
+            names=self._names, position=joints.position[index], duration_s=HOLD_DURATION_S
+        )

@@ -17,21 +17,31 @@ def breakdown(summary: Summary, by: str) -> str:
 
     Args:
         summary: of one ledger or several.
-        by: the fact's name; of a number with its bounds, "turned_rad=0.2,0.4" for below 0.2, 0.2 to 0.4, from 0.4 on.
+        by: the fact's name; of a number with its bounds, "turned_rad=0.2,0.4" for below 0.2, 0.2 to
+            0.4, from 0.4 on.
 
     Raises:
-        ConfigurationError: no episode tells that fact, bounds are no rising numbers, or a text is to have bounds.
+        ConfigurationError: no episode tells that fact, bounds are no rising numbers, or a text is
+            to have bounds.
     """
     name, _, told = by.partition("=")
     bounds = _bounds(told) if told else ()
     known = sorted({fact for record in summary.records for fact in record.outcome.facts})
     if name not in known:
-        raise ConfigurationError(f"No episode tells {name!r}; the facts are {', '.join(known) or 'none'}.")
+        raise ConfigurationError(
+            f"No episode tells {name!r}; the facts are {', '.join(known) or 'none'}."
+        )
     groups: dict[tuple[float, str], list[Record]] = {}
     for record in summary.records:
         groups.setdefault(_group(record.outcome.facts.get(name), name, bounds), []).append(record)
     rows = [
-        (text, *(counted(success_of([r for r in found if r.key.variant == row.variant])) for row in summary.rows))
+        (
+            text,
+            *(
+                counted(success_of([r for r in found if r.key.variant == row.variant]))
+                for row in summary.rows
+            ),
+        )
         for (_, text), found in sorted(groups.items())
     ]
     return grid((name, *(row.name for row in summary.rows)), rows)

@@ -1,8 +1,9 @@
 """Between vla-eval's conventions for LIBERO and the contract.
 
-Source: vla-eval 0.8.0, benchmarks/libero and model_servers/{openvla,oft}.py. Images come rotated as the training data
-have them, the state is position [m], rotation vector [rad] and both fingers [m]; actions are in units of robosuite's
-OSC_POSE, the gripper -1 open, 1 closed.
+Source: vla-eval 0.8.0, benchmarks/libero and model_servers/{openvla,oft}.py. Images come rotated as
+    the training data
+have them, the state is position [m], rotation vector [rad] and both fingers [m]; actions are in
+units of robosuite's OSC_POSE, the gripper -1 open, 1 closed.
 """
 
 from __future__ import annotations
@@ -24,11 +25,14 @@ STATE_WIDTH = 8
 STAMP_NS = 1
 
 
-def to_observation(payload: Mapping[str, Any], roles: Sequence[str], *, needs_state: bool) -> Observation:
+def to_observation(
+    payload: Mapping[str, Any], roles: Sequence[str], *, needs_state: bool
+) -> Observation:
     """What a benchmark sends -> what a backend reads.
 
     Args:
-        payload: `images` by name, the first one of the scene, the second at the wrist; `task_description`; `states`.
+        payload: `images` by name, the first one of the scene, the second at the wrist;
+            `task_description`; `states`.
         roles: the backend's cameras, in that order.
         needs_state: the backend reads the state.
 
@@ -38,11 +42,15 @@ def to_observation(payload: Mapping[str, Any], roles: Sequence[str], *, needs_st
     images, instruction = payload.get("images"), payload.get("task_description")
     if not isinstance(images, dict) or len(images) < len(roles):
         has = list(images) if isinstance(images, dict) else images
-        raise InvalidInputError(f"The observation has the images {has}, expected {len(roles)}: {', '.join(roles)}.")
+        raise InvalidInputError(
+            f"The observation has the images {has}, expected {len(roles)}: {', '.join(roles)}."
+        )
     if not isinstance(instruction, str) or not instruction.strip():
         raise InvalidInputError("The observation has no task_description.")
     frames = {
-        role: Frame(camera=str(name), image=np.asarray(image), stamp_ns=STAMP_NS, frame_id=f"{name}_optical")
+        role: Frame(
+            camera=str(name), image=np.asarray(image), stamp_ns=STAMP_NS, frame_id=f"{name}_optical"
+        )
         for role, (name, image) in zip(roles, images.items(), strict=False)
     }
     state = _state(payload) if needs_state else {}
@@ -52,17 +60,23 @@ def to_observation(payload: Mapping[str, Any], roles: Sequence[str], *, needs_st
 def _state(payload: Mapping[str, Any]) -> dict[str, Any]:
     values = np.asarray(payload.get("states", payload.get("state", ())), dtype=np.float64)
     if values.shape != (STATE_WIDTH,) or not np.isfinite(values).all():
-        raise InvalidInputError(f"The observation's state has the shape {values.shape}, expected 8 finite numbers.")
+        raise InvalidInputError(
+            f"The observation's state has the shape {values.shape}, expected 8 finite numbers."
+        )
     fingers = values[6:]
     return {
         "joints": JointSample(names=FINGERS, position=fingers, stamp_ns=STAMP_NS),
-        "ee_pose": Pose(position_m=values[:3], quaternion_xyzw=_quaternion(values[3:6]), stamp_ns=STAMP_NS),
+        "ee_pose": Pose(
+            position_m=values[:3], quaternion_xyzw=_quaternion(values[3:6]), stamp_ns=STAMP_NS
+        ),
         "gripper_open": float(np.clip(fingers[0] / FINGER_TRAVEL_M, 0.0, 1.0)),
     }
 
 
 def _quaternion(rotvec_rad: F64) -> F64:
-    """Rotation vector (3,) -> quaternion x, y, z, w whose sign says which of the two vectors it was."""
+    """Rotation vector (3,) -> quaternion x, y, z, w whose sign says which of the two vectors it
+    was.
+    """
     angle = float(np.linalg.norm(rotvec_rad))
     if angle == 0.0:
         return np.array([0.0, 0.0, 0.0, 1.0])
@@ -78,7 +92,9 @@ def to_action(vector: F64) -> NDArray[np.float32]:
 def specs(roles: Sequence[str], *, needs_state: bool) -> dict[str, Any]:
     """What HELLO tells of actions and observations, and asks of the benchmark."""
 
-    def one(name: str, dims: int, form: str, limits: tuple[float, float] | None = None) -> dict[str, Any]:
+    def one(
+        name: str, dims: int, form: str, limits: tuple[float, float] | None = None
+    ) -> dict[str, Any]:
         told: dict[str, Any] = {"name": name, "dims": dims, "format": form}
         return told if limits is None else {**told, "range": list(limits)}
 

@@ -26,26 +26,36 @@ def _names(text: str) -> tuple[str, ...]:
 
 
 class Eval:
-    """Measure how often a policy succeeds: many simulated episodes, a ledger that survives crashes, a report."""
+    """Measure how often a policy succeeds: many simulated episodes, a ledger that survives
+    crashes, a report.
+    """
 
     def configure(self, parser: ArgumentParser) -> None:
         """Add the arguments of `roboneuron eval`."""
         actions = parser.add_subparsers(
             dest="action", required=True, metavar="ACTION", help="what to do (each: --help)"
         )
-        run = actions.add_parser("run", help="run episodes, or what a run that was ended has left to do")
+        run = actions.add_parser(
+            "run", help="run episodes, or what a run that was ended has left to do"
+        )
         self._configure_run(run)
         resume = actions.add_parser("resume", help="go on with a run, as it was begun")
         resume.add_argument("directory", type=Path, help="its folder")
         self._configure_workers(resume)
         report = actions.add_parser("report", help="write the report of one or several runs")
-        report.add_argument("directories", type=Path, nargs="+", metavar="DIRECTORY", help="folders of runs")
+        report.add_argument(
+            "directories", type=Path, nargs="+", metavar="DIRECTORY", help="folders of runs"
+        )
         report.add_argument("--out", type=Path, help="where it goes; default: the first folder")
         report.add_argument(
-            "--paper-table", action="store_true", help="print success by suite and speed-up only, write nothing"
+            "--paper-table",
+            action="store_true",
+            help="print success by suite and speed-up only, write nothing",
         )
         report.add_argument(
-            "--by", metavar="FACT[=BOUND,...]", help="print success by a fact of the suite's judge only, write nothing"
+            "--by",
+            metavar="FACT[=BOUND,...]",
+            help="print success by a fact of the suite's judge only, write nothing",
         )
         actions.add_parser("suites", help="list the installed suites")
         served = actions.add_parser("serve", help="be a model server of vla-eval 0.8")
@@ -53,10 +63,18 @@ class Eval:
 
     def _configure_serve(self, parser: ArgumentParser) -> None:
         add = parser.add_argument
-        add("--suite", default="libero-spatial", help="whose robot and options hold (default: libero-spatial)")
+        add(
+            "--suite",
+            default="libero-spatial",
+            help="whose robot and options hold (default: libero-spatial)",
+        )
         self._configure_policy(parser)
         add("--preset", default="none", help="acceleration preset (default: none)")
-        add("--host", default="127.0.0.1", help="address to listen on; there is no authentication (default: 127.0.0.1)")
+        add(
+            "--host",
+            default="127.0.0.1",
+            help="address to listen on; there is no authentication (default: 127.0.0.1)",
+        )
         add("--port", type=int, default=8000, help="port, 0 for any free one (default: 8000)")
 
     def _configure_policy(self, parser: ArgumentParser) -> None:
@@ -65,41 +83,95 @@ class Eval:
         add("--checkpoint", help="folder of the model's files")
         add("--runtime", help="runtime; default: the backend's own")
         add_option(parser, "the backend")
-        add("--config", type=Path, help="a roboneuron.toml: limits, control and options of plugins hold")
-        add("--threads", type=int, default=1, help="threads of each worker's numerical libraries (default: 1)")
+        add(
+            "--config",
+            type=Path,
+            help="a roboneuron.toml: limits, control and options of plugins hold",
+        )
+        add(
+            "--threads",
+            type=int,
+            default=1,
+            help="threads of each worker's numerical libraries (default: 1)",
+        )
 
     def _configure_run(self, parser: ArgumentParser) -> None:
         add = parser.add_argument
         add("--suite", default="cubes", help="an installed suite (default: cubes)")
-        add("--suite-option", action="append", default=[], metavar="NAME=VALUE", help="an option of the suite")
+        add(
+            "--suite-option",
+            action="append",
+            default=[],
+            metavar="NAME=VALUE",
+            help="an option of the suite",
+        )
         self._configure_policy(parser)
-        add("--presets", type=_names, default=("none",), metavar="A,B", help='acceleration presets; "none" for none')
         add(
-            "--execution", type=_names, default=("sequential",), metavar="A,B",
+            "--presets",
+            type=_names,
+            default=("none",),
+            metavar="A,B",
+            help='acceleration presets; "none" for none',
+        )
+        add(
+            "--execution",
+            type=_names,
+            default=("sequential",),
+            metavar="A,B",
             help=f"how chunks are played: {', '.join(EXECUTIONS)}",
-        )  # fmt: skip
+        )
         add(
-            "--latency", action="append", default=None, metavar="L",
-            help="what a prediction takes on the episode's clock: 0 (default), 112ms, 0.112s, lognormal:112ms,0.2, "
+            "--latency",
+            action="append",
+            default=None,
+            metavar="L",
+            help="what a prediction takes on the episode's clock: 0 (default), 112ms, 0.112s, "
+            "lognormal:112ms,0.2, "
             "normal:112ms,10ms, file:PATH or measured; may be given several times",
-        )  # fmt: skip
+        )
         add("--episodes", type=int, default=50, help="of each variant (default: 50)")
         add("--seed", type=int, default=0, help="of the first episode (default: 0)")
-        add("--strips", choices=("failures", "all", "none"), default="failures", help="film strips to keep")
-        add("--out", type=Path, default=Path("out/eval"), help="folder of the run (default: out/eval)")
+        add(
+            "--strips",
+            choices=("failures", "all", "none"),
+            default="failures",
+            help="film strips to keep",
+        )
+        add(
+            "--out",
+            type=Path,
+            default=Path("out/eval"),
+            help="folder of the run (default: out/eval)",
+        )
         self._configure_workers(parser)
 
     def _configure_workers(self, parser: ArgumentParser) -> None:
         add = parser.add_argument
-        add("--workers", type=int, default=1, help="episodes at a time; more than one needs Ray (default: 1)")
+        add(
+            "--workers",
+            type=int,
+            default=1,
+            help="episodes at a time; more than one needs Ray (default: 1)",
+        )
         add("--ray-address", help="a Ray cluster instead of this machine")
-        add("--policy-actors", type=int, default=0, help="share the policy of so many processes, in batches (Ray)")
-        add("--policy-gpus", type=float, default=0.0, help="GPUs of each process that holds a policy (Ray)")
+        add(
+            "--policy-actors",
+            type=int,
+            default=0,
+            help="share the policy of so many processes, in batches (Ray)",
+        )
+        add(
+            "--policy-gpus",
+            type=float,
+            default=0.0,
+            help="GPUs of each process that holds a policy (Ray)",
+        )
         add("--retry-errors", action="store_true", help="run episodes that crashed once more")
         add(
-            "--other-versions", action="store_true",
+            "--other-versions",
+            action="store_true",
             help="go on although packages have other versions than when the run was begun",
-        )  # fmt: skip
+        )
 
     def run(self, arguments: Namespace) -> int:
         """Run `roboneuron eval`; status 1 when an episode crashed."""
@@ -195,7 +267,8 @@ def _serve(arguments: Namespace) -> int:
         from rn_eval.model_server import ModelServer, run_server
     except ModuleNotFoundError as error:
         raise MissingDependencyError(
-            f"Serving needs {error.name}, which is not installed.", hint="Run: pip install './plugins/rn-eval[serve]'"
+            f"Serving needs {error.name}, which is not installed.",
+            hint="Run: pip install './plugins/rn-eval[serve]'",
         ) from error
     from rn_eval.plan import EvalPlan
     from rn_eval.policy import load_backend
@@ -204,9 +277,15 @@ def _serve(arguments: Namespace) -> int:
     from roboneuron.feature import discover
 
     plan = EvalPlan(
-        suite=arguments.suite, backend=arguments.backend, checkpoint=arguments.checkpoint, runtime=arguments.runtime,
-        config=_config(arguments), presets=(arguments.preset,), episodes=1, threads=arguments.threads,
-    )  # fmt: skip
+        suite=arguments.suite,
+        backend=arguments.backend,
+        checkpoint=arguments.checkpoint,
+        runtime=arguments.runtime,
+        config=_config(arguments),
+        presets=(arguments.preset,),
+        episodes=1,
+        threads=arguments.threads,
+    )
     refuse_early(plan)
     registry = discover()
     spec = registry.get(BackendSpec, plan.backend)
@@ -231,13 +310,17 @@ def _config(arguments: Namespace) -> dict[str, Any]:
 
     config = load_config(arguments.config).model_dump(mode="json")
     options: dict[str, Any] = config["plugins"]
-    asked = read_options(_options_of_suite(arguments.suite), arguments.backend).get(arguments.backend, {})
+    asked = read_options(_options_of_suite(arguments.suite), arguments.backend).get(
+        arguments.backend, {}
+    )
     if asked:
         options[arguments.backend] = {**asked, **options.get(arguments.backend, {})}
     for plugin, given in read_options(arguments.option, arguments.backend).items():
         options[plugin] = {**options.get(plugin, {}), **given}
     if config.get("control") is None:
-        raise ConfigurationError(f"{arguments.config} has no section [control], which the deployed path needs.")
+        raise ConfigurationError(
+            f"{arguments.config} has no section [control], which the deployed path needs."
+        )
     return config
 
 

@@ -1,6 +1,8 @@
-"""The contract of suites of tasks, and the case of the suite "cubes"; loaded by the contract kit and by tests only.
+"""The contract of suites of tasks, and the case of the suite "cubes"; loaded by the contract kit
+and by tests only.
 
-A third party tries a suite of its own with `contract_of(SuiteSpec)` and a `SuiteCase`, as this package's tests do.
+A third party tries a suite of its own with `contract_of(SuiteSpec)` and a `SuiteCase`, as this
+package's tests do.
 """
 
 from __future__ import annotations
@@ -45,7 +47,8 @@ class SuiteCase(Case[SuiteSpec]):
     """A suite to try.
 
     Attributes:
-        setup: makes what scenes are opened with; the installed robot with its controller, or the body, when None.
+        setup: makes what scenes are opened with; the installed robot with its controller, or the
+            body, when None.
         idle_ticks: how long doing nothing must not be a success.
     """
 
@@ -63,15 +66,21 @@ class SuiteCase(Case[SuiteSpec]):
         if self.setup is not None:
             return self.setup()
         registry, config = with_body(discover(), self.spec), load_config(None)
-        profile = load_profile(registry, self.spec.robot if self.spec.body is None else self.spec.body.name)
+        profile = load_profile(
+            registry, self.spec.robot if self.spec.body is None else self.spec.body.name
+        )
         controller: Controller | None = None
         if self.spec.body is None:
             assert config.control is not None
             name = config.control.controller
-            controller = cast("Controller", build(registry.get("controller", name), config.options(name), profile))
+            controller = cast(
+                "Controller", build(registry.get("controller", name), config.options(name), profile)
+            )
             controller.load()
         cameras = {camera.role: camera for camera in profile.cameras}
-        return Setup(profile=profile, cameras=cameras, controller=controller, config=config, needs_state=True)
+        return Setup(
+            profile=profile, cameras=cameras, controller=controller, config=config, needs_state=True
+        )
 
 
 @contextmanager
@@ -102,7 +111,9 @@ def _first_scene(case: SuiteCase) -> Iterator[tuple[Scene, Episode]]:
 
 def _check_methods(case: SuiteCase) -> None:
     made = attempt(case, case.build)
-    missing = [name for name in ("episodes", "open", "close") if not callable(getattr(made, name, None))]
+    missing = [
+        name for name in ("episodes", "open", "close") if not callable(getattr(made, name, None))
+    ]
     require(not missing, f"{type(made).__name__} lacks {', '.join(missing)}")
     made.close()
     made.close()
@@ -132,10 +143,16 @@ def _check_episodes(case: SuiteCase) -> None:
     require(len(set(_keys(episodes))) == 6, "two episodes have the same task and seed")
     for episode in episodes:
         who = f"the episode of seed {episode.seed}"
-        require(bool(episode.task.strip()) and episode.task.isprintable(), f"{who} has the task {episode.task!r}")
+        require(
+            bool(episode.task.strip()) and episode.task.isprintable(),
+            f"{who} has the task {episode.task!r}",
+        )
         text = episode.instruction
         good = bool(text.strip()) and text.isprintable() and len(text) <= LONGEST
-        require(good, f"{who} has the instruction {text[:60]!r}, expected one line that a policy can be told")
+        require(
+            good,
+            f"{who} has the instruction {text[:60]!r}, expected one line that a policy can be told",
+        )
         limit_s = episode.time_limit_s
         require(math.isfinite(limit_s) and limit_s > 0, f"{who} has a time limit of {limit_s} s")
 
@@ -155,9 +172,14 @@ def _check_clock(case: SuiteCase) -> None:
         tick_s, camera, judge = scene.tick_s, scene.camera_ticks, scene.judge_ticks
     require(math.isfinite(tick_s) and 0 < tick_s <= 1.0, f"tick_s is {tick_s}, expected seconds")
     whole = isinstance(camera, int) and isinstance(judge, int) and camera >= 1 and judge >= 1
-    require(whole, f"camera_ticks is {camera}, judge_ticks {judge}; expected whole numbers from 1 on")
+    require(
+        whole, f"camera_ticks is {camera}, judge_ticks {judge}; expected whole numbers from 1 on"
+    )
     ticks = episode.time_limit_s / tick_s
-    require(ticks >= max(camera, judge), f"an episode of {ticks:g} ticks ends before its first picture or judgement")
+    require(
+        ticks >= max(camera, judge),
+        f"an episode of {ticks:g} ticks ends before its first picture or judgement",
+    )
 
 
 def _check_observation(case: SuiteCase) -> None:
@@ -168,23 +190,34 @@ def _check_observation(case: SuiteCase) -> None:
         scene.act(MOVE, 0.0)
         scene.advance(TICKS)
         later = scene.observe(STAMP_NS + 1)
-    require(isinstance(first, Observation), f"observe returned {type(first).__name__}, expected an Observation")
+    require(
+        isinstance(first, Observation),
+        f"observe returned {type(first).__name__}, expected an Observation",
+    )
     require(first.instruction == episode.instruction, f"the instruction is {first.instruction!r}")
     missing = sorted(setup.cameras.keys() - first.frames.keys())
     require(not missing, f"observe lacks the frames {', '.join(missing)}")
     for role, frame in first.frames.items():
-        require(frame.stamp_ns == STAMP_NS, f"the frame {role!r} is stamped {frame.stamp_ns}, asked for {STAMP_NS}")
+        require(
+            frame.stamp_ns == STAMP_NS,
+            f"the frame {role!r} is stamped {frame.stamp_ns}, asked for {STAMP_NS}",
+        )
         require(bool(frame.frame_id), f"the frame {role!r} has no frame_id")
     if setup.needs_state:
         require(
-            first.ee_pose is not None and first.gripper_open is not None, "observe lacks the state, which is needed"
+            first.ee_pose is not None and first.gripper_open is not None,
+            "observe lacks the state, which is needed",
         )
     require(snapshot(first) == kept, "an observation changes when the scene goes on")
-    shared = any(np.shares_memory(first.frames[r].image, later.frames[r].image) for r in first.frames)
+    shared = any(
+        np.shares_memory(first.frames[r].image, later.frames[r].image) for r in first.frames
+    )
     require(not shared, "two observations share the memory of their pictures")
 
 
-def _play(case: SuiteCase, suite: Suite, episode: Episode, move: F64 | None = MOVE) -> tuple[object, object, bytes]:
+def _play(
+    case: SuiteCase, suite: Suite, episode: Episode, move: F64 | None = MOVE
+) -> tuple[object, object, bytes]:
     """What is seen at first, what in the end, and the state then."""
     with _scene(case, suite, episode) as scene:
         first = snapshot(scene.observe(STAMP_NS))
@@ -240,7 +273,10 @@ def _check_start(case: SuiteCase) -> None:
         at_once = scene.judge()
         scene.advance(case.idle_ticks)
         later = scene.judge()
-    require(not (at_once.success or at_once.is_over), f"an episode is decided before anything was done: {at_once}")
+    require(
+        not (at_once.success or at_once.is_over),
+        f"an episode is decided before anything was done: {at_once}",
+    )
     require(not later.success, f"doing nothing for {case.idle_ticks} ticks is a success")
 
 
@@ -252,7 +288,9 @@ def _check_judge(case: SuiteCase) -> None:
         scene.state()
         after = bytes(scene.state())
     first = judged[0]
-    require(isinstance(first, Judgement), f"judge returned {type(first).__name__}, expected a Judgement")
+    require(
+        isinstance(first, Judgement), f"judge returned {type(first).__name__}, expected a Judgement"
+    )
     require(first == judged[1], "judge says something else when it is asked again")
     require(before == after, "judge, observe or state changes the scene")
     reason = first.reason
@@ -287,57 +325,93 @@ def _check_process(case: SuiteCase) -> None:
 _OWN: tuple[Rule[SuiteCase], ...] = tuple(
     Rule(id=f"suite/{name}", text=text, source=f"rn_eval.suite.{source}", check=check)
     for name, source, text, check in (
-        ("protocol", "Suite", "It has the methods of Suite; `close` may be called twice and at once.", _check_methods),
+        (
+            "protocol",
+            "Suite",
+            "It has the methods of Suite; `close` may be called twice and at once.",
+            _check_methods,
+        ),
         ("constructor-pure", "Suite", PURE, check_pure_constructor),
         ("options-read", "Suite", OPTIONS_READ, _check_options),
         ("process-left-alone", "Suite", ALONE, _check_process),
         (
             "close-releases",
             "Suite.close",
-            "Scenes and suite may be closed twice, and leave no thread, process or open file behind.",
+            "Scenes and suite may be closed twice, and leave no thread, process or open file "
+            "behind.",
             lambda case: check_releases(lambda: _run_through(case), "close()"),
         ),
         (
             "episodes-usable",
             "Episode",
-            "As many episodes come as are asked for, all different, each with a task, an instruction and a time limit.",
+            "As many episodes come as are asked for, all different, each with a task, an "
+            "instruction and a time limit.",
             _check_episodes,
         ),
         (
             "episodes-stable",
             "Suite.episodes",
-            "The same call gives the same episodes, more of them contain these, another first seed gives others.",
+            "The same call gives the same episodes, more of them contain these, another first "
+            "seed gives others.",
             _check_stable,
         ),
-        ("scene-clock", "Scene", "Ticks are seconds; pictures and judgements come after whole ticks.", _check_clock),
+        (
+            "scene-clock",
+            "Scene",
+            "Ticks are seconds; pictures and judgements come after whole ticks.",
+            _check_clock,
+        ),
         (
             "scene-observed",
             "Scene.observe",
-            "An observation has the stamp asked for, the instruction, every camera and the state; nothing changes it.",
+            "An observation has the stamp asked for, the instruction, every camera and the state; "
+            "nothing changes it.",
             _check_observation,
         ),
         (
             "scene-repeats",
             "Scene",
-            "The same episode and actions give the same scene bit for bit, whatever was played before.",
+            "The same episode and actions give the same scene bit for bit, whatever was played "
+            "before.",
             _check_repeats,
         ),
         ("seeds-differ", "Episode", "Episodes of other seeds differ.", _check_seeds),
-        ("actions-act", "Scene.act", "An action has an effect, and `act` returns a word.", _check_actions),
-        ("ticks-add-up", "Scene.advance", "Time passes alike in one step or in several.", _check_ticks),
-        ("nothing-done-is-no-success", "Scene.judge", "Nothing is decided at the start; idleness fails.", _check_start),
+        (
+            "actions-act",
+            "Scene.act",
+            "An action has an effect, and `act` returns a word.",
+            _check_actions,
+        ),
+        (
+            "ticks-add-up",
+            "Scene.advance",
+            "Time passes alike in one step or in several.",
+            _check_ticks,
+        ),
+        (
+            "nothing-done-is-no-success",
+            "Scene.judge",
+            "Nothing is decided at the start; idleness fails.",
+            _check_start,
+        ),
         (
             "judge-harmless",
             "Judgement",
-            "A judgement changes nothing, can be repeated, and a failure has a reason of one sentence.",
+            "A judgement changes nothing, can be repeated, and a failure has a reason of one "
+            "sentence.",
             _check_judge,
         ),
     )
 )
 
 
-RULES: tuple[Rule[SuiteCase], ...] = (*cast("tuple[Rule[SuiteCase], ...]", OF_EVERY_DESCRIPTOR), *_OWN)
-"""Rules of a suite: those of every descriptor (no agent sets its options, so that none is marked), and its own."""
+RULES: tuple[Rule[SuiteCase], ...] = (
+    *cast("tuple[Rule[SuiteCase], ...]", OF_EVERY_DESCRIPTOR),
+    *_OWN,
+)
+"""Rules of a suite: those of every descriptor (no agent sets its options, so that none is
+marked), and its own.
+"""
 KIND = Kind(case=SuiteCase, rules=RULES)
 """What the kit needs to try suites."""
 

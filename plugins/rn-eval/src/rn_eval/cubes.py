@@ -1,4 +1,6 @@
-"""The suite "cubes": the simulated FR3 is told to pick up one of several cubes, which the simulator judges."""
+"""The suite "cubes": the simulated FR3 is told to pick up one of several cubes, which the
+simulator judges.
+"""
 
 from __future__ import annotations
 
@@ -39,22 +41,39 @@ class CubesOptions(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    objects: int = Field(default=4, ge=1, le=6, description="cubes on the table; all but the named one distract")
-    colours: tuple[str, ...] = Field(default=DEFAULT_COLOURS, description="colours that the cubes are drawn from")
-    wordings: Literal["plain", "varied"] = Field(default="plain", description="one sentence, or one of eight")
+    objects: int = Field(
+        default=4, ge=1, le=6, description="cubes on the table; all but the named one distract"
+    )
+    colours: tuple[str, ...] = Field(
+        default=DEFAULT_COLOURS, description="colours that the cubes are drawn from"
+    )
+    wordings: Literal["plain", "varied"] = Field(
+        default="plain", description="one sentence, or one of eight"
+    )
     image_px: int = Field(default=224, ge=64, le=1024, description="width and height of the images")
     camera_hz: float = Field(default=30.0, gt=0, le=120, description="images per simulated second")
-    engine: Literal["auto", "pybullet", "mujoco"] = Field(default="auto", description="physics engine")
-    time_limit_s: float = Field(default=30.0, gt=0, le=600, description="an episode fails after this long")
-    held_s: float = Field(default=1.0, gt=0, le=10, description="how long the cube must be held 10 cm up")
+    engine: Literal["auto", "pybullet", "mujoco"] = Field(
+        default="auto", description="physics engine"
+    )
+    time_limit_s: float = Field(
+        default=30.0, gt=0, le=600, description="an episode fails after this long"
+    )
+    held_s: float = Field(
+        default=1.0, gt=0, le=10, description="how long the cube must be held 10 cm up"
+    )
 
     @model_validator(mode="after")
     def _check(self) -> CubesOptions:
         unknown = [colour for colour in self.colours if colour not in RGBA_BY_COLOUR]
         if unknown or len(set(self.colours)) != len(self.colours):
-            raise ValueError(f"colours are {list(self.colours)}, expected different ones of {list(RGBA_BY_COLOUR)}")
+            raise ValueError(
+                f"colours are {list(self.colours)}, expected different ones of "
+                f"{list(RGBA_BY_COLOUR)}"
+            )
         if self.objects > len(self.colours):
-            raise ValueError(f"{self.objects} objects need as many colours, {len(self.colours)} are given")
+            raise ValueError(
+                f"{self.objects} objects need as many colours, {len(self.colours)} are given"
+            )
         return self
 
 
@@ -71,7 +90,9 @@ class Cubes:
     def open(self, episode: Episode, setup: Setup) -> CubesScene:
         """Build the world and put the cubes where the seed says."""
         target = self._target(episode.seed)
-        return CubesScene(episode, target, self._on_table(episode.seed, target), self._options, setup)
+        return CubesScene(
+            episode, target, self._on_table(episode.seed, target), self._options, setup
+        )
 
     def close(self) -> None:
         """Nothing is kept."""
@@ -80,10 +101,16 @@ class Cubes:
         return self._options.colours[seed % len(self._options.colours)]
 
     def _on_table(self, seed: int, target: str) -> tuple[str, ...]:
-        """Colours on the table, in the order of the option; with all of them the scene is that of `roboneuron demo`."""
+        """Colours on the table, in the order of the option; with all of them the scene is that
+        of `roboneuron demo`.
+        """
         others = [colour for colour in self._options.colours if colour != target]
-        drawn = np.random.default_rng([_DRAW, seed]).permutation(others)[: self._options.objects - 1]
-        return tuple(colour for colour in self._options.colours if colour == target or colour in drawn)
+        drawn = np.random.default_rng([_DRAW, seed]).permutation(others)[
+            : self._options.objects - 1
+        ]
+        return tuple(
+            colour for colour in self._options.colours if colour == target or colour in drawn
+        )
 
     def _episode(self, seed: int) -> Episode:
         target = self._target(seed)
@@ -105,13 +132,20 @@ class CubesScene:
     judge_ticks = max(1, round(0.1 / STEP_S))
 
     def __init__(
-        self, episode: Episode, target: str, colours: Sequence[str], options: CubesOptions, setup: Setup
+        self,
+        episode: Episode,
+        target: str,
+        colours: Sequence[str],
+        options: CubesOptions,
+        setup: Setup,
     ) -> None:
         """Build the world. Raises ConfigurationError when the engine is not installed."""
         self.camera_ticks = max(1, round(1.0 / (options.camera_hz * STEP_S)))
         self._episode, self._target, self._options, self._setup = episode, target, options, setup
         size = options.image_px
-        self._calibrations = {role: camera.calibration_at(size, size) for role, camera in setup.cameras.items()}
+        self._calibrations = {
+            role: camera.calibration_at(size, size) for role, camera in setup.cameras.items()
+        }
         assert setup.controller is not None  # the FR3 is an installed robot
         self._controller = setup.controller
         self._arm = DeployedArm(setup, setup.controller)
@@ -139,9 +173,16 @@ class CubesScene:
             state = {
                 "joints": joints,
                 "ee_pose": self._controller.forward(joints),
-                "gripper_open": None if gripper is None or finger is None else gripper.to_opening(float(finger)),
+                "gripper_open": None
+                if gripper is None or finger is None
+                else gripper.to_opening(float(finger)),
             }
-        return Observation(frames=frames, instruction=self._episode.instruction, stamp_ns=stamp_ns, **state)  # type: ignore[arg-type]
+        return Observation(
+            frames=frames,
+            instruction=self._episode.instruction,
+            stamp_ns=stamp_ns,
+            **state,  # type: ignore[arg-type]
+        )
 
     def act(self, vector: F64, now_s: float) -> str:
         """Through controller and limits to the simulated driver."""
@@ -163,7 +204,9 @@ class CubesScene:
     def judge(self) -> Judgement:
         """Success: the named cube was held long enough. Failure: another one was."""
         cubes = self._simulation.cubes()
-        held = next((name for name, cube in cubes.items() if cube.held_s >= self._options.held_s), None)
+        held = next(
+            (name for name, cube in cubes.items() if cube.held_s >= self._options.held_s), None
+        )
         highest = max(cubes.values(), key=lambda cube: cube.lifted_m)
         facts: dict[str, str | float] = {
             "target": self._target,
@@ -175,7 +218,9 @@ class CubesScene:
             facts["right_object"] = float(highest.name == self._target)
         if held == self._target:
             return Judgement(success=True, is_over=True, facts=facts)
-        reason = f"The {self._target} cube was lifted by {facts['lifted_cm']:.1f} cm when time was up."
+        reason = (
+            f"The {self._target} cube was lifted by {facts['lifted_cm']:.1f} cm when time was up."
+        )
         if held is not None:
             reason = f"The {held} cube was lifted instead of the {self._target} one."
         return Judgement(success=False, is_over=held is not None, reason=reason, facts=facts)
@@ -191,7 +236,9 @@ class CubesScene:
         self._simulation.close()
 
     def _turn_to_target(self) -> float:
-        """Between the fingers and the nearest side of the named cube, 0 .. pi / 4 [rad]; both hang level at first."""
+        """Between the fingers and the nearest side of the named cube, 0 .. pi / 4 [rad]; both
+        hang level at first.
+        """
         hand = matrix_from_quaternion(self._controller.forward(self._joints(0)).quaternion_xyzw)
         cube = next(cube for cube in self._simulation.scene if cube.name == self._target)
         angle = cube.yaw_rad - math.atan2(hand[1, 0], hand[0, 0])

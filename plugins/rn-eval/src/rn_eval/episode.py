@@ -1,7 +1,9 @@
-"""One episode by a clock of its own: simulated time passes in ticks, and a prediction takes as long as it is said to.
+"""One episode by a clock of its own: simulated time passes in ticks, and a prediction takes as long
+as it is said to.
 
-Chunks are executed by the rules of the inference module (`rn_standard.execution`); actions pass the controller
-and the limits of the control module. Nothing here looks at the wall clock but the measurement of predictions.
+Chunks are executed by the rules of the inference module (`rn_standard.execution`); actions pass the
+controller and the limits of the control module. Nothing here looks at the wall clock but the
+measurement of predictions.
 """
 
 from __future__ import annotations
@@ -93,7 +95,11 @@ class EpisodeClock:
         judgement = scene.judge()
         while not judgement.is_over and self._tick < last and not self._has_given_up():
             self._take_answer()
-            if self._answer is None and self._tick % scene.camera_ticks == 0 and self._captured < self._tick:
+            if (
+                self._answer is None
+                and self._tick % scene.camera_ticks == 0
+                and self._captured < self._tick
+            ):
                 self._predict()
             self._play()
             target = min(self._next(watch_ticks), last)
@@ -104,7 +110,9 @@ class EpisodeClock:
             if self._tick % scene.judge_ticks == 0 or self._tick == last:
                 judgement = scene.judge()
         self._digest.update(scene.state())
-        return Played(outcome=self._outcome(judgement), inference_ms=self._inference_ms, film=self._film)
+        return Played(
+            outcome=self._outcome(judgement), inference_ms=self._inference_ms, film=self._film
+        )
 
     @property
     def _now_s(self) -> float:
@@ -115,7 +123,9 @@ class EpisodeClock:
 
     def _next(self, watch_ticks: int) -> int:
         """The next tick at which anything may happen."""
-        events = [(self._tick // period + 1) * period for period in (watch_ticks, self.scene.judge_ticks)]
+        events = [
+            (self._tick // period + 1) * period for period in (watch_ticks, self.scene.judge_ticks)
+        ]
         if self._answer is None:
             events.append((self._tick // self.scene.camera_ticks + 1) * self.scene.camera_ticks)
         else:
@@ -160,7 +170,9 @@ class EpisodeClock:
         self._answer = None
         if answer.chunk is None:
             return
-        self._answers[self.executor.answer(answer.prediction, answer.chunk, self._ns(self._tick))] += 1
+        self._answers[
+            self.executor.answer(answer.prediction, answer.chunk, self._ns(self._tick))
+        ] += 1
         self._modes[answer.prediction.mode] += 1
         for name, value in answer.chunk.metrics.items():
             total, count = self._sums.get(name, (0.0, 0))
@@ -202,7 +214,9 @@ class EpisodeClock:
             answers=dict(sorted(self._answers.items())),
             starved_periods=self.executor.status().delivery.starved_periods,
             modes=dict(sorted(self._modes.items())),
-            metrics={name: round(total / count, 6) for name, (total, count) in sorted(self._sums.items())},
+            metrics={
+                name: round(total / count, 6) for name, (total, count) in sorted(self._sums.items())
+            },
             facts=dict(judgement.facts),
             digest=self._digest.hexdigest(),
         )

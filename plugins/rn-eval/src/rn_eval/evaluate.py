@@ -41,7 +41,8 @@ def evaluate(
         other_versions: go on although packages have other versions than when the run was begun.
 
     Raises:
-        RoboNeuronError: the plan does not fit, the ledger is another's, or a policy cannot be loaded.
+        RoboNeuronError: the plan does not fit, the ledger is another's, or a policy cannot be
+            loaded.
     """
     refuse_early(plan)
     episodes = plan.build_suite(discover()).episodes(plan.episodes, plan.first_seed)
@@ -49,13 +50,22 @@ def evaluate(
     with Ledger(directory, other_versions=other_versions) as ledger:
         ledger.open(plan)
         if ledger.cut_bytes:
-            console.print(f"A line that was cut short ({ledger.cut_bytes} bytes) is removed; its episode is run again.")
+            console.print(
+                f"A line that was cut short ({ledger.cut_bytes} bytes) is removed; its episode is "
+                "run again."
+            )
         done = ledger.records
-        crashed = {key for key, record in done.items() if record.outcome.status == "error"} if retry_errors else set()
+        crashed = (
+            {key for key, record in done.items() if record.outcome.status == "error"}
+            if retry_errors
+            else set()
+        )
         missing = [job for job in jobs if job.key not in done or job.key in crashed]
         there = [done[job.key] for job in jobs if job.key in done and job.key not in crashed]
         if there and missing:
-            console.print(f"{len(there)} of {len(jobs)} episodes are in the ledger; {len(missing)} are left.")
+            console.print(
+                f"{len(there)} of {len(jobs)} episodes are in the ledger; {len(missing)} are left."
+            )
         try:
             if missing:
                 view = ProgressView(console, plan.variants, len(jobs), there)
@@ -65,14 +75,19 @@ def evaluate(
                         progress.add(finished.record)
         except (KeyboardInterrupt, SystemExit):
             kept = sum(job.key in ledger.records for job in jobs)
-            console.print(f"{kept} of {len(jobs)} episodes are in the ledger; the same command runs the others.")
+            console.print(
+                f"{kept} of {len(jobs)} episodes are in the ledger; the same command runs the "
+                "others."
+            )
             raise
         return [ledger.records[job.key] for job in jobs]
 
 
 @contextmanager
 def _exit_on_sigterm() -> Iterator[None]:
-    """Let SIGTERM end the run as Ctrl-C does; Ray, which is begun by then, would abort with a stack trace."""
+    """Let SIGTERM end the run as Ctrl-C does; Ray, which is begun by then, would abort with a
+    stack trace.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -85,5 +100,6 @@ def _exit_on_sigterm() -> Iterator[None]:
 
 
 def _exit(number: int, frame: object) -> NoReturn:
-    signal.signal(number, signal.SIG_IGN)  # make and timeout send it twice, and the second must not cut the end short
+    # make and timeout send it twice, and the second must not cut the end short
+    signal.signal(number, signal.SIG_IGN)
     sys.exit(128 + number)

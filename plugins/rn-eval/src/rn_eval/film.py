@@ -13,7 +13,9 @@ _SHOWN = 6
 _HEIGHT_PX, _CAPTION_PX, _MARGIN_PX = 160, 18, 3
 _FONT_PX, _GAP_PX = 12, 10
 _COLOURS = 256
-"""Chosen to cover what there is: by the number of pixels, a small yellow cube becomes as grey as the table."""
+"""Chosen to cover what there is: by the number of pixels, a small yellow cube becomes as grey
+as the table.
+"""
 
 
 class Film:
@@ -40,7 +42,9 @@ class Film:
         count = min(_SHOWN, len(frames))
         chosen = [frames[round(i * (len(frames) - 1) / max(1, count - 1))] for i in range(count)]
         images = [Image.fromarray(image) for _, _, image in chosen]
-        images = [i.resize((max(1, round(i.width * _HEIGHT_PX / i.height)), _HEIGHT_PX)) for i in images]
+        images = [
+            i.resize((max(1, round(i.width * _HEIGHT_PX / i.height)), _HEIGHT_PX)) for i in images
+        ]
         width = sum(i.width + _MARGIN_PX for i in images) - _MARGIN_PX
         sheet = Image.new("RGB", (width, _HEIGHT_PX + _CAPTION_PX), "white")
         draw, x = ImageDraw.Draw(sheet), 0

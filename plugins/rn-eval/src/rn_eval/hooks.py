@@ -14,12 +14,13 @@ class SuiteSpec(Spec):
     """A suite of tasks in a simulation that is stepped by hand.
 
     Attributes:
-        robot: name of the installed robot that acts; planning checks backend, cameras and controller against it.
+        robot: name of the installed robot that acts; planning checks backend, cameras and
+            controller against it.
         driver: the robot's driver whose requirements must be installed.
-        body: instead of `robot`, one that exists in this simulation alone. Its simulator takes TCP deltas itself, so no
-            controller is planned, and no limit but the simulator's own holds.
-        options: what the suite's protocol asks of backends, as `--option` takes it (PLUGIN.NAME=VALUE); those of the
-            chosen backend hold unless the user gives others.
+        body: instead of `robot`, one that exists in this simulation alone. Its simulator takes TCP
+            deltas itself, so no controller is planned, and no limit but the simulator's own holds.
+        options: what the suite's protocol asks of backends, as `--option` takes it
+            (PLUGIN.NAME=VALUE); those of the chosen backend hold unless the user gives others.
     """
 
     kind: ClassVar[str] = "suite"
@@ -32,14 +33,17 @@ class SuiteSpec(Spec):
 
     def __post_init__(self) -> None:
         if bool(self.robot) == (self.body is not None):
-            raise ValueError(f"suite {self.name!r} names either an installed robot or a body of its own")
+            raise ValueError(
+                f"suite {self.name!r} names either an installed robot or a body of its own"
+            )
 
 
 @hookspec
 def roboneuron_suites() -> Sequence[SuiteSpec]:  # type: ignore[empty-body]
     """Offer suites of tasks for `roboneuron eval`.
 
-    `target` follows the protocol `rn_eval.suite.Suite`; it is built as `target(config)` in each worker.
+    `target` follows the protocol `rn_eval.suite.Suite`; it is built as `target(config)` in each
+    worker.
     """
 
 

@@ -1,4 +1,6 @@
-"""How long a prediction takes on the episode's clock: nothing, what was measured, or drawn from a distribution."""
+"""How long a prediction takes on the episode's clock: nothing, what was measured, or drawn from
+a distribution.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,8 @@ Draw = Callable[[float], float]
 """From the measured duration of a prediction [s] to the one that counts [s]."""
 _TIME = r"(\d+(?:\.\d+)?)(ms|s)?"
 _FORMS = (
-    "0, 112ms, 0.112s, normal:112ms,10ms, lognormal:112ms,0.2 (median, deviation of the logarithm), file:PATH, measured"
+    "0, 112ms, 0.112s, normal:112ms,10ms, lognormal:112ms,0.2 (median, deviation of the "
+    "logarithm), file:PATH, measured"
 )
 
 
@@ -24,8 +27,8 @@ def parse_latency(text: str) -> Callable[[np.random.Generator], Draw]:
     """Return what makes an episode's draws from its random generator.
 
     Args:
-        text: one of the forms above; a number without a unit, as old ledgers have it, is in seconds. `file:PATH` holds
-            one latency [s] a line and is drawn from with replacement.
+        text: one of the forms above; a number without a unit, as old ledgers have it, is in
+            seconds. `file:PATH` holds one latency [s] a line and is drawn from with replacement.
 
     Raises:
         ConfigurationError: not one of these forms.
@@ -40,7 +43,9 @@ def parse_latency(text: str) -> Callable[[np.random.Generator], Draw]:
         middle_s = _seconds(centre, text)
         if kind == "normal":
             deviation_s = _seconds(spread, text)
-            return lambda random: lambda _: max(0.0, middle_s + deviation_s * random.standard_normal())
+            return lambda random: (
+                lambda _: max(0.0, middle_s + deviation_s * random.standard_normal())
+            )
         sigma = _seconds(spread, text)
         return lambda random: lambda _: middle_s * math.exp(sigma * random.standard_normal())
     constant_s = _seconds(text, text)
@@ -48,7 +53,8 @@ def parse_latency(text: str) -> Callable[[np.random.Generator], Draw]:
 
 
 def check_unit(text: str) -> None:
-    """Refuse a time other than 0 whose unit nobody has said: 112 may be meant as milliseconds, or as seconds.
+    """Refuse a time other than 0 whose unit nobody has said: 112 may be meant as milliseconds, or
+    as seconds.
 
     Raises:
         ConfigurationError: there is one, or the form is not understood.
@@ -56,13 +62,16 @@ def check_unit(text: str) -> None:
     parse_latency(text)
     kind, _, rest = text.partition(":")
     middle, _, spread = rest.partition(",")
-    times = {"normal": (middle, spread), "lognormal": (middle,), "file": (), MEASURED: ()}.get(kind, (text,))
+    times = {"normal": (middle, spread), "lognormal": (middle,), "file": (), MEASURED: ()}.get(
+        kind, (text,)
+    )
     for value in times:
         found = re.fullmatch(_TIME, value.strip())
         if found is not None and not found[2] and float(found[1]) != 0:
             number = found[1]
             raise ConfigurationError(
-                f"--latency {text}: {number} has no unit.", hint=f"Say {number}ms or {number}s; without one only 0 is."
+                f"--latency {text}: {number} has no unit.",
+                hint=f"Say {number}ms or {number}s; without one only 0 is.",
             )
     if kind == "lognormal" and spread.strip().endswith("s"):
         raise ConfigurationError(
@@ -74,7 +83,9 @@ def check_unit(text: str) -> None:
 def _seconds(value: str, text: str) -> float:
     found = re.fullmatch(_TIME, value.strip())
     if found is None:
-        raise ConfigurationError(f"The latency {text!r} is not understood; expected one of: {_FORMS}.")
+        raise ConfigurationError(
+            f"The latency {text!r} is not understood; expected one of: {_FORMS}."
+        )
     return float(found[1]) / (1000.0 if found[2] == "ms" else 1.0)
 
 
@@ -84,7 +95,9 @@ def _from_file(path: Path) -> Callable[[np.random.Generator], Draw]:
     except (OSError, ValueError) as error:
         raise ConfigurationError(f"The latencies in {path} cannot be read: {error}.") from error
     if values.ndim != 1 or not len(values) or not np.isfinite(values).all() or (values < 0).any():
-        raise ConfigurationError(f"{path} holds no latencies, expected one number of seconds >= 0 a line.")
+        raise ConfigurationError(
+            f"{path} holds no latencies, expected one number of seconds >= 0 a line."
+        )
     return lambda random: lambda _: float(random.choice(values))
 
 

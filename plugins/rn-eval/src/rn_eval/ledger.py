@@ -1,6 +1,8 @@
-"""The ledger: one line of JSON for each finished episode, only ever added to, each on disk before it counts.
+"""The ledger: one line of JSON for each finished episode, only ever added to, each on disk before
+it counts.
 
-A line that was cut short by a crash is removed when the ledger is opened again, and its episode is run once more.
+A line that was cut short by a crash is removed when the ledger is opened again, and its episode is
+run once more.
 """
 
 from __future__ import annotations
@@ -40,7 +42,8 @@ def read_plan(directory: Path) -> EvalPlan:
 
 
 def read_records(directory: Path) -> list[Record]:
-    """Every finished episode, oldest first; reading does not disturb a run. A cut last line is left out.
+    """Every finished episode, oldest first; reading does not disturb a run. A cut last line is left
+    out.
 
     An episode that crashed may be there again, after the crash: the last one counts.
 
@@ -58,7 +61,9 @@ def read_records(directory: Path) -> list[Record]:
         try:
             record = Record.model_validate_json(line)
         except ValidationError as error:
-            raise ConfigurationError(f"{path}:{number} is damaged: {error.errors()[0]['msg']}.") from error
+            raise ConfigurationError(
+                f"{path}:{number} is damaged: {error.errors()[0]['msg']}."
+            ) from error
         before = records.pop(record.key, None)
         if before is not None and before.outcome.status != "error":
             raise ConfigurationError(f"{path}:{number} repeats the episode {record.key.slug}.")
@@ -72,7 +77,8 @@ class Ledger:
     def __init__(self, directory: Path, *, other_versions: bool = False) -> None:
         """Args:
         directory: its folder.
-        other_versions: packages may have other versions than when the run was begun; the plan and each line say so.
+        other_versions: packages may have other versions than when the run was begun; the plan and
+            each line say so.
         """
         self.directory = directory
         self.plan: EvalPlan | None = None
@@ -87,7 +93,8 @@ class Ledger:
 
         Raises:
             StateError: another process runs it, or the folder cannot be written.
-            ConfigurationError: the folder holds a run with another plan or of other versions, or the ledger is damaged.
+            ConfigurationError: the folder holds a run with another plan or of other versions, or
+                the ledger is damaged.
         """
         path = self.directory / FILE_NAME
         with _told(path):
@@ -122,7 +129,8 @@ class Ledger:
                 os.fsync(self._file)
 
     def _with_versions(self, before: EvalPlan, now: EvalPlan) -> EvalPlan:
-        """The plan with the versions that the run was begun with, and these among the later ones if they differ.
+        """The plan with the versions that the run was begun with, and these among the later ones if
+        they differ.
 
         Raises:
             ConfigurationError: they differ, and nobody said that they may.
@@ -132,17 +140,23 @@ class Ledger:
         if changed and not self._other_versions:
             raise ConfigurationError(
                 f"{self.directory} was begun under other versions: {', '.join(changed)}.",
-                hint="Install those, choose another --out, or mix them with --other-versions: each line has its own.",
+                hint="Install those, choose another --out, or mix them with --other-versions: "
+                "each line has its own.",
             )
         if changed and now.versions not in later:
             later = (*later, now.versions)
-        return now.model_copy(update={"versions": {**now.versions, **begun}, "later_versions": later})
+        return now.model_copy(
+            update={"versions": {**now.versions, **begun}, "later_versions": later}
+        )
 
     def __enter__(self) -> Ledger:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self.close()
 
@@ -150,8 +164,10 @@ class Ledger:
         """Put an episode on disk; when this returns it survives a crash of the machine.
 
         Raises:
-            StateError: it is there already and did not crash, or it cannot be written; the ledger is as it was then.
-            ConfigurationError: a worker has run it under other versions than the run was begun with.
+            StateError: it is there already and did not crash, or it cannot be written; the ledger
+                is as it was then.
+            ConfigurationError: a worker has run it under other versions than the run was begun
+                with.
         """
         assert self.plan is not None
         before = self.records.get(record.key)
@@ -160,8 +176,10 @@ class Ledger:
         changed = changed_versions(self.plan.versions, record.versions)
         if changed and not self._other_versions:
             raise ConfigurationError(
-                f"The worker on {record.host} has other versions than the run was begun with: {', '.join(changed)}.",
-                hint="Install the same packages on every machine, or mix them with --other-versions.",
+                f"The worker on {record.host} has other versions than the run was begun with: "
+                f"{', '.join(changed)}.",
+                hint="Install the same packages on every machine, or mix them with "
+                "--other-versions.",
             )
         if strip is not None:
             name = f"{record.key.slug}.png"
@@ -174,7 +192,9 @@ class Ledger:
         with _told(self.directory / FILE_NAME):
             try:
                 if os.write(self._file, line) != len(line):
-                    raise OSError(errno.ENOSPC, "only a part of the line was written; the disk is full")
+                    raise OSError(
+                        errno.ENOSPC, "only a part of the line was written; the disk is full"
+                    )
                 os.fsync(self._file)
             except OSError:
                 os.ftruncate(self._file, begun)
@@ -201,7 +221,9 @@ def _check_same(old: EvalPlan, new: EvalPlan, directory: Path) -> None:
 
 
 def _write_durably(path: Path, data: bytes) -> None:
-    """Replace the file in one step, so that a crash or a full disk leaves the old or the new one. Raises StateError."""
+    """Replace the file in one step, so that a crash or a full disk leaves the old or the new
+    one. Raises StateError.
+    """
     temporary = path.with_name(f".{path.name}.new")
     with _told(path):
         try:
@@ -223,12 +245,15 @@ def _write_durably(path: Path, data: bytes) -> None:
 
 @contextmanager
 def _told(path: Path) -> Iterator[None]:
-    """Turn a failure to write into one sentence that names the file and says what to do. Raises StateError."""
+    """Turn a failure to write into one sentence that names the file and says what to do. Raises
+    StateError.
+    """
     try:
         yield
     except OSError as error:
         raise StateError(
             f"{path} cannot be written: {error.strerror or error}.",
-            hint="Free space on that disk or mend the permissions. Finished episodes are kept; the same command "
+            hint="Free space on that disk or mend the permissions. Finished episodes are kept; "
+            "the same command "
             "runs the others.",
         ) from error

@@ -29,8 +29,9 @@ class Session:
 class ModelServer:
     """Answers each observation with one action; a chunk is played whole before the next prediction.
 
-    All clients share the policy, one prediction at a time. `reset` is called when a client's episode begins, so several
-    clients at once need a backend that remembers nothing between predictions.
+    All clients share the policy, one prediction at a time. `reset` is called when a client's
+    episode begins, so several clients at once need a backend that remembers nothing between
+    predictions.
 
     Args:
         policy: loaded.
@@ -39,7 +40,9 @@ class ModelServer:
         needs_state: the backend reads the state.
     """
 
-    def __init__(self, policy: Policy, *, name: str, roles: tuple[str, ...], needs_state: bool) -> None:
+    def __init__(
+        self, policy: Policy, *, name: str, roles: tuple[str, ...], needs_state: bool
+    ) -> None:
         self._policy, self._name, self._roles, self._needs_state = policy, name, roles, needs_state
         self._using = asyncio.Lock()
 
@@ -66,7 +69,9 @@ class ModelServer:
                 async with self._using:
                     await asyncio.to_thread(self._policy.reset)
             elif message.kind == "observation":
-                return wire.Message("action", {"actions": await self._act(message.payload, session)}, seq)
+                return wire.Message(
+                    "action", {"actions": await self._act(message.payload, session)}, seq
+                )
             elif message.kind == "episode_end":
                 session.rows.clear()
         except RoboNeuronError as error:
@@ -114,7 +119,9 @@ async def open_server(server: ModelServer, host: str, port: int) -> Server:
     )
 
 
-async def run_server(server: ModelServer, host: str, port: int, listening: Callable[[int], None]) -> None:
+async def run_server(
+    server: ModelServer, host: str, port: int, listening: Callable[[int], None]
+) -> None:
     """Serve until cancelled; `listening` is told the port."""
     async with await open_server(server, host, port) as opened:
         listening(next(iter(opened.sockets)).getsockname()[1])

@@ -1,4 +1,6 @@
-"""What is to be evaluated: the plan, its variants, and the key of each episode. Kept as JSON beside the ledger."""
+"""What is to be evaluated: the plan, its variants, and the key of each episode. Kept as JSON
+beside the ledger.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,8 @@ class Variant(NamedTuple):
 
     Attributes:
         preset: acceleration, or "none".
-        execution: how chunks are played: "sequential", "overlap", "rtc", "predicted-state" or "auto".
+        execution: how chunks are played: "sequential", "overlap", "rtc", "predicted-state" or
+            "auto".
         latency: see `rn_eval.latency`.
     """
 
@@ -76,8 +79,8 @@ class EvalPlan(BaseModel):
         config: the configuration whose limits, control and plugin options hold.
         executions, latencies, presets: every combination is a variant.
         episodes, first_seed: for `Suite.episodes`.
-        shared_policy: predictions come in batches of what is asked at the same time, so that an episode does not repeat
-            bit for bit.
+        shared_policy: predictions come in batches of what is asked at the same time, so that an
+            episode does not repeat bit for bit.
         threads: threads of each worker's numerical libraries; results of some depend on it.
         versions: of the packages when the run began; see `rn_eval.versions`.
         later_versions: others under which it was continued, with --other-versions, oldest first.
@@ -93,7 +96,9 @@ class EvalPlan(BaseModel):
     runtime: str | None = None
     config: dict[str, Any]
     presets: tuple[str, ...] = (NO_PRESET,)
-    executions: tuple[Literal["sequential", "overlap", "rtc", "predicted-state", "auto"], ...] = ("sequential",)
+    executions: tuple[Literal["sequential", "overlap", "rtc", "predicted-state", "auto"], ...] = (
+        "sequential",
+    )
     latencies: tuple[str, ...] = ("0",)
     episodes: int = Field(ge=1)
     first_seed: int = Field(default=0, ge=0)
@@ -105,14 +110,28 @@ class EvalPlan(BaseModel):
 
     @property
     def identity(self) -> dict[str, Any]:
-        """What must be equal for a ledger to be continued; more episodes and variants may be added."""
-        growing = {"presets", "executions", "latencies", "episodes", "versions", "later_versions", "strips"}
+        """What must be equal for a ledger to be continued; more episodes and variants may be
+        added.
+        """
+        growing = {
+            "presets",
+            "executions",
+            "latencies",
+            "episodes",
+            "versions",
+            "later_versions",
+            "strips",
+        }
         return self.model_dump(mode="json", exclude=growing)
 
     @property
     def variants(self) -> tuple[Variant, ...]:
-        """All of them; those of one preset stand together, so that a worker seldom loads another."""
-        return tuple(Variant(p, e, x) for p in self.presets for e in self.executions for x in self.latencies)
+        """All of them; those of one preset stand together, so that a worker seldom loads
+        another.
+        """
+        return tuple(
+            Variant(p, e, x) for p in self.presets for e in self.executions for x in self.latencies
+        )
 
     def load_config(self) -> Config:
         """The configuration as a model."""
@@ -153,7 +172,9 @@ class EvalPlan(BaseModel):
         """Every episode under every variant."""
         for variant in self.variants:
             for episode in episodes:
-                key = Key(suite=self.suite, **variant._asdict(), task=episode.task, seed=episode.seed)
+                key = Key(
+                    suite=self.suite, **variant._asdict(), task=episode.task, seed=episode.seed
+                )
                 yield Job(key, episode)
 
 
@@ -166,7 +187,8 @@ def with_body(registry: Registry, spec: SuiteSpec) -> Registry:
 
 
 def fingerprint(checkpoint: str | None) -> str:
-    """A hash of names, sizes and the first and last 64 KiB of a checkpoint's files; "" without a checkpoint.
+    """A hash of names, sizes and the first and last 64 KiB of a checkpoint's files; "" without a
+    checkpoint.
 
     Raises:
         ConfigurationError: there is no such file or folder.

@@ -1,4 +1,6 @@
-"""The plots of a report, as SVG text: success by variant, against tokens kept, against latency; speed-up."""
+"""The plots of a report, as SVG text: success by variant, against tokens kept, against latency;
+speed-up.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,12 @@ _LEVEL_LETTERS = 60
 
 def plots(summary: Summary) -> list[tuple[str, str]]:
     """(caption, SVG) of each plot that the records have the data for."""
-    made = [("Success by variant, with 95 % Wilson intervals", _draw(lambda axes: _bars(axes, summary.rows)))]
+    made = [
+        (
+            "Success by variant, with 95 % Wilson intervals",
+            _draw(lambda axes: _bars(axes, summary.rows)),
+        )
+    ]
     with_tokens = [row for row in summary.rows if row.tokens is not None]
     if len({row.tokens for row in with_tokens}) > 1:
         made.append(("Success against tokens kept", _draw(lambda axes: _tokens(axes, with_tokens))))
@@ -31,7 +38,9 @@ def plots(summary: Summary) -> list[tuple[str, str]]:
         made.append(("Success against latency", _draw(lambda axes: _latency(axes, summary.rows))))
     faster = [row for row in summary.rows if row.speed_up is not None]
     if len({row.variant.preset for row in faster}) > 1:
-        made.append(("Speed-up of a prediction against success", _draw(lambda axes: _speed(axes, faster))))
+        made.append(
+            ("Speed-up of a prediction against success", _draw(lambda axes: _speed(axes, faster)))
+        )
     return made
 
 
@@ -78,10 +87,22 @@ def _legend(axes: Any) -> None:
 def _bars(axes: Any, rows: Sequence[Row]) -> None:
     shares = [row.success for row in rows]
     axes.bar(range(len(rows)), _points(shares), color="#5a7fb5", width=0.6)
-    axes.errorbar(range(len(rows)), _points(shares), yerr=_whiskers(shares), fmt="none", ecolor="black", capsize=4)
+    axes.errorbar(
+        range(len(rows)),
+        _points(shares),
+        yerr=_whiskers(shares),
+        fmt="none",
+        ecolor="black",
+        capsize=4,
+    )
     names = [row.name for row in rows]
     is_level = len(rows) <= 4 and sum(len(name) + 2 for name in names) <= _LEVEL_LETTERS
-    axes.set_xticks(range(len(rows)), names, rotation=0 if is_level else 25, ha="center" if is_level else "right")
+    axes.set_xticks(
+        range(len(rows)),
+        names,
+        rotation=0 if is_level else 25,
+        ha="center" if is_level else "right",
+    )
     _percent(axes)
 
 
@@ -90,23 +111,33 @@ def _tokens(axes: Any, rows: Sequence[Row]) -> None:
         own = sorted((r for r in rows if r.variant[1:] == key), key=lambda row: row.tokens or 0.0)
         shares = [row.success for row in own]
         axes.errorbar(
-            [r.tokens for r in own], _points(shares), yerr=_whiskers(shares), marker="o", capsize=4,
+            [r.tokens for r in own],
+            _points(shares),
+            yerr=_whiskers(shares),
+            marker="o",
+            capsize=4,
             label=_line(own[0], rows, "preset"),
-        )  # fmt: skip
+        )
     axes.set_xlabel("tokens kept")
     _legend(axes)
     _percent(axes)
 
 
 def _latency(axes: Any, rows: Sequence[Row]) -> None:
-    for preset, execution in dict.fromkeys((row.variant.preset, row.variant.execution) for row in rows):
+    for preset, execution in dict.fromkeys(
+        (row.variant.preset, row.variant.execution) for row in rows
+    ):
         own = [r for r in rows if (r.variant.preset, r.variant.execution) == (preset, execution)]
         own.sort(key=_latency_ms)
         shares = [row.success for row in own]
         axes.errorbar(
-            [_latency_ms(r) for r in own], _points(shares), yerr=_whiskers(shares), marker="o", capsize=4,
+            [_latency_ms(r) for r in own],
+            _points(shares),
+            yerr=_whiskers(shares),
+            marker="o",
+            capsize=4,
             label=_line(own[0], rows, "latency"),
-        )  # fmt: skip
+        )
     axes.set_xlabel("latency of a prediction, median [ms]")
     _legend(axes)
     _percent(axes)
@@ -119,14 +150,23 @@ def _latency_ms(row: Row) -> float:
 
 
 def _speed(axes: Any, rows: Sequence[Row]) -> None:
-    """Names stand in the legend: presets are often equally fast and equally good, and labels would cover each other."""
+    """Names stand in the legend: presets are often equally fast and equally good, and labels
+    would cover each other.
+    """
     for row, marker in zip(rows, cycle(_MARKERS)):
         share = [row.success]
         axes.errorbar(
-            [row.speed_up], _points(share), yerr=_whiskers(share), fmt=marker, capsize=4, label=row.name, alpha=0.8
+            [row.speed_up],
+            _points(share),
+            yerr=_whiskers(share),
+            fmt=marker,
+            capsize=4,
+            label=row.name,
+            alpha=0.8,
         )
     _legend(axes)
     known = [row.speed_up for row in rows if row.speed_up is not None]
-    axes.set_xlim(min(0.8, *known) - 0.1, max(1.2, *known) + 0.2)  # a percent is not to look like much
+    # a percent is not to look like much
+    axes.set_xlim(min(0.8, *known) - 0.1, max(1.2, *known) + 0.2)
     axes.set_xlabel("speed-up of a prediction")
     _percent(axes)

@@ -1,4 +1,6 @@
-"""The policy of a worker: a backend in its own process, or one that many workers share and that answers in batches."""
+"""The policy of a worker: a backend in its own process, or one that many workers share and that
+answers in batches.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +32,8 @@ class Policy(Protocol):
 class BatchBackend(Protocol):
     """What a backend may offer beside `Backend`: one forward for the observations of many episodes.
 
-    Offering it says that predictions depend on the observation alone: nothing is remembered between two of them.
+    Offering it says that predictions depend on the observation alone: nothing is remembered between
+        two of them.
     """
 
     def predict_batch(self, observations: Sequence[Observation]) -> Sequence[ActionChunk]:

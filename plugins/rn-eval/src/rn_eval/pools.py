@@ -39,7 +39,10 @@ class Pool(Protocol):
     def __enter__(self) -> Pool: ...
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None: ...
 
 
@@ -58,7 +61,10 @@ class InProcess:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self._runner.close()
 
@@ -67,7 +73,9 @@ class EpisodeWorker:
     """A worker's process; Ray makes an actor of it."""
 
     def __init__(self, plan: str, policies: Sequence[Any]) -> None:
-        """Take the plan as JSON, and the shared policies' actors; none: each worker loads its own."""
+        """Take the plan as JSON, and the shared policies' actors; none: each worker loads its
+        own.
+        """
         from rn_eval.sharing import SharedPolicy
 
         parsed = EvalPlan.model_validate_json(plan)
@@ -83,18 +91,21 @@ class EpisodeWorker:
 
 
 class OnRay:
-    """Several workers, on this machine or on a cluster; one that dies is replaced and its episode is run again.
+    """Several workers, on this machine or on a cluster; one that dies is replaced and its episode
+    is run again.
 
     Args:
         plan: what is evaluated.
         workers: simulators at a time, one CPU each.
-        address: of a running cluster; None starts a Ray on this machine, which ends with this process.
+        address: of a running cluster; None starts a Ray on this machine, which ends with this
+            process.
         policy_actors: processes that hold the policy for all workers; 0: each worker loads its own.
         policy_gpus: GPUs of each of them, or of each worker when there are none.
 
     Raises:
         MissingDependencyError: Ray is not installed.
-        ConfigurationError: a cluster cannot be reached, has too few CPUs or GPUs, or the policy cannot be shared.
+        ConfigurationError: a cluster cannot be reached, has too few CPUs or GPUs, or the policy
+            cannot be shared.
     """
 
     def __init__(
@@ -121,7 +132,9 @@ class OnRay:
         if policy_actors:
             from rn_eval.sharing import PolicyActor
 
-            shared = ray.remote(num_cpus=1, num_gpus=policy_gpus, max_concurrency=max(8, 4 * workers))(PolicyActor)
+            shared = ray.remote(
+                num_cpus=1, num_gpus=policy_gpus, max_concurrency=max(8, 4 * workers)
+            )(PolicyActor)
             self._policies = [shared.remote(plan.model_dump_json()) for _ in range(policy_actors)]
         own_gpus = 0.0 if policy_actors else policy_gpus
         self._actor = ray.remote(num_cpus=1, num_gpus=own_gpus)(EpisodeWorker)
@@ -142,8 +155,10 @@ class OnRay:
             self._ray.init(address=address or "local", logging_level="ERROR", **settings)
         except ConnectionError as error:
             raise ConfigurationError(
-                f"There is no Ray cluster at {address!r}, or it does not let this user in: {error}.",
-                hint="Where the cluster asks for a token, set RAY_AUTH_MODE=token and put it into ~/.ray/auth_token.",
+                f"There is no Ray cluster at {address!r}, or it does not let this user in: "
+                f"{error}.",
+                hint="Where the cluster asks for a token, set RAY_AUTH_MODE=token and put it into "
+                "~/.ray/auth_token.",
             ) from error
 
     def _check_room(self, cpus: float, gpus: float) -> None:
@@ -180,7 +195,9 @@ class OnRay:
                 except ray.exceptions.RayActorError as error:
                     deaths[job] = deaths.get(job, 0) + 1
                     if deaths[job] >= _MOST_DEATHS and not proven:
-                        raise StateError(f"Workers end before they have run an episode: {_first_line(error)}") from None
+                        raise StateError(
+                            f"Workers end before they have run an episode: {_first_line(error)}"
+                        ) from None
                     self._workers[number] = self._spawn()
                     if deaths[job] < _MOST_DEATHS:
                         waiting.appendleft(job)
@@ -197,20 +214,29 @@ class OnRay:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self._ray.shutdown()
 
 
 def _lost(job: Job, cause: str) -> Record:
     reason = f"It ended {_MOST_DEATHS} workers: {cause}"
-    return Record(key=job.key, instruction=job.episode.instruction, outcome=Outcome(status="error", reason=reason))
+    return Record(
+        key=job.key,
+        instruction=job.episode.instruction,
+        outcome=Outcome(status="error", reason=reason),
+    )
 
 
 def _first_line(error: Exception) -> str:
     """What happened, without Ray's advice. A constructor's failure is told by its last line."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    return (lines[-1] if "creation task" in lines[0] or "Traceback" in str(error) else lines[0])[:500]
+    return (lines[-1] if "creation task" in lines[0] or "Traceback" in str(error) else lines[0])[
+        :500
+    ]
 
 
 def _check_reach(address: str) -> None:
@@ -226,5 +252,6 @@ def _check_reach(address: str) -> None:
         socket.create_connection((host, int(port)), timeout=_REACH_S).close()
     except (OSError, OverflowError) as error:
         raise ConfigurationError(
-            f"There is no Ray cluster at {address!r}: {error}.", hint="`ray start --head` prints its address."
+            f"There is no Ray cluster at {address!r}: {error}.",
+            hint="`ray start --head` prints its address.",
         ) from error

@@ -27,7 +27,9 @@ def label(variant: Variant, variants: tuple[Variant, ...]) -> str:
 class ProgressView:
     """A bar and a table in a terminal, one line every 10 s elsewhere. A context manager."""
 
-    def __init__(self, console: Console, variants: tuple[Variant, ...], total: int, records: list[Record]) -> None:
+    def __init__(
+        self, console: Console, variants: tuple[Variant, ...], total: int, records: list[Record]
+    ) -> None:
         self._console, self._variants, self._total = console, variants, total
         self._counts: dict[Variant, list[int]] = {variant: [0, 0, 0] for variant in variants}
         for record in records:
@@ -53,7 +55,10 @@ class ProgressView:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         if self._live is not None:
             self._show()
@@ -68,8 +73,14 @@ class ProgressView:
             self._show()
         elif now_s - self._printed_s >= _LINE_S:
             self._printed_s = now_s
-            shares = ", ".join(f"{label(v, self._variants)} {self._share(v)}" for v in self._variants if self._ran(v))
-            self._console.print(f"{self._done}/{self._total} episodes, {self._pace()}; {shares}", soft_wrap=True)
+            shares = ", ".join(
+                f"{label(v, self._variants)} {self._share(v)}"
+                for v in self._variants
+                if self._ran(v)
+            )
+            self._console.print(
+                f"{self._done}/{self._total} episodes, {self._pace()}; {shares}", soft_wrap=True
+            )
 
     def _count(self, record: Record) -> None:
         counts = self._counts.setdefault(record.key.variant, [0, 0, 0])
@@ -105,5 +116,10 @@ class ProgressView:
             table.add_column(title)
         for variant in self._variants:
             errors = self._counts[variant][2]
-            table.add_row(label(variant, self._variants), str(self._ran(variant)), str(errors), self._share(variant))
+            table.add_row(
+                label(variant, self._variants),
+                str(self._ran(variant)),
+                str(errors),
+                self._share(variant),
+            )
         self._live.update(Group(self._bar, table))

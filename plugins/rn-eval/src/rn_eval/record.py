@@ -13,7 +13,8 @@ class Outcome(BaseModel):
     """What repeats bit for bit on a stepped clock or with injected latency.
 
     Attributes:
-        status: "error" is a crash of simulator, policy or worker: it counts neither as success nor as failure.
+        status: "error" is a crash of simulator, policy or worker: it counts neither as success nor
+            as failure.
         reason: one sentence unless it succeeded.
         duration_s: simulated seconds.
         predictions, rows: inferences begun, and actions played.
@@ -69,7 +70,8 @@ class Record(BaseModel):
         outcome, measured: see there.
         strip: name of the film strip in the folder `strips`; "" without one.
         host, pid, ended_at: where it ran, and when it ended (UTC, ISO 8601).
-        versions: of the packages in the process that ran it; see `rn_eval.versions`. Empty in old ledgers.
+        versions: of the packages in the process that ran it; see `rn_eval.versions`. Empty in old
+            ledgers.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)

@@ -26,7 +26,8 @@ def load(directories: Sequence[Path]) -> tuple[Summary, list[tuple[str, str]]]:
     """The summary of one ledger or several, and what to say about them.
 
     Raises:
-        ConfigurationError: no ledger, a damaged one, no finished episode, or one that two ledgers hold.
+        ConfigurationError: no ledger, a damaged one, no finished episode, or one that two ledgers
+            hold.
     """
     plans = [read_plan(directory) for directory in directories]
     records: list[Record] = []
@@ -35,8 +36,10 @@ def load(directories: Sequence[Path]) -> tuple[Summary, list[tuple[str, str]]]:
         for record in read_records(directory):
             if record.key in place_of:
                 raise ConfigurationError(
-                    f"{place_of[record.key]} and {directory} both hold the episode {record.key.slug}.",
-                    hint="Make a report of each: runs of one suite with the same variants are not one run.",
+                    f"{place_of[record.key]} and {directory} both hold the episode "
+                    f"{record.key.slug}.",
+                    hint="Make a report of each: runs of one suite with the same variants are not "
+                    "one run.",
                 )
             place_of[record.key] = directory
             records.append(record)
@@ -52,20 +55,42 @@ def _about(plans: Sequence[EvalPlan], records: Sequence[Record]) -> list[tuple[s
     ended = sorted(record.ended_at for record in records if record.ended_at)
     from_to = "" if not ended else f", {_minute(ended[0])} to {_minute(ended[-1])} UTC"
     return [
-        ("suite", each([" ".join([p.suite, *(f"{k}={v}" for k, v in p.suite_options.items())]) for p in plans])),
+        (
+            "suite",
+            each(
+                [
+                    " ".join([p.suite, *(f"{k}={v}" for k, v in p.suite_options.items())])
+                    for p in plans
+                ]
+            ),
+        ),
         ("backend", each([plan.backend for plan in plans])),
-        ("checkpoint", each([f"{plan.checkpoint} ({plan.checkpoint_sha256[:12]})" for plan in plans if plan.checkpoint])
-         or "none"),
+        (
+            "checkpoint",
+            each(
+                [
+                    f"{plan.checkpoint} ({plan.checkpoint_sha256[:12]})"
+                    for plan in plans
+                    if plan.checkpoint
+                ]
+            )
+            or "none",
+        ),
         ("runtime", each([plan.runtime for plan in plans]) or "the backend's own"),
-        ("seeds", each([f"{plan.first_seed} .. {plan.first_seed + plan.episodes - 1}" for plan in plans])),
+        (
+            "seeds",
+            each([f"{plan.first_seed} .. {plan.first_seed + plan.episodes - 1}" for plan in plans]),
+        ),
         ("finished", f"{len(records)} episodes{from_to}"),
         ("hosts", each([record.host for record in records])),
         ("versions", _versions(plans)),
-    ]  # fmt: skip
+    ]
 
 
 def _versions(plans: Sequence[EvalPlan]) -> str:
-    """Each package with every version that had a part in the runs, those that they were begun with first."""
+    """Each package with every version that had a part in the runs, those that they were begun
+    with first.
+    """
     found: dict[str, list[str]] = {}
     for versions in (each for plan in plans for each in (plan.versions, *plan.later_versions)):
         for name, version in versions.items():
@@ -88,15 +113,23 @@ def to_html(summary: Summary, about: Sequence[tuple[str, str]], directories: Seq
         headings=HEADINGS,
         rows=[cells(row) for row in summary.rows],
         tasks=task_table(summary),
-        failures=[(row.name, count, reason) for row in summary.rows for reason, count in row.reasons],
+        failures=[
+            (row.name, count, reason) for row in summary.rows for reason, count in row.reasons
+        ],
         plots=plots(summary),
         strips=[(row.name, *_strips(summary, row.variant, directories)) for row in summary.rows],
     )
 
 
-def _strips(summary: Summary, variant: object, directories: Sequence[Path]) -> tuple[list[tuple[Record, str]], int]:
+def _strips(
+    summary: Summary, variant: object, directories: Sequence[Path]
+) -> tuple[list[tuple[Record, str]], int]:
     """Records with their strips as base64, and how many more there are."""
-    failed = [r for r in summary.records if r.key.variant == variant and r.strip and r.outcome.status != "success"]
+    failed = [
+        r
+        for r in summary.records
+        if r.key.variant == variant and r.strip and r.outcome.status != "success"
+    ]
     found = []
     for record in failed[:_MOST_STRIPS]:
         paths = [directory / STRIPS / record.strip for directory in directories]
@@ -106,7 +139,8 @@ def _strips(summary: Summary, variant: object, directories: Sequence[Path]) -> t
 
 
 def write_report(directories: Sequence[Path], output: Path) -> Summary:
-    """Write report.html, report.md, report.json and episodes.csv into `output`; returns the summary.
+    """Write report.html, report.md, report.json and episodes.csv into `output`; returns the
+    summary.
 
     Raises:
         ConfigurationError: as `load`.

@@ -31,7 +31,8 @@ _ERROR_LINES = 6
 
 
 class Runner:
-    """Holds what outlasts an episode: the suite, the controller and the policy of one preset. Used from one thread.
+    """Holds what outlasts an episode: the suite, the controller and the policy of one preset. Used
+    from one thread.
 
     Args:
         plan: what is evaluated.
@@ -53,11 +54,16 @@ class Runner:
         plan, config = self._plan, self._plan.load_config()
         parts = plan.check(self._registry, plan.presets[0])
         assert parts.backend is not None
-        profile = load_profile(with_body(self._registry, plan.suite_spec(self._registry)), parts.robot.name)
+        profile = load_profile(
+            with_body(self._registry, plan.suite_spec(self._registry)), parts.robot.name
+        )
         controller: Controller | None = None
         if parts.controller is not None:
             profile = replace(profile, collision=collision_of(config.limits, profile))
-            controller = cast("Controller", build(parts.controller, config.options(parts.controller.name), profile))
+            controller = cast(
+                "Controller",
+                build(parts.controller, config.options(parts.controller.name), profile),
+            )
             controller.load()
         cameras = {role: profile.camera(name) for role, name in parts.cameras.items()}
         setup = Setup(
@@ -84,12 +90,16 @@ class Runner:
         try:
             outcome, inference_ms, strip = self._play(job, policy)
             measured = Measured(
-                wall_s=round(time.perf_counter() - begun_s, 4), inference_ms=inference_ms, cold=int(self._is_cold)
+                wall_s=round(time.perf_counter() - begun_s, 4),
+                inference_ms=inference_ms,
+                cold=int(self._is_cold),
             )
             self._is_cold = False
         except Exception as error:  # the border to simulator and policy: the other episodes go on
             lines = "".join(traceback.format_exception(error)).strip().splitlines()
-            outcome = Outcome(status="error", reason=" | ".join(line.strip() for line in lines[-_ERROR_LINES:]))
+            outcome = Outcome(
+                status="error", reason=" | ".join(line.strip() for line in lines[-_ERROR_LINES:])
+            )
         record = Record(
             key=job.key,
             instruction=job.episode.instruction,
@@ -131,7 +141,9 @@ class Runner:
         inference = self._setup.config.inference
         most_s = inference.max_image_age_s if inference is not None else _DEFAULT_IMAGE_AGE_S
         fixed = None if execution == "auto" else cast("Mode", execution)
-        return AdaptiveExecutor(abilities_of(self._spec), fixed=fixed, bounds=Bounds(first_s=most_s))
+        return AdaptiveExecutor(
+            abilities_of(self._spec), fixed=fixed, bounds=Bounds(first_s=most_s)
+        )
 
     def _policy_of(self, preset: str) -> Policy:
         if self._policy is None or self._preset != preset:
@@ -166,4 +178,6 @@ def refuse_early(plan: EvalPlan) -> None:
         parse_latency(latency)
     spec = registry.get(BackendSpec, plan.backend)
     if spec.needs_checkpoint and plan.checkpoint is None:
-        raise RoboNeuronError(f"The backend {plan.backend!r} needs a checkpoint.", hint="Give --checkpoint FOLDER.")
+        raise RoboNeuronError(
+            f"The backend {plan.backend!r} needs a checkpoint.", hint="Give --checkpoint FOLDER."
+        )

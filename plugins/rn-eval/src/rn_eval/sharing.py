@@ -13,7 +13,9 @@ from roboneuron.feature import discover
 
 MOST_IN_BATCH = 32
 _GATHER_S = 0.002
-"""So long after the first request of a batch others may join: simulators that were answered together ask together."""
+"""So long after the first request of a batch others may join: simulators that were answered
+together ask together.
+"""
 
 
 class Request(NamedTuple):
@@ -25,7 +27,9 @@ class Request(NamedTuple):
 
 
 class PolicyActor:
-    """Holds a backend; an asynchronous actor of Ray. Observations that arrive during a forward form the next batch."""
+    """Holds a backend; an asynchronous actor of Ray. Observations that arrive during a forward
+    form the next batch.
+    """
 
     def __init__(self, plan: str) -> None:
         self._plan = EvalPlan.model_validate_json(plan)
@@ -67,7 +71,8 @@ class PolicyActor:
             self._backend, self._preset = load_backend(self._plan, self._registry, preset), preset
         if not isinstance(self._backend, BatchBackend):
             raise ConfigurationError(
-                f"The backend {self._plan.backend!r} offers no predict_batch, so workers cannot share it.",
+                f"The backend {self._plan.backend!r} offers no predict_batch, so workers cannot "
+                "share it.",
                 hint="Leave --policy-actors out: each worker then loads its own.",
             )
 
@@ -75,10 +80,15 @@ class PolicyActor:
         while True:
             await self._arrived.wait()
             await asyncio.sleep(_GATHER_S)
-            # Workers that end the last episodes of one preset ask beside those that have begun with the next.
+            # Workers that end the last episodes of one preset ask beside those that have begun with
+            # the next.
             preset = self._waiting[0].preset
-            batch = [request for request in self._waiting if request.preset == preset][:MOST_IN_BATCH]
-            self._waiting = [request for request in self._waiting if all(request is not one for one in batch)]
+            batch = [request for request in self._waiting if request.preset == preset][
+                :MOST_IN_BATCH
+            ]
+            self._waiting = [
+                request for request in self._waiting if all(request is not one for one in batch)
+            ]
             if not self._waiting:
                 self._arrived.clear()
             async with self._using:
@@ -90,7 +100,9 @@ class PolicyActor:
             backend = cast("BatchBackend", self._backend)
             chunks = list(backend.predict_batch([request.observation for request in batch]))
             if len(chunks) != len(batch):
-                raise PluginError(f"predict_batch answered {len(chunks)} of {len(batch)} observations.")
+                raise PluginError(
+                    f"predict_batch answered {len(chunks)} of {len(batch)} observations."
+                )
         except Exception as error:
             if len(batch) == 1:
                 loop.call_soon_threadsafe(_fail, batch[0].answer, error)

@@ -39,7 +39,8 @@ class Setup:
     Attributes:
         profile: of the suite's robot, with the configured collision model.
         cameras: cameras by the backend's role.
-        controller: loaded; from actions to joint commands. None when the suite's simulator has its own.
+        controller: loaded; from actions to joint commands. None when the suite's simulator has its
+            own.
         config: limits, timeouts and options as the robot would be run with.
         needs_state: the backend reads joints, TCP pose and gripper.
     """
@@ -59,7 +60,8 @@ class Judgement:
         success: the task is done.
         is_over: it is decided, also before the time is up.
         reason: one sentence for a failure.
-        facts: for the ledger and the report; "right_object" (1.0 or 0.0) is averaged over the episodes that have it.
+        facts: for the ledger and the report; "right_object" (1.0 or 0.0) is averaged over the
+            episodes that have it.
     """
 
     success: bool
@@ -86,7 +88,9 @@ class Scene(Protocol):
         ...
 
     def act(self, vector: F64, now_s: float) -> str:
-        """Execute one action, float64 (7,) in contract units; returns "" or a word for what the limits did to it."""
+        """Execute one action, float64 (7,) in contract units; returns "" or a word for what the
+        limits did to it.
+        """
         ...
 
     def watch(self, now_s: float) -> None:
@@ -114,7 +118,9 @@ class Suite(Protocol):
     """Tasks in one simulated world. Built as `target(config)`; used from one thread."""
 
     def episodes(self, count: int, first_seed: int) -> Sequence[Episode]:
-        """The episodes of a run, in the order in which they run best; more of them contain the same ones."""
+        """The episodes of a run, in the order in which they run best; more of them contain the
+        same ones.
+        """
         ...
 
     def open(self, episode: Episode, setup: Setup) -> Scene:

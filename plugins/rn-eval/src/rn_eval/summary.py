@@ -1,4 +1,6 @@
-"""The tables of a report, computed from a ledger's records: one row for each variant, task and pair."""
+"""The tables of a report, computed from a ledger's records: one row for each variant, task and
+pair.
+"""
 
 from __future__ import annotations
 
@@ -37,9 +39,11 @@ class Row(NamedTuple):
         right_object: of those that took something up; 0 of 0 where the suite does not tell.
         inference: time of a prediction [ms].
         episode_s, wall_s: simulated and real time of an episode [s].
-        speed_up: median time of a prediction without a preset to that with this one; None for lack of either.
+        speed_up: median time of a prediction without a preset to that with this one; None for lack
+            of either.
         tokens: mean number of tokens kept; None when the backend does not tell.
-        paired: against the first variant with the same execution and latency, on the same episodes; None for itself.
+        paired: against the first variant with the same execution and latency, on the same episodes;
+            None for itself.
         starved: mean number of periods without an action, of an episode.
         reasons: failures by reason, most frequent first; numbers that differ are left out.
     """
@@ -83,16 +87,27 @@ class Summary(NamedTuple):
 def summarise(records: Sequence[Record]) -> Summary:
     """Compute the tables."""
     variants = tuple(dict.fromkeys(record.key.variant for record in records))
-    of = {variant: [record for record in records if record.key.variant == variant] for variant in variants}
+    of = {
+        variant: [record for record in records if record.key.variant == variant]
+        for variant in variants
+    }
     tasks = tuple(dict.fromkeys(sorted(record.key.task for record in records)))
     suites = tuple(dict.fromkeys(record.key.suite for record in records))
     rows = tuple(_row(variant, variants, of) for variant in variants)
     return Summary(
         rows=rows,
         tasks=tasks,
-        by_task={(v, task): success_of([r for r in of[v] if r.key.task == task]) for v in variants for task in tasks},
+        by_task={
+            (v, task): success_of([r for r in of[v] if r.key.task == task])
+            for v in variants
+            for task in tasks
+        },
         suites=suites,
-        by_suite={(v, s): success_of([r for r in of[v] if r.key.suite == s]) for v in variants for s in suites},
+        by_suite={
+            (v, s): success_of([r for r in of[v] if r.key.suite == s])
+            for v in variants
+            for s in suites
+        },
         records=tuple(records),
     )
 
@@ -103,7 +118,9 @@ def _row(variant: Variant, variants: tuple[Variant, ...], of: dict[Variant, list
     inference = spread(inference_ms(records))
     plain = spread(inference_ms(of.get(variant._replace(preset=NO_PRESET), [])))
     base = _baseline(variant, variants)
-    tokens = [r.outcome.metrics[name] for r in records for name in TOKENS if name in r.outcome.metrics]
+    tokens = [
+        r.outcome.metrics[name] for r in records for name in TOKENS if name in r.outcome.metrics
+    ]
     return Row(
         variant=variant,
         name=label(variant, variants),
@@ -114,7 +131,9 @@ def _row(variant: Variant, variants: tuple[Variant, ...], of: dict[Variant, list
         inference=inference,
         episode_s=spread([r.outcome.duration_s for r in records if r.outcome.status != "error"]),
         wall_s=spread([r.measured.wall_s for r in records if r.outcome.status != "error"]),
-        speed_up=plain.p50 / inference.p50 if plain.size and inference.size and inference.p50 else None,
+        speed_up=plain.p50 / inference.p50
+        if plain.size and inference.size and inference.p50
+        else None,
         tokens=sum(tokens) / len(tokens) if tokens else None,
         paired=None if base == variant else mcnemar(verdicts(of[base]), verdicts(records)),
         starved=spread([float(r.outcome.starved_periods) for r in records]).mean,
@@ -123,17 +142,25 @@ def _row(variant: Variant, variants: tuple[Variant, ...], of: dict[Variant, list
 
 
 def _reasons(texts: Sequence[str]) -> tuple[tuple[str, int], ...]:
-    """Reasons with counts, most frequent first; those that differ in numbers only are one, with "..." for them."""
+    """Reasons with counts, most frequent first; those that differ in numbers only are one, with
+    "..." for them.
+    """
     alike: dict[str, list[str]] = {}
     for text in texts:
         alike.setdefault(_NUMBER.sub("...", text), []).append(text)
-    counts = [(found[0] if len(set(found)) == 1 else form, len(found)) for form, found in alike.items()]
+    counts = [
+        (found[0] if len(set(found)) == 1 else form, len(found)) for form, found in alike.items()
+    ]
     return tuple(sorted(counts, key=lambda counted: -counted[1]))
 
 
 def _baseline(variant: Variant, variants: tuple[Variant, ...]) -> Variant:
-    """Presets are compared with no preset, execution modes with the first one at the same latency."""
-    alike = [v for v in variants if v.execution == variant.execution and v.latency == variant.latency]
+    """Presets are compared with no preset, execution modes with the first one at the same
+    latency.
+    """
+    alike = [
+        v for v in variants if v.execution == variant.execution and v.latency == variant.latency
+    ]
     if alike[0] != variant:
         return alike[0]
     same = [v for v in variants if v.preset == variant.preset and v.latency == variant.latency]

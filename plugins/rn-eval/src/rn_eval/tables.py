@@ -14,9 +14,18 @@ from rn_eval.statistics import Paired, Proportion
 from rn_eval.summary import Row, Summary
 
 HEADINGS = (
-    "variant", "episodes", "errors", "success, 95 % interval", "right object", "inference ms, p50 / p95", "speed-up",
-    "tokens kept", "episode s", "starved", "against the baseline",
-)  # fmt: skip
+    "variant",
+    "episodes",
+    "errors",
+    "success, 95 % interval",
+    "right object",
+    "inference ms, p50 / p95",
+    "speed-up",
+    "tokens kept",
+    "episode s",
+    "starved",
+    "against the baseline",
+)
 
 
 def cells(row: Row) -> tuple[str, ...]:
@@ -48,7 +57,8 @@ def compared(paired: Paired | None) -> str:
     if not paired.pairs:
         return "no common episode"
     return (
-        f"{100 * paired.difference:+.1f} points, p = {paired.p_value:.3g} ({paired.only_second} : {paired.only_first})"
+        f"{100 * paired.difference:+.1f} points, p = {paired.p_value:.3g} "
+        f"({paired.only_second} : {paired.only_first})"
     )
 
 
@@ -56,7 +66,8 @@ def grid(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """A Markdown table, aligned for reading in a terminal."""
     widths = [max(len(line[i]) for line in [headings, *rows]) for i in range(len(headings))]
     lines = [
-        " | ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)) for line in [headings, *rows]
+        " | ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True))
+        for line in [headings, *rows]
     ]
     lines.insert(1, " | ".join("-" * width for width in widths))
     return "\n".join(f"| {line} |" for line in lines)
@@ -66,7 +77,8 @@ def task_table(summary: Summary) -> tuple[tuple[str, ...], list[tuple[str, ...]]
     """Success by task and variant."""
     headings = ("task", *(row.name for row in summary.rows))
     return headings, [
-        (task, *(counted(summary.by_task[row.variant, task]) for row in summary.rows)) for task in summary.tasks
+        (task, *(counted(summary.by_task[row.variant, task]) for row in summary.rows))
+        for task in summary.tasks
     ]
 
 
@@ -83,10 +95,17 @@ def paper_table(summary: Summary) -> str:
     first = summary.rows[0].variant
     rows = [r for r in summary.rows if r.variant[1:] == first[1:]]
     mean_of = {
-        row.variant: sum(summary.by_suite[row.variant, s].share for s in summary.suites) / len(summary.suites)
+        row.variant: sum(summary.by_suite[row.variant, s].share for s in summary.suites)
+        / len(summary.suites)
         for row in rows
     }
-    headings = ("preset", *(f"{suite} %" for suite in summary.suites), "mean %", "inference ms", "speed-up")
+    headings = (
+        "preset",
+        *(f"{suite} %" for suite in summary.suites),
+        "mean %",
+        "inference ms",
+        "speed-up",
+    )
     return grid(
         headings,
         [
@@ -103,7 +122,9 @@ def paper_table(summary: Summary) -> str:
 
 
 def _preset(variant: Variant) -> str:
-    return "baseline" if variant.preset == NO_PRESET else variant.preset.removeprefix("fastv-").upper()
+    return (
+        "baseline" if variant.preset == NO_PRESET else variant.preset.removeprefix("fastv-").upper()
+    )
 
 
 def _interval(share: Proportion) -> str:
@@ -118,13 +139,17 @@ def to_markdown(summary: Summary, about: Sequence[tuple[str, str]]) -> str:
     parts += ["## Variants", grid(HEADINGS, [cells(row) for row in summary.rows])]
     parts += ["## Tasks", grid(*task_table(summary))]
     failures = [
-        (row.name, str(count), reason.replace("|", "/")) for row in summary.rows for reason, count in row.reasons
+        (row.name, str(count), reason.replace("|", "/"))
+        for row in summary.rows
+        for reason, count in row.reasons
     ]
     if failures:
         parts += ["## Failures", grid(("variant", "episodes", "reason"), failures)]
     parts += [
-        "Intervals are Wilson score intervals, p values exact McNemar tests on the same episodes (won : lost beside "
-        "them). Crashed episodes (errors) count neither as success nor as failure. Times and speed-ups hold for this "
+        "Intervals are Wilson score intervals, p values exact McNemar tests on the same episodes "
+        "(won : lost beside "
+        "them). Crashed episodes (errors) count neither as success nor as failure. Times and "
+        "speed-ups hold for this "
         "machine with what else ran on it."
     ]
     return "\n\n".join(parts) + "\n"
@@ -136,17 +161,49 @@ def to_csv(summary: Summary) -> str:
     facts = sorted({name for record in summary.records for name in record.outcome.facts})
     writer = csv.writer(buffer, lineterminator="\n")
     writer.writerow(
-        ["suite", "preset", "execution", "latency", "task", "seed", "instruction", "status", "reason", "duration_s",
-         "predictions", "rows", "refusals", "starved_periods", "wall_s", "inference_ms_mean", "digest", *facts]
-    )  # fmt: skip
+        [
+            "suite",
+            "preset",
+            "execution",
+            "latency",
+            "task",
+            "seed",
+            "instruction",
+            "status",
+            "reason",
+            "duration_s",
+            "predictions",
+            "rows",
+            "refusals",
+            "starved_periods",
+            "wall_s",
+            "inference_ms_mean",
+            "digest",
+            *facts,
+        ]
+    )
     for record in summary.records:
         key, outcome, times = record.key, record.outcome, record.measured.inference_ms
         writer.writerow(
-            [key.suite, *key.variant, key.task, key.seed, record.instruction, outcome.status, outcome.reason,
-             outcome.duration_s, outcome.predictions, outcome.rows, outcome.refusals, outcome.starved_periods,
-             record.measured.wall_s, round(sum(times) / len(times), 3) if times else "", outcome.digest,
-             *(outcome.facts.get(name, "") for name in facts)]
-        )  # fmt: skip
+            [
+                key.suite,
+                *key.variant,
+                key.task,
+                key.seed,
+                record.instruction,
+                outcome.status,
+                outcome.reason,
+                outcome.duration_s,
+                outcome.predictions,
+                outcome.rows,
+                outcome.refusals,
+                outcome.starved_periods,
+                record.measured.wall_s,
+                round(sum(times) / len(times), 3) if times else "",
+                outcome.digest,
+                *(outcome.facts.get(name, "") for name in facts),
+            ]
+        )
     return buffer.getvalue()
 
 
@@ -171,7 +228,10 @@ def to_json(summary: Summary, about: Sequence[tuple[str, str]]) -> str:
         }
         for row in summary.rows
     ]
-    return json.dumps(_plain({"about": dict(about), "variants": rows}), indent=1, allow_nan=False) + "\n"
+    return (
+        json.dumps(_plain({"about": dict(about), "variants": rows}), indent=1, allow_nan=False)
+        + "\n"
+    )
 
 
 def _share(share: Proportion) -> dict[str, Any]:

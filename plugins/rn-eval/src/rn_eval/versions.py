@@ -1,4 +1,6 @@
-"""Versions of everything that an episode's outcome depends on, and what became of them since a run was begun."""
+"""Versions of everything that an episode's outcome depends on, and what became of them since a
+run was begun.
+"""
 
 from __future__ import annotations
 
@@ -18,15 +20,18 @@ _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 
 
 def installed_versions(plan: EvalPlan, registry: Registry) -> dict[str, str]:
-    """Version by name, in this process: Python, the libraries above, and the packages that bring what the plan names
-    (suite, backend, runtime, acceleration, controller, robot) with those of RoboNeuron's packages that they require.
+    """Version by name, in this process: Python, the libraries above, and the packages that bring
+    what the plan names (suite, backend, runtime, acceleration, controller, robot) with those of
+    RoboNeuron's packages that they require.
     """
     wanted = [("suite", plan.suite)]
     for preset in plan.presets:
         parts = plan.check(registry, preset)
         specs = (parts.robot, parts.backend, parts.runtime, parts.controller, parts.acceleration)
         wanted += [(spec.kind, spec.name) for spec in specs if spec is not None]
-    offers = {(offer.spec.kind, offer.spec.name): offer.distribution for offer in registry.all_offers}
+    offers = {
+        (offer.spec.kind, offer.spec.name): offer.distribution for offer in registry.all_offers
+    }
     brings = [offers[key] for key in dict.fromkeys(wanted) if offers.get(key)]
     found = {"python": platform.python_version()}
     for name in [*sorted(_own_packages([CORE, "rn-eval", *brings])), *LIBRARIES]:
@@ -38,7 +43,11 @@ def installed_versions(plan: EvalPlan, registry: Registry) -> dict[str, str]:
 
 def changed_versions(before: Mapping[str, str], now: Mapping[str, str]) -> list[str]:
     """What differs, as "name 1.0 -> 1.1"; packages that one of them does not name are left out."""
-    return [f"{name} {before[name]} -> {now[name]}" for name in before if name in now and before[name] != now[name]]
+    return [
+        f"{name} {before[name]} -> {now[name]}"
+        for name in before
+        if name in now and before[name] != now[name]
+    ]
 
 
 def _own_packages(names: Iterable[str]) -> set[str]:

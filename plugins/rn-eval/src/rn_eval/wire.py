@@ -39,7 +39,12 @@ class Message(NamedTuple):
 
 def pack(message: Message) -> bytes:
     """Serialise a message."""
-    raw = {"type": message.kind, "payload": message.payload, "seq": message.seq, "timestamp": time.time()}
+    raw = {
+        "type": message.kind,
+        "payload": message.payload,
+        "seq": message.seq,
+        "timestamp": time.time(),
+    }
     return cast("bytes", msgpack.packb(raw, default=_to_map, use_bin_type=True))
 
 
@@ -51,7 +56,9 @@ def unpack(data: object) -> Message:
         raw = msgpack.unpackb(data, object_hook=_from_map, raw=False)
         kind, payload, seq = raw["type"], raw["payload"], raw["seq"]
     except (ValueError, TypeError, KeyError, OSError, msgpack.UnpackException) as error:
-        raise InvalidInputError(f"A message could not be read: {type(error).__name__}: {error}.") from error
+        raise InvalidInputError(
+            f"A message could not be read: {type(error).__name__}: {error}."
+        ) from error
     if kind not in _KINDS or not isinstance(payload, dict) or type(seq) is not int:
         raise InvalidInputError(f"A message is of type {kind!r}; known are {', '.join(_KINDS)}.")
     return Message(kind, payload, seq)
@@ -59,7 +66,12 @@ def unpack(data: object) -> Message:
 
 def _to_map(value: object) -> object:
     if isinstance(value, np.ndarray):
-        return {"__ndarray__": True, "data": value.tobytes(), "dtype": value.dtype.str, "shape": list(value.shape)}
+        return {
+            "__ndarray__": True,
+            "data": value.tobytes(),
+            "dtype": value.dtype.str,
+            "shape": list(value.shape),
+        }
     raise TypeError(f"{type(value).__name__} is not sent")
 
 

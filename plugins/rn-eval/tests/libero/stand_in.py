@@ -1,4 +1,6 @@
-"""Speaks the simulator's protocol: the arm stays, and three closing actions in a row do the task."""
+"""Speaks the simulator's protocol: the arm stays, and three closing actions in a row do the
+task.
+"""
 
 from __future__ import annotations
 

@@ -29,13 +29,20 @@ def play(stand_in):
         config["plugins"]["noop"] = {"rows": rows}
         options = {"python": str(stand_in)} | ({} if limit is None else {"step_limit": limit})
         plan = EvalPlan(
-            suite=suite, suite_options=options, backend="noop", config=config, episodes=1, latencies=(latency,)
+            suite=suite,
+            suite_options=options,
+            backend="noop",
+            config=config,
+            episodes=1,
+            latencies=(latency,),
         )
         runner = Runner(plan)
         runners.append(runner)
         if actions is not None:
             runner._policy_of("none")._rows = np.array(actions)
-        return runner.run(next(iter(plan.jobs(plan.build_suite(discover()).episodes(1, 0)))))[0].outcome
+        return runner.run(next(iter(plan.jobs(plan.build_suite(discover()).episodes(1, 0)))))[
+            0
+        ].outcome
 
     yield run
     for runner in runners:
@@ -43,11 +50,16 @@ def play(stand_in):
 
 
 @pytest.mark.parametrize(
-    ("suite", "steps"), [("libero-spatial", 220), ("libero-object", 280), ("libero-goal", 300), ("libero-10", 520)]
+    ("suite", "steps"),
+    [("libero-spatial", 220), ("libero-object", 280), ("libero-goal", 300), ("libero-10", 520)],
 )
 def test_an_episode_has_the_protocols_steps_and_chunks_are_played_whole(play, suite, steps):
     outcome = play(suite=suite)
-    assert (outcome.status, outcome.rows, outcome.predictions) == ("failure", steps, -(-steps // 8)), outcome.reason
+    assert (outcome.status, outcome.rows, outcome.predictions) == (
+        "failure",
+        steps,
+        -(-steps // 8),
+    ), outcome.reason
     assert outcome.facts["idle_steps"] == 0.0
 
 
@@ -71,7 +83,10 @@ def test_while_a_prediction_lasts_the_simulation_goes_on(play):
 
 @pytest.mark.parametrize(
     ("row", "words"),
-    [([1.0, 0, 0, 0, 0, 0, 1], "does not answer: it ended"), ([0, 1.0, 0, 0, 0, 0, 1], "the simulation is unstable")],
+    [
+        ([1.0, 0, 0, 0, 0, 0, 1], "does not answer: it ended"),
+        ([0, 1.0, 0, 0, 0, 0, 1], "the simulation is unstable"),
+    ],
 )
 def test_a_simulator_that_fails_is_an_error_and_says_why(play, row, words):
     outcome = play([[value * 0.05 for value in row[:6]] + [1.0]] * 8)
@@ -135,7 +150,10 @@ def frame(header, payload=b""):
         frame(b"not json"),
         frame(b'{"kind": "Nothing", "fields": {}, "arrays": []}'),
         frame(b'{"kind": "Open", "fields": {"suite": "x"}, "arrays": []}'),
-        frame(b'{"kind": "Open", "fields": {"suite": 1, "task": 0, "state": 0, "image_px": 9}, "arrays": []}'),
+        frame(
+            b'{"kind": "Open", "fields": {"suite": 1, "task": 0, "state": 0, "image_px": 9}, '
+            b'"arrays": []}'
+        ),
         frame(b'{"kind": "Step", "fields": {}, "arrays": [["action", "<f8", [7]]]}', b"\0" * 8),
         frame(b'{"kind": "Step", "fields": {}, "arrays": [["action", "|O", [1]]]}', b"\0" * 8),
         frame(b'{"kind": "Step", "fields": {}, "arrays": [["action", "<f8", [-1]]]}', b"\0" * 8),
@@ -150,7 +168,12 @@ def test_what_is_not_of_the_protocol_is_refused(data):
 def test_messages_arrive_as_they_were_sent():
     read_end, write_end = os.pipe()
     sent = pipe.State(
-        instruction="ü", is_done=True, joints=np.arange(9.0), eef_pos=np.zeros(3), eef_quat=np.ones(4), flat=np.zeros(2)
+        instruction="ü",
+        is_done=True,
+        joints=np.arange(9.0),
+        eef_pos=np.zeros(3),
+        eef_quat=np.ones(4),
+        flat=np.zeros(2),
     )
     with os.fdopen(write_end, "wb") as sink, os.fdopen(read_end, "rb") as source:
         pipe.send(sink, sent)

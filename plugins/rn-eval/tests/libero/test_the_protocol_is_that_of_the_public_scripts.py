@@ -1,6 +1,8 @@
-"""What backends get and what the simulator gets is what the public evaluation scripts' own functions compute.
+"""What backends get and what the simulator gets is what the public evaluation scripts' own
+functions compute.
 
-The arrays were made by those functions; golden/README.md says from what. No simulator is needed here.
+The arrays were made by those functions; golden/README.md says from what. No simulator is needed
+here.
 """
 
 from __future__ import annotations
@@ -30,9 +32,13 @@ def options_of(suite, backend):
 
 
 @pytest.mark.parametrize("at", IMAGES)
-@pytest.mark.parametrize(("raw", "expected"), [("agentview_raw", "full_cropped"), ("wrist_raw", "wrist_cropped")])
+@pytest.mark.parametrize(
+    ("raw", "expected"), [("agentview_raw", "full_cropped"), ("wrist_raw", "wrist_cropped")]
+)
 def test_images_are_preprocessed_alike(golden, at, raw, expected):
-    """JPEG and crop are exact; the resize sums in another order, so a value on the edge of rounding may differ by 1."""
+    """JPEG and crop are exact; the resize sums in another order, so a value on the edge of
+    rounding may differ by 1.
+    """
     steps = options_of("libero-spatial", "oft")["image_steps"]
     tower = TowerPixels(mean=(0.5, 0.5, 0.5), std=(0.5, 0.5, 0.5))
     seen = Preprocessor(size=224, towers=(tower,), steps=tuple(steps)).to_model_image(

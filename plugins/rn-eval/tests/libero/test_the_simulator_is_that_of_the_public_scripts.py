@@ -1,4 +1,5 @@
-"""The real simulator, in its own environment: states, images and step counts as the public scripts have them.
+"""The real simulator, in its own environment: states, images and step counts as the public scripts
+have them.
 
 Needs the environment of `make .venv-libero`; run by `make test-libero`.
 """
@@ -14,14 +15,26 @@ import pytest
 from rn_backend_oft.state import read_state
 from rn_eval.libero.body import profile
 from rn_eval.libero.options import LiberoOptions
-from rn_eval.libero.suite import METRES_PER_UNIT, RADIANS_PER_UNIT, Libero10, LiberoSpatial, tasks_of
+from rn_eval.libero.suite import (
+    METRES_PER_UNIT,
+    RADIANS_PER_UNIT,
+    Libero10,
+    LiberoSpatial,
+    tasks_of,
+)
 from rn_eval.suite import Setup
 from roboneuron.config import load_config
 
-PYTHON = Path(os.environ.get("ROBONEURON_LIBERO_PYTHON", Path(__file__).parents[4] / ".venv-libero/bin/python"))
+PYTHON = Path(
+    os.environ.get(
+        "ROBONEURON_LIBERO_PYTHON", Path(__file__).parents[4] / ".venv-libero/bin/python"
+    )
+)
 pytestmark = [
     pytest.mark.slow,
-    pytest.mark.skipif(not PYTHON.is_file(), reason="needs the LIBERO simulator: make .venv-libero"),
+    pytest.mark.skipif(
+        not PYTHON.is_file(), reason="needs the LIBERO simulator: make .venv-libero"
+    ),
 ]
 FINGERS = ("panda_finger_joint1", "panda_finger_joint2")
 
@@ -35,7 +48,13 @@ def suite(request):
 
 def setup(*, sees=True):
     cameras = {camera.role: camera for camera in profile().cameras} if sees else {}
-    return Setup(profile=profile(), cameras=cameras, controller=None, config=load_config(None), needs_state=True)
+    return Setup(
+        profile=profile(),
+        cameras=cameras,
+        controller=None,
+        config=load_config(None),
+        needs_state=True,
+    )
 
 
 def state_of(observation):
@@ -56,13 +75,17 @@ def to_contract(action):
 
 
 def test_episodes_are_those_of_the_scripts(golden, suite):
-    """1e-6: the same machine gives the same bits; another processor rounds otherwise, and 34 steps carry that on.
+    """1e-6: the same machine gives the same bits; another processor rounds otherwise, and 34 steps
+    carry that on.
     Images: 2 levels of 255 on average, for another renderer."""
     task = {"libero_spatial": 3, "libero_10": 2}[suite.name]
-    for number in (1, 0) if suite.name == "libero_spatial" else (0,):  # the second episode before the first
+    # the second episode before the first
+    for number in (1, 0) if suite.name == "libero_spatial" else (0,):
         key = f"{suite.name}/{task}/{number}"
         episode = next(
-            e for e in suite.episodes(500, 0) if e.task == tasks_of(suite.name)[task][0] and e.seed == number
+            e
+            for e in suite.episodes(500, 0)
+            if e.task == tasks_of(suite.name)[task][0] and e.seed == number
         )
         scene = suite.open(episode, setup())
         states, images = [], {}
@@ -70,7 +93,8 @@ def test_episodes_are_those_of_the_scripts(golden, suite):
             if action is not None:
                 scene.act(to_contract(action), 0.0)
                 scene.advance(1)
-            scene._setup = setup(sees=f"{key}/{step}/agentview_raw" in golden)  # drawing takes most of the time
+            # drawing takes most of the time
+            scene._setup = setup(sees=f"{key}/{step}/agentview_raw" in golden)
             observation = scene.observe(1)
             states.append(state_of(observation))
             images[step] = observation.frames
@@ -80,5 +104,7 @@ def test_episodes_are_those_of_the_scripts(golden, suite):
             for role, name in (("primary", "agentview_raw"), ("wrist", "wrist_raw")):
                 if role in frames:
                     expected = golden[f"{key}/{step}/{name}"][::-1, ::-1]
-                    assert np.abs(frames[role].image.astype(int) - expected.astype(int)).mean() <= 2.0
+                    assert (
+                        np.abs(frames[role].image.astype(int) - expected.astype(int)).mean() <= 2.0
+                    )
         scene.close()

@@ -33,17 +33,22 @@ _CLOSE = {"Connection": "close"}
 
 
 class Exposition:
-    """Serves registries at an address from the first `join` to the last `leave`; callable from any thread.
+    """Serves registries at an address from the first `join` to the last `leave`; callable from any
+    thread.
 
-    The robots of a server share the address that their configuration shares: a port belongs to the process, and so does
-    the table of those in use. Source of the format: one family for each name (Prometheus text format 0.0.4).
+    The robots of a server share the address that their configuration shares: a port belongs to the
+        process, and so does
+    the table of those in use. Source of the format: one family for each name (Prometheus text
+        format 0.0.4).
     """
 
     _in_use: ClassVar[dict[tuple[str, int], Exposition]] = {}
     _lock: ClassVar[threading.Lock] = threading.Lock()
 
     def __init__(self, host: str, port: int, rules: HostRules, tokens: TokenTable) -> None:
-        """Listen. Raises ConfigurationError when the address cannot be used, NotReadyError when it takes too long."""
+        """Listen. Raises ConfigurationError when the address cannot be used, NotReadyError when
+        it takes too long.
+        """
         self._address = (host, port)
         self._rules = rules
         self._tokens = tokens
@@ -54,15 +59,25 @@ class Exposition:
         self._own = CollectorRegistry()
         self._own.register(self)
         self._server = _Server(self._answer, ConnectionTable())
-        self._thread = threading.Thread(target=self._serve, args=(bound,), name="metrics-port", daemon=True)
+        self._thread = threading.Thread(
+            target=self._serve, args=(bound,), name="metrics-port", daemon=True
+        )
         self._thread.start()
         if not self._server.has_begun.wait(_BEGIN_S):
             self._server.should_exit = True
-            raise NotReadyError(f"The metrics of {host}:{self.port} were not served within {_BEGIN_S:g} s.")
+            raise NotReadyError(
+                f"The metrics of {host}:{self.port} were not served within {_BEGIN_S:g} s."
+            )
 
     @classmethod
     def join(
-        cls, host: str, port: int, robot: str, registry: CollectorRegistry, rules: HostRules, tokens: TokenTable
+        cls,
+        host: str,
+        port: int,
+        robot: str,
+        registry: CollectorRegistry,
+        rules: HostRules,
+        tokens: TokenTable,
     ) -> Exposition:
         """Serve the metrics of a robot at an address, beside those of others there.
 
@@ -80,13 +95,16 @@ class Exposition:
             found = cls._in_use.get((host, port))
             if found is None:
                 found = cls._in_use[host, port] = cls(host, port, rules, tokens)
-            found._robots = {**found._robots, robot: registry}  # a scrape may be reading the one before
+            # a scrape may be reading the one before
+            found._robots = {**found._robots, robot: registry}
             return found
 
     def leave(self, robot: str) -> None:
         """Serve this robot no longer; the last one ends the endpoint."""
         with self._lock:
-            self._robots = {name: registry for name, registry in self._robots.items() if name != robot}
+            self._robots = {
+                name: registry for name, registry in self._robots.items() if name != robot
+            }
             if self._robots or self._in_use.get(self._address) is not self:
                 return
             del self._in_use[self._address]
@@ -98,9 +116,12 @@ class Exposition:
         families: dict[str, Metric] = {}
         for robot, registry in self._robots.items():
             for metric in registry.collect():
-                family = families.setdefault(metric.name, Metric(metric.name, metric.documentation, metric.type))
+                family = families.setdefault(
+                    metric.name, Metric(metric.name, metric.documentation, metric.type)
+                )
                 family.samples += [
-                    sample._replace(labels={"robot": robot, **sample.labels}) for sample in metric.samples
+                    sample._replace(labels={"robot": robot, **sample.labels})
+                    for sample in metric.samples
                 ]
         yield from families.values()
 
@@ -121,7 +142,9 @@ class Exposition:
             return PlainTextResponse("Use GET\n", 405, {"Allow": "GET", **_CLOSE})
         if not self._is_open and not self._has_token(headers):
             return PlainTextResponse(
-                "A valid bearer token of [[http.tokens]] is needed.\n", 401, {"WWW-Authenticate": "Bearer", **_CLOSE}
+                "A valid bearer token of [[http.tokens]] is needed.\n",
+                401,
+                {"WWW-Authenticate": "Bearer", **_CLOSE},
             )
         encode, content_type = choose_encoder(headers.get("accept", ""))
         return Response(encode(self._own), headers={"Content-Type": content_type, **_CLOSE})

@@ -39,7 +39,9 @@ class MetricsFeature(Feature[MetricsOptions]):
     _looking: Periodic | None = None
 
     def check(self, config: Config) -> None:
-        """Check address and tokens when metrics are to be served, and the exporter when traces are to be sent."""
+        """Check address and tokens when metrics are to be served, and the exporter when traces
+        are to be sent.
+        """
         if self.options.prometheus:
             http = cast(HttpOptions, feature_options(HTTP, config))
             host_rules(self.options.host, http)
@@ -58,7 +60,8 @@ class MetricsFeature(Feature[MetricsOptions]):
             host.events.health.listen(meters.on_health)
             host.events.fault.listen(meters.on_fault)
             host.events.decision.listen(meters.on_decision)
-            host.events.open.listen(lambda: host.server.middleware.append(meters))  # not there before
+            # not there before
+            host.events.open.listen(lambda: host.server.middleware.append(meters))
         if self.options.traces:
             from rn_metrics.spans import Spans, otlp_exporter  # heavy
 
@@ -71,7 +74,8 @@ class MetricsFeature(Feature[MetricsOptions]):
         """Serve the metrics, those of several robots at one address.
 
         Raises:
-            ConfigurationError: the address cannot be used, or can be reached from elsewhere without a token.
+            ConfigurationError: the address cannot be used, or can be reached from elsewhere without
+                a token.
         """
         if self.meters is None:
             return
@@ -105,5 +109,7 @@ class MetricsFeature(Feature[MetricsOptions]):
 
 
 def host_rules(address: str, http: HttpOptions) -> HostRules:
-    """The rules of `[http]` for the endpoint's own address. Raises ConfigurationError as HostRules."""
+    """The rules of `[http]` for the endpoint's own address. Raises ConfigurationError as
+    HostRules.
+    """
     return HostRules(http.model_copy(update={"host": address}))

@@ -1,4 +1,6 @@
-"""The metrics: counted as things happen, or read from the modules' newest reports when they are asked for."""
+"""The metrics: counted as things happen, or read from the modules' newest reports when they are
+asked for.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,9 @@ UNKNOWN = "unknown"
 """Label of a tool that there is not: clients could make any number of labels otherwise."""
 TASK_TOOL = "run_task"
 OUTCOMES = ("succeeded", "failed", "timed_out", "stopped", "unclear")
-"""Of rn-tasks. There is a counter for each from the beginning, so that a rate has something to begin from."""
+"""Of rn-tasks. There is a counter for each from the beginning, so that a rate has something to
+begin from.
+"""
 _CALL_BUCKETS_S = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0, 60.0, 300.0)
 _TASK_BUCKETS_S = (1.0, 2.0, 5.0, 10.0, 15.0, 20.0, 30.0, 45.0, 60.0, 120.0, 300.0, 600.0)
 _MODULE_BUCKETS_S = (0.002, 0.005, 0.01, 0.02, 0.03, 0.05, 0.075, 0.1, 0.15, 0.25, 0.5, 1.0, 2.5)
@@ -36,32 +40,55 @@ class Meters:
         self._host = host
         self.registry = CollectorRegistry()
         self.calls = Counter(
-            "roboneuron_tool_calls", "Tool calls by result: ok, or the code of the error.", ("tool", "result"),
+            "roboneuron_tool_calls",
+            "Tool calls by result: ok, or the code of the error.",
+            ("tool", "result"),
             registry=self.registry,
-        )  # fmt: skip
+        )
         self.call_s = Histogram(
-            "roboneuron_tool_call_seconds", "How long tool calls took.", ("tool",), buckets=_CALL_BUCKETS_S,
+            "roboneuron_tool_call_seconds",
+            "How long tool calls took.",
+            ("tool",),
+            buckets=_CALL_BUCKETS_S,
             registry=self.registry,
-        )  # fmt: skip
+        )
         self.verdicts = Counter(
-            "roboneuron_gate_verdicts", "Decisions of the gate, by the rule that applied.",
-            ("endpoint", "verdict", "rule"), registry=self.registry,
-        )  # fmt: skip
-        self.stops = Counter("roboneuron_emergency_stops", "Emergency stops that were latched.", registry=self.registry)
-        self.faults = Counter("roboneuron_faults", "Faults of modules.", ("module", "what"), registry=self.registry)
-        self.switches = Counter(
-            "roboneuron_switches", "Modules that were switched while the robot worked, by result.",
-            ("module", "result"), registry=self.registry,
-        )  # fmt: skip
-        self.tasks = Counter("roboneuron_tasks", "Tasks that have ended.", ("outcome",), registry=self.registry)
-        self.task_s = Histogram(
-            "roboneuron_task_seconds", "How long tasks took.", ("outcome",), buckets=_TASK_BUCKETS_S,
+            "roboneuron_gate_verdicts",
+            "Decisions of the gate, by the rule that applied.",
+            ("endpoint", "verdict", "rule"),
             registry=self.registry,
-        )  # fmt: skip
+        )
+        self.stops = Counter(
+            "roboneuron_emergency_stops",
+            "Emergency stops that were latched.",
+            registry=self.registry,
+        )
+        self.faults = Counter(
+            "roboneuron_faults", "Faults of modules.", ("module", "what"), registry=self.registry
+        )
+        self.switches = Counter(
+            "roboneuron_switches",
+            "Modules that were switched while the robot worked, by result.",
+            ("module", "result"),
+            registry=self.registry,
+        )
+        self.tasks = Counter(
+            "roboneuron_tasks", "Tasks that have ended.", ("outcome",), registry=self.registry
+        )
+        self.task_s = Histogram(
+            "roboneuron_task_seconds",
+            "How long tasks took.",
+            ("outcome",),
+            buckets=_TASK_BUCKETS_S,
+            registry=self.registry,
+        )
         self.latency_s = Histogram(
-            "roboneuron_module_latency_seconds", "Median latencies that a module reported, one for each report.",
-            ("module",), buckets=_MODULE_BUCKETS_S, registry=self.registry,
-        )  # fmt: skip
+            "roboneuron_module_latency_seconds",
+            "Median latencies that a module reported, one for each report.",
+            ("module",),
+            buckets=_MODULE_BUCKETS_S,
+            registry=self.registry,
+        )
         for outcome in OUTCOMES:
             self.tasks.labels(outcome)
         self._seen_s: dict[str, float] = {}
@@ -83,10 +110,16 @@ class Meters:
             self.verdicts.labels(record.endpoint, record.verdict, record.rule).inc()
 
     def look(self) -> None:
-        """Take the latency of each report that is new, and notice an emergency stop, whoever pressed it."""
+        """Take the latency of each report that is new, and notice an emergency stop, whoever
+        pressed it.
+        """
         for view in self._host.supervisor.views():
             report = view.report
-            if report is None or report.latency_ms is None or self._seen_s.get(view.kind) == report.received_s:
+            if (
+                report is None
+                or report.latency_ms is None
+                or self._seen_s.get(view.kind) == report.received_s
+            ):
                 continue
             self._seen_s[view.kind] = report.received_s
             self.latency_s.labels(view.kind).observe(report.latency_ms / 1e3)
@@ -121,7 +154,9 @@ class Meters:
 
 
 def result_of(answer: Any) -> str:
-    """`ok`, or the code of the error of a tool call; middleware gets answers as they go over the wire."""
+    """`ok`, or the code of the error of a tool call; middleware gets answers as they go over
+    the wire.
+    """
     if not (isinstance(answer, Mapping) and answer.get("isError")):
         return OK
     details = (answer.get("_meta") or {}).get(ERROR_META, {})
@@ -132,7 +167,11 @@ def outcome_of(tool: str, answer: Any) -> str:
     """How the task of a call ended; empty for other calls, and for a task that was not begun."""
     if tool != TASK_TOOL or result_of(answer) != OK:
         return ""
-    told = str((answer.get("structuredContent") or {}).get("outcome", "")) if isinstance(answer, Mapping) else ""
+    told = (
+        str((answer.get("structuredContent") or {}).get("outcome", ""))
+        if isinstance(answer, Mapping)
+        else ""
+    )
     return told if told in OUTCOMES else ""
 
 
@@ -145,8 +184,14 @@ class _Reports:
     def collect(self) -> Iterator[Metric]:
         """See prometheus_client."""
         views = self._host.supervisor.views()
-        reports = [(view.kind, view.report) for view in views if view.phase == "running" and view.report is not None]
-        health = GaugeMetricFamily("roboneuron_module_health", "1 for how a module is.", labels=("module", "health"))
+        reports = [
+            (view.kind, view.report)
+            for view in views
+            if view.phase == "running" and view.report is not None
+        ]
+        health = GaugeMetricFamily(
+            "roboneuron_module_health", "1 for how a module is.", labels=("module", "health")
+        )
         now_s = time.monotonic()
         for view in views:
             present = assess(view, now_s)
@@ -160,11 +205,17 @@ class _Reports:
                 if value is not None:
                     gauge.add_metric((kind,), value * unit)
             yield gauge
-        published = CounterMetricFamily("roboneuron_module_published", "Outputs of a module.", labels=("module",))
-        dropped = CounterMetricFamily(
-            "roboneuron_module_dropped", "Inputs that were not acted on, by reason.", labels=("module", "reason")
+        published = CounterMetricFamily(
+            "roboneuron_module_published", "Outputs of a module.", labels=("module",)
         )
-        errors = CounterMetricFamily("roboneuron_module_errors", "Failures of a module.", labels=("module",))
+        dropped = CounterMetricFamily(
+            "roboneuron_module_dropped",
+            "Inputs that were not acted on, by reason.",
+            labels=("module", "reason"),
+        )
+        errors = CounterMetricFamily(
+            "roboneuron_module_errors", "Failures of a module.", labels=("module",)
+        )
         for kind, report in reports:
             published.add_metric((kind,), report.published)
             errors.add_metric((kind,), report.error_count)
@@ -173,6 +224,8 @@ class _Reports:
         yield published
         yield dropped
         yield errors
-        latched = GaugeMetricFamily("roboneuron_emergency_stop", "1 while the emergency stop is latched.")
+        latched = GaugeMetricFamily(
+            "roboneuron_emergency_stop", "1 while the emergency stop is latched."
+        )
         latched.add_metric((), float(self._host.loop.emergency_stop.is_latched()))
         yield latched

@@ -1,7 +1,9 @@
-"""Spans of a tool call: the request, each decision of the gate on it, and each message that is published for it.
+"""Spans of a tool call: the request, each decision of the gate on it, and each message that is
+published for it.
 
-The MCP SDK makes the span of the request, the core that of a message; both do nothing until a tracer provider is set,
-which is done here. The gate's decision becomes a span when the audit has its record.
+The MCP SDK makes the span of the request, the core that of a message; both do nothing until a
+tracer provider is set, which is done here. The gate's decision becomes a span when the audit has
+its record.
 """
 
 from __future__ import annotations
@@ -36,7 +38,9 @@ class Spans:
         self._tracer = self.provider.get_tracer("roboneuron")
 
     def open(self) -> None:
-        """Become the tracer provider of this process; the first one stays, as OpenTelemetry has it."""
+        """Become the tracer provider of this process; the first one stays, as OpenTelemetry has
+        it.
+        """
         trace.set_tracer_provider(self.provider)
 
     def close(self) -> None:

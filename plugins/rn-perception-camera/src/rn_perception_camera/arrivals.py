@@ -24,14 +24,17 @@ class _Slot(Generic[T]):
 
 
 class Arrivals(Generic[T]):
-    """The newest item of each camera, handed out in turns and no faster than asked; any thread may call any method.
+    """The newest item of each camera, handed out in turns and no faster than asked; any thread may
+    call any method.
 
     Args:
         periods_s: least time between two items by camera [s]; 0 for no bound.
     """
 
     def __init__(self, periods_s: Mapping[str, float]) -> None:
-        self._slots: dict[str, _Slot[T]] = {name: _Slot(period_s=period_s) for name, period_s in periods_s.items()}
+        self._slots: dict[str, _Slot[T]] = {
+            name: _Slot(period_s=period_s) for name, period_s in periods_s.items()
+        }
         self._changed = threading.Condition()
         self._open = False
 
@@ -66,7 +69,8 @@ class Arrivals(Generic[T]):
             return self._slots[camera].item is not None
 
     def take(self, deadline_s: float) -> tuple[str, T] | None:
-        """Camera and item, of the camera that was served least recently; None when nothing came by then [monotonic].
+        """Camera and item, of the camera that was served least recently; None when nothing came by
+        then [monotonic].
 
         Raises:
             StateError: it is closed, or was closed meanwhile.

@@ -55,26 +55,32 @@ class CameraFacts:
 def read_optics(
     facts: CameraFacts, size: Size, distortion: Literal["refuse", "undistort", "rectified"]
 ) -> tuple[F64, Undistortion | None]:
-    """Intrinsics float64 (3, 3) [px, pixel centres at integers + 0.5] of images of `size`, and how to undistort them.
+    """Intrinsics float64 (3, 3) [px, pixel centres at integers + 0.5] of images of `size`, and how
+    to undistort them.
 
-    Source: sensor_msgs/CameraInfo: K and D describe the raw image, P the rectified one; zero focal lengths mean
+    Source: sensor_msgs/CameraInfo: K and D describe the raw image, P the rectified one; zero focal
+        lengths mean
     that the camera was never calibrated.
 
     Raises:
-        ConfigurationError: never calibrated, for another image size, of a part of the sensor, or distorted while
-            distortion is refused or of an unknown model.
+        ConfigurationError: never calibrated, for another image size, of a part of the sensor, or
+            distorted while distortion is refused or of an unknown model.
     """
     if facts.size != size:
         raise ConfigurationError(
             f"It describes {facts.size[0]}x{facts.size[1]} images, they are {size[0]}x{size[1]}.",
-            hint="Name the camera_info that belongs to this topic, or calibrate the camera at this size.",
+            hint="Name the camera_info that belongs to this topic, or calibrate the camera at "
+            "this size.",
         )
     if max(facts.binning) > 1 or any(facts.roi_offset):
         raise ConfigurationError(
-            f"It describes a part of the sensor (binning {facts.binning}, offset {facts.roi_offset}).",
+            f"It describes a part of the sensor (binning {facts.binning}, offset "
+            f"{facts.roi_offset}).",
             hint="Let the driver deliver whole images without binning.",
         )
-    numbers = facts.k if distortion != "rectified" else (*facts.p[0:3], *facts.p[4:7], *facts.p[8:11])
+    numbers = (
+        facts.k if distortion != "rectified" else (*facts.p[0:3], *facts.p[4:7], *facts.p[8:11])
+    )
     intrinsics = np.array(numbers).reshape(3, 3)
     if not np.isfinite(intrinsics).all() or intrinsics[0, 0] <= 0 or intrinsics[1, 1] <= 0:
         which = "p" if distortion == "rectified" else "k"
@@ -88,7 +94,8 @@ def read_optics(
     if distortion == "refuse":
         raise ConfigurationError(
             f"The lens distorts ({facts.model or 'no model'}, d = {list(facts.d)}).",
-            hint='Take the rectified topic with distortion = "rectified", or set distortion = "undistort".',
+            hint='Take the rectified topic with distortion = "rectified", or set distortion = '
+            '"undistort".',
         )
     if not np.isfinite(facts.d).all():
         raise ConfigurationError(f"Its distortion is not finite: d = {list(facts.d)}.")

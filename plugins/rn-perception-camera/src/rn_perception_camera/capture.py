@@ -46,7 +46,8 @@ def open_capture(options: VideoCameraOptions) -> tuple[Capture, float]:
 
     Raises:
         NotReadyError: the device is absent, busy, or may not be opened.
-        ConfigurationError: the file is absent or no video, its pace is not known, or the device has no such size.
+        ConfigurationError: the file is absent or no video, its pace is not known, or the device has
+            no such size.
     """
     os.environ.setdefault("OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT", str(HANG_LIMIT_S))
     import cv2  # heavy
@@ -58,7 +59,9 @@ def open_capture(options: VideoCameraOptions) -> tuple[Capture, float]:
 
 def _open_file(cv2: Any, path: str, fps: float | None) -> tuple[Capture, float]:
     if not Path(path).is_file():
-        raise ConfigurationError(f"There is no video file {path!r}.", hint="Correct the option path.")
+        raise ConfigurationError(
+            f"There is no video file {path!r}.", hint="Correct the option path."
+        )
     capture = cv2.VideoCapture(path)
     if not capture.isOpened():
         capture.release()
@@ -66,7 +69,9 @@ def _open_file(cv2: Any, path: str, fps: float | None) -> tuple[Capture, float]:
     pace_hz = fps or float(capture.get(cv2.CAP_PROP_FPS))
     if not 0.0 < pace_hz <= 1000.0:
         capture.release()
-        raise ConfigurationError(f"The video {path!r} does not tell its pace.", hint="Set the option fps.")
+        raise ConfigurationError(
+            f"The video {path!r} does not tell its pace.", hint="Set the option fps."
+        )
     return capture, pace_hz
 
 
@@ -87,8 +92,10 @@ def _open_device(cv2: Any, options: VideoCameraOptions) -> Capture:
     if options.size is not None and size != options.size:
         capture.release()
         raise ConfigurationError(
-            f"Camera {options.place} was asked for {options.size[0]}x{options.size[1]} and gives {size[0]}x{size[1]}.",
-            hint="Ask for a size that `v4l2-ctl --list-formats-ext` shows, and use resize for others.",
+            f"Camera {options.place} was asked for {options.size[0]}x{options.size[1]} and gives "
+            f"{size[0]}x{size[1]}.",
+            hint="Ask for a size that `v4l2-ctl --list-formats-ext` shows, and use resize for "
+            "others.",
         )
     return capture
 

@@ -26,7 +26,9 @@ def _feed(source: object, topics: MemoryTopics) -> None:
 
     sec, nanosec = divmod(topics.now_ns(), _NS_PER_S)
     pixels = gradient_image(64, 48)
-    message = Image(width=64, height=48, step=192, encoding="rgb8", data=array.array("B", pixels.tobytes()))
+    message = Image(
+        width=64, height=48, step=192, encoding="rgb8", data=array.array("B", pixels.tobytes())
+    )
     message.header.stamp.sec, message.header.stamp.nanosec = sec, nanosec
     message.header.frame_id = "front_optical"
     topics.deliver("/driver/image_raw", message)
@@ -43,7 +45,9 @@ def ros_case() -> PerceptionCase:
 
 
 def video_case() -> PerceptionCase:
-    """The fake robot's front camera, from a short video in a temporary directory that lasts as long as the process."""
+    """The fake robot's front camera, from a short video in a temporary directory that lasts as
+    long as the process.
+    """
     import cv2  # heavy
 
     directory = Path(tempfile.mkdtemp(prefix="roboneuron-video-"))

@@ -1,4 +1,6 @@
-"""Another size for an image, without changing its aspect ratio, and what that does to its intrinsics."""
+"""Another size for an image, without changing its aspect ratio, and what that does to its
+intrinsics.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,8 @@ class Fit:
     Attributes:
         source: width and height of the images taken [px].
         size: width and height of the images made [px].
-        box: left, upper, right and lower edge of the part [px of the source, pixel centres at integers + 0.5].
+        box: left, upper, right and lower edge of the part [px of the source, pixel centres at
+            integers + 0.5].
         scaled: width and height of that part in the target [px].
         offset: its left and upper edge in the target [px].
     """
@@ -33,7 +36,8 @@ class Fit:
     offset: tuple[int, int]
 
     def apply(self, image: U8) -> U8:
-        """uint8 (h, w, 3) of `source` size -> uint8 (H, W, 3) of `size`; bilinear with antialiasing.
+        """uint8 (h, w, 3) of `source` size -> uint8 (H, W, 3) of `size`; bilinear with
+        antialiasing.
 
         The image itself when nothing changes.
         """
@@ -48,10 +52,14 @@ class Fit:
         return whole
 
     def to_intrinsics(self, intrinsics: F64) -> F64:
-        """float64 (3, 3) [px] of the source -> of the target; pixel centres at integers + 0.5 in both."""
+        """float64 (3, 3) [px] of the source -> of the target; pixel centres at integers + 0.5
+        in both.
+        """
         left, upper, right, lower = self.box
         x, y = self.scaled[0] / (right - left), self.scaled[1] / (lower - upper)
-        to_target = np.array([[x, 0.0, self.offset[0] - x * left], [0.0, y, self.offset[1] - y * upper], [0, 0, 1]])
+        to_target = np.array(
+            [[x, 0.0, self.offset[0] - x * left], [0.0, y, self.offset[1] - y * upper], [0, 0, 1]]
+        )
         fitted: F64 = to_target @ intrinsics
         return fitted
 
@@ -59,20 +67,38 @@ class Fit:
 def unchanged(source: Size) -> Fit:
     """Images stay as they are."""
     return Fit(
-        source=source, size=source, box=(0.0, 0.0, float(source[0]), float(source[1])), scaled=source, offset=(0, 0)
+        source=source,
+        size=source,
+        box=(0.0, 0.0, float(source[0]), float(source[1])),
+        scaled=source,
+        offset=(0, 0),
     )
 
 
 def fit(source: Size, size: Size, how: Literal["letterbox", "crop"]) -> Fit:
-    """All of the image with bars ("letterbox"), or as much of its middle as fills the target ("crop")."""
+    """All of the image with bars ("letterbox"), or as much of its middle as fills the target
+    ("crop").
+    """
     width, height = source
     across, down = size[0] / width, size[1] / height
     if how == "crop":
         scale = max(across, down)
-        left, upper = max(0.0, (width - size[0] / scale) / 2), max(0.0, (height - size[1] / scale) / 2)
+        left, upper = (
+            max(0.0, (width - size[0] / scale) / 2),
+            max(0.0, (height - size[1] / scale) / 2),
+        )
         box = (left, upper, width - left, height - upper)
         return Fit(source=source, size=size, box=box, scaled=size, offset=(0, 0))
     scale = min(across, down)
-    scaled = (min(size[0], max(1, round(width * scale))), min(size[1], max(1, round(height * scale))))
+    scaled = (
+        min(size[0], max(1, round(width * scale))),
+        min(size[1], max(1, round(height * scale))),
+    )
     offset = ((size[0] - scaled[0]) // 2, (size[1] - scaled[1]) // 2)
-    return Fit(source=source, size=size, box=(0.0, 0.0, float(width), float(height)), scaled=scaled, offset=offset)
+    return Fit(
+        source=source,
+        size=size,
+        box=(0.0, 0.0, float(width), float(height)),
+        scaled=scaled,
+        offset=offset,
+    )

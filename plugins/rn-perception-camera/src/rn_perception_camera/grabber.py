@@ -16,7 +16,9 @@ Opener = Callable[[], tuple[Capture, float]]
 
 FIRST_RETRY_S = 0.5
 LAST_RETRY_S = 8.0
-"""A camera that is gone is tried again after 0.5 s, then each time twice as long, and at most this long, after."""
+"""A camera that is gone is tried again after 0.5 s, then each time twice as long, and at most
+this long, after.
+"""
 log = logging.getLogger(__name__)
 
 
@@ -61,7 +63,9 @@ class Grabber:
     def problem(self) -> RoboNeuronError | None:
         """Why it delivers nothing at the moment, or None."""
         if self._problem is None and self._thread is not None and not self._thread.is_alive():
-            return InternalError(f"The thread that grabs from {self._place} failed.", hint="See the module's log.")
+            return InternalError(
+                f"The thread that grabs from {self._place} failed.", hint="See the module's log."
+            )
         return self._problem
 
     def start(self) -> None:
@@ -138,6 +142,10 @@ class Grabber:
 
     def _end_of_file(self, delivered: bool) -> None:
         if delivered:
-            self._problem = NotReadyError(f"The video {self._place!r} has ended.", hint="Set loop = true to repeat it.")
+            self._problem = NotReadyError(
+                f"The video {self._place!r} has ended.", hint="Set loop = true to repeat it."
+            )
         else:
-            self._problem = NotReadyError(f"The video {self._place!r} holds no image.", hint="Name another file.")
+            self._problem = NotReadyError(
+                f"The video {self._place!r} holds no image.", hint="Name another file."
+            )

@@ -23,7 +23,9 @@ MODELS: dict[str, tuple[int, ...]] = {
 }
 """Numbers of coefficients by distortion model of sensor_msgs/CameraInfo."""
 CELL_PX = 16
-"""The map is exact at the corners of such cells and bilinear between; under 0.1 px off for a lens with k1 = -0.3."""
+"""The map is exact at the corners of such cells and bilinear between; under 0.1 px off for a
+lens with k1 = -0.3.
+"""
 
 
 class Undistortion:
@@ -39,11 +41,16 @@ class Undistortion:
         ConfigurationError: an unknown model, or another number of coefficients.
     """
 
-    def __init__(self, intrinsics: F64, model: str, coefficients: Sequence[float], *, width: int, height: int) -> None:
+    def __init__(
+        self, intrinsics: F64, model: str, coefficients: Sequence[float], *, width: int, height: int
+    ) -> None:
         if len(coefficients) not in MODELS.get(model, ()):
-            known = "; ".join(f"{name}: {' or '.join(map(str, sizes))}" for name, sizes in MODELS.items())
+            known = "; ".join(
+                f"{name}: {' or '.join(map(str, sizes))}" for name, sizes in MODELS.items()
+            )
             raise ConfigurationError(
-                f"Distortion model {model!r} with {len(coefficients)} coefficients is not known, expected {known}."
+                f"Distortion model {model!r} with {len(coefficients)} coefficients is not known, "
+                f"expected {known}."
             )
         self._size = (width, height)
         xs = np.unique(np.append(np.arange(0, width, CELL_PX), width)).astype(np.float64)
@@ -62,15 +69,22 @@ class Undistortion:
         ]
 
     def apply(self, image: U8) -> U8:
-        """uint8 (H, W, 3) as the lens shows it -> uint8 (H, W, 3) as a pinhole would; black where it saw nothing."""
+        """uint8 (H, W, 3) as the lens shows it -> uint8 (H, W, 3) as a pinhole would; black
+        where it saw nothing.
+        """
         picture = Image.fromarray(image)
-        return np.asarray(picture.transform(self._size, Image.Transform.MESH, self._mesh, Image.Resampling.BILINEAR))
+        return np.asarray(
+            picture.transform(
+                self._size, Image.Transform.MESH, self._mesh, Image.Resampling.BILINEAR
+            )
+        )
 
 
 def distort(x: F64, y: F64, model: str, coefficients: Sequence[float]) -> tuple[F64, F64]:
     """Where a ray through (x, y, 1) appears in the normalised image plane of the distorted camera.
 
-    Source: OpenCV 4 documentation, "Camera Calibration and 3D Reconstruction" (radial, tangential and rational terms)
+    Source: OpenCV 4 documentation, "Camera Calibration and 3D Reconstruction" (radial, tangential
+        and rational terms)
     and "Fisheye camera model" (equidistant); names of the models: sensor_msgs/CameraInfo.
     """
     r2 = x * x + y * y

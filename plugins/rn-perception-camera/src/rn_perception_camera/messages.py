@@ -22,13 +22,18 @@ _MODES = ("L", "RGB", "RGBA")
 
 
 def to_rgb(message: Image) -> U8:
-    """sensor_msgs/Image -> uint8 (H, W, 3) RGB; `rgb8` without row padding shares the message's memory.
+    """sensor_msgs/Image -> uint8 (H, W, 3) RGB; `rgb8` without row padding shares the message's
+    memory.
 
     Raises:
         InvalidInputError: an encoding that is not 8-bit grey or colour, or a damaged size.
     """
     return frame_from_buffer(
-        message.data, width=message.width, height=message.height, step=message.step, encoding=message.encoding
+        message.data,
+        width=message.width,
+        height=message.height,
+        step=message.step,
+        encoding=message.encoding,
     )
 
 
@@ -45,11 +50,22 @@ def decompress(message: CompressedImage) -> U8:
             warnings.simplefilter("error", Pillow.DecompressionBombWarning)
             picture = Pillow.open(io.BytesIO(bytes(message.data)), formats=("JPEG", "PNG"))
         if max(picture.size) > MAX_SIDE_PX:
-            raise InvalidInputError(f"Its size is {picture.width}x{picture.height}, at most {MAX_SIDE_PX} is taken.")
+            raise InvalidInputError(
+                f"Its size is {picture.width}x{picture.height}, at most {MAX_SIDE_PX} is taken."
+            )
         if picture.mode not in _MODES:
-            raise InvalidInputError(f"Its pixels are {picture.mode!r}, expected one of {', '.join(_MODES)}.")
+            raise InvalidInputError(
+                f"Its pixels are {picture.mode!r}, expected one of {', '.join(_MODES)}."
+            )
         return np.asarray(picture.convert("RGB"))
-    except (OSError, SyntaxError, ValueError, Pillow.DecompressionBombError, Pillow.DecompressionBombWarning) as error:
+    except (
+        OSError,
+        SyntaxError,
+        ValueError,
+        Pillow.DecompressionBombError,
+        Pillow.DecompressionBombWarning,
+    ) as error:
         raise InvalidInputError(
-            f"{len(message.data)} bytes of format {message.format!r} are no whole JPEG or PNG image: {error}."
+            f"{len(message.data)} bytes of format {message.format!r} are no whole JPEG or PNG "
+            f"image: {error}."
         ) from error

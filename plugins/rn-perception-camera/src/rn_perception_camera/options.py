@@ -20,7 +20,8 @@ class ResizeOptions(BaseModel):
     width: int = Field(ge=1, le=8192, description="width of the images that leave [px]")
     height: int = Field(ge=1, le=8192, description="height of the images that leave [px]")
     fit: Literal["letterbox", "crop"] = Field(
-        description="letterbox: all of the image, with black bars; crop: the middle of the image, without bars"
+        description="letterbox: all of the image, with black bars; crop: the middle of the image, "
+        "without bars"
     )
 
 
@@ -29,9 +30,14 @@ class _CameraOptions(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    resize: ResizeOptions | None = Field(default=None, description="another size for its images; theirs when not given")
+    resize: ResizeOptions | None = Field(
+        default=None, description="another size for its images; theirs when not given"
+    )
     max_rate_hz: float | None = Field(
-        default=None, gt=0, le=1000, description="most images per second; the newest are kept; no bound when not given"
+        default=None,
+        gt=0,
+        le=1000,
+        description="most images per second; the newest are kept; no bound when not given",
     )
 
     @property
@@ -47,27 +53,35 @@ class RosCameraOptions(_CameraOptions):
         min_length=1, description="topic of the images; absolute, or in the robot's namespace"
     )
     transport: Literal["raw", "compressed"] = Field(
-        default="raw", description="raw: sensor_msgs/Image; compressed: sensor_msgs/CompressedImage, JPEG or PNG"
+        default="raw",
+        description="raw: sensor_msgs/Image; compressed: sensor_msgs/CompressedImage, JPEG or PNG",
     )
     camera_info: Annotated[str | None, ConfigurationOnly()] = Field(
-        default=None, min_length=1, description="topic of its calibration; that of the robot's profile when not given"
+        default=None,
+        min_length=1,
+        description="topic of its calibration; that of the robot's profile when not given",
     )
     distortion: Literal["refuse", "undistort", "rectified"] = Field(
         default="refuse",
-        description="a lens that camera_info says distorts: refuse it, undistort the images, or rectified: the driver"
+        description="a lens that camera_info says distorts: refuse it, undistort the images, or "
+        "rectified: the driver"
         " has done so already",
     )
     stamp: Literal["capture", "arrival"] = Field(
-        default="capture", description="capture: the driver's stamps, refused when unset; arrival: time of arrival"
+        default="capture",
+        description="capture: the driver's stamps, refused when unset; arrival: time of arrival",
     )
     frame_id: Literal["driver", "profile"] = Field(
-        default="driver", description="name of the optical frame: the driver's, or the one in the robot's profile"
+        default="driver",
+        description="name of the optical frame: the driver's, or the one in the robot's profile",
     )
 
     @model_validator(mode="after")
     def _check_distortion(self) -> Self:
         if self.distortion != "refuse" and self.camera_info is None:
-            raise ValueError(f'distortion = "{self.distortion}" needs camera_info, which tells the distortion')
+            raise ValueError(
+                f'distortion = "{self.distortion}" needs camera_info, which tells the distortion'
+            )
         return self
 
 
@@ -91,23 +105,32 @@ class VideoCameraOptions(_CameraOptions):
         default=None, min_length=1, description="a video file, instead of a device"
     )
     size: tuple[SIDE_PX, SIDE_PX] | None = Field(
-        default=None, description="width and height to capture [px]; the device's own when not given; devices only"
+        default=None,
+        description="width and height to capture [px]; the device's own when not given; devices "
+        "only",
     )
     fps: float | None = Field(
-        default=None, gt=0, le=1000, description="images per second: asked of a device, pace of a file; their own else"
+        default=None,
+        gt=0,
+        le=1000,
+        description="images per second: asked of a device, pace of a file; their own else",
     )
     fourcc: str | None = Field(
-        default=None, pattern=r"^[\x20-\x7e]{4}$", description="pixel format asked of a device, such as MJPG or YUYV"
+        default=None,
+        pattern=r"^[\x20-\x7e]{4}$",
+        description="pixel format asked of a device, such as MJPG or YUYV",
     )
     loop: bool = Field(default=False, description="begin a file again at its end")
     intrinsics: tuple[float, float, float, float] | None = Field(
         default=None,
-        description="fx, fy, cx, cy [px] at the captured size, pixel centres at integers as OpenCV and ROS have them;"
+        description="fx, fy, cx, cy [px] at the captured size, pixel centres at integers as "
+        "OpenCV and ROS have them;"
         " those of the robot's profile when not given",
     )
     distortion: tuple[float, ...] | None = Field(
         default=None,
-        description="k1, k2, p1, p2, k3 or eight rational coefficients, as OpenCV gives them, to undistort images by",
+        description="k1, k2, p1, p2, k3 or eight rational coefficients, as OpenCV gives them, to "
+        "undistort images by",
     )
 
     @model_validator(mode="after")
@@ -117,7 +140,9 @@ class VideoCameraOptions(_CameraOptions):
         if isinstance(self.device, int) and self.device < 0:
             raise ValueError(f"device is {self.device}, expected 0 or more")
         if self.path is not None and (self.size is not None or self.fourcc is not None):
-            raise ValueError("size and fourcc are for devices; give a file's images another size with resize")
+            raise ValueError(
+                "size and fourcc are for devices; give a file's images another size with resize"
+            )
         if self.device is not None and self.loop:
             raise ValueError("loop is for files")
         if self.distortion is not None and self.intrinsics is None:

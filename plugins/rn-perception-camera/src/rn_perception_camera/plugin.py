@@ -15,7 +15,8 @@ def roboneuron_perceptions() -> Sequence[PerceptionSpec]:
     return [
         PerceptionSpec(
             name="ros-camera",
-            summary="Images that camera drivers publish on ROS topics, raw or compressed, with their camera_info",
+            summary="Images that camera drivers publish on ROS topics, raw or compressed, with "
+            "their camera_info",
             target="rn_perception_camera.ros_source:RosCameras",
             config="rn_perception_camera.options:RosCamerasOptions",
             case="rn_perception_camera.contract_cases:ros_case",

@@ -1,4 +1,6 @@
-"""What is done to every image of one camera: undistorted, cropped, resized, and calibrated accordingly."""
+"""What is done to every image of one camera: undistorted, cropped, resized, and calibrated
+accordingly.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,9 @@ U8 = NDArray[np.uint8]
 F64 = NDArray[np.float64]
 
 HALF_PIXEL = np.array([[0.0, 0.0, 0.5], [0.0, 0.0, 0.5], [0.0, 0.0, 0.0]])
-"""Added to intrinsics of OpenCV and ROS: they put pixel centres at integers, the contract at integers + 0.5."""
+"""Added to intrinsics of OpenCV and ROS: they put pixel centres at integers, the contract at
+integers + 0.5.
+"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -34,7 +38,9 @@ class Preparation:
     calibration: CameraCalibration | None
 
     def apply(self, image: U8) -> U8:
-        """uint8 (h, w, 3) RGB as captured -> uint8 (H, W, 3) RGB as wanted; the same array when nothing is to do."""
+        """uint8 (h, w, 3) RGB as captured -> uint8 (H, W, 3) RGB as wanted; the same array when
+        nothing is to do.
+        """
         if self.undistortion is not None:
             image = self.undistortion.apply(image)
         return self.fit.apply(image)
@@ -51,13 +57,17 @@ def prepare(
     """The preparation of images of `size`.
 
     Args:
-        profile: tells where the camera is mounted and, when `intrinsics` is None, its calibration at this size.
+        profile: tells where the camera is mounted and, when `intrinsics` is None, its calibration
+            at this size.
         size: width and height of the images that come [px].
         resize: None to leave it.
-        intrinsics: float64 (3, 3) [px] of the images that come (once undistorted), pixel centres at integers + 0.5.
+        intrinsics: float64 (3, 3) [px] of the images that come (once undistorted), pixel centres at
+            integers + 0.5.
         undistortion: None for images that need none.
     """
-    chosen = unchanged(size) if resize is None else fit(size, (resize.width, resize.height), resize.fit)
+    chosen = (
+        unchanged(size) if resize is None else fit(size, (resize.width, resize.height), resize.fit)
+    )
     calibration = profile.calibration
     if calibration is not None and intrinsics is not None:
         calibration = replace(calibration, intrinsics=intrinsics)

@@ -38,14 +38,19 @@ class Arrival:
 
 
 class CameraFeed:
-    """Subscribes to one camera's topics; messages are received on the host's thread and converted on the reading one.
+    """Subscribes to one camera's topics; messages are received on the host's thread and converted
+    on the reading one.
 
     Args:
         deliver: takes each image that can be converted.
     """
 
     def __init__(
-        self, profile: CameraProfile, options: RosCameraOptions, topics: Topics, deliver: Callable[[Arrival], None]
+        self,
+        profile: CameraProfile,
+        options: RosCameraOptions,
+        topics: Topics,
+        deliver: Callable[[Arrival], None],
     ) -> None:
         self._profile = profile
         self._options = options
@@ -59,11 +64,18 @@ class CameraFeed:
         self._preparation: Preparation | None = None
 
     def check(self) -> None:
-        """Raises ConfigurationError when a topic is published with another type, or no mount is known."""
+        """Raises ConfigurationError when a topic is published with another type, or no mount is
+        known.
+        """
         options = self._options
-        if options.camera_info is not None and self._profile.calibration is None and options.distortion != "undistort":
+        if (
+            options.camera_info is not None
+            and self._profile.calibration is None
+            and options.distortion != "undistort"
+        ):
             raise ConfigurationError(
-                f"Camera {self._profile.name!r} is to be calibrated by {options.camera_info!r}, but the robot's profile"
+                f"Camera {self._profile.name!r} is to be calibrated by {options.camera_info!r}, "
+                "but the robot's profile"
                 " does not tell where it is mounted.",
                 hint="Leave camera_info out, or use a robot whose profile has this camera's mount.",
             )
@@ -77,14 +89,17 @@ class CameraFeed:
 
         kind = Image if self._options.transport == "raw" else CompressedImage
         if self._options.camera_info is not None:
-            self._topics.subscribe(self._options.camera_info, CameraInfo, self._take_info, best_effort=True)
+            self._topics.subscribe(
+                self._options.camera_info, CameraInfo, self._take_info, best_effort=True
+            )
         self._topics.subscribe(self._options.topic, kind, self._take, best_effort=True)
 
     def to_frame(self, arrival: Arrival) -> Frame | None:
         """The frame of an image; None for one that was not captured after the frame before it.
 
         Raises:
-            InvalidInputError: a damaged image, an unknown encoding, or a stamp that is unset or of another clock.
+            InvalidInputError: a damaged image, an unknown encoding, or a stamp that is unset or of
+                another clock.
             ConfigurationError: its camera_info cannot be used for it.
         """
         message = arrival.message
@@ -116,15 +131,24 @@ class CameraFeed:
         self.check()
         options, name = self._options, self._profile.name
         if held:
-            return f"The next image of camera {name!r} is not due yet (max_rate_hz = {options.max_rate_hz})."
+            return (
+                f"The next image of camera {name!r} is not due yet (max_rate_hz = "
+                f"{options.max_rate_hz})."
+            )
         if not self._topics.publisher_types(options.topic):
             return f"Nobody publishes images of camera {name!r} on topic {options.topic!r}."
         if self._waits_for_info and options.camera_info is not None:
             absent = not self._topics.publisher_types(options.camera_info)
             why = "which nobody publishes" if absent else "on which nothing came"
-            return f"Images of camera {name!r} wait for their calibration on topic {options.camera_info!r}, {why}."
+            return (
+                f"Images of camera {name!r} wait for their calibration on topic "
+                f"{options.camera_info!r}, {why}."
+            )
         if self._went_back:
-            return f"Images of camera {name!r} on topic {options.topic!r} are stamped no later than the one before."
+            return (
+                f"Images of camera {name!r} on topic {options.topic!r} are stamped no later "
+                "than the one before."
+            )
         return f"Topic {options.topic!r} of camera {name!r} has a publisher, but nothing new came."
 
     def _take(self, message: Image | CompressedImage) -> None:
@@ -144,7 +168,9 @@ class CameraFeed:
         if other is not None and expected != INFO:
             hint = f'Set transport = "{other}".'
         raise ConfigurationError(
-            f"Topic {topic!r} of camera {self._profile.name!r} carries {types[0]}, expected {expected}.", hint=hint
+            f"Topic {topic!r} of camera {self._profile.name!r} carries {types[0]}, expected "
+            f"{expected}.",
+            hint=hint,
         )
 
     def _stamp_ns(self, arrival: Arrival) -> int:
@@ -157,10 +183,14 @@ class CameraFeed:
         if stamp_ns <= 0:
             what = "carries no capture time in header.stamp"
         elif abs(ahead_s) > CLOCK_LIMIT_S:
-            what = f"is stamped {abs(ahead_s):.1f} s {'ahead of' if ahead_s > 0 else 'behind'} ROS time when it arrives"
+            what = (
+                f"is stamped {abs(ahead_s):.1f} s {'ahead of' if ahead_s > 0 else 'behind'} "
+                "ROS time when it arrives"
+            )
         if what:
             raise InvalidInputError(
-                f"An image of camera {self._profile.name!r} on topic {self._options.topic!r} {what}.",
+                f"An image of camera {self._profile.name!r} on topic {self._options.topic!r} "
+                f"{what}.",
                 hint='Let the driver stamp with the time of capture, or set stamp = "arrival".',
             )
         return stamp_ns
@@ -170,7 +200,8 @@ class CameraFeed:
             return to_rgb(message) if self._options.transport == "raw" else decompress(message)
         except InvalidInputError as error:
             raise InvalidInputError(
-                f"An image of camera {self._profile.name!r} on topic {self._options.topic!r} cannot be used."
+                f"An image of camera {self._profile.name!r} on topic {self._options.topic!r} "
+                "cannot be used."
                 f" {error.message}",
                 hint="Let the driver publish 8-bit grey or colour images.",
             ) from error
@@ -186,12 +217,17 @@ class CameraFeed:
                 intrinsics, undistortion = read_optics(facts, size, self._options.distortion)
             except ConfigurationError as error:
                 raise ConfigurationError(
-                    f"The calibration of camera {self._profile.name!r} on topic {self._options.camera_info!r} cannot be"
+                    f"The calibration of camera {self._profile.name!r} on topic "
+                    f"{self._options.camera_info!r} cannot be"
                     f" used. {error.message}",
                     hint=error.hint,
                 ) from error
             preparation = prepare(
-                self._profile, size, self._options.resize, intrinsics=intrinsics, undistortion=undistortion
+                self._profile,
+                size,
+                self._options.resize,
+                intrinsics=intrinsics,
+                undistortion=undistortion,
             )
         self._preparation, self._prepared = preparation, (size, facts)
         return preparation

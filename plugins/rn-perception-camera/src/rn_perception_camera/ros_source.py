@@ -18,21 +18,28 @@ class RosCameras:
     Drivers may come and go, reliable or best effort; images keep their capture stamps.
     """
 
-    def __init__(self, config: RosCamerasOptions | None, topics: Topics, cameras: Sequence[CameraProfile]) -> None:
+    def __init__(
+        self, config: RosCamerasOptions | None, topics: Topics, cameras: Sequence[CameraProfile]
+    ) -> None:
         self._options = {} if config is None else config.cameras
         self._topics = topics
         self._cameras = tuple(cameras)
         served = [camera for camera in self._cameras if camera.name in self._options]
-        self._arrivals: Arrivals[Arrival] = Arrivals({c.name: self._options[c.name].period_s for c in served})
-        self._feeds = {c.name: CameraFeed(c, self._options[c.name], topics, self._delivery(c.name)) for c in served}
+        self._arrivals: Arrivals[Arrival] = Arrivals(
+            {c.name: self._options[c.name].period_s for c in served}
+        )
+        self._feeds = {
+            c.name: CameraFeed(c, self._options[c.name], topics, self._delivery(c.name))
+            for c in served
+        }
         self._subscribed = False
 
     def open(self) -> None:
         """Subscribe to the cameras' topics; drivers may start later.
 
         Raises:
-            ConfigurationError: no camera, one without options, one whose mount is not known though camera_info is
-                given, or a topic that is published with another type.
+            ConfigurationError: no camera, one without options, one whose mount is not known though
+                camera_info is given, or a topic that is published with another type.
             StateError: it is open already.
         """
         check_cameras("ros-camera", self._cameras, self._options)
@@ -50,7 +57,8 @@ class RosCameras:
         Raises:
             NotReadyError: none came within `timeout_s`; says for each camera why.
             StateError: not open.
-            InvalidInputError: a damaged image, an unknown encoding, or a bad stamp; that image is dropped.
+            InvalidInputError: a damaged image, an unknown encoding, or a bad stamp; that image is
+                dropped.
             ConfigurationError: a topic carries another type, or a camera_info cannot be used.
         """
         deadline_s = time.monotonic() + timeout_s
@@ -59,7 +67,9 @@ class RosCameras:
             frame = self._feeds[name].to_frame(arrival)
             if frame is not None:
                 return frame
-        reasons = [feed.explain_silence(self._arrivals.is_held(name)) for name, feed in self._feeds.items()]
+        reasons = [
+            feed.explain_silence(self._arrivals.is_held(name)) for name, feed in self._feeds.items()
+        ]
         raise NotReadyError(
             f"No image came within {timeout_s:g} s. {' '.join(reasons)}",
             hint="Start the camera's driver, or correct the topic.",

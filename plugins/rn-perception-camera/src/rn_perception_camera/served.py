@@ -18,7 +18,8 @@ def check_cameras(source: str, cameras: Sequence[CameraProfile], options: Mappin
     if missing:
         given = ", ".join(map(repr, options)) or "none"
         raise ConfigurationError(
-            f"The robot's camera {missing[0]!r} has no table [plugins.{source}.cameras.{missing[0]}];"
+            f"The robot's camera {missing[0]!r} has no table "
+            f"[plugins.{source}.cameras.{missing[0]}];"
             f" there are tables for: {given}.",
             hint="Add it, or name the cameras to serve in [perception] cameras.",
         )

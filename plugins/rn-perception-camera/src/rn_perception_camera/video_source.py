@@ -24,16 +24,22 @@ _JOIN_S = HANG_LIMIT_S + 1.0
 
 
 class VideoCameras:
-    """Grabs on one thread per camera and keeps the newest image; follows the protocol `PerceptionSource`.
+    """Grabs on one thread per camera and keeps the newest image; follows the protocol
+    `PerceptionSource`.
 
-    A frame is stamped when its grabbing ends, which is after its exposure by what the camera and the bus take.
+    A frame is stamped when its grabbing ends, which is after its exposure by what the camera and
+    the bus take.
     """
 
-    def __init__(self, config: VideoCamerasOptions | None, topics: Topics, cameras: Sequence[CameraProfile]) -> None:
+    def __init__(
+        self, config: VideoCamerasOptions | None, topics: Topics, cameras: Sequence[CameraProfile]
+    ) -> None:
         self._options = {} if config is None else config.cameras
         self._topics = topics
         self._profiles = {camera.name: camera for camera in cameras}
-        periods_s = {name: self._options[name].period_s for name in self._profiles if name in self._options}
+        periods_s = {
+            name: self._options[name].period_s for name in self._profiles if name in self._options
+        }
         self._arrivals: Arrivals[Grabbed] = Arrivals(periods_s)
         self._grabbers: dict[str, Grabber] = {}
         self._preparations: dict[str, tuple[tuple[int, int], Preparation]] = {}
@@ -43,8 +49,8 @@ class VideoCameras:
         """Open every camera and begin to grab.
 
         Raises:
-            ConfigurationError: no camera, one without options, a file that is absent or no video, or a size that the
-                device does not have.
+            ConfigurationError: no camera, one without options, a file that is absent or no video,
+                or a size that the device does not have.
             NotReadyError: a device is absent or busy.
             StateError: it is open already, or a camera still hangs since the last `close`.
         """
@@ -52,14 +58,20 @@ class VideoCameras:
         for name, profile in self._profiles.items():
             if self._options[name].intrinsics is not None and profile.calibration is None:
                 raise ConfigurationError(
-                    f"Camera {name!r} has intrinsics, but the robot's profile does not tell where it is mounted.",
-                    hint="Leave intrinsics out, or use a robot whose profile has this camera's mount.",
+                    f"Camera {name!r} has intrinsics, but the robot's profile does not tell where "
+                    "it is mounted.",
+                    hint="Leave intrinsics out, or use a robot whose profile has this camera's "
+                    "mount.",
                 )
         if any(not grabber.join(0.0) for grabber in self._grabbers.values()):
-            raise StateError("The cameras are open, or one of them still hangs.", hint="Call close() and wait.")
+            raise StateError(
+                "The cameras are open, or one of them still hangs.", hint="Call close() and wait."
+            )
         self._arrivals.open()
         self._newest_ns.clear()
-        self._grabbers = {name: self._make_grabber(name, self._options[name]) for name in self._profiles}
+        self._grabbers = {
+            name: self._make_grabber(name, self._options[name]) for name in self._profiles
+        }
         try:
             for grabber in self._grabbers.values():
                 grabber.start()
@@ -84,7 +96,9 @@ class VideoCameras:
         raise self._explain(timeout_s)
 
     def close(self) -> None:
-        """Stop grabbing and release the cameras; a `read` in progress ends with StateError. May be called twice."""
+        """Stop grabbing and release the cameras; a `read` in progress ends with StateError. May
+        be called twice.
+        """
         self._arrivals.close()
         for grabber in self._grabbers.values():
             grabber.ask_to_stop()
@@ -119,7 +133,11 @@ class VideoCameras:
         options = self._options[name]
         intrinsics, undistortion = _read_optics(options, size)
         preparation = prepare(
-            self._profiles[name], size, options.resize, intrinsics=intrinsics, undistortion=undistortion
+            self._profiles[name],
+            size,
+            options.resize,
+            intrinsics=intrinsics,
+            undistortion=undistortion,
         )
         self._preparations[name] = (size, preparation)
         return preparation
@@ -135,14 +153,21 @@ class VideoCameras:
             elif self._arrivals.is_held(name):
                 parts.append(f"The next image of camera {name!r} is not due yet.")
             else:
-                parts.append(f"Camera {name!r} ({self._options[name].place}) is open, but nothing new came.")
+                parts.append(
+                    f"Camera {name!r} ({self._options[name].place}) is open, but nothing new came."
+                )
         return NotReadyError(
-            f"No image came within {timeout_s:g} s. {' '.join(parts)}", hint=" ".join(dict.fromkeys(hints))
+            f"No image came within {timeout_s:g} s. {' '.join(parts)}",
+            hint=" ".join(dict.fromkeys(hints)),
         )
 
 
-def _read_optics(options: VideoCameraOptions, size: tuple[int, int]) -> tuple[F64 | None, Undistortion | None]:
-    """Intrinsics [px, pixel centres at integers + 0.5] and undistortion as the options tell them."""
+def _read_optics(
+    options: VideoCameraOptions, size: tuple[int, int]
+) -> tuple[F64 | None, Undistortion | None]:
+    """Intrinsics [px, pixel centres at integers + 0.5] and undistortion as the options tell
+    them.
+    """
     if options.intrinsics is None:
         return None, None
     fx, fy, cx, cy = options.intrinsics
@@ -150,4 +175,6 @@ def _read_optics(options: VideoCameraOptions, size: tuple[int, int]) -> tuple[F6
     if options.distortion is None or not any(options.distortion):
         return intrinsics, None
     model = "rational_polynomial" if len(options.distortion) == 8 else "plumb_bob"
-    return intrinsics, Undistortion(intrinsics, model, options.distortion, width=size[0], height=size[1])
+    return intrinsics, Undistortion(
+        intrinsics, model, options.distortion, width=size[0], height=size[1]
+    )

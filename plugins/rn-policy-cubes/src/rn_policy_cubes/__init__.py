@@ -1,1 +1,3 @@
-"""A small vision-language-action policy for the suite "cubes", in the public layout of OpenVLA-OFT."""
+"""A small vision-language-action policy for the suite "cubes", in the public layout of
+OpenVLA-OFT.
+"""

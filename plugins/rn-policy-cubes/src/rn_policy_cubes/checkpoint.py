@@ -1,4 +1,6 @@
-"""From packed weights to a folder in the public OpenVLA-OFT layout, which rn-backend-oft loads as any other."""
+"""From packed weights to a folder in the public OpenVLA-OFT layout, which rn-backend-oft loads
+as any other.
+"""
 
 from __future__ import annotations
 
@@ -51,7 +53,8 @@ CONFIGURATION_FILE = "roboneuron.toml"
 
 
 def unpack(packed: Packed, directory: Path) -> None:
-    """Write config.json, weights, processor, tokenizer, statistics, head and projector into a new or empty folder.
+    """Write config.json, weights, processor, tokenizer, statistics, head and projector into a new
+    or empty folder.
 
     Beside them a roboneuron.toml that runs this checkpoint on the simulated robot.
 
@@ -59,7 +62,9 @@ def unpack(packed: Packed, directory: Path) -> None:
         ConfigurationError: the folder is not empty.
     """
     if directory.exists() and (not directory.is_dir() or any(directory.iterdir())):
-        raise ConfigurationError(f"{directory} exists and is not an empty directory.", hint="Name a new directory.")
+        raise ConfigurationError(
+            f"{directory} exists and is not an empty directory.", hint="Name a new directory."
+        )
     directory.mkdir(parents=True, exist_ok=True)
     statistics = {DATA_SET: _statistics()}
     _write_json(directory / "config.json", _config(packed.card.recipe.shape, statistics))
@@ -72,13 +77,18 @@ def unpack(packed: Packed, directory: Path) -> None:
         (HEAD, f"action_head--{step}_checkpoint.pt", "module.model."),
         (PROPRIO, f"proprio_projector--{step}_checkpoint.pt", "module."),
     ):
-        tensors = {inner + n.removeprefix(prefix): t for n, t in packed.tensors.items() if n.startswith(prefix)}
+        tensors = {
+            inner + n.removeprefix(prefix): t
+            for n, t in packed.tensors.items()
+            if n.startswith(prefix)
+        }
         torch.save(tensors, directory / file)
     (directory / CONFIGURATION_FILE).write_text(configuration(directory), encoding="utf-8")
 
 
 def shipped_configuration(output: Path) -> Path:
-    """Unpack the shipped weights below `output`; returns the configuration that runs them on the simulated robot.
+    """Unpack the shipped weights below `output`; returns the configuration that runs them on the
+    simulated robot.
 
     Raises:
         ConfigurationError: this build has no weights.
@@ -95,7 +105,13 @@ def configuration(directory: Path) -> str:
     text = default_text().replace('backend = "servo"', f"backend = {json.dumps(BACKEND)}")
     options = {"checkpoint": str(directory.resolve()), **OPTIONS}
     own = options.pop("own_profile")
-    lines = [f"[plugins.{BACKEND}]", *_toml(options), "", f"[plugins.{BACKEND}.own_profile]", *_toml(own)]
+    lines = [
+        f"[plugins.{BACKEND}]",
+        *_toml(options),
+        "",
+        f"[plugins.{BACKEND}.own_profile]",
+        *_toml(own),
+    ]
     return text + "\n" + "\n".join(lines) + "\n"
 
 
@@ -115,7 +131,9 @@ def _write_model(packed: Packed, directory: Path) -> None:
         else:
             value = torch.zeros(weight.shape, dtype=torch.bfloat16)
         if tuple(value.shape) != tuple(weight.shape):
-            raise ConfigurationError(f"{name} has shape {tuple(value.shape)}, the layout says {tuple(weight.shape)}.")
+            raise ConfigurationError(
+                f"{name} has shape {tuple(value.shape)}, the layout says {tuple(weight.shape)}."
+            )
         tensors[name] = value.contiguous()
     save_file(tensors, directory / "model.safetensors", metadata={"format": "pt"})
 
@@ -166,7 +184,15 @@ def _statistics() -> Mapping[str, object]:
 
 def _range(low: list[float], high: list[float], mask: list[bool]) -> Mapping[str, object]:
     still, unit = [0.0] * len(low), [1.0] * len(low)
-    return {"min": low, "max": high, "q01": low, "q99": high, "mean": still, "std": unit, "mask": mask}
+    return {
+        "min": low,
+        "max": high,
+        "q01": low,
+        "q99": high,
+        "mean": still,
+        "std": unit,
+        "mask": mask,
+    }
 
 
 def _processor() -> Mapping[str, object]:

@@ -18,14 +18,22 @@ DEFAULT_DIRECTORY = Path("out/train-cubes")
 
 
 class CubesPolicy:
-    """A small learned policy for the suite "cubes": from nothing to a checkpoint in the OpenVLA-OFT layout."""
+    """A small learned policy for the suite "cubes": from nothing to a checkpoint in the
+    OpenVLA-OFT layout.
+    """
 
     def configure(self, parser: ArgumentParser) -> None:
         """Add the arguments of `roboneuron cubes-policy`."""
-        actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION", help="what to do")
+        actions = parser.add_subparsers(
+            dest="action", required=True, metavar="ACTION", help="what to do"
+        )
         train = actions.add_parser("train", help="make demonstrations and train, or go on with it")
-        train.add_argument("--out", type=Path, default=DEFAULT_DIRECTORY, help="default: %(default)s")
-        train.add_argument("--data", type=Path, help="folder of the demonstrations; default: OUT/demonstrations")
+        train.add_argument(
+            "--out", type=Path, default=DEFAULT_DIRECTORY, help="default: %(default)s"
+        )
+        train.add_argument(
+            "--data", type=Path, help="folder of the demonstrations; default: OUT/demonstrations"
+        )
         train.add_argument(
             "--set",
             action="append",
@@ -33,16 +41,30 @@ class CubesPolicy:
             metavar="NAME=VALUE",
             help="another value of the recipe: steps=500",
         )
-        train.add_argument("--until", type=int, metavar="STEP", help="stop there, to go on another time")
-        train.add_argument("--workers", type=int, default=1, help="processes that make demonstrations (default: 1)")
-        train.add_argument("--threads", type=int, default=1, help="threads of the training on a CPU (default: 1)")
-        train.add_argument("--fuse", action="store_true", help="compile the layers: half the time; needs C++")
+        train.add_argument(
+            "--until", type=int, metavar="STEP", help="stop there, to go on another time"
+        )
+        train.add_argument(
+            "--workers", type=int, default=1, help="processes that make demonstrations (default: 1)"
+        )
+        train.add_argument(
+            "--threads", type=int, default=1, help="threads of the training on a CPU (default: 1)"
+        )
+        train.add_argument(
+            "--fuse", action="store_true", help="compile the layers: half the time; needs C++"
+        )
         pack = actions.add_parser("pack", help="write the trained weights as one small file")
-        pack.add_argument("--out", type=Path, default=DEFAULT_DIRECTORY, help="folder of the training")
+        pack.add_argument(
+            "--out", type=Path, default=DEFAULT_DIRECTORY, help="folder of the training"
+        )
         pack.add_argument("--to", type=Path, required=True, metavar="FILE", help="the packed file")
-        unpack = actions.add_parser("unpack", help="write a checkpoint that the backend oft-primary loads")
+        unpack = actions.add_parser(
+            "unpack", help="write a checkpoint that the backend oft-primary loads"
+        )
         unpack.add_argument("directory", type=Path, help="a new or empty folder")
-        unpack.add_argument("--weights", type=Path, help="a packed file; default: the one in this package")
+        unpack.add_argument(
+            "--weights", type=Path, help="a packed file; default: the one in this package"
+        )
 
     def run(self, arguments: Namespace) -> int:
         """Run `roboneuron cubes-policy`."""
@@ -66,7 +88,9 @@ def _train(arguments: Namespace) -> int:
     recipe = _recipe(arguments.set)
     data = arguments.data or arguments.out / "demonstrations"
     record(data, recipe.shards, workers=arguments.workers, say=_say)
-    training = train(recipe, arguments.out, data, until=arguments.until, fuse=arguments.fuse, say=_say)
+    training = train(
+        recipe, arguments.out, data, until=arguments.until, fuse=arguments.fuse, say=_say
+    )
     print(f"step {training.step} of {recipe.steps}, state in {arguments.out}")
     return 0
 
@@ -94,7 +118,9 @@ def _recipe(settings: list[str]) -> Recipe:
         return Recipe.model_validate(values)
     except ValidationError as error:
         first = error.errors()[0]
-        raise ConfigurationError(f"--set {'.'.join(map(str, first['loc']))}: {first['msg']}.") from None
+        raise ConfigurationError(
+            f"--set {'.'.join(map(str, first['loc']))}: {first['msg']}."
+        ) from None
 
 
 def _pack(arguments: Namespace) -> int:

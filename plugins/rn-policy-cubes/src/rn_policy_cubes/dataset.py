@@ -51,7 +51,8 @@ class Shards:
             shares.append(coloured_share(patches[-1]))
             labels.append(label(rows))
         joined = {
-            field.name: np.concatenate([getattr(part, field.name) for part in labels]) for field in fields(Labels)
+            field.name: np.concatenate([getattr(part, field.name) for part in labels])
+            for field in fields(Labels)
         }
         return cls(np.concatenate(patches), np.concatenate(shares), Labels(**joined))
 
@@ -89,19 +90,28 @@ class Batch:
         """The same on another device."""
         weight = None if self.look.weight is None else self.look.weight.to(device)
         look = Look(self.look.pixels.to(device), self.look.index.to(device), weight)
-        rest = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "look"}
+        rest = {
+            field.name: getattr(self, field.name) for field in fields(self) if field.name != "look"
+        }
         return Batch(look=look, **{name: value.to(device) for name, value in rest.items()})
 
 
 def sampling(shards: Shards) -> NDArray[np.float64]:
     """How likely each view is drawn: those of the grasp more often."""
-    near = (np.where(shards.labels.is_target, shards.labels.distance_m, np.inf).min(axis=1) < _NEAR_M).astype(float)
+    near = (
+        np.where(shards.labels.is_target, shards.labels.distance_m, np.inf).min(axis=1) < _NEAR_M
+    ).astype(float)
     weight = 1.0 + (_NEAR_WEIGHT - 1.0) * near
     return np.asarray(weight / weight.sum())
 
 
 def draw(
-    shards: Shards, prompts: Prompts, weight: NDArray[np.float64], views: int, tokens: int, seed: Sequence[int]
+    shards: Shards,
+    prompts: Prompts,
+    weight: NDArray[np.float64],
+    views: int,
+    tokens: int,
+    seed: Sequence[int],
 ) -> Batch:
     """The batch of a training step, by its seed."""
     random = np.random.default_rng(seed)
@@ -113,7 +123,9 @@ def draw(
 
 
 def every(shards: Shards, prompts: Prompts, views: int, most: int | None = None) -> Sequence[Batch]:
-    """All views in order, or `most` spread over them; all tokens, plain sentences: for measuring."""
+    """All views in order, or `most` spread over them; all tokens, plain sentences: for
+    measuring.
+    """
     random = np.random.default_rng(0)
     wanted = np.arange(len(shards))
     if most is not None and most < len(shards):
@@ -136,7 +148,8 @@ def _batch(
 ) -> Batch:
     share = shards.share[chosen]
     index, weight = _tokens(share.sum(axis=-1), tokens, random)
-    seen = np.take_along_axis(share, index[..., None], axis=1).transpose(0, 2, 1)  # (views, colours, tokens)
+    # (views, colours, tokens)
+    seen = np.take_along_axis(share, index[..., None], axis=1).transpose(0, 2, 1)
     named = seen > COLOURED
     other = (seen.sum(axis=1, keepdims=True) - seen > COLOURED) & (seen < _SLIGHTLY_COLOURED)
     labels = shards.labels
@@ -158,11 +171,14 @@ def _batch(
     )
 
 
-def _tokens(coloured: F32, tokens: int, random: np.random.Generator) -> tuple[NDArray[np.int64], F32 | None]:
+def _tokens(
+    coloured: F32, tokens: int, random: np.random.Generator
+) -> tuple[NDArray[np.int64], F32 | None]:
     """Which patches are seen, and how many each stands for.
 
-    Those with cubes are always there and stand for themselves; a random sample of the others stands for all others, so
-    that attention, which weighs keys by these numbers, is on average what it would be with all 256.
+    Those with cubes are always there and stand for themselves; a random sample of the others stands
+    for all others, so that attention, which weighs keys by these numbers, is on average what it
+    would be with all 256.
     """
     views = len(coloured)
     if tokens >= PATCHES:

@@ -1,6 +1,8 @@
-"""Demonstrations: the teacher, disturbed on purpose, picks cubes in the simulated cell; pictures and states are kept.
+"""Demonstrations: the teacher, disturbed on purpose, picks cubes in the simulated cell; pictures
+and states are kept.
 
-They come in shards. A shard depends on its number only, so that any of them can be made again, by any process.
+They come in shards. A shard depends on its number only, so that any of them can be made again, by
+any process.
 """
 
 from __future__ import annotations
@@ -50,7 +52,9 @@ _LONGEST_M = 0.045
 
 
 def situations(rows: NDArray[np.void], cube: int) -> Situations:
-    """What the teacher would look at if cube number `cube` were named in the views of `rows` (n,)."""
+    """What the teacher would look at if cube number `cube` were named in the views of `rows`
+    (n,).
+    """
     rotation = rows["rotation"].astype(np.float64)
     return Situations(
         tcp_m=rows["tcp_m"].astype(np.float64),
@@ -66,7 +70,8 @@ def situations(rows: NDArray[np.void], cube: int) -> Situations:
 def write_shard(
     directory: Path, number: int, views: int = VIEWS, tell: Callable[[int], object] | None = None
 ) -> tuple[int, int]:
-    """Make shard `number`; returns how many of its episodes lifted the cube, and how many there were.
+    """Make shard `number`; returns how many of its episodes lifted the cube, and how many there
+    were.
 
     `tell` gets the number of its views after each episode.
     """
@@ -74,7 +79,8 @@ def write_shard(
     directory.mkdir(parents=True, exist_ok=True)
     recorder = _Recorder(number, views)
     recorder.run(tell or (lambda made: None))
-    for path, array in ((pictures_file, recorder.pictures), (rows_file, recorder.rows)):  # the rows last: they count
+    # the rows last: they count
+    for path, array in ((pictures_file, recorder.pictures), (rows_file, recorder.rows)):
         with replacing(path) as unfinished, unfinished.open("wb") as file:
             np.save(file, array)
     return recorder.lifted, len(set(recorder.rows["seed"]))
@@ -104,7 +110,9 @@ class _Disturbance:
             action[:3] = self.kick
             action[5] += random.normal(0, 0.1)
             self.kicked -= 1
-        action[:3] += random.normal(0, self.noise_m, 3) * (1.0 if now.distance_m[0] > 0.03 else 0.35)
+        action[:3] += random.normal(0, self.noise_m, 3) * (
+            1.0 if now.distance_m[0] > 0.03 else 0.35
+        )
         action[5] += random.normal(0, 4 * self.noise_m)
         if self.snapped == 0 and random.random() < 0.006:
             self.snapped = int(random.integers(2, 6))
@@ -150,7 +158,9 @@ class _Recorder:
         if random.random() < 0.6:
             goal = np.array([*(cube[:2] + random.normal(0, 0.05, 2)), random.uniform(0.09, 0.25)])
         else:
-            goal = np.array([random.uniform(0.30, 0.66), random.uniform(-0.3, 0.3), random.uniform(0.09, 0.5)])
+            goal = np.array(
+                [random.uniform(0.30, 0.66), random.uniform(-0.3, 0.3), random.uniform(0.09, 0.5)]
+            )
         turn_left = random.uniform(-0.8, 0.8)
         for _ in range(20):
             move = goal - simulation.tcp_pose().position_m
@@ -188,7 +198,9 @@ class _Recorder:
         simulation.step(_TICKS)
 
     def _keep(self, simulation: Simulation, target: str) -> None:
-        """Take a picture; the cubes that are not named are put elsewhere first, so that each picture has new places."""
+        """Take a picture; the cubes that are not named are put elsewhere first, so that each
+        picture has new places.
+        """
         if self._count == self._views:
             return
         self._scatter(simulation, target)
@@ -206,7 +218,9 @@ class _Recorder:
             if name == target:
                 continue
             for _ in range(200):
-                place = np.array([self._random.uniform(*REGION_X_M), self._random.uniform(*REGION_Y_M)])
+                place = np.array(
+                    [self._random.uniform(*REGION_X_M), self._random.uniform(*REGION_Y_M)]
+                )
                 if min(float(np.hypot(*(place - other))) for other in taken) >= SPACING_M:
                     break
             else:
@@ -222,8 +236,15 @@ class _Recorder:
     def _look(self, simulation: Simulation, target: str) -> NDArray[np.void]:
         row = np.zeros((), dtype=ROW)
         pose, cubes = simulation.tcp_pose(), simulation.cubes()
-        row["tcp_m"], row["rotation"] = pose.position_m, matrix_from_quaternion(pose.quaternion_xyzw)
-        row["opening"], row["target"], row["seed"] = simulation.gripper_open(), COLOURS.index(target), self._seed
+        row["tcp_m"], row["rotation"] = (
+            pose.position_m,
+            matrix_from_quaternion(pose.quaternion_xyzw),
+        )
+        row["opening"], row["target"], row["seed"] = (
+            simulation.gripper_open(),
+            COLOURS.index(target),
+            self._seed,
+        )
         for index, name in enumerate(COLOURS):
             cube = cubes[name]
             row["cube_m"][index], row["edge_m"][index] = cube.position_m, cube.edge_m

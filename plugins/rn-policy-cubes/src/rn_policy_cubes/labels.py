@@ -1,4 +1,6 @@
-"""From a recorded row to what the network is given and what it is to answer, for every colour that might be named."""
+"""From a recorded row to what the network is given and what it is to answer, for every colour
+that might be named.
+"""
 
 from __future__ import annotations
 
@@ -39,8 +41,10 @@ class Labels:
     Attributes:
         state: float32 (n, 7), normalised.
         actions: float32 (n, c, ROWS, 7), normalised.
-        place: float32 (n, c, 5), cube relative to the TCP, scaled, and sine and cosine of four times the turn to it.
-        known: bool (n, c), False where the teacher has no sensible answer: the gripper is busy with another cube.
+        place: float32 (n, c, 5), cube relative to the TCP, scaled, and sine and cosine of four
+            times the turn to it.
+        known: bool (n, c), False where the teacher has no sensible answer: the gripper is busy with
+            another cube.
         distance_m: float32 (n, c), between TCP and cube.
         is_target: bool (n, c), the cube that the demonstration picked.
     """
@@ -82,7 +86,9 @@ def label(rows: NDArray[np.void]) -> Labels:
 
 
 def patches_of(pictures: U8) -> U8:
-    """Pictures (n, 224, 224, 3) -> patches (n, 256, 588), channel first, as a vision tower cuts them."""
+    """Pictures (n, 224, 224, 3) -> patches (n, 256, 588), channel first, as a vision tower cuts
+    them.
+    """
     cut = pictures.reshape(-1, GRID, PATCH_PX, GRID, PATCH_PX, 3).transpose(0, 1, 3, 5, 2, 4)
     return np.ascontiguousarray(cut).reshape(-1, PATCHES, PATCH_VALUES)
 

@@ -1,4 +1,6 @@
-"""What is minimised: the error of the actions, and three helpers whose heads are thrown away after training."""
+"""What is minimised: the error of the actions, and three helpers whose heads are thrown away
+after training.
+"""
 
 from __future__ import annotations
 
@@ -20,8 +22,10 @@ _POINT, _SPOT, _PLACE = 0.5, 1.0, 1.0
 class Helpers(nn.Module):
     """Heads that only training has.
 
-    `point`: whether a visual token shows the named cube, after the first and the second layer. `spot`: where that cube
-    is, told by the tokens that show it. `place`: the same, told by the rows that the action head reads.
+    `point`: whether a visual token shows the named cube, after the first and the second layer.
+    `spot`: where that cube
+    is, told by the tokens that show it. `place`: the same, told by the rows that the action head
+        reads.
     """
 
     def __init__(self, shape: Shape) -> None:
@@ -78,7 +82,9 @@ def losses(thought: Thought, helpers: Helpers, batch: Batch) -> Losses:
 
 
 def _pointing(logits: Tensor, batch: Batch) -> tuple[Tensor, Tensor]:
-    """Cross-entropy in which named, other cubes and background weigh alike; balanced accuracy of the former two."""
+    """Cross-entropy in which named, other cubes and background weigh alike; balanced accuracy
+    of the former two.
+    """
     logits = logits.float()
     named, other = batch.shows_named.float(), batch.shows_other.float()
     rest = (1.0 - named) * (1.0 - other)
@@ -86,7 +92,8 @@ def _pointing(logits: Tensor, batch: Batch) -> tuple[Tensor, Tensor]:
     parts = [(each * mask).sum() / mask.sum().clamp(min=1) for mask in (named, other, rest)]
     said = (logits > 0).float()
     right = 0.5 * (
-        (said * named).sum() / named.sum().clamp(min=1) + ((1 - said) * other).sum() / other.sum().clamp(min=1)
+        (said * named).sum() / named.sum().clamp(min=1)
+        + ((1 - said) * other).sum() / other.sum().clamp(min=1)
     )
     return parts[0] + parts[1] + 0.5 * parts[2], right.detach()
 

@@ -1,4 +1,6 @@
-"""Open-loop figures on held-out views, with all visual tokens: what decides whether a closed loop is worth trying."""
+"""Open-loop figures on held-out views, with all visual tokens: what decides whether a closed
+loop is worth trying.
+"""
 
 from __future__ import annotations
 
@@ -27,9 +29,10 @@ class Figures:
     Attributes:
         pointing: balanced accuracy of the pointing helper after the second layer.
         named_nearest: share of pairs in which the told place is nearest to the named cube.
-        place_mm: median distance between told and true place; `place_near_mm` within 6 cm of the TCP.
-        turn_rad: median error of the told turn to the cube farther than 10 cm from the TCP, where turns are spread
-            evenly; who does not see how a cube is turned errs by pi / 8.
+        place_mm: median distance between told and true place; `place_near_mm` within 6 cm of the
+            TCP.
+        turn_rad: median error of the told turn to the cube farther than 10 cm from the TCP, where
+            turns are spread evenly; who does not see how a cube is turned errs by pi / 8.
         action_mm: mean absolute error of a move, per axis; `action_near_mm` likewise near the cube.
         grip: share of actions with the right opening; `grip_near` near the cube.
     """
@@ -46,8 +49,13 @@ class Figures:
 
     def __str__(self) -> str:
         """For people."""
-        named = f"place nearest to the named cube {100 * self.named_nearest:.0f} %, off by {self.place_mm:.0f} mm"
-        return f"{named}; moves off by {self.action_mm:.1f} mm, gripper right {100 * self.grip:.0f} %"
+        named = (
+            f"place nearest to the named cube {100 * self.named_nearest:.0f} %, off by "
+            f"{self.place_mm:.0f} mm"
+        )
+        return (
+            f"{named}; moves off by {self.action_mm:.1f} mm, gripper right {100 * self.grip:.0f} %"
+        )
 
     def as_dict(self) -> dict[str, float]:
         """For the curve."""
@@ -101,7 +109,9 @@ def measure(
 
 
 def turn_error(told: Tensor, true: Tensor) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
-    """Of places (pairs, 5), the last two values of which are sine and cosine of four times the turn; [rad]."""
+    """Of places (pairs, 5), the last two values of which are sine and cosine of four times the
+    turn; [rad].
+    """
     four = torch.atan2(told[:, 3], told[:, 4]) - torch.atan2(true[:, 3], true[:, 4])
     error: np.ndarray[tuple[int, ...], np.dtype[np.float64]]
     error = torch.atan2(four.sin(), four.cos()).abs().double().cpu().numpy() / 4

@@ -1,4 +1,6 @@
-"""The network, trainable and in batches: the same function as rn-backend-oft computes from the exported checkpoint."""
+"""The network, trainable and in batches: the same function as rn-backend-oft computes from the
+exported checkpoint.
+"""
 
 from __future__ import annotations
 
@@ -48,7 +50,9 @@ class Look:
 
 
 def attend(query: Tensor, key: Tensor, value: Tensor, bias: Tensor | None) -> Tensor:
-    """Attention written out: on a CPU in bfloat16 its backward is several times faster than that of the fused one."""
+    """Attention written out: on a CPU in bfloat16 its backward is several times faster than
+    that of the fused one.
+    """
     scores = (query * query.shape[-1] ** -0.5) @ key.transpose(-1, -2)
     if bias is not None:
         scores = scores + bias
@@ -63,7 +67,10 @@ class VisionBlock(nn.Module):
         super().__init__()
         self.heads = heads
         inner = int(width * ratio)
-        self.norm1, self.norm2 = nn.LayerNorm(width, _VISION_EPSILON), nn.LayerNorm(width, _VISION_EPSILON)
+        self.norm1, self.norm2 = (
+            nn.LayerNorm(width, _VISION_EPSILON),
+            nn.LayerNorm(width, _VISION_EPSILON),
+        )
         self.qkv, self.proj = nn.Linear(width, 3 * width), nn.Linear(width, width)
         self.fc1, self.fc2 = nn.Linear(width, inner), nn.Linear(inner, width)
         self.ls1 = nn.Parameter(torch.ones(width)) if scaled else None
@@ -72,8 +79,12 @@ class VisionBlock(nn.Module):
     def forward(self, x: Tensor, bias: Tensor | None) -> Tensor:
         """(views, n, width) -> the same shape."""
         views, count, width = x.shape
-        query, key, value = self.qkv(self.norm1(x)).view(views, count, 3, self.heads, -1).permute(2, 0, 3, 1, 4)
-        mixed = self.proj(attend(query, key, value, bias).transpose(1, 2).reshape(views, count, width))
+        query, key, value = (
+            self.qkv(self.norm1(x)).view(views, count, 3, self.heads, -1).permute(2, 0, 3, 1, 4)
+        )
+        mixed = self.proj(
+            attend(query, key, value, bias).transpose(1, 2).reshape(views, count, width)
+        )
         x = x + (mixed if self.ls1 is None else mixed * self.ls1)
         inner = self.fc2(functional.gelu(self.fc1(self.norm2(x))))
         result: Tensor = x + (inner if self.ls2 is None else inner * self.ls2)
@@ -102,7 +113,9 @@ class VisionTower(nn.Module):
         x = self.patch(pixels) + self.pos_embed[0][index].to(pixels.dtype)
         if self.prefix:
             views = x.shape[0]
-            prefix = torch.cat((self.cls_token, self.reg_token), dim=1).to(x.dtype).expand(views, -1, -1)
+            prefix = (
+                torch.cat((self.cls_token, self.reg_token), dim=1).to(x.dtype).expand(views, -1, -1)
+            )
             x = torch.cat((prefix, x), dim=1)
             if bias is not None:
                 bias = functional.pad(bias, (self.prefix, 0))
@@ -119,18 +132,33 @@ class DecoderLayer(nn.Module):
         super().__init__()
         hidden, inner = shape.hidden, shape.intermediate
         self.heads = shape.heads
-        self.norm_in, self.norm_post = nn.Parameter(torch.ones(hidden)), nn.Parameter(torch.ones(hidden))
-        self.qkv, self.out = nn.Linear(hidden, 3 * hidden, bias=False), nn.Linear(hidden, hidden, bias=False)
-        self.gate_up, self.down = nn.Linear(hidden, 2 * inner, bias=False), nn.Linear(inner, hidden, bias=False)
+        self.norm_in, self.norm_post = (
+            nn.Parameter(torch.ones(hidden)),
+            nn.Parameter(torch.ones(hidden)),
+        )
+        self.qkv, self.out = (
+            nn.Linear(hidden, 3 * hidden, bias=False),
+            nn.Linear(hidden, hidden, bias=False),
+        )
+        self.gate_up, self.down = (
+            nn.Linear(hidden, 2 * inner, bias=False),
+            nn.Linear(inner, hidden, bias=False),
+        )
         for matrix in (self.qkv, self.gate_up):
             nn.init.normal_(matrix.weight, std=hidden**-0.5)
         for matrix in (self.out, self.down):
             nn.init.normal_(matrix.weight, std=0.5 * matrix.in_features**-0.5)
 
-    def forward(self, x: Tensor, cos: Tensor, sin: Tensor, bias: Tensor | None, last: int) -> Tensor:
+    def forward(
+        self, x: Tensor, cos: Tensor, sin: Tensor, bias: Tensor | None, last: int
+    ) -> Tensor:
         """(pairs, n, hidden) -> (pairs, last, hidden): what the last `last` positions become."""
         pairs, count, hidden = x.shape
-        packed = self.qkv(norm(x, self.norm_in)).view(pairs, count, 3, self.heads, -1).permute(2, 0, 3, 1, 4)
+        packed = (
+            self.qkv(norm(x, self.norm_in))
+            .view(pairs, count, 3, self.heads, -1)
+            .permute(2, 0, 3, 1, 4)
+        )
         first, second = packed[:2].chunk(2, dim=-1)
         query, key = packed[:2] * cos + torch.cat((-second, first), dim=-1) * sin
         mixed = attend(query[:, :, count - last :], key, packed[2], bias)
@@ -171,7 +199,9 @@ class ActionHead(nn.Module):
         super().__init__()
         wide = ACTION_WIDTH * hidden
         self.layer_norm1, self.fc1 = nn.LayerNorm(wide), nn.Linear(wide, hidden)
-        self.blocks = nn.ModuleList(nn.Sequential(nn.LayerNorm(hidden), nn.Linear(hidden, hidden)) for _ in range(2))
+        self.blocks = nn.ModuleList(
+            nn.Sequential(nn.LayerNorm(hidden), nn.Linear(hidden, hidden)) for _ in range(2)
+        )
         self.layer_norm2, self.fc2 = nn.LayerNorm(hidden), nn.Linear(hidden, ACTION_WIDTH)
 
     def forward(self, rows: Tensor) -> Tensor:
@@ -239,7 +269,9 @@ class CubesNetwork(nn.Module):
         result: Tensor = self.projector(torch.cat(features, dim=-1))
         return result
 
-    def forward(self, look: Look, state: Tensor, ids: Tensor, dtype: torch.dtype = torch.float32) -> Thought:
+    def forward(
+        self, look: Look, state: Tensor, ids: Tensor, dtype: torch.dtype = torch.float32
+    ) -> Thought:
         """Each view with as many prompts as there are per view.
 
         Args:
@@ -250,13 +282,17 @@ class CubesNetwork(nn.Module):
         """
         views, prompts, length = ids.shape
         count = look.index.shape[1]
-        seen = torch.cat((self.see(look, dtype), self.proprio_projector(state.to(dtype))[:, None]), dim=1)
+        seen = torch.cat(
+            (self.see(look, dtype), self.proprio_projector(state.to(dtype))[:, None]), dim=1
+        )
         seen = seen.repeat_interleave(prompts, dim=0)
         words = functional.embedding(self.place_of_id[ids.flatten(0, 1)], self.embed).to(dtype)
         stop = self.embed[self.place_of_id[STOP_ID]].to(dtype).expand(views * prompts, 1, -1)
         rows = seen.new_zeros(views * prompts, PLACEHOLDERS, self.shape.hidden)
         x = torch.cat((words[:, :1], seen, words[:, 1:], rows, stop), dim=1)
-        tail = torch.arange(PATCHES + 1, PATCHES + 1 + length + PLACEHOLDERS + 1, device=ids.device).expand(views, -1)
+        tail = torch.arange(
+            PATCHES + 1, PATCHES + 1 + length + PLACEHOLDERS + 1, device=ids.device
+        ).expand(views, -1)
         positions = torch.cat((look.index.new_zeros(views, 1), look.index + 1, tail), dim=1)
         positions = positions.repeat_interleave(prompts, dim=0)
         cos, sin = (table[positions][:, None].to(dtype) for table in (self.cos, self.sin))

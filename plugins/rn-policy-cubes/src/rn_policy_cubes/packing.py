@@ -1,7 +1,9 @@
-"""Packed weights: what was trained, by its name in the public layout; everything that is zero is left out.
+"""Packed weights: what was trained, by its name in the public layout; everything that is zero is
+left out.
 
-The public layout has a table of 32,064 embeddings, of which a few hundred were trained, a table of output words that
-nothing reads, and the last block and the pooling head of the vision towers, which nothing runs. None of it is kept.
+The public layout has a table of 32,064 embeddings, of which a few hundred were trained, a table of
+output words that nothing reads, and the last block and the pooling head of the vision towers, which
+nothing runs. None of it is kept.
 """
 
 from __future__ import annotations
@@ -76,7 +78,9 @@ class Packed:
 
     def write(self, path: Path) -> None:
         """Write one safetensors file with the card in its header."""
-        save_file({_IDS: self.ids, **self.tensors}, path, metadata={_CARD: self.card.model_dump_json()})
+        save_file(
+            {_IDS: self.ids, **self.tensors}, path, metadata={_CARD: self.card.model_dump_json()}
+        )
 
 
 def public_tensors(network: CubesNetwork) -> dict[str, Tensor]:
@@ -90,7 +94,12 @@ def public_tensors(network: CubesNetwork) -> dict[str, Tensor]:
 
 def _public(name: str, value: Tensor) -> list[tuple[str, Tensor]]:
     if found := re.fullmatch(r"towers\.(\d)\.(.+)", name):
-        return [(f"vision_backbone.{_TOWERS[int(found[1])]}.{_of_tower(found[2])}", _shaped(found[2], value))]
+        return [
+            (
+                f"vision_backbone.{_TOWERS[int(found[1])]}.{_of_tower(found[2])}",
+                _shaped(found[2], value),
+            )
+        ]
     if found := re.fullmatch(r"layers\.(\d+)\.(.+)", name):
         base = f"language_model.model.layers.{found[1]}."
         return [(base + public, part) for public, part in _of_layer(found[2], value)]
@@ -105,7 +114,11 @@ def _public(name: str, value: Tensor) -> list[tuple[str, Tensor]]:
 
 def _of_tower(name: str) -> str:
     name = name.replace("patch.", "patch_embed.proj.")
-    name = re.sub(r"\.(qkv|proj)\.(weight|bias)$", r".attn.\1.\2", name) if name.startswith("blocks.") else name
+    name = (
+        re.sub(r"\.(qkv|proj)\.(weight|bias)$", r".attn.\1.\2", name)
+        if name.startswith("blocks.")
+        else name
+    )
     name = re.sub(r"\.(fc[12])\.", r".mlp.\1.", name)
     return re.sub(r"\.(ls[12])$", r".\1.scale_factor", name)
 
@@ -116,9 +129,15 @@ def _shaped(name: str, value: Tensor) -> Tensor:
 
 def _of_layer(name: str, value: Tensor) -> list[tuple[str, Tensor]]:
     if name == "qkv.weight":
-        return [(f"self_attn.{n}_proj.weight", part) for n, part in zip("qkv", value.chunk(3), strict=True)]
+        return [
+            (f"self_attn.{n}_proj.weight", part)
+            for n, part in zip("qkv", value.chunk(3), strict=True)
+        ]
     if name == "gate_up.weight":
-        return [(f"mlp.{n}_proj.weight", part) for n, part in zip(("gate", "up"), value.chunk(2), strict=True)]
+        return [
+            (f"mlp.{n}_proj.weight", part)
+            for n, part in zip(("gate", "up"), value.chunk(2), strict=True)
+        ]
     public = {
         "out.weight": "self_attn.o_proj.weight",
         "down.weight": "mlp.down_proj.weight",
@@ -133,8 +152,12 @@ def network_of(packed: Packed) -> CubesNetwork:
     network = CubesNetwork(packed.card.recipe.shape, packed.ids.tolist())
     state: dict[str, Any] = {}
     for name, value in network.state_dict().items():
-        parts = [packed.tensors[public].flatten(1) if "patch_embed.proj.weight" in public else packed.tensors[public]
-                 for public, _ in _public(name, value)]  # fmt: skip
+        parts = [
+            packed.tensors[public].flatten(1)
+            if "patch_embed.proj.weight" in public
+            else packed.tensors[public]
+            for public, _ in _public(name, value)
+        ]
         state[name] = torch.cat(parts)
     network.load_state_dict(state)
     return network

@@ -42,7 +42,9 @@ class Progress:
         if now_s - self._said_s < self._every_s and done < self._total:
             return False
         self._said_s = now_s
-        self._say("".join((self._line(done, now_s - self._begun_s), "; " if figures else "", figures)))
+        self._say(
+            "".join((self._line(done, now_s - self._begun_s), "; " if figures else "", figures))
+        )
         return True
 
     def _line(self, done: int, passed_s: float) -> str:

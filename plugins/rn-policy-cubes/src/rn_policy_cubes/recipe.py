@@ -21,7 +21,9 @@ MOVE_SCALE_M, TILT_SCALE_RAD, TURN_SCALE_RAD = 0.03, 0.05, 0.20
 ACTION_SCALE = (MOVE_SCALE_M,) * 3 + (TILT_SCALE_RAD,) * 2 + (TURN_SCALE_RAD,)
 STATE_LOW = (0.25, -0.35, 0.0, -0.3, -0.3, -1.6, 0.0)
 STATE_HIGH = (0.70, 0.35, 0.50, 0.3, 0.3, 1.6, 1.0)
-"""Range of the state: TCP position [m], roll, pitch, yaw against a gripper pointing down [rad], opening."""
+"""Range of the state: TCP position [m], roll, pitch, yaw against a gripper pointing down [rad],
+opening.
+"""
 
 
 class Shape(BaseModel):
@@ -40,11 +42,15 @@ class Shape(BaseModel):
     layers: Annotated[int, Field(ge=2)] = 4
     heads: Size = 3
     rope_theta: float = 1e8
-    """Large: most dimensions hardly turn over a few hundred positions, so that content is found wherever it stands."""
+    """Large: most dimensions hardly turn over a few hundred positions, so that content is found
+    wherever it stands.
+    """
 
 
 class Recipe(BaseModel):
-    """How the policy is trained. Two runs of one recipe over the same shards are equal, bit for bit, on one machine."""
+    """How the policy is trained. Two runs of one recipe over the same shards are equal, bit for
+    bit, on one machine.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
 
@@ -62,7 +68,9 @@ class Recipe(BaseModel):
     views: Size = 32
     """Views of a step; each gives one training pair for every colour."""
     tokens: Size = 24
-    """Visual tokens of a training step (of 256): those with cubes, and a sample that stands for the others."""
+    """Visual tokens of a training step (of 256): those with cubes, and a sample that stands for
+    the others.
+    """
     full_from: Annotated[float, Field(ge=0, le=1)] = 0.97
     """Share of the steps after which all visual tokens are seen."""
     full_views: Size = 8

@@ -31,7 +31,10 @@ def record(directory: Path, count: int, *, workers: int, say: Say, views: int = 
     missing = missing_shards(directory, count)
     if not missing:
         return
-    say(f"demonstrations: {count - len(missing)} of {count} shards are there, {len(missing)} of {views} views are made")
+    say(
+        f"demonstrations: {count - len(missing)} of {count} shards are there, {len(missing)} of "
+        f"{views} views are made"
+    )
     progress = Progress("demonstrations: views", count * views, (count - len(missing)) * views, say)
     if workers > 1:
         _record_by_several(directory, count, workers, views, progress)
@@ -47,9 +50,18 @@ def _counted(progress: Progress, before: int, figures: str) -> Callable[[int], o
     return lambda made: progress.update(before + made, figures)
 
 
-def _record_by_several(directory: Path, count: int, workers: int, views: int, progress: Progress) -> None:
+def _record_by_several(
+    directory: Path, count: int, workers: int, views: int, progress: Progress
+) -> None:
     """Make them in processes; shards that are finished are counted."""
-    command = [sys.executable, "-m", "rn_policy_cubes.record", str(directory), str(count), str(views)]
+    command = [
+        sys.executable,
+        "-m",
+        "rn_policy_cubes.record",
+        str(directory),
+        str(count),
+        str(views),
+    ]
     processes = [subprocess.Popen([*command, str(part), str(workers)]) for part in range(workers)]
     while any(process.poll() is None for process in processes):
         with suppress(subprocess.TimeoutExpired):

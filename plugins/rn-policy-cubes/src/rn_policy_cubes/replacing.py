@@ -1,4 +1,6 @@
-"""Files that are replaced at once or not at all, and a sentence when the disk does not take them."""
+"""Files that are replaced at once or not at all, and a sentence when the disk does not take
+them.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,8 @@ from roboneuron import StateError
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Give a path to write to, which becomes `path` when that has worked; otherwise what was there stays.
+    """Give a path to write to, which becomes `path` when that has worked; otherwise what was there
+    stays.
 
     Raises:
         StateError: it cannot be written.
@@ -26,5 +29,6 @@ def replacing(path: Path) -> Iterator[Path]:
         reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
         raise StateError(
             f"{path} cannot be written: {reason}.",
-            hint="Free space on that disk or mend the permissions; the same command goes on where it was.",
+            hint="Free space on that disk or mend the permissions; the same command goes on where "
+            "it was.",
         ) from error

@@ -21,8 +21,9 @@ _SIZE = 0.7
 def new_network(shape: Shape, ids: Sequence[int], shards: Shards, seed: int) -> CubesNetwork:
     """A network whose patch filters are the principal components of patches with cubes.
 
-    Three quarters of a tower's channels begin as such filters, the components shared out between the towers; the rest
-    begins as smooth functions of the patch's place in the picture. Everything is trained afterwards.
+    Three quarters of a tower's channels begin as such filters, the components shared out between
+    the towers; the rest begins as smooth functions of the patch's place in the picture. Everything
+    is trained afterwards.
     """
     torch.manual_seed(seed)
     network = CubesNetwork(shape, ids)

@@ -1,7 +1,9 @@
 """The teacher: from the true state of the simulator to the next actions. It remembers nothing.
 
-Because it is a function of the present state alone, it labels any state with the actions it would take from there, and
-it can be asked for each cube of one picture: four colours named, four labels. It answers for many situations at once.
+Because it is a function of the present state alone, it labels any state with the actions it would
+take from there, and
+it can be asked for each cube of one picture: four colours named, four labels. It answers for many
+    situations at once.
 """
 
 from __future__ import annotations
@@ -65,7 +67,9 @@ class Situations:
 
     @property
     def turn_rad(self) -> F64:
-        """Least turn that lays the fingers along a side face, within an eighth of a full turn; (n,)."""
+        """Least turn that lays the fingers along a side face, within an eighth of a full turn;
+        (n,).
+        """
         angle = self.cube_yaw_rad - self.yaw_rad
         return np.asarray(angle - _QUARTER_TURN * np.round(angle / _QUARTER_TURN))
 
@@ -81,23 +85,32 @@ class Situations:
 
 
 def act(now: Situations) -> F64:
-    """The next actions, float64 (n, 7): move [m], rotation vector [rad], opening; in the base frame."""
+    """The next actions, float64 (n, 7): move [m], rotation vector [rad], opening; in the base
+    frame.
+    """
     height, turn, inside = now.tcp_m[:, 2], now.turn_rad, now.is_inside
     to_grasp = np.column_stack([now.to_cube_m[:, :2], GRASP_M - height])
     is_closing = inside & (now.opening < 0.93) & (height < 0.05)
-    is_placed = (now.distance_m < 0.010) & (np.abs(height - GRASP_M) < 0.010) & (np.abs(turn) < 0.20)
+    is_placed = (
+        (now.distance_m < 0.010) & (np.abs(height - GRASP_M) < 0.010) & (np.abs(turn) < 0.20)
+    )
     closes = is_placed | (is_closing & (np.abs(turn) < 0.5))
-    lifts = inside & (now.opening < _STUCK_OPENING)  # across its corners a cube is held further open than it is wide
+    # across its corners a cube is held further open than it is wide
+    lifts = inside & (now.opening < _STUCK_OPENING)
     rise = _GAIN * (LIFT_M - height)
     lift = np.where(now.is_gripped, rise, np.minimum(rise, _CREEP_M))
-    approach = np.column_stack([now.to_cube_m[:, :2] * _sideways(now), _approach_height(now) - height])
+    approach = np.column_stack(
+        [now.to_cube_m[:, :2] * _sideways(now), _approach_height(now) - height]
+    )
     settle = np.where(is_closing, 0.3, 1.0)[:, None] * to_grasp
     move = np.where(closes[:, None], settle, approach) * _GAIN
     move[lifts] = 0.0
     move[lifts, 2] = lift[lifts]
     opens = ~(lifts | closes)
     turns = np.column_stack([now.tilt_rad * _GAIN, np.where(opens, _GAIN * turn, 0.0)])
-    return np.column_stack([_shortened(move, STEP_M), _shortened(turns, TURN_RAD), opens.astype(np.float64)])
+    return np.column_stack(
+        [_shortened(move, STEP_M), _shortened(turns, TURN_RAD), opens.astype(np.float64)]
+    )
 
 
 def _approach_height(now: Situations) -> F64:
@@ -105,7 +118,8 @@ def _approach_height(now: Situations) -> F64:
     height, turn, distance = now.tcp_m[:, 2], np.abs(now.turn_rad), now.distance_m
     above = np.maximum((distance - 0.008) * 4.0, (turn - 0.12) * 0.5)
     funnel = GRASP_M + np.clip(above, 0.0, HOVER_M - GRASP_M)
-    stays_up = (now.opening < 0.85) & ((height > 0.05) | (distance > 0.03))  # closed fingers do not go down
+    # closed fingers do not go down
+    stays_up = (now.opening < 0.85) & ((height > 0.05) | (distance > 0.03))
     return np.where(stays_up, HOVER_M, funnel)
 
 
@@ -131,7 +145,9 @@ def chunks(now: Situations, rows: int) -> F64:
 
 
 def _after(now: Situations, action: F64) -> Situations:
-    """Where actions lead, as measured of the simulated arm; a closed gripper takes the cube along."""
+    """Where actions lead, as measured of the simulated arm; a closed gripper takes the cube
+    along.
+    """
     closing = action[:, 6] < 0.5
     move = _REACHED * action[:, :3]
     narrowest = np.where(now.is_inside, now.edge_m / _FULL_OPENING_M, 0.0)
@@ -150,7 +166,9 @@ def _after(now: Situations, action: F64) -> Situations:
 
 
 def tilt_of(rotation: F64) -> F64:
-    """Turn about x and y, (n, 2) [rad], that points the z axis of TCP rotations (n, 3, 3) straight down."""
+    """Turn about x and y, (n, 2) [rad], that points the z axis of TCP rotations (n, 3, 3)
+    straight down.
+    """
     axis = np.cross(rotation[..., 2], [0.0, 0.0, -1.0])
     sine = np.linalg.norm(axis, axis=-1, keepdims=True)
     angle = np.arctan2(sine, -rotation[..., 2, 2, None])

@@ -56,7 +56,9 @@ class Training:
     cpu_s: float = 0.0
 
     @classmethod
-    def begin(cls, recipe: Recipe, prompts: Prompts, shards: Shards | None, device: torch.device) -> Training:
+    def begin(
+        cls, recipe: Recipe, prompts: Prompts, shards: Shards | None, device: torch.device
+    ) -> Training:
         """A new one; without shards the weights are not set up, for `read`."""
         if shards is None:
             network = CubesNetwork(recipe.shape, prompts.in_use)
@@ -65,7 +67,9 @@ class Training:
         network, helpers = network.to(device), Helpers(recipe.shape).to(device)
         parameters = [*network.parameters(), *helpers.parameters()]
         optimiser = torch.optim.AdamW(parameters, recipe.rate, betas=_BETAS, weight_decay=_DECAY)
-        return cls(recipe, network, helpers, copy.deepcopy(network), copy.deepcopy(helpers), optimiser)
+        return cls(
+            recipe, network, helpers, copy.deepcopy(network), copy.deepcopy(helpers), optimiser
+        )
 
     @classmethod
     def read(cls, path: Path, recipe: Recipe, prompts: Prompts, device: torch.device) -> Training:
@@ -79,7 +83,11 @@ class Training:
 
     def write(self, path: Path) -> None:
         """Save everything; what was there is replaced at once or not at all. Raises StateError."""
-        state: dict[str, Any] = {"step": self.step, "cpu_s": self.cpu_s, "recipe": self.recipe.model_dump(mode="json")}
+        state: dict[str, Any] = {
+            "step": self.step,
+            "cpu_s": self.cpu_s,
+            "recipe": self.recipe.model_dump(mode="json"),
+        }
         for name in ("network", "helpers", "average", "average_helpers", "optimiser"):
             state[name] = getattr(self, name).state_dict()
         with replacing(path) as unfinished:
@@ -94,7 +102,9 @@ class Training:
 
     def is_full(self) -> bool:
         """Whether all visual tokens are seen."""
-        return self.step >= self.recipe.full_from * self.recipe.steps or self.recipe.tokens >= PATCHES
+        return (
+            self.step >= self.recipe.full_from * self.recipe.steps or self.recipe.tokens >= PATCHES
+        )
 
     def draw(self, shards: Shards, prompts: Prompts, weight: Any) -> Batch:
         """The batch of the next step."""
@@ -119,7 +129,10 @@ class Training:
         self.step += 1
         keep = min(_AVERAGE, (1 + self.step) / (10 + self.step))
         with torch.no_grad():
-            averaged: list[Tensor] = [*self.average.parameters(), *self.average_helpers.parameters()]
+            averaged: list[Tensor] = [
+                *self.average.parameters(),
+                *self.average_helpers.parameters(),
+            ]
             torch._foreach_lerp_(averaged, list[Tensor](parameters), 1.0 - keep)
         self.cpu_s += time.process_time() - begun
         return {**result.numbers(), "rate": rate}
@@ -155,8 +168,10 @@ def train(
         log_every, measure_every: steps between entries, and between measurements on held-out views.
         save_every_s: time between two saved states.
         say_every_s: time between two lines.
-        preview_every_s: time between figures of a few held-out views; the first come with the first line.
-        fuse: compile the layers first (a C++ compiler is needed); a CPU then needs half of the time.
+        preview_every_s: time between figures of a few held-out views; the first come with the first
+            line.
+        fuse: compile the layers first (a C++ compiler is needed); a CPU then needs half of the
+            time.
     """
     directory.mkdir(parents=True, exist_ok=True)
     tokenizer = directory / "tokenizer.json"
@@ -178,7 +193,10 @@ def train(
     curve = _Curve(directory / CURVE_FILE)
     begins = f"at step {training.step}" if training.step else "from the beginning"
     size = sum(parameter.numel() for parameter in training.network.parameters())
-    say(f"training: {size / 1e6:.2f} million parameters on {device.type}, {begins}, to step {last} of {recipe.steps}")
+    say(
+        f"training: {size / 1e6:.2f} million parameters on {device.type}, {begins}, to step "
+        f"{last} of {recipe.steps}"
+    )
     progress = Progress("step", last, training.step, say, every_s=say_every_s)
     saved_s = time.monotonic()
     previewed_s = saved_s - preview_every_s
@@ -186,9 +204,22 @@ def train(
         batch = training.draw(shards, prompts, weight).to(device)
         numbers = training.advance(batch)
         curve.add(numbers)
-        if progress.update(training.step, _told(numbers)) and time.monotonic() - previewed_s >= preview_every_s:
-            few = measure(training.average, training.average_helpers, held_out, prompts, device, _PREVIEW_VIEWS)
-            say(f"  preview at step {training.step}, of {min(_PREVIEW_VIEWS, len(held_out))} held-out views: {few}")
+        if (
+            progress.update(training.step, _told(numbers))
+            and time.monotonic() - previewed_s >= preview_every_s
+        ):
+            few = measure(
+                training.average,
+                training.average_helpers,
+                held_out,
+                prompts,
+                device,
+                _PREVIEW_VIEWS,
+            )
+            say(
+                f"  preview at step {training.step}, of {min(_PREVIEW_VIEWS, len(held_out))} "
+                f"held-out views: {few}"
+            )
             previewed_s = time.monotonic()
         if training.step % log_every == 0 or training.step == last:
             curve.flush(training)
@@ -211,16 +242,24 @@ def pack(directory: Path) -> Packed:
     """
     state = directory / STATE_FILE
     if not state.exists():
-        raise ConfigurationError(f"{directory} holds no training.", hint="Begin one: roboneuron cubes-policy train")
+        raise ConfigurationError(
+            f"{directory} holds no training.", hint="Begin one: roboneuron cubes-policy train"
+        )
     saved = torch.load(state, map_location="cpu", weights_only=True)
     recipe = Recipe.model_validate(saved["recipe"])
     prompts = read_prompts(directory / "tokenizer.json")
     training = Training.read(state, recipe, prompts, torch.device("cpu"))
-    lines = [json.loads(line) for line in (directory / CURVE_FILE).read_text(encoding="utf-8").splitlines()]
+    lines = [
+        json.loads(line)
+        for line in (directory / CURVE_FILE).read_text(encoding="utf-8").splitlines()
+    ]
     figures: dict[str, float] = {}
     for line in lines:
         figures |= {name: value for name, value in line.items() if name.startswith("held_out_")}
-    return Packed.of(training.average, Card(recipe=recipe, step=training.step, cpu_s=training.cpu_s, figures=figures))
+    return Packed.of(
+        training.average,
+        Card(recipe=recipe, step=training.step, cpu_s=training.cpu_s, figures=figures),
+    )
 
 
 class _Curve:
@@ -244,7 +283,9 @@ class _Curve:
 
     def note(self, training: Training, numbers: dict[str, float]) -> None:
         """One line."""
-        rounded = {name: value if math.isnan(value) else round(value, 5) for name, value in numbers.items()}
+        rounded = {
+            name: value if math.isnan(value) else round(value, 5) for name, value in numbers.items()
+        }
         line = {"step": training.step, "cpu_s": round(training.cpu_s, 1), **rounded}
         with self._path.open("a", encoding="utf-8") as file:
             file.write(json.dumps(line) + "\n")
@@ -252,4 +293,6 @@ class _Curve:
 
 def _told(numbers: dict[str, float]) -> str:
     """The losses of a step, for people."""
-    return ", ".join(f"{name} {numbers[name]:.3g}" for name in ("total", "action", "place", "accuracy"))
+    return ", ".join(
+        f"{name} {numbers[name]:.3g}" for name in ("total", "action", "place", "accuracy")
+    )

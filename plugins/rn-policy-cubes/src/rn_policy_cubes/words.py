@@ -29,15 +29,18 @@ SENTENCES = (
 """One length, so that compiled layers see one shape."""
 _PREFIX, _SUFFIX = "▁In:▁What▁action▁should▁the▁robot▁take▁to", "?\nOut:"
 _WORDS = (
-    "a all and at block box brick button collect cube cubes down fetch from get grab grasp hand hold in it lift "
-    "little me move now of on one pick piece place please put raise robot seize small square table take that the "
+    "a all and at block box brick button collect cube cubes down fetch from get grab grasp hand "
+    "hold in it lift "
+    "little me move now of on one pick piece place please put raise robot seize small square "
+    "table take that the "
     "this thing to up "
     "want wooden you red green blue yellow orange purple"
 )
 
 
 def write_tokenizer(path: Path) -> None:
-    """Write tokenizer.json: the special ids of Llama, one id for each common word and for both ends of the prompt.
+    """Write tokenizer.json: the special ids of Llama, one id for each common word and for both ends
+    of the prompt.
 
     Other words fall apart into letters and bytes, as usual.
     """
@@ -56,15 +59,25 @@ def write_tokenizer(path: Path) -> None:
     for piece in dict.fromkeys(pieces):
         vocabulary[piece] = len(vocabulary)
     base = VOCABULARY - PADDING
-    vocabulary |= {f"<unused_{index}>": index for index in range(len(vocabulary), base) if index != FINAL_ID}
+    vocabulary |= {
+        f"<unused_{index}>": index for index in range(len(vocabulary), base) if index != FINAL_ID
+    }
     vocabulary["▁"] = FINAL_ID
     tokenizer = Tokenizer(
         models.BPE(
-            vocab=vocabulary, merges=list(dict.fromkeys(merges)), unk_token="<unk>", fuse_unk=True, byte_fallback=True
+            vocab=vocabulary,
+            merges=list(dict.fromkeys(merges)),
+            unk_token="<unk>",
+            fuse_unk=True,
+            byte_fallback=True,
         )
     )
-    tokenizer.normalizer = normalizers.Sequence([normalizers.Prepend("▁"), normalizers.Replace(" ", "▁")])
-    tokenizer.post_processor = processors.TemplateProcessing(single="<s> $A", special_tokens=[("<s>", BOS_ID)])
+    tokenizer.normalizer = normalizers.Sequence(
+        [normalizers.Prepend("▁"), normalizers.Replace(" ", "▁")]
+    )
+    tokenizer.post_processor = processors.TemplateProcessing(
+        single="<s> $A", special_tokens=[("<s>", BOS_ID)]
+    )
     tokenizer.save(str(path))
 
 

@@ -28,7 +28,15 @@ from roboneuron import (
     __version__,
     quaternion_from_matrix,
 )
-from roboneuron.feature import EXPLANATIONS, FAULTS, Config, Health, ModuleKind, ModuleView, load_profile
+from roboneuron.feature import (
+    EXPLANATIONS,
+    FAULTS,
+    Config,
+    Health,
+    ModuleKind,
+    ModuleView,
+    load_profile,
+)
 
 log = logging.getLogger(__name__)
 FOLDER = "runs"
@@ -65,7 +73,8 @@ class Recorder(Feature[RecorderOptions]):
         """Refuse a directory that is a file."""
         if self.options.directory and Path(self.options.directory).expanduser().is_file():
             raise ConfigurationError(
-                f"directory in [recorder] is {self.options.directory!r}, a file.", hint="Name a folder."
+                f"directory in [recorder] is {self.options.directory!r}, a file.",
+                hint="Name a folder.",
             )
 
     def tools(self, host: Host) -> Sequence[Tool[Any]]:
@@ -91,7 +100,9 @@ class Recorder(Feature[RecorderOptions]):
         self._process.start()
         if self.options.record:
             process = self._process
-            threading.Thread(target=self._record, args=(process,), name="recording", daemon=True).start()
+            threading.Thread(
+                target=self._record, args=(process,), name="recording", daemon=True
+            ).start()
 
     def close(self) -> None:
         """Let the recorder finish its files."""
@@ -105,11 +116,15 @@ class Recorder(Feature[RecorderOptions]):
         return self.options.enabled and os.environ.get(SWITCH, "").lower() not in ("off", PLAY)
 
     def _record(self, process: RecorderProcess) -> None:
-        """Begin a recording as soon as a recorder obeys; one that ends before it answers is followed by another."""
+        """Begin a recording as soon as a recorder obeys; one that ends before it answers is
+        followed by another.
+        """
         while process.wait_for_status():
             run = str(process.status.get("recording", ""))
             try:
-                run = run or str(process.ask({"do": "start", "name": "server", "facts": {}}, 60.0).get("id", ""))
+                run = run or str(
+                    process.ask({"do": "start", "name": "server", "facts": {}}, 60.0).get("id", "")
+                )
             except NotReadyError as error:
                 log.warning("The recording with the server has not begun yet: %s", error)
             if run:
@@ -151,10 +166,16 @@ class Recorder(Feature[RecorderOptions]):
             resume=resume,
             resume_name=name,
         )
-        return spawn_recorder(settings, supervisor.log_directory / "recorder.log", start, supervisor.secret_variables)
+        return spawn_recorder(
+            settings, supervisor.log_directory / "recorder.log", start, supervisor.secret_variables
+        )
 
     def _about(self, config: Config) -> dict[str, str]:
-        sections = {name: value for name, value in config.model_dump(mode="json").items() if name in _SECTIONS}
+        sections = {
+            name: value
+            for name, value in config.model_dump(mode="json").items()
+            if name in _SECTIONS
+        }
         return {
             "robot": config.robot.name,
             "driver": config.robot.driver,
@@ -174,25 +195,45 @@ class Recorder(Feature[RecorderOptions]):
         error = view.report.error if view.report is not None else ""
         code = view.report.error_code if view.report is not None else ""
         is_fault = health in FAULTS and not (health == "failing" and code in _ORDINARY)
-        facts: dict[str, Any] = {"module": view.kind, "before": before, "health": health, "error": error}
+        facts: dict[str, Any] = {
+            "module": view.kind,
+            "before": before,
+            "health": health,
+            "error": error,
+        }
         facts["explanation"] = EXPLANATIONS[health]
         self._note("health", facts, f"{view.kind}-{health}" if is_fault else "")
 
     def _on_fault(self, module: str, what: str, facts: Mapping[str, Any]) -> None:
-        plain = {key: value for key, value in facts.items() if key != "actions"}  # those are recorded anyway
+        # those are recorded anyway
+        plain = {key: value for key, value in facts.items() if key != "actions"}
         self._note("fault", {"module": module, "fault": what, **plain}, f"{module}-{what}")
 
     def _on_change(self, kind: ModuleKind) -> None:
         view = self._host.supervisor.view(kind)
         names = dict(view.choice.names) if view.choice is not None else {}
         self._note("change", {"module": kind, "phase": view.phase, "names": names})
-        if kind == "robot" and view.phase == "running" and self._host.config.namespace != self._namespace:
+        if (
+            kind == "robot"
+            and view.phase == "running"
+            and self._host.config.namespace != self._namespace
+        ):
             threading.Thread(target=self._restart, name="recorder-restart", daemon=True).start()
 
-    def _on_call(self, name: str, arguments: Mapping[str, Any], who: str, code: str, took_s: float) -> None:
+    def _on_call(
+        self, name: str, arguments: Mapping[str, Any], who: str, code: str, took_s: float
+    ) -> None:
         text = json.dumps(arguments, default=str)
-        kept: Any = arguments if len(text) <= _MOST_ARGUMENTS else {"begins": text[:_MOST_ARGUMENTS]}
-        facts = {"tool": name, "arguments": kept, "who": who, "error": code, "took_ms": round(took_s * 1e3, 2)}
+        kept: Any = (
+            arguments if len(text) <= _MOST_ARGUMENTS else {"begins": text[:_MOST_ARGUMENTS]}
+        )
+        facts = {
+            "tool": name,
+            "arguments": kept,
+            "who": who,
+            "error": code,
+            "took_ms": round(took_s * 1e3, 2),
+        }
         self._note("call", facts)
 
     def _restart(self) -> None:
@@ -220,7 +261,10 @@ def _mounts(profile: RobotProfile) -> tuple[CameraMount, ...]:
         x, y, z, w = quaternion_from_matrix(pose[:3, :3]).tolist()
         found.append(
             CameraMount(
-                parent=parent, frame_id=camera.frame_id, position_m=(x_m, y_m, z_m), quaternion_xyzw=(x, y, z, w)
+                parent=parent,
+                frame_id=camera.frame_id,
+                position_m=(x_m, y_m, z_m),
+                quaternion_xyzw=(x, y, z, w),
             )
         )
     return tuple(found)

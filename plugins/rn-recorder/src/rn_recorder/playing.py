@@ -1,4 +1,6 @@
-"""The tool play_recording: recorded actions, through the gate, to a simulated robot; in servers started for that."""
+"""The tool play_recording: recorded actions, through the gate, to a simulated robot; in servers
+started for that.
+"""
 
 from __future__ import annotations
 
@@ -48,7 +50,9 @@ _SETTLE_S = 1.0
 class PlayRecording(Arguments):
     """Arguments of play_recording."""
 
-    files: list[str] = Field(min_length=1, description="MCAP files of one run, on the server's host, oldest first.")
+    files: list[str] = Field(
+        min_length=1, description="MCAP files of one run, on the server's host, oldest first."
+    )
 
 
 class PlayedRecording(Result):
@@ -59,7 +63,8 @@ class PlayedRecording(Result):
     dropped: dict[str, int] = Field(description="what control did not act on, by reason")
     path_m: float = Field(description="length of the recorded path of the TCP")
     end_m: float | None = Field(
-        description="distance between the TCP's last recorded and last measured position, each from its own beginning"
+        description="distance between the TCP's last recorded and last measured position, each "
+        "from its own beginning"
     )
 
 
@@ -69,14 +74,17 @@ def playing_tool(host: Host) -> Tool[Any]:
     async def play(arguments: PlayRecording, context: CallContext) -> PlayedRecording:
         halt = threading.Event()
         return await context.run(
-            lambda stage: _play(host, arguments, context, halt), on_cancel=halt.set, on_leave=halt.set
+            lambda stage: _play(host, arguments, context, halt),
+            on_cancel=halt.set,
+            on_leave=halt.set,
         )
 
     return Tool(
         name="play_recording",
         title="Play recorded actions",
         description=(
-            "Send the actions of a recorded run at their recorded pace. The robot must be simulated; control must run, "
+            "Send the actions of a recorded run at their recorded pace. The robot must be "
+            "simulated; control must run, "
             "and no policy. The gate judges all of them before the first is sent."
         ),
         arguments=PlayRecording,
@@ -85,11 +93,16 @@ def playing_tool(host: Host) -> Tool[Any]:
     )
 
 
-def _play(host: Host, arguments: PlayRecording, context: CallContext, halt: threading.Event) -> PlayedRecording:
+def _play(
+    host: Host, arguments: PlayRecording, context: CallContext, halt: threading.Event
+) -> PlayedRecording:
     """Raises InvalidInputError, NotReadyError, RefusedError, StateError."""
     config = host.config
     if config.robot.driver != "simulated":
-        raise RefusedError(f"The robot's driver is {config.robot.driver!r}: recordings are played in simulation only.")
+        raise RefusedError(
+            f"The robot's driver is {config.robot.driver!r}: recordings are played in simulation "
+            "only."
+        )
     exposed = next((e for e in gate_of(host).exposed if e.hidden and e.label == ENDPOINT), None)
     if exposed is None:
         raise NotReadyError(f"The robot {config.robot.name!r} has no arm that follows actions.")
@@ -122,7 +135,8 @@ def _play(host: Host, arguments: PlayRecording, context: CallContext, halt: thre
 def _motions(
     host: Host, exposed: Exposed, streams: Streams, context: CallContext, arguments: PlayRecording
 ) -> list[GateRequest]:
-    """All actions as one motion, or as several where one would last too long; each was judged by the gate.
+    """All actions as one motion, or as several where one would last too long; each was judged by
+    the gate.
 
     Raises:
         RefusedError: the gate would not let one of them pass.
@@ -133,7 +147,12 @@ def _motions(
     for piece in pieces(due_s, gate_of(host).max_duration_s):
         at_s = [due_s[i] - due_s[piece.start] for i in piece]
         request = gate_request(
-            context, "play_recording", exposed, [messages[i] for i in piece], arguments.given(), send_at_s=at_s
+            context,
+            "play_recording",
+            exposed,
+            [messages[i] for i in piece],
+            arguments.given(),
+            send_at_s=at_s,
         )
         verdict = gate_of(host).check(replace(request, dry_run=True))
         if not verdict.allowed:
@@ -142,13 +161,17 @@ def _motions(
     return requests
 
 
-def _send(host: Host, exposed: Exposed, requests: Sequence[GateRequest], halt: threading.Event) -> int:
+def _send(
+    host: Host, exposed: Exposed, requests: Sequence[GateRequest], halt: threading.Event
+) -> int:
     """Play the motions, one after the other; returns the number of actions."""
     sent = 0
     for request in requests:
         at_s = request.send_at_s
         commands = _commands(request.messages, at_s)
-        done = gate_of(host).play(exposed, request, commands, total_s=at_s[-1], timeout_s=_READY_S, halt=halt)
+        done = gate_of(host).play(
+            exposed, request, commands, total_s=at_s[-1], timeout_s=_READY_S, halt=halt
+        )
         if not done.verdict.may_send:
             raise RefusedError(done.verdict.reason or "The server makes dry runs only.")
         sent += done.messages
@@ -165,7 +188,9 @@ def pieces(due_s: Sequence[float], most_s: float) -> Iterator[range]:
 
 
 def pace(sent_ns: Sequence[int], rate_hz: float) -> list[float]:
-    """When each action is sent [s]: as recorded, with pauses shortened, and no faster than the endpoint takes them."""
+    """When each action is sent [s]: as recorded, with pauses shortened, and no faster than the
+    endpoint takes them.
+    """
     least_s = _RATE_MARGIN / rate_hz if rate_hz else 0.0
     due_s = [0.0]
     for before, now in pairwise(sent_ns):
@@ -215,7 +240,9 @@ class _Track:
         """Wait for the first. Raises NotReadyError."""
         if not self._came.wait(_READY_S):
             self.close()
-            raise NotReadyError("Control publishes no pose of the end effector.", hint="See get_status.")
+            raise NotReadyError(
+                "Control publishes no pose of the end effector.", hint="See get_status."
+            )
 
     def positions(self) -> F64:
         """Those that came, float64 (n, 3) [m]."""

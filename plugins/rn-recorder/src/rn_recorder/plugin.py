@@ -4,7 +4,8 @@ from roboneuron import CommandSpec, FeatureSpec, hookimpl
 
 FEATURE = FeatureSpec(
     name="recorder",
-    summary="Records images, actions, states, tool calls and verdicts to MCAP files; keeps the time around incidents.",
+    summary="Records images, actions, states, tool calls and verdicts to MCAP files; keeps the "
+    "time around incidents.",
     target="rn_recorder.feature:Recorder",
     config="rn_recorder.options:RecorderOptions",
     on_join="rn_runs.predictions:join",

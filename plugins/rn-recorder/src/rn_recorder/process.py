@@ -1,6 +1,7 @@
 """The recorder's process as the server sees it: orders through a bounded queue, answers, restarts.
 
-Nothing here waits for the recorder but the tools that ask it something, and those for a bounded time.
+Nothing here waits for the recorder but the tools that ask it something, and those for a bounded
+time.
 """
 
 from __future__ import annotations
@@ -24,7 +25,9 @@ MOST_ORDERS = 2000
 STALLED_S = 10.0
 """Without a status for so long (it comes every 0.5 s), the recorder is ended and started again."""
 STARTING_S = 60.0
-"""So long it may take to its first status: it imports ROS and joins, on a machine that is busy with other starts."""
+"""So long it may take to its first status: it imports ROS and joins, on a machine that is busy
+with other starts.
+"""
 _LEAVE_S = 4.0
 _BACKOFF_S = (0.5, 2.0, 5.0, 15.0, 30.0)
 _STEADY_S = 60.0
@@ -36,7 +39,8 @@ class RecorderProcess:
     """Keeps one recorder alive until `close`. Every method may be called from any thread.
 
     Args:
-        spawn: starts one, given how many there were before, and id and name of a recording to go on with.
+        spawn: starts one, given how many there were before, and id and name of a recording to go on
+            with.
         observe: told of a pid when it ended.
     """
 
@@ -81,8 +85,16 @@ class RecorderProcess:
             self._thread.start()
 
     def note(self, what: str, facts: Mapping[str, Any], incident: str = "") -> None:
-        """Tell it of an event; never waits: what does not fit into the queue is dropped and counted."""
-        order = {"do": "event", "what": what, "at_ns": time.time_ns(), "facts": dict(facts), "incident": incident}
+        """Tell it of an event; never waits: what does not fit into the queue is dropped and
+        counted.
+        """
+        order = {
+            "do": "event",
+            "what": what,
+            "at_ns": time.time_ns(),
+            "facts": dict(facts),
+            "incident": incident,
+        }
         try:
             self._orders.put_nowait(order)
         except queue.Full:
@@ -100,23 +112,33 @@ class RecorderProcess:
         try:
             self._orders.put_nowait({**order, "number": number})
         except queue.Full:
-            raise NotReadyError("The recorder takes no orders.", hint="list_recordings tells how it is.") from None
+            raise NotReadyError(
+                "The recorder takes no orders.", hint="list_recordings tells how it is."
+            ) from None
         with self._changed:
             self._changed.wait_for(lambda: number in self._answers or self.ends > ends, timeout_s)
             if number not in self._answers and self.ends > ends:
-                raise NotReadyError("The recorder ended before it answered.", hint="It is started again: call again.")
+                raise NotReadyError(
+                    "The recorder ended before it answered.",
+                    hint="It is started again: call again.",
+                )
             if number not in self._answers:
                 raise NotReadyError(
                     f"The recorder has not answered within {timeout_s:g} s; it is {self.state}.",
-                    hint="list_recordings tells how it is; its log is recorder.log beside the modules' logs.",
+                    hint="list_recordings tells how it is; its log is recorder.log beside the "
+                    "modules' logs.",
                 )
             return self._answers.pop(number)
 
     def wait_for_status(self) -> bool:
-        """Wait for the next status of a recorder that runs; whether there was one before `close`."""
+        """Wait for the next status of a recorder that runs; whether there was one before
+        `close`.
+        """
         with self._changed:
             before_s = self._told_s
-            self._changed.wait_for(lambda: self._closing.is_set() or (bool(self.status) and self._told_s > before_s))
+            self._changed.wait_for(
+                lambda: self._closing.is_set() or (bool(self.status) and self._told_s > before_s)
+            )
         return not self._closing.is_set()
 
     def resume_with(self, run_id: str, name: str) -> None:
@@ -154,7 +176,9 @@ class RecorderProcess:
                 return
             is_steady = time.monotonic() - begun_s > _STEADY_S
             delay_s = _BACKOFF_S[0 if is_steady else min(self.starts, len(_BACKOFF_S)) - 1]
-            log.warning("The recorder ended; started again in %g s. The robot is not affected.", delay_s)
+            log.warning(
+                "The recorder ended; started again in %g s. The robot is not affected.", delay_s
+            )
             self._closing.wait(delay_s)
 
     def _serve(self, child: subprocess.Popen[bytes]) -> None:
@@ -162,8 +186,12 @@ class RecorderProcess:
         self._child, self._told_s, self.status = child, time.monotonic(), {}
         ended = threading.Event()
         threads = [
-            threading.Thread(target=self._write, args=(child, ended), name="recorder-orders", daemon=True),
-            threading.Thread(target=self._read, args=(child,), name="recorder-answers", daemon=True),
+            threading.Thread(
+                target=self._write, args=(child, ended), name="recorder-orders", daemon=True
+            ),
+            threading.Thread(
+                target=self._read, args=(child,), name="recorder-answers", daemon=True
+            ),
         ]
         for thread in threads:
             thread.start()

@@ -12,7 +12,15 @@ from pydantic import Field
 
 from rn_recorder.process import RecorderProcess
 from rn_runs.store import Run, Store
-from roboneuron import Arguments, CallContext, NotReadyError, Result, RoboNeuronError, StateError, Tool
+from roboneuron import (
+    Arguments,
+    CallContext,
+    NotReadyError,
+    Result,
+    RoboNeuronError,
+    StateError,
+    Tool,
+)
 
 log = logging.getLogger(__name__)
 _ANSWER_S = 10.0
@@ -24,11 +32,17 @@ class StartRecording(Arguments):
     """Arguments of start_recording."""
 
     name: str = Field(
-        default="run", max_length=60, pattern=_NAME, description="Short name; lower-case letters, digits, hyphens."
+        default="run",
+        max_length=60,
+        pattern=_NAME,
+        description="Short name; lower-case letters, digits, hyphens.",
     )
     note: str = Field(default="", max_length=500, description="Kept with the recording.")
     duration_s: float | None = Field(
-        default=None, gt=0, le=86400, description="It ends by itself then; the call returns at once."
+        default=None,
+        gt=0,
+        le=86400,
+        description="It ends by itself then; the call returns at once.",
     )
 
 
@@ -42,7 +56,9 @@ class Started(Result):
 class StopRecording(Arguments):
     """Arguments of stop_recording."""
 
-    outcome: Outcome = Field(default="unknown", description="How it went; data sets are selected by it.")
+    outcome: Outcome = Field(
+        default="unknown", description="How it went; data sets are selected by it."
+    )
     note: str = Field(default="", max_length=500, description="Kept with the recording.")
 
 
@@ -81,14 +97,19 @@ class Recordings(Result):
     recorder: str = Field(description="ok, starting, stalled, ended, or off")
     recording: str = Field(description="id of the recording in progress; empty for none")
     problem: str = Field(description="why nothing is written now; empty when all is well")
-    lost: int = Field(description="messages that could not be written or came too fast, since the recorder started")
+    lost: int = Field(
+        description="messages that could not be written or came too fast, since the recorder "
+        "started"
+    )
     restarts: int
     runs: list[Entry]
     directory: str
 
 
 class RecordingEnds:
-    """Ends a recording after its time, by a thread of its own; a newer recording or `close` replaces the time."""
+    """Ends a recording after its time, by a thread of its own; a newer recording or `close`
+    replaces the time.
+    """
 
     def __init__(self) -> None:
         self.what: Callable[[str], object] = lambda run: None
@@ -117,14 +138,19 @@ class RecordingEnds:
 
 
 def recording_tools(
-    store: Store, process: Callable[[], RecorderProcess | None], is_enabled: bool, ends: RecordingEnds
+    store: Store,
+    process: Callable[[], RecorderProcess | None],
+    is_enabled: bool,
+    ends: RecordingEnds,
 ) -> list[Tool[Any]]:
     """start_recording, stop_recording and list_recordings."""
 
     def recorder() -> RecorderProcess:
         found = process()
         if found is None or not is_enabled:
-            raise NotReadyError("The recorder is switched off.", hint="Set enabled = true in [recorder].")
+            raise NotReadyError(
+                "The recorder is switched off.", hint="Set enabled = true in [recorder]."
+            )
         return found
 
     def ask(order: dict[str, Any]) -> dict[str, Any]:
@@ -184,7 +210,8 @@ def recording_tools(
             name="start_recording",
             title="Begin a recording",
             description=(
-                "Record images, actions, states and calls to MCAP files, for duration_s or until stop_recording. The "
+                "Record images, actions, states and calls to MCAP files, for duration_s or until "
+                "stop_recording. The "
                 "last seconds before an incident are kept without it."
             ),
             arguments=StartRecording,
@@ -194,7 +221,8 @@ def recording_tools(
         Tool(
             name="stop_recording",
             title="End the recording",
-            description="Finish the files of the recording; say how it went, so that it can be used as data.",
+            description="Finish the files of the recording; say how it went, so that it can be "
+            "used as data.",
             arguments=StopRecording,
             result=Stopped,
             handler=stop_recording,

@@ -1,4 +1,6 @@
-"""Recorded actions, played again into a simulation by a server of its own, through the gate and control."""
+"""Recorded actions, played again into a simulation by a server of its own, through the gate and
+control.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +32,8 @@ class Played:
     Attributes:
         sent: actions.
         dropped: what control did not act on, by reason.
-        end_m: distance between the TCP's last recorded and last measured position, each from its own beginning [m].
+        end_m: distance between the TCP's last recorded and last measured position, each from its
+            own beginning [m].
         path_m: length of the recorded path [m].
     """
 
@@ -51,7 +54,8 @@ def play(files: Sequence[Path], config_path: Path | None) -> Played:
     config = load_config(config_path)
     if config.robot.driver != "simulated":
         raise ConfigurationError(
-            f"The configured driver is {config.robot.driver!r}: recorded actions are played into a simulation only.",
+            f"The configured driver is {config.robot.driver!r}: recorded actions are played into "
+            "a simulation only.",
             hint='Give a configuration with driver = "simulated" in [robot].',
         )
     return anyio.run(_play, files, config_path)
@@ -63,10 +67,14 @@ async def _play(files: Sequence[Path], config_path: Path | None) -> Played:
     os.environ[SWITCH] = PLAY  # of the server, which inherits it
     try:
         with tempfile.TemporaryDirectory() as folder:
-            async with spawned_server([*options, "--log-level", "error"], Path(folder) / "server.log") as client:
+            async with spawned_server(
+                [*options, "--log-level", "error"], Path(folder) / "server.log"
+            ) as client:
                 for tool in ("start_robot", "start_control"):
                     await _call(client, tool)
-                answer = await _call(client, "play_recording", {"files": [str(path.resolve()) for path in files]})
+                answer = await _call(
+                    client, "play_recording", {"files": [str(path.resolve()) for path in files]}
+                )
                 with suppress(NotReadyError):
                     await _call(client, "stop_all")
     finally:
@@ -77,7 +85,9 @@ async def _play(files: Sequence[Path], config_path: Path | None) -> Played:
     return Played(answer["sent"], answer["dropped"], answer["end_m"], answer["path_m"])
 
 
-async def _call(client: Client, tool: str, arguments: Mapping[str, Any] | None = None) -> dict[str, Any]:
+async def _call(
+    client: Client, tool: str, arguments: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
     answer = await client.call_tool(tool, dict(arguments or {}), read_timeout_seconds=_MOST_S)
     if answer.is_error:
         text = " ".join(getattr(block, "text", "") for block in answer.content)

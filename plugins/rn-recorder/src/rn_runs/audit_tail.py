@@ -1,4 +1,6 @@
-"""New lines of the audit, read from its file: verdicts of the gate, emergency stops, limits of control."""
+"""New lines of the audit, read from its file: verdicts of the gate, emergency stops, limits of
+control.
+"""
 
 from __future__ import annotations
 

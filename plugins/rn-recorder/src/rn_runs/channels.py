@@ -1,6 +1,8 @@
-"""Metadata of a channel: the quality of service that publishers offer, as rosbag2 writes it, and names of values.
+"""Metadata of a channel: the quality of service that publishers offer, as rosbag2 writes it, and
+names of values.
 
-Source: rosbag2_storage_mcap of ROS 2 Jazzy, keys `offered_qos_profiles` (YAML) and `topic_type_hash`.
+Source: rosbag2_storage_mcap of ROS 2 Jazzy, keys `offered_qos_profiles` (YAML) and
+    `topic_type_hash`.
 """
 
 from __future__ import annotations
@@ -17,7 +19,9 @@ _FOREVER_NS = 2**63 - 1
 
 
 def describe_channel(topic: str, publishers: Sequence[Any]) -> dict[str, str]:
-    """Metadata of a topic by what its publishers offer (`rclpy.node.Node.get_publishers_info_by_topic`)."""
+    """Metadata of a topic by what its publishers offer
+    (`rclpy.node.Node.get_publishers_info_by_topic`).
+    """
     profiles = [info.qos_profile for info in publishers]
     found = {"offered_qos_profiles": "".join(_to_yaml(profile) for profile in profiles)}
     kind = getattr(publishers[0], "topic_type_hash", None) if publishers else None
@@ -32,12 +36,17 @@ def named_values(topic: str) -> dict[str, str]:
     """Names and units of the values of a message that is a plain array."""
     if topic.rpartition("/")[2] != "action":
         return {}
-    return {"roboneuron.fields": " ".join(f"data[{at}]={name}" for at, name in enumerate(ACTION_FIELDS))}
+    return {
+        "roboneuron.fields": " ".join(f"data[{at}]={name}" for at, name in enumerate(ACTION_FIELDS))
+    }
 
 
 def latched_channel() -> dict[str, str]:
     """Metadata of a topic that the recorder itself makes up and that late readers need."""
-    return {"offered_qos_profiles": _yaml("keep_last", 1, "reliable", _TRANSIENT_LOCAL), LATCHED: "true"}
+    return {
+        "offered_qos_profiles": _yaml("keep_last", 1, "reliable", _TRANSIENT_LOCAL),
+        LATCHED: "true",
+    }
 
 
 def plain_channel() -> dict[str, str]:
@@ -47,7 +56,8 @@ def plain_channel() -> dict[str, str]:
 
 def _to_yaml(profile: Any) -> str:
     durations = [
-        int(getattr(profile, name).nanoseconds) for name in ("deadline", "lifespan", "liveliness_lease_duration")
+        int(getattr(profile, name).nanoseconds)
+        for name in ("deadline", "lifespan", "liveliness_lease_duration")
     ]
     return _yaml(
         _word(profile.history),
@@ -70,7 +80,9 @@ def _yaml(
     avoids_conventions: bool = False,
 ) -> str:
     """One entry of the list that rosbag2 reads."""
-    deadline, lifespan, lease = (divmod(at_ns or _FOREVER_NS, 1_000_000_000) for at_ns in durations_ns)
+    deadline, lifespan, lease = (
+        divmod(at_ns or _FOREVER_NS, 1_000_000_000) for at_ns in durations_ns
+    )
     lines = [
         f"- history: {history}",
         f"  depth: {depth}",

@@ -24,14 +24,20 @@ class Runs:
 
     def configure(self, parser: ArgumentParser) -> None:
         """Add the arguments of `roboneuron runs`."""
-        parser.add_argument("--config", type=Path, metavar="FILE", help="a roboneuron.toml that names the directory")
+        parser.add_argument(
+            "--config", type=Path, metavar="FILE", help="a roboneuron.toml that names the directory"
+        )
         parser.add_argument("--directory", type=Path, help="the directory of runs itself")
         actions = parser.add_subparsers(
             dest="action", required=True, metavar="ACTION", help="what to do (each: --help)"
         )
-        listing = actions.add_parser("list", help="recordings and incidents, oldest first; repairs what was cut short")
+        listing = actions.add_parser(
+            "list", help="recordings and incidents, oldest first; repairs what was cut short"
+        )
         listing.add_argument("--json", action="store_true", help="for programs")
-        show = actions.add_parser("show", help="topics, counts, lost messages, tool calls and incidents of a run")
+        show = actions.add_parser(
+            "show", help="topics, counts, lost messages, tool calls and incidents of a run"
+        )
         show.add_argument("run", help=_NEWEST)
         show.add_argument("--json", action="store_true", help="for programs")
         delete = actions.add_parser("delete", help="delete runs")
@@ -39,31 +45,65 @@ class Runs:
         delete.add_argument("--yes", action="store_true", help="do not ask")
         self._configure_replay(
             actions.add_parser(
-                "replay", help="feed a run to a backend and compare, or play its actions into a simulation"
+                "replay",
+                help="feed a run to a backend and compare, or play its actions into a simulation",
             )
         )
-        self._configure_export(actions.add_parser("export", help="write runs as a data set, or as one MCAP file"))
+        self._configure_export(
+            actions.add_parser("export", help="write runs as a data set, or as one MCAP file")
+        )
 
     def _configure_export(self, parser: ArgumentParser) -> None:
         add = parser.add_argument
         add("runs", nargs="+", metavar="RUN", help=_SEVERAL)
         target = parser.add_mutually_exclusive_group(required=True)
-        target.add_argument("--lerobot", type=Path, metavar="DIRECTORY", help="a LeRobotDataset v3 of their episodes")
+        target.add_argument(
+            "--lerobot",
+            type=Path,
+            metavar="DIRECTORY",
+            help="a LeRobotDataset v3 of their episodes",
+        )
         target.add_argument("--mcap", type=Path, metavar="FILE", help="one MCAP file of all parts")
-        add("--outcome", choices=("success", "failure", "unknown"), help="only episodes that ended so")
-        add("--fps", type=int, help="rows per second of the data set; default: the rate of the actions")
-        add("--codec", choices=("av1", "h264"), default="av1", help="of the data set's videos (default: av1)")
+        add(
+            "--outcome",
+            choices=("success", "failure", "unknown"),
+            help="only episodes that ended so",
+        )
+        add(
+            "--fps",
+            type=int,
+            help="rows per second of the data set; default: the rate of the actions",
+        )
+        add(
+            "--codec",
+            choices=("av1", "h264"),
+            default="av1",
+            help="of the data set's videos (default: av1)",
+        )
 
     def _configure_replay(self, parser: ArgumentParser) -> None:
         add = parser.add_argument
         add("run", help=_NEWEST)
-        add("--against", choices=("backend", "robot"), default="backend", help="robot: recorded actions, in simulation")
-        add("--backend", help="which backend gets the observations (default: the one that was recorded)")
+        add(
+            "--against",
+            choices=("backend", "robot"),
+            default="backend",
+            help="robot: recorded actions, in simulation",
+        )
+        add(
+            "--backend",
+            help="which backend gets the observations (default: the one that was recorded)",
+        )
         add("--checkpoint", help="folder of the model's files")
         add("--runtime", help="runtime; default: the backend's own")
         add("--acceleration", help="acceleration preset")
         add_option(parser, "the backend")
-        add("--tolerance", type=float, default=1e-9, help="differences up to this count as equal (default: 1e-9)")
+        add(
+            "--tolerance",
+            type=float,
+            default=1e-9,
+            help="differences up to this count as equal (default: 1e-9)",
+        )
         add("--out", type=Path, help="folder for comparison.json and comparison.png")
 
     def run(self, arguments: Namespace) -> int:
@@ -81,7 +121,9 @@ class Runs:
 
 
 def open_store(arguments: Namespace) -> Store:
-    """The directory that the arguments name. Raises ConfigurationError for a configuration that is wrong."""
+    """The directory that the arguments name. Raises ConfigurationError for a configuration that
+    is wrong.
+    """
     from rn_recorder.feature import runs_directory
     from rn_recorder.options import RecorderOptions
     from rn_recorder.plugin import FEATURE
@@ -97,7 +139,9 @@ def open_store(arguments: Namespace) -> Store:
 
 
 def find_run(store: Store, name: str) -> Run:
-    """The run of that id, or the MCAP files at that path. Raises InvalidInputError when there is none."""
+    """The run of that id, or the MCAP files at that path. Raises InvalidInputError when there
+    is none.
+    """
     from rn_runs.files import read_about
     from rn_runs.store import Run
 
@@ -143,7 +187,10 @@ def _list(store: Store, as_json: bool) -> int:
     for row in rows:
         what = " ".join(str(row[key]) for key in ("state", "outcome", "note") if row[key])
         size = f"{row['size_bytes'] / 1e6:.1f} MB"
-        print(f"{row['id']:<52} {row['kind']:<9} {row['duration_s']:>7.1f} s {size:>11} {row['messages']:>8}  {what}")
+        print(
+            f"{row['id']:<52} {row['kind']:<9} {row['duration_s']:>7.1f} s {size:>11} "
+            f"{row['messages']:>8}  {what}"
+        )
     if not rows:
         print(f"There are no runs in {store.directory}.")
     return 0
@@ -157,17 +204,34 @@ def _show(run: Run, as_json: bool) -> int:
     about = read_about(run.files[0]) if run.files else {}
     events = []
     for found in iterate(run.files, lambda topic: topic.startswith("/roboneuron/")):
-        events.append({"topic": found.record.topic, "at_ns": found.record.publish_ns, **json.loads(found.message.data)})
+        events.append(
+            {
+                "topic": found.record.topic,
+                "at_ns": found.record.publish_ns,
+                **json.loads(found.message.data),
+            }
+        )
     if as_json:
         rows = {
             topic: {name: getattr(counts, name) for name in counts.__dataclass_fields__}
             for topic, counts in topics.items()
         }
         print(
-            json.dumps({"id": run.id, "about": about, "facts": run.facts, "topics": rows, "events": events}, indent=1)
+            json.dumps(
+                {
+                    "id": run.id,
+                    "about": about,
+                    "facts": run.facts,
+                    "topics": rows,
+                    "events": events,
+                },
+                indent=1,
+            )
         )
         return 0
-    print(f"{run.id} ({run.kind}), robot {about.get('robot', '?')}, images {about.get('images', '?')}")
+    print(
+        f"{run.id} ({run.kind}), robot {about.get('robot', '?')}, images {about.get('images', '?')}"
+    )
     for path in run.files:
         print(f"  {path}")
     print(f"\n{'topic':<46} {'type':<34} {'count':>7} {'rate':>8} {'lost':>5}")
@@ -178,7 +242,9 @@ def _show(run: Run, as_json: bool) -> int:
         print(f"{topic:<46} {counts.type:<34} {counts.messages:>7} {rate:>8} {lost:>5}")
     print()
     for event in events:
-        facts = {k: v for k, v in event.items() if k not in ("topic", "at_ns", "time", "time_ns") and v}
+        facts = {
+            k: v for k, v in event.items() if k not in ("topic", "at_ns", "time", "time_ns") and v
+        }
         print(f"{_time(event['at_ns'])} {json.dumps(facts)[:160]}")
     return 0
 
@@ -206,7 +272,10 @@ def _replay(run: Run, arguments: Namespace) -> int:
         refused = ", ".join(f"{count} {reason}" for reason, count in played.dropped.items())
         print(f"{played.sent} actions sent; not acted on: {refused or 'none'}.")
         if played.end_m is not None:
-            print(f"The TCP ended {played.end_m * 1e3:.1f} mm from where it was recorded; path {played.path_m:.3f} m.")
+            print(
+                f"The TCP ended {played.end_m * 1e3:.1f} mm from where it was recorded; path "
+                f"{played.path_m:.3f} m."
+            )
         return int(bool(set(played.dropped) - {"holds"}))  # it holds when the actions have ended
     from rn_runs.comparison import compare, describe, write_report
     from rn_runs.files import read_about
@@ -216,9 +285,14 @@ def _replay(run: Run, arguments: Namespace) -> int:
     recorded = ((json.loads(about.get("config", "{}")) or {}).get("inference") or {}).get("backend")
     backend = arguments.backend or recorded
     if backend is None:
-        raise InvalidInputError("The run does not say which backend it is of.", hint="Give --backend NAME.")
+        raise InvalidInputError(
+            "The run does not say which backend it is of.", hint="Give --backend NAME."
+        )
     if about.get("images") == "jpeg":
-        print("Images were recorded as JPEG: answers differ from what the pixels before gave.", file=sys.stderr)
+        print(
+            "Images were recorded as JPEG: answers differ from what the pixels before gave.",
+            file=sys.stderr,
+        )
     observations, loaded = load_replayed(
         run.files,
         backend=backend,
@@ -248,13 +322,22 @@ def _export(store: Store, arguments: Namespace) -> int:
     if arguments.lerobot is not None:
         from rn_runs.lerobot import export
 
-        written = export(runs, arguments.lerobot, outcome=arguments.outcome, fps=arguments.fps, codec=arguments.codec)
+        written = export(
+            runs,
+            arguments.lerobot,
+            outcome=arguments.outcome,
+            fps=arguments.fps,
+            codec=arguments.codec,
+        )
         frames = f"{written.frames} frames at {written.fps} Hz"
         print(f"{arguments.lerobot}: {written.episodes} episodes, {frames}")
         for left in written.skipped:
             print(f"Left out: {left}.", file=sys.stderr)
         if written.skipped:
-            print(f"{len(written.skipped)} left out; what is in the data set is whole.", file=sys.stderr)
+            print(
+                f"{len(written.skipped)} left out; what is in the data set is whole.",
+                file=sys.stderr,
+            )
         return int(bool(written.skipped))
     files = [path for run in runs for path in run.files]
     if not files:
@@ -262,10 +345,14 @@ def _export(store: Store, arguments: Namespace) -> int:
     if arguments.mcap.exists():
         raise ConfigurationError(f"{arguments.mcap} exists.", hint="Name another file.")
     arguments.mcap.parent.mkdir(parents=True, exist_ok=True)
-    count = copy_records(files, arguments.mcap, {**read_about(files[0]), "run": " ".join(run.id for run in runs)})
+    count = copy_records(
+        files, arguments.mcap, {**read_about(files[0]), "run": " ".join(run.id for run in runs)}
+    )
     print(f"{arguments.mcap}: {count} messages")
     return 0
 
 
 def _time(at_ns: int) -> str:
-    return datetime.fromtimestamp(at_ns / 1e9, UTC).isoformat(timespec="milliseconds") if at_ns else ""
+    return (
+        datetime.fromtimestamp(at_ns / 1e9, UTC).isoformat(timespec="milliseconds") if at_ns else ""
+    )

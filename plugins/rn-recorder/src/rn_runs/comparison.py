@@ -78,7 +78,8 @@ def describe(comparison: Comparison, found: Sequence[Compared]) -> str:
         lines.append(f"{axis:<10} {largest:>12.3e} {mean:>12.3e}")
     if comparison.first is None:
         lines.append(
-            f"All {comparison.predictions} predictions equal the recorded ones within {comparison.tolerance:g}."
+            f"All {comparison.predictions} predictions equal the recorded ones within "
+            f"{comparison.tolerance:g}."
         )
     else:
         one = found[comparison.first]
@@ -86,7 +87,8 @@ def describe(comparison: Comparison, found: Sequence[Compared]) -> str:
         lines.append(
             f"{comparison.diverging} of {comparison.predictions} predictions differ by more than "
             f"{comparison.tolerance:g}; "
-            f"the first is number {comparison.first}, {after_s:.2f} s after the beginning ({one.instruction!r})."
+            f"the first is number {comparison.first}, {after_s:.2f} s after the beginning "
+            f"({one.instruction!r})."
         )
         if one.error:
             lines.append(f"The replayed backend refused it: {one.error}")
@@ -108,13 +110,21 @@ def _explain_gaps(comparison: Comparison, found: Sequence[Compared]) -> list[str
         return []
     parts = []
     if gaps.predictions:
-        parts.append(f"{gaps.predictions} predictions (what the backend was asked then is not known)")
+        parts.append(
+            f"{gaps.predictions} predictions (what the backend was asked then is not known)"
+        )
     if gaps.without_image:
         parts.append(f"an image of {gaps.without_image} predictions (they were not compared)")
     after_s = (gaps.first_ns - found[0].at_ns) / 1e9
-    lines = [f"The run lacks {' and '.join(parts)}, first {after_s:.2f} s after the beginning: lost while recording."]
+    lines = [
+        f"The run lacks {' and '.join(parts)}, first {after_s:.2f} s after the beginning: lost "
+        "while recording."
+    ]
     if comparison.first is not None and found[comparison.first].at_ns >= gaps.first_ns:
-        lines.append("What differs comes after that: a backend that remembers goes on from another state there.")
+        lines.append(
+            "What differs comes after that: a backend that remembers goes on from another state "
+            "there."
+        )
     return lines
 
 
@@ -131,7 +141,8 @@ def write_report(directory: Path, found: Sequence[Compared], comparison: Compari
         from matplotlib.figure import Figure  # heavy
     except ImportError as error:
         raise MissingDependencyError(
-            "The plot needs matplotlib.", hint="Install it: pip install './plugins/rn-recorder[export]'."
+            "The plot needs matplotlib.",
+            hint="Install it: pip install './plugins/rn-recorder[export]'.",
         ) from error
     figure = Figure(figsize=(10, 12), layout="constrained")
     panels = figure.subplots(len(AXES), 1, sharex=True)

@@ -1,7 +1,8 @@
 """A recorded run, cut into episodes: rows of observation and action, without the pixels.
 
-An episode is what was done for one instruction. Each action that was sent is one row; its observation is the one that
-the backend saw, as far as `predictions` tells, otherwise the newest that had come when the action was sent.
+An episode is what was done for one instruction. Each action that was sent is one row; its
+observation is the one that the backend saw, as far as `predictions` tells, otherwise the newest
+that had come when the action was sent.
 """
 
 from __future__ import annotations
@@ -59,7 +60,9 @@ class Episode:
 
 @dataclass(frozen=True, slots=True)
 class Prediction:
-    """One line of the topic `predictions`; `facts` as `rn_runs.predictions` writes them, `sequence` the publisher's."""
+    """One line of the topic `predictions`; `facts` as `rn_runs.predictions` writes them,
+    `sequence` the publisher's.
+    """
 
     at_ns: int
     facts: dict[str, Any]
@@ -92,10 +95,14 @@ def read_streams(files: Sequence[Path]) -> Streams:
     """Read everything but pixels."""
     found = Streams()
     names = ("action", "predictions", "joint_states", "ee_pose")
-    for entry in iterate(files, lambda topic: topic == EVENTS or camera_of(topic) != "", decode=False):
+    for entry in iterate(
+        files, lambda topic: topic == EVENTS or camera_of(topic) != "", decode=False
+    ):
         record = entry.record
         if record.topic != EVENTS:
-            found.images.setdefault(camera_of(record.topic), []).append((record.log_ns, stamp_of(record.data)))
+            found.images.setdefault(camera_of(record.topic), []).append(
+                (record.log_ns, stamp_of(record.data))
+            )
     for entry in iterate(files, lambda topic: topic == EVENTS or topic.rpartition("/")[2] in names):
         record, message = entry.record, entry.message
         name = record.topic.rpartition("/")[2]
@@ -104,7 +111,9 @@ def read_streams(files: Sequence[Path]) -> Streams:
         elif name == "action" and len(message.data) == 7:
             found.actions.append((record.publish_ns, np.array(message.data, dtype=np.float64)))
         elif name == "predictions":
-            found.predictions.append(Prediction(record.publish_ns, json.loads(message.data), record.sequence))
+            found.predictions.append(
+                Prediction(record.publish_ns, json.loads(message.data), record.sequence)
+            )
         elif name == "joint_states":
             found.joint_names = found.joint_names or tuple(message.name)
             if tuple(message.name) == found.joint_names:
@@ -113,16 +122,23 @@ def read_streams(files: Sequence[Path]) -> Streams:
             p, q = message.pose.position, message.pose.orientation
             found.poses.append((record.log_ns, np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w])))
     found.actions.sort(key=lambda pair: pair[0])
-    first_ns = {camera: min(stamp_ns for _, stamp_ns in seen) for camera, seen in found.images.items()}
+    first_ns = {
+        camera: min(stamp_ns for _, stamp_ns in seen) for camera, seen in found.images.items()
+    }
     found.predictions = [
         prediction
         for prediction in sorted(found.predictions, key=lambda prediction: prediction.at_ns)
-        if all(f["stamp_ns"] >= first_ns.get(f["camera"], 0) for f in prediction.facts.get("frames", {}).values())
+        if all(
+            f["stamp_ns"] >= first_ns.get(f["camera"], 0)
+            for f in prediction.facts.get("frames", {}).values()
+        )
     ]
     return found
 
 
-def read_episodes(run: str, files: Sequence[Path], facts: dict[str, Any]) -> tuple[list[Episode], Streams]:
+def read_episodes(
+    run: str, files: Sequence[Path], facts: dict[str, Any]
+) -> tuple[list[Episode], Streams]:
     """The episodes of a run, oldest first; those without an action are left out.
 
     Raises:
@@ -135,12 +151,18 @@ def read_episodes(run: str, files: Sequence[Path], facts: dict[str, Any]) -> tup
     told = str(facts.get("outcome") or UNKNOWN)
     fallback = str(facts.get("note") or read_about(files[0]).get("name") or run)
     cuts = _cuts(streams, fallback)
-    ends = sorted((int(e["at_ns"]), str(e.get("outcome", UNKNOWN))) for e in streams.events if e["what"] == EPISODE_END)
+    ends = sorted(
+        (int(e["at_ns"]), str(e.get("outcome", UNKNOWN)))
+        for e in streams.events
+        if e["what"] == EPISODE_END
+    )
     episodes: list[Episode] = []
     for number, (begin_ns, instruction) in enumerate(cuts):
         until_ns = cuts[number + 1][0] if number + 1 < len(cuts) else 2**63
         end = next(((at, word) for at, word in ends if begin_ns <= at < until_ns), None)
-        last_ns, outcome = end if end is not None else (until_ns, told if len(cuts) == 1 else UNKNOWN)
+        last_ns, outcome = (
+            end if end is not None else (until_ns, told if len(cuts) == 1 else UNKNOWN)
+        )
         rows = _rows(streams, begin_ns, min(last_ns, until_ns))
         if rows:
             episodes.append(Episode(instruction, outcome, run, rows))
@@ -148,7 +170,9 @@ def read_episodes(run: str, files: Sequence[Path], facts: dict[str, Any]) -> tup
 
 
 def _cuts(streams: Streams, fallback: str) -> list[tuple[int, str]]:
-    """When each instruction began [ns]: by predictions, else by the calls that gave one, else one for all."""
+    """When each instruction began [ns]: by predictions, else by the calls that gave one, else
+    one for all.
+    """
     found: list[tuple[int, str]] = []
     for prediction in streams.predictions:
         instruction = str(prediction.facts.get("instruction", ""))
@@ -195,7 +219,9 @@ def _rows(streams: Streams, begin_ns: int, end_ns: int) -> list[Row]:
             if "joints" in facts and tuple(facts["joints"]["names"]) == streams.joint_names:
                 joints = np.array(facts["joints"]["position"])
             if "ee_pose" in facts:
-                pose = np.array([*facts["ee_pose"]["position_m"], *facts["ee_pose"]["quaternion_xyzw"]])
+                pose = np.array(
+                    [*facts["ee_pose"]["position_m"], *facts["ee_pose"]["quaternion_xyzw"]]
+                )
         if len(images) == len(image_times):
             rows.append(Row(action, sent_ns, images, joints, pose))
     return rows

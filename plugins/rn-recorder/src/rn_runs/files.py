@@ -1,6 +1,8 @@
-"""MCAP files with the profile "ros2": written so that a killed writer loses at most half a second, read when cut short.
+"""MCAP files with the profile "ros2": written so that a killed writer loses at most half a second,
+read when cut short.
 
-Every file stands for itself: it holds the message definitions, what was configured, and units and frames.
+Every file stands for itself: it holds the message definitions, what was configured, and units and
+    frames.
 """
 
 from __future__ import annotations
@@ -57,7 +59,9 @@ class Record:
 
 
 class _Unbuffered:
-    """What the MCAP writer writes to: each chunk goes to the operating system at once, whole or not at all counted."""
+    """What the MCAP writer writes to: each chunk goes to the operating system at once, whole or
+    not at all counted.
+    """
 
     def __init__(self, path: Path) -> None:
         self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o640)
@@ -89,8 +93,10 @@ class RunFile:
     Args:
         path: must not exist yet; others cannot read what is made.
         about: strings for the metadata record at the beginning.
-        definitions: definition by type, of those that are not installed here (copied from another file).
-        channels: metadata by topic, such as its quality of service; asked when the topic first occurs.
+        definitions: definition by type, of those that are not installed here (copied from another
+            file).
+        channels: metadata by topic, such as its quality of service; asked when the topic first
+            occurs.
     """
 
     def __init__(
@@ -109,7 +115,9 @@ class RunFile:
         self._definitions = {} if definitions is None else definitions
         self._topics = {} if channels is None else channels
         self._file = _Unbuffered(path)
-        self._writer = Writer(cast("IO[bytes]", self._file), chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
+        self._writer = Writer(
+            cast("IO[bytes]", self._file), chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD
+        )
         self._channels: dict[tuple[str, str], int] = {}
         self._schemas: dict[str, int] = {}
         try:
@@ -133,7 +141,9 @@ class RunFile:
         if channel is None:
             channel = self._channels[record.topic, record.type] = self._register(record)
         before = self.size_bytes
-        self._writer.add_message(channel, record.log_ns, record.data, record.publish_ns, record.sequence & 0xFFFFFFFF)
+        self._writer.add_message(
+            channel, record.log_ns, record.data, record.publish_ns, record.sequence & 0xFFFFFFFF
+        )
         self.messages += 1
         self.unwritten = self.unwritten + 1 if self.size_bytes == before else 0
         self.first_ns = self.first_ns or record.log_ns
@@ -165,8 +175,12 @@ class RunFile:
         schema = self._schemas.get(record.type)
         if schema is None:
             text = self._definitions.get(record.type) or definition(record.type)
-            schema = self._schemas[record.type] = self._writer.register_schema(record.type, "ros2msg", text.encode())
-        return self._writer.register_channel(record.topic, "cdr", schema, dict(self._topics.get(record.topic, {})))
+            schema = self._schemas[record.type] = self._writer.register_schema(
+                record.type, "ros2msg", text.encode()
+            )
+        return self._writer.register_channel(
+            record.topic, "cdr", schema, dict(self._topics.get(record.topic, {}))
+        )
 
 
 def is_finished(path: Path) -> bool:
@@ -191,9 +205,12 @@ def whole_records(file: IO[bytes], *, emit_chunks: bool = False) -> Iterator[Mca
 
 
 def read_records(
-    path: Path, definitions: dict[str, str] | None = None, metadata: dict[str, dict[str, str]] | None = None
+    path: Path,
+    definitions: dict[str, str] | None = None,
+    metadata: dict[str, dict[str, str]] | None = None,
 ) -> Iterator[Record]:
-    """The messages of a file in the order in which they were written; what is cut off at its end is left out.
+    """The messages of a file in the order in which they were written; what is cut off at its end is
+    left out.
 
     Args:
         path: finished or not.
@@ -218,7 +235,14 @@ def read_records(
             elif isinstance(entry, Message):
                 channel = channels[entry.channel_id]
                 name = schemas[channel.schema_id].name if channel.schema_id in schemas else ""
-                yield Record(channel.topic, name, entry.log_time, entry.publish_time, entry.sequence, entry.data)
+                yield Record(
+                    channel.topic,
+                    name,
+                    entry.log_time,
+                    entry.publish_time,
+                    entry.sequence,
+                    entry.data,
+                )
 
 
 def read_about(path: Path) -> dict[str, str]:
@@ -237,7 +261,9 @@ def read_statistics(path: Path) -> tuple[Statistics | None, dict[int, str]]:
     with path.open("rb") as file, suppress(*DAMAGE):
         summary = make_reader(file).get_summary()
         if summary is not None and summary.statistics is not None:
-            return summary.statistics, {key: channel.topic for key, channel in summary.channels.items()}
+            return summary.statistics, {
+                key: channel.topic for key, channel in summary.channels.items()
+            }
     return None, {}
 
 
@@ -258,10 +284,13 @@ def copy_records(
     attachments: Mapping[str, Any] | None = None,
     again_ns: int | None = None,
 ) -> int:
-    """Write one finished file of what several hold, oldest first, and return the number of messages.
+    """Write one finished file of what several hold, oldest first, and return the number of
+    messages.
 
-    A message that several files hold, as each holds the newest of latched topics, is written once. Latched ones are
-    written whenever they came. `again_ns`: what came before that time [ns] is in the first source; later ones may
+    A message that several files hold, as each holds the newest of latched topics, is written once.
+    Latched ones are
+    written whenever they came. `again_ns`: what came before that time [ns] is in the first source;
+        later ones may
     be in several.
 
     Raises:
@@ -285,7 +314,13 @@ def copy_records(
                         continue
                     if is_latched or (again_ns is not None and record.log_ns >= again_ns):
                         came_ns = 0 if is_latched else record.log_ns
-                        key = (record.topic, came_ns, record.publish_ns, record.sequence, hash(record.data))
+                        key = (
+                            record.topic,
+                            came_ns,
+                            record.publish_ns,
+                            record.sequence,
+                            hash(record.data),
+                        )
                         if key in written:
                             continue
                         written.add(key)
@@ -293,7 +328,9 @@ def copy_records(
                         record = replace(record, log_ns=max(record.log_ns, since_ns))
                     file.write(record)
         for name, value in (attachments or {}).items():
-            file.attach(name, "application/json", json.dumps(value, indent=1).encode(), file.last_ns)
+            file.attach(
+                name, "application/json", json.dumps(value, indent=1).encode(), file.last_ns
+            )
         file.finish()
     except BaseException:
         file.abandon()

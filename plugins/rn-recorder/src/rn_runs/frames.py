@@ -1,4 +1,6 @@
-"""Transforms and robot description among the recorded messages, unless somebody publishes them himself."""
+"""Transforms and robot description among the recorded messages, unless somebody publishes them
+himself.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,9 @@ from rn_runs.transforms import DESCRIPTION, TF, TF_STATIC, RobotTransforms
 
 log = logging.getLogger(__name__)
 _PERIOD_NS = 30_000_000
-"""Between two messages on /tf: joint states come four times as often, and nobody looks so closely."""
+"""Between two messages on /tf: joint states come four times as often, and nobody looks so
+closely.
+"""
 _JOINT_STATE = "sensor_msgs/msg/JointState"
 
 
@@ -50,7 +54,9 @@ class Frames:
             self._recording.take(self._robot.description(topic, now_ns))
 
     def follow(self, record: Record) -> None:
-        """Add the transforms of joint states; once somebody else publishes on /tf, no more of them."""
+        """Add the transforms of joint states; once somebody else publishes on /tf, no more of
+        them.
+        """
         if record.topic == TF:
             self._robot = None
         if self._robot is None or record.topic != self._joints_topic or record.type != _JOINT_STATE:

@@ -1,6 +1,8 @@
-"""Raw `sensor_msgs/Image` messages to `sensor_msgs/CompressedImage`, both as CDR, without ROS; and back to pixels.
+"""Raw `sensor_msgs/Image` messages to `sensor_msgs/CompressedImage`, both as CDR, without ROS; and
+back to pixels.
 
-Source: OMG CDR (little endian, members aligned to their size from the end of the 4-byte encapsulation header) and the
+Source: OMG CDR (little endian, members aligned to their size from the end of the 4-byte
+    encapsulation header) and the
 definitions of the two types; the field `format` is written as by ROS's compressed_image_transport.
 """
 
@@ -100,7 +102,9 @@ def to_jpeg(message: bytes, quality: int) -> bytes | None:
     rows = np.frombuffer(raw.data, np.uint8).reshape(raw.height, raw.step)
     pixels = rows[:, : raw.width * channels].reshape(raw.height, raw.width, channels)
     encoded: bytes = simplejpeg.encode_jpeg(np.ascontiguousarray(pixels), quality, colours, "420")
-    kind = f"{raw.encoding}; jpeg compressed {'mono8' if channels == 1 else 'bgr8'}".encode() + b"\0"
+    kind = (
+        f"{raw.encoding}; jpeg compressed {'mono8' if channels == 1 else 'bgr8'}".encode() + b"\0"
+    )
     frame_id = raw.frame_id + b"\0"
     body = struct.pack("<II", raw.sec, raw.nanosec)
     for text in (frame_id, kind):

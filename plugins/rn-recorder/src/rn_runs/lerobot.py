@@ -1,6 +1,7 @@
 """Episodes as a LeRobotDataset v3: parquet, one video for each camera, statistics, tasks.
 
-Source of the layout: lerobot 0.6.1, `datasets/utils.py`, `datasets/dataset_writer.py` and a data set it wrote.
+Source of the layout: lerobot 0.6.1, `datasets/utils.py`, `datasets/dataset_writer.py` and a data
+    set it wrote.
 """
 
 from __future__ import annotations
@@ -45,10 +46,14 @@ class Written:
     skipped: tuple[Skipped, ...] = ()
 
 
-def export(runs: Sequence[Run], directory: Path, *, outcome: str | None, fps: int | None, codec: Codec) -> Written:
-    """Write the episodes of these runs; those that lack something are left out and named in the result.
+def export(
+    runs: Sequence[Run], directory: Path, *, outcome: str | None, fps: int | None, codec: Codec
+) -> Written:
+    """Write the episodes of these runs; those that lack something are left out and named in the
+    result.
 
-    The directory appears when all is in it: until then everything is in a hidden one beside it, which is deleted when
+    The directory appears when all is in it: until then everything is in a hidden one beside it,
+        which is deleted when
     the export fails.
 
     Args:
@@ -69,7 +74,8 @@ def export(runs: Sequence[Run], directory: Path, *, outcome: str | None, fps: in
         import pyarrow.parquet as pq  # type: ignore[import-untyped]
     except ImportError as error:
         raise MissingDependencyError(
-            "Data sets need pyarrow.", hint="Install it: pip install './plugins/rn-recorder[export]'."
+            "Data sets need pyarrow.",
+            hint="Install it: pip install './plugins/rn-recorder[export]'.",
         ) from error
     if directory.exists():
         raise ConfigurationError(f"{directory} exists.", hint="Name another folder, or delete it.")
@@ -81,7 +87,8 @@ def export(runs: Sequence[Run], directory: Path, *, outcome: str | None, fps: in
     except OSError as error:
         raise StateError(
             f"{error.filename or directory} cannot be written: {error.strerror or error}.",
-            hint="Free space on that disk or mend the permissions; nothing of the data set was left.",
+            hint="Free space on that disk or mend the permissions; nothing of the data set was "
+            "left.",
         ) from error
     finally:
         shutil.rmtree(unfinished, ignore_errors=True)
@@ -89,19 +96,28 @@ def export(runs: Sequence[Run], directory: Path, *, outcome: str | None, fps: in
 
 
 def _export(
-    pa: Any, pq: Any, runs: Sequence[Run], directory: Path, outcome: str | None, fps: int | None, codec: Codec
+    pa: Any,
+    pq: Any,
+    runs: Sequence[Run],
+    directory: Path,
+    outcome: str | None,
+    fps: int | None,
+    codec: Codec,
 ) -> Written:
     sources, skipped = whole_sources(runs, outcome)
     episodes = [episode for source in sources for episode in source.episodes]
     if not episodes:
         raise InvalidInputError(
-            f"No episode{f' with the outcome {outcome!r}' if outcome else ''} in these runs can be exported.",
+            f"No episode{f' with the outcome {outcome!r}' if outcome else ''} in these runs can "
+            "be exported.",
             hint=" ".join(f"{left}." for left in skipped),
         )
     first = sources[0]
     rate = fps or _rate(episodes)
     videos = {
-        camera: CameraVideo(directory / f"videos/observation.images.{camera}/{_FILE}.mp4", rate, codec)
+        camera: CameraVideo(
+            directory / f"videos/observation.images.{camera}/{_FILE}.mp4", rate, codec
+        )
         for camera in first.cameras
     }
     tasks = list(dict.fromkeys(episode.instruction for episode in episodes))
@@ -115,9 +131,14 @@ def _export(
             for episode, sample in zip(source.episodes, samples, strict=True):
                 rows = _columns(episode, len(listed), begin, tasks.index(episode.instruction), rate)
                 stats = {name: stats_of(_matrix(values)) for name, values in rows.items()}
-                stats |= {f"observation.images.{camera}": image_stats(*sample[camera]) for camera in first.cameras}
+                stats |= {
+                    f"observation.images.{camera}": image_stats(*sample[camera])
+                    for camera in first.cameras
+                }
                 parts.append(stats)
-                listed.append(_episode_entry(episode, len(listed), begin, rate, first.cameras, stats))
+                listed.append(
+                    _episode_entry(episode, len(listed), begin, rate, first.cameras, stats)
+                )
                 for name, values in rows.items():
                     columns.setdefault(name, []).extend(values)
                 begin += len(episode.rows)
@@ -125,7 +146,9 @@ def _export(
         for video in videos.values():
             video.close()
     features = meta.features(first, videos, rate, codec)
-    table = pa.table({name: meta.array(pa, values, features[name]) for name, values in columns.items()})
+    table = pa.table(
+        {name: meta.array(pa, values, features[name]) for name, values in columns.items()}
+    )
     for name, written in (
         (f"data/{_FILE}.parquet", table),
         (f"meta/episodes/{_FILE}.parquet", pa.Table.from_pylist(listed)),
@@ -142,9 +165,15 @@ def _export(
 
 
 def _rate(episodes: Sequence[Episode]) -> int:
-    gaps = [np.diff([row.sent_ns for row in episode.rows]) for episode in episodes if len(episode.rows) > 1]
+    gaps = [
+        np.diff([row.sent_ns for row in episode.rows])
+        for episode in episodes
+        if len(episode.rows) > 1
+    ]
     if not gaps:
-        raise InvalidInputError("No episode has two actions, so there is no rate.", hint="Give --fps.")
+        raise InvalidInputError(
+            "No episode has two actions, so there is no rate.", hint="Give --fps."
+        )
     return max(1, round(1e9 / float(np.median(np.concatenate(gaps)))))
 
 
@@ -153,19 +182,24 @@ def _write_videos(
 ) -> list[dict[str, tuple[NDArray[np.float64], int]]]:
     """Add the images of the rows, in their order, and return drawn pixels by episode and camera.
 
-    One pass through the file; an image is kept undecoded from when it comes until no row needs it any more.
+    One pass through the file; an image is kept undecoded from when it comes until no row needs it
+    any more.
     """
     samples: list[dict[str, tuple[NDArray[np.float64], int]]] = [{} for _ in source.episodes]
     wanted = {
         camera: deque(
-            (row.images[camera], number) for number, episode in enumerate(source.episodes) for row in episode.rows
+            (row.images[camera], number)
+            for number, episode in enumerate(source.episodes)
+            for row in episode.rows
         )
         for camera in videos
     }
     needed = {camera: Counter(stamp for stamp, _ in rows) for camera, rows in wanted.items()}
     held: dict[str, dict[int, Record]] = {camera: {} for camera in videos}
     decoder = MessageDecoder()
-    for record in (record for path in source.run.files for record in read_records(path, decoder.definitions)):
+    for record in (
+        record for path in source.run.files for record in read_records(path, decoder.definitions)
+    ):
         camera = camera_of(record.topic)
         if camera not in videos:
             continue
@@ -213,16 +247,28 @@ def _matrix(values: list[Any]) -> NDArray[np.float64]:
 
 
 def _episode_entry(
-    episode: Episode, index: int, begin: int, fps: int, cameras: Sequence[str], stats: Mapping[str, Stats]
+    episode: Episode,
+    index: int,
+    begin: int,
+    fps: int,
+    cameras: Sequence[str],
+    stats: Mapping[str, Stats],
 ) -> dict[str, Any]:
     length = len(episode.rows)
-    entry: dict[str, Any] = {"episode_index": index, "tasks": [episode.instruction], "length": length}
+    entry: dict[str, Any] = {
+        "episode_index": index,
+        "tasks": [episode.instruction],
+        "length": length,
+    }
     entry |= {"data/chunk_index": 0, "data/file_index": 0}
     entry |= {"dataset_from_index": begin, "dataset_to_index": begin + length}
     for camera in cameras:
         key = f"videos/observation.images.{camera}"
         entry |= {f"{key}/chunk_index": 0, f"{key}/file_index": 0}
-        entry |= {f"{key}/from_timestamp": begin / fps, f"{key}/to_timestamp": (begin + length) / fps}
+        entry |= {
+            f"{key}/from_timestamp": begin / fps,
+            f"{key}/to_timestamp": (begin + length) / fps,
+        }
     for name, values in stats.items():
         entry |= {f"stats/{name}/{key}": value for key, value in values.to_lists().items()}
     return entry | {"meta/episodes/chunk_index": 0, "meta/episodes/file_index": 0}

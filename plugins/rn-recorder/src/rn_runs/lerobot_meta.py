@@ -29,7 +29,9 @@ class Source:
     cameras: tuple[str, ...]
 
 
-def features(source: Source, videos: Mapping[str, CameraVideo], fps: int, codec: Codec) -> dict[str, Any]:
+def features(
+    source: Source, videos: Mapping[str, CameraVideo], fps: int, codec: Codec
+) -> dict[str, Any]:
     """What the columns are, by name."""
     features: dict[str, Any] = {}
     if source.episodes[0].rows[0].joints.size:
@@ -40,15 +42,33 @@ def features(source: Source, videos: Mapping[str, CameraVideo], fps: int, codec:
     features["roboneuron.action"] = _feature("float64", ACTION_NAMES)
     for camera, video in videos.items():
         height, width, channels = video.shape
-        facts = {"video.height": height, "video.width": width, "video.codec": codec, "video.pix_fmt": "yuv420p"}
+        facts = {
+            "video.height": height,
+            "video.width": width,
+            "video.codec": codec,
+            "video.pix_fmt": "yuv420p",
+        }
         features[f"observation.images.{camera}"] = {
             "dtype": "video",
             "shape": [height, width, channels],
             "names": ["height", "width", "channels"],
-            "info": {**facts, "video.fps": fps, "video.channels": 3, "has_audio": False, "is_depth_map": False},
+            "info": {
+                **facts,
+                "video.fps": fps,
+                "video.channels": 3,
+                "has_audio": False,
+                "is_depth_map": False,
+            },
         }
     features["timestamp"] = {"dtype": "float32", "shape": [1], "names": None}
-    for name in ("roboneuron.sent_ns", "roboneuron.image_ns", "frame_index", "episode_index", "index", "task_index"):
+    for name in (
+        "roboneuron.sent_ns",
+        "roboneuron.image_ns",
+        "frame_index",
+        "episode_index",
+        "index",
+        "task_index",
+    ):
         features[name] = {"dtype": "int64", "shape": [1], "names": None}
     return features
 
@@ -69,18 +89,37 @@ def array(pa: Any, values: list[Any], feature: Mapping[str, Any]) -> Any:
 
 def tasks(pa: Any, tasks: Sequence[str]) -> Any:
     """With the tasks as pandas' index, which lerobot reads them by."""
-    table = pa.table({"task_index": pa.array(range(len(tasks)), pa.int64()), "task": pa.array(tasks, pa.string())})
+    table = pa.table(
+        {
+            "task_index": pa.array(range(len(tasks)), pa.int64()),
+            "task": pa.array(tasks, pa.string()),
+        }
+    )
     columns = [
-        {"name": "task_index", "field_name": "task_index", "pandas_type": "int64", "numpy_type": "int64"},
+        {
+            "name": "task_index",
+            "field_name": "task_index",
+            "pandas_type": "int64",
+            "numpy_type": "int64",
+        },
         {"name": "task", "field_name": "task", "pandas_type": "unicode", "numpy_type": "object"},
     ]
     described = [{**column, "metadata": None} for column in columns]
-    pandas = {"index_columns": ["task"], "column_indexes": [], "columns": described, "pandas_version": "2.0.0"}
+    pandas = {
+        "index_columns": ["task"],
+        "column_indexes": [],
+        "columns": described,
+        "pandas_version": "2.0.0",
+    }
     return table.replace_schema_metadata({"pandas": json.dumps(pandas)})
 
 
 def info(
-    source: Source, features: dict[str, Any], episodes: Sequence[Episode], tasks: Sequence[str], fps: int
+    source: Source,
+    features: dict[str, Any],
+    episodes: Sequence[Episode],
+    tasks: Sequence[str],
+    fps: int,
 ) -> dict[str, Any]:
     """What meta/info.json says."""
     return {
@@ -106,11 +145,17 @@ def origin(sources: Sequence[Source], episodes: Sequence[Episode]) -> dict[str, 
     contract = json.loads(about.get("contract", "{}"))
     return {
         "contract": contract,
-        "rows": "one for each action that was sent; timestamp is frame_index / fps, roboneuron.sent_ns the time itself",
+        "rows": "one for each action that was sent; timestamp is frame_index / fps, "
+        "roboneuron.sent_ns the time itself",
         "config": json.loads(about.get("config", "{}")),
         "roboneuron": about.get("roboneuron", ""),
         "episodes": [
-            {"run": e.run, "instruction": e.instruction, "outcome": e.outcome, "begun_ns": e.rows[0].sent_ns}
+            {
+                "run": e.run,
+                "instruction": e.instruction,
+                "outcome": e.outcome,
+                "begun_ns": e.rows[0].sent_ns,
+            }
             for e in episodes
         ],
     }

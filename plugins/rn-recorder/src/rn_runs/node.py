@@ -1,8 +1,10 @@
-"""The recorder's process: `python -m rn_runs.node`, started by the feature; settings and orders come on stdin.
+"""The recorder's process: `python -m rn_runs.node`, started by the feature; settings and orders
+come on stdin.
 
-Three threads: one takes serialized messages off ROS into a bounded queue; one reads stdin; one encodes and writes what
-was taken, at once, so that all is done between two images. It lives in a process of its own and publishes nothing, so
-whatever happens to it is no other process's affair.
+Three threads: one takes serialized messages off ROS into a bounded queue; one reads stdin; one
+    encodes and writes what
+was taken, at once, so that all is done between two images. It lives in a process of its own and
+publishes nothing, so whatever happens to it is no other process's affair.
 """
 
 from __future__ import annotations
@@ -36,7 +38,9 @@ STRING = "std_msgs/msg/String"
 MOST_BYTES = 128_000_000
 """Of messages that wait to be encoded and written."""
 _TURN_S, _STATUS_S = 0.1, 0.5
-"""Without messages one turn lasts so long; the tap's own turns are shorter, and each begins one here."""
+"""Without messages one turn lasts so long; the tap's own turns are shorter, and each begins one
+here.
+"""
 _PREDECESSOR_S = 15.0
 _LEAVE_S = 5.0
 """Longest time that leaving ROS may take."""
@@ -88,14 +92,17 @@ class RecorderProcess:
         self._missed_before = 0
         self._events = 0
         self._audit = AuditTail(settings.state_directory / AUDIT_FILE)
-        self.recording = Recording(Store(settings.directory), Rules(**settings.rules.model_dump()), settings.about)
+        self.recording = Recording(
+            Store(settings.directory), Rules(**settings.rules.model_dump()), settings.about
+        )
         self._frames = Frames(settings, self.recording)
         self.counts: Callable[[], dict[str, Any]] = dict
         self._parent = os.getppid()
         self.put = self._backlog.put
 
     def begin(self) -> None:
-        """Take over what is there; a directory that cannot be written is tried again with each message.
+        """Take over what is there; a directory that cannot be written is tried again with each
+        message.
 
         Raises:
             StateError: another recorder works there and does not end.
@@ -113,7 +120,9 @@ class RecorderProcess:
         threading.Thread(target=self._listen, name="orders", daemon=True).start()
 
     def _hold(self) -> None:
-        """Hold the directory as long as this process lives; one that ends just now finishes its files first."""
+        """Hold the directory as long as this process lives; one that ends just now finishes its
+        files first.
+        """
         until_s = time.monotonic() + _PREDECESSOR_S
         while self.recording.store.lock() is None:
             if time.monotonic() > until_s:
@@ -136,13 +145,17 @@ class RecorderProcess:
             self.wake.clear()
         self._turn()
         if not self._was_dismissed and (os.getppid() != self._parent or not signals.is_leaving):
-            self.recording.incident("server_ended", {"explanation": "The server ended without taking leave."})
+            self.recording.incident(
+                "server_ended", {"explanation": "The server ended without taking leave."}
+            )
         self.recording.close("finished" if self._was_dismissed else "interrupted")
         self._audit.close()
 
     def _turn(self) -> None:
         for line, entry in self._audit.lines():
-            self.recording.take(_string(AUDIT_TOPIC, line, int(entry.get("time_ns") or time.time_ns())))
+            self.recording.take(
+                _string(AUDIT_TOPIC, line, int(entry.get("time_ns") or time.time_ns()))
+            )
             if entry.get("verdict") == _LATCHED:
                 self.recording.incident("emergency_stop", {"audit": entry})
         until_s = time.monotonic() + _STATUS_S
@@ -155,7 +168,9 @@ class RecorderProcess:
         self.recording.tick()
 
     def describe(self, topic: str, metadata: Mapping[str, str]) -> None:
-        """Keep a topic's metadata for the files that begin later; its images may be recorded under another name."""
+        """Keep a topic's metadata for the files that begin later; its images may be recorded
+        under another name.
+        """
         channels = self.recording.latched.channels
         for name in (topic, f"{topic}/compressed"):
             if channels.get(name) != metadata:
@@ -170,7 +185,9 @@ class RecorderProcess:
                 return
             if encoded is not None:
                 topic = f"{record.topic}/compressed"
-                record = Record(topic, COMPRESSED, record.log_ns, record.publish_ns, record.sequence, encoded)
+                record = Record(
+                    topic, COMPRESSED, record.log_ns, record.publish_ns, record.sequence, encoded
+                )
         self._frames.follow(record)
         self.recording.take(record)
 
@@ -199,7 +216,9 @@ class RecorderProcess:
     def _note(self, order: Mapping[str, Any]) -> None:
         self._events += 1
         fact = {"what": order["what"], "at_ns": order["at_ns"], **dict(order["facts"])}
-        self.recording.take(_string(EVENTS_TOPIC, json.dumps(fact), int(order["at_ns"]), self._events))
+        self.recording.take(
+            _string(EVENTS_TOPIC, json.dumps(fact), int(order["at_ns"]), self._events)
+        )
         if order.get("incident"):
             self.recording.incident(str(order["incident"]), fact)
 
@@ -236,7 +255,9 @@ def _string(topic: str, text: str, at_ns: int, sequence: int = 0) -> Record:
 
 
 def _absolute(patterns: tuple[str, ...], namespace: str) -> list[str]:
-    return [pattern if pattern.startswith("/") else f"/{namespace}/{pattern}" for pattern in patterns]
+    return [
+        pattern if pattern.startswith("/") else f"/{namespace}/{pattern}" for pattern in patterns
+    ]
 
 
 def main() -> None:
@@ -275,7 +296,9 @@ def main() -> None:
         parameter_overrides=nothing_served,
     )
     topics = _absolute(settings.topics, settings.namespace)
-    tap = Tap(node, topics, _absolute(settings.exclude, settings.namespace), process.put, process.describe)
+    tap = Tap(
+        node, topics, _absolute(settings.exclude, settings.namespace), process.put, process.describe
+    )
     process.counts = lambda: {"received": dict(tap.received), "gaps": dict(tap.gaps)}
     leaving = threading.Event()
 
@@ -291,8 +314,9 @@ def main() -> None:
     try:
         process.run(signals)  # on the main thread, where signals are heard
     finally:
-        # The files are closed. destroy_node has been seen not to return: whoever sends to a process that was killed
-        # while it took a message may do so for ever (Fast DDS 2.14, issue 6484). SIGALRM ends the process then.
+        # The files are closed. destroy_node has been seen not to return: whoever sends to a process
+        # that was killed while it took a message may do so for ever (Fast DDS 2.14, issue 6484).
+        # SIGALRM ends the process then.
         signal.setitimer(signal.ITIMER_REAL, _LEAVE_S)
         leaving.set()
         taking.join()

@@ -1,4 +1,6 @@
-"""What a backend was asked and what it answered, as one line of JSON: by it a recording is replayed exactly."""
+"""What a backend was asked and what it answered, as one line of JSON: by it a recording is
+replayed exactly.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,9 @@ _MOST_KEPT = 20
 
 
 def join(host: ModuleHost) -> None:
-    """Have the inference module publish its predictions; called in every module process, see `FeatureSpec.on_join`."""
+    """Have the inference module publish its predictions; called in every module process, see
+    `FeatureSpec.on_join`.
+    """
     if host.settings.kind == "inference":
         host.on_configured.append(_extend)
 
@@ -25,17 +29,23 @@ def _extend(module: Module) -> None:
 
 
 class PredictionRecords:
-    """Records of the predictions that somebody hears of, and of those since the last reset, if it was not long ago.
+    """Records of the predictions that somebody hears of, and of those since the last reset, if it
+    was not long ago.
 
-    A recorder finds the topic a moment after the first predictions, and without them a backend that remembers what it
-    saw cannot be replayed.
+    A recorder finds the topic a moment after the first predictions, and without them a backend that
+    remembers what it saw cannot be replayed.
     """
 
     def __init__(self) -> None:
         self._kept: list[str] | None = None
 
     def __call__(
-        self, observation: Observation, mode: str, resets: bool, answer: ActionChunk | Exception, is_heard: bool
+        self,
+        observation: Observation,
+        mode: str,
+        resets: bool,
+        answer: ActionChunk | Exception,
+        is_heard: bool,
     ) -> Sequence[str]:
         """Records to publish now, oldest first; the arguments are those of `prediction_record`."""
         kept = [] if resets else self._kept
@@ -50,11 +60,14 @@ class PredictionRecords:
         return ()
 
 
-def prediction_record(observation: Observation, mode: str, resets: bool, answer: ActionChunk | Exception) -> str:
+def prediction_record(
+    observation: Observation, mode: str, resets: bool, answer: ActionChunk | Exception
+) -> str:
     """One prediction.
 
-    Observations are named by their stamps [ns]; state and rows are given as they are, in the contract's units (numbers
-    in JSON keep every bit of a float64). `ahead` says what ran meanwhile, without the backend's own context.
+    Observations are named by their stamps [ns]; state and rows are given as they are, in the
+    contract's units (numbers in JSON keep every bit of a float64). `ahead` says what ran meanwhile,
+    without the backend's own context.
 
     Args:
         observation: what the backend got.
@@ -68,17 +81,31 @@ def prediction_record(observation: Observation, mode: str, resets: bool, answer:
         "resets": resets,
         "mode": mode,
         "stamp_ns": observation.stamp_ns,
-        "frames": {role: {"camera": f.camera, "stamp_ns": f.stamp_ns} for role, f in observation.frames.items()},
+        "frames": {
+            role: {"camera": f.camera, "stamp_ns": f.stamp_ns}
+            for role, f in observation.frames.items()
+        },
         "gripper_open": observation.gripper_open,
     }
     if joints is not None:
-        record["joints"] = {"names": joints.names, "position": joints.position.tolist(), "stamp_ns": joints.stamp_ns}
+        record["joints"] = {
+            "names": joints.names,
+            "position": joints.position.tolist(),
+            "stamp_ns": joints.stamp_ns,
+        }
         record["joints"]["velocity"] = None if joints.velocity is None else joints.velocity.tolist()
     if pose is not None:
-        record["ee_pose"] = {"position_m": pose.position_m.tolist(), "quaternion_xyzw": pose.quaternion_xyzw.tolist()}
+        record["ee_pose"] = {
+            "position_m": pose.position_m.tolist(),
+            "quaternion_xyzw": pose.quaternion_xyzw.tolist(),
+        }
         record["ee_pose"]["stamp_ns"] = pose.stamp_ns
     if ahead is not None:
-        record["ahead"] = {"rows": ahead.rows.tolist(), "committed_rows": ahead.committed_rows, "step_s": ahead.step_s}
+        record["ahead"] = {
+            "rows": ahead.rows.tolist(),
+            "committed_rows": ahead.committed_rows,
+            "step_s": ahead.step_s,
+        }
         record["ahead"] |= {"context_row": ahead.context_row, "state_ahead_s": ahead.state_ahead_s}
     if isinstance(answer, Exception):
         record["error"] = str(answer)

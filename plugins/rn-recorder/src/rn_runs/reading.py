@@ -29,7 +29,8 @@ class TopicCounts:
     """What a run holds of one topic.
 
     Attributes:
-        lost: messages that the publisher counted and the file lacks; None when several published, or nobody counts.
+        lost: messages that the publisher counted and the file lacks; None when several published,
+            or nobody counts.
     """
 
     type: str
@@ -51,7 +52,12 @@ class MessageDecoder:
         """The message of a record. Raises ValueError when its definition cannot be read."""
         decoder = self._decoders.get(record.type)
         if decoder is None:
-            schema = Schema(id=1, name=record.type, encoding="ros2msg", data=self.definitions[record.type].encode())
+            schema = Schema(
+                id=1,
+                name=record.type,
+                encoding="ros2msg",
+                data=self.definitions[record.type].encode(),
+            )
             found = DecoderFactory().decoder_for("cdr", schema)
             if found is None:
                 raise ValueError(f"messages of type {record.type} cannot be decoded")
@@ -59,7 +65,9 @@ class MessageDecoder:
         return decoder(record.data)
 
 
-def iterate(files: Sequence[Path], wanted: Callable[[str], bool], decode: bool = True) -> Iterator[Decoded]:
+def iterate(
+    files: Sequence[Path], wanted: Callable[[str], bool], decode: bool = True
+) -> Iterator[Decoded]:
     """The messages of those topics, file after file, in the order in which they were written."""
     decoder = MessageDecoder()
     for path in files:
@@ -93,14 +101,20 @@ def count_topics(files: Sequence[Path]) -> dict[str, TopicCounts]:
                 missing[topic] += sequence - before - 1
     return {
         topic: TopicCounts(
-            types[topic], messages[topic], sizes[topic], *times[topic], None if topic in uncounted else missing[topic]
+            types[topic],
+            messages[topic],
+            sizes[topic],
+            *times[topic],
+            None if topic in uncounted else missing[topic],
         )
         for topic in sorted(messages)
     }
 
 
 def camera_of(topic: str) -> str:
-    """The camera whose images a topic carries ("/ns/camera/<name>/image" or its ".../compressed"); empty for others."""
+    """The camera whose images a topic carries ("/ns/camera/<name>/image" or its
+    ".../compressed"); empty for others.
+    """
     parts = topic.removesuffix("/compressed").split("/")
     return parts[-2] if len(parts) >= 3 and parts[-1] == "image" and parts[-3] == CAMERA else ""
 

@@ -1,7 +1,9 @@
-"""What the recorder keeps of the stream of messages: a ring of the last seconds, recordings, and incidents.
+"""What the recorder keeps of the stream of messages: a ring of the last seconds, recordings, and
+incidents.
 
-Nothing here knows ROS. Everything is called from one thread, except that incidents are cut out of the ring by a thread
-of their own. A disk that cannot be written costs messages, which are counted; it is tried again every two seconds.
+Nothing here knows ROS. Everything is called from one thread, except that incidents are cut out of
+the ring by a thread of their own. A disk that cannot be written costs messages, which are counted;
+it is tried again every two seconds.
 """
 
 from __future__ import annotations
@@ -111,19 +113,25 @@ class Recording:
         return self._active.id if self._active is not None else ""
 
     def adopt(self) -> None:
-        """Take over what a recorder that died has left: index its files, write its incident. Raises OSError."""
+        """Take over what a recorder that died has left: index its files, write its incident.
+        Raises OSError.
+        """
         self.store.make()
         left = sorted(self.store.ring.glob("*.mcap"))
         for path in self.store.ring.glob("*.json"):
             pending = json.loads(path.read_text(encoding="utf-8"))
-            incident = Incident(pending["id"], pending["at_ns"], pending["until_ns"], pending["facts"])
+            incident = Incident(
+                pending["id"], pending["at_ns"], pending["until_ns"], pending["facts"]
+            )
             incident.kept_ns = int(pending.get("kept_ns", 0))
             self._cut(incident, left)
         for run in self.store.runs():
             for path in run.files:
                 repair(path)
             if run.facts.get("state") == "recording":
-                write_json(self.store.recordings / run.id / RUN_FILE, {**run.facts, "state": "interrupted"})
+                write_json(
+                    self.store.recordings / run.id / RUN_FILE, {**run.facts, "state": "interrupted"}
+                )
         for path in left:
             path.unlink(missing_ok=True)
 
@@ -140,7 +148,9 @@ class Recording:
             self._active.sink.write(record, now_s)
 
     def tick(self) -> None:
-        """Flush, rotate, delete what is too old, finish incidents; to be called several times a second."""
+        """Flush, rotate, delete what is too old, finish incidents; to be called several times a
+        second.
+        """
         now_s, now_ns = self._monotonic(), self._clock_ns()
         self._ring_sink.flush(now_s)
         file = self._ring_sink.file
@@ -153,7 +163,9 @@ class Recording:
                 is_long = now_ns - sink.file.first_ns > self.rules.part_s * 1e9
                 if is_long or sink.file.size_bytes > self.rules.part_bytes:
                     sink.finish()
-        if self._incident is not None and now_ns >= self._incident.due_ns(self.rules.ring_s, self.rules.after_s):
+        if self._incident is not None and now_ns >= self._incident.due_ns(
+            self.rules.ring_s, self.rules.after_s
+        ):
             self._finish_incident()
         if now_s - self._checked_s >= _CHECK_S:
             self._checked_s = now_s
@@ -167,7 +179,10 @@ class Recording:
             StateError: another one is in progress, or the directory cannot be written.
         """
         if self._active is not None:
-            raise StateError(f"The recording {self._active.id} is in progress.", hint="Call stop_recording first.")
+            raise StateError(
+                f"The recording {self._active.id} is in progress.",
+                hint="Call stop_recording first.",
+            )
         run_id = resumed or f"{_stamp(self._clock_ns())}-{name}"
         folder = self.store.recordings / run_id
         try:
@@ -176,13 +191,20 @@ class Recording:
             if resumed:
                 with suppress(OSError, ValueError):
                     known = json.loads((folder / RUN_FILE).read_text(encoding="utf-8"))
-            begun = {"name": name, "begun_ns": self._clock_ns(), "state": "recording", **dict(facts), **known}
+            begun = {
+                "name": name,
+                "begun_ns": self._clock_ns(),
+                "state": "recording",
+                **dict(facts),
+                **known,
+            }
             begun["state"] = "recording"
             write_json(folder / RUN_FILE, begun)
         except OSError as error:
             raise StateError(
                 f"The recording cannot be written to {folder}: {error.strerror or error}.",
-                hint="Free disk space or mend the permissions; [recorder] directory names the place.",
+                hint="Free disk space or mend the permissions; [recorder] directory names the "
+                "place.",
             ) from error
         parts = len(list(folder.glob("part-*.mcap")))
         about = {**self._about, "run": run_id, "name": name}
@@ -191,7 +213,9 @@ class Recording:
         return run_id
 
     def stop(self, facts: Mapping[str, Any], state: str = "finished") -> dict[str, Any]:
-        """End the recording and return what is known of it. Raises StateError when there is none."""
+        """End the recording and return what is known of it. Raises StateError when there is
+        none.
+        """
         active, self._active = self._active, None
         if active is None:
             raise StateError("No recording is in progress.", hint="start_recording begins one.")
@@ -208,12 +232,18 @@ class Recording:
         except OSError as error:
             log.error("%s cannot be written: %s", active.folder / RUN_FILE, error)
         files = sorted(active.folder.glob("part-*.mcap"))
-        return {**known, "id": active.id, "files": [str(path) for path in files], "directory": str(active.folder)}
+        return {
+            **known,
+            "id": active.id,
+            "files": [str(path) for path in files],
+            "directory": str(active.folder),
+        }
 
     def incident(self, word: str, facts: Mapping[str, Any]) -> str:
         """A fault: keep the ring's time before it and some time after it.
 
-        Another fault before that time is over, or so soon after it that the ring reaches back to it, joins the
+        Another fault before that time is over, or so soon after it that the ring reaches back to
+        it, joins the
         incident: what goes on for minutes is one file.
         """
         if self.rules.ring_s <= 0:
@@ -224,20 +254,29 @@ class Recording:
         if self._incident is not None and now_ns > self._incident.at_ns + most_ns:
             self._finish_incident()
         if self._incident is None:
-            self._incident = self._reopened(now_ns) or Incident(f"{_stamp(now_ns)}-{word}", now_ns, until_ns)
+            self._incident = self._reopened(now_ns) or Incident(
+                f"{_stamp(now_ns)}-{word}", now_ns, until_ns
+            )
         pending = self._incident
         pending.until_ns = min(until_ns, pending.at_ns + most_ns)
         pending.facts.append({"at_ns": now_ns, "what": word, **facts})
         with suppress(OSError):  # for the next recorder, should this one die before it is written
             self.store.make()
-            kept = {name: getattr(pending, name) for name in ("id", "at_ns", "until_ns", "facts", "kept_ns")}
+            kept = {
+                name: getattr(pending, name)
+                for name in ("id", "at_ns", "until_ns", "facts", "kept_ns")
+            }
             write_json(self.store.ring / f"{pending.id}.json", kept)
         return pending.id
 
     def _reopened(self, now_ns: int) -> Incident | None:
-        """The newest incident that was written, if this fault follows it soon and it is not too long yet."""
+        """The newest incident that was written, if this fault follows it soon and it is not too
+        long yet.
+        """
         former, self._former = self._former, None
-        if former is None or now_ns > former.until_ns + round((self.rules.ring_s - self.rules.after_s) * 1e9):
+        if former is None or now_ns > former.until_ns + round(
+            (self.rules.ring_s - self.rules.after_s) * 1e9
+        ):
             return None
         if now_ns >= former.at_ns + round(self.rules.incident_s * 1e9):
             return None
@@ -259,12 +298,18 @@ class Recording:
     def state(self) -> dict[str, Any]:
         """What list_recordings and the log tell of it."""
         active = self._active
-        problem = self._space or self._ring_sink.problem or (active.sink.problem if active is not None else "")
+        problem = (
+            self._space
+            or self._ring_sink.problem
+            or (active.sink.problem if active is not None else "")
+        )
         file = active.sink.file if active is not None else None
         return {
             "recording": self.active_id,
             "problem": problem,
-            "lost_to_disk": (active.sink.lost if active is not None else 0) + self.lost_space + self._ring_sink.lost,
+            "lost_to_disk": (active.sink.lost if active is not None else 0)
+            + self.lost_space
+            + self._ring_sink.lost,
             "part_bytes": file.size_bytes if file is not None else 0,
         }
 
@@ -280,7 +325,9 @@ class Recording:
         return self._active.folder / f"part-{self._active.parts:04d}.mcap"
 
     def _thin_ring(self, now_ns: int) -> None:
-        """Delete segments that ended before the ring begins; those of an incident in progress are kept."""
+        """Delete segments that ended before the ring begins; those of an incident in progress
+        are kept.
+        """
         if self._cutting is not None and self._cutting.is_alive():
             return
         oldest_ns = now_ns - round(self.rules.ring_s * 1e9)
@@ -290,20 +337,26 @@ class Recording:
             self._ring.popleft().unlink(missing_ok=True)
 
     def _finish_incident(self) -> None:
-        """Cut it out of the ring on a thread of its own, so that recording goes on; one that goes on stays open."""
+        """Cut it out of the ring on a thread of its own, so that recording goes on; one that
+        goes on stays open.
+        """
         incident, self._incident = self._incident, None
         assert incident is not None
         if self._cutting is not None:
             self._cutting.join()
         self._ring_sink.finish()
         now_ns = self._clock_ns()
-        written = replace(incident, until_ns=min(incident.until_ns, now_ns), facts=list(incident.facts))
+        written = replace(
+            incident, until_ns=min(incident.until_ns, now_ns), facts=list(incident.facts)
+        )
         if incident.until_ns > now_ns:
             incident.kept_ns = now_ns
             self._incident = incident
         else:
             self._former = incident
-        self._cutting = threading.Thread(target=self._cut, args=(written, list(self._ring)), name="incident")
+        self._cutting = threading.Thread(
+            target=self._cut, args=(written, list(self._ring)), name="incident"
+        )
         self._cutting.start()
 
     def _cut(self, incident: Incident, segments: list[Path]) -> None:
@@ -321,7 +374,8 @@ class Recording:
         self._space = ""
         if free < self.rules.min_free_bytes:
             self._space = (
-                f"{free // 10**6} MB are free on the disk, min_free_mb is {self.rules.min_free_bytes // 10**6}"
+                f"{free // 10**6} MB are free on the disk, min_free_mb is "
+                f"{self.rules.min_free_bytes // 10**6}"
             )
             if not before:
                 log.error("Recording pauses: %s.", self._space)

@@ -1,4 +1,6 @@
-"""Replay: recorded observations into a backend, without a robot, and its answers beside the recorded ones."""
+"""Replay: recorded observations into a backend, without a robot, and its answers beside the
+recorded ones.
+"""
 
 from __future__ import annotations
 
@@ -71,11 +73,14 @@ class Compared:
 
 @dataclass(frozen=True, slots=True)
 class Gaps:
-    """What a run lacks of what the backend was asked: messages that were lost while it was recorded.
+    """What a run lacks of what the backend was asked: messages that were lost while it was
+    recorded.
 
     Attributes:
-        predictions: so many are missing by the publisher's count; what the backend answered then is not known.
-        without_image: predictions that are there, but an image that the backend saw is not: they are not compared.
+        predictions: so many are missing by the publisher's count; what the backend answered then is
+            not known.
+        without_image: predictions that are there, but an image that the backend saw is not: they
+            are not compared.
         first_ns: when the first of both was [ns]; None for none.
     """
 
@@ -104,18 +109,28 @@ class Observations:
         optional: frozenset[str],
         profile: RobotProfile,
     ) -> None:
-        self._files, self._cameras, self._optional, self._profile = files, cameras, optional, profile
+        self._files, self._cameras, self._optional, self._profile = (
+            files,
+            cameras,
+            optional,
+            profile,
+        )
         self._streams = read_streams(files)
         if not self._streams.predictions:
             raise InvalidInputError(
                 "The run holds no predictions, so nobody knows what the backend saw.",
-                hint="They are recorded while a backend runs; check `topics` in [recorder], and that rn-recorder is "
+                hint="They are recorded while a backend runs; check `topics` in [recorder], and "
+                "that rn-recorder is "
                 "installed for the interpreter of the inference module.",
             )
         predictions = self._streams.predictions
-        self._used = {f["camera"] for prediction in predictions for f in prediction.facts["frames"].values()}
+        self._used = {
+            f["camera"] for prediction in predictions for f in prediction.facts["frames"].values()
+        }
         """Cameras of the recorded backend: what it did without is left out."""
-        self._there = {camera: {stamp for _, stamp in seen} for camera, seen in self._streams.images.items()}
+        self._there = {
+            camera: {stamp for _, stamp in seen} for camera, seen in self._streams.images.items()
+        }
         self.gaps = self._find_gaps()
         """What the run lacks."""
         self._decoder = MessageDecoder()
@@ -140,18 +155,23 @@ class Observations:
         return Gaps(lost, incomplete, min(at_ns, default=None))
 
     def __iter__(self) -> Iterator[tuple[Prediction, Observation]]:
-        """Each recorded prediction with the observation it was made of, rebuilt; those of which an image is lost are
-        left out (see `gaps`).
+        """Each recorded prediction with the observation it was made of, rebuilt; those of which an
+        image is lost are left out (see `gaps`).
 
         Raises:
-            InvalidInputError: every prediction lacks an image, or images come in another order than predictions.
+            InvalidInputError: every prediction lacks an image, or images come in another order than
+                predictions.
         """
         if self.gaps.without_image == len(self._streams.predictions):
             raise InvalidInputError(
                 f"The run lacks an image of each of its {self.gaps.without_image} predictions.",
                 hint="Record the images as well: `topics` and `exclude` in [recorder].",
             )
-        records = (record for path in self._files for record in read_records(path, self._decoder.definitions))
+        records = (
+            record
+            for path in self._files
+            for record in read_records(path, self._decoder.definitions)
+        )
         self._recent.clear()
         for prediction in self._streams.predictions:
             if self._lacks_image(prediction):
@@ -160,19 +180,25 @@ class Observations:
             while not all(self._find(camera, stamp) for camera, stamp in stamps.items()):
                 record = next(records, None)
                 if record is None:
-                    raise InvalidInputError(f"The run lacks an image that the backend saw at {prediction.at_ns}.")
+                    raise InvalidInputError(
+                        f"The run lacks an image that the backend saw at {prediction.at_ns}."
+                    )
                 self._note(record)
             yield prediction, self._observation(prediction, stamps)
 
     def _note(self, record: Record) -> None:
         camera = camera_of(record.topic)
         if camera:
-            self._recent.setdefault(camera, deque(maxlen=_RECENT)).append((stamp_of(record.data), record))
+            self._recent.setdefault(camera, deque(maxlen=_RECENT)).append(
+                (stamp_of(record.data), record)
+            )
         elif record.topic.endswith("/camera_info"):
             self._infos[record.topic.split("/")[-2]] = self._decoder.decode(record)
 
     def _find(self, camera: str, stamp_ns: int) -> Record | None:
-        return next((record for stamp, record in self._recent.get(camera, ()) if stamp == stamp_ns), None)
+        return next(
+            (record for stamp, record in self._recent.get(camera, ()) if stamp == stamp_ns), None
+        )
 
     def _observation(self, prediction: Prediction, stamps: Mapping[str, int]) -> Observation:
         facts = prediction.facts
@@ -185,7 +211,9 @@ class Observations:
             if record is not None:
                 frames[role] = self._frame(record, camera)
             elif role not in self._optional:
-                raise InvalidInputError(f"The run holds no images of camera {camera.name!r} (role {role!r}).")
+                raise InvalidInputError(
+                    f"The run holds no images of camera {camera.name!r} (role {role!r})."
+                )
         joints, pose, ahead = facts.get("joints"), facts.get("ee_pose"), facts.get("ahead")
         return Observation(
             frames=frames,
@@ -199,7 +227,14 @@ class Observations:
 
     def _before(self, camera: str, stamp_ns: int) -> Record | None:
         """The newest image of a camera that the recorded backend did not use."""
-        return next((record for stamp, record in reversed(self._recent.get(camera, ())) if stamp <= stamp_ns), None)
+        return next(
+            (
+                record
+                for stamp, record in reversed(self._recent.get(camera, ()))
+                if stamp <= stamp_ns
+            ),
+            None,
+        )
 
     def _frame(self, record: Record, camera: CameraProfile) -> Frame:
         from roboneuron.feature import intrinsics_from_camera_info  # heavy
@@ -208,7 +243,11 @@ class Observations:
         image = pixels_of(message, record.type)
         height, width = image.shape[:2]
         calibration, info = camera.calibration_at(width, height), self._infos.get(camera.name)
-        if calibration is not None and info is not None and (info.width, info.height) == (width, height):
+        if (
+            calibration is not None
+            and info is not None
+            and (info.width, info.height) == (width, height)
+        ):
             calibration = replace(calibration, intrinsics=intrinsics_from_camera_info(info))
         return Frame(
             camera=camera.name,
@@ -227,7 +266,9 @@ class Observations:
                 velocity=None if velocity is None else np.array(velocity, dtype=np.float64),
                 stamp_ns=int(told["stamp_ns"]),
             )
-        newest = next(((at, joints) for at, joints in reversed(self._streams.joints) if at <= at_ns), None)
+        newest = next(
+            ((at, joints) for at, joints in reversed(self._streams.joints) if at <= at_ns), None
+        )
         if newest is None:
             return None
         return JointSample(names=self._streams.joint_names, position=newest[1], stamp_ns=newest[0])
@@ -252,7 +293,9 @@ def _ahead(told: Mapping[str, Any]) -> Ahead:
 
 
 def replay(observations: Observations, backend: Backend) -> Iterator[Compared]:
-    """Ask a loaded backend everything that was asked, resetting it where the recorded one was reset."""
+    """Ask a loaded backend everything that was asked, resetting it where the recorded one was
+    reset.
+    """
     backend.reset()
     for prediction, observation in observations:
         facts = prediction.facts
@@ -288,13 +331,17 @@ def load_replayed(
 
     Raises:
         ConfigurationError: options of a plugin that this replay does not make.
-        RoboNeuronError: the backend does not fit the robot, or cannot be loaded; or as `Observations`.
+        RoboNeuronError: the backend does not fit the robot, or cannot be loaded; or as
+            `Observations`.
     """
     from roboneuron.feature import build, check_plan, discover, load_config, load_profile
 
     about = read_about(files[0])
     settings = load_config(config)
-    robot, driver = about.get("robot", settings.robot.name), about.get("driver", settings.robot.driver)
+    robot, driver = (
+        about.get("robot", settings.robot.name),
+        about.get("driver", settings.robot.driver),
+    )
     registry = discover(settings.disabled_plugins)
     cameras = dict(settings.inference.cameras) if settings.inference else {}
     plan = check_plan(
@@ -308,7 +355,9 @@ def load_replayed(
     )
     assert plan.backend is not None
     profile = load_profile(registry, robot)
-    made_of = [part.name for part in (plan.backend, plan.runtime, plan.acceleration) if part is not None]
+    made_of = [
+        part.name for part in (plan.backend, plan.runtime, plan.acceleration) if part is not None
+    ]
     for name in options:
         if name not in made_of:
             raise ConfigurationError(
@@ -327,7 +376,11 @@ def load_replayed(
         for part, chosen in (("runtime", plan.runtime), ("acceleration", plan.acceleration))
     }
     made = cast("Backend", build(plan.backend, given, **parts))
-    found = {role: camera for role, name in plan.cameras.items() if (camera := profile.camera(name)) is not None}
+    found = {
+        role: camera
+        for role, name in plan.cameras.items()
+        if (camera := profile.camera(name)) is not None
+    }
     observations = Observations(files, found, frozenset(plan.backend.optional_cameras), profile)
     made.load()
     return observations, made

@@ -15,8 +15,8 @@ from rn_runs.transforms import CameraMount
 from roboneuron.feature import make_log_directory, module_environment, opener
 
 SWITCH, PLAY = "ROBONEURON_RECORDER", "play"
-"""Environment variable of a server: with "off" nothing is recorded (tests, small machines); with PLAY neither, but the
-server offers play_recording."""
+"""Environment variable of a server: with "off" nothing is recorded (tests, small machines); with
+PLAY neither, but the server offers play_recording."""
 _SLOT = 14
 """Ports of the first recorder: those that modules use last, see `port_offset`."""
 
@@ -70,8 +70,8 @@ class RecorderSettings(BaseModel):
 def spawn_recorder(
     settings: RecorderSettings, log_path: Path, start: int, secrets: Collection[str]
 ) -> subprocess.Popen[bytes]:
-    """Start the recorder's process, in a group of its own within this session (the kernel then wakes it, should it be
-    stopped when the server dies); stdin and stdout are pipes.
+    """Start the recorder's process, in a group of its own within this session (the kernel then
+    wakes it, should it be stopped when the server dies); stdin and stdout are pipes.
 
     Args:
         settings: its first line.

@@ -1,4 +1,6 @@
-"""Files that messages are written to, one after the other; a disk that cannot be written costs messages only."""
+"""Files that messages are written to, one after the other; a disk that cannot be written costs
+messages only.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,8 @@ _MOST_LATCHED = 8
 
 
 class Latched:
-    """What every file needs however late it begins: metadata of topics, and the newest messages of latched ones.
+    """What every file needs however late it begins: metadata of topics, and the newest messages of
+    latched ones.
 
     Attributes:
         channels: metadata by topic.
@@ -31,7 +34,9 @@ class Latched:
         self._held: dict[tuple[str, bytes], Record] = {}
 
     def note(self, record: Record) -> None:
-        """Keep a message if its topic is latched: of equal length and content once, at most a few of a topic."""
+        """Keep a message if its topic is latched: of equal length and content once, at most a
+        few of a topic.
+        """
         if LATCHED not in self.channels.get(record.topic, {}):
             return
         self._held.pop((record.topic, record.data), None)
@@ -41,8 +46,14 @@ class Latched:
             del self._held[key]
 
     def records(self, before_ns: int) -> list[Record]:
-        """The newest messages that came before that time [ns], as of that time: a file's span is not theirs."""
-        return [replace(record, log_ns=before_ns) for record in self._held.values() if record.log_ns < before_ns]
+        """The newest messages that came before that time [ns], as of that time: a file's span
+        is not theirs.
+        """
+        return [
+            replace(record, log_ns=before_ns)
+            for record in self._held.values()
+            if record.log_ns < before_ns
+        ]
 
 
 class Sink:
@@ -54,7 +65,11 @@ class Sink:
     """
 
     def __init__(
-        self, name: str, next_path: Callable[[], Path], about: Mapping[str, str], latched: Latched | None = None
+        self,
+        name: str,
+        next_path: Callable[[], Path],
+        about: Mapping[str, str],
+        latched: Latched | None = None,
     ) -> None:
         self.name = name
         self._latched = latched or Latched()
@@ -99,7 +114,9 @@ class Sink:
     def fail(self, error: OSError, now_s: float) -> None:
         reason = error.strerror or str(error)
         if reason != self.problem:
-            log.error("The %s cannot be written: %s; tried again every %g s.", self.name, reason, RETRY_S)
+            log.error(
+                "The %s cannot be written: %s; tried again every %g s.", self.name, reason, RETRY_S
+            )
         self.problem, self._retry_s = reason, now_s + RETRY_S
         if self.file is not None:
             self.lost += self.file.unwritten

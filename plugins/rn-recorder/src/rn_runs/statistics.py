@@ -1,6 +1,8 @@
-"""Statistics of a data set's features, as LeRobotDataset v3 keeps them for each episode and for all.
+"""Statistics of a data set's features, as LeRobotDataset v3 keeps them for each episode and for
+all.
 
-Source: lerobot 0.6.1, `datasets/compute_stats.py`: keys, and images as fractions of 255 over a sample of pixels, in the
+Source: lerobot 0.6.1, `datasets/compute_stats.py`: keys, and images as fractions of 255 over a
+    sample of pixels, in the
 shape (3, 1, 1).
 """
 

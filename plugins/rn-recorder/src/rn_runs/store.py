@@ -1,4 +1,5 @@
-"""Where runs are kept: recordings of several parts, incidents of one file, and the ring; listing, quota, deletion.
+"""Where runs are kept: recordings of several parts, incidents of one file, and the ring; listing,
+quota, deletion.
 
 <directory>/recordings/<id>/part-0001.mcap ... run.json
 <directory>/incidents/<id>.mcap
@@ -85,7 +86,9 @@ class Store:
             folder.mkdir(mode=0o750, parents=True, exist_ok=True)
 
     def lock(self) -> int | None:
-        """A descriptor that holds the directory for one recorder; None while another one works. Raises OSError."""
+        """A descriptor that holds the directory for one recorder; None while another one works.
+        Raises OSError.
+        """
         descriptor = os.open(self.directory / LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o640)
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -107,18 +110,23 @@ class Store:
         runs = self.runs()
         if name == "latest" and runs:
             return runs[-1]
-        found = [run for run in runs if run.id == name] or [run for run in runs if run.id.startswith(name)]
+        found = [run for run in runs if run.id == name] or [
+            run for run in runs if run.id.startswith(name)
+        ]
         if len(found) != 1:
             known = ", ".join(run.id for run in runs[-5:]) or "none"
             raise InvalidInputError(
-                f"{'Several runs begin' if found else 'No run begins'} with {name!r} in {self.directory}.",
+                f"{'Several runs begin' if found else 'No run begins'} with {name!r} in "
+                f"{self.directory}.",
                 hint=f"The newest are: {known}.",
                 path="run",
             )
         return found[0]
 
     def repair(self) -> list[Path]:
-        """Give every file that was cut short an index, unless a recorder works here; returns those that needed it."""
+        """Give every file that was cut short an index, unless a recorder works here; returns
+        those that needed it.
+        """
         held = None
         with suppress(OSError):
             held = self.lock()
@@ -145,7 +153,9 @@ class Store:
             OSError: it cannot be deleted.
         """
         if run.facts.get("state") == "recording" and self.is_in_use():
-            raise StateError(f"The run {run.id} is being recorded.", hint="Call stop_recording first.")
+            raise StateError(
+                f"The run {run.id} is being recorded.", hint="Call stop_recording first."
+            )
         if run.kind == "incident":
             for path in run.files:
                 path.unlink()
@@ -163,7 +173,8 @@ class Store:
         return held is None
 
     def keep_below(self, quota_bytes: int, open_files: set[Path]) -> list[Path]:
-        """Delete the oldest finished files, recordings before incidents, until all fit; returns what was deleted.
+        """Delete the oldest finished files, recordings before incidents, until all fit; returns
+        what was deleted.
 
         The newest incident and `open_files` are kept.
         """
@@ -185,9 +196,14 @@ class Store:
         return deleted
 
     def keep_younger(self, since_s: float, open_files: set[Path]) -> list[Path]:
-        """Delete finished files that were last written before that time [s since 1970]; returns what was deleted."""
+        """Delete finished files that were last written before that time [s since 1970]; returns
+        what was deleted.
+        """
         deleted: list[Path] = []
-        for path in [*sorted(self.recordings.glob("*/*.mcap")), *sorted(self.incidents.glob("*.mcap"))]:
+        for path in [
+            *sorted(self.recordings.glob("*/*.mcap")),
+            *sorted(self.incidents.glob("*.mcap")),
+        ]:
             with suppress(OSError):
                 if path in open_files or path.stat().st_mtime >= since_s:
                     continue
@@ -209,7 +225,9 @@ class Store:
     def _incidents(self) -> Iterator[Run]:
         for path in self.incidents.glob("*.mcap"):
             with suppress(OSError):
-                yield Run(id=path.stem, kind="incident", files=(path,), facts=dict(read_about(path)))
+                yield Run(
+                    id=path.stem, kind="incident", files=(path,), facts=dict(read_about(path))
+                )
 
 
 def _size(path: Path) -> int:

@@ -1,7 +1,10 @@
-"""Subscriptions of the recorder: every topic that a pattern names, as serialized messages, taken in turns.
+"""Subscriptions of the recorder: every topic that a pattern names, as serialized messages, taken in
+turns.
 
-There is no executor: it would take each message when it comes, and so at the moment when an image is on its way to an
-action. A turn waits for an image, lets the control loop have it first, and then takes what has come on all topics.
+There is no executor: it would take each message when it comes, and so at the moment when an image
+    is on its way to an
+action. A turn waits for an image, lets the control loop have it first, and then takes what has come
+on all topics.
 """
 
 from __future__ import annotations
@@ -15,7 +18,8 @@ from fnmatch import fnmatchcase
 from importlib import import_module
 from typing import Any
 
-from rclpy.impl.implementation_singleton import rclpy_implementation as ros  # as rclpy.wait_for_message does
+# as rclpy.wait_for_message does
+from rclpy.impl.implementation_singleton import rclpy_implementation as ros
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
@@ -29,10 +33,12 @@ from roboneuron.feature import requested_qos
 log = logging.getLogger(__name__)
 LOOK_S = 0.1
 _IMAGES, _OTHERS = 30, 200
-"""Messages that may wait in the middleware while this process does not get on: about a second of each."""
+"""Messages that may wait in the middleware while this process does not get on: about a second
+of each.
+"""
 GIVE_WAY_S = 0.008
-"""Head start of the control loop with an image: copying and encoding two of 640x480 take 8 ms of a core, and a loop at
-30 Hz has both cores of a small machine for itself in the meantime."""
+"""Head start of the control loop with an image: copying and encoding two of 640x480 take 8 ms of a
+core, and a loop at 30 Hz has both cores of a small machine for itself in the meantime."""
 _TURN_S = 0.03
 
 
@@ -43,7 +49,8 @@ class Tap:
         node: of this process.
         topics, exclude: absolute patterns as of `fnmatch`; hidden topics are left out.
         take: gets every message, in the order in which they came, on the thread of `run`.
-        describe: gets what the publishers of a topic offer, before its messages and again when that changes.
+        describe: gets what the publishers of a topic offer, before its messages and again when that
+            changes.
     """
 
     def __init__(
@@ -67,7 +74,9 @@ class Tap:
         self._early: list[Record] = []
 
     def run(self, leaving: threading.Event, taken: Callable[[], object]) -> None:
-        """Follow the graph and take messages until `leaving` is set; `taken` is called after each turn."""
+        """Follow the graph and take messages until `leaving` is set; `taken` is called after
+        each turn.
+        """
         looked_s = 0.0
         while not leaving.is_set():
             if time.monotonic() - looked_s >= LOOK_S:
@@ -78,8 +87,12 @@ class Tap:
             taken()
 
     def _wait(self, leaving: threading.Event) -> None:
-        """Until an image has come and the control loop has had its head start; for a turn without one."""
-        images = [subscription for qos, subscription in self._found.values() if qos.depth == _IMAGES]
+        """Until an image has come and the control loop has had its head start; for a turn
+        without one.
+        """
+        images = [
+            subscription for qos, subscription in self._found.values() if qos.depth == _IMAGES
+        ]
         if not images:
             leaving.wait(_TURN_S)
             return
@@ -92,7 +105,9 @@ class Tap:
             leaving.wait(GIVE_WAY_S)
 
     def _turn(self) -> None:
-        """Hand on what came before this turn; what comes during it waits for the next one, for the order of topics."""
+        """Hand on what came before this turn; what comes during it waits for the next one, for
+        the order of topics.
+        """
         begun_ns = time.time_ns()
         records, self._early = self._early, []
         for topic, (qos, subscription) in self._found.items():
@@ -130,18 +145,28 @@ class Tap:
             definition(type_name)
         except (ImportError, AttributeError, FileNotFoundError, ValueError) as error:
             self._unusable.add(topic)
-            log.warning("%s is not recorded: its type %s is not installed here (%s).", topic, type_name, error)
+            log.warning(
+                "%s is not recorded: its type %s is not installed here (%s).",
+                topic,
+                type_name,
+                error,
+            )
             return
 
         def ignore(_: bytes) -> None:
             """What comes is taken in turns."""
 
-        self._found[topic] = (qos, self._node.create_subscription(message_type, topic, ignore, qos, raw=True))
+        self._found[topic] = (
+            qos,
+            self._node.create_subscription(message_type, topic, ignore, qos, raw=True),
+        )
         self._types[topic] = type_name
         log.info("Recording %s (%s).", topic, type_name)
 
     def _record(self, topic: str, data: bytes, info: dict[str, Any]) -> Record:
-        """A message that was taken; counts it and what its publisher sent before and did not come."""
+        """A message that was taken; counts it and what its publisher sent before and did not
+        come.
+        """
         came_ns = int(info.get("received_timestamp") or time.time_ns())
         sequence = int(info.get("publication_sequence_number") or 0)
         self.received[topic] += 1
@@ -150,7 +175,14 @@ class Tap:
             self._newest[topic] = sequence
             if before is not None and sequence > before + 1:
                 self.gaps[topic] += sequence - before - 1
-        return Record(topic, self._types[topic], came_ns, int(info.get("source_timestamp") or came_ns), sequence, data)
+        return Record(
+            topic,
+            self._types[topic],
+            came_ns,
+            int(info.get("source_timestamp") or came_ns),
+            sequence,
+            data,
+        )
 
     def _note_single(self, topic: str, single: bool) -> None:
         if single:

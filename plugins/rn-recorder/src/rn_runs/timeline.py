@@ -1,7 +1,9 @@
 """A run in order of time: what was there at one moment, read from its files when it is asked for.
 
-Small messages are kept in memory. Large ones, such as pictures, stay in the files: a chunk is read again when one of
-its messages is asked for. Files without an index, such as those being written now, are read as well.
+Small messages are kept in memory. Large ones, such as pictures, stay in the files: a chunk is read
+    again when one of
+its messages is asked for. Files without an index, such as those being written now, are read as
+well.
 """
 
 from __future__ import annotations
@@ -20,7 +22,9 @@ from rn_runs.reading import MessageDecoder
 from roboneuron import InvalidInputError
 
 _LARGE_BYTES = 8192
-"""Messages from this size on stay on disk: pictures do, and an hour of everything else fits into memory."""
+"""Messages from this size on stay on disk: pictures do, and an hour of everything else fits
+into memory.
+"""
 _CHUNKS = 8
 """Chunks that are kept unpacked, of about a megabyte each: playing goes through them in order."""
 _Place = tuple[Path, int, int]
@@ -76,13 +80,17 @@ class Timeline:
         return {topic: track.type for topic, track in self._tracks.items()}
 
     def newest(self, topic: str, at_ns: int) -> Record | None:
-        """The newest message of a topic that was recorded until then; None when there was none yet."""
+        """The newest message of a topic that was recorded until then; None when there was none
+        yet.
+        """
         track = self._tracks.get(topic)
         index = bisect_right(track.times_ns, at_ns) if track is not None else 0
         return self._record(topic, index - 1) if index else None
 
     def between(self, topic: str, after_ns: int, until_ns: int) -> Iterator[Record]:
-        """The messages of a topic that were recorded after one time and until another, oldest first."""
+        """The messages of a topic that were recorded after one time and until another, oldest
+        first.
+        """
         track = self._tracks.get(topic)
         if track is not None:
             first = bisect_right(track.times_ns, after_ns)
@@ -107,7 +115,9 @@ class Timeline:
         if found is None:
             with path.open("rb") as file:
                 file.seek(position)
-                found = _messages_of(next(StreamReader(file, skip_magic=True, emit_chunks=True).records))
+                found = _messages_of(
+                    next(StreamReader(file, skip_magic=True, emit_chunks=True).records)
+                )
             self._unpacked[path, position] = found
             if len(self._unpacked) > _CHUNKS:
                 self._unpacked.popitem(last=False)
@@ -134,7 +144,9 @@ class Timeline:
         schemas: dict[int, str],
         channels: dict[int, Channel],
     ) -> None:
-        """Add the messages among the records that stand at one place, and remember what describes them."""
+        """Add the messages among the records that stand at one place, and remember what
+        describes them.
+        """
         number = 0
         for part in parts:
             if isinstance(part, Schema):

@@ -1,7 +1,10 @@
-"""Transforms and robot description for a recording: from the robot's URDF, its cameras and its joint states.
+"""Transforms and robot description for a recording: from the robot's URDF, its cameras and its
+joint states.
 
-RoboNeuron's own processes publish none, and a file is to show the robot wherever it is opened. Nothing here knows ROS.
-Source: REP 105 and the URDF specification (a joint's origin is rpy about fixed axes; a joint's axis defaults to x).
+RoboNeuron's own processes publish none, and a file is to show the robot wherever it is opened.
+Nothing here knows ROS.
+Source: REP 105 and the URDF specification (a joint's origin is rpy about fixed axes; a joint's axis
+    defaults to x).
 """
 
 from __future__ import annotations
@@ -27,7 +30,9 @@ _MOVING = frozenset({"revolute", "continuous", "prismatic"})
 
 
 class CameraMount(BaseModel):
-    """Where a camera's optical frame is, as the profile has it: position [m] and quaternion x y z w in `parent`."""
+    """Where a camera's optical frame is, as the profile has it: position [m] and quaternion x y
+    z w in `parent`.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -82,7 +87,12 @@ class RobotTransforms:
         self._moving = [joint for joint in joints if joint.kind in _MOVING]
         self._fixed = [joint.at(0.0) for joint in joints if joint.kind not in _MOVING]
         self._fixed += [
-            Transform(mount.parent, mount.frame_id, np.array(mount.position_m), np.array(mount.quaternion_xyzw))
+            Transform(
+                mount.parent,
+                mount.frame_id,
+                np.array(mount.position_m),
+                np.array(mount.quaternion_xyzw),
+            )
             for mount in cameras
         ]
 
@@ -99,7 +109,9 @@ class RobotTransforms:
         """The message for `robot_description`."""
         return Record(topic, STRING, at_ns, at_ns, 0, to_string(self.urdf))
 
-    def moving(self, names: Sequence[str], positions: Sequence[float], stamp_ns: int, at_ns: int) -> Record | None:
+    def moving(
+        self, names: Sequence[str], positions: Sequence[float], stamp_ns: int, at_ns: int
+    ) -> Record | None:
         """The message for /tf of joint states; None when they name none of the robot's joints."""
         there = dict(zip(names, positions, strict=False))
         found = []
@@ -109,7 +121,9 @@ class RobotTransforms:
                 found.append(joint.at(there[joint.name]))
             elif source in there:
                 found.append(joint.at(factor * there[source] + offset))
-        return Record(TF, TF_TYPE, at_ns, at_ns, 0, to_tf_message(found, stamp_ns)) if found else None
+        return (
+            Record(TF, TF_TYPE, at_ns, at_ns, 0, to_tf_message(found, stamp_ns)) if found else None
+        )
 
 
 def to_tf_message(transforms: Sequence[Transform], stamp_ns: int) -> bytes:
@@ -133,13 +147,19 @@ def _joints(urdf: str) -> list[_Joint]:
         raise ValueError(f"the robot description is no XML: {error}") from error
     found = []
     for joint in root.findall("joint"):
-        parent, child, origin, axis = (joint.find(word) for word in ("parent", "child", "origin", "axis"))
+        parent, child, origin, axis = (
+            joint.find(word) for word in ("parent", "child", "origin", "axis")
+        )
         if parent is None or child is None:
             continue
         mimic = joint.find("mimic")
         follows = None
         if mimic is not None:
-            follows = (mimic.get("joint", ""), float(mimic.get("multiplier", "1")), float(mimic.get("offset", "0")))
+            follows = (
+                mimic.get("joint", ""),
+                float(mimic.get("multiplier", "1")),
+                float(mimic.get("offset", "0")),
+            )
         direction = _numbers(None if axis is None else axis.get("xyz"), (1.0, 0.0, 0.0))
         found.append(
             _Joint(
@@ -148,7 +168,9 @@ def _joints(urdf: str) -> list[_Joint]:
                 child=child.get("link", ""),
                 kind=joint.get("type", "fixed"),
                 position_m=_numbers(None if origin is None else origin.get("xyz"), (0.0, 0.0, 0.0)),
-                rotation=_from_rpy(_numbers(None if origin is None else origin.get("rpy"), (0.0, 0.0, 0.0))),
+                rotation=_from_rpy(
+                    _numbers(None if origin is None else origin.get("rpy"), (0.0, 0.0, 0.0))
+                ),
                 axis=direction / max(float(np.linalg.norm(direction)), 1e-12),
                 mimic=follows,
             )
@@ -157,7 +179,9 @@ def _joints(urdf: str) -> list[_Joint]:
 
 
 def _numbers(text: str | None, default: tuple[float, float, float]) -> F64:
-    return np.array(default if text is None else [float(word) for word in text.split()], dtype=np.float64)
+    return np.array(
+        default if text is None else [float(word) for word in text.split()], dtype=np.float64
+    )
 
 
 def _from_rpy(rpy: F64) -> F64:

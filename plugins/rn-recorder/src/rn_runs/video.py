@@ -1,4 +1,6 @@
-"""Videos of a data set: one file for each camera, in which the episodes stand one after the other."""
+"""Videos of a data set: one file for each camera, in which the episodes stand one after the
+other.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,9 @@ _ENCODERS: dict[Codec, tuple[str, dict[str, str]]] = {
     "av1": ("libsvtav1", {"g": "2", "crf": "30", "preset": "12", "svtav1-params": "lp=1"}),
     "h264": ("libx264", {"g": "2", "crf": "23", "preset": "veryfast"}),
 }
-"""Source of the values for AV1: lerobot 0.6.1 (a key frame every other frame, so that any frame is decoded quickly)."""
+"""Source of the values for AV1: lerobot 0.6.1 (a key frame every other frame, so that any frame
+is decoded quickly).
+"""
 _SAMPLED_FRAMES, _SAMPLED_PIXELS = 50, 400
 
 
@@ -60,18 +64,23 @@ class CameraVideo:
         return self._shape
 
     def add(self, image: NDArray[np.uint8], times: int, every: int) -> None:
-        """Add an image that is shown for so many rows; every `every`-th row is drawn for the statistics.
+        """Add an image that is shown for so many rows; every `every`-th row is drawn for the
+        statistics.
 
         Raises:
             InvalidInputError: its size is not that of the first one, or odd.
         """
         if not self._shape:
             if image.shape[0] % 2 or image.shape[1] % 2:
-                raise InvalidInputError(f"Images of {image.shape[1]}x{image.shape[0]} px: videos need even sizes.")
+                raise InvalidInputError(
+                    f"Images of {image.shape[1]}x{image.shape[0]} px: videos need even sizes."
+                )
             self._shape = image.shape
             self._stream.height, self._stream.width = image.shape[:2]
         if image.shape != self._shape:
-            raise InvalidInputError(f"An image has the shape {image.shape}, the first one had {self._shape}.")
+            raise InvalidInputError(
+                f"An image has the shape {image.shape}, the first one had {self._shape}."
+            )
         for _ in range(times):
             frame = self._av.VideoFrame.from_ndarray(image, format="rgb24")
             self._container.mux(self._stream.encode(frame))

@@ -15,7 +15,9 @@ from rn_runs.store import Run
 from roboneuron import InvalidInputError
 
 Sizes = dict[str, dict[int, tuple[int, ...]]]
-"""Size (H, W) of each image that episodes need and that can be decoded, by camera and stamp [ns]."""
+"""Size (H, W) of each image that episodes need and that can be decoded, by camera and stamp
+[ns].
+"""
 Kind = tuple[tuple[str, ...], tuple[tuple[str, tuple[int, ...]], ...], tuple[int, int]]
 """Joint names; size of images (H, W) by camera; values of joints and pose in a row."""
 
@@ -37,7 +39,8 @@ class Skipped:
 def whole_sources(runs: Sequence[Run], outcome: str | None) -> tuple[list[Source], list[Skipped]]:
     """Runs with the episodes that can be written, and what is left out.
 
-    What most episodes have decides which joints, cameras and sizes of images the data set has: files of LeRobot hold
+    What most episodes have decides which joints, cameras and sizes of images the data set has:
+        files of LeRobot hold
     one kind of row.
     """
     read: list[tuple[Source, Sizes]] = []
@@ -67,7 +70,11 @@ def whole_sources(runs: Sequence[Run], outcome: str | None) -> tuple[list[Source
     for source, found in kept:
         alike = [episode for episode, kind in found if kind == wanted]
         skipped += [
-            Skipped(source.run.id, episode.instruction, f"{_differences(kind, wanted)}; export it by itself")
+            Skipped(
+                source.run.id,
+                episode.instruction,
+                f"{_differences(kind, wanted)}; export it by itself",
+            )
             for episode, kind in found
             if kind != wanted
         ]
@@ -91,7 +98,9 @@ def _kind(source: Source, episode: Episode, sizes: Sizes) -> Kind | str:
                 return f"images of camera {camera!r} change from {shapes[camera]} to {shape}"
         height, width = shapes[camera]
         if height % 2 or width % 2:
-            return f"images of camera {camera!r} are {width}x{height} px, and videos need even sizes"
+            return (
+                f"images of camera {camera!r} are {width}x{height} px, and videos need even sizes"
+            )
     joints = {row.joints.size for row in episode.rows}
     poses = {row.ee_pose.size for row in episode.rows}
     if len(joints) > 1 or len(poses) > 1:
@@ -118,11 +127,14 @@ def _read(run: Run, outcome: str | None) -> Source:
 def _sizes(run: Run, source: Source) -> Sizes:
     """Decode what the episodes need: an image that is there may still be damaged."""
     needed = {
-        camera: {row.images[camera] for episode in source.episodes for row in episode.rows} for camera in source.cameras
+        camera: {row.images[camera] for episode in source.episodes for row in episode.rows}
+        for camera in source.cameras
     }
     found: Sizes = {camera: {} for camera in source.cameras}
     decoder = MessageDecoder()
-    for record in (record for path in run.files for record in read_records(path, decoder.definitions)):
+    for record in (
+        record for path in run.files for record in read_records(path, decoder.definitions)
+    ):
         camera = camera_of(record.topic)
         if camera not in needed:
             continue

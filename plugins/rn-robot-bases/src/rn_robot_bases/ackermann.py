@@ -10,11 +10,13 @@ from rn_robot_bases.drivetrain import BaseVelocity, JointTargets, JointValues, a
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AckermannGeometry:
-    """Wheels of a car whose base frame lies under the middle of the rear axle, and how fast they may change.
+    """Wheels of a car whose base frame lies under the middle of the rear axle, and how fast they
+    may change.
 
     Attributes:
         rear_left, rear_right: joints of the driven wheels; positive velocity drives forwards.
-        hinge_left, hinge_right: joints that steer the front wheels; a positive angle steers to the left.
+        hinge_left, hinge_right: joints that steer the front wheels; a positive angle steers to the
+            left.
         wheel_radius_m: rolling radius.
         track_m: distance between left and right wheels.
         wheelbase_m: distance between the axles.
@@ -35,9 +37,11 @@ class AckermannGeometry:
 
 
 class AckermannDrivetrain:
-    """Follows the protocol `Drivetrain`; steering angle and speed change at bounded rates, the path stays drivable.
+    """Follows the protocol `Drivetrain`; steering angle and speed change at bounded rates, the path
+    stays drivable.
 
-    The steering angle is that of an imagined wheel in the middle of the front axle: tan(angle) = wheelbase * curvature.
+    The steering angle is that of an imagined wheel in the middle of the front axle: tan(angle) =
+        wheelbase * curvature.
     Standing still it keeps the angle it has.
     """
 
@@ -68,7 +72,9 @@ class AckermannDrivetrain:
         own = self._geometry
         change = own.braking_m_s2 if self._is_braking else own.acceleration_m_s2
         self._linear = approach(self._linear, self._goal_linear, change * step_s)
-        self._steering = approach(self._steering, self._goal_steering, own.steering_rate_rad_s * step_s)
+        self._steering = approach(
+            self._steering, self._goal_steering, own.steering_rate_rad_s * step_s
+        )
         curvature = math.tan(self._steering) / own.wheelbase_m
         rear: dict[str, float] = {}
         hinges: dict[str, float] = {}
@@ -80,12 +86,15 @@ class AckermannDrivetrain:
         return JointTargets(velocity=rear, position=hinges)
 
     def measure(self, velocity: JointValues, position: JointValues) -> BaseVelocity:
-        """See `Drivetrain.measure`; speed by the rear wheels, curvature by the measured steering angles."""
+        """See `Drivetrain.measure`; speed by the rear wheels, curvature by the measured
+        steering angles.
+        """
         own = self._geometry
         linear = own.wheel_radius_m * (velocity[own.rear_left] + velocity[own.rear_right]) / 2.0
         left, right = math.tan(position[own.hinge_left]), math.tan(position[own.hinge_right])
         half_track = own.track_m / 2.0
         curvature = (
-            left / (own.wheelbase_m + half_track * left) + right / (own.wheelbase_m - half_track * right)
+            left / (own.wheelbase_m + half_track * left)
+            + right / (own.wheelbase_m - half_track * right)
         ) / 2.0
         return BaseVelocity(linear_x=linear, linear_y=0.0, angular_z=linear * curvature)

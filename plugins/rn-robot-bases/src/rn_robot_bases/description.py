@@ -1,4 +1,6 @@
-"""The descriptions of the platforms: our own files, of boxes, cylinders and spheres, for every engine."""
+"""The descriptions of the platforms: our own files, of boxes, cylinders and spheres, for every
+engine.
+"""
 
 from __future__ import annotations
 
@@ -9,4 +11,6 @@ from rn_robot_bases.platform import Platform
 
 def urdf(platform: Platform) -> str:
     """XML text of the platform's description."""
-    return files("rn_robot_bases").joinpath(f"data/{platform.name}.urdf").read_text(encoding="utf-8")
+    return (
+        files("rn_robot_bases").joinpath(f"data/{platform.name}.urdf").read_text(encoding="utf-8")
+    )

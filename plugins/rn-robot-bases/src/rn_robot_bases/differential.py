@@ -1,4 +1,6 @@
-"""Drivetrain of bases that turn by driving their two sides at different speeds, with two wheels or with four."""
+"""Drivetrain of bases that turn by driving their two sides at different speeds, with two wheels
+or with four.
+"""
 
 from __future__ import annotations
 
@@ -14,10 +16,12 @@ class DifferentialGeometry:
     Attributes:
         left, right: joints of the driven wheels of each side; positive velocity drives forwards.
         wheel_radius_m: rolling radius.
-        track_m: distance between the sides that explains the measured turning; on skid-steer bases it is larger than
-            the geometric one, since the wheels slip sideways.
-        turning_centre_x_m: where on the longitudinal axis the base turns about, in the base frame; 0 without slip.
-            Source of both: Mandow et al. 2007, "Experimental kinematics for wheeled skid-steer mobile robots".
+        track_m: distance between the sides that explains the measured turning; on skid-steer bases
+            it is larger than the geometric one, since the wheels slip sideways.
+        turning_centre_x_m: where on the longitudinal axis the base turns about, in the base frame;
+            0 without slip.
+            Source of both: Mandow et al. 2007, "Experimental kinematics for wheeled skid-steer
+                mobile robots".
         acceleration_m_s2, angular_acceleration_rad_s2: of ordinary motion.
         braking_m_s2, angular_braking_rad_s2: of a stop.
     """
@@ -60,11 +64,16 @@ class DifferentialDrivetrain:
         """See `Drivetrain.advance`."""
         own = self._geometry
         linear = own.braking_m_s2 if self._is_braking else own.acceleration_m_s2
-        angular = own.angular_braking_rad_s2 if self._is_braking else own.angular_acceleration_rad_s2
+        angular = (
+            own.angular_braking_rad_s2 if self._is_braking else own.angular_acceleration_rad_s2
+        )
         self._linear = approach(self._linear, self._goal[0], linear * step_s)
         self._angular = approach(self._angular, self._goal[1], angular * step_s)
         side = self._angular * own.track_m / 2.0
-        left, right = (self._linear - side) / own.wheel_radius_m, (self._linear + side) / own.wheel_radius_m
+        left, right = (
+            (self._linear - side) / own.wheel_radius_m,
+            (self._linear + side) / own.wheel_radius_m,
+        )
         return JointTargets(
             velocity={**dict.fromkeys(own.left, left), **dict.fromkeys(own.right, right)},
             position={},
@@ -77,5 +86,7 @@ class DifferentialDrivetrain:
         right = own.wheel_radius_m * sum(velocity[name] for name in own.right) / len(own.right)
         angular = (right - left) / own.track_m
         return BaseVelocity(
-            linear_x=(left + right) / 2.0, linear_y=-own.turning_centre_x_m * angular, angular_z=angular
+            linear_x=(left + right) / 2.0,
+            linear_y=-own.turning_centre_x_m * angular,
+            angular_z=angular,
         )

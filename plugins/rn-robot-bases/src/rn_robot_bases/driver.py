@@ -35,12 +35,16 @@ _CATCH_UP_S = 0.2
 class SimulatedBase:
     """Follows the protocol `RobotDriver`; every method may be called from any thread.
 
-    Velocities come on `cmd_vel`, odometry goes out on `odom`. A twist that the base cannot carry out is refused as a
-    whole, and the base brakes: whoever sent it is mistaken about the robot. The deadman counts simulated time, the
+    Velocities come on `cmd_vel`, odometry goes out on `odom`. A twist that the base cannot carry
+    out is refused as a
+    whole, and the base brakes: whoever sent it is mistaken about the robot. The deadman counts
+        simulated time, the
     base's own clock, which runs with the wall clock unless the machine is overloaded.
     """
 
-    def __init__(self, config: SimulatedBaseOptions | None, profile: RobotProfile, topics: Topics) -> None:
+    def __init__(
+        self, config: SimulatedBaseOptions | None, profile: RobotProfile, topics: Topics
+    ) -> None:
         """Remember what to simulate."""
         self._options = config or SimulatedBaseOptions()
         self._profile = profile
@@ -48,7 +52,10 @@ class SimulatedBase:
         self._simulation: Simulation | None = None
         self._publish: Callable[[Odometry], None] | None = None
         self._time = RealTimeThread(
-            profile.name, step_s=STEP_S, catch_up_s=_CATCH_UP_S, publish_rate_hz=self._options.odometry_rate_hz
+            profile.name,
+            step_s=STEP_S,
+            catch_up_s=_CATCH_UP_S,
+            publish_rate_hz=self._options.odometry_rate_hz,
         )
         self._newest: tuple[BaseState, int] | None = None
         self._refusal = ""
@@ -65,9 +72,13 @@ class SimulatedBase:
         name = self._profile.name
         self._time.check_stopped()
         if name not in PLATFORMS:
-            raise ConfigurationError(f"There is no simulated base {name!r}, expected one of {', '.join(PLATFORMS)}.")
+            raise ConfigurationError(
+                f"There is no simulated base {name!r}, expected one of {', '.join(PLATFORMS)}."
+            )
         self._simulation = Simulation(
-            PLATFORMS[name], command_timeout_s=self._options.command_timeout_s, engine=self._options.engine
+            PLATFORMS[name],
+            command_timeout_s=self._options.command_timeout_s,
+            engine=self._options.engine,
         )
         self._newest = None
         self._refusal, self._refusals = "", 0
@@ -79,9 +90,9 @@ class SimulatedBase:
     def read(self) -> RobotState:
         """Return the newest state: joints are wheels and steering hinges.
 
-        `detail` holds "odometry" and "true_pose" (JSON: x_m, y_m, yaw_rad; the second is the simulator's truth, for
-        judging only), "motion" (driving, standing, or stopping and why), "sim_time_s", "engine", and "refused" and
-        "refused_count" of velocity commands.
+        `detail` holds "odometry" and "true_pose" (JSON: x_m, y_m, yaw_rad; the second is the
+        simulator's truth, for judging only), "motion" (driving, standing, or stopping and why),
+        "sim_time_s", "engine", and "refused" and "refused_count" of velocity commands.
 
         Raises:
             StateError: not open.
@@ -137,7 +148,10 @@ class SimulatedBase:
         values = (linear.x, linear.y, linear.z, angular.x, angular.y, angular.z)
         with self._time.stepping:
             try:
-                check_twist(velocity_endpoint(simulation.platform), dict(zip(TWIST_FIELDS, values, strict=True)))
+                check_twist(
+                    velocity_endpoint(simulation.platform),
+                    dict(zip(TWIST_FIELDS, values, strict=True)),
+                )
                 simulation.drive(linear.x, angular.z)
             except RefusedError as error:
                 simulation.hold("a command was refused")
@@ -161,9 +175,15 @@ class SimulatedBase:
         self._newest = (state, stamp_ns)
         if publish and self._publish is not None:
             link = self._profile.base_link
-            self._publish(to_message(state.odometry, state.velocity, stamp_ns=stamp_ns, base_link=link))
+            self._publish(
+                to_message(state.odometry, state.velocity, stamp_ns=stamp_ns, base_link=link)
+            )
 
 
 def _described(pose: PlanarPose) -> str:
-    rounded = {"x_m": round(pose.x_m, 4), "y_m": round(pose.y_m, 4), "yaw_rad": round(pose.yaw_rad, 4)}
+    rounded = {
+        "x_m": round(pose.x_m, 4),
+        "y_m": round(pose.y_m, 4),
+        "yaw_rad": round(pose.yaw_rad, 4),
+    }
     return json.dumps(rounded, separators=(",", ":"))

@@ -1,4 +1,6 @@
-"""Pictures of a platform: one ray for each pixel, cast by MuJoCo on the CPU; its own renderer needs OpenGL."""
+"""Pictures of a platform: one ray for each pixel, cast by MuJoCo on the CPU; its own renderer
+needs OpenGL.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,11 @@ _FAR_M = 1000.0
 
 
 def draw_robots(
-    platform: Platform, poses: Sequence[PlanarPose], view: F64, projection: F64, size: tuple[int, int]
+    platform: Platform,
+    poses: Sequence[PlanarPose],
+    view: F64,
+    projection: F64,
+    size: tuple[int, int],
 ) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
     """Colours (H, W, 3) of the platform at each pose, and where they are to be seen."""
     scene = mujoco.MjSpec()
@@ -37,15 +43,21 @@ def draw_robots(
     geoms, normals = cast_rays(model, data, origin, rays, _FAR_M)
     light = _LIGHT_DIRECTION / np.linalg.norm(_LIGHT_DIRECTION)
     brightness = _AMBIENT + _DIFFUSE * np.maximum(normals @ light, 0.0)
-    colours = np.minimum(255.0 * model.geom_rgba[geoms, :3] * brightness[:, None], 255.0).astype(np.uint8)
+    colours = np.minimum(255.0 * model.geom_rgba[geoms, :3] * brightness[:, None], 255.0).astype(
+        np.uint8
+    )
     return colours.reshape(size[1], size[0], 3), (geoms >= 0).reshape(size[1], size[0])
 
 
 def _rays(view: F64, projection: F64, size: tuple[int, int]) -> tuple[F64, F64]:
     """Where the camera is, and a direction (H * W, 3) of unit length for each pixel, row by row."""
     width, height = size
-    x, y = np.meshgrid((np.arange(width) + 0.5) / width * 2.0 - 1.0, 1.0 - (np.arange(height) + 0.5) / height * 2.0)
-    seen = np.column_stack([x.ravel() / projection[0, 0], y.ravel() / projection[1, 1], -np.ones(width * height)])
+    x, y = np.meshgrid(
+        (np.arange(width) + 0.5) / width * 2.0 - 1.0, 1.0 - (np.arange(height) + 0.5) / height * 2.0
+    )
+    seen = np.column_stack(
+        [x.ravel() / projection[0, 0], y.ravel() / projection[1, 1], -np.ones(width * height)]
+    )
     rays = seen @ view[:3, :3]
     directions: F64 = rays / np.linalg.norm(rays, axis=1)[:, None]
     return -view[:3, :3].T @ view[:3, 3], directions

@@ -17,9 +17,13 @@ from rn_simulation.mujoco_scene import read_urdf
 _SUBSTEPS = 4
 """Physics steps per step: contacts are springs, and a skidding wheel hops on soft ones."""
 _STIFFNESS_PER_NM, _DAMPING_PER_NM, _ARMATURE_PER_NM = 10.0, 0.2, 0.001
-"""A motor gives its whole torque 0.1 rad, or 5 rad/s, from where it is to be; critically damped for its own inertia."""
+"""A motor gives its whole torque 0.1 rad, or 5 rad/s, from where it is to be; critically damped
+for its own inertia.
+"""
 _CONTACT_SPRING, _CONTACT_IMPEDANCE = (0.0025, 1.0), (0.999, 0.9999, 0.001, 0.5, 2.0)
-"""Stiff enough that a wheel sinks in by less than 0.1 % of its radius, which odometry would notice."""
+"""Stiff enough that a wheel sinks in by less than 0.1 % of its radius, which odometry would
+notice.
+"""
 
 
 class MujocoWorld:
@@ -33,7 +37,11 @@ class MujocoWorld:
         base.add_freejoint(name=platform.base_link)
         base.pos[2] = START_HEIGHT_M
         for geom in spec.geoms:
-            geom.friction[0], geom.solref, geom.solimp = platform.friction, _CONTACT_SPRING, _CONTACT_IMPEDANCE
+            geom.friction[0], geom.solref, geom.solimp = (
+                platform.friction,
+                _CONTACT_SPRING,
+                _CONTACT_IMPEDANCE,
+            )
         if platform.is_body_frictionless:
             for geom in base.geoms:
                 geom.condim, geom.priority = 1, 1
@@ -50,11 +58,16 @@ class MujocoWorld:
         self._step_s = step_s
         self._base = self._model.joint(platform.base_link).qposadr[0]
         self._adr = {name: self._model.joint(name).qposadr[0] for name in platform.joints}
-        self._motors = {name: self._model.actuator(name).id for name in (*platform.driven_wheels, *platform.hinges)}
+        self._motors = {
+            name: self._model.actuator(name).id
+            for name in (*platform.driven_wheels, *platform.hinges)
+        }
         self._turned = dict.fromkeys(platform.driven_wheels, 0.0)
 
     def step(self, targets: JointTargets) -> None:
-        """See `World`; a wheel follows the angle that its velocity adds up to, so it is locked at velocity 0."""
+        """See `World`; a wheel follows the angle that its velocity adds up to, so it is locked
+        at velocity 0.
+        """
         lead_s = _DAMPING_PER_NM / _STIFFNESS_PER_NM
         for name, velocity in targets.velocity.items():
             self._turned[name] += velocity * self._step_s
@@ -83,6 +96,9 @@ def _add_motor(spec: mujoco.MjSpec, joint: str, torque_nm: float) -> None:
     motor = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
     motor.gaintype, motor.biastype = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_AFFINE
     motor.gainprm[0] = _STIFFNESS_PER_NM * torque_nm
-    motor.biasprm[1], motor.biasprm[2] = -_STIFFNESS_PER_NM * torque_nm, -_DAMPING_PER_NM * torque_nm
+    motor.biasprm[1], motor.biasprm[2] = (
+        -_STIFFNESS_PER_NM * torque_nm,
+        -_DAMPING_PER_NM * torque_nm,
+    )
     motor.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
     motor.forcerange = np.array([-torque_nm, torque_nm])

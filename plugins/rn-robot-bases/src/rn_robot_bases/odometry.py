@@ -1,4 +1,6 @@
-"""Dead reckoning: the pose of a base by summing up what its wheel encoders say. It drifts, as on a real base."""
+"""Dead reckoning: the pose of a base by summing up what its wheel encoders say. It drifts, as
+on a real base.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,9 @@ class PlanarPose:
 
 
 def integrate(pose: PlanarPose, velocity: BaseVelocity, step_s: float) -> PlanarPose:
-    """The pose after `step_s` at `velocity`; the heading in the middle of the step counts (second order)."""
+    """The pose after `step_s` at `velocity`; the heading in the middle of the step counts
+    (second order).
+    """
     turn = velocity.angular_z * step_s
     heading = pose.yaw_rad + turn / 2.0
     forwards, leftwards = velocity.linear_x * step_s, velocity.linear_y * step_s
@@ -35,8 +39,12 @@ def integrate(pose: PlanarPose, velocity: BaseVelocity, step_s: float) -> Planar
     )
 
 
-def to_message(pose: PlanarPose, velocity: BaseVelocity, *, stamp_ns: int, base_link: str) -> Odometry:
-    """nav_msgs/Odometry: pose in `odom`, twist in the base frame; covariances are zero, they are not estimated."""
+def to_message(
+    pose: PlanarPose, velocity: BaseVelocity, *, stamp_ns: int, base_link: str
+) -> Odometry:
+    """nav_msgs/Odometry: pose in `odom`, twist in the base frame; covariances are zero, they
+    are not estimated.
+    """
     message = Odometry(child_frame_id=base_link)
     message.header.frame_id = ODOM_FRAME
     message.header.stamp.sec, message.header.stamp.nanosec = divmod(int(stamp_ns), _NS_PER_S)

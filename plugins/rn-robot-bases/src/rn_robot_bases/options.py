@@ -13,9 +13,15 @@ class SimulatedBaseOptions(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     command_timeout_s: float = Field(
-        default=0.5, ge=0.05, le=5.0, description="The base brakes when no velocity command came for this long [s]."
+        default=0.5,
+        ge=0.05,
+        le=5.0,
+        description="The base brakes when no velocity command came for this long [s].",
     )
-    odometry_rate_hz: float = Field(default=50.0, ge=1.0, le=120.0, description="How often odometry is published.")
+    odometry_rate_hz: float = Field(
+        default=50.0, ge=1.0, le=120.0, description="How often odometry is published."
+    )
     engine: EngineChoice = Field(
-        default="auto", description="Physics engine; auto is PyBullet where it is installed, otherwise MuJoCo."
+        default="auto",
+        description="Physics engine; auto is PyBullet where it is installed, otherwise MuJoCo.",
     )

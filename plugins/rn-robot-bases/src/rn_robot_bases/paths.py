@@ -1,4 +1,6 @@
-"""A path for each platform that suits how it steers: velocities and how long, as a client would publish them."""
+"""A path for each platform that suits how it steers: velocities and how long, as a client would
+publish them.
+"""
 
 from __future__ import annotations
 
@@ -29,8 +31,8 @@ class DrivenPath:
     Attributes:
         name: what it looks like.
         segments: what to publish, one after the other.
-        end_m, end_rad: how far position and heading may be from `planned_track` at the end, by odometry. They allow
-            for 30 ms of scatter in each duration, in the same direction.
+        end_m, end_rad: how far position and heading may be from `planned_track` at the end, by
+            odometry. They allow for 30 ms of scatter in each duration, in the same direction.
     """
 
     name: str
@@ -50,7 +52,8 @@ class DrivenPath:
 
 
 def planned_track(platform: Platform, segments: Sequence[Segment]) -> list[PlanarPose]:
-    """Poses at 50 Hz of a base that keeps its acceleration limits and never slips, until it stands after the last one.
+    """Poses at 50 Hz of a base that keeps its acceleration limits and never slips, until it stands
+    after the last one.
 
     A base that drives the same segments is judged by how near it comes to the last pose.
     """
@@ -61,7 +64,9 @@ def planned_track(platform: Platform, segments: Sequence[Segment]) -> list[Plana
         for _ in range(steps):
             drivetrain.aim(segment.linear_m_s, segment.angular_rad_s)
             targets = drivetrain.advance(step_s)
-            poses.append(integrate(poses[-1], drivetrain.measure(targets.velocity, targets.position), step_s))
+            poses.append(
+                integrate(poses[-1], drivetrain.measure(targets.velocity, targets.position), step_s)
+            )
     return poses
 
 
@@ -71,7 +76,9 @@ _PAUSE = Segment(linear_m_s=0.0, angular_rad_s=0.0, duration_s=0.6)
 
 def _square(side_m: float, speed_m_s: float, turning_rad_s: float) -> tuple[Segment, ...]:
     side = Segment(linear_m_s=speed_m_s, angular_rad_s=0.0, duration_s=side_m / speed_m_s)
-    corner = Segment(linear_m_s=0.0, angular_rad_s=turning_rad_s, duration_s=math.pi / 2.0 / turning_rad_s)
+    corner = Segment(
+        linear_m_s=0.0, angular_rad_s=turning_rad_s, duration_s=math.pi / 2.0 / turning_rad_s
+    )
     return (side, _PAUSE, corner, _PAUSE) * 4
 
 
@@ -79,12 +86,15 @@ def _figure_of_eight(radius_m: float, speed_m_s: float) -> tuple[Segment, ...]:
     turning = speed_m_s / radius_m
     duration_s = 2.0 * math.pi / turning
     circles = (
-        Segment(linear_m_s=speed_m_s, angular_rad_s=sign * turning, duration_s=duration_s) for sign in (1.0, -1.0)
+        Segment(linear_m_s=speed_m_s, angular_rad_s=sign * turning, duration_s=duration_s)
+        for sign in (1.0, -1.0)
     )
     return (Segment(linear_m_s=speed_m_s, angular_rad_s=0.0, duration_s=1.0), *circles)
 
 
-def _slalom(bends: int, speed_m_s: float, turning_rad_s: float, bend_s: float) -> tuple[Segment, ...]:
+def _slalom(
+    bends: int, speed_m_s: float, turning_rad_s: float, bend_s: float
+) -> tuple[Segment, ...]:
     """A run-up, half a bend, whole bends to alternating sides, half a bend."""
     signs = [1.0 if index % 2 == 0 else -1.0 for index in range(bends + 2)]
     durations_s = [bend_s / 2.0, *[bend_s] * bends, bend_s / 2.0]
@@ -97,9 +107,15 @@ def _slalom(bends: int, speed_m_s: float, turning_rad_s: float, bend_s: float) -
 
 PATHS: Mapping[str, DrivenPath] = MappingProxyType(
     {
-        "diffdrive": DrivenPath(name="square", segments=_square(1.0, 0.4, 0.8), end_m=0.15, end_rad=0.15),
-        "husky": DrivenPath(name="figure of eight", segments=_figure_of_eight(1.2, 0.7), end_m=0.40, end_rad=0.20),
-        "racecar": DrivenPath(name="slalom", segments=_slalom(3, 0.8, 1.0, 1.8), end_m=0.45, end_rad=0.30),
+        "diffdrive": DrivenPath(
+            name="square", segments=_square(1.0, 0.4, 0.8), end_m=0.15, end_rad=0.15
+        ),
+        "husky": DrivenPath(
+            name="figure of eight", segments=_figure_of_eight(1.2, 0.7), end_m=0.40, end_rad=0.20
+        ),
+        "racecar": DrivenPath(
+            name="slalom", segments=_slalom(3, 0.8, 1.0, 1.8), end_m=0.45, end_rad=0.30
+        ),
     }
 )
 """Path by robot name."""

@@ -34,7 +34,8 @@ def draw_track(
     height: int = 400,
     engine: EngineChoice = "auto",
 ) -> NDArray[np.uint8]:
-    """Draw `poses` as a line on a floor with a grid of 1 m, and the platform at `copies` places along it.
+    """Draw `poses` as a line on a floor with a grid of 1 m, and the platform at `copies` places
+    along it.
 
     Returns:
         uint8 (height, width, 3) RGB.
@@ -53,7 +54,12 @@ def draw_track(
     for line in _grid(points):
         pencil.line(_pixels(line, view, projection, size), fill=_GRID_RGB, width=_SMOOTHING)
     if len(points) > 1:
-        pencil.line(_pixels(points, view, projection, size), fill=_TRACK_RGB, width=2 * _SMOOTHING, joint="curve")
+        pencil.line(
+            _pixels(points, view, projection, size),
+            fill=_TRACK_RGB,
+            width=2 * _SMOOTHING,
+            joint="curve",
+        )
     if choose_engine(engine) == "mujoco":
         from rn_robot_bases.mujoco_picture import draw_robots  # heavy, and perhaps not installed
     else:
@@ -92,11 +98,15 @@ def _grid(points: F64) -> list[F64]:
     return along_y + along_x
 
 
-def _pixels(points: F64, view: F64, projection: F64, size: tuple[int, int]) -> list[tuple[float, float]]:
+def _pixels(
+    points: F64, view: F64, projection: F64, size: tuple[int, int]
+) -> list[tuple[float, float]]:
     ground = np.column_stack([points, np.zeros(len(points)), np.ones(len(points))])
     clip = ground @ (projection @ view).T
     x, y = clip[:, 0] / clip[:, 3], clip[:, 1] / clip[:, 3]
-    return list(zip(((x + 1.0) / 2.0 * size[0]).tolist(), ((1.0 - y) / 2.0 * size[1]).tolist(), strict=True))
+    return list(
+        zip(((x + 1.0) / 2.0 * size[0]).tolist(), ((1.0 - y) / 2.0 * size[1]).tolist(), strict=True)
+    )
 
 
 def _spaced(poses: Sequence[PlanarPose], points: F64, copies: int) -> list[PlanarPose]:

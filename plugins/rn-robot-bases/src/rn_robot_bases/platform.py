@@ -113,7 +113,8 @@ _HUSKY_GEOMETRY = DifferentialGeometry(
 )
 HUSKY = Platform(
     name="husky",
-    summary="A four-wheeled skid-steered base; it turns on the spot, about a point 0.16 m behind its centre.",
+    summary="A four-wheeled skid-steered base; it turns on the spot, about a point 0.16 m behind "
+    "its centre.",
     base_link="base_footprint",
     limits=VelocityLimits(backward_m_s=-1.0, forward_m_s=1.0, turning_rad_s=1.2),
     geometry=_HUSKY_GEOMETRY,
@@ -121,20 +122,24 @@ HUSKY = Platform(
 )
 """Its wheels touch the ground in a point each; the base frame lies under its middle.
 
-`track_m` and `turning_centre_x_m` were measured in PyBullet (geometric track 0.571 m) as means over seconds of
-turning; the mean turning rate is then right within 3 % for all commands in the limits. Within a turn both wander with
-the heading.
+`track_m` and `turning_centre_x_m` were measured in PyBullet (geometric track 0.571 m) as means over
+seconds of turning; the mean turning rate is then right within 3 % for all commands in the limits.
+Within a turn both wander with the heading.
 """
 _HUSKY_IN_MUJOCO = replace(
     HUSKY, friction=0.5, geometry=replace(_HUSKY_GEOMETRY, track_m=0.96, turning_centre_x_m=-0.17)
 )
-"""Likewise in MuJoCo, where friction acts the same in every direction: a turn depends on the speed as well."""
+"""Likewise in MuJoCo, where friction acts the same in every direction: a turn depends on the
+speed as well.
+"""
 
 RACECAR = Platform(
     name="racecar",
     summary="A scale model car with Ackermann steering; it cannot turn on the spot.",
     base_link="base_link",
-    limits=VelocityLimits(backward_m_s=-1.0, forward_m_s=2.0, turning_rad_s=1.5, min_turning_radius_m=0.75),
+    limits=VelocityLimits(
+        backward_m_s=-1.0, forward_m_s=2.0, turning_rad_s=1.5, min_turning_radius_m=0.75
+    ),
     geometry=AckermannGeometry(
         rear_left="left_rear_wheel_joint",
         rear_right="right_rear_wheel_joint",
@@ -152,7 +157,9 @@ RACECAR = Platform(
 )
 """The base frame lies on the ground under the rear axle."""
 
-PLATFORMS: Mapping[str, Platform] = MappingProxyType({p.name: p for p in (DIFFDRIVE, HUSKY, RACECAR)})
+PLATFORMS: Mapping[str, Platform] = MappingProxyType(
+    {p.name: p for p in (DIFFDRIVE, HUSKY, RACECAR)}
+)
 """Platform by robot name."""
 
 

@@ -1,4 +1,6 @@
-"""What this package offers: the robots "diffdrive", "husky" and "racecar", each with its simulated driver."""
+"""What this package offers: the robots "diffdrive", "husky" and "racecar", each with its
+simulated driver.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,12 @@ def _base(name: str, summary: str) -> RobotSpec:
 def roboneuron_robots() -> Sequence[RobotSpec]:
     """The mobile bases."""
     return [
-        _base("diffdrive", "Small differential-drive base: two wheels and casters, turns on the spot"),
-        _base("husky", "Four-wheeled skid-steered base of the size of a Clearpath Husky, turns on the spot"),
+        _base(
+            "diffdrive", "Small differential-drive base: two wheels and casters, turns on the spot"
+        ),
+        _base(
+            "husky",
+            "Four-wheeled skid-steered base of the size of a Clearpath Husky, turns on the spot",
+        ),
         _base("racecar", "Scale model car with Ackermann steering: turning radius at least 0.75 m"),
     ]

@@ -26,7 +26,8 @@ def velocity_endpoint(platform: Platform) -> Endpoint:
         topic=CMD_VEL,
         type="geometry_msgs/msg/Twist",
         summary=(
-            f"Drive the base: linear.x forwards [m/s], angular.z counter-clockwise [rad/s]. {platform.summary} "
+            "Drive the base: linear.x forwards [m/s], angular.z counter-clockwise [rad/s]. "
+            f"{platform.summary} "
             "It stops by itself when commands cease."
         ),
         bounds=bounds,
@@ -38,8 +39,12 @@ def velocity_endpoint(platform: Platform) -> Endpoint:
 
 
 def check_twist(platform: Platform, linear_m_s: float, angular_rad_s: float) -> None:
-    """Raise RefusedError, with the reason, unless `platform` can drive at this speed and turning rate."""
-    check_endpoint_twist(velocity_endpoint(platform), {"linear.x": linear_m_s, "angular.z": angular_rad_s})
+    """Raise RefusedError, with the reason, unless `platform` can drive at this speed and
+    turning rate.
+    """
+    check_endpoint_twist(
+        velocity_endpoint(platform), {"linear.x": linear_m_s, "angular.z": angular_rad_s}
+    )
 
 
 def _profile(platform: Platform) -> RobotProfile:
@@ -48,7 +53,8 @@ def _profile(platform: Platform) -> RobotProfile:
         kind="read",
         topic=ODOMETRY,
         type="nav_msgs/msg/Odometry",
-        summary="Pose since the start by wheel encoders [m, rad], which drifts slowly, and velocity in the base frame.",
+        summary="Pose since the start by wheel encoders [m, rad], which drifts slowly, and "
+        "velocity in the base frame.",
     )
     wheels = Endpoint(
         name="joint_states",

@@ -18,7 +18,11 @@ _CLEARED_DEPTH = 0.99999
 
 
 def draw_robots(
-    platform: Platform, poses: Sequence[PlanarPose], view: F64, projection: F64, size: tuple[int, int]
+    platform: Platform,
+    poses: Sequence[PlanarPose],
+    view: F64,
+    projection: F64,
+    size: tuple[int, int],
 ) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
     """Colours (H, W, 3) of the platform at each pose, and where they are to be seen."""
     client = int(pybullet.connect(pybullet.DIRECT))
@@ -27,8 +31,12 @@ def draw_robots(
             body = load_body(client, platform)
             inertial = pybullet.getDynamicsInfo(body, -1, physicsClientId=client)[3:5]
             heading = pybullet.getQuaternionFromEuler((0.0, 0.0, pose.yaw_rad))
-            position, rotation = pybullet.multiplyTransforms((pose.x_m, pose.y_m, 0.0), heading, *inertial)
-            pybullet.resetBasePositionAndOrientation(body, position, rotation, physicsClientId=client)
+            position, rotation = pybullet.multiplyTransforms(
+                (pose.x_m, pose.y_m, 0.0), heading, *inertial
+            )
+            pybullet.resetBasePositionAndOrientation(
+                body, position, rotation, physicsClientId=client
+            )
         _, _, pixels, depth, _ = pybullet.getCameraImage(
             *size,
             viewMatrix=view.T.ravel().tolist(),

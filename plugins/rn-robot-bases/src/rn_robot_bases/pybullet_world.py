@@ -16,7 +16,9 @@ from rn_robot_bases.world import HINGE_TORQUE_NM, START_HEIGHT_M
 
 
 def load_body(client: int, platform: Platform) -> int:
-    """Load the platform at the origin; PyBullet reads descriptions from files only. Returns the body id."""
+    """Load the platform at the origin; PyBullet reads descriptions from files only. Returns the
+    body id.
+    """
     with tempfile.TemporaryDirectory(prefix="rn-bases-") as folder:
         path = Path(folder) / f"{platform.name}.urdf"
         path.write_text(urdf(platform), encoding="utf-8")
@@ -36,7 +38,10 @@ class PybulletWorld:
         self._add_floor()
         self._body = load_body(self._client, platform)
         client = self._client
-        infos = [pybullet.getJointInfo(self._body, i, physicsClientId=client) for i in range(self._joint_count())]
+        infos = [
+            pybullet.getJointInfo(self._body, i, physicsClientId=client)
+            for i in range(self._joint_count())
+        ]
         index_by_joint = {info[1].decode(): int(info[0]) for info in infos}
         self._indices = {name: index_by_joint[name] for name in platform.joints}
         self._set_friction()
@@ -47,7 +52,9 @@ class PybulletWorld:
         return int(pybullet.getNumJoints(self._body, physicsClientId=self._client))
 
     def _prepare_physics(self, step_s: float) -> None:
-        """With the engine's friction cone a skid jitters by half its turning rate and a parked car creeps 1 mm/s."""
+        """With the engine's friction cone a skid jitters by half its turning rate and a parked
+        car creeps 1 mm/s.
+        """
         pybullet.setGravity(0.0, 0.0, -9.81, physicsClientId=self._client)
         pybullet.setPhysicsEngineParameter(
             fixedTimeStep=step_s,
@@ -67,10 +74,16 @@ class PybulletWorld:
             pybullet.changeDynamics(self._body, -1, lateralFriction=0.0, physicsClientId=client)
         friction = self._platform.friction  # PyBullet multiplies it with the floor's
         for name in (*self._platform.driven_wheels, *self._platform.free_wheels):
-            pybullet.changeDynamics(self._body, self._indices[name], lateralFriction=friction, physicsClientId=client)
+            pybullet.changeDynamics(
+                self._body, self._indices[name], lateralFriction=friction, physicsClientId=client
+            )
         for name in self._platform.free_wheels:
             pybullet.setJointMotorControl2(
-                self._body, self._indices[name], pybullet.VELOCITY_CONTROL, force=0, physicsClientId=client
+                self._body,
+                self._indices[name],
+                pybullet.VELOCITY_CONTROL,
+                force=0,
+                physicsClientId=client,
             )
 
     def step(self, targets: JointTargets) -> None:
@@ -78,29 +91,49 @@ class PybulletWorld:
         wheels = targets.velocity
         if any(wheels.values()):
             self._parked = None
-            self._control(pybullet.VELOCITY_CONTROL, "targetVelocities", wheels, self._platform.wheel_torque_nm)
+            self._control(
+                pybullet.VELOCITY_CONTROL,
+                "targetVelocities",
+                wheels,
+                self._platform.wheel_torque_nm,
+            )
         else:
             # A motor that holds velocity 0 lets the base creep by 0.2 mm/s under its own weight.
-            self._parked = self._parked or {n: p for n, p in self.joint_positions().items() if n in wheels}
-            self._control(pybullet.POSITION_CONTROL, "targetPositions", self._parked, self._platform.wheel_torque_nm)
+            self._parked = self._parked or {
+                n: p for n, p in self.joint_positions().items() if n in wheels
+            }
+            self._control(
+                pybullet.POSITION_CONTROL,
+                "targetPositions",
+                self._parked,
+                self._platform.wheel_torque_nm,
+            )
         if targets.position:
-            self._control(pybullet.POSITION_CONTROL, "targetPositions", targets.position, HINGE_TORQUE_NM)
+            self._control(
+                pybullet.POSITION_CONTROL, "targetPositions", targets.position, HINGE_TORQUE_NM
+            )
         pybullet.stepSimulation(physicsClientId=self._client)
 
     def _control(self, mode: int, goal: str, values: JointValues, torque_nm: float) -> None:
         joints = [self._indices[name] for name in values]
         goals = {goal: list(values.values()), "forces": [torque_nm] * len(joints)}
-        pybullet.setJointMotorControlArray(self._body, joints, mode, physicsClientId=self._client, **goals)
+        pybullet.setJointMotorControlArray(
+            self._body, joints, mode, physicsClientId=self._client, **goals
+        )
 
     def joint_positions(self) -> JointValues:
         """See `World`."""
-        states = pybullet.getJointStates(self._body, list(self._indices.values()), physicsClientId=self._client)
+        states = pybullet.getJointStates(
+            self._body, list(self._indices.values()), physicsClientId=self._client
+        )
         return {name: float(state[0]) for name, state in zip(self._indices, states, strict=True)}
 
     def base_pose(self) -> PlanarPose:
         """See `World`."""
         inertial = pybullet.getBasePositionAndOrientation(self._body, physicsClientId=self._client)
-        (x, y, _), (qx, qy, qz, qw) = pybullet.multiplyTransforms(*inertial, *self._base_from_inertial)
+        (x, y, _), (qx, qy, qz, qw) = pybullet.multiplyTransforms(
+            *inertial, *self._base_from_inertial
+        )
         yaw = math.atan2(2.0 * (qw * qz + qx * qy), 1.0 - 2.0 * (qy * qy + qz * qz))
         return PlanarPose(x_m=float(x), y_m=float(y), yaw_rad=yaw)
 

@@ -1,4 +1,6 @@
-"""A simulated base, stepped by hand: tests and benchmarks run it faster than real time, the driver in real time."""
+"""A simulated base, stepped by hand: tests and benchmarks run it faster than real time, the
+driver in real time.
+"""
 
 from __future__ import annotations
 
@@ -44,14 +46,18 @@ class BaseState:
 
 
 class Simulation:
-    """One base on a flat floor with its motion controller, its deadman and its odometry; used from one thread.
+    """One base on a flat floor with its motion controller, its deadman and its odometry; used from
+    one thread.
 
-    Use it as a context manager, or call `open` and `close`. The same calls give the same motion in the
-    same engine.
+    Use it as a context manager, or call `open` and `close`. The same calls give the same motion in
+    the same engine.
     """
 
-    def __init__(self, platform: Platform, *, command_timeout_s: float = 0.5, engine: EngineChoice = "auto") -> None:
-        """Choose platform and engine; `command_timeout_s` of simulated time after the last command it brakes.
+    def __init__(
+        self, platform: Platform, *, command_timeout_s: float = 0.5, engine: EngineChoice = "auto"
+    ) -> None:
+        """Choose platform and engine; `command_timeout_s` of simulated time after the last command
+        it brakes.
 
         Raises:
             ConfigurationError: the engine is not installed.
@@ -77,12 +83,17 @@ class Simulation:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self.close()
 
     def open(self) -> None:
-        """Build the world and let the base settle on its wheels. Raises StateError when it is open already."""
+        """Build the world and let the base settle on its wheels. Raises StateError when it is
+        open already.
+        """
         if self._world is not None:
             raise StateError(f"The simulated {self.platform.name} is open already.")
         self._reset()
@@ -130,7 +141,9 @@ class Simulation:
             self._odometry = integrate(self._odometry, self._velocity, STEP_S)
 
     def run(self, linear_m_s: float, angular_rad_s: float, duration_s: float) -> BaseState:
-        """Drive for `duration_s`, commanding as often as a client would; returns the state at the end."""
+        """Drive for `duration_s`, commanding as often as a client would; returns the state at
+        the end.
+        """
         for _ in range(round(duration_s / STEP_S)):
             self.drive(linear_m_s, angular_rad_s)
             self.step()
@@ -157,6 +170,7 @@ class Simulation:
     def _opened(self) -> World:
         if self._world is None:
             raise StateError(
-                f"The simulated {self.platform.name} is not open.", hint="Call open() or use it as a context manager."
+                f"The simulated {self.platform.name} is not open.",
+                hint="Call open() or use it as a context manager.",
             )
         return self._world

@@ -1,4 +1,6 @@
-"""The simulated world as the rest of the package sees it: one base at the origin of a flat floor, looking along +x."""
+"""The simulated world as the rest of the package sees it: one base at the origin of a flat
+floor, looking along +x.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,9 @@ class World(Protocol):
     """One base in one physics engine; from one thread only."""
 
     def step(self, targets: JointTargets) -> None:
-        """Let the motors follow `targets` for one physics step; wheels that are to stand still are locked."""
+        """Let the motors follow `targets` for one physics step; wheels that are to stand still
+        are locked.
+        """
         ...
 
     def joint_positions(self) -> JointValues:

@@ -16,15 +16,21 @@ from roboneuron import CameraProfile, ConfigurationError, Frame, NotReadyError, 
 
 
 class SimulatedCameras:
-    """Draws the newest simulated state, one camera after the other; follows the protocol `PerceptionSource`.
+    """Draws the newest simulated state, one camera after the other; follows the protocol
+    `PerceptionSource`.
 
-    A frame's stamp is the time of the state it shows, so that its age is true. Each state is shown at most once per
-    camera: when the simulation stops, so do the frames. It may start before or after the simulation, and follows it to
+    A frame's stamp is the time of the state it shows, so that its age is true. Each state is shown
+    at most once per
+    camera: when the simulation stops, so do the frames. It may start before or after the
+        simulation, and follows it to
     another scene.
     """
 
     def __init__(
-        self, config: SimulatedCamerasOptions | None, topics: Topics, cameras: Sequence[CameraProfile]
+        self,
+        config: SimulatedCamerasOptions | None,
+        topics: Topics,
+        cameras: Sequence[CameraProfile],
     ) -> None:
         """Remember what to serve; `cameras` are profiles of the robot's cameras."""
         self._options = config or SimulatedCamerasOptions()
@@ -55,7 +61,9 @@ class SimulatedCameras:
         unknown = [camera.name for camera in self._wanted if camera.name not in known]
         if unknown or not self._wanted:
             what = f"no camera {unknown[0]!r}" if unknown else "nothing to show"
-            raise ConfigurationError(f"The simulated FR3 has {what}, expected some of {', '.join(known)}.")
+            raise ConfigurationError(
+                f"The simulated FR3 has {what}, expected some of {', '.join(known)}."
+            )
         self._served = [known[camera.name] for camera in self._wanted]
         self._shown_by_camera = {}
         self._message = None
@@ -67,10 +75,12 @@ class SimulatedCameras:
     def read(self, timeout_s: float) -> Frame:
         """Return the next frame of the next camera in turn.
 
-        Frames come at `rate_hz` per camera, evenly spread; when drawing is slower, all cameras slow down alike.
+        Frames come at `rate_hz` per camera, evenly spread; when drawing is slower, all cameras slow
+        down alike.
 
         Raises:
-            NotReadyError: no newer state arrived on `sim/state`, or no frame was due, within `timeout_s`.
+            NotReadyError: no newer state arrived on `sim/state`, or no frame was due, within
+                `timeout_s`.
             StateError: not open.
             InvalidInputError: a message on `sim/state` that is not a simulation's state.
         """
@@ -97,7 +107,9 @@ class SimulatedCameras:
         )
 
     def close(self) -> None:
-        """Stop listening and release the twin; a `read` in progress ends with StateError. May be called twice."""
+        """Stop listening and release the twin; a `read` in progress ends with StateError. May
+        be called twice.
+        """
         with self._arrived:
             self._open = False
             self._arrived.notify_all()
@@ -111,7 +123,9 @@ class SimulatedCameras:
             self._arrived.notify_all()
 
     def _schedule_next(self, began_s: float) -> None:
-        """Keep the beat when the last frame was late by less than a slot, otherwise start a new one."""
+        """Keep the beat when the last frame was late by less than a slot, otherwise start a new
+        one.
+        """
         slot_s = 1.0 / (self._options.rate_hz * len(self._served))
         if began_s - self._due_s > slot_s:
             self._due_s = began_s
@@ -131,15 +145,20 @@ class SimulatedCameras:
 
     def _await_state(self, camera: Camera, deadline_s: float, timeout_s: float) -> SceneState:
         def is_newer() -> bool:
-            return self._message is not None and self._received > self._shown_by_camera.get(camera.name, 0)
+            return self._message is not None and self._received > self._shown_by_camera.get(
+                camera.name, 0
+            )
 
         with self._arrived:
-            self._arrived.wait_for(lambda: not self._open or is_newer(), max(0.0, deadline_s - time.monotonic()))
+            self._arrived.wait_for(
+                lambda: not self._open or is_newer(), max(0.0, deadline_s - time.monotonic())
+            )
             if not self._open:
                 raise StateError("The simulated cameras are not open.")
             if not is_newer() or self._message is None:
                 raise NotReadyError(
-                    f"No new state of the simulation arrived on topic {TOPIC!r} within {timeout_s:g} s.",
+                    f"No new state of the simulation arrived on topic {TOPIC!r} within "
+                    f"{timeout_s:g} s.",
                     hint="Start the robot fr3 with its simulated driver.",
                 )
             message, received = self._message, self._received

@@ -16,7 +16,9 @@ DEFAULT_SIZE_PX = (224, 224)
 
 
 def look_at(eye_m: F64, target_m: F64, up: F64) -> F64:
-    """Pose (4, 4) of an optical frame (x right, y down, z forward) at `eye_m` that looks at `target_m`."""
+    """Pose (4, 4) of an optical frame (x right, y down, z forward) at `eye_m` that looks at
+    `target_m`.
+    """
     z = (target_m - eye_m) / np.linalg.norm(target_m - eye_m)
     x = np.cross(z, up)
     x /= np.linalg.norm(x)
@@ -45,12 +47,20 @@ class Camera:
     vertical_view_rad: float
 
     def calibration(self, width: int, height: int) -> CameraCalibration:
-        """Calibration of an image of `width` x `height` [px]; the vertical angle of view stays the same."""
+        """Calibration of an image of `width` x `height` [px]; the vertical angle of view stays
+        the same.
+        """
         focal_px = height / 2.0 / np.tan(self.vertical_view_rad / 2.0)
-        intrinsics = np.array([[focal_px, 0.0, width / 2.0], [0.0, focal_px, height / 2.0], [0.0, 0.0, 1.0]])
-        return CameraCalibration(intrinsics=intrinsics, mount=self.mount, T_mount_camera=self.T_mount_camera.copy())
+        intrinsics = np.array(
+            [[focal_px, 0.0, width / 2.0], [0.0, focal_px, height / 2.0], [0.0, 0.0, 1.0]]
+        )
+        return CameraCalibration(
+            intrinsics=intrinsics, mount=self.mount, T_mount_camera=self.T_mount_camera.copy()
+        )
 
-    def profile(self, width: int = DEFAULT_SIZE_PX[0], height: int = DEFAULT_SIZE_PX[1]) -> CameraProfile:
+    def profile(
+        self, width: int = DEFAULT_SIZE_PX[0], height: int = DEFAULT_SIZE_PX[1]
+    ) -> CameraProfile:
         """The camera as the robot's profile lists it."""
         return CameraProfile(
             name=self.name,
@@ -75,7 +85,9 @@ def _front() -> Camera:
 
 
 def _wrist() -> Camera:
-    """In front of the hand (+x of the TCP frame), looking along the fingers and tilted back towards their tips."""
+    """In front of the hand (+x of the TCP frame), looking along the fingers and tilted back
+    towards their tips.
+    """
     eye = np.array([0.085, 0.0, -0.080])
     tilt = np.deg2rad(16.0)
     ahead = eye + np.array([-np.sin(tilt), 0.0, np.cos(tilt)])

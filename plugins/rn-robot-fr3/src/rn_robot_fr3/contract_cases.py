@@ -20,7 +20,10 @@ from rn_testing.fakes import MemoryTopics
 def state_at_home(seed: int, stamp_ns: int) -> Float64MultiArray:
     """What the simulation tells its cameras before anything has moved."""
     cubes = random_cubes(seed)
-    poses = [(c.x_m, c.y_m, c.edge_m / 2, 0.0, 0.0, math.sin(c.yaw_rad / 2), math.cos(c.yaw_rad / 2)) for c in cubes]
+    poses = [
+        (c.x_m, c.y_m, c.edge_m / 2, 0.0, 0.0, math.sin(c.yaw_rad / 2), math.cos(c.yaw_rad / 2))
+        for c in cubes
+    ]
     return to_message(
         SceneState(
             engine=choose_engine("auto"),
@@ -44,4 +47,6 @@ def robot_case() -> RobotCase:
 
 def cameras_case() -> PerceptionCase:
     """The simulated cameras, fed with the scene at rest."""
-    return PerceptionCase(spec=roboneuron_perceptions()[0], cameras=lambda: profile().cameras, feed=_feed)
+    return PerceptionCase(
+        spec=roboneuron_perceptions()[0], cameras=lambda: profile().cameras, feed=_feed
+    )

@@ -13,7 +13,9 @@ TCP_LINK = "fr3_hand_tcp"
 
 @functools.cache
 def urdf() -> str:
-    """XML text of `data/fr3.urdf`: official kinematics and limits, shapes of cylinders and boxes, no mesh files."""
+    """XML text of `data/fr3.urdf`: official kinematics and limits, shapes of cylinders and
+    boxes, no mesh files.
+    """
     return files("rn_robot_fr3").joinpath("data/fr3.urdf").read_text(encoding="utf-8")
 
 
@@ -30,8 +32,8 @@ _MESH_BY_LINK = {
 def urdf_with_meshes(mesh_folder: str) -> str:
     """XML text of the same robot whose visual elements are meshes in `mesh_folder`.
 
-    The Panda's links, which `pybullet_data` carries, look like those of the FR3 and share their frames. Kinematics,
-    limits, inertias and collision shapes stay those of `urdf`.
+    The Panda's links, which `pybullet_data` carries, look like those of the FR3 and share their
+    frames. Kinematics, limits, inertias and collision shapes stay those of `urdf`.
     """
     root = ET.fromstring(urdf())
     for link in root.iter("link"):

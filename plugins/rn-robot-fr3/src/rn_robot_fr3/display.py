@@ -1,4 +1,6 @@
-"""Whether there is a display to open a window on; PyBullet itself ends the process when there is none."""
+"""Whether there is a display to open a window on; PyBullet itself ends the process when there
+is none.
+"""
 
 from __future__ import annotations
 
@@ -15,11 +17,14 @@ def check_display() -> None:
     """Return when the X server that DISPLAY names accepts a connection.
 
     Raises:
-        ConfigurationError: DISPLAY is unset, its server does not answer, or libX11 is not installed.
+        ConfigurationError: DISPLAY is unset, its server does not answer, or libX11 is not
+            installed.
     """
     name = os.environ.get("DISPLAY", "")
     if not name:
-        raise ConfigurationError("The simulation was asked for a window, but there is no display.", hint=_HINT)
+        raise ConfigurationError(
+            "The simulation was asked for a window, but there is no display.", hint=_HINT
+        )
     library = ctypes.util.find_library("X11")
     if library is None:
         raise ConfigurationError(

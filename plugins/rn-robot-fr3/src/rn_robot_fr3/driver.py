@@ -26,24 +26,32 @@ from roboneuron import (
 )
 
 _CATCH_UP_S = 1.0 / 60.0
-"""An arm whose time was held up does not jump: by the wall clock its TCP would be faster than its limit."""
+"""An arm whose time was held up does not jump: by the wall clock its TCP would be faster than
+its limit.
+"""
 
 
 class SimulatedDriver:
     """Follows the protocol `RobotDriver`; every method may be called from any thread.
 
-    The simulation steps at 240 Hz times `real_time_factor` and tells its state on the topic `sim/state`, from which
-    `SimulatedCameras` draws its pictures in another process: no picture delays a step.
+    The simulation steps at 240 Hz times `real_time_factor` and tells its state on the topic
+    `sim/state`, from which `SimulatedCameras` draws its pictures in another process: no picture
+    delays a step.
     """
 
-    def __init__(self, config: SimulatedDriverOptions | None, profile: RobotProfile, topics: Topics) -> None:
+    def __init__(
+        self, config: SimulatedDriverOptions | None, profile: RobotProfile, topics: Topics
+    ) -> None:
         """Remember what to simulate."""
         self._options = config or SimulatedDriverOptions()
         self._profile = profile
         self._topics = topics
         self._publish: Callable[[Float64MultiArray], None] | None = None
         self._simulation = Simulation(
-            self._options.seed, colours=self._options.colours, engine=self._options.engine, gui=self._options.gui
+            self._options.seed,
+            colours=self._options.colours,
+            engine=self._options.engine,
+            gui=self._options.gui,
         )
         self._time = RealTimeThread(
             "FR3",
@@ -59,24 +67,28 @@ class SimulatedDriver:
         """Build the scene and let time run; the robot stands at home with an open gripper.
 
         Raises:
-            ConfigurationError: a window is asked for and there is no display, or the profile is another robot's.
+            ConfigurationError: a window is asked for and there is no display, or the profile is
+                another robot's.
             NotReadyError: the simulation did not start in time.
             StateError: it is open already.
         """
         self._time.check_stopped()
         if self._profile.arm_joints != ARM_JOINTS:
             raise ConfigurationError(
-                f"The simulated FR3 moves {', '.join(ARM_JOINTS)}, the profile {self._profile.name!r} has others."
+                f"The simulated FR3 moves {', '.join(ARM_JOINTS)}, the profile "
+                f"{self._profile.name!r} has others."
             )
         if self._publish is None:
             self._publish = self._topics.advertise(TOPIC, Float64MultiArray)
         self._time.start(self._simulation, self._advance)
 
     def read(self) -> RobotState:
-        """Return the newest state, measured 120 times per second; see `RobotState.detail` for the cubes.
+        """Return the newest state, measured 120 times per second; see `RobotState.detail` for the
+        cubes.
 
-        `detail` holds "cubes" (JSON: position, height lifted and seconds held of each, the simulator's truth),
-        "sim_time_s", "real_time_factor" (achieved during the last second), "seed" and "engine".
+        `detail` holds "cubes" (JSON: position, height lifted and seconds held of each, the
+        simulator's truth), "sim_time_s", "real_time_factor" (achieved during the last second),
+        "seed" and "engine".
 
         Raises:
             StateError: not open.
@@ -89,13 +101,16 @@ class SimulatedDriver:
         return state
 
     def send(self, command: JointCommand) -> JointCommand:
-        """Move towards `command`; it replaces the one before, without a jump in position or velocity.
+        """Move towards `command`; it replaces the one before, without a jump in position or
+        velocity.
 
         Returns:
-            The command with positions clamped to the limits and the duration that velocity and acceleration allow.
+            The command with positions clamped to the limits and the duration that velocity and
+            acceleration allow.
 
         Raises:
-            InvalidInputError: an unknown joint, a wrong size, a non-finite value, a duration <= 0; nothing is sent.
+            InvalidInputError: an unknown joint, a wrong size, a non-finite value, a duration <= 0;
+                nothing is sent.
             StateError, UnsafeError: as `read`.
         """
         self._time.check_running()
@@ -122,7 +137,9 @@ class SimulatedDriver:
             cubes = simulation.cubes() if publish else None
         stamp_ns = self._topics.now_ns()
         if cubes is not None and self._publish is not None:
-            poses = [np.concatenate([cube.position_m, cube.quaternion_xyzw]) for cube in cubes.values()]
+            poses = [
+                np.concatenate([cube.position_m, cube.quaternion_xyzw]) for cube in cubes.values()
+            ]
             state = SceneState(
                 engine=simulation.engine,
                 seed=simulation.seed,
@@ -148,7 +165,9 @@ class SimulatedDriver:
                 "engine": simulation.engine,
             }
         self._state = RobotState(
-            joints=JointSample(names=JOINTS, position=position, velocity=velocity, stamp_ns=stamp_ns),
+            joints=JointSample(
+                names=JOINTS, position=position, velocity=velocity, stamp_ns=stamp_ns
+            ),
             gripper_open=opening(position),
             detail=self._detail,
         )

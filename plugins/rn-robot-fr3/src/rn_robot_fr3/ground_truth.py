@@ -14,7 +14,9 @@ from rn_robot_fr3.world import RawPose
 F64 = NDArray[np.float64]
 
 LIFTED_M = 0.10
-"""A cube counts as lifted when its centre is at least this much above where it rests on the table."""
+"""A cube counts as lifted when its centre is at least this much above where it rests on the
+table.
+"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -27,7 +29,8 @@ class CubeState:
         position_m: float64 (3,), centre in the base frame.
         quaternion_xyzw: float64 (4,).
         lifted_m: height of the centre above its height at rest on the table.
-        held_s: simulated seconds for which `lifted_m` has been at least `LIFTED_M` without a break; 0 when it is not.
+        held_s: simulated seconds for which `lifted_m` has been at least `LIFTED_M` without a break;
+            0 when it is not.
     """
 
     name: str
@@ -50,7 +53,9 @@ class LiftClock:
         return pose[0][2] - self._edge_m[name] / 2
 
     def observe(self, now_s: float, poses: Mapping[str, RawPose]) -> None:
-        """Note the poses by cube name at simulated time `now_s`; to be called at least every 1/60 s."""
+        """Note the poses by cube name at simulated time `now_s`; to be called at least every
+        1/60 s.
+        """
         self._now_s = now_s
         for name, pose in poses.items():
             if self._lifted_m(name, pose) >= LIFTED_M:

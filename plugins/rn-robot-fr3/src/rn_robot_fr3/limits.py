@@ -1,6 +1,7 @@
 """Official limits of the FR3's joints, constant and depending on position.
 
-Source: frankarobotics/franka_description@566ba44 robots/fr3/joint_limits.yaml (position, velocity, effort);
+Source: frankarobotics/franka_description@566ba44 robots/fr3/joint_limits.yaml (position, velocity,
+    effort);
 libfranka include/franka/rate_limiting.h (acceleration, jerk, velocity as a function of position).
 """
 
@@ -40,7 +41,9 @@ FINGER_EFFORT_N = 70.0
 
 
 def joint_limits() -> JointLimits:
-    """The limits of the seven arm joints [rad, rad/s, rad/s^2, Nm], in the order of `ARM_JOINTS`."""
+    """The limits of the seven arm joints [rad, rad/s, rad/s^2, Nm], in the order of
+    `ARM_JOINTS`.
+    """
     return JointLimits(
         lower=np.array(LOWER_RAD),
         upper=np.array(UPPER_RAD),
@@ -53,9 +56,11 @@ def joint_limits() -> JointLimits:
 
 
 def velocity_bounds(position_rad: F64) -> tuple[F64, F64]:
-    """Lowest and highest joint velocity, each float64 (7,) [rad/s], that the arm accepts at `position_rad` (7,).
+    """Lowest and highest joint velocity, each float64 (7,) [rad/s], that the arm accepts at
+    `position_rad` (7,).
 
-    The bound towards a limit is min(vmax, max(0, -offset + sqrt(2 * deceleration * distance to the limit))); beyond
+    The bound towards a limit is min(vmax, max(0, -offset + sqrt(2 * deceleration * distance to the
+    limit))); beyond
     the limit it is 0. Source: libfranka rate_limiting.h, computeUpperLimitsJointVelocity.
     """
     offset, deceleration = np.array(BRAKING_OFFSET_RAD_S), np.array(BRAKING_DECELERATION_RAD_S2)

@@ -51,7 +51,8 @@ class MujocoWorld:
         if gui:
             raise ConfigurationError(
                 "The simulation was asked for a window, which it has with PyBullet only.",
-                hint="Set gui = false, or use PyBullet on Python 3.11: pip compiles it on newer versions.",
+                hint="Set gui = false, or use PyBullet on Python 3.11: pip compiles it on newer "
+                "versions.",
             )
         spec = read_urdf(urdf())
         _prepare_robot(spec)
@@ -96,7 +97,9 @@ class MujocoWorld:
     def prepare_physics(self, step_s: float, force: Sequence[float]) -> None:
         """See `World`."""
         self._model.opt.timestep = step_s / _SUBSTEPS
-        self._model.jnt_actfrcrange[[self._model.joint(name).id for name in JOINTS]] = np.outer(force, (-1.0, 1.0))
+        self._model.jnt_actfrcrange[[self._model.joint(name).id for name in JOINTS]] = np.outer(
+            force, (-1.0, 1.0)
+        )
 
     def step(self, position: Sequence[float], velocity: Sequence[float]) -> None:
         """See `World`."""
@@ -140,7 +143,9 @@ def _prepare_robot(spec: mujoco.MjSpec) -> None:
     for geom in spec.geoms:
         if geom.group != VISUAL_GROUP:
             _make_solid(geom, FINGER_FRICTION, _ROBOT)
-    for name, stiffness, damping, armature in zip(JOINTS, _STIFFNESS, _DAMPING, _ARMATURE, strict=True):
+    for name, stiffness, damping, armature in zip(
+        JOINTS, _STIFFNESS, _DAMPING, _ARMATURE, strict=True
+    ):
         joint = spec.joint(name)
         joint.armature = armature
         joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_TRUE
@@ -154,7 +159,10 @@ def _prepare_robot(spec: mujoco.MjSpec) -> None:
 
 def _add_table(spec: mujoco.MjSpec) -> None:
     table = spec.worldbody.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_BOX, size=np.array(TABLE_SIZE_M) / 2, pos=TABLE_CENTRE_M, rgba=TABLE_RGBA
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        size=np.array(TABLE_SIZE_M) / 2,
+        pos=TABLE_CENTRE_M,
+        rgba=TABLE_RGBA,
     )
     table.group = VISUAL_GROUP
     _make_solid(table, (TABLE_FRICTION, 0.005, 0.0001), _SURROUNDINGS)
@@ -162,9 +170,13 @@ def _add_table(spec: mujoco.MjSpec) -> None:
 
 def _add_cube(spec: mujoco.MjSpec, cube: Cube) -> None:
     turn = (np.cos(cube.yaw_rad / 2), 0.0, 0.0, np.sin(cube.yaw_rad / 2))
-    body = spec.worldbody.add_body(name=cube.name, pos=(cube.x_m, cube.y_m, cube.edge_m / 2), quat=turn)
+    body = spec.worldbody.add_body(
+        name=cube.name, pos=(cube.x_m, cube.y_m, cube.edge_m / 2), quat=turn
+    )
     body.add_freejoint(name=cube.name)
-    box = body.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[cube.edge_m / 2] * 3, rgba=RGBA_BY_COLOUR[cube.name])
+    box = body.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_BOX, size=[cube.edge_m / 2] * 3, rgba=RGBA_BY_COLOUR[cube.name]
+    )
     box.density = WOOD_KG_M3
     box.group = VISUAL_GROUP
     _make_solid(box, CUBE_FRICTION, _SURROUNDINGS)

@@ -14,19 +14,28 @@ class SimulatedDriverOptions(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    seed: int = Field(default=0, ge=0, description="Where the cubes lie; the same seed gives the same scene.")
+    seed: int = Field(
+        default=0, ge=0, description="Where the cubes lie; the same seed gives the same scene."
+    )
     colours: tuple[str, ...] = Field(
-        default=DEFAULT_COLOURS, description="One cube each: red, green, blue, yellow, orange, purple."
+        default=DEFAULT_COLOURS,
+        description="One cube each: red, green, blue, yellow, orange, purple.",
     )
     engine: EngineChoice = Field(
-        default="auto", description="Physics engine; auto is PyBullet where it is installed, otherwise MuJoCo."
+        default="auto",
+        description="Physics engine; auto is PyBullet where it is installed, otherwise MuJoCo.",
     )
-    gui: bool = Field(default=False, description="Show PyBullet's window; needs a display. MuJoCo shows none.")
+    gui: bool = Field(
+        default=False, description="Show PyBullet's window; needs a display. MuJoCo shows none."
+    )
     real_time_factor: float = Field(
         default=1.0, gt=0.0, le=10.0, description="Simulated seconds per second of wall time."
     )
     state_rate_hz: float = Field(
-        default=60.0, ge=1.0, le=240.0, description="How often the cameras are told the simulation's state."
+        default=60.0,
+        ge=1.0,
+        le=240.0,
+        description="How often the cameras are told the simulation's state.",
     )
 
     @field_validator("colours")
@@ -43,6 +52,8 @@ class SimulatedCamerasOptions(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    rate_hz: float = Field(default=10.0, gt=0.0, le=60.0, description="Images per second of each camera.")
+    rate_hz: float = Field(
+        default=10.0, gt=0.0, le=60.0, description="Images per second of each camera."
+    )
     width: int = Field(default=224, ge=32, le=1280, description="Image width [px].")
     height: int = Field(default=224, ge=32, le=960, description="Image height [px].")

@@ -4,13 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from roboneuron import CameraSpec, CommandSpec, DriverSpec, PerceptionSpec, Requirement, RobotSpec, hookimpl
+from roboneuron import (
+    CameraSpec,
+    CommandSpec,
+    DriverSpec,
+    PerceptionSpec,
+    Requirement,
+    RobotSpec,
+    hookimpl,
+)
 
 _INSTALL = "pip install ./plugins/rn-driver-ros2control (in RoboNeuron's source folder)"
 ROS2_CONTROL = Requirement(module="rn_driver_ros2control", install=_INSTALL)
 CONTROL_MSGS = Requirement(module="control_msgs", install=_INSTALL)
 _FCI = tuple(
-    Requirement(module=module, install="pip install pylibfranka ruckig franky-control (Python 3.11 or 3.12, x86-64)")
+    Requirement(
+        module=module,
+        install="pip install pylibfranka ruckig franky-control (Python 3.11 or 3.12, x86-64)",
+    )
     for module in ("pylibfranka", "ruckig", "franky")
 )
 _ENGINE = Requirement(module="pybullet", alternatives=("mujoco",), install="pip install mujoco")
@@ -23,16 +34,21 @@ def roboneuron_robots() -> Sequence[RobotSpec]:
     return [
         RobotSpec(
             name="fr3",
-            summary="Franka Research 3: 7-joint arm with gripper, a camera beside the table and one at the wrist",
+            summary="Franka Research 3: 7-joint arm with gripper, a camera beside the table and "
+            "one at the wrist",
             target="rn_robot_fr3.profile:profile",
             case="rn_robot_fr3.contract_cases:robot_case",
             robot_kind="arm",
-            cameras=(CameraSpec(name="front", role="primary"), CameraSpec(name="wrist", role="wrist")),
+            cameras=(
+                CameraSpec(name="front", role="primary"),
+                CameraSpec(name="wrist", role="wrist"),
+            ),
             action_widths=(7,),
             drivers=(
                 DriverSpec(
                     name="simulated",
-                    summary="PyBullet or MuJoCo simulation: a table with coloured cubes in random places",
+                    summary="PyBullet or MuJoCo simulation: a table with coloured cubes in random "
+                    "places",
                     target="rn_robot_fr3.driver:SimulatedDriver",
                     config="rn_robot_fr3.options:SimulatedDriverOptions",
                     simulated=True,
@@ -48,7 +64,8 @@ def roboneuron_robots() -> Sequence[RobotSpec]:
                 ),
                 DriverSpec(
                     name="fci",
-                    summary="The arm itself, over its network protocol (FCI, protocol 10); or franka-sim",
+                    summary="The arm itself, over its network protocol (FCI, protocol 10); or "
+                    "franka-sim",
                     target="rn_robot_fr3.fci.driver:FciDriver",
                     config="rn_robot_fr3.fci.options:FciDriverOptions",
                     requires=_FCI,

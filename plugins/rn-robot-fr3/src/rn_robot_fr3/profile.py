@@ -47,7 +47,8 @@ def _endpoints() -> tuple[Endpoint, ...]:
             kind="publish",
             topic="joint_trajectory",
             type="trajectory_msgs/msg/JointTrajectory",
-            summary="Move arm joints fr3_joint1..7 [rad] and the finger fr3_finger_joint1 [m, 0 closed .. 0.04 open].",
+            summary="Move arm joints fr3_joint1..7 [rad] and the finger fr3_finger_joint1 [m, 0 "
+            "closed .. 0.04 open].",
             rate_hz=50.0,
             joint_limited=True,
         ),
@@ -70,7 +71,9 @@ def _endpoints() -> tuple[Endpoint, ...]:
 
 
 def profile() -> RobotProfile:
-    """The profile of a Franka Research 3 with Franka Hand, a camera beside the table and one at the wrist."""
+    """The profile of a Franka Research 3 with Franka Hand, a camera beside the table and one at
+    the wrist.
+    """
     return RobotProfile(
         name="fr3",
         urdf=urdf(),
@@ -79,14 +82,22 @@ def profile() -> RobotProfile:
         arm_joints=ARM_JOINTS,
         limits=joint_limits(),
         home_rad=np.array(HOME_RAD),
-        gripper=GripperProfile(joint=FINGER_JOINT, closed_position=0.0, open_position=FINGER_OPEN_M),
+        gripper=GripperProfile(
+            joint=FINGER_JOINT, closed_position=0.0, open_position=FINGER_OPEN_M
+        ),
         cameras=tuple(camera.profile() for camera in cameras()),
         collision=CollisionProfile(
             min_distance_m=MIN_DISTANCE_M,
-            obstacles=(Obstacle(name="table", lower_m=np.array(TABLE_LOWER_M), upper_m=np.array(TABLE_UPPER_M)),),
+            obstacles=(
+                Obstacle(
+                    name="table", lower_m=np.array(TABLE_LOWER_M), upper_m=np.array(TABLE_UPPER_M)
+                ),
+            ),
             tool_links=FINGER_LINKS,
         ),
-        workspace=Workspace(lower_m=np.array(WORKSPACE_LOWER_M), upper_m=np.array(WORKSPACE_UPPER_M)),
+        workspace=Workspace(
+            lower_m=np.array(WORKSPACE_LOWER_M), upper_m=np.array(WORKSPACE_UPPER_M)
+        ),
         endpoints=_endpoints(),
         own_topics=OWN_TOPICS,
     )

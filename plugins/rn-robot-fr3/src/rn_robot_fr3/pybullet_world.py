@@ -39,7 +39,9 @@ def _gui_client() -> int:
     check_display()
     client = int(pybullet.connect(pybullet.GUI))
     if client < 0:
-        raise ConfigurationError("PyBullet could not open a window on the display.", hint="Set gui = false.")
+        raise ConfigurationError(
+            "PyBullet could not open a window on the display.", hint="Set gui = false."
+        )
     pybullet.configureDebugVisualizer(pybullet.COV_ENABLE_GUI, 0, physicsClientId=client)
     pybullet.resetDebugVisualizerCamera(1.3, 60, -32, [0.4, 0.0, 0.1], physicsClientId=client)
     return client
@@ -58,7 +60,9 @@ class PybulletWorld:
     engine: Engine = "pybullet"
 
     def __init__(self, cubes: Sequence[Cube], *, gui: bool = False) -> None:
-        """Connect and build. Raises ConfigurationError when a window is asked for and there is no display."""
+        """Connect and build. Raises ConfigurationError when a window is asked for and there is
+        no display.
+        """
         self.client = _gui_client() if gui else int(pybullet.connect(pybullet.DIRECT))
         self._connected = True
         self._force: list[float] = []
@@ -74,42 +78,65 @@ class PybulletWorld:
         self.cube_bodies = {cube.name: self._add_cube(cube) for cube in cubes}
 
     def _box(
-        self, size_m: Sequence[float], centre_m: Sequence[float], rgba: Sequence[float], mass_kg: float = 0
+        self,
+        size_m: Sequence[float],
+        centre_m: Sequence[float],
+        rgba: Sequence[float],
+        mass_kg: float = 0,
     ) -> int:
         half = [side / 2 for side in size_m]
-        shape = pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=half, physicsClientId=self.client)
+        shape = pybullet.createCollisionShape(
+            pybullet.GEOM_BOX, halfExtents=half, physicsClientId=self.client
+        )
         visual = pybullet.createVisualShape(
             pybullet.GEOM_BOX, halfExtents=half, rgbaColor=rgba, physicsClientId=self.client
         )
-        return int(pybullet.createMultiBody(mass_kg, shape, visual, centre_m, physicsClientId=self.client))
+        return int(
+            pybullet.createMultiBody(mass_kg, shape, visual, centre_m, physicsClientId=self.client)
+        )
 
     def _add_table(self) -> None:
         table = self._box(TABLE_SIZE_M, TABLE_CENTRE_M, TABLE_RGBA)
-        pybullet.changeDynamics(table, -1, lateralFriction=TABLE_FRICTION, physicsClientId=self.client)
+        pybullet.changeDynamics(
+            table, -1, lateralFriction=TABLE_FRICTION, physicsClientId=self.client
+        )
 
     def _add_robot(self) -> int:
-        """PyBullet reads descriptions from files only: write the one with meshes to a temporary folder."""
+        """PyBullet reads descriptions from files only: write the one with meshes to a temporary
+        folder.
+        """
         meshes = Path(pybullet_data.getDataPath()) / "franka_panda" / "meshes" / "collision"
         with tempfile.TemporaryDirectory(prefix="rn-fr3-") as folder:
             path = Path(folder) / "fr3.urdf"
             path.write_text(urdf_with_meshes(str(meshes)), encoding="utf-8")
             flags = pybullet.URDF_USE_INERTIA_FROM_FILE
-            body = pybullet.loadURDF(str(path), useFixedBase=True, flags=flags, physicsClientId=self.client)
+            body = pybullet.loadURDF(
+                str(path), useFixedBase=True, flags=flags, physicsClientId=self.client
+            )
         return int(body)
 
     def _add_cube(self, cube: Cube) -> int:
         mass_kg = WOOD_KG_M3 * cube.edge_m**3
-        body = self._box((cube.edge_m,) * 3, (cube.x_m, cube.y_m, cube.edge_m / 2), RGBA_BY_COLOUR[cube.name], mass_kg)
+        body = self._box(
+            (cube.edge_m,) * 3,
+            (cube.x_m, cube.y_m, cube.edge_m / 2),
+            RGBA_BY_COLOUR[cube.name],
+            mass_kg,
+        )
         rotation = pybullet.getQuaternionFromEuler((0.0, 0.0, cube.yaw_rad))
         position = (cube.x_m, cube.y_m, cube.edge_m / 2)
-        pybullet.resetBasePositionAndOrientation(body, position, rotation, physicsClientId=self.client)
+        pybullet.resetBasePositionAndOrientation(
+            body, position, rotation, physicsClientId=self.client
+        )
         return body
 
     def set_cubes(self, poses: Mapping[str, RawPose]) -> None:
         """See `World`."""
         for name, (position, rotation) in poses.items():
             body = self.cube_bodies[name]
-            pybullet.resetBasePositionAndOrientation(body, position, rotation, physicsClientId=self.client)
+            pybullet.resetBasePositionAndOrientation(
+                body, position, rotation, physicsClientId=self.client
+            )
 
     def cube_poses(self) -> dict[str, RawPose]:
         """See `World`."""
@@ -139,19 +166,34 @@ class PybulletWorld:
         sliding, spinning, _ = FINGER_FRICTION
         for index in (left, right):
             pybullet.changeDynamics(
-                self.robot, index, lateralFriction=sliding, spinningFriction=spinning, physicsClientId=client
+                self.robot,
+                index,
+                lateralFriction=sliding,
+                spinningFriction=spinning,
+                physicsClientId=client,
             )
         gear = pybullet.createConstraint(
-            self.robot, left, self.robot, right, pybullet.JOINT_GEAR, [1, 0, 0], [0, 0, 0], [0, 0, 0],
+            self.robot,
+            left,
+            self.robot,
+            right,
+            pybullet.JOINT_GEAR,
+            [1, 0, 0],
+            [0, 0, 0],
+            [0, 0, 0],
             physicsClientId=client,
-        )  # fmt: skip
+        )
         pybullet.changeConstraint(gear, gearRatio=-1, erp=0.2, maxForce=100, physicsClientId=client)
         sliding, spinning, rolling = CUBE_FRICTION
         for body in self.cube_bodies.values():
             pybullet.changeDynamics(
-                body, -1, lateralFriction=sliding, spinningFriction=spinning, rollingFriction=rolling,
+                body,
+                -1,
+                lateralFriction=sliding,
+                spinningFriction=spinning,
+                rollingFriction=rolling,
                 physicsClientId=client,
-            )  # fmt: skip
+            )
 
     def step(self, position: Sequence[float], velocity: Sequence[float]) -> None:
         """See `World`."""
@@ -170,7 +212,9 @@ class PybulletWorld:
 
     def joint_states(self) -> tuple[F64, F64]:
         """See `World`."""
-        states = pybullet.getJointStates(self.robot, self.joint_indices, physicsClientId=self.client)
+        states = pybullet.getJointStates(
+            self.robot, self.joint_indices, physicsClientId=self.client
+        )
         return np.array([state[0] for state in states]), np.array([state[1] for state in states])
 
     def T_base_tcp(self) -> F64:

@@ -25,7 +25,8 @@ def render(
     width: int,
     height: int,
 ) -> NDArray[np.uint8]:
-    """Draw what the camera sees, uint8 (H, W, 3) RGB, without shadows; rays go through the middle of each pixel.
+    """Draw what the camera sees, uint8 (H, W, 3) RGB, without shadows; rays go through the middle
+    of each pixel.
 
     Args:
         model, data: the world; body poses are up to date.
@@ -39,7 +40,9 @@ def render(
     light = np.array(LIGHT_DIRECTION) / np.linalg.norm(LIGHT_DIRECTION)
     brightness = AMBIENT + DIFFUSE * np.maximum(normals[hit] @ light, 0.0)
     image = np.broadcast_to(backdrop(height), (height, width, 3)).reshape(-1, 3).copy()
-    image[hit] = (255.0 * model.geom_rgba[:, :3])[geoms[hit]] * brightness.astype(np.float32)[:, None]
+    image[hit] = (255.0 * model.geom_rgba[:, :3])[geoms[hit]] * brightness.astype(np.float32)[
+        :, None
+    ]
     return image.reshape(height, width, 3)
 
 

@@ -1,4 +1,6 @@
-"""Pictures of a PyBullet world, drawn on the CPU (TinyRenderer) so that they need neither display nor GPU."""
+"""Pictures of a PyBullet world, drawn on the CPU (TinyRenderer) so that they need neither
+display nor GPU.
+"""
 
 from __future__ import annotations
 
@@ -27,8 +29,9 @@ def _view(T_base_camera: F64) -> list[float]:
 def _projection(intrinsics: F64, width: int, height: int) -> list[float]:
     """OpenGL projection matrix, column by column, of a pinhole camera.
 
-    TinyRenderer samples a pixel at its lower left corner where the contract says its centre; the image is shifted by
-    that half pixel, left and down (without it, projected cubes lie 0.5 px beside their pixels in u and in v).
+    TinyRenderer samples a pixel at its lower left corner where the contract says its centre; the
+    image is shifted by that half pixel, left and down (without it, projected cubes lie 0.5 px
+    beside their pixels in u and in v).
     """
     matrix = np.zeros((4, 4))
     matrix[0, 0] = 2.0 * intrinsics[0, 0] / width

@@ -25,7 +25,9 @@ REGION_X_M = (0.40, 0.62)
 REGION_Y_M = (-0.24, 0.24)
 """Where cube centres may lie: the gripper reaches every point of it pointing straight down."""
 SPACING_M = 0.115
-"""Least distance between two centres: room for an open finger (66 mm from the middle) beside a cube's corner."""
+"""Least distance between two centres: room for an open finger (66 mm from the middle) beside a
+cube's corner.
+"""
 EDGE_M = (0.040, 0.048)
 """Cube edges: the diagonal of the largest still passes the open gripper (80 mm)."""
 _ATTEMPTS = 2000
@@ -58,9 +60,13 @@ def check_colours(colours: Sequence[str]) -> tuple[str, ...]:
     known = ", ".join(RGBA_BY_COLOUR)
     unknown = [colour for colour in colours if colour not in RGBA_BY_COLOUR]
     if unknown:
-        raise ConfigurationError(f"Cube colour {unknown[0]!r} is not known, expected some of {known}.")
+        raise ConfigurationError(
+            f"Cube colour {unknown[0]!r} is not known, expected some of {known}."
+        )
     if not colours or len(set(colours)) != len(colours):
-        raise ConfigurationError(f"Cube colours are {list(colours)}, expected at least one and each only once.")
+        raise ConfigurationError(
+            f"Cube colours are {list(colours)}, expected at least one and each only once."
+        )
     return tuple(colours)
 
 
@@ -85,8 +91,13 @@ def random_cubes(seed: int, colours: Sequence[str] = DEFAULT_COLOURS) -> tuple[C
         if distance.min() >= SPACING_M:
             break
     else:
-        raise ConfigurationError(f"{len(names)} cubes find no room {SPACING_M} m apart; ask for fewer.")
-    edge, yaw = random.uniform(*EDGE_M, len(names)), random.uniform(-math.pi / 4, math.pi / 4, len(names))
+        raise ConfigurationError(
+            f"{len(names)} cubes find no room {SPACING_M} m apart; ask for fewer."
+        )
+    edge, yaw = (
+        random.uniform(*EDGE_M, len(names)),
+        random.uniform(-math.pi / 4, math.pi / 4, len(names)),
+    )
     return tuple(
         Cube(name=n, edge_m=float(e), x_m=float(a), y_m=float(b), yaw_rad=float(c))
         for n, e, a, b, c in zip(names, edge, x, y, yaw, strict=True)

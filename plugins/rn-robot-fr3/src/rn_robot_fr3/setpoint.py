@@ -1,4 +1,6 @@
-"""Joint setpoints that move smoothly: bounded velocity and acceleration, whenever and wherever the target changes."""
+"""Joint setpoints that move smoothly: bounded velocity and acceleration, whenever and wherever
+the target changes.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,8 @@ _ARRIVED = 1e-7
 
 
 class JointSetpoint:
-    """Setpoints of n joints on their way to targets; pure computation, advanced once per physics step.
+    """Setpoints of n joints on their way to targets; pure computation, advanced once per physics
+    step.
 
     Attributes:
         position, velocity, target: float64 (n,) [rad, m, per s].
@@ -32,13 +35,17 @@ class JointSetpoint:
         self._remaining_s = np.zeros_like(self.position)
 
     def aim(self, target: F64, joints: Sequence[int], duration_s: float) -> None:
-        """Send `joints` to their entries of `target` (n,), within `duration_s` or as soon after as the limits allow."""
+        """Send `joints` to their entries of `target` (n,), within `duration_s` or as soon after
+        as the limits allow.
+        """
         chosen = list(joints)
         self.target[chosen] = target[chosen]
         self._remaining_s[chosen] = duration_s
 
     def shortest_s(self, target: F64, joints: Sequence[int]) -> float:
-        """Least time [s] from rest for the slowest of `joints` to reach `target` (n,), with a trapezoid of velocity."""
+        """Least time [s] from rest for the slowest of `joints` to reach `target` (n,), with a
+        trapezoid of velocity.
+        """
         chosen = list(joints)
         distance, limit = np.abs(target - self.position)[chosen], self._acceleration_limit[chosen]
         speed = np.minimum(self._velocity_limit[chosen], np.sqrt(distance * limit))

@@ -1,4 +1,6 @@
-"""The physics of the FR3 cell, stepped by hand: tests and benchmarks run it faster than real time."""
+"""The physics of the FR3 cell, stepped by hand: tests and benchmarks run it faster than real
+time.
+"""
 
 from __future__ import annotations
 
@@ -38,15 +40,17 @@ COMMANDED = (*ARM_JOINTS, FINGER_JOINT)
 _ARM = slice(0, 7)
 _FINGER_ACCELERATION_M_S2 = 1.0
 _FINGER_FORCE_N = 40.0
-"""Grasping force of the simulated gripper: well above what a wooden cube needs, below what squeezes it through."""
+"""Grasping force of the simulated gripper: well above what a wooden cube needs, below what
+squeezes it through.
+"""
 _JUDGE_EVERY = 4
 
 
 class Simulation:
     """A simulated FR3 before a table with coloured cubes; used from one thread.
 
-    Use it as a context manager, or call `open` and `close`. The scene depends on `seed` and `colours` only, and the
-    same calls give the same motion in the same engine.
+    Use it as a context manager, or call `open` and `close`. The scene depends on `seed` and
+    `colours` only, and the same calls give the same motion in the same engine.
     """
 
     def __init__(
@@ -86,7 +90,10 @@ class Simulation:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self.close()
 
@@ -114,7 +121,9 @@ class Simulation:
     def world(self) -> World:
         """The world while it is open. Raises StateError otherwise."""
         if self._world is None:
-            raise StateError("The simulation is not open.", hint="Call open() or use it as a context manager.")
+            raise StateError(
+                "The simulation is not open.", hint="Call open() or use it as a context manager."
+            )
         return self._world
 
     @property
@@ -133,19 +142,25 @@ class Simulation:
             if self.steps % _JUDGE_EVERY == 0:
                 self._lifts.observe(self.time_s, world.cube_poses())
 
-    def set_target(self, names: Sequence[str], position: ArrayLike, duration_s: float) -> JointCommand:
+    def set_target(
+        self, names: Sequence[str], position: ArrayLike, duration_s: float
+    ) -> JointCommand:
         """Send joints to `position` [rad, m] within `duration_s`; unnamed joints keep their target.
 
-        Positions are clamped to the limits, and the motion takes longer where velocity or acceleration need it.
+        Positions are clamped to the limits, and the motion takes longer where velocity or
+        acceleration need it.
 
         Returns:
             The command as it is carried out: clamped positions, possible duration.
 
         Raises:
-            InvalidInputError: an unknown or repeated joint, a non-finite value, a wrong size, a duration <= 0.
+            InvalidInputError: an unknown or repeated joint, a non-finite value, a wrong size, a
+                duration <= 0.
         """
         wanted = JointCommand(
-            names=tuple(names), position=np.asarray(position, dtype=np.float64), duration_s=duration_s
+            names=tuple(names),
+            position=np.asarray(position, dtype=np.float64),
+            duration_s=duration_s,
         )
         checked(wanted)
         indices = [COMMANDED.index(name) for name in names]
@@ -158,16 +173,21 @@ class Simulation:
         return JointCommand(names=tuple(names), position=target[indices], duration_s=possible_s)
 
     def _release_fingers(self, target_m: float) -> None:
-        """After a grasp the setpoint lies inside the object: opening starts from where the finger really is.
+        """After a grasp the setpoint lies inside the object: opening starts from where the finger
+        really is.
 
         A command that closes keeps the setpoint, and with it the force.
         """
         measured_m = float(self.joint_positions()[len(ARM_JOINTS)])
         if target_m > self._setpoint.position[-1]:
-            self._setpoint.position[-1] = max(self._setpoint.position[-1], min(measured_m, target_m))
+            self._setpoint.position[-1] = max(
+                self._setpoint.position[-1], min(measured_m, target_m)
+            )
 
     def hold(self) -> None:
-        """Brake the arm to a standstill and stay; the gripper keeps its target, so that nothing is dropped."""
+        """Brake the arm to a standstill and stay; the gripper keeps its target, so that nothing
+        is dropped.
+        """
         self._setpoint.halt(_ARM)
 
     def joint_positions(self) -> F64:
@@ -192,7 +212,9 @@ class Simulation:
         return opening(self.joint_positions())
 
     def cubes(self) -> dict[str, CubeState]:
-        """Where each cube is, by name: ground truth, for judging and tests only, never for a policy."""
+        """Where each cube is, by name: ground truth, for judging and tests only, never for a
+        policy.
+        """
         return self._lifts.states(self.world.cube_poses())
 
     def render(
@@ -204,12 +226,16 @@ class Simulation:
             InvalidInputError: no camera of that name.
         """
         if camera not in self._cameras:
-            raise InvalidInputError(f"Camera {camera!r} is not known, expected one of {', '.join(self._cameras)}.")
+            raise InvalidInputError(
+                f"Camera {camera!r} is not known, expected one of {', '.join(self._cameras)}."
+            )
         return self.world.render(self._cameras[camera].calibration(width, height), width, height)
 
 
 def opening(position: F64) -> float:
-    """Gripper opening, 0 closed .. 1 open, for joint positions (9,) in the order of `world.JOINTS`."""
+    """Gripper opening, 0 closed .. 1 open, for joint positions (9,) in the order of
+    `world.JOINTS`.
+    """
     return float(np.clip(position[len(ARM_JOINTS)] / FINGER_OPEN_M, 0.0, 1.0))
 
 

@@ -1,7 +1,8 @@
 """What the simulation tells its cameras: one message with everything that is needed to draw it.
 
-`std_msgs/Float64MultiArray`: the label of the only dimension describes the scene as JSON, the data are stamp (seconds,
-nanoseconds), joints in the order of `world.JOINTS`, then position and quaternion (x y z w) of each cube.
+`std_msgs/Float64MultiArray`: the label of the only dimension describes the scene as JSON, the data
+are stamp (seconds, nanoseconds), joints in the order of `world.JOINTS`, then position and
+quaternion (x y z w) of each cube.
 """
 
 from __future__ import annotations
@@ -34,7 +35,8 @@ class SceneState:
         seed: of the scene.
         cubes: name and edge [m] of each cube.
         joints: float64 (9,), in the order of `world.JOINTS` [rad, m].
-        cube_poses: float64 (n, 7), position [m] and quaternion x y z w in the base frame, in the order of `cubes`.
+        cube_poses: float64 (n, 7), position [m] and quaternion x y z w in the base frame, in the
+            order of `cubes`.
         stamp_ns: ROS time of this moment [ns].
     """
 
@@ -51,7 +53,9 @@ def to_message(state: SceneState) -> Float64MultiArray:
     message = Float64MultiArray()
     values = [*divmod(state.stamp_ns, _NANOSECONDS), *state.joints, *state.cube_poses.ravel()]
     message.data = [float(value) for value in values]
-    label = json.dumps({"engine": state.engine, "seed": state.seed, "cubes": state.cubes}, separators=(",", ":"))
+    label = json.dumps(
+        {"engine": state.engine, "seed": state.seed, "cubes": state.cubes}, separators=(",", ":")
+    )
     message.layout.dim = [MultiArrayDimension(label=label, size=len(values), stride=len(values))]
     return message
 
@@ -68,14 +72,20 @@ def from_message(message: Float64MultiArray) -> SceneState:
         seed = int(described["seed"])
         cubes = tuple((str(name), float(edge_m)) for name, edge_m in described["cubes"])
     except (IndexError, KeyError, TypeError, ValueError) as error:
-        raise InvalidInputError(f"A message on {TOPIC!r} does not describe a scene: {error}.") from error
+        raise InvalidInputError(
+            f"A message on {TOPIC!r} does not describe a scene: {error}."
+        ) from error
     strange = [name for name, _ in cubes if name not in RGBA_BY_COLOUR]
     if strange:
-        raise InvalidInputError(f"A message on {TOPIC!r} names a cube {strange[0]!r}, which has no known colour.")
+        raise InvalidInputError(
+            f"A message on {TOPIC!r} names a cube {strange[0]!r}, which has no known colour."
+        )
     values = np.array(message.data, dtype=np.float64)
     expected = 2 + len(JOINTS) + _POSE_SIZE * len(cubes)
     if values.shape != (expected,) or not np.isfinite(values).all():
-        raise InvalidInputError(f"A message on {TOPIC!r} holds {values.size} values, expected {expected} finite ones.")
+        raise InvalidInputError(
+            f"A message on {TOPIC!r} holds {values.size} values, expected {expected} finite ones."
+        )
     return SceneState(
         engine=engine,
         seed=seed,

@@ -1,4 +1,6 @@
-"""A render twin: a second world without physics that shows what the simulation in another process looks like."""
+"""A render twin: a second world without physics that shows what the simulation in another
+process looks like.
+"""
 
 from __future__ import annotations
 
@@ -20,11 +22,16 @@ class RenderTwin:
         self._scene: tuple[object, ...] | None = None
 
     def show(self, state: SceneState) -> None:
-        """Put everything where `state` says; builds another world when scene or engine is another one (about 50 ms)."""
+        """Put everything where `state` says; builds another world when scene or engine is
+        another one (about 50 ms).
+        """
         scene = (state.engine, state.seed, state.cubes)
         if self._world is None or scene != self._scene:
             self.close()
-            cubes = [Cube(name=name, edge_m=edge_m, x_m=0.0, y_m=0.0, yaw_rad=0.0) for name, edge_m in state.cubes]
+            cubes = [
+                Cube(name=name, edge_m=edge_m, x_m=0.0, y_m=0.0, yaw_rad=0.0)
+                for name, edge_m in state.cubes
+            ]
             self._world = build_world(state.engine, cubes)
             self._scene = scene
         self._world.set_joints(state.joints.tolist())
@@ -32,7 +39,9 @@ class RenderTwin:
         self._world.set_cubes({name: (pose[:3], pose[3:]) for (name, _), pose in poses})
 
     def render(self, calibration: CameraCalibration, width: int, height: int) -> NDArray[np.uint8]:
-        """What a camera sees of the state last shown: uint8 (height, width, 3) RGB. Raises StateError before it."""
+        """What a camera sees of the state last shown: uint8 (height, width, 3) RGB. Raises
+        StateError before it.
+        """
         if self._world is None:
             raise StateError("The render twin has not been shown any state yet.")
         return self._world.render(calibration, width, height)

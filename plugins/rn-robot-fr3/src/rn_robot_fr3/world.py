@@ -1,7 +1,8 @@
-"""The simulated world as the rest of the package sees it; PyBullet and MuJoCo each build the same one.
+"""The simulated world as the rest of the package sees it; PyBullet and MuJoCo each build the same
+one.
 
-The robot stands at the origin, the table top is at z = 0, the cubes lie on it. The physics and the render twin, in
-another process, each build one.
+The robot stands at the origin, the table top is at z = 0, the cubes lie on it. The physics and the
+render twin, in another process, each build one.
 """
 
 from __future__ import annotations
@@ -29,7 +30,9 @@ TABLE_SIZE_M = (1.30, 1.20, 0.05)
 TABLE_CENTRE_M = (0.35, 0.0, -0.025)
 TABLE_RGBA = (0.80, 0.76, 0.70, 1.0)
 TABLE_FRICTION = 0.8
-"""Sliding friction; the other coefficients are sliding, spinning and rolling (spinning and rolling in m)."""
+"""Sliding friction; the other coefficients are sliding, spinning and rolling (spinning and
+rolling in m).
+"""
 FINGER_FRICTION = (1.2, 0.02, 0.0)
 CUBE_FRICTION = (1.0, 0.005, 0.0005)
 
@@ -48,14 +51,17 @@ class World(Protocol):
         ...
 
     def prepare_physics(self, step_s: float, force: Sequence[float]) -> None:
-        """Set time step and friction, couple the fingers, and limit the motors, in the order of `JOINTS` [Nm, N].
+        """Set time step and friction, couple the fingers, and limit the motors, in the order of
+        `JOINTS` [Nm, N].
 
         The render twin does without.
         """
         ...
 
     def step(self, position: Sequence[float], velocity: Sequence[float]) -> None:
-        """Advance by one step, the motors aiming at these, in the order of `JOINTS` [rad, m, per s]."""
+        """Advance by one step, the motors aiming at these, in the order of `JOINTS` [rad, m,
+        per s].
+        """
         ...
 
     def joint_states(self) -> tuple[F64, F64]:

@@ -1,4 +1,6 @@
-"""One HTTP connection that is kept open, held to a deadline as a whole, and can be cut from another thread."""
+"""One HTTP connection that is kept open, held to a deadline as a whole, and can be cut from
+another thread.
+"""
 
 from __future__ import annotations
 
@@ -95,7 +97,9 @@ class Connection:
         self._open: http.client.HTTPConnection | None = None
         self._deadline_s = 0.0
 
-    def request(self, method: str, path: str, deadline_s: float, body: bytes | None = None) -> Answer:
+    def request(
+        self, method: str, path: str, deadline_s: float, body: bytes | None = None
+    ) -> Answer:
         """Send one request and read its answer.
 
         Args:
@@ -122,7 +126,9 @@ class Connection:
             response = connection.getresponse()
             content = response.read(MAX_ANSWER_BYTES)
             if not response.isclosed():
-                raise ServerLost(f"{url} sent an answer of over {MAX_ANSWER_BYTES} bytes to {path}.")
+                raise ServerLost(
+                    f"{url} sent an answer of over {MAX_ANSWER_BYTES} bytes to {path}."
+                )
             if response.will_close:
                 self.close()
             return Answer(status=response.status, body=content)

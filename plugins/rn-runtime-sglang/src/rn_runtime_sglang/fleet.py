@@ -1,4 +1,6 @@
-"""All servers of one model: each request goes to the ready one with the least load, and to another when that fails."""
+"""All servers of one model: each request goes to the ready one with the least load, and to
+another when that fails.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +40,8 @@ class Fleet:
             check: called while waiting; may raise.
 
         Raises:
-            RoboNeuronError: what is wrong with a server that may not be used (each of them is an error at the start).
+            RoboNeuronError: what is wrong with a server that may not be used (each of them is an
+                error at the start).
             NotReadyError: none became ready.
         """
         for server in self._servers:
@@ -66,7 +69,14 @@ class Fleet:
         return " ".join(server.problem for server in self._servers if server.problem)
 
     def generate(
-        self, body: bytes, deadline_s: float, *, attempts: int, count: int, vocabulary: int, check: Check
+        self,
+        body: bytes,
+        deadline_s: float,
+        *,
+        attempts: int,
+        count: int,
+        vocabulary: int,
+        check: Check,
     ) -> Generated:
         """Have one request answered.
 
@@ -95,7 +105,8 @@ class Fleet:
                 check()
                 self._counts["late"] += 1
                 raise NotReadyError(
-                    f"{server.url} did not answer in time; the request was aborted ({self._counts['late']} so far)."
+                    f"{server.url} did not answer in time; the request was aborted "
+                    f"({self._counts['late']} so far)."
                 ) from late
             except (ServerLost, MalformedReply) as lost:
                 check()
@@ -104,13 +115,16 @@ class Fleet:
                 error = lost
             finally:
                 self._current = None
-        raise NotReadyError(f"No server answered: {error or 'the deadline had passed before.'}") from error
+        raise NotReadyError(
+            f"No server answered: {error or 'the deadline had passed before.'}"
+        ) from error
 
     def _choose(self, failed: Sequence[Server]) -> Server:
         usable = [server for server in self._servers if server.refusal is None]
         if not usable:
             raise self._no_server()
-        # A server that is not ready is still asked when no other is left: it may be back before the next poll.
+        # A server that is not ready is still asked when no other is left: it may be back before the
+        # next poll.
         return min(usable, key=lambda server: (server in failed, not server.is_ready, server.load))
 
     def _no_server(self) -> RoboNeuronError:
@@ -126,8 +140,13 @@ class Fleet:
             server.cut()
 
     def metrics(self) -> Mapping[str, float]:
-        """Counters since the start, servers that are ready, and what the servers say of themselves, summed up."""
-        counted = {f"served.{word}": float(self._counts[word]) for word in ("late", "failed", "retried", "aborted")}
+        """Counters since the start, servers that are ready, and what the servers say of
+        themselves, summed up.
+        """
+        counted = {
+            f"served.{word}": float(self._counts[word])
+            for word in ("late", "failed", "retried", "aborted")
+        }
         summed: Counter[str] = Counter()
         for server in self._servers:
             summed.update(server.metrics)

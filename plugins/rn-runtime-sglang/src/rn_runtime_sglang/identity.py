@@ -1,4 +1,6 @@
-"""Is it the right model, in a release that was tried? Asked before the first request and after every return."""
+"""Is it the right model, in a release that was tried? Asked before the first request and after
+every return.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,9 @@ class Expectation:
 
     @classmethod
     def of(cls, checkpoint: Path) -> Expectation:
-        """Read what identifies the checkpoint. Raises CheckpointError when its files cannot be read."""
+        """Read what identifies the checkpoint. Raises CheckpointError when its files cannot be
+        read.
+        """
         path = checkpoint.resolve()
         try:
             return cls(name=path.name, served=served_name(path))
@@ -78,7 +82,9 @@ class Expectation:
             return
         if "@" in served or PurePath(str(info.get("model_path"))).name != self.name:
             raise CheckpointError(
-                f"{url} serves {served!r} from {info.get('model_path')!r}, but the backend's checkpoint is "
+                f"{url} serves {served!r} from {info.get('model_path')!r}, but the backend's "
+                "checkpoint is "
                 f"{self.served!r}.",
-                hint="Serve that checkpoint there, or set `checkpoint` to a copy of the served one.",
+                hint="Serve that checkpoint there, or set `checkpoint` to a copy of the served "
+                "one.",
             )

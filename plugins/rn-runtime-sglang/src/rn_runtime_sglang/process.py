@@ -1,4 +1,6 @@
-"""Managed mode: a server of our own in its own virtual environment, process group and log, ended with this process."""
+"""Managed mode: a server of our own in its own virtual environment, process group and log,
+ended with this process.
+"""
 
 from __future__ import annotations
 
@@ -25,8 +27,8 @@ _STOP_S = 1.5
 _PROBE_S = 60.0
 OURS = ("rn-runtime-sglang", "rn-vla", "roboneuron-core")
 NEEDED = ("lazy-loader", "simplejpeg")
-"""What the served half of OURS imports and SGLang does not bring. OURS are installed without their requirements, which
-would bring ROS and MCP."""
+"""What the served half of OURS imports and SGLang does not bring. OURS are installed without their
+requirements, which would bring ROS and MCP."""
 _PROBE = """
 import importlib.metadata as m, json, sys
 def v(name):
@@ -58,17 +60,22 @@ class ManagedServer:
         """Check the environment, launch the server and return its URL; it is not ready yet.
 
         Raises:
-            MissingDependencyError: SGLang or this package is not installed there, or in another release.
+            MissingDependencyError: SGLang or this package is not installed there, or in another
+                release.
             ConfigurationError: the interpreter cannot be run, or the port is taken.
         """
         check_environment(self._python, self._environment())
         port = free_port(self._config.port)
         self._log = self._open_log()
-        self._thread = threading.Thread(target=self._watch, args=(port,), name="sglang server", daemon=True)
+        self._thread = threading.Thread(
+            target=self._watch, args=(port,), name="sglang server", daemon=True
+        )
         self._thread.start()
         self._spawned.wait()
         if self._error is not None:
-            raise ConfigurationError(f"{self._python} cannot be started: {self._error}") from self._error
+            raise ConfigurationError(
+                f"{self._python} cannot be started: {self._error}"
+            ) from self._error
         return f"http://127.0.0.1:{port}"
 
     def failure(self) -> str:
@@ -76,7 +83,11 @@ class ManagedServer:
         if self._stopping or not self._ended.is_set() or self._child is None:
             return ""
         status = self._child.returncode
-        how = f"was ended by {signal.Signals(-status).name}" if status < 0 else f"ended with status {status}"
+        how = (
+            f"was ended by {signal.Signals(-status).name}"
+            if status < 0
+            else f"ended with status {status}"
+        )
         return f"The SGLang server (process {self._child.pid}) {how}. {self.last_lines()}"
 
     def check(self) -> None:
@@ -101,12 +112,21 @@ class ManagedServer:
 
     def _environment(self) -> dict[str, str]:
         # This process's own Python and library paths belong to another environment.
-        inherited = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "PYTHONHOME")}
+        inherited = {
+            name: value
+            for name, value in os.environ.items()
+            if name not in ("PYTHONPATH", "PYTHONHOME")
+        }
         libraries = inherited.pop("LD_LIBRARY_PATH", "").split(os.pathsep)
         kept = [path for path in libraries if path and not Path(path).is_relative_to(sys.prefix)]
         if kept:
             inherited["LD_LIBRARY_PATH"] = os.pathsep.join(kept)
-        return {**inherited, "PYTHONUNBUFFERED": "1", **self._config.environment, KEY_VARIABLE: self._key}
+        return {
+            **inherited,
+            "PYTHONUNBUFFERED": "1",
+            **self._config.environment,
+            KEY_VARIABLE: self._key,
+        }
 
     def _command(self, port: int) -> list[str]:
         config = self._config
@@ -130,7 +150,9 @@ class ManagedServer:
         return path
 
     def _watch(self, port: int) -> None:
-        """Spawn and reap on one thread: the kernel's death signal follows the thread that spawned."""
+        """Spawn and reap on one thread: the kernel's death signal follows the thread that
+        spawned.
+        """
         try:
             with self._log.open("wb") as output:
                 self._child = subprocess.Popen(
@@ -178,7 +200,9 @@ def _kill_group(group: int, number: signal.Signals) -> None:
 
 
 def free_port(wanted: int | None) -> int:
-    """`wanted` if nobody listens there, or any free port of this machine. Raises ConfigurationError."""
+    """`wanted` if nobody listens there, or any free port of this machine. Raises
+    ConfigurationError.
+    """
     with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
@@ -192,7 +216,9 @@ def free_port(wanted: int | None) -> int:
 
 
 def check_environment(python: Path, environment: dict[str, str]) -> None:
-    """Raise unless `python` runs and has a supported SGLang, this package and what it needs there."""
+    """Raise unless `python` runs and has a supported SGLang, this package and what it needs
+    there.
+    """
     first, end = (".".join(map(str, numbers)) for numbers in SUPPORTED)
     pip = f"{python} -m pip install"
     started_s = time.monotonic()
@@ -212,7 +238,9 @@ def check_environment(python: Path, environment: dict[str, str]) -> None:
         ) from error
     except (subprocess.SubprocessError, ValueError) as error:
         spent_s = time.monotonic() - started_s
-        raise ConfigurationError(f"`python` is {python}, which is no Python ({error}; {spent_s:.0f} s).") from error
+        raise ConfigurationError(
+            f"`python` is {python}, which is no Python ({error}; {spent_s:.0f} s)."
+        ) from error
     sglang = found["sglang"]
     if sglang is None:
         raise MissingDependencyError(

@@ -42,13 +42,17 @@ class SglangRuntime:
 
         Raises:
             InvalidInputError: not a model of a family it knows.
-            MissingDependencyError: SGLang is not installed where `python` says, or a server runs another release.
+            MissingDependencyError: SGLang is not installed where `python` says, or a server runs
+                another release.
             CheckpointError: a server serves another model.
             ConfigurationError: an option does not fit, or the API key is refused.
-            NotReadyError: no server is ready in time, or the launched one ended; with its last lines.
+            NotReadyError: no server is ready in time, or the launched one ended; with its last
+                lines.
         """
         if not isinstance(model, PolicyModel) or model.family not in FAMILIES:
-            raise InvalidInputError(f"Runtime 'sglang' got {model!r}, expected a PolicyModel of {', '.join(FAMILIES)}.")
+            raise InvalidInputError(
+                f"Runtime 'sglang' got {model!r}, expected a PolicyModel of {', '.join(FAMILIES)}."
+            )
         if acceleration is not None:
             raise ConfigurationError(
                 "Runtime 'sglang' executes the model in another process and takes no acceleration.",
@@ -66,7 +70,9 @@ class SglangRuntime:
         config = self._config
         expectation = Expectation.of(model.checkpoint)
         accesses = self._launch(model) if config.python is not None else self._remote()
-        fleet = self._fleet = Fleet([Server(access, expectation, config.poll_s) for access in accesses])
+        fleet = self._fleet = Fleet(
+            [Server(access, expectation, config.poll_s) for access in accesses]
+        )
         try:
             fleet.start(config.start_timeout_s, self._check_process)
         except NotReadyError as error:
@@ -79,7 +85,8 @@ class SglangRuntime:
         self._model = model
 
     def _launch(self, model: PolicyModel) -> list[Access]:
-        key = secrets.token_hex(24)  # never begins with "-", which an argument parser takes for an option
+        # never begins with "-", which an argument parser takes for an option
+        key = secrets.token_hex(24)
         self._managed = ManagedServer(self._config, model.checkpoint.resolve(), key)
         url = self._managed.start()
         return [Access(url=url, key=key, connect_timeout_s=self._config.connect_timeout_s)]
@@ -95,17 +102,22 @@ class SglangRuntime:
                     hint="Set it where the inference module starts, or leave `key_variable` out.",
                 )
         try:
-            tls = ssl.create_default_context(cafile=None if config.ca_file is None else str(config.ca_file))
+            tls = ssl.create_default_context(
+                cafile=None if config.ca_file is None else str(config.ca_file)
+            )
         except OSError as error:
             raise ConfigurationError(f"ca_file {config.ca_file} cannot be used: {error}") from error
         accesses = [
-            Access(url=url.rstrip("/"), key=key, connect_timeout_s=config.connect_timeout_s, tls=tls)
+            Access(
+                url=url.rstrip("/"), key=key, connect_timeout_s=config.connect_timeout_s, tls=tls
+            )
             for url in config.urls
         ]
         for access in accesses:
             if access.is_open_to_others:
                 log.warning(
-                    "%s is not encrypted: images, instructions%s and the actions that move the robot can be read and "
+                    "%s is not encrypted: images, instructions%s and the actions that move the "
+                    "robot can be read and "
                     "changed on the way. Use https or an encrypted tunnel.",
                     access.url,
                     ", the API key" if key else "",
@@ -117,14 +129,17 @@ class SglangRuntime:
 
         Raises:
             InvalidInputError: not a request that can be served.
-            NotReadyError: no answer in time, no server, or `abort` was called; nothing comes of a late answer.
+            NotReadyError: no answer in time, no server, or `abort` was called; nothing comes of a
+                late answer.
             UnsafeError: the model produced NaN or infinity.
         """
         fleet, model = self._fleet, self._model
         if fleet is None or model is None:
             raise StateError("Runtime 'sglang' holds no model; load one first.")
         if not isinstance(request, TokenRequest):
-            raise InvalidInputError(f"A request is a {type(request).__name__}, expected TokenRequest.")
+            raise InvalidInputError(
+                f"A request is a {type(request).__name__}, expected TokenRequest."
+            )
         self._check_request(request, model)
         self._aborted.clear()
         deadline_s = time.monotonic() + self._config.timeout_s
@@ -143,10 +158,13 @@ class SglangRuntime:
             )
         if not 1 <= request.max_new_tokens <= model.max_new_tokens:
             raise InvalidInputError(
-                f"{request.max_new_tokens} tokens were asked for, the model was loaded for 1 to {model.max_new_tokens}."
+                f"{request.max_new_tokens} tokens were asked for, the model was loaded for 1 to "
+                f"{model.max_new_tokens}."
             )
 
-    def _answer(self, fleet: Fleet, model: PolicyModel, request: TokenRequest, deadline_s: float) -> TokenReply:
+    def _answer(
+        self, fleet: Fleet, model: PolicyModel, request: TokenRequest, deadline_s: float
+    ) -> TokenReply:
         started_s = time.monotonic()
         body = encode_body(request, self._config.image_format)
         encoded_s = time.monotonic()

@@ -1,4 +1,6 @@
-"""One server: a thread of its own watches readiness, identity and load and carries out aborts; `generate` asks it."""
+"""One server: a thread of its own watches readiness, identity and load and carries out aborts;
+`generate` asks it.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,14 @@ from collections.abc import Mapping
 
 from rn_runtime_sglang.connection import Access, AnswerTooLate, Connection, ServerLost
 from rn_runtime_sglang.identity import Expectation
-from rn_runtime_sglang.wire import Generated, MalformedReply, error_text, parse_metrics, parse_reply, with_id
+from rn_runtime_sglang.wire import (
+    Generated,
+    MalformedReply,
+    error_text,
+    parse_metrics,
+    parse_reply,
+    with_id,
+)
 from roboneuron import ConfigurationError, InvalidInputError, NotReadyError, RoboNeuronError
 
 log = logging.getLogger(__name__)
@@ -73,7 +82,9 @@ class Server:
 
     def start(self) -> None:
         """Begin to watch."""
-        self._thread = threading.Thread(target=self._observe, name=f"sglang {self.url}", daemon=True)
+        self._thread = threading.Thread(
+            target=self._observe, name=f"sglang {self.url}", daemon=True
+        )
         self._thread.start()
 
     def wait_settled(self, timeout_s: float) -> bool:
@@ -91,7 +102,9 @@ class Server:
         self._work.close()
         self._watch.close()
 
-    def generate(self, rid: str, body: bytes, deadline_s: float, *, count: int, vocabulary: int) -> Generated:
+    def generate(
+        self, rid: str, body: bytes, deadline_s: float, *, count: int, vocabulary: int
+    ) -> Generated:
         """Send one request and wait for its reply.
 
         Raises:
@@ -103,7 +116,9 @@ class Server:
         try:
             answer = self._work.request("POST", "/generate", deadline_s, with_id(rid, body))
             if answer.status == 200:
-                return parse_reply(answer.body, self.url, rid=rid, count=count, vocabulary=vocabulary)
+                return parse_reply(
+                    answer.body, self.url, rid=rid, count=count, vocabulary=vocabulary
+                )
             text = f"{self.url} answered {answer.status}: {error_text(answer.body)}"
             if answer.status in (401, 403):
                 raise ConfigurationError(text, hint="The API key is not the server's.")
@@ -170,7 +185,11 @@ class Server:
 
     def _note(self, problem: str, refusal: RoboNeuronError | None) -> None:
         if problem != self._problem and self._settled.is_set():
-            log.log(logging.WARNING if problem else logging.INFO, "%s", problem or f"{self.url} is ready again.")
+            log.log(
+                logging.WARNING if problem else logging.INFO,
+                "%s",
+                problem or f"{self.url} is ready again.",
+            )
         self._problem, self._refusal, self._ready = problem, refusal, not problem
         if self._ready or refusal is not None:
             self._settled.set()

@@ -1,4 +1,6 @@
-"""What travels: a request as SGLang's `/generate` takes it, and its reply, checked field by field."""
+"""What travels: a request as SGLang's `/generate` takes it, and its reply, checked field by
+field.
+"""
 
 from __future__ import annotations
 
@@ -47,12 +49,17 @@ def encode_body(request: TokenRequest, image_format: str) -> bytes:
     """
     prompt = request.prompt
     if request.with_logits:
-        raise InvalidInputError("Logits are not available from a served model.", hint="Use the runtime torch.")
+        raise InvalidInputError(
+            "Logits are not available from a served model.", hint="Use the runtime torch."
+        )
     if len(prompt.images) != 1:
-        raise InvalidInputError(f"A served request takes exactly one image, got {len(prompt.images)}.")
+        raise InvalidInputError(
+            f"A served request takes exactly one image, got {len(prompt.images)}."
+        )
     if prompt.ids.size < 2 or request.max_new_tokens < 1:
         raise InvalidInputError(
-            f"The request has {prompt.ids.size} prompt ids and asks for {request.max_new_tokens} tokens."
+            f"The request has {prompt.ids.size} prompt ids and asks for {request.max_new_tokens} "
+            "tokens."
         )
     buffer = io.BytesIO()
     options: dict[str, Any] = {"compress_level": 1} if image_format == "png" else {}
@@ -60,13 +67,19 @@ def encode_body(request: TokenRequest, image_format: str) -> bytes:
     body = {
         "input_ids": prompt.ids.tolist(),
         "image_data": base64.b64encode(buffer.getbuffer()).decode("ascii"),
-        "sampling_params": {"temperature": 0, "max_new_tokens": request.max_new_tokens, "ignore_eos": True},
+        "sampling_params": {
+            "temperature": 0,
+            "max_new_tokens": request.max_new_tokens,
+            "ignore_eos": True,
+        },
     }
     return json.dumps(body, separators=(",", ":")).encode()[1:]
 
 
 def with_id(rid: str, body: bytes) -> bytes:
-    """The whole JSON of one attempt; each has an id of its own, so that one can be aborted without another."""
+    """The whole JSON of one attempt; each has an id of its own, so that one can be aborted
+    without another.
+    """
     return b'{"rid":"' + rid.encode("ascii") + b'",' + body
 
 
@@ -97,7 +110,8 @@ def parse_reply(raw: bytes, where: str, *, rid: str, count: int, vocabulary: int
     """Check a reply of `/generate`.
 
     Raises:
-        MalformedReply: a field is absent or of the wrong type, number or range; or it answers another request.
+        MalformedReply: a field is absent or of the wrong type, number or range; or it answers
+            another request.
         NotReadyError: the server aborted the request.
         UnsafeError: the model's logits were not finite.
     """
@@ -119,17 +133,26 @@ def parse_reply(raw: bytes, where: str, *, rid: str, count: int, vocabulary: int
         or not all(type(token) is int and 0 <= token < vocabulary for token in tokens)
     ):
         raise MalformedReply(
-            f"The reply of {where} holds output_ids {_short(tokens)}, expected {count} ids below {vocabulary}."
+            f"The reply of {where} holds output_ids {_short(tokens)}, expected {count} ids below "
+            f"{vocabulary}."
         )
     if UNUSABLE_TOKEN in tokens:
-        raise UnsafeError(f"The model served by {where} produced NaN or infinite values; no action was made of them.")
-    metrics = {name: float(meta[key]) * 1e3 for key, name in _TIMES.items() if _is_number(meta.get(key))}
-    metrics |= {name: float(meta[key]) for key, name in _COUNTS.items() if _is_number(meta.get(key))}
+        raise UnsafeError(
+            f"The model served by {where} produced NaN or infinite values; no action was made of "
+            "them."
+        )
+    metrics = {
+        name: float(meta[key]) * 1e3 for key, name in _TIMES.items() if _is_number(meta.get(key))
+    }
+    metrics |= {
+        name: float(meta[key]) for key, name in _COUNTS.items() if _is_number(meta.get(key))
+    }
     return Generated(tokens=np.array(tokens, dtype=np.int64), metrics=metrics)
 
 
 def parse_metrics(text: str, names: Mapping[str, str]) -> dict[str, float]:
-    """Sums over all labels of the wanted lines in Prometheus' text format; lines that cannot be read are passed over.
+    """Sums over all labels of the wanted lines in Prometheus' text format; lines that cannot be
+    read are passed over.
 
     Args:
         text: body of `/metrics`.

@@ -1,4 +1,6 @@
-"""The static key-value cache: allocated once, filled per layer; layers may hold different lengths after pruning."""
+"""The static key-value cache: allocated once, filled per layer; layers may hold different
+lengths after pruning.
+"""
 
 from __future__ import annotations
 
@@ -9,16 +11,22 @@ from rn_vla.decoding import DecoderShape
 
 
 class KeyValueCache:
-    """Keys and values of one sequence; the tensors never move, so that CUDA graphs may refer to them."""
+    """Keys and values of one sequence; the tensors never move, so that CUDA graphs may refer to
+    them.
+    """
 
-    def __init__(self, shape: DecoderShape, length: int, device: torch.device, dtype: torch.dtype) -> None:
+    def __init__(
+        self, shape: DecoderShape, length: int, device: torch.device, dtype: torch.dtype
+    ) -> None:
         size = (shape.layers, 1, shape.key_value_heads, length, shape.head_width)
         self._keys = torch.zeros(size, device=device, dtype=dtype)
         self._values = torch.zeros(size, device=device, dtype=dtype)
         self._used = [0] * shape.layers
 
     def start(self, layer: int, key: Tensor, value: Tensor) -> tuple[Tensor, Tensor]:
-        """Replace the contents of `layer` by (1, key-value heads, n, head width); return them as they are kept."""
+        """Replace the contents of `layer` by (1, key-value heads, n, head width); return them
+        as they are kept.
+        """
         count = key.shape[2]
         self._keys[layer, :, :, :count] = key
         self._values[layer, :, :, :count] = value
@@ -26,7 +34,9 @@ class KeyValueCache:
         return self._keys[layer, :, :, :count], self._values[layer, :, :, :count]
 
     def append(self, layer: int, key: Tensor, value: Tensor) -> tuple[Tensor, Tensor]:
-        """Add one position; return all keys and values of `layer` (1, key-value heads, n + 1, head width)."""
+        """Add one position; return all keys and values of `layer` (1, key-value heads, n + 1,
+        head width).
+        """
         end = self._used[layer]
         self._keys[layer, :, :, end : end + 1] = key
         self._values[layer, :, :, end : end + 1] = value

@@ -1,4 +1,6 @@
-"""The decoder: a Llama-shaped language model with fused projections and a static key-value cache."""
+"""The decoder: a Llama-shaped language model with fused projections and a static key-value
+cache.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,11 @@ class DecoderLayer(nn.Module):
 
     def __init__(self, shape: DecoderShape) -> None:
         super().__init__()
-        self.heads, self.key_value_heads, self.head_width = shape.heads, shape.key_value_heads, shape.head_width
+        self.heads, self.key_value_heads, self.head_width = (
+            shape.heads,
+            shape.key_value_heads,
+            shape.head_width,
+        )
         self.epsilon = shape.norm_epsilon
         rows = (shape.heads + 2 * shape.key_value_heads) * shape.head_width
         self.norm_in = nn.Parameter(torch.empty(shape.hidden))
@@ -44,30 +50,50 @@ class DecoderLayer(nn.Module):
     def project(
         self, hidden: Tensor, cos: Tensor, sin: Tensor, scratch: Scratch, stepping: bool = False
     ) -> tuple[Tensor, Tensor, Tensor]:
-        """Hidden (b, n, hidden) -> query (b, heads, n, width), key and value (b, key-value heads, n, width).
+        """Hidden (b, n, hidden) -> query (b, heads, n, width), key and value (b, key-value heads,
+        n, width).
 
-        `cos` and `sin` are (n, width) or (b, 1, n, width); `stepping` says that this is the one row of a decoded token.
-        Query and key of one sequence are contiguous: attention on the CPU loses up to a quarter of its speed to other
+        `cos` and `sin` are (n, width) or (b, 1, n, width); `stepping` says that this is the one row
+        of a decoded token.
+        Query and key of one sequence are contiguous: attention on the CPU loses up to a quarter of
+            its speed to other
         layouts.
         """
         batch, count, width = *hidden.shape[:2], self.head_width
         normed = functional.rms_norm(hidden, self.norm_in.shape, self.norm_in, self.epsilon)
         flat = self._times(normed.flatten(0, 1), "qkv", scratch, stepping)
         packed = flat.view(batch, count, -1, width).transpose(1, 2)
-        turned, value = torch.split(packed, [self.heads + self.key_value_heads, self.key_value_heads], dim=1)
-        rotated = scratch.empty("rotated", hidden, batch, self.heads + self.key_value_heads, count, width)
+        turned, value = torch.split(
+            packed, [self.heads + self.key_value_heads, self.key_value_heads], dim=1
+        )
+        rotated = scratch.empty(
+            "rotated", hidden, batch, self.heads + self.key_value_heads, count, width
+        )
         rotate(turned, cos, sin, rotated)
         query, key = torch.split(rotated, [self.heads, self.key_value_heads], dim=1)
         return query, key, value
 
-    def attend(self, query: Tensor, key: Tensor, value: Tensor, causal: bool, seen: Tensor | None = None) -> Tensor:
-        """Scaled dot-product attention -> (b, heads, n, width), to the positions that are `seen` (b, 1, 1, n)."""
+    def attend(
+        self, query: Tensor, key: Tensor, value: Tensor, causal: bool, seen: Tensor | None = None
+    ) -> Tensor:
+        """Scaled dot-product attention -> (b, heads, n, width), to the positions that are
+        `seen` (b, 1, 1, n).
+        """
         return functional.scaled_dot_product_attention(
-            query, key, value, attn_mask=seen, is_causal=causal, enable_gqa=self.heads != self.key_value_heads
+            query,
+            key,
+            value,
+            attn_mask=seen,
+            is_causal=causal,
+            enable_gqa=self.heads != self.key_value_heads,
         )
 
-    def merge(self, hidden: Tensor, attended: Tensor, scratch: Scratch, stepping: bool = False) -> Tensor:
-        """Add attention and the gated layer to the residual stream (b, n, hidden), contiguous, in place."""
+    def merge(
+        self, hidden: Tensor, attended: Tensor, scratch: Scratch, stepping: bool = False
+    ) -> Tensor:
+        """Add attention and the gated layer to the residual stream (b, n, hidden), contiguous,
+        in place.
+        """
         stream = hidden.view(-1, hidden.shape[-1])
         self._add(stream, attended.transpose(1, 2).reshape(stream.shape[0], -1), "out", stepping)
         normed = functional.rms_norm(hidden, self.norm_post.shape, self.norm_post, self.epsilon)
@@ -80,7 +106,9 @@ class DecoderLayer(nn.Module):
         if self.int8 and stepping:
             return self.int8[name].times(rows)
         weight: Tensor = getattr(self, name)
-        return torch.mm(rows, weight.t(), out=scratch.empty(name, rows, rows.shape[0], weight.shape[0]))
+        return torch.mm(
+            rows, weight.t(), out=scratch.empty(name, rows, rows.shape[0], weight.shape[0])
+        )
 
     def _add(self, to: Tensor, rows: Tensor, name: str, stepping: bool) -> None:
         """Add rows (n, inputs) times a matrix to (n, outputs)."""
@@ -91,7 +119,8 @@ class DecoderLayer(nn.Module):
 
 
 def rotate(heads: Tensor, cos: Tensor, sin: Tensor, out: Tensor) -> None:
-    """Rotary positions of (b, heads, n, width), halves paired, into `out`: one read of each half, no temporaries.
+    """Rotary positions of (b, heads, n, width), halves paired, into `out`: one read of each half,
+    no temporaries.
 
     Source: Su et al. 2021, in the layout of the Hugging Face Llama.
     """
@@ -99,7 +128,8 @@ def rotate(heads: Tensor, cos: Tensor, sin: Tensor, out: Tensor) -> None:
     cos, sin = cos[..., :half], sin[..., :half]
     first, second = torch.split(heads, half, dim=-1)
     out_first, out_second = torch.split(out, half, dim=-1)
-    if torch.compiler.is_compiling():  # fuses by itself, and knows no `out` that is a part of a tensor
+    # fuses by itself, and knows no `out` that is a part of a tensor
+    if torch.compiler.is_compiling():
         out.copy_(torch.cat((first * cos - second * sin, second * cos + first * sin), dim=-1))
         return
     torch.mul(first, cos, out=out_first).addcmul_(second, sin, value=-1)
@@ -148,8 +178,11 @@ class Decoder(nn.Module):
             )
         self.selection = selection
 
-    def try_selection(self, positions: int, *, causal: bool, rows: tuple[int, int] | None = None) -> None:
-        """Ask the selection once, about attention to nothing in particular in a sequence of so many positions.
+    def try_selection(
+        self, positions: int, *, causal: bool, rows: tuple[int, int] | None = None
+    ) -> None:
+        """Ask the selection once, about attention to nothing in particular in a sequence of so many
+        positions.
 
         Raises:
             PluginError: its answer cannot be used.
@@ -173,12 +206,15 @@ class Decoder(nn.Module):
         told, words = kept.tolist(), {0, *range(1 + self.visual_tokens, positions)}
         if told != sorted(set(told)) or not words <= set(told) <= set(range(positions)):
             raise PluginError(
-                f"{type(self.selection).__name__} kept {len(told)} of {positions} positions, expected ascending ones "
+                f"{type(self.selection).__name__} kept {len(told)} of {positions} positions, "
+                "expected ascending ones "
                 "and every one that holds no image patch."
             )
 
     def quantize(self) -> None:
-        """Decode with int8 copies of the layers' matrices from now on; prompts still use the matrices themselves."""
+        """Decode with int8 copies of the layers' matrices from now on; prompts still use the
+        matrices themselves.
+        """
         for layer in self.layers:
             assert isinstance(layer, DecoderLayer)
             layer.quantize()
@@ -197,40 +233,53 @@ class Decoder(nn.Module):
         last: int | None = None,
         fillings: Fillings | None = None,
     ) -> Tensor:
-        """Run all layers and the final norm on a whole sequence, or on several that see every position.
+        """Run all layers and the final norm on a whole sequence, or on several that see every
+        position.
 
         Args:
             hidden: embeddings (b, n, hidden); visual tokens stand at positions 1 .. visual_tokens.
             causal: False lets every position see every other.
             cache: keys and values are kept there from its start when given.
             rows: positions read afterwards, for a selection that looks at them.
-            last: how many positions at the end are read afterwards; the last layer computes no others. None for all.
-            fillings: which positions of several sequences stand for nothing; None for a single sequence.
+            last: how many positions at the end are read afterwards; the last layer computes no
+                others. None for all.
+            fillings: which positions of several sequences stand for nothing; None for a single
+                sequence.
 
         Returns:
-            (b, last, hidden), or (b, n', hidden): n' is less than n by the visual tokens that the selection dropped.
+            (b, last, hidden), or (b, n', hidden): n' is less than n by the visual tokens that the
+            selection dropped.
         """
         count, scratch = hidden.shape[1], self.scratch
         cos, sin, seen = self.cos[:count], self.sin[:count], None
         if fillings is not None:
             cos, sin, seen = fillings.tables(self.cos, self.sin, count)
-        hidden = scratch.empty("hidden", hidden, *hidden.shape).copy_(hidden)  # layers add to it in place
+        # layers add to it in place
+        hidden = scratch.empty("hidden", hidden, *hidden.shape).copy_(hidden)
         view: AttentionView | None = None
         for index, layer in enumerate(self.layers):
             assert isinstance(layer, DecoderLayer)
             if self.selection is not None and index == self.selection.layer and view is not None:
                 if fillings is not None:
-                    hidden, cos, sin, seen = fillings.prune(self.selection, view, (hidden, cos, sin, seen))
+                    hidden, cos, sin, seen = fillings.prune(
+                        self.selection, view, (hidden, cos, sin, seen)
+                    )
                 elif (keep := self.selection.select(view)) is not None:
                     hidden, cos, sin = hidden[:, keep], cos[keep], sin[keep]
             query, key, value = layer.project(hidden, cos, sin, scratch)
             if cache is not None:
                 key, value = cache.start(index, key, value)
             elif value.device.type == "cpu":
-                value = scratch.empty("value", value, *value.shape).copy_(value)  # contiguous, as in `project`
+                # contiguous, as in `project`
+                value = scratch.empty("value", value, *value.shape).copy_(value)
             if self.selection is not None and index + 1 == self.selection.layer:
                 view = AttentionView(
-                    query=query, key=key, visual_start=1, visual_count=self.visual_tokens, rows=rows, causal=causal
+                    query=query,
+                    key=key,
+                    visual_start=1,
+                    visual_count=self.visual_tokens,
+                    rows=rows,
+                    causal=causal,
                 )
             if last is not None and index + 1 == len(self.layers):
                 self.visual_kept = self.visual_tokens - (count - hidden.shape[1])
@@ -244,7 +293,13 @@ class Decoder(nn.Module):
 
     @staticmethod
     def _attend_last(
-        layer: DecoderLayer, query: Tensor, key: Tensor, value: Tensor, causal: bool, last: int, seen: Tensor | None
+        layer: DecoderLayer,
+        query: Tensor,
+        key: Tensor,
+        value: Tensor,
+        causal: bool,
+        last: int,
+        seen: Tensor | None,
     ) -> Tensor:
         """Attention of the last positions; the very last one sees everything, causal or not."""
         if causal and last > 1:
@@ -252,7 +307,8 @@ class Decoder(nn.Module):
         return layer.attend(query[:, :, -last:], key, value, False, seen)
 
     def step(self, hidden: Tensor, position: int, cache: KeyValueCache) -> Tensor:
-        """Run one more token (1, 1, hidden) at `position` of the unpruned sequence; grows the cache by one.
+        """Run one more token (1, 1, hidden) at `position` of the unpruned sequence; grows the cache
+        by one.
 
         `hidden` is overwritten.
         """
@@ -261,22 +317,30 @@ class Decoder(nn.Module):
             assert isinstance(layer, DecoderLayer)
             query, key, value = layer.project(hidden, cos, sin, self.scratch, stepping=True)
             keys, values = cache.append(index, key, value)
-            hidden = layer.merge(hidden, layer.attend(query, keys, values, False), self.scratch, stepping=True)
+            hidden = layer.merge(
+                hidden, layer.attend(query, keys, values, False), self.scratch, stepping=True
+            )
         return functional.rms_norm(hidden, self.norm.shape, self.norm, self.shape.norm_epsilon)
 
     def logits(self, hidden: Tensor) -> Tensor:
         """Hidden (b, n, hidden) after the final norm -> float32 (b, n, vocabulary)."""
-        # Rows as a plain matrix: a slice of three dimensions makes torch copy the whole weight for a batched product.
+        # Rows as a plain matrix: a slice of three dimensions makes torch copy the whole weight for
+        # a batched product.
         return torch.mm(hidden.flatten(0, 1), self.head.t()).view(*hidden.shape[:2], -1).float()
 
     def slots(self) -> Mapping[str, Tensor]:
-        """Where each tensor of the Hugging Face Llama layout goes: views on the fused parameters, by its name."""
+        """Where each tensor of the Hugging Face Llama layout goes: views on the fused
+        parameters, by its name.
+        """
         slots: dict[str, Tensor] = {
             "model.embed_tokens.weight": self.embedding.data,
             "model.norm.weight": self.norm.data,
             "lm_head.weight": self.head.data,
         }
-        wide, narrow = (count * self.shape.head_width for count in (self.shape.heads, self.shape.key_value_heads))
+        wide, narrow = (
+            count * self.shape.head_width
+            for count in (self.shape.heads, self.shape.key_value_heads)
+        )
         for index, layer in enumerate(self.layers):
             assert isinstance(layer, DecoderLayer)
             base = f"model.layers.{index}."

@@ -13,21 +13,28 @@ from rn_runtime_torch.config import TorchRuntimeConfig
 from roboneuron import ConfigurationError
 
 _STREAM_BYTES = 2 * 32 * 2**20
-"""Workspaces of cuBLAS and cuBLASLt per stream: 32 MiB each on Hopper, less before. Source: PyTorch, CUDA notes."""
+"""Workspaces of cuBLAS and cuBLASLt per stream: 32 MiB each on Hopper, less before. Source:
+PyTorch, CUDA notes.
+"""
 _GRAPH_BYTES = 16 * 2**20
-"""Inputs, outputs and kernel arguments of one recorded graph: an estimate for a few thousand kernels."""
+"""Inputs, outputs and kernel arguments of one recorded graph: an estimate for a few thousand
+kernels.
+"""
 _DTYPES = {"float32": torch.float32, "bfloat16": torch.bfloat16, "float16": torch.float16}
 
 
 def choose_device(config: TorchRuntimeConfig) -> torch.device:
-    """The configured device. Raises ConfigurationError when it is a CUDA device that is not there."""
+    """The configured device. Raises ConfigurationError when it is a CUDA device that is not
+    there.
+    """
     count = torch.cuda.device_count() if torch.cuda.is_available() else 0
     if config.device == "auto":
         return torch.device("cuda:0" if count else "cpu")
     device = torch.device(config.device)
     if device.type == "cuda" and (device.index or 0) >= count:
         raise ConfigurationError(
-            f"Runtime 'torch' is to use {config.device!r}, but torch {torch.__version__} sees {count} CUDA devices.",
+            f"Runtime 'torch' is to use {config.device!r}, but torch {torch.__version__} sees "
+            f"{count} CUDA devices.",
             hint='Set device = "auto" or "cpu", or install a CUDA build of torch.',
         )
     return device
@@ -41,7 +48,8 @@ def choose_dtype(config: TorchRuntimeConfig, device: torch.device) -> torch.dtyp
 
 
 def has_matrix_tiles() -> bool:
-    """Whether products of bfloat16 matrices run in the processor's tile unit (Intel AMX), as oneDNN uses it.
+    """Whether products of bfloat16 matrices run in the processor's tile unit (Intel AMX), as oneDNN
+    uses it.
 
     Without it bfloat16 is slower than float32 on most processors.
     """
@@ -78,7 +86,8 @@ class Needs:
         """All that is neither weights nor cache."""
         if device.type != "cuda":
             return self.activations
-        passes = 2 if self.recordings else 1  # graphs share a pool of their own beside the ordinary memory
+        # graphs share a pool of their own beside the ordinary memory
+        passes = 2 if self.recordings else 1
         return passes * (self.activations + _STREAM_BYTES) + self.recordings * _GRAPH_BYTES
 
     def total(self, device: torch.device) -> int:
@@ -93,10 +102,12 @@ def check_fits(needs: Needs, device: torch.device, dtype: torch.dtype) -> None:
         parts = (needs.weights, needs.cache, needs.working(device))
         weights, cache, working = (f"{part / 1e9:.2f}" for part in parts)
         raise ConfigurationError(
-            f"The model needs {needs.total(device) / 1e9:.2f} GB as {str(dtype).removeprefix('torch.')} on {device} "
+            f"The model needs {needs.total(device) / 1e9:.2f} GB as "
+            f"{str(dtype).removeprefix('torch.')} on {device} "
             f"(weights {weights}, keys and values {cache}, working memory {working}), "
             f"which has {free / 1e9:.2f} GB free.",
-            hint="Free memory, choose a smaller dtype or another device, or lower max_prompt_tokens.",
+            hint="Free memory, choose a smaller dtype or another device, or lower "
+            "max_prompt_tokens.",
         )
 
 

@@ -13,7 +13,14 @@ from torch import Tensor, nn
 from rn_runtime_torch.cache import KeyValueCache
 from rn_runtime_torch.config import MOST_RECORDINGS, WARM_LENGTHS, TorchRuntimeConfig
 from rn_runtime_torch.decoder import MATRICES, Decoder
-from rn_runtime_torch.device import Needs, check_fits, choose_device, choose_dtype, free_bytes, memory_errors
+from rn_runtime_torch.device import (
+    Needs,
+    check_fits,
+    choose_device,
+    choose_dtype,
+    free_bytes,
+    memory_errors,
+)
 from rn_runtime_torch.fillings import Fillings, fill_up
 from rn_runtime_torch.graph import Computation, GraphCache
 from rn_runtime_torch.int8 import check_int8
@@ -39,7 +46,9 @@ Key = tuple[TokenSelection | None, Kind, tuple[tuple[str, tuple[int, ...]], ...]
 _BATCH_SHARE = 0.5
 """Of the memory that is free after loading: a pass takes no more requests than fit there."""
 _TRIAL_TOKENS = 8
-"""Prompt of the sequence that a new selection is tried with: words stand before and behind the image."""
+"""Prompt of the sequence that a new selection is tried with: words stand before and behind the
+image.
+"""
 Check = Callable[[], None]
 """Raises when nobody wants the answer any more."""
 
@@ -47,8 +56,12 @@ Check = Callable[[], None]
 class Front(Protocol):
     """What `PolicyModel.build_front` returns, besides being a torch module."""
 
-    def __call__(self, arrays: dict[str, Tensor], ids: Tensor, embed: Callable[[Tensor], Tensor]) -> Tensor:
-        """Arrays (b, ...), ids (b, n) and the embedding look-up -> decoder input (b, positions, hidden)."""
+    def __call__(
+        self, arrays: dict[str, Tensor], ids: Tensor, embed: Callable[[Tensor], Tensor]
+    ) -> Tensor:
+        """Arrays (b, ...), ids (b, n) and the embedding look-up -> decoder input (b, positions,
+        hidden).
+        """
         ...
 
 
@@ -60,7 +73,9 @@ class Engine:
         ConfigurationError: the device is not there, the model does not fit, or the preset does not.
     """
 
-    def __init__(self, model: PolicyModel, config: TorchRuntimeConfig, acceleration: LlamaAcceleration | None) -> None:
+    def __init__(
+        self, model: PolicyModel, config: TorchRuntimeConfig, acceleration: LlamaAcceleration | None
+    ) -> None:
         if config.threads is not None:
             torch.set_num_threads(config.threads)
         self._model = model
@@ -71,7 +86,11 @@ class Engine:
         self._dtype = choose_dtype(config, self._device)
         check_shards(model.shards)
         with memory_errors(self._device), torch.inference_mode():
-            self._graphs = GraphCache(self._device) if self._device.type == "cuda" and config.cuda_graphs else None
+            self._graphs = (
+                GraphCache(self._device)
+                if self._device.type == "cuda" and config.cuda_graphs
+                else None
+            )
             self._recording = False
             self._build(config)
             if acceleration is not None:
@@ -82,14 +101,22 @@ class Engine:
             for length in self._warm_lengths(config):
                 self.answer(model.example(length), lambda: None)
             self._recording = False
-        self._most = max(1, int(_BATCH_SHARE * free_bytes(self._device) / max(1, self._activations)))
+        self._most = max(
+            1, int(_BATCH_SHARE * free_bytes(self._device) / max(1, self._activations))
+        )
 
     def _build(self, config: TorchRuntimeConfig) -> None:
         model, device, dtype = self._model, self._device, self._dtype
-        length = model.visual_tokens + model.max_prompt_tokens + model.extra_tokens + model.max_new_tokens
+        length = (
+            model.visual_tokens
+            + model.max_prompt_tokens
+            + model.extra_tokens
+            + model.max_new_tokens
+        )
         if length > model.decoder.max_positions:
             raise ConfigurationError(
-                f"Prompts of {model.max_prompt_tokens} tokens make sequences of {length} positions, "
+                f"Prompts of {model.max_prompt_tokens} tokens make sequences of {length} "
+                "positions, "
                 f"but the checkpoint knows {model.decoder.max_positions}."
             )
         with torch.device("meta"):
@@ -124,10 +151,16 @@ class Engine:
         """Rotary tables and cache on `device`."""
         shape = self._model.decoder
         self._decoder.prepare_positions(device, self._dtype)
-        self._cache = KeyValueCache(shape, length, device, self._dtype) if self._model.max_new_tokens else None
+        self._cache = (
+            KeyValueCache(shape, length, device, self._dtype)
+            if self._model.max_new_tokens
+            else None
+        )
 
     def _needs(self, config: TorchRuntimeConfig, parts: list[nn.Module], quantized: bool) -> Needs:
-        """Memory for the longest request, found by running it on the parts while they are on the device "meta"."""
+        """Memory for the longest request, found by running it on the parts while they are on
+        the device "meta".
+        """
         model, dtype = self._model, self._dtype
         parameters = [parameter for part in parts for parameter in part.parameters()]
         tables = [table for part in parts for table in part.buffers()]
@@ -142,7 +175,9 @@ class Engine:
             self._computation(request, lambda: None)[1](inputs)
         weights = sum(parameter.numel() for parameter in parameters) * dtype.itemsize
         if quantized:
-            weights += sum(getattr(layer, name).numel() for layer in self._decoder.layers for name in MATRICES)
+            weights += sum(
+                getattr(layer, name).numel() for layer in self._decoder.layers for name in MATRICES
+            )
         return Needs(
             weights=weights,
             cache=sum(tensor.nbytes for tensor in kept),
@@ -164,19 +199,24 @@ class Engine:
         return range(first, (first if self._graphs is None else last) + 1)
 
     def set_acceleration(self, acceleration: LlamaAcceleration | None) -> None:
-        """Answer later requests with another preset; weights, cache and recordings stay where they are.
+        """Answer later requests with another preset; weights, cache and recordings stay where they
+        are.
 
-        On CUDA the shape of the latest request is recorded with the new preset, unless the options say otherwise: about
-        three predictions, once, so that those of the instruction in progress are replayed. Other shapes under this
-        preset run unrecorded; recordings of former presets are replayed when theirs is in force again.
+        On CUDA the shape of the latest request is recorded with the new preset, unless the options
+            say otherwise: about
+        three predictions, once, so that those of the instruction in progress are replayed. Other
+        shapes under this preset run unrecorded; recordings of former presets are replayed when
+        theirs is in force again.
 
         Raises:
-            ConfigurationError: the preset does not fit this model, or layers are compiled for shapes of their own.
+            ConfigurationError: the preset does not fit this model, or layers are compiled for
+                shapes of their own.
             PluginError: the preset keeps positions that it must not, or leaves out others.
         """
         if self._is_compiled:
             raise ConfigurationError(
-                "Compiled layers would be compiled again for each preset, which takes longer than the robot can wait.",
+                "Compiled layers would be compiled again for each preset, which takes longer than "
+                "the robot can wait.",
                 hint='Leave out compile = true, or switch with mode = "cold".',
             )
         decoder = self._decoder
@@ -192,7 +232,9 @@ class Engine:
             raise
 
     def _record_latest(self) -> None:
-        """Record what was asked last with the selection in force, unless it is or there are as many as there may be."""
+        """Record what was asked last with the selection in force, unless it is or there are as
+        many as there may be.
+        """
         if self._graphs is None or self._latest is None or not self._records_at_change:
             return
         if len(self._graphs) >= MOST_RECORDINGS:
@@ -204,7 +246,9 @@ class Engine:
             self._recording = False
 
     def _try_selection(self) -> None:
-        """Let the selection answer once, so that one which does not fit is refused here and not by the next request."""
+        """Let the selection answer once, so that one which does not fit is refused here and not
+        by the next request.
+        """
         model = self._model
         request = model.example(min(_TRIAL_TOKENS, model.max_prompt_tokens - self._added_tokens()))
         count = model.visual_tokens + model.extra_tokens + int(request.prompt.ids.size)
@@ -218,7 +262,8 @@ class Engine:
         """Run one request; `check` is called between steps where there are any.
 
         Raises:
-            InvalidInputError: the prompt or the number of tokens is more than the model was loaded for.
+            InvalidInputError: the prompt or the number of tokens is more than the model was loaded
+                for.
             UnsafeError: the model produced NaN or infinity.
         """
         self._check_prompt(request.prompt.ids)
@@ -231,18 +276,31 @@ class Engine:
             self._latest = request
             outputs, kept = self._execute(*self._computation(request, check), inputs)
             if not bool(outputs["finite"]):
-                raise UnsafeError("The model produced NaN or infinite values; no action was made of them.")
+                raise UnsafeError(
+                    "The model produced NaN or infinite values; no action was made of them."
+                )
             metrics, note = {"tokens_kept": float(kept)}, ""
             if self._graphs is not None:
                 metrics["recorded"] = float(self._graphs.was_replayed)
-                note = "" if self._graphs.was_replayed else self._explain_eager(request.prompt.ids.size)
+                note = (
+                    ""
+                    if self._graphs.was_replayed
+                    else self._explain_eager(request.prompt.ids.size)
+                )
             if isinstance(request, TokenRequest):
                 logits = outputs["logits"].cpu().numpy() if request.with_logits else None
-                return TokenReply(tokens=outputs["tokens"].cpu().numpy(), logits=logits, metrics=metrics, note=note)
+                return TokenReply(
+                    tokens=outputs["tokens"].cpu().numpy(),
+                    logits=logits,
+                    metrics=metrics,
+                    note=note,
+                )
             return RowsReply(values=outputs["values"][0].cpu().numpy(), metrics=metrics, note=note)
 
     def _explain_eager(self, ids: int) -> str:
-        """Why a prompt of so many ids was not replayed from a recorded CUDA graph; tokens as the options count."""
+        """Why a prompt of so many ids was not replayed from a recorded CUDA graph; tokens as
+        the options count.
+        """
         assert self._graphs is not None
         added = self._added_tokens()
         recorded = sorted(
@@ -258,9 +316,11 @@ class Engine:
         return f"CUDA graph: eager, prompt of {ids - added} tokens (recorded: {span})."
 
     def answer_batch(self, requests: Sequence[RowsRequest], check: Check) -> list[RowsReply]:
-        """Answer requests that read alike in one pass, or in as few as memory allows; `check` is called between them.
+        """Answer requests that read alike in one pass, or in as few as memory allows; `check` is
+        called between them.
 
-        On CUDA such passes run unrecorded, and say so. Raises as `answer`, for all when it is so for one.
+        On CUDA such passes run unrecorded, and say so. Raises as `answer`, for all when it is so
+        for one.
         """
         for request in requests:
             self._check_prompt(request.prompt.ids)
@@ -274,7 +334,9 @@ class Engine:
     def _answer_together(self, requests: Sequence[RowsRequest]) -> list[RowsReply]:
         prompts = [request.prompt for request in requests]
         inputs = {
-            name: torch.from_numpy(np.stack([prompt.arrays[name] for prompt in prompts])).to(self._device, self._dtype)
+            name: torch.from_numpy(np.stack([prompt.arrays[name] for prompt in prompts])).to(
+                self._device, self._dtype
+            )
             for name in prompts[0].arrays
         }
         ids, counts = fill_up([prompt.ids for prompt in prompts])
@@ -282,11 +344,19 @@ class Engine:
         start = 1 + self._model.visual_tokens + self._model.extra_tokens
         outputs = self._read_rows(requests[0], Fillings(start, counts))[1](inputs)
         if not bool(outputs["finite"]):
-            raise UnsafeError("The model produced NaN or infinite values; no action was made of them.")
-        metrics, note = {"tokens_kept": float(self._decoder.visual_kept), "batch": float(len(requests))}, ""
+            raise UnsafeError(
+                "The model produced NaN or infinite values; no action was made of them."
+            )
+        metrics, note = (
+            {"tokens_kept": float(self._decoder.visual_kept), "batch": float(len(requests))},
+            "",
+        )
         if self._graphs is not None:
             metrics["recorded"], note = 0.0, f"CUDA graph: eager, batch of {len(requests)}."
-        return [RowsReply(values=values, metrics=metrics, note=note) for values in outputs["values"].cpu().numpy()]
+        return [
+            RowsReply(values=values, metrics=metrics, note=note)
+            for values in outputs["values"].cpu().numpy()
+        ]
 
     def _check_prompt(self, ids: NDArray[np.int64]) -> None:
         if ids.size > self._model.max_prompt_tokens:
@@ -298,7 +368,11 @@ class Engine:
 
     def _computation(self, request: Request, check: Check) -> tuple[Kind, Computation]:
         """What answers a request, and what of the request decides its shapes besides the inputs."""
-        return self._decode(request, check) if isinstance(request, TokenRequest) else self._read_rows(request)
+        return (
+            self._decode(request, check)
+            if isinstance(request, TokenRequest)
+            else self._read_rows(request)
+        )
 
     def _decode(self, request: TokenRequest, check: Check) -> tuple[Kind, Computation]:
         decoder, cache = self._decoder, self._cache
@@ -326,14 +400,18 @@ class Engine:
 
         return ("tokens", request.max_new_tokens), compute
 
-    def _read_rows(self, request: RowsRequest, fillings: Fillings | None = None) -> tuple[Kind, Computation]:
+    def _read_rows(
+        self, request: RowsRequest, fillings: Fillings | None = None
+    ) -> tuple[Kind, Computation]:
         decoder, back = self._decoder, self._back
 
         def compute(held: dict[str, Tensor]) -> dict[str, Tensor]:
             hidden = self._embed(held)
             end = hidden.shape[1] - request.tail
             last = request.rows + request.tail
-            hidden = decoder(hidden, causal=False, rows=(end - request.rows, end), last=last, fillings=fillings)
+            hidden = decoder(
+                hidden, causal=False, rows=(end - request.rows, end), last=last, fillings=fillings
+            )
             values = hidden[:, : request.rows]
             finite = torch.isfinite(values).all()
             if request.read == "output" and back is not None:
@@ -351,7 +429,9 @@ class Engine:
         arrays = {name: tensor for name, tensor in held.items() if name != "ids"}
         return self._front(arrays, held["ids"], self._decoder.embed)
 
-    def _execute(self, kind: Kind, compute: Computation, inputs: dict[str, Tensor]) -> tuple[dict[str, Tensor], int]:
+    def _execute(
+        self, kind: Kind, compute: Computation, inputs: dict[str, Tensor]
+    ) -> tuple[dict[str, Tensor], int]:
         if self._graphs is not None:
             shapes = tuple((name, tuple(tensor.shape)) for name, tensor in sorted(inputs.items()))
             key: Key = (self._decoder.selection, kind, shapes)
@@ -364,14 +444,20 @@ class Engine:
 
 
 def _check_ids(ids: NDArray[np.int64], vocabulary: int) -> None:
-    """Raise InvalidInputError for an id without an embedding: on a GPU the look-up would break the whole context."""
+    """Raise InvalidInputError for an id without an embedding: on a GPU the look-up would break
+    the whole context.
+    """
     if not ids.size or ids.min() < 0 or ids.max() >= vocabulary:
         span = f"{ids.min()} to {ids.max()}" if ids.size else "none"
-        raise InvalidInputError(f"The prompt's ids are {span}, expected some from 0 to {vocabulary - 1}.")
+        raise InvalidInputError(
+            f"The prompt's ids are {span}, expected some from 0 to {vocabulary - 1}."
+        )
 
 
 def _compile(decoder: Decoder) -> None:
-    """Compile what surrounds attention in each layer; layers are alike, so one compilation serves all."""
+    """Compile what surrounds attention in each layer; layers are alike, so one compilation
+    serves all.
+    """
     for layer in decoder.layers:
         for name in ("project", "merge"):
             setattr(layer, name, torch.compile(getattr(layer, name)))

@@ -1,4 +1,6 @@
-"""Several sequences in one pass: what fills up the shorter ones is seen by no other position and shifts none."""
+"""Several sequences in one pass: what fills up the shorter ones is seen by no other position
+and shifts none.
+"""
 
 from __future__ import annotations
 
@@ -14,20 +16,27 @@ from rn_vla.pruning import AttentionView, TokenSelection
 from roboneuron import PluginError
 
 State = tuple[Tensor, Tensor, Tensor, Tensor | None]
-"""Between two layers: hidden (b, n, hidden), rotary tables (n, width) or (b, 1, n, width), seen (b, 1, 1, n)."""
+"""Between two layers: hidden (b, n, hidden), rotary tables (n, width) or (b, 1, n, width), seen
+(b, 1, 1, n).
+"""
 
 
 def fill_up(prompts: Sequence[NDArray[np.int64]]) -> tuple[NDArray[np.int64], tuple[int, ...]]:
-    """Ids (b, longest), each prompt filled up behind its first id, and how many ids each was given."""
+    """Ids (b, longest), each prompt filled up behind its first id, and how many ids each was
+    given.
+    """
     longest = max(ids.size for ids in prompts)
     counts = tuple(longest - ids.size for ids in prompts)
-    filled = [np.insert(ids, [1] * count, ids[0]) for ids, count in zip(prompts, counts, strict=True)]
+    filled = [
+        np.insert(ids, [1] * count, ids[0]) for ids, count in zip(prompts, counts, strict=True)
+    ]
     return np.stack(filled), counts
 
 
 @dataclass(frozen=True, slots=True)
 class Fillings:
-    """Positions that stand for nothing: behind the image, so that it, words and read rows are where all have them.
+    """Positions that stand for nothing: behind the image, so that it, words and read rows are where
+    all have them.
 
     Attributes:
         start: the first of them.
@@ -38,7 +47,9 @@ class Fillings:
     counts: tuple[int, ...]
 
     def tables(self, cos: Tensor, sin: Tensor, count: int) -> tuple[Tensor, Tensor, Tensor | None]:
-        """Of sequences of `count` positions: rotary tables, and which are seen; None when all are."""
+        """Of sequences of `count` positions: rotary tables, and which are seen; None when all
+        are.
+        """
         if not any(self.counts):
             return cos[:count], sin[:count], None
         at = torch.arange(count, device=cos.device)
@@ -48,7 +59,8 @@ class Fillings:
         return cos[own][:, None], sin[own][:, None], ~is_filling[:, None, None]
 
     def prune(self, selection: TokenSelection, view: AttentionView, state: State) -> State:
-        """Ask the selection about each sequence as if it were alone, and keep what it keeps, and the filling.
+        """Ask the selection about each sequence as if it were alone, and keep what it keeps, and
+        the filling.
 
         Raises:
             PluginError: it drops more positions from one sequence than from another.
@@ -57,12 +69,16 @@ class Fillings:
         kept = [self._kept(selection, view, row) for row in range(len(self.counts))]
         if len({positions.numel() for positions in kept}) > 1:
             raise PluginError(
-                f"{type(selection).__name__} keeps {sorted(positions.numel() for positions in kept)} positions of "
-                "sequences with equally many visual tokens; such prompts cannot be answered in one pass."
+                f"{type(selection).__name__} keeps "
+                f"{sorted(positions.numel() for positions in kept)} positions of "
+                "sequences with equally many visual tokens; such prompts cannot be answered in "
+                "one pass."
             )
         index = torch.stack(kept)
         rows = torch.arange(index.shape[0], device=index.device)[:, None]
-        turned = [table[index] if table.dim() == 2 else table[rows, 0, index] for table in (cos, sin)]
+        turned = [
+            table[index] if table.dim() == 2 else table[rows, 0, index] for table in (cos, sin)
+        ]
         if seen is not None:
             seen = seen[rows, 0, 0, index][:, None, None]
         return hidden[rows, index], turned[0][:, None], turned[1][:, None], seen
@@ -79,6 +95,7 @@ class Fillings:
         kept = selection.select(replace(view, query=query, key=key, rows=rows))
         if kept is None:
             kept = torch.arange(count - fill, device=view.key.device)
-        before = self.start - (count - fill - kept.numel())  # only visual positions are dropped, and those stand before
+        # only visual positions are dropped, and those stand before
+        before = self.start - (count - fill - kept.numel())
         filling = torch.arange(self.start, self.start + fill, device=kept.device)
         return torch.cat((kept[:before], filling, kept[before:] + fill))

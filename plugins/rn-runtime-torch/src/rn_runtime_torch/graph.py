@@ -1,4 +1,6 @@
-"""CUDA graphs: a computation of fixed shapes is recorded once and replayed without Python or launch cost."""
+"""CUDA graphs: a computation of fixed shapes is recorded once and replayed without Python or
+launch cost.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,9 @@ from torch import Tensor
 Computation = Callable[[dict[str, Tensor]], dict[str, Tensor]]
 
 _WARM_RUNS = 2
-"""Runs on a side stream before capture: libraries allocate their workspaces and choose kernels in them."""
+"""Runs on a side stream before capture: libraries allocate their workspaces and choose kernels
+in them.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -23,9 +27,11 @@ class _Recorded:
 
 
 class GraphCache:
-    """Recorded computations by key; they share one memory pool and one stream, so libraries' workspaces exist once.
+    """Recorded computations by key; they share one memory pool and one stream, so libraries'
+    workspaces exist once.
 
-    Nothing is recorded by `run`: recording takes as long as several requests, and the robot may be moving.
+    Nothing is recorded by `run`: recording takes as long as several requests, and the robot may be
+        moving.
 
     Attributes:
         was_replayed: whether the last `run` found a recording.
@@ -48,7 +54,13 @@ class GraphCache:
         """What was recorded."""
         return tuple(self._recorded)
 
-    def record(self, key: Hashable, compute: Computation, inputs: dict[str, Tensor], note: Callable[[], int]) -> None:
+    def record(
+        self,
+        key: Hashable,
+        compute: Computation,
+        inputs: dict[str, Tensor],
+        note: Callable[[], int],
+    ) -> None:
         """Record the computation for `key`.
 
         Args:
@@ -75,15 +87,20 @@ class GraphCache:
         found.graph.replay()
         return found.outputs, found.note
 
-    def _record(self, compute: Computation, inputs: dict[str, Tensor], note: Callable[[], int]) -> _Recorded:
+    def _record(
+        self, compute: Computation, inputs: dict[str, Tensor], note: Callable[[], int]
+    ) -> _Recorded:
         held = {name: tensor.clone() for name, tensor in inputs.items()}
         self._side.wait_stream(torch.cuda.current_stream(self._device))
         with torch.cuda.stream(self._side):
             for _ in range(_WARM_RUNS):
                 compute(held)
         graph = torch.cuda.CUDAGraph()
-        # On the stream of the warm runs: there the workspaces exist and stay outside the graphs' pool.
-        with torch.cuda.graph(graph, pool=self._pool, stream=self._side, capture_error_mode="thread_local"):
+        # On the stream of the warm runs: there the workspaces exist and stay outside the graphs'
+        # pool.
+        with torch.cuda.graph(
+            graph, pool=self._pool, stream=self._side, capture_error_mode="thread_local"
+        ):
             outputs = compute(held)
         torch.cuda.current_stream(self._device).wait_stream(self._side)
         return _Recorded(graph, held, outputs, note())

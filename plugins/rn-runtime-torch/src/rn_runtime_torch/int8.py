@@ -1,4 +1,6 @@
-"""Weights as int8 with one scale for each output, for products with a single row: decoding reads half of bfloat16."""
+"""Weights as int8 with one scale for each output, for products with a single row: decoding
+reads half of bfloat16.
+"""
 
 from __future__ import annotations
 
@@ -22,12 +24,17 @@ class Int8Weight:
             scale = (part.abs().amax(dim=1) / 127.0).clamp_min(torch.finfo(torch.float32).tiny)
             self.values[start : start + _ROWS] = (part / scale[:, None]).round().to(torch.int8)
             scales[start : start + _ROWS] = scale
-        # torch's CPU kernel is fast for bfloat16 rows alone: in float32 it is slower than a float32 product.
+        # torch's CPU kernel is fast for bfloat16 rows alone: in float32 it is slower than a float32
+        # product.
         self.scales = scales.to(torch.bfloat16)
 
     def times(self, row: Tensor) -> Tensor:
-        """Row (1, inputs) -> (1, outputs), in the row's type; computed in bfloat16 with float32 sums."""
-        product = torch._weight_int8pack_mm(row.to(torch.bfloat16).contiguous(), self.values, self.scales)
+        """Row (1, inputs) -> (1, outputs), in the row's type; computed in bfloat16 with float32
+        sums.
+        """
+        product = torch._weight_int8pack_mm(
+            row.to(torch.bfloat16).contiguous(), self.values, self.scales
+        )
         return product.to(row.dtype)
 
 

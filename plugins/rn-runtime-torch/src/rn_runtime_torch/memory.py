@@ -13,10 +13,11 @@ from torch.utils._pytree import tree_leaves
 
 
 class PeakBytes(TorchDispatchMode):  # type: ignore[no-untyped-call]
-    """While entered, adds up the storages that operators allocate; `peak` is the most that lived at once.
+    """While entered, adds up the storages that operators allocate; `peak` is the most that lived at
+    once.
 
-    Meta tensors count as what they stand for. They take attention's plain form, whose scores fused kernels do not hold,
-    so the peak is an upper bound.
+    Meta tensors count as what they stand for. They take attention's plain form, whose scores fused
+    kernels do not hold, so the peak is an upper bound.
     """
 
     def __init__(self, held: Iterable[Tensor]) -> None:
@@ -30,7 +31,11 @@ class PeakBytes(TorchDispatchMode):  # type: ignore[no-untyped-call]
             self._known[storage._cdata] = storage
 
     def __torch_dispatch__(
-        self, func: Any, types: Sequence[type], args: tuple[Any, ...] = (), kwargs: Mapping[str, Any] | None = None
+        self,
+        func: Any,
+        types: Sequence[type],
+        args: tuple[Any, ...] = (),
+        kwargs: Mapping[str, Any] | None = None,
     ) -> Any:
         """Hook of torch, called for each operator."""
         result = func(*args, **(kwargs or {}))

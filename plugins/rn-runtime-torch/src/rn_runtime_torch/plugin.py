@@ -18,11 +18,14 @@ def roboneuron_runtimes() -> Sequence[RuntimeSpec]:
     return (
         RuntimeSpec(
             name="torch",
-            summary="In-process PyTorch decoder on CPU or CUDA: static cache, CUDA graphs, visual-token pruning.",
+            summary="In-process PyTorch decoder on CPU or CUDA: static cache, CUDA graphs, "
+            "visual-token pruning.",
             target="rn_runtime_torch.runtime:TorchRuntime",
             config="rn_runtime_torch.config:TorchRuntimeConfig",
             requires=(
-                Requirement(module="torch", install="pip install torch (which build: README.md, PyTorch)"),
+                Requirement(
+                    module="torch", install="pip install torch (which build: README.md, PyTorch)"
+                ),
                 Requirement(module="safetensors", install="pip install safetensors"),
             ),
             families=FAMILIES,

@@ -41,10 +41,13 @@ class TorchRuntime:
         Raises:
             InvalidInputError: not a model of a family it knows.
             CheckpointError: files that are damaged or are not this model's.
-            ConfigurationError: the device is not there, the model does not fit, or the preset does not.
+            ConfigurationError: the device is not there, the model does not fit, or the preset does
+                not.
         """
         if not isinstance(model, PolicyModel) or model.family not in FAMILIES:
-            raise InvalidInputError(f"Runtime 'torch' got {model!r}, expected a PolicyModel of {', '.join(FAMILIES)}.")
+            raise InvalidInputError(
+                f"Runtime 'torch' got {model!r}, expected a PolicyModel of {', '.join(FAMILIES)}."
+            )
         if self._engine is not None:
             raise StateError("Runtime 'torch' already holds a model; close it first.")
         from rn_runtime_torch.engine import Engine  # heavy: torch
@@ -72,14 +75,18 @@ class TorchRuntime:
         if self._engine is None:
             raise StateError("Runtime 'torch' holds no model; load one first.")
         if not isinstance(request, TokenRequest | RowsRequest):
-            raise InvalidInputError(f"A request is a {type(request).__name__}, expected TokenRequest or RowsRequest.")
+            raise InvalidInputError(
+                f"A request is a {type(request).__name__}, expected TokenRequest or RowsRequest."
+            )
         engine = self._engine
         return self._timed((request,), lambda check: [engine.answer(request, check)])[0]
 
     def run_batch(self, requests: Sequence[RowsRequest]) -> list[Reply]:
-        """Answer several requests that read alike in one pass, each within 1e-5 of what `run` answers in float32.
+        """Answer several requests that read alike in one pass, each within 1e-5 of what `run`
+        answers in float32.
 
-        Prompts may differ in length. What is wrong with one is raised for all. One alone is answered by `run`.
+        Prompts may differ in length. What is wrong with one is raised for all. One alone is
+        answered by `run`.
 
         Raises:
             InvalidInputError: they are none, or do not read alike, or as `run`.
@@ -99,7 +106,9 @@ class TorchRuntime:
     def _timed(
         self, requests: Sequence[Request], answer: Callable[[Callable[[], None]], Sequence[Reply]]
     ) -> list[Reply]:
-        """What `answer` returns, with its time; given up at the earliest deadline, or when aborted."""
+        """What `answer` returns, with its time; given up at the earliest deadline, or when
+        aborted.
+        """
         self._aborted.clear()
         started = time.perf_counter()
         deadline_s = min((r.deadline_s for r in requests if r.deadline_s is not None), default=None)
@@ -114,10 +123,14 @@ class TorchRuntime:
         replies = answer(check)
         check()
         model_ms = (time.perf_counter() - started) * 1e3
-        return [replace(reply, metrics={**reply.metrics, "model_ms": model_ms}) for reply in replies]
+        return [
+            replace(reply, metrics={**reply.metrics, "model_ms": model_ms}) for reply in replies
+        ]
 
     def abort(self) -> None:
-        """Give up the `run` in progress before its next token; a recorded CUDA graph runs to its end first."""
+        """Give up the `run` in progress before its next token; a recorded CUDA graph runs to
+        its end first.
+        """
         self._aborted.set()
 
     def close(self) -> None:

@@ -10,8 +10,10 @@ from torch import Tensor
 class Scratch:
     """Named buffers that grow to the largest size asked for.
 
-    A fresh temporary of megabytes costs the CPU a page fault for each 4 kB of it, every time. On CUDA the allocator
-    keeps memory anyway, and a recorded graph must not refer to a buffer that grows later: there, nothing is kept.
+    A fresh temporary of megabytes costs the CPU a page fault for each 4 kB of it, every time. On
+    CUDA the allocator
+    keeps memory anyway, and a recorded graph must not refer to a buffer that grows later: there,
+        nothing is kept.
     """
 
     def __init__(self, keep: bool = False) -> None:
@@ -20,11 +22,18 @@ class Scratch:
         self._held: dict[str, Tensor] = {}
 
     def empty(self, name: str, like: Tensor, *shape: int) -> Tensor:
-        """An uninitialised contiguous tensor, typed and placed as `like`, valid until `name` is asked for again."""
+        """An uninitialised contiguous tensor, typed and placed as `like`, valid until `name` is
+        asked for again.
+        """
         if not self._keep:
             return like.new_empty(shape)
         size = math.prod(shape)
         held = self._held.get(name)
-        if held is None or held.numel() < size or held.dtype != like.dtype or held.device != like.device:
+        if (
+            held is None
+            or held.numel() < size
+            or held.dtype != like.dtype
+            or held.device != like.device
+        ):
             held = self._held[name] = like.new_empty(size)
         return held[:size].view(shape)

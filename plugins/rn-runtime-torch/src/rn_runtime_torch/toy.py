@@ -1,4 +1,6 @@
-"""The smallest policy that exercises the runtime: written to disk on the spot, for tests and the contract kit."""
+"""The smallest policy that exercises the runtime: written to disk on the spot, for tests and
+the contract kit.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,15 @@ from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from rn_runtime_torch.decoder import Decoder
-from rn_vla.decoding import DecoderShape, PolicyModel, Prompt, RowsRequest, Shard, TokenRequest, Weight
+from rn_vla.decoding import (
+    DecoderShape,
+    PolicyModel,
+    Prompt,
+    RowsRequest,
+    Shard,
+    TokenRequest,
+    Weight,
+)
 from rn_vla.pruning import AttentionView, PrunableDecoder
 
 FEATURES = 6
@@ -42,7 +52,9 @@ class ToyFront(nn.Module):
     def forward(self, arrays: dict[str, Tensor], ids: Tensor, embed: nn.Module) -> Tensor:
         """See `rn_runtime_torch.engine.Front`."""
         words: Tensor = embed(ids)
-        return torch.cat((words[:, :1], arrays["features"] @ self.projection.T, words[:, 1:]), dim=1)
+        return torch.cat(
+            (words[:, :1], arrays["features"] @ self.projection.T, words[:, 1:]), dim=1
+        )
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -66,7 +78,9 @@ class ToyPolicy:
         generator = torch.Generator().manual_seed(seed)
         for shard in self._files():
             tensors = {
-                name: (torch.randn(weight.shape, generator=generator) * weight.shape[-1] ** -0.5).to(torch.bfloat16)
+                name: (
+                    torch.randn(weight.shape, generator=generator) * weight.shape[-1] ** -0.5
+                ).to(torch.bfloat16)
                 for name, weight in shard.weights.items()
             }
             save_file(tensors, shard.path)
@@ -74,8 +88,13 @@ class ToyPolicy:
     def _files(self) -> tuple[Shard, ...]:
         with torch.device("meta"):
             slots = Decoder(self.shape, self.visual_tokens).slots()
-        weights = {f"language_model.{n}": Weight(shape=tuple(t.shape), target=f"decoder.{n}") for n, t in slots.items()}
-        weights["projection"] = Weight(shape=(self.shape.hidden, FEATURES), target="front.projection")
+        weights = {
+            f"language_model.{n}": Weight(shape=tuple(t.shape), target=f"decoder.{n}")
+            for n, t in slots.items()
+        }
+        weights["projection"] = Weight(
+            shape=(self.shape.hidden, FEATURES), target="front.projection"
+        )
         names = sorted(weights)
         return tuple(
             Shard(
@@ -86,7 +105,9 @@ class ToyPolicy:
         )
 
     def model(self, family: str = "openvla") -> PolicyModel:
-        """What `Runtime.load` takes; the family "openvla" decodes up to seven tokens, the other one none."""
+        """What `Runtime.load` takes; the family "openvla" decodes up to seven tokens, the other
+        one none.
+        """
         decodes = family == "openvla"
         return PolicyModel(
             family=family,
@@ -106,7 +127,11 @@ class ToyPolicy:
             text="",
             ids=generator.integers(0, self.shape.vocabulary, count),
             images=(),
-            arrays={"features": generator.standard_normal((self.visual_tokens, FEATURES)).astype(np.float32)},
+            arrays={
+                "features": generator.standard_normal((self.visual_tokens, FEATURES)).astype(
+                    np.float32
+                )
+            },
         )
 
     def token_request(self, count: int = 9, seed: int = 0) -> TokenRequest:
@@ -129,7 +154,11 @@ class EveryOtherToken:
 
     def select(self, view: AttentionView) -> Tensor:
         """See `rn_vla.pruning.TokenSelection`."""
-        start, end, count = view.visual_start, view.visual_start + view.visual_count, view.key.shape[2]
+        start, end, count = (
+            view.visual_start,
+            view.visual_start + view.visual_count,
+            view.key.shape[2],
+        )
         parts = ((0, start, 1), (start, end, 2), (end, count, 1))
         # Made on the device: a list of the host cannot be copied while a CUDA graph is recorded.
         return torch.cat([torch.arange(*part, device=view.key.device) for part in parts])

@@ -1,4 +1,6 @@
-"""Weights from disk to the device, one tensor at a time: the host never holds more than the model and one shard."""
+"""Weights from disk to the device, one tensor at a time: the host never holds more than the
+model and one shard.
+"""
 
 from __future__ import annotations
 
@@ -46,11 +48,15 @@ class _Safetensors:
 
 
 class _StateDictionary:
-    """A file written by `torch.save`; its header is checked first, and nothing in it is executed."""
+    """A file written by `torch.save`; its header is checked first, and nothing in it is
+    executed.
+    """
 
     def __init__(self, path: Path) -> None:
         self._header = read_header(path)
-        self._tensors: dict[str, Tensor] = torch.load(path, map_location="cpu", weights_only=True, mmap=True)
+        self._tensors: dict[str, Tensor] = torch.load(
+            path, map_location="cpu", weights_only=True, mmap=True
+        )
 
     def shapes(self) -> Mapping[str, tuple[int, ...]]:
         return {name: tensor.shape for name, tensor in self._header.items()}
@@ -70,7 +76,8 @@ def _opened(path: Path) -> Iterator[_OpenShard]:
         if isinstance(error, torch.OutOfMemoryError) or "allocate memory" in str(error):
             raise
         raise CheckpointError(
-            f"Weight file {path} ({path.stat().st_size} bytes) is truncated or damaged: {clip(error, 200)}",
+            f"Weight file {path} ({path.stat().st_size} bytes) is truncated or damaged: "
+            f"{clip(error, 200)}",
             hint="Download the checkpoint again.",
         ) from error
 
@@ -79,7 +86,8 @@ def check_shards(shards: tuple[Shard, ...]) -> None:
     """Compare names and shapes on disk with what is expected, before any tensor is read.
 
     Raises:
-        CheckpointError: lists every missing, unexpected and misshaped tensor, or names the damaged file.
+        CheckpointError: lists every missing, unexpected and misshaped tensor, or names the damaged
+            file.
     """
     problems: list[str] = []
     for shard in shards:
@@ -92,7 +100,11 @@ def check_shards(shards: tuple[Shard, ...]) -> None:
             for name, weight in shard.weights.items()
             if name in found and found[name] != weight.shape
         ]
-        odd = [f"{name} is {clip(kinds[name])}" for name in sorted(found) if kinds[name] not in _REAL_NUMBERS]
+        odd = [
+            f"{name} is {clip(kinds[name])}"
+            for name in sorted(found)
+            if kinds[name] not in _REAL_NUMBERS
+        ]
         for what, names in (
             ("missing", missing),
             ("unexpected", extra),
@@ -103,15 +115,19 @@ def check_shards(shards: tuple[Shard, ...]) -> None:
                 problems.append(f"{shard.path.name}: {len(names)} {what}: {list_names(names)}")
     if problems:
         raise CheckpointError(
-            f"The weights in {shards[0].path.parent} are not those of this model. " + "; ".join(problems) + ".",
+            f"The weights in {shards[0].path.parent} are not those of this model. "
+            + "; ".join(problems)
+            + ".",
             hint="Check that the checkpoint belongs to this backend and is complete.",
         )
 
 
 def load_shards(shards: tuple[Shard, ...], slots: Mapping[str, Tensor]) -> None:
-    """Copy every tensor that has a target into its slot, converting type and device, shard by shard.
+    """Copy every tensor that has a target into its slot, converting type and device, shard by
+    shard.
 
-    Tensors without one, of parts that inference never runs, are read too: a file that is damaged there is damaged.
+    Tensors without one, of parts that inference never runs, are read too: a file that is damaged
+        there is damaged.
 
     Raises:
         CheckpointError: a tensor holds NaN or infinity, a file is damaged, or a slot stayed empty.
@@ -131,8 +147,10 @@ def load_shards(shards: tuple[Shard, ...], slots: Mapping[str, Tensor]) -> None:
         bad = [name for name, flag in finite.items() if not bool(flag)]
         if bad:
             raise CheckpointError(
-                f"{shard.path} holds NaN or infinite values in {len(bad)} tensors: {list_names(bad)}.",
-                hint="Download the checkpoint again; a float16 runtime can also overflow: use bfloat16 or float32.",
+                f"{shard.path} holds NaN or infinite values in {len(bad)} tensors: "
+                f"{list_names(bad)}.",
+                hint="Download the checkpoint again; a float16 runtime can also overflow: use "
+                "bfloat16 or float32.",
             )
     empty = sorted(slots.keys() - filled)
     if empty:

@@ -14,7 +14,9 @@ EngineChoice = Literal["auto", "pybullet", "mujoco"]
 
 ENGINES: tuple[Engine, ...] = ("pybullet", "mujoco")
 REQUIREMENT = Requirement(module="pybullet", alternatives=("mujoco",), install="pip install mujoco")
-"""PyBullet comes first because it has been here longer; it has wheels for Python 3.11 on x86-64 only."""
+"""PyBullet comes first because it has been here longer; it has wheels for Python 3.11 on x86-64
+only.
+"""
 
 
 def choose_engine(choice: EngineChoice) -> Engine:
@@ -23,7 +25,11 @@ def choose_engine(choice: EngineChoice) -> Engine:
     Raises:
         ConfigurationError: it is not installed.
     """
-    found = [module for module in (REQUIREMENT.module, *REQUIREMENT.alternatives) if find_spec(module) is not None]
+    found = [
+        module
+        for module in (REQUIREMENT.module, *REQUIREMENT.alternatives)
+        if find_spec(module) is not None
+    ]
     if choice == "auto" and found:
         return cast(Engine, found[0])
     if choice in found:

@@ -1,7 +1,9 @@
-"""What every MuJoCo world here does alike: reads URDF, and casts rays on the CPU instead of drawing with OpenGL.
+"""What every MuJoCo world here does alike: reads URDF, and casts rays on the CPU instead of drawing
+with OpenGL.
 
-MuJoCo's own renderer needs OpenGL from the system (EGL or OSMesa), which pip cannot install; its ray caster needs
-nothing, and a scene of boxes and cylinders takes it less time than software OpenGL.
+MuJoCo's own renderer needs OpenGL from the system (EGL or OSMesa), which pip cannot install; its
+ray caster needs nothing, and a scene of boxes and cylinders takes it less time than software
+OpenGL.
 """
 
 from __future__ import annotations
@@ -13,7 +15,9 @@ from numpy.typing import NDArray
 F64 = NDArray[np.float64]
 
 VISUAL_GROUP = 1
-"""Group of the geoms that are drawn; MuJoCo's reader of URDF puts `<visual>` there and `<collision>` into group 0."""
+"""Group of the geoms that are drawn; MuJoCo's reader of URDF puts `<visual>` there and
+`<collision>` into group 0.
+"""
 _DRAWN = np.array([group == VISUAL_GROUP for group in range(mujoco.mjNGROUP)], dtype=np.uint8)
 _COMPILER = '<mujoco><compiler discardvisual="false" fusestatic="false"/></mujoco>'
 
@@ -26,7 +30,8 @@ def read_urdf(urdf: str) -> mujoco.MjSpec:
 def cast_rays(
     model: mujoco.MjModel, data: mujoco.MjData, origin: F64, directions: F64, far_m: float
 ) -> tuple[NDArray[np.int32], F64]:
-    """What rays from `origin` (3,) [m] along `directions` (n, 3), of unit length, hit of what is drawn.
+    """What rays from `origin` (3,) [m] along `directions` (n, 3), of unit length, hit of what is
+    drawn.
 
     Args:
         model, data: the world; body poses are up to date.
@@ -36,7 +41,13 @@ def cast_rays(
         int32 (n,), the geom or -1, and float64 (n, 3), the surface's normal of unit length there.
     """
     count = len(directions)
-    geoms, distances, normals = np.empty(count, dtype=np.int32), np.empty(count), np.empty(3 * count)
+    geoms, distances, normals = (
+        np.empty(count, dtype=np.int32),
+        np.empty(count),
+        np.empty(3 * count),
+    )
     rays = np.ascontiguousarray(directions).ravel()
-    mujoco.mj_multiRay(model, data, origin, rays, _DRAWN, True, -1, geoms, distances, normals, count, far_m)
+    mujoco.mj_multiRay(
+        model, data, origin, rays, _DRAWN, True, -1, geoms, distances, normals, count, far_m
+    )
     return geoms, normals.reshape(-1, 3)

@@ -1,17 +1,23 @@
-"""How many physics steps are due: keeps simulated time in step with the wall clock. Pure arithmetic on given times."""
+"""How many physics steps are due: keeps simulated time in step with the wall clock. Pure
+arithmetic on given times.
+"""
 
 from __future__ import annotations
 
 _TICK_S = 1.0 / 120.0
-"""Time between two wake-ups: two physics steps; one at a time cost 25 % of a core instead of 16 %."""
+"""Time between two wake-ups: two physics steps; one at a time cost 25 % of a core instead of 16
+%.
+"""
 _WINDOW_S = 1.0
 
 
 class Pace:
-    """Counts steps against a monotonic clock; what cannot be caught up is dropped, so that time never races.
+    """Counts steps against a monotonic clock; what cannot be caught up is dropped, so that time
+    never races.
 
     Attributes:
-        achieved_factor: simulated per wall seconds during the last whole second; the wanted factor before that.
+        achieved_factor: simulated per wall seconds during the last whole second; the wanted factor
+            before that.
     """
 
     def __init__(self, *, step_s: float, factor: float = 1.0, catch_up_s: float = 0.05) -> None:
@@ -29,7 +35,9 @@ class Pace:
         self.achieved_factor = factor
 
     def due_steps(self, now_s: float) -> int:
-        """Steps to make now (monotonic time [s]), at most `catch_up_s` worth; they count as made."""
+        """Steps to make now (monotonic time [s]), at most `catch_up_s` worth; they count as
+        made.
+        """
         if self._next_s is None:
             self._next_s = self._window_start_s = now_s
         steps = int((now_s - self._next_s) / self._period_s) if now_s > self._next_s else 0

@@ -1,4 +1,6 @@
-"""A simulation that runs in real time in a thread of its own, as the driver of a simulated robot needs it."""
+"""A simulation that runs in real time in a thread of its own, as the driver of a simulated
+robot needs it.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,9 @@ _START_TIMEOUT_S = 30.0
 _STOP_TIMEOUT_S = 10.0
 
 Advance = Callable[[int, float, bool], None]
-"""Makes so many steps; is told the achieved real-time factor, and whether the state is to be published."""
+"""Makes so many steps; is told the achieved real-time factor, and whether the state is to be
+published.
+"""
 
 
 class RealTimeThread:
@@ -25,7 +29,13 @@ class RealTimeThread:
     """
 
     def __init__(
-        self, robot: str, *, step_s: float, factor: float = 1.0, catch_up_s: float = 0.05, publish_rate_hz: float
+        self,
+        robot: str,
+        *,
+        step_s: float,
+        factor: float = 1.0,
+        catch_up_s: float = 0.05,
+        publish_rate_hz: float,
     ) -> None:
         """Remember how time is to run.
 
@@ -63,14 +73,18 @@ class RealTimeThread:
         if self._thread is None:
             raise StateError(f"The simulated {self._robot} is not open.")
         if self._failure is not None:
-            raise UnsafeError(f"The simulation stopped: {self._failure}.", hint="Stop and start the robot.")
+            raise UnsafeError(
+                f"The simulation stopped: {self._failure}.", hint="Stop and start the robot."
+            )
 
     def start(self, simulation: AbstractContextManager[object], advance: Advance) -> None:
-        """Enter `simulation`, advance by no step, and let time run; all in the thread. `stop` leaves it.
+        """Enter `simulation`, advance by no step, and let time run; all in the thread. `stop`
+        leaves it.
 
         Raises:
             StateError: it was started already.
-            NotReadyError: it did not start in time, or failed with an error that is not the project's.
+            NotReadyError: it did not start in time, or failed with an error that is not the
+                project's.
             RoboNeuronError: what entering the simulation or advancing it raised.
         """
         self.check_stopped()
@@ -78,12 +92,17 @@ class RealTimeThread:
         self._stop.clear()
         self._failure = None
         self._thread = threading.Thread(
-            target=self._run, args=(simulation, advance), name=f"{self._robot}-simulation", daemon=True
+            target=self._run,
+            args=(simulation, advance),
+            name=f"{self._robot}-simulation",
+            daemon=True,
         )
         self._thread.start()
         if not self._started.wait(_START_TIMEOUT_S):
             self.stop()
-            raise NotReadyError(f"The simulated {self._robot} did not start within {_START_TIMEOUT_S:g} s.")
+            raise NotReadyError(
+                f"The simulated {self._robot} did not start within {_START_TIMEOUT_S:g} s."
+            )
         self._check_started()
 
     def _check_started(self) -> None:

@@ -1,4 +1,6 @@
-"""A run ends with the simulator's word, else the backend's, else nobody's; faults end it when they last."""
+"""A run ends with the simulator's word, else the backend's, else nobody's; faults end it when
+they last.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,11 @@ INSTRUCTION = "Pick up the red cube."
 
 
 def status(
-    *, lifted: dict[str, float] | None = None, done: str | None = None, health: str = "ok", stopped: bool = False
+    *,
+    lifted: dict[str, float] | None = None,
+    done: str | None = None,
+    health: str = "ok",
+    stopped: bool = False,
 ) -> ServerStatus:
     detail = {"seed": "3", "engine": "{not JSON"}
     if lifted is not None:
@@ -33,19 +39,36 @@ def status(
 @pytest.mark.parametrize(
     ("seen", "elapsed_s", "outcome", "reason"),
     [
-        (status(lifted={"red": 1.2, "blue": 0.0}), 5.0, Outcome.DONE, "the simulator says that red is lifted by 20 cm"),
+        (
+            status(lifted={"red": 1.2, "blue": 0.0}),
+            5.0,
+            Outcome.DONE,
+            "the simulator says that red is lifted by 20 cm",
+        ),
         (status(lifted={"red": 0.4}), 5.0, None, ""),
         (status(lifted={"blue": 3.0}), 5.0, None, ""),  # another one was lifted
-        (status(lifted={"red": 0.0}), 60.0, Outcome.NOT_DONE, "60 s are over and red is not lifted"),
+        (
+            status(lifted={"red": 0.0}),
+            60.0,
+            Outcome.NOT_DONE,
+            "60 s are over and red is not lifted",
+        ),
         (status(done="1"), 5.0, Outcome.DONE, "the backend reports that it has finished"),
         (status(done="0"), 5.0, None, ""),
         (status(done="0"), 60.0, Outcome.NOT_DONE, "the backend has not finished"),
         (status(done="nonsense"), 5.0, None, ""),
         (status(), 60.0, Outcome.UNKNOWN, "neither the backend nor a simulator tells"),
-        (status(stopped=True), 1.0, Outcome.NOT_DONE, "the emergency stop was latched by ada: smoke"),
+        (
+            status(stopped=True),
+            1.0,
+            Outcome.NOT_DONE,
+            "the emergency stop was latched by ada: smoke",
+        ),
     ],
 )
-def test_one_look_decides(seen: ServerStatus, elapsed_s: float, outcome: Outcome | None, reason: str) -> None:
+def test_one_look_decides(
+    seen: ServerStatus, elapsed_s: float, outcome: Outcome | None, reason: str
+) -> None:
     verdict = Judge(INSTRUCTION, 60.0).look(seen, elapsed_s)
     if outcome is None:
         assert verdict is None
@@ -84,4 +107,6 @@ def test_the_backends_word_does_not_outweigh_the_simulators() -> None:
 
 
 def test_exit_statuses_tell_the_outcomes_apart() -> None:
-    assert [int(o) for o in (Outcome.DONE, Outcome.NOT_DONE, Outcome.UNKNOWN, Outcome.INTERRUPTED)] == [0, 1, 3, 130]
+    assert [
+        int(o) for o in (Outcome.DONE, Outcome.NOT_DONE, Outcome.UNKNOWN, Outcome.INTERRUPTED)
+    ] == [0, 1, 3, 130]

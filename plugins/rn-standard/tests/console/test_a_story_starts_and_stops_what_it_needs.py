@@ -1,4 +1,6 @@
-"""What a run calls on a server, in which order, and what it leaves running: with a server that is none."""
+"""What a run calls on a server, in which order, and what it leaves running: with a server that
+is none.
+"""
 
 from __future__ import annotations
 
@@ -20,9 +22,13 @@ from roboneuron.errors import NotReadyError, RefusedError
 
 
 class FakeSession(Session):
-    """Starts and stops modules in a table; `notes` are what the backend says, status after status."""
+    """Starts and stops modules in a table; `notes` are what the backend says, status after
+    status.
+    """
 
-    def __init__(self, running: tuple[str, ...] = (), fails: str = "", latched: bool = False) -> None:
+    def __init__(
+        self, running: tuple[str, ...] = (), fails: str = "", latched: bool = False
+    ) -> None:
         self.running = dict.fromkeys(running, "ok")
         self.calls: list[tuple[str, dict[str, Any]]] = []
         self.fails = fails
@@ -30,7 +36,10 @@ class FakeSession(Session):
         self.looks = 0
 
     async def call(
-        self, tool: str, arguments: Mapping[str, Any] | None = None, on_progress: Callable[[str], None] | None = None
+        self,
+        tool: str,
+        arguments: Mapping[str, Any] | None = None,
+        on_progress: Callable[[str], None] | None = None,
     ) -> dict[str, Any]:
         self.calls.append((tool, dict(arguments or {})))
         if on_progress is not None:
@@ -48,10 +57,18 @@ class FakeSession(Session):
         self.looks += 1
         done = {"done": "1.0" if self.looks > 4 else "0.0"}
         modules = [
-            {"module": kind, "health": health, "pid": 7, "metrics": done, "note": f"step {self.looks // 3}"}
+            {
+                "module": kind,
+                "health": health,
+                "pid": 7,
+                "metrics": done,
+                "note": f"step {self.looks // 3}",
+            }
             for kind, health in self.running.items()
         ]
-        return ServerStatus.from_answer({"modules": modules, "emergency_stop": self.latched}, "fake")
+        return ServerStatus.from_answer(
+            {"modules": modules, "emergency_stop": self.latched}, "fake"
+        )
 
 
 @pytest.fixture(autouse=True)
@@ -87,7 +104,10 @@ def test_everything_is_started_in_order_and_stopped_in_the_reverse_order() -> No
     assert verdict.outcome is Outcome.DONE
     assert names(session) == [*STARTS, *STOPS]
     assert session.calls[3] == ("start_inference", {"instruction": "wave"})
-    assert [line.split("  ")[1] for line in text.splitlines()][:2] == ["✓ start robot", "✓ start perception"]
+    assert [line.split("  ")[1] for line in text.splitlines()][:2] == [
+        "✓ start robot",
+        "✓ start perception",
+    ]
     assert "step 1" in text
 
 

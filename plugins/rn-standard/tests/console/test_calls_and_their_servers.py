@@ -22,7 +22,16 @@ def run(state: Path, *words: str) -> subprocess.CompletedProcess[str]:
 
 
 def test_a_further_tool_needs_no_arguments(tmp_path: Path) -> None:
-    done = run(tmp_path, "call", "get_status", "--then", "list_robots", "--then", "list_interfaces", '{"package": "x"}')
+    done = run(
+        tmp_path,
+        "call",
+        "get_status",
+        "--then",
+        "list_robots",
+        "--then",
+        "list_interfaces",
+        '{"package": "x"}',
+    )
     assert '"robots"' in done.stdout
     assert done.stdout.count("\n}\n") >= 2
     assert "ending" not in done.stderr  # nothing was started: nothing to say
@@ -32,7 +41,10 @@ def test_a_further_tool_needs_no_arguments(tmp_path: Path) -> None:
     ("words", "reason"),
     [
         (("--then", "a", "{}", "c"), "--then takes a tool and its arguments, got 'a {} c'."),
-        (("--keep", "--url", "http://127.0.0.1:9/mcp"), "--keep is for a server that `call` starts"),
+        (
+            ("--keep", "--url", "http://127.0.0.1:9/mcp"),
+            "--keep is for a server that `call` starts",
+        ),
         (("--then", "a", "{"), "are not JSON"),
     ],
 )

@@ -1,4 +1,6 @@
-"""The scripts are valid in their shells, hold every command and option, and complete in bash without Python."""
+"""The scripts are valid in their shells, hold every command and option, and complete in bash
+without Python.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,9 @@ def scripts() -> dict[str, str]:
     found = {}
     for shell in SHELLS:
         words = [sys.executable, "-m", "roboneuron.cli.main", "completion", shell]
-        found[shell] = subprocess.run(words, capture_output=True, text=True, check=True, timeout=60).stdout
+        found[shell] = subprocess.run(
+            words, capture_output=True, text=True, check=True, timeout=60
+        ).stdout
     return found
 
 
@@ -64,7 +68,9 @@ printf '%s\\n' "${COMPREPLY[@]}"
         (["plugins", ""], {"list", "show", "check"}),
     ],
 )
-def test_bash_completes_words(scripts: dict[str, str], tmp_path: Path, words: list[str], expected: set[str]) -> None:
+def test_bash_completes_words(
+    scripts: dict[str, str], tmp_path: Path, words: list[str], expected: set[str]
+) -> None:
     path = tmp_path / "script"
     path.write_text(scripts["bash"])
     done = subprocess.run(

@@ -1,4 +1,6 @@
-"""Logs of a run come in order of time, are followed over rotation and new runs, and cannot act on the terminal."""
+"""Logs of a run come in order of time, are followed over rotation and new runs, and cannot act
+on the terminal.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,9 @@ def state(tmp_path: Path) -> Path:
     (tmp_path / "log" / "ros").mkdir()
     (tmp_path / "log" / "20260101-101500-41").mkdir()
     (run / "server.log").write_text(entry(1, "one") + entry(3, "three"))
-    (run / "robot.log").write_text(entry(2, "two", "ERROR") + "  File x\n" + entry(4, "\x1b[31mfour"))
+    (run / "robot.log").write_text(
+        entry(2, "two", "ERROR") + "  File x\n" + entry(4, "\x1b[31mfour")
+    )
     return tmp_path
 
 
@@ -37,7 +41,9 @@ def shown(state: Path, *words: str, capsys: pytest.CaptureFixture[str]) -> list[
     return capsys.readouterr().out.splitlines()[1:]
 
 
-def test_lines_of_all_modules_are_in_order_of_time(state: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_lines_of_all_modules_are_in_order_of_time(
+    state: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     lines = shown(state, capsys=capsys)
     assert [line.split()[0] for line in lines] == ["server", "robot", "robot", "server", "robot"]
     assert [line.split()[-1] for line in lines] == ["one", "two", "x", "three", "\\x1b[31mfour"]
@@ -45,7 +51,9 @@ def test_lines_of_all_modules_are_in_order_of_time(state: Path, capsys: pytest.C
 
 
 def test_one_modules_log_stands_as_it_is(state: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert shown(state, "server", capsys=capsys) == (entry(1, "one") + entry(3, "three")).splitlines()
+    assert (
+        shown(state, "server", capsys=capsys) == (entry(1, "one") + entry(3, "three")).splitlines()
+    )
 
 
 def test_runs_are_listed_the_newest_first(state: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -71,7 +79,9 @@ def test_what_is_not_there_is_said_in_one_line(
     assert reason in line
 
 
-def test_following_shows_what_is_added_begun_anew_and_a_newer_run(state: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_following_shows_what_is_added_begun_anew_and_a_newer_run(
+    state: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     run = choose_run(state, None)
     output = io.StringIO()
     view = LogView(run, None, Console(file=output, width=200, highlight=False, markup=False))
@@ -106,7 +116,9 @@ def test_following_shows_what_is_added_begun_anew_and_a_newer_run(state: Path, m
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
-def test_an_interrupt_that_python_drops_ends_following(state: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_interrupt_that_python_drops_ends_following(
+    state: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Ctrl-C while an object is being deleted: Python reports the exception and goes on."""
 
     class Deleted:

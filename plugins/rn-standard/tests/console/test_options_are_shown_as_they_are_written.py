@@ -25,7 +25,9 @@ class Everything(BaseModel):
     corner: Corner | None = None
     corners: tuple[Corner, ...] = ()
     named: Mapping[str, Corner] = Field(default_factory=dict)
-    bounds: Mapping[str, tuple[float, float]] = Field(default_factory=lambda: {"linear.x": (-0.5, 1e-7)})
+    bounds: Mapping[str, tuple[float, float]] = Field(
+        default_factory=lambda: {"linear.x": (-0.5, 1e-7)}
+    )
     name: str | None = None
     text: str = 'a "b" \\ \n ü'
 
@@ -37,13 +39,27 @@ def test_defaults_are_written_as_toml_and_types_with_their_bounds() -> None:
     assert options["folder"].default == '"a/b"'
     assert (options["mode"].type, options["mode"].default) == ("`warm` or `cold`", '"warm"')
     assert options["name"].default == UNSET
-    assert options["rate"] == Option(key="rate", type="number > 0, ≤ 60", default=None, meaning="per second")
+    assert options["rate"] == Option(
+        key="rate", type="number > 0, ≤ 60", default=None, meaning="per second"
+    )
 
 
 def test_every_default_is_read_back_by_a_toml_parser() -> None:
     default = Everything(rate=1.0).model_dump(mode="json")
-    options = [o for o in describe_options(Everything) if o.default not in (None, UNSET) and "<" not in o.key]
-    assert {o.key for o in options} >= {"fast", "sizes", "folder", "mode", "named", "bounds", "text"}
+    options = [
+        o
+        for o in describe_options(Everything)
+        if o.default not in (None, UNSET) and "<" not in o.key
+    ]
+    assert {o.key for o in options} >= {
+        "fast",
+        "sizes",
+        "folder",
+        "mode",
+        "named",
+        "bounds",
+        "text",
+    }
     for option in options:
         assert tomllib.loads(f"value = {option.default}")["value"] == default[option.key]
 

@@ -10,9 +10,28 @@ from roboneuron.errors import ConfigurationError
 
 
 def test_values_are_toml_or_json_or_text():
-    texts = ["gain=0.5", "path=/tmp/x", 'name="a b"', "sizes=[1, 2]", "on=true", "none=null", 'table={"a": 1}']
-    expected = {"gain": 0.5, "path": "/tmp/x", "name": "a b", "sizes": [1, 2], "on": True, "none": None}
-    assert read_options([*texts, "day=2026-01-02"], "x")["x"] == {**expected, "table": {"a": 1}, "day": "2026-01-02"}
+    texts = [
+        "gain=0.5",
+        "path=/tmp/x",
+        'name="a b"',
+        "sizes=[1, 2]",
+        "on=true",
+        "none=null",
+        'table={"a": 1}',
+    ]
+    expected = {
+        "gain": 0.5,
+        "path": "/tmp/x",
+        "name": "a b",
+        "sizes": [1, 2],
+        "on": True,
+        "none": None,
+    }
+    assert read_options([*texts, "day=2026-01-02"], "x")["x"] == {
+        **expected,
+        "table": {"a": 1},
+        "day": "2026-01-02",
+    }
 
 
 def test_a_name_without_plugin_is_an_option_of_what_the_command_is_about():
@@ -22,7 +41,9 @@ def test_a_name_without_plugin_is_an_option_of_what_the_command_is_about():
 
 @pytest.mark.parametrize("text", ["gain", "=1", ".gain=1", "servo.=1", "two words=1"])
 def test_another_form_is_refused_with_an_example(text):
-    with pytest.raises(ConfigurationError, match=r"expected \[PLUGIN\.\]NAME=VALUE.*servo\.gain=0\.5"):
+    with pytest.raises(
+        ConfigurationError, match=r"expected \[PLUGIN\.\]NAME=VALUE.*servo\.gain=0\.5"
+    ):
         read_options([text], "servo")
 
 

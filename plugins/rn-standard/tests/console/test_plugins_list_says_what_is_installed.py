@@ -1,4 +1,6 @@
-"""`roboneuron plugins list`: what it prints, its stable JSON, its exit status, and what it never imports."""
+"""`roboneuron plugins list`: what it prints, its stable JSON, its exit status, and what it
+never imports.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,7 @@ GOOD = """
 def roboneuron_backends():
     return [BackendSpec(name="good", summary="Works.", target="good_module:Good",
                         requires=(Requirement(module="json", install="-"),), optional_cameras=("wrist",))]
-"""
+"""  # noqa: E501
 
 
 @pytest.fixture
@@ -32,7 +34,12 @@ def only(site, monkeypatch):
     def discover(disabled=()):
         from importlib.metadata import distributions
 
-        points = [p for d in distributions(path=[str(site.path)]) for p in d.entry_points if p.group == "roboneuron"]
+        points = [
+            p
+            for d in distributions(path=[str(site.path)])
+            for p in d.entry_points
+            if p.group == "roboneuron"
+        ]
         return discover_from(points, disabled)
 
     monkeypatch.setattr(plugins_list, "discover", discover)
@@ -74,7 +81,9 @@ def test_the_short_list_of_everything_installed_fits_on_a_screen(capsys, monkeyp
 
 
 @pytest.mark.parametrize("columns", [60, 80, 120])
-def test_the_whole_list_shows_every_offer_and_what_to_do_about_trouble(only, capsys, monkeypatch, columns):
+def test_the_whole_list_shows_every_offer_and_what_to_do_about_trouble(
+    only, capsys, monkeypatch, columns
+):
     monkeypatch.setenv("COLUMNS", str(columns))
     only.install("rn-good", GOOD)
     only.install("rn-bad", "1 / 0")
@@ -138,6 +147,10 @@ def test_listing_everything_installed_imports_nothing_heavy():
         "print([m for m in ('numpy','torch','rclpy','mcp','pydantic') if m in sys.modules], status)"
     )
     done = subprocess.run(
-        [sys.executable, "-c", script], capture_output=True, text=True, check=True, env={**os.environ}
+        [sys.executable, "-c", script],
+        capture_output=True,
+        text=True,
+        check=True,
+        env={**os.environ},
     )
     assert done.stdout.strip().splitlines()[-1] == "[] 0"

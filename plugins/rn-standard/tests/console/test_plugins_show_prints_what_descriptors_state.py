@@ -1,4 +1,6 @@
-"""`roboneuron plugins show`: every fact of a descriptor, its options, and the traceback of what failed."""
+"""`roboneuron plugins show`: every fact of a descriptor, its options, and the traceback of what
+failed.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,7 @@ GOOD = """
 def roboneuron_backends():
     return [BackendSpec(name="good", summary="Works.", target="good_module:Good",
                         requires=(Requirement(module="json", install="-"),), optional_cameras=("wrist",))]
-"""
+"""  # noqa: E501
 
 
 @pytest.fixture
@@ -62,7 +64,12 @@ def test_the_disabled_plugins_of_a_configuration_are_not_loaded(tmp_path, capsys
 
 def test_find_takes_offers_by_name_and_kind():
     registry = fake_registry()
-    assert [o.spec.kind for _, offers in find(registry, "gantry", None) for o in offers] == ["controller", "robot"]
-    assert [o.spec.kind for _, offers in find(registry, "gantry", "robot") for o in offers] == ["robot"]
+    assert [o.spec.kind for _, offers in find(registry, "gantry", None) for o in offers] == [
+        "controller",
+        "robot",
+    ]
+    assert [o.spec.kind for _, offers in find(registry, "gantry", "robot") for o in offers] == [
+        "robot"
+    ]
     with pytest.raises(ConfigurationError, match="of kind backend"):
         find(registry, "gantry", "backend")

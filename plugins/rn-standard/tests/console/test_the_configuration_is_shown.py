@@ -39,4 +39,6 @@ def test_what_has_no_default_is_explained_and_has_no_value() -> None:
 
 def test_configuration_page_is_current() -> None:
     page = (DOCS / "configuration.md").read_text(encoding="utf-8")
-    assert page == reference(), "run: roboneuron config reference > docs/configuration.md (with all packages installed)"
+    assert page == reference(), (
+        "run: roboneuron config reference > docs/configuration.md (with all packages installed)"
+    )

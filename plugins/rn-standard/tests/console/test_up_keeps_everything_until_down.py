@@ -1,4 +1,6 @@
-"""`roboneuron up` and `down`: what they ask of the server, how they find each other, and what is left."""
+"""`roboneuron up` and `down`: what they ask of the server, how they find each other, and what
+is left.
+"""
 
 from __future__ import annotations
 
@@ -51,7 +53,7 @@ connection.connect = connect
 code = Up().run(Namespace(url=None, config=Path(sys.argv[1]), quiet=False, instruction=None, model=None))
 print(json.dumps(calls), flush=True)
 sys.exit(code)
-"""
+"""  # noqa: E501
 
 
 class FakeServer:
@@ -64,12 +66,16 @@ class FakeServer:
         self.answers: dict[str, Any] = {"start_all": STARTED, "stop_all": STOPPED}
 
     async def list_tools(self) -> Any:
-        return SimpleNamespace(tools=[SimpleNamespace(name=name, input_schema={}) for name in self.names])
+        return SimpleNamespace(
+            tools=[SimpleNamespace(name=name, input_schema={}) for name in self.names]
+        )
 
     async def call_tool(self, name: str, arguments: dict[str, Any], **_: Any) -> Any:
         self.calls.append((name, arguments))
         content = [TextContent(type="text", text=self.failure)]
-        return SimpleNamespace(is_error=bool(self.failure), content=content, structured_content=self.answers[name])
+        return SimpleNamespace(
+            is_error=bool(self.failure), content=content, structured_content=self.answers[name]
+        )
 
 
 @pytest.fixture
@@ -87,17 +93,23 @@ def server(monkeypatch: pytest.MonkeyPatch) -> FakeServer:
 @pytest.fixture
 def config(tmp_path: Path) -> Path:
     path = tmp_path / "roboneuron.toml"
-    path.write_text(f'[robot]\nname = "gantry"\n[supervisor]\nstate_directory = "{tmp_path}/state"\n')
+    path.write_text(
+        f'[robot]\nname = "gantry"\n[supervisor]\nstate_directory = "{tmp_path}/state"\n'
+    )
     return path
 
 
 @pytest.fixture
 def kept(config: Path) -> Iterator[Callable[[], subprocess.Popen[str]]]:
-    """Return a function that starts `roboneuron up` in a process, and returns once everything is up."""
+    """Return a function that starts `roboneuron up` in a process, and returns once everything
+    is up.
+    """
     processes: list[subprocess.Popen[str]] = []
 
     def start() -> subprocess.Popen[str]:
-        process = subprocess.Popen([sys.executable, "-c", KEEPER, str(config)], stdout=subprocess.PIPE, text=True)
+        process = subprocess.Popen(
+            [sys.executable, "-c", KEEPER, str(config)], stdout=subprocess.PIPE, text=True
+        )
         processes.append(process)
         assert process.stdout is not None
         assert any("up; Ctrl-C" in line for line in process.stdout)
@@ -110,7 +122,16 @@ def kept(config: Path) -> Iterator[Callable[[], subprocess.Popen[str]]]:
 
 
 def given(**changes: Any) -> Namespace:
-    return Namespace(**{"url": None, "config": None, "quiet": False, "instruction": None, "model": None, **changes})
+    return Namespace(
+        **{
+            "url": None,
+            "config": None,
+            "quiet": False,
+            "instruction": None,
+            "model": None,
+            **changes,
+        }
+    )
 
 
 def test_up_of_a_server_starts_what_is_asked_and_leaves_it_running(
@@ -126,7 +147,11 @@ def test_up_of_a_server_starts_what_is_asked_and_leaves_it_running(
     [(["start_all"], "no weights", "no weights"), (["stop_all"], "", "no tool start_all")],
 )
 def test_up_says_what_failed_and_what_is_missing(
-    server: FakeServer, capsys: pytest.CaptureFixture[str], names: list[str], failure: str, words: str
+    server: FakeServer,
+    capsys: pytest.CaptureFixture[str],
+    names: list[str],
+    failure: str,
+    words: str,
 ) -> None:
     server.names, server.failure = names, failure
     with pytest.raises(Exception) as caught:  # noqa: PT011 - the command line looks into groups
@@ -135,7 +160,9 @@ def test_up_says_what_failed_and_what_is_missing(
     assert words in capsys.readouterr().err
 
 
-def test_down_of_a_server_stops_everything_there(server: FakeServer, capsys: pytest.CaptureFixture[str]) -> None:
+def test_down_of_a_server_stops_everything_there(
+    server: FakeServer, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert Down().run(given(url="http://robot/mcp")) == 0
     server.answers["stop_all"] = {"stopped": []}
     assert Down().run(given(url="http://robot/mcp")) == 0

@@ -18,7 +18,12 @@ def written(folder: Path, text: str, seed: int | None) -> Path:
     source.write_text(text, encoding="utf-8")
     return write_configuration(
         DemoOptions(
-            instruction="pick up the red cube", seed=seed, gui=False, timeout_s=1.0, output=folder, config=source
+            instruction="pick up the red cube",
+            seed=seed,
+            gui=False,
+            timeout_s=1.0,
+            output=folder,
+            config=source,
         ),
         folder,
     )

@@ -20,26 +20,51 @@ ONE = np.ones(2)
 PROFILE = RobotProfile(
     name="arm",
     arm_joints=("j1", "j2"),
-    limits=JointLimits(lower=-ONE, upper=ONE, velocity=2 * ONE, acceleration=10 * ONE, effort=50 * ONE),
+    limits=JointLimits(
+        lower=-ONE, upper=ONE, velocity=2 * ONE, acceleration=10 * ONE, effort=50 * ONE
+    ),
     gripper=GripperProfile(joint="finger", closed_position=0.0, open_position=0.04),
 )
 AT_ZERO = JointSample(names=("j1", "j2", "finger"), position=np.zeros(3))
 VELOCITY = Endpoint(
-    name="velocity", kind="publish", topic="cmd_vel", type="geometry_msgs/msg/Twist", summary="drive",
-    bounds={"linear.x": (-0.5, 0.5), "linear.y": (0.0, 0.0), "angular.z": (-1.0, 1.0)}, rate_hz=5.0,
-)  # fmt: skip
+    name="velocity",
+    kind="publish",
+    topic="cmd_vel",
+    type="geometry_msgs/msg/Twist",
+    summary="drive",
+    bounds={"linear.x": (-0.5, 0.5), "linear.y": (0.0, 0.0), "angular.z": (-1.0, 1.0)},
+    rate_hz=5.0,
+)
 TRAJECTORY = Endpoint(
-    name="trajectory", kind="publish", topic="joint_trajectory", type="trajectory_msgs/msg/JointTrajectory",
-    summary="move", joint_limited=True,
-)  # fmt: skip
-JOINTS = Endpoint(
-    name="joints", kind="publish", topic="joint_command", type="sensor_msgs/msg/JointState", summary="move",
+    name="trajectory",
+    kind="publish",
+    topic="joint_trajectory",
+    type="trajectory_msgs/msg/JointTrajectory",
+    summary="move",
     joint_limited=True,
-)  # fmt: skip
-ENABLE = Endpoint(name="enable", kind="service", topic="enable", type="std_srvs/srv/SetBool", summary="switch on")
-SCAN = Endpoint(name="scan", kind="read", topic="scan", type="sensor_msgs/msg/LaserScan", summary="look")
-GOAL = Endpoint(name="pose", kind="publish", topic="goal", type="geometry_msgs/msg/PoseArray", summary="go",
-                bounds={"poses.position.x": (0.0, 1.0)})  # fmt: skip
+)
+JOINTS = Endpoint(
+    name="joints",
+    kind="publish",
+    topic="joint_command",
+    type="sensor_msgs/msg/JointState",
+    summary="move",
+    joint_limited=True,
+)
+ENABLE = Endpoint(
+    name="enable", kind="service", topic="enable", type="std_srvs/srv/SetBool", summary="switch on"
+)
+SCAN = Endpoint(
+    name="scan", kind="read", topic="scan", type="sensor_msgs/msg/LaserScan", summary="look"
+)
+GOAL = Endpoint(
+    name="pose",
+    kind="publish",
+    topic="goal",
+    type="geometry_msgs/msg/PoseArray",
+    summary="go",
+    bounds={"poses.position.x": (0.0, 1.0)},
+)
 
 
 @dataclass
@@ -80,11 +105,19 @@ def audit(tmp_path: Path, clock: Clock) -> AuditLog:
 def make_gate(latch: EmergencyStopLatch, audit: AuditLog, clock: Clock) -> Callable[..., Gate]:
     """A gate over all endpoints above; keyword arguments change one of them or the gate."""
 
-    def make(changed: Endpoint | None = None, dry_run: bool = False, audit: AuditLog = audit, **entry: Any) -> Gate:
+    def make(
+        changed: Endpoint | None = None,
+        dry_run: bool = False,
+        audit: AuditLog = audit,
+        **entry: Any,
+    ) -> Gate:
         endpoints = {e.name: e for e in (VELOCITY, TRAJECTORY, JOINTS, ENABLE, SCAN, GOAL)}
         if changed is not None:
             endpoints[changed.name] = changed
-        allowed = [AllowedEndpoint(robot="arm", endpoint=e, profile=PROFILE, **entry) for e in endpoints.values()]
+        allowed = [
+            AllowedEndpoint(robot="arm", endpoint=e, profile=PROFILE, **entry)
+            for e in endpoints.values()
+        ]
         return Gate(allowed, latch=latch, audit=audit, clock=clock.monotonic, dry_run=dry_run)
 
     return make
@@ -112,12 +145,20 @@ def _written_out(value: Any) -> Any:
 def ask() -> Callable[..., GateRequest]:
     """A request of an operator; `value` is encoded for the endpoint."""
 
-    def make(endpoint: Endpoint, value: dict[str, Any] | None = None, /, **changes: Any) -> GateRequest:
+    def make(
+        endpoint: Endpoint, value: dict[str, Any] | None = None, /, **changes: Any
+    ) -> GateRequest:
         messages = () if value is None else (encode(endpoint.type, value),)
         request = GateRequest(
-            who="agent-1", role="operator", tool=f"publish_{endpoint.name}", robot="arm", endpoint=endpoint.name,
-            messages=messages, arguments=value or {}, joints=AT_ZERO,
-        )  # fmt: skip
+            who="agent-1",
+            role="operator",
+            tool=f"publish_{endpoint.name}",
+            robot="arm",
+            endpoint=endpoint.name,
+            messages=messages,
+            arguments=value or {},
+            joints=AT_ZERO,
+        )
         return replace(request, **changes)
 
     return make

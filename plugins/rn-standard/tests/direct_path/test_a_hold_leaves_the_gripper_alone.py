@@ -1,4 +1,6 @@
-"""What ends a joint motion holds the arm, and never tells fingers to be where an object blocks them."""
+"""What ends a joint motion holds the arm, and never tells fingers to be where an object blocks
+them.
+"""
 
 from __future__ import annotations
 
@@ -10,14 +12,18 @@ import pytest
 from rn_standard.direct_path.delivery import _hold
 from roboneuron.contract import GripperProfile, JointSample, RobotProfile
 
-PROFILE = RobotProfile(name="arm", gripper=GripperProfile(joint="finger", closed_position=0.0, open_position=0.04))
+PROFILE = RobotProfile(
+    name="arm", gripper=GripperProfile(joint="finger", closed_position=0.0, open_position=0.04)
+)
 MEASURED = JointSample(names=("j1", "finger"), position=np.array([0.3, 0.02]))
 
 
 def trajectory(*names: str) -> Any:
     from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-    return JointTrajectory(joint_names=list(names), points=[JointTrajectoryPoint(positions=[0.0] * len(names))])
+    return JointTrajectory(
+        joint_names=list(names), points=[JointTrajectoryPoint(positions=[0.0] * len(names))]
+    )
 
 
 def test_a_trajectory_of_arm_and_fingers_ends_in_a_hold_of_the_arm() -> None:

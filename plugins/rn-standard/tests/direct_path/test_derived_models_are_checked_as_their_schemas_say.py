@@ -1,4 +1,6 @@
-"""What is known of a tool's arguments at run time only is in their schema, and calls are checked against it."""
+"""What is known of a tool's arguments at run time only is in their schema, and calls are
+checked against it.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,9 @@ class Move(Arguments):
 
 
 DERIVED = Derived(
-    model=Move, properties={"speed": {"maximum": 1.5}, "note": {"enum": ["left", "right"]}}, required=["speed"]
+    model=Move,
+    properties={"speed": {"maximum": 1.5}, "note": {"enum": ["left", "right"]}},
+    required=["speed"],
 )
 
 
@@ -39,7 +43,10 @@ DERIVED = Derived(
         ({}, "Argument 'speed' is missing."),
         ({"speed": None}, "Argument 'speed' is None"),
         ({"speed": 1.75}, "Argument 'speed' is 1.75, expected up to 1.5."),
-        ({"speed": 1, "note": "lift"}, "Argument 'note' is 'lift'. Did you mean 'left'? Choose one of: left, right."),
+        (
+            {"speed": 1, "note": "lift"},
+            "Argument 'note' is 'lift'. Did you mean 'left'? Choose one of: left, right.",
+        ),
         ({"speed": 1, "times": 2}, "The call has no argument 'times'."),
     ],
 )
@@ -51,7 +58,12 @@ def test_what_is_known_at_run_time_only_is_checked_too(given: dict[str, Any], wo
 
 def test_a_derived_schema_holds_what_is_used_and_no_other_definition() -> None:
     schema = model_schema(DERIVED)
-    assert schema["properties"]["speed"] == {"default": 1.0, "minimum": 0, "maximum": 1.5, "type": "number"}
+    assert schema["properties"]["speed"] == {
+        "default": 1.0,
+        "minimum": 0,
+        "maximum": 1.5,
+        "type": "number",
+    }
     assert schema["required"] == ["speed"]
     assert "$defs" not in schema
     assert model_schema(Derived(model=Move, properties={"steps": {}}))["$defs"].keys() == {"Step"}

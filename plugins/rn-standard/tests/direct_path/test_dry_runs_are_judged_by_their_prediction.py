@@ -15,7 +15,11 @@ from roboneuron.errors import ConfigurationError, RefusedError
     [
         (RefusedError("It would stop short."), "path", "It would stop short."),
         (LimitError("zone", "It would enter 'pane'."), "zone", "'pane'"),
-        (ConfigurationError("There is no controller."), "path", "cannot be judged: There is no controller."),
+        (
+            ConfigurationError("There is no controller."),
+            "path",
+            "cannot be judged: There is no controller.",
+        ),
     ],
 )
 def test_a_dry_run_is_refused_by_its_prediction_and_audited_as_such(

@@ -45,7 +45,10 @@ def test_a_change_is_told_with_its_level(health: Health, level: Any) -> None:
     assert link.advertised == ["/diagnostics"]
     (status,) = link.sent[-1].status
     assert (status.name, status.level) == ("cell/supervisor/control", level)
-    assert {value.key: value.value for value in status.values} == {"health": health, "before": "starting"}
+    assert {value.key: value.value for value in status.values} == {
+        "health": health,
+        "before": "starting",
+    }
 
 
 def test_a_module_that_was_never_chosen_is_not_told() -> None:

@@ -1,4 +1,6 @@
-"""Names, positions, velocities and times of joint commands, and the first step from where the joints are."""
+"""Names, positions, velocities and times of joint commands, and the first step from where the
+joints are.
+"""
 
 from __future__ import annotations
 
@@ -14,8 +16,13 @@ from roboneuron.contract import JointSample
 from roboneuron.errors import RefusedError
 
 
-def trajectory(*points: tuple[float, list[float]], names: tuple[str, ...] = ("j1", "j2")) -> dict[str, Any]:
-    return {"joint_names": list(names), "points": [{"positions": q, "time_from_start": t} for t, q in points]}
+def trajectory(
+    *points: tuple[float, list[float]], names: tuple[str, ...] = ("j1", "j2")
+) -> dict[str, Any]:
+    return {
+        "joint_names": list(names),
+        "points": [{"positions": q, "time_from_start": t} for t, q in points],
+    }
 
 
 def with_rates(**rates: list[float]) -> dict[str, Any]:
@@ -53,7 +60,9 @@ def test_what_the_arm_cannot_do_is_refused(make_gate, ask, endpoints, value, tex
         make_gate().check(ask(endpoints["trajectory"], value))
 
 
-def test_a_first_point_at_time_zero_may_repeat_where_the_joints_are(make_gate, ask, endpoints) -> None:
+def test_a_first_point_at_time_zero_may_repeat_where_the_joints_are(
+    make_gate, ask, endpoints
+) -> None:
     value = trajectory((0.0, [0.0005, 0.0]), (1.0, [0.5, 0.0]))
     assert make_gate().check(ask(endpoints["trajectory"], value)).may_send
 
@@ -90,10 +99,14 @@ def test_joint_limits_that_cannot_be_checked_refuse(make_gate, ask, endpoints) -
         make_gate(other).check(ask(other, {}))
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 @given(
     steps=st.lists(
-        st.tuples(st.floats(0.01, 1.0), st.lists(st.floats(-1.3, 1.3), min_size=2, max_size=2)), min_size=1, max_size=5
+        st.tuples(st.floats(0.01, 1.0), st.lists(st.floats(-1.3, 1.3), min_size=2, max_size=2)),
+        min_size=1,
+        max_size=5,
     )
 )
 def test_what_passes_never_exceeds_a_limit(make_gate, ask, endpoints, steps) -> None:
@@ -109,5 +122,6 @@ def test_what_passes_never_exceeds_a_limit(make_gate, ask, endpoints, steps) -> 
         passed = False
     needed = 4.0 * np.abs(np.diff(path, axis=0)) / np.array([dt for dt, _ in steps])[:, None] ** 2
     assert possible or close or not passed
-    if possible and not close and (needed < 9.99).all():  # from rest to rest, so that no acceleration is too high
+    # from rest to rest, so that no acceleration is too high
+    if possible and not close and (needed < 9.99).all():
         assert passed

@@ -1,4 +1,6 @@
-"""Joint commands pass the same limits of place and speed as actions: forward kinematics along the way."""
+"""Joint commands pass the same limits of place and speed as actions: forward kinematics along
+the way.
+"""
 
 from __future__ import annotations
 
@@ -54,10 +56,16 @@ def inspect(joints: JointSample) -> Posture:
         raise UnsafeError(f"Joint 'j2' is not measured: {known}.")
     a, b = known["j1"], known["j2"]
     position = np.array(
-        [0.5 * math.cos(a) + 0.5 * math.cos(a + b), 0.5 * math.sin(a) + 0.5 * math.sin(a + b), 0.4 - 0.1 * b * b]
+        [
+            0.5 * math.cos(a) + 0.5 * math.cos(a + b),
+            0.5 * math.sin(a) + 0.5 * math.sin(a + b),
+            0.4 - 0.1 * b * b,
+        ]
     )
     turn = np.array([0.0, 0.0, math.sin((a + b) / 2), math.cos((a + b) / 2)])
-    gap = Proximity(first="upper arm", second="hand", distance_m=0.01 + (2.0 - abs(b)) * 0.05, least_m=0.01)
+    gap = Proximity(
+        first="upper arm", second="hand", distance_m=0.01 + (2.0 - abs(b)) * 0.05, least_m=0.01
+    )
     return Posture(
         pose=Pose(position_m=position, quaternion_xyzw=turn),
         smallest_singular_value=0.25 * abs(math.sin(b)),
@@ -87,10 +95,13 @@ def move(latch: Any, audit: Any, clock: Any, ask: Any, endpoints: Any) -> Callab
         )  # fmt: skip
         gate = Gate([entry], latch=latch, audit=audit, clock=clock.monotonic)
         made = [
-            {"positions": q, "time_from_start": t, **({"velocities": [0.0, 3.0]} if rates else {})} for t, q in points
+            {"positions": q, "time_from_start": t, **({"velocities": [0.0, 3.0]} if rates else {})}
+            for t, q in points
         ]
         value = {"joint_names": ["j1", "j2"], "points": made}
-        return gate.check(ask(endpoints["trajectory"], value, joints=start or at(0.0, 0.5), dry_run=dry_run))
+        return gate.check(
+            ask(endpoints["trajectory"], value, joints=start or at(0.0, 0.5), dry_run=dry_run)
+        )
 
     return make
 
@@ -105,10 +116,17 @@ def test_a_joint_motion_within_all_limits_passes(move: Any) -> None:
         ([1.2, 0.5], {"zones": [PERSON]}, "zone", "would enter 'person'"),
         ([0.0, 1.0], {"min_height_m": 0.35}, "height", "at a height of 0.3"),
         ([1.2, 0.5], {"workspace_upper_m": [1.0, 0.7, 1.0]}, "workspace", "outside the workspace"),
-        ([0.0, 2.5], {}, "collision", r"upper arm and hand would be \d+.\d mm apart, at least 10 mm are required"),
+        (
+            [0.0, 2.5],
+            {},
+            "collision",
+            r"upper arm and hand would be \d+.\d mm apart, at least 10 mm are required",
+        ),
     ],
 )
-def test_the_way_is_judged_not_only_the_target(move: Any, target: Any, limits: Any, rule: str, text: str) -> None:
+def test_the_way_is_judged_not_only_the_target(
+    move: Any, target: Any, limits: Any, rule: str, text: str
+) -> None:
     with pytest.raises(RefusedError, match=text):
         move((SLOW_S, target), **limits)
     verdict = move((SLOW_S, target), dry_run=True, **limits)
@@ -124,11 +142,18 @@ def test_a_thin_zone_between_two_postures_is_not_jumped(move: Any) -> None:
 
 def test_a_trajectory_that_goes_back_to_its_start_is_judged_between_its_points(move: Any) -> None:
     with pytest.raises(RefusedError, match=r"points\[1\].*'person'"):
-        move((SLOW_S, [0.0, 0.4]), (2 * SLOW_S, [1.2, 0.5]), (3 * SLOW_S, [0.0, 0.5]), zones=[PERSON])
+        move(
+            (SLOW_S, [0.0, 0.4]), (2 * SLOW_S, [1.2, 0.5]), (3 * SLOW_S, [0.0, 0.5]), zones=[PERSON]
+        )
 
 
-def test_speed_and_turn_of_the_tcp_are_limited_and_the_answer_says_how_long_it_takes(move: Any) -> None:
-    with pytest.raises(RefusedError, match=r"TCP would move at 0\.9\d+ m/s, allowed is 0.5 m/s. Give it 1\.9\d? times"):
+def test_speed_and_turn_of_the_tcp_are_limited_and_the_answer_says_how_long_it_takes(
+    move: Any,
+) -> None:
+    with pytest.raises(
+        RefusedError,
+        match=r"TCP would move at 0\.9\d+ m/s, allowed is 0.5 m/s. Give it 1\.9\d? times",
+    ):
         move((1.0, [1.0, 0.5]))
     assert move((2.0, [1.0, 0.5])).may_send
     with pytest.raises(RefusedError, match=r"allowed is 0.3 rad/s"):
@@ -157,7 +182,9 @@ def test_a_singularity_does_not_limit_joint_motions(move: Any) -> None:
 
 
 def test_velocities_that_bend_the_way_are_followed_on_the_cubic(move: Any) -> None:
-    """With 3 rad/s at its end the cubic overshoots j2 by far, though both points are where they may be."""
+    """With 3 rad/s at its end the cubic overshoots j2 by far, though both points are where they
+    may be.
+    """
     high = {"name": "ceiling", "lower_m": [-2.0, -2.0, 0.0], "upper_m": [2.0, 2.0, 0.3]}
     points = ((4.0, [0.0, 0.55]), (8.0, [0.0, 0.5]))
     assert move(*points, zones=[high]).may_send
@@ -165,15 +192,21 @@ def test_velocities_that_bend_the_way_are_followed_on_the_cubic(move: Any) -> No
         move(*points, rates=True, zones=[high])
 
 
-def test_an_arm_without_kinematics_is_refused_not_unlimited(latch, audit, clock, ask, endpoints) -> None:
+def test_an_arm_without_kinematics_is_refused_not_unlimited(
+    latch, audit, clock, ask, endpoints
+) -> None:
     def fail() -> PathLimiter:
         raise ConfigurationError("There is no controller.", hint="Install one.")
 
-    entry = AllowedEndpoint(robot="arm", endpoint=endpoints["trajectory"], profile=PROFILE, path=fail)
+    entry = AllowedEndpoint(
+        robot="arm", endpoint=endpoints["trajectory"], profile=PROFILE, path=fail
+    )
     gate = Gate([entry], latch=latch, audit=audit, clock=clock.monotonic)
     value = {"joint_names": ["j1"], "points": [{"positions": [0.1], "time_from_start": 5.0}]}
     request = ask(endpoints["trajectory"], value, joints=at(0.0, 0.5))
-    with pytest.raises(RefusedError, match=r"cannot be judged: There is no controller\. Install one\."):
+    with pytest.raises(
+        RefusedError, match=r"cannot be judged: There is no controller\. Install one\."
+    ):
         gate.check(request)
     assert gate.check(replace(request, dry_run=True)).rule == "kinematics"
 
@@ -181,7 +214,9 @@ def test_an_arm_without_kinematics_is_refused_not_unlimited(latch, audit, clock,
 def test_distances_that_nobody_tells_are_refused() -> None:
     profile = replace(PROFILE, collision=CollisionProfile())
     blind = PathLimiter(
-        motion_rules(LimitsConfig(), profile), profile, lambda joints: replace(inspect(joints), near=None)
+        motion_rules(LimitsConfig(), profile),
+        profile,
+        lambda joints: replace(inspect(joints), near=None),
     )
     with pytest.raises(RefusedError, match="tells no distances"):
         blind.check([Leg(names=("j1",), position=np.array([0.1]), duration_s=5.0)], at(0.0, 0.5))
@@ -201,11 +236,22 @@ def test_a_way_that_would_take_too_long_to_judge_is_refused(move: Any) -> None:
         move(*points)
 
 
-@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(st.lists(st.tuples(st.floats(-2.9, 2.9), st.floats(-1.9, 1.9)), min_size=1, max_size=3), st.floats(0.002, 0.2))
-def test_nothing_that_passes_meets_a_zone(move: Any, targets: list[tuple[float, float]], thickness: float) -> None:
+@settings(
+    max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(
+    st.lists(st.tuples(st.floats(-2.9, 2.9), st.floats(-1.9, 1.9)), min_size=1, max_size=3),
+    st.floats(0.002, 0.2),
+)
+def test_nothing_that_passes_meets_a_zone(
+    move: Any, targets: list[tuple[float, float]], thickness: float
+) -> None:
     """Against a fine walk along the way, zones of any thickness."""
-    zone = {"name": "box", "lower_m": [0.3, 0.2, 0.0], "upper_m": [0.3 + thickness, 0.2 + thickness, 1.0]}
+    zone = {
+        "name": "box",
+        "lower_m": [0.3, 0.2, 0.0],
+        "upper_m": [0.3 + thickness, 0.2 + thickness, 1.0],
+    }
     points = [(SLOW_S * (i + 1), list(q)) for i, q in enumerate(targets)]
     try:
         move(*points, zones=[zone], max_speed_m_s=3.0, max_turn_rad_s=10.0)
@@ -224,9 +270,11 @@ def test_levers_bound_how_far_the_arm_moves() -> None:
     urdf = (
         '<robot name="x"><link name="base"/><link name="a"/><link name="b"/><link name="tcp"/>'
         '<joint name="turn" type="revolute"><parent link="base"/><child link="a"/></joint>'
-        '<joint name="slide" type="prismatic"><parent link="a"/><child link="b"/><origin xyz="0.3 0 0.4"/>'
+        '<joint name="slide" type="prismatic"><parent link="a"/><child link="b"/><origin xyz="0.3 '
+        '0 0.4"/>'
         '<limit lower="0" upper="0.2"/></joint>'
-        '<joint name="tip" type="fixed"><parent link="b"/><child link="tcp"/><origin xyz="0 0 1"/></joint></robot>'
+        '<joint name="tip" type="fixed"><parent link="b"/><child link="tcp"/><origin xyz="0 0 '
+        '1"/></joint></robot>'
     )
     levers = levers_m(replace(PROFILE, urdf=urdf, base_link="base"))
     assert levers["slide"] == 1.0
@@ -241,11 +289,15 @@ def test_obstacles_and_distance_come_from_the_configuration_or_the_profile() -> 
     assert collision_of(LimitsConfig(), PROFILE) is None
     assert collision_of(LimitsConfig(), own) is own.collision
     assert collision_of(LimitsConfig(collision=False), own) is None
-    made = collision_of(LimitsConfig.model_validate({"obstacles": [box], "min_distance_m": 0.03}), own)
+    made = collision_of(
+        LimitsConfig.model_validate({"obstacles": [box], "min_distance_m": 0.03}), own
+    )
     assert made is not None
     assert ([o.name for o in made.obstacles], made.min_distance_m) == (["shelf"], 0.03)
     assert collision_of(LimitsConfig.model_validate({"obstacles": [box]}), PROFILE) is not None
     with pytest.raises(ConfigurationError, match="can only be tightened"):
         collision_of(LimitsConfig(min_distance_m=0.005), own)
     with pytest.raises(ConfigurationError, match=r"limits.obstacles: 'shelf'.* no box"):
-        collision_of(LimitsConfig.model_validate({"obstacles": [box | {"upper_m": [0, 1, 1]}]}), own)
+        collision_of(
+            LimitsConfig.model_validate({"obstacles": [box | {"upper_m": [0, 1, 1]}]}), own
+        )

@@ -1,4 +1,6 @@
-"""The gate knows of a ROS type what its rosidl class tells: fields at every depth, and which values they can hold."""
+"""The gate knows of a ROS type what its rosidl class tells: fields at every depth, and which
+values they can hold.
+"""
 
 from __future__ import annotations
 
@@ -17,10 +19,15 @@ def test_fields_are_found_at_every_depth_and_in_arrays() -> None:
     assert found["points"] == "trajectory_msgs/JointTrajectoryPoint"
     assert found["points.positions"] == "double"
     assert found["points.time_from_start.sec"] == "int32"
-    assert dict(walk_fields(load_type("geometry_msgs/msg/PoseWithCovariance")))["covariance"] == "double"
+    assert (
+        dict(walk_fields(load_type("geometry_msgs/msg/PoseWithCovariance")))["covariance"]
+        == "double"
+    )
 
 
-@pytest.mark.parametrize("name", ["Twist", "geometry_msgs/Twist", "os/msg/Path", "geometry_msgs/msg/Twits", "../msg/A"])
+@pytest.mark.parametrize(
+    "name", ["Twist", "geometry_msgs/Twist", "os/msg/Path", "geometry_msgs/msg/Twits", "../msg/A"]
+)
 def test_what_is_no_installed_interface_in_full_is_refused(name: str) -> None:
     with pytest.raises(ConfigurationError):
         load_type(name)
@@ -35,10 +42,13 @@ def test_a_package_that_holds_no_interfaces_is_not_imported() -> None:
 
 def test_a_message_holds_the_values_of_an_object_in_the_types_of_its_fields() -> None:
     twist = filled(load_type("geometry_msgs/msg/TwistStamped"), {"twist": {"linear": {"x": 1}}})
-    assert isinstance(twist.twist.linear.x, float)  # an integer in a float field would be sent as garbage
+    # an integer in a float field would be sent as garbage
+    assert isinstance(twist.twist.linear.x, float)
     assert (twist.twist.linear.x, twist.twist.linear.y) == (1.0, 0.0)
     point = {"positions": [0, 1.5], "time_from_start": {"sec": 2}}
-    trajectory = filled(load_type("trajectory_msgs/msg/JointTrajectory"), {"joint_names": ["a"], "points": [point]})
+    trajectory = filled(
+        load_type("trajectory_msgs/msg/JointTrajectory"), {"joint_names": ["a"], "points": [point]}
+    )
     assert trajectory.points[0].positions.tolist() == [0.0, 1.5]
     assert trajectory.points[0].time_from_start.sec == 2
 
@@ -95,7 +105,9 @@ def test_a_path_reads_one_value(type_name: str, path: str, expected: object) -> 
         ("geometry_msgs/msg/Pose", "position..x", "name one of its fields|has no field"),
     ],
 )
-def test_a_path_to_anything_but_one_value_is_refused_with_what_there_is(type_name: str, path: str, text: str) -> None:
+def test_a_path_to_anything_but_one_value_is_refused_with_what_there_is(
+    type_name: str, path: str, text: str
+) -> None:
     ros_type = load_type(type_name)
     with pytest.raises(InvalidInputError, match=text):
         check_path(ros_type, path)

@@ -33,7 +33,9 @@ def test_motion_is_refused_while_it_cannot_be_written(make_gate, ask, endpoints,
     assert gate.latch.is_latched()
 
 
-def test_motion_goes_on_when_it_can_be_written_again(make_gate, ask, endpoints, tmp_path: Path, clock) -> None:
+def test_motion_goes_on_when_it_can_be_written_again(
+    make_gate, ask, endpoints, tmp_path: Path, clock
+) -> None:
     blocked = tmp_path / "blocked"
     blocked.touch()
     gate = make_gate(audit=AuditLog(blocked / "audit", clock.wall_ns))

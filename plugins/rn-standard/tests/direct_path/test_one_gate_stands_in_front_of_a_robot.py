@@ -1,4 +1,6 @@
-"""The feature lends one gate, ends every motion that passed it, and lets nothing pass once it is closed."""
+"""The feature lends one gate, ends every motion that passed it, and lets nothing pass once it
+is closed.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +43,9 @@ class OtherGate(Feature[None]):
 
 @pytest.fixture
 def make(tmp_path: Path) -> Iterator[Make]:
-    """Return a function that builds an application for the fake arm; no module is started and no ROS is touched."""
+    """Return a function that builds an application for the fake arm; no module is started and
+    no ROS is touched.
+    """
     made: list[Application] = []
 
     def build(*features: FeatureSpec, text: str = "") -> Application:
@@ -49,7 +53,9 @@ def make(tmp_path: Path) -> Iterator[Make]:
         application = Application(
             parse_config('[robot]\nname = "gantry"\n' + text),
             plugins=PluginCatalogue(discover=lambda disabled: registry),
-            supervisor=Supervisor(tmp_path / "state", command=lambda python: pytest.fail("nothing may be spawned")),
+            supervisor=Supervisor(
+                tmp_path / "state", command=lambda python: pytest.fail("nothing may be spawned")
+            ),
         )
         made.append(application)
         return application
@@ -78,13 +84,17 @@ def drive(application: Application) -> Exposed:
 def test_the_profile_is_exposed_when_no_feature_has_exposed_others(make: Make) -> None:
     gate = gate_of(make(FEATURE).host)
     assert [e.label for e in gate.exposed if e.hidden] == ["ee_delta"]
-    assert {e.endpoint.name for e in gate.exposed if not e.hidden} == {e.name for e in gantry_profile().endpoints}
+    assert {e.endpoint.name for e in gate.exposed if not e.hidden} == {
+        e.name for e in gantry_profile().endpoints
+    }
 
 
 def test_a_profile_that_may_not_be_exposed_keeps_the_server_from_starting(
     make: Make, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    bad = replace(DRIVE, topic="action", type="std_msgs/msg/Float64MultiArray", bounds={}, stop_message="")
+    bad = replace(
+        DRIVE, topic="action", type="std_msgs/msg/Float64MultiArray", bounds={}, stop_message=""
+    )
     monkeypatch.setattr(
         "rn_standard.direct_path.allow_list.load_profile",
         lambda registry, name: replace(gantry_profile(), endpoints=(bad,)),
@@ -93,11 +103,15 @@ def test_a_profile_that_may_not_be_exposed_keeps_the_server_from_starting(
         make(FEATURE)
 
 
-def test_a_server_without_the_direct_path_has_no_gate_and_one_with_another_gate_says_so(make: Make) -> None:
+def test_a_server_without_the_direct_path_has_no_gate_and_one_with_another_gate_says_so(
+    make: Make,
+) -> None:
     with pytest.raises(StateError, match=r"'direct-path'.*requirements\.txt"):
         gate_of(make().host)
     with pytest.raises(StateError, match="is a str, not that of 'direct-path'"):
-        gate_of(make(FeatureSpec(name="other", summary="Another.", target=f"{__name__}:OtherGate")).host)
+        gate_of(
+            make(FeatureSpec(name="other", summary="Another.", target=f"{__name__}:OtherGate")).host
+        )
 
 
 def test_what_moves_is_known_and_ended_for_a_reason(application: Application) -> None:
@@ -138,7 +152,9 @@ def test_a_stop_that_nobody_has_looked_at_yet_ends_no_motion_that_is_asked_for_a
             motion.check()
 
 
-def test_a_motion_waits_until_control_holds(application: Application, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_motion_waits_until_control_holds(
+    application: Application, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A hold that comes later would replace what was sent to the joints."""
     arbiter, looks = direct_path(application.host).arbiter, iter([True, True, False])
     monkeypatch.setattr(arbiter, "_is_followed", lambda exposed: next(looks))
@@ -166,14 +182,19 @@ def test_control_that_never_holds_refuses_a_motion_and_leaves_the_robot_free(
 def test_control_follows_from_an_action_until_it_holds_or_cannot_say(
     application: Application, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path, told = direct_path(application.host), {"note": FOLLOWING_NOTE, "age_s": 0.0, "namespace": "gantry"}
+    path, told = (
+        direct_path(application.host),
+        {"note": FOLLOWING_NOTE, "age_s": 0.0, "namespace": "gantry"},
+    )
 
     def view(kind: str) -> ModuleView:
         report = SimpleNamespace(
             received_s=time.monotonic() - told["age_s"], note=told["note"], loop_age_s=0.0,
             work_age_s=None, work_limit_s=None, error_code="", ready=True,
         )  # fmt: skip
-        choice = SimpleNamespace(settings=SimpleNamespace(config=SimpleNamespace(namespace=told["namespace"])))
+        choice = SimpleNamespace(
+            settings=SimpleNamespace(config=SimpleNamespace(namespace=told["namespace"]))
+        )
         return ModuleView(kind=kind, phase="running", report=report, choice=choice)
 
     monkeypatch.setattr(application.supervisor, "view", view)
@@ -186,24 +207,34 @@ def test_control_follows_from_an_action_until_it_holds_or_cannot_say(
 
 def test_nothing_passes_once_it_is_closed(application: Application) -> None:
     path, gate = direct_path(application.host), gate_of(application.host)
-    asked = GateRequest(who="a", role="operator", tool="t", robot="gantry", endpoint="drive", dry_run=True)
+    asked = GateRequest(
+        who="a", role="operator", tool="t", robot="gantry", endpoint="drive", dry_run=True
+    )
     assert gate.ask(drive(application), asked).rule == "type"  # it is exposed, and no message came
     path.close()
     path.close()
     assert gate.ask(drive(application), asked).rule == "allow_list"
 
 
-def test_a_policy_keeps_direct_motion_off_its_robot(application: Application, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_policy_keeps_direct_motion_off_its_robot(
+    application: Application, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = direct_path(application.host)
     assert path._policy(drive(application)) == ""
-    monkeypatch.setattr(application.supervisor, "view", lambda kind: ModuleView(kind=kind, phase="running"))
+    monkeypatch.setattr(
+        application.supervisor, "view", lambda kind: ModuleView(kind=kind, phase="running")
+    )
     assert path._policy(drive(application)) == "", "nobody knows which robot it moves"
-    monkeypatch.setattr(path.arbiter, "_policy", lambda exposed: "The policy 'instant' moves 'gantry'.")
+    monkeypatch.setattr(
+        path.arbiter, "_policy", lambda exposed: "The policy 'instant' moves 'gantry'."
+    )
     with pytest.raises(RefusedError, match="The policy 'instant'"):
         gate_of(application.host).check_free(drive(application))
 
 
-def test_another_robot_has_other_endpoints(application: Application, caplog: pytest.LogCaptureFixture) -> None:
+def test_another_robot_has_other_endpoints(
+    application: Application, caplog: pytest.LogCaptureFixture
+) -> None:
     gate, told = gate_of(application.host), []
     gate.on_change(lambda: told.append(len(gate.exposed)))
     application.events.change.tell("control")

@@ -11,7 +11,9 @@ from hypothesis import strategies as st
 from rn_standard.direct_path.rate import RateLimit
 
 
-@settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 @given(rate_hz=st.floats(0.1, 50), gaps=st.lists(st.floats(0, 0.5), max_size=80))
 def test_no_second_holds_more_calls_than_the_rate(clock, rate_hz: float, gaps: list[float]) -> None:
     limit = RateLimit(rate_hz, clock.monotonic)
@@ -26,7 +28,9 @@ def test_no_second_holds_more_calls_than_the_rate(clock, rate_hz: float, gaps: l
         else:
             assert expected > 0.0
     for start in accepted:
-        assert sum(start <= t < start + window_s for t in accepted) <= max(1, int(rate_hz * window_s + 1e-9))
+        assert sum(start <= t < start + window_s for t in accepted) <= max(
+            1, int(rate_hz * window_s + 1e-9)
+        )
 
 
 def test_no_rate_is_no_bound(clock) -> None:
@@ -60,10 +64,14 @@ def test_messages_still_to_be_sent_count_until_they_are_given_back(clock) -> Non
     assert limit.take() > 0.0
 
 
-@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 @given(
     rate_hz=st.floats(0.2, 20),
-    calls=st.lists(st.tuples(st.floats(0, 2), st.lists(st.floats(0, 3), min_size=1, max_size=20)), max_size=10),
+    calls=st.lists(
+        st.tuples(st.floats(0, 2), st.lists(st.floats(0, 3), min_size=1, max_size=20)), max_size=10
+    ),
 )
 def test_no_window_holds_more_messages_than_the_rate(clock, rate_hz: float, calls) -> None:
     limit = RateLimit(rate_hz, clock.monotonic)
@@ -74,4 +82,6 @@ def test_no_window_holds_more_messages_than_the_rate(clock, rate_hz: float, call
         if limit.take(offsets) == 0.0:
             accepted += [clock.now_s + offset for offset in offsets]
     for start in accepted:
-        assert sum(start <= t < start + window_s - 1e-8 for t in accepted) <= max(1, int(rate_hz * window_s + 1e-9))
+        assert sum(start <= t < start + window_s - 1e-8 for t in accepted) <= max(
+            1, int(rate_hz * window_s + 1e-9)
+        )

@@ -67,13 +67,17 @@ def test_values_that_are_not_finite_are_refused_at_every_depth(make_gate, ask, e
     request.messages[0].poses[1].orientation.z = float("inf")
     with pytest.raises(RefusedError, match=r"poses\[1\]\.orientation\.z is not finite"):
         make_gate().check(request)
-    request = ask(endpoints["trajectory"], {"joint_names": ["j1"], "points": [{"positions": [0.0]}]})
+    request = ask(
+        endpoints["trajectory"], {"joint_names": ["j1"], "points": [{"positions": [0.0]}]}
+    )
     request.messages[0].points[0].positions[0] = float("nan")
     with pytest.raises(RefusedError, match=r"points\[0\]\.positions\[0\] is not finite"):
         make_gate().check(request)
 
 
-def test_not_a_number_is_never_clamped_and_passes_only_where_configured(make_gate, ask, endpoints) -> None:
+def test_not_a_number_is_never_clamped_and_passes_only_where_configured(
+    make_gate, ask, endpoints
+) -> None:
     request = ask(endpoints["velocity"], FORWARD)
     request.messages[0].linear.x = float("nan")
     with pytest.raises(RefusedError, match="not finite"):
@@ -91,10 +95,15 @@ def test_values_out_of_bounds_are_refused_with_the_place(make_gate, ask, endpoin
         make_gate().check(ask(endpoints["pose"], {"poses": [{}, {"position": {"x": -1}}]}))
 
 
-def test_values_are_clamped_only_where_configured_and_the_verdict_says_so(make_gate, ask, endpoints, audit) -> None:
+def test_values_are_clamped_only_where_configured_and_the_verdict_says_so(
+    make_gate, ask, endpoints, audit
+) -> None:
     request = ask(endpoints["velocity"], {"linear": {"x": 9.0}, "angular": {"z": -3}})
     verdict = make_gate(clamp=frozenset({"linear.x", "angular.z"})).check(request)
-    assert [(c.path, c.asked, c.sent) for c in verdict.clamped] == [("linear.x", 9.0, 0.5), ("angular.z", -3.0, -1.0)]
+    assert [(c.path, c.asked, c.sent) for c in verdict.clamped] == [
+        ("linear.x", 9.0, 0.5),
+        ("angular.z", -3.0, -1.0),
+    ]
     assert request.messages[0].linear.x == 0.5
     assert lines(audit)[0]["clamped"] == ["linear.x: 9 -> 0.5", "angular.z: -3 -> -1"]
 
@@ -110,10 +119,14 @@ def test_a_car_does_not_turn_on_the_spot(make_gate, ask, endpoints) -> None:
     gate = make_gate(replace(endpoints["velocity"], min_turning_radius_m=1.0))
     with pytest.raises(RefusedError, match="cannot turn on the spot"):
         gate.check(ask(endpoints["velocity"], {"angular": {"z": 0.3}}))
-    assert gate.check(ask(endpoints["velocity"], {"linear": {"x": 0.4}, "angular": {"z": 0.3}})).may_send
+    assert gate.check(
+        ask(endpoints["velocity"], {"linear": {"x": 0.4}, "angular": {"z": 0.3}})
+    ).may_send
 
 
-def test_too_many_calls_are_refused_and_refusals_do_not_count(make_gate, ask, endpoints, clock) -> None:
+def test_too_many_calls_are_refused_and_refusals_do_not_count(
+    make_gate, ask, endpoints, clock
+) -> None:
     gate = make_gate()
     for _ in range(20):
         with pytest.raises(RefusedError):
@@ -201,14 +214,18 @@ def test_bounds_of_integers_are_integers(endpoints) -> None:
 
 
 def test_bounds_reach_into_arrays_of_numbers(make_gate, ask, endpoints) -> None:
-    values = replace(endpoints["pose"], type="std_msgs/msg/Float64MultiArray", bounds={"data": (-1, 1)})
+    values = replace(
+        endpoints["pose"], type="std_msgs/msg/Float64MultiArray", bounds={"data": (-1, 1)}
+    )
     request = ask(values, {"data": [0.0, 2.0, -3.0]})
     with pytest.raises(RefusedError, match=r"data\[1\] is 2"):
         make_gate(values).check(request)
     verdict = make_gate(values, clamp=frozenset({"data"})).check(request)
     assert list(request.messages[0].data) == [0.0, 1.0, -1.0]
     assert len(verdict.clamped) == 2
-    covariance = replace(values, type="geometry_msgs/msg/PoseWithCovariance", bounds={"covariance": (0, 1)})
+    covariance = replace(
+        values, type="geometry_msgs/msg/PoseWithCovariance", bounds={"covariance": (0, 1)}
+    )
     request = ask(covariance, {"covariance": [5.0] * 36})
     make_gate(covariance, clamp=frozenset({"covariance"})).check(request)
     assert np.array_equal(request.messages[0].covariance, np.ones(36))

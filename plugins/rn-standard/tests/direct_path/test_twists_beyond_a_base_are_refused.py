@@ -16,13 +16,15 @@ CAR = Endpoint(
     topic="cmd_vel",
     type="geometry_msgs/msg/Twist",
     summary="Drive.",
-    bounds=dict.fromkeys(TWIST_FIELDS, (0.0, 0.0)) | {"linear.x": (-1.0, 2.0), "angular.z": (-1.5, 1.5)},
+    bounds=dict.fromkeys(TWIST_FIELDS, (0.0, 0.0))
+    | {"linear.x": (-1.0, 2.0), "angular.z": (-1.5, 1.5)},
     min_turning_radius_m=0.5,
 )
 
 
 @pytest.mark.parametrize(
-    ("linear", "angular"), [(0.0, 0.0), (2.0, 1.5), (-1.0, 1.5), (0.5, 1.0), (0.1, -0.2), (1.0, 0.0)]
+    ("linear", "angular"),
+    [(0.0, 0.0), (2.0, 1.5), (-1.0, 1.5), (0.5, 1.0), (0.1, -0.2), (1.0, 0.0)],
 )
 def test_a_possible_twist_passes(linear: float, angular: float) -> None:
     check_twist(CAR, {"linear.x": linear, "angular.z": angular})
@@ -40,7 +42,9 @@ def test_a_possible_twist_passes(linear: float, angular: float) -> None:
         ({"linear.x": 0.5, "angular.z": 1.2}, r"radius 0.417 m, expected at least 0.5 m"),
     ],
 )
-def test_an_impossible_twist_is_refused_with_the_reason(twist: dict[str, float], reason: str) -> None:
+def test_an_impossible_twist_is_refused_with_the_reason(
+    twist: dict[str, float], reason: str
+) -> None:
     with pytest.raises(RefusedError, match=reason):
         check_twist(CAR, twist)
 

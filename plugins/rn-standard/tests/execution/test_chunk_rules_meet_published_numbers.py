@@ -1,4 +1,6 @@
-"""Numbers of the original code (lerobot 0.6.1, VLASH's rule) for merging chunks and rolling states forward."""
+"""Numbers of the original code (lerobot 0.6.1, VLASH's rule) for merging chunks and rolling
+states forward.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,12 @@ import pytest
 from numpy.typing import NDArray
 
 from rn_standard.execution.roll_forward import roll_forward
-from rn_testing.chunk_merging import AGGREGATIONS, aggregate, state_of_running_chunk, temporal_ensemble
+from rn_testing.chunk_merging import (
+    AGGREGATIONS,
+    aggregate,
+    state_of_running_chunk,
+    temporal_ensemble,
+)
 from roboneuron.contract import Pose
 
 GOLDEN = np.load(Path(__file__).parent / "data" / "chunk_execution.npz")
@@ -30,10 +37,14 @@ def same_rotation(first: NDArray[Any], second: NDArray[Any]) -> bool:
 def test_the_state_is_rolled_forward_row_by_row(case: int) -> None:
     of = f"roll_delta/{case}"
     rows, opening = golden(f"{of}/committed_actions"), float(golden(f"{of}/gripper_open"))
-    pose = Pose(position_m=golden(f"{of}/position_m"), quaternion_xyzw=golden(f"{of}/quaternion_xyzw"))
+    pose = Pose(
+        position_m=golden(f"{of}/position_m"), quaternion_xyzw=golden(f"{of}/quaternion_xyzw")
+    )
     for count in range(len(rows) + 1):
         rolled, open_after = roll_forward(pose, opening, rows[:count])
-        np.testing.assert_allclose(rolled.position_m, golden(f"{of}/rolled_position_m")[count], atol=1e-12)
+        np.testing.assert_allclose(
+            rolled.position_m, golden(f"{of}/rolled_position_m")[count], atol=1e-12
+        )
         assert same_rotation(rolled.quaternion_xyzw, golden(f"{of}/rolled_quaternion_xyzw")[count])
         assert open_after == pytest.approx(golden(f"{of}/rolled_gripper_open")[count], abs=1e-12)
 
@@ -41,10 +52,14 @@ def test_the_state_is_rolled_forward_row_by_row(case: int) -> None:
 @pytest.mark.parametrize("case", range(4))
 def test_the_first_row_counts_with_the_share_that_is_left(case: int) -> None:
     of = f"roll_delta/{case}"
-    pose = Pose(position_m=golden(f"{of}/position_m"), quaternion_xyzw=golden(f"{of}/quaternion_xyzw"))
+    pose = Pose(
+        position_m=golden(f"{of}/position_m"), quaternion_xyzw=golden(f"{of}/quaternion_xyzw")
+    )
     share = float(golden(f"{of}/done_share_of_first"))
     rolled, _ = roll_forward(pose, None, golden(f"{of}/committed_actions"), share)
-    np.testing.assert_allclose(rolled.position_m, golden(f"{of}/rolled_position_m_partial"), atol=1e-12)
+    np.testing.assert_allclose(
+        rolled.position_m, golden(f"{of}/rolled_position_m_partial"), atol=1e-12
+    )
     assert same_rotation(rolled.quaternion_xyzw, golden(f"{of}/rolled_quaternion_xyzw_partial"))
 
 
@@ -63,7 +78,8 @@ def test_temporal_ensembling_is_act_s(decay: str) -> None:
     for step in range(len(chunks)):
         rows = [chunks[made][step - made] for made in range(max(0, step - ROWS + 1), step + 1)]
         mean = temporal_ensemble(rows, float(decay))
-        for kind in ("online_lerobot", "offline"):  # they agree to 1e-7 among themselves, in float32
+        # they agree to 1e-7 among themselves, in float32
+        for kind in ("online_lerobot", "offline"):
             np.testing.assert_allclose(mean, golden(f"ensemble/m{decay}/{kind}")[step], atol=1e-6)
 
 
@@ -81,8 +97,14 @@ def test_sparse_and_late_chunks_are_ensembled_by_rank(every: int, delay: int) ->
 @pytest.mark.parametrize("how", list(AGGREGATIONS))
 def test_overlaps_are_aggregated_as_lerobot_does(how: str) -> None:
     def by_step(name: str) -> dict[int, Any]:
-        return dict(zip(golden(f"aggregate/{name}_step").tolist(), golden(f"aggregate/{name}"), strict=True))
+        return dict(
+            zip(golden(f"aggregate/{name}_step").tolist(), golden(f"aggregate/{name}"), strict=True)
+        )
 
-    result = aggregate(by_step("old"), by_step("new"), int(golden("aggregate/latest_executed_step")), how)
+    result = aggregate(
+        by_step("old"), by_step("new"), int(golden("aggregate/latest_executed_step")), how
+    )
     assert list(result) == golden("aggregate/result_step").tolist()
-    np.testing.assert_allclose(np.stack(list(result.values())), golden(f"aggregate/{how}"), atol=1e-12)
+    np.testing.assert_allclose(
+        np.stack(list(result.values())), golden(f"aggregate/{how}"), atol=1e-12
+    )

@@ -1,4 +1,6 @@
-"""Rules of chunk execution: rows are counted when sent, never sent twice; seams are smooth; interruptions are final."""
+"""Rules of chunk execution: rows are counted when sent, never sent twice; seams are smooth;
+interruptions are final.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,9 @@ def chunk(rows: int, first_m: float = 0.0, *, conditioned_rows: int = 0) -> Acti
     """Row i moves by `first_m` + i millimetres, so that each row tells which it is."""
     actions = np.zeros((rows, 7))
     actions[:, 0] = first_m + np.arange(rows) * 1e-3
-    return ActionChunk(actions=actions, step_s=STEP_S, context=first_m, conditioned_rows=conditioned_rows)
+    return ActionChunk(
+        actions=actions, step_s=STEP_S, context=first_m, conditioned_rows=conditioned_rows
+    )
 
 
 def send(queue: SentRowQueue, times: int, at_ns: int = 0) -> int:
@@ -34,9 +38,15 @@ def send(queue: SentRowQueue, times: int, at_ns: int = 0) -> int:
 
 def observation(captured_ns: int) -> Observation:
     return Observation(
-        frames={"primary": Frame(camera="front", image=IMAGE, stamp_ns=captured_ns, frame_id="front")},
+        frames={
+            "primary": Frame(camera="front", image=IMAGE, stamp_ns=captured_ns, frame_id="front")
+        },
         instruction="go",
-        ee_pose=Pose(position_m=np.zeros(3), quaternion_xyzw=np.array([0.0, 0.0, 0.0, 1.0]), stamp_ns=captured_ns),
+        ee_pose=Pose(
+            position_m=np.zeros(3),
+            quaternion_xyzw=np.array([0.0, 0.0, 0.0, 1.0]),
+            stamp_ns=captured_ns,
+        ),
         gripper_open=1.0,
         stamp_ns=captured_ns,
     )
@@ -88,7 +98,8 @@ def test_an_epoch_ends_rows_and_answers(mode: Mode) -> None:
     made.begin_epoch()
     assert made.due_s() is None
     assert made.answer(late, chunk(8), now_ns=1) == "withdrawn"
-    assert made.answer(made.begin(observation(0), 0), chunk(1), now_ns=1) == "accepted"  # none counts as played
+    # none counts as played
+    assert made.answer(made.begin(observation(0), 0), chunk(1), now_ns=1) == "accepted"
 
 
 def test_an_epoch_forgets_what_was_sent() -> None:
@@ -136,7 +147,9 @@ def test_a_fade_leaves_most_of_a_short_chunk_as_it_was_predicted(horizon: int, f
 
 
 @pytest.mark.parametrize(("horizon", "played"), [(4, 3), (5, 3), (6, 3), (8, 3), (16, 11)])
-def test_overlap_asks_again_when_the_rows_run_out_not_at_each_image(horizon: int, played: int) -> None:
+def test_overlap_asks_again_when_the_rows_run_out_not_at_each_image(
+    horizon: int, played: int
+) -> None:
     """With answers at once a new chunk is asked for when one row is left, and those to be faded."""
     made = AdaptiveExecutor(Abilities(), fixed="overlap", bounds=Bounds(first_s=9.0))
     made.answer(made.begin(observation(0), 0), chunk(horizon), now_ns=0)
@@ -184,7 +197,9 @@ def test_latency_and_horizon_choose(horizon: int, typical: int, worst: int, mode
 
 def test_abilities_choose() -> None:
     assert choose(16, 2, 3, Abilities(conditions_on_rows=True)).mode == "rtc"
-    assert choose(16, 2, 3, Abilities(conditions_on_rows=True, max_committed_rows=2)).mode == "overlap"
+    assert (
+        choose(16, 2, 3, Abilities(conditions_on_rows=True, max_committed_rows=2)).mode == "overlap"
+    )
     assert choose(8, 4, 5, Abilities(takes_predicted_state=True)).mode == "predicted-state"
 
 
@@ -195,7 +210,9 @@ def test_the_mode_changes_after_ten_answers_that_agree() -> None:
         latency.add(0.1)
         assert selector.update(8, STEP_S, latency).mode == "overlap"
     latency.add(0.6)
-    assert [selector.update(8, STEP_S, latency).mode for _ in range(10)] == ["overlap"] * 9 + ["sequential"]
+    assert [selector.update(8, STEP_S, latency).mode for _ in range(10)] == ["overlap"] * 9 + [
+        "sequential"
+    ]
 
 
 def test_a_spike_is_forgotten() -> None:

@@ -1,4 +1,6 @@
-"""Chunk execution by a virtual clock; the table: `python benchmarks/bench_execution.py --virtual`."""
+"""Chunk execution by a virtual clock; the table: `python benchmarks/bench_execution.py
+--virtual`.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,9 @@ BEYOND = [(8, 0.25), (8, 0.34), (16, 0.34), (16, 0.6)]
 
 @pytest.mark.parametrize("abilities", [Abilities(), CONDITIONED], ids=["fade", "rtc"])
 @pytest.mark.parametrize(("horizon", "latency_s"), IN_TIME)
-def test_the_arm_never_waits_for_the_model(horizon: int, latency_s: float, abilities: Abilities) -> None:
+def test_the_arm_never_waits_for_the_model(
+    horizon: int, latency_s: float, abilities: Abilities
+) -> None:
     result = run(Trial(horizon=horizon, latency_s=latency_s, abilities=abilities, duration_s=20.0))
     assert result.mode == ("rtc" if abilities.conditions_on_rows else "overlap")
     assert result.rate >= 0.99
@@ -27,9 +31,13 @@ def test_the_arm_never_waits_for_the_model(horizon: int, latency_s: float, abili
 
 
 @pytest.mark.parametrize(("horizon", "latency_s"), BEYOND)
-def test_beyond_that_it_pauses_less_than_sequential_execution(horizon: int, latency_s: float) -> None:
+def test_beyond_that_it_pauses_less_than_sequential_execution(
+    horizon: int, latency_s: float
+) -> None:
     overlapped = run(Trial(horizon=horizon, latency_s=latency_s, duration_s=20.0))
-    sequential = run(Trial(horizon=horizon, latency_s=latency_s, mode="sequential", duration_s=20.0))
+    sequential = run(
+        Trial(horizon=horizon, latency_s=latency_s, mode="sequential", duration_s=20.0)
+    )
     assert overlapped.mode == "overlap"
     assert overlapped.rate > sequential.rate
 
@@ -39,9 +47,15 @@ def test_an_answer_longer_than_a_chunk_is_executed_sequentially() -> None:
 
 
 @pytest.mark.parametrize(("horizon", "latency_s"), [*IN_TIME, *BEYOND])
-@pytest.mark.parametrize("abilities", [Abilities(), Abilities(takes_predicted_state=True)], ids=["fade", "predicted"])
-def test_no_row_is_sent_twice_or_out_of_order(horizon: int, latency_s: float, abilities: Abilities) -> None:
-    played = run(Trial(horizon=horizon, latency_s=latency_s, abilities=abilities, duration_s=10.0)).played
+@pytest.mark.parametrize(
+    "abilities", [Abilities(), Abilities(takes_predicted_state=True)], ids=["fade", "predicted"]
+)
+def test_no_row_is_sent_twice_or_out_of_order(
+    horizon: int, latency_s: float, abilities: Abilities
+) -> None:
+    played = run(
+        Trial(horizon=horizon, latency_s=latency_s, abilities=abilities, duration_s=10.0)
+    ).played
     assert len(set(played)) == len(played)
     assert played == sorted(played)
 

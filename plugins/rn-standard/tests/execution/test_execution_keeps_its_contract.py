@@ -1,4 +1,6 @@
-"""The feature keeps the contract of features, and its package that of plugins; modules get its executor."""
+"""The feature keeps the contract of features, and its package that of plugins; modules get its
+executor.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,9 @@ from roboneuron import ActionSpace, BackendSpec
 from roboneuron.errors import ConfigurationError
 from roboneuron.modules.execution import Bounds, make_sequential
 
-BACKEND = BackendSpec(name="plain", summary="x", target="x:X", action_space=ActionSpace(step_s=0.05))
+BACKEND = BackendSpec(
+    name="plain", summary="x", target="x:X", action_space=ActionSpace(step_s=0.05)
+)
 BOUNDS = Bounds(first_s=0.5)
 
 

@@ -1,23 +1,25 @@
-"""A port whose file was removed under its listener is noticed, and opened again, so that new senders reach it."""
+"""A port whose file was removed under its listener is noticed, and opened again, so that new
+senders reach it.
+
+The listener is a process of its own: Fast DDS crashed once when a participant was destroyed in the
+    moment in which its
+own thread opened a port again, and a crash must end no other test.
+"""
 
 from __future__ import annotations
 
-import os
+import json
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import pytest
-import rclpy
-from rclpy.executors import SingleThreadedExecutor
-from std_msgs.msg import String
 
-from rn_standard.fastdds.lost_ports import LostPorts
-from rn_standard.fastdds.segments import PORT_PREFIX, SHARED_MEMORY, owned_segments
+from rn_standard.fastdds.segments import PORT_PREFIX, SHARED_MEMORY
 
 pytestmark = pytest.mark.ros
-Look = Callable[[LostPorts], list[int]]
+
 SENDER = """
 import rclpy, time
 from std_msgs.msg import String
@@ -28,34 +30,76 @@ while True:
     time.sleep(0.02)
 """
 
+# Answers each line of its input, [name, argument], with a line: the ports it opened, what
+# `LostPorts.look` gave back, or whether it heard three words within that many seconds.
+LISTENER = f"""
+import json, os, sys, time
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from std_msgs.msg import String
+from rn_standard.fastdds.lost_ports import LostPorts
+from rn_standard.fastdds.segments import owned_segments
+
+before = owned_segments(os.getpid())
+rclpy.init()
+node = rclpy.create_node("listener")
+words = []
+node.create_subscription(String, "spoken", words.append, 1)
+executor = SingleThreadedExecutor()
+executor.add_node(node)
+lost_ports = LostPorts()
+
+def ports(_):
+    return sorted(n for n in owned_segments(os.getpid()) - before if n.startswith({PORT_PREFIX!r}))
+
+def look(_):
+    return lost_ports.look()
+
+def hears(within_s):
+    words.clear()
+    deadline_s = time.monotonic() + within_s
+    while len(words) < 3 and time.monotonic() < deadline_s:
+        executor.spin_once(timeout_sec=0.05)
+    return len(words) >= 3
+
+for line in sys.stdin:
+    name, argument = json.loads(line)
+    print(json.dumps({{"ports": ports, "look": look, "hears": hears}}[name](argument)), flush=True)
+"""
+
 
 class Listener:
-    """A subscriber of its own participant, and the ports that came with it."""
+    """A subscriber in a process of its own, and the ports that came with it."""
 
     def __init__(self) -> None:
-        before = owned_segments(os.getpid())
-        self.context = rclpy.Context()
-        self.context.init()
-        self.node = rclpy.create_node("listener", context=self.context)
-        self.heard = 0
-        self.node.create_subscription(String, "spoken", self._on_word, 1)
-        self.executor = SingleThreadedExecutor(context=self.context)
-        self.executor.add_node(self.node)
-        self.ports = sorted(n for n in owned_segments(os.getpid()) - before if n.startswith(PORT_PREFIX))
+        self._process = subprocess.Popen(
+            [sys.executable, "-c", LISTENER],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        self.ports: list[str] = self._ask("ports")
 
-    def _on_word(self, _: String) -> None:
-        self.heard += 1
+    def _ask(self, name: str, argument: float | None = None) -> Any:
+        stdin, stdout = self._process.stdin, self._process.stdout
+        assert stdin is not None
+        assert stdout is not None
+        stdin.write(json.dumps([name, argument]) + "\n")
+        stdin.flush()
+        answer = stdout.readline()
+        assert answer, f"the listener ended at {name!r}"
+        return json.loads(answer)
+
+    def look(self) -> list[int]:
+        """The numbers of the ports that were given back."""
+        return list(self._ask("look"))
 
     def hears(self, within_s: float) -> bool:
-        before, deadline_s = self.heard, time.monotonic() + within_s
-        while self.heard < before + 3 and time.monotonic() < deadline_s:
-            self.executor.spin_once(timeout_sec=0.05)
-        return self.heard >= before + 3
+        return bool(self._ask("hears", within_s))
 
     def close(self) -> None:
-        self.executor.shutdown()
-        self.node.destroy_node()
-        self.context.shutdown()
+        self._process.kill()
+        self._process.communicate()
 
 
 @pytest.fixture
@@ -74,34 +118,25 @@ def speak() -> Iterator[Callable[[], object]]:
         process.wait()
 
 
-@pytest.fixture
-def look(monkeypatch: pytest.MonkeyPatch) -> Look:
-    """Looks when told to; the thread that earlier tests may have started in this process sees nothing."""
-    look = LostPorts.look
-    monkeypatch.setattr(LostPorts, "look", lambda self: [])
-    return look
-
-
 def test_listener_whose_port_was_removed_hears_again(
-    listener: Listener, speak: Callable[[], object], look: Look
+    listener: Listener, speak: Callable[[], object]
 ) -> None:
+    assert listener.ports
     for name in listener.ports:
         (SHARED_MEMORY / name).unlink()
     speak()
     assert not listener.hears(4.0), "nothing is lost, so nothing is shown"
-    ports = LostPorts()
-    assert look(ports) == [], "it may be a change under way"
-    assert look(ports) == sorted(int(name.removeprefix(PORT_PREFIX)) for name in listener.ports)
+    assert listener.look() == [], "it may be a change under way"
+    assert listener.look() == sorted(int(name.removeprefix(PORT_PREFIX)) for name in listener.ports)
     assert listener.hears(5.0)
-    assert (look(ports), look(ports)) == ([], [])
+    assert (listener.look(), listener.look()) == ([], [])
 
 
 def test_port_that_is_found_by_its_name_is_left_alone(
-    listener: Listener, speak: Callable[[], object], look: Look
+    listener: Listener, speak: Callable[[], object]
 ) -> None:
     speak()
     assert listener.hears(10.0)
-    ports = LostPorts()
     inodes = [(SHARED_MEMORY / name).stat().st_ino for name in listener.ports]
-    assert [look(ports) for _ in range(4)] == [[]] * 4
+    assert [listener.look() for _ in range(4)] == [[]] * 4
     assert [(SHARED_MEMORY / name).stat().st_ino for name in listener.ports] == inodes

@@ -1,4 +1,6 @@
-"""What a killed process leaves in shared-memory ports: locks are released, its own port swallows what comes."""
+"""What a killed process leaves in shared-memory ports: locks are released, its own port
+swallows what comes.
+"""
 
 from __future__ import annotations
 
@@ -51,7 +53,9 @@ def content() -> Iterator[tuple[str, bytes]]:
     context = rclpy.Context()
     context.init()
     node = rclpy.create_node("owner", context=context)
-    name = max(name for name in owned_segments(os.getpid()) - before if name.startswith(PORT_PREFIX))
+    name = max(
+        name for name in owned_segments(os.getpid()) - before if name.startswith(PORT_PREFIX)
+    )
     content = (SHARED_MEMORY / name).read_bytes()
     while any(owners(name, content)):
         content = (SHARED_MEMORY / name).read_bytes()
@@ -62,7 +66,9 @@ def content() -> Iterator[tuple[str, bytes]]:
 
 @pytest.fixture
 def port(content: tuple[str, bytes], tmp_path: Path) -> Path:
-    """A copy of that port, as if its owner had just died: its lock file is there, and nobody holds it."""
+    """A copy of that port, as if its owner had just died: its lock file is there, and nobody
+    holds it.
+    """
     path = tmp_path / content[0]
     path.write_bytes(content[1])
     path.with_name(f"{path.name}{LOCK_SUFFIX}").touch()
@@ -98,7 +104,9 @@ def test_only_locks_of_the_dead_are_released(port: Path) -> None:
     finally:
         holder.kill()
         holder.communicate()
-    assert owners(port.name, port.read_bytes()) == [holder.pid, holder.pid], "a lock outlives its holder"
+    assert owners(port.name, port.read_bytes()) == [holder.pid, holder.pid], (
+        "a lock outlives its holder"
+    )
     assert release_dead_locks(directory=port.parent) == 2
     assert owners(port.name, port.read_bytes()) == [0, 0]
     assert release_dead_locks([port.name], port.parent) == 0
@@ -108,7 +116,9 @@ def test_only_locks_of_the_dead_are_released(port: Path) -> None:
 
 
 def test_the_number_of_a_dead_holder_may_be_given_to_somebody_else(port: Path) -> None:
-    """Who has not mapped the port cannot hold its locks: numbers come round within minutes on a busy machine."""
+    """Who has not mapped the port cannot hold its locks: numbers come round within minutes on a
+    busy machine.
+    """
     holder = hold(port)
     holder.kill()
     holder.communicate()
@@ -128,7 +138,9 @@ def test_the_number_of_a_dead_holder_may_be_given_to_somebody_else(port: Path) -
 def test_locks_that_strangers_left_are_released_before_a_process_starts(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """A process that opens such a port when it starts would hang there, and nobody looked before another one ended."""
+    """A process that opens such a port when it starts would hang there, and nobody looked
+    before another one ended.
+    """
     calls: list[str] = []
     monkeypatch.setattr(processes, "release_dead_locks", lambda: calls.append("released"))
     ProcessCleaner(SegmentRecord(tmp_path / "record")).spawning()
@@ -144,8 +156,12 @@ def test_port_of_the_dead_swallows_what_comes_until_it_is_retired(port: Path) ->
         assert record_of(port.name, port.read_bytes()) == before, "somebody has it"
     ports = SilentPorts([port.name, "fastrtps_0123456789abcdef", "fastrtps_port1"], port.parent)
     content = port.read_bytes()
-    assert content[before.offset + LISTENER] == IN_USE, "neither waiting nor at work: nobody finds that it stands still"
-    assert content[before.offset + WAITING : before.offset + WAITING + 4] == bytes(4), "nobody wakes it"
+    assert content[before.offset + LISTENER] == IN_USE, (
+        "neither waiting nor at work: nobody finds that it stands still"
+    )
+    assert content[before.offset + WAITING : before.offset + WAITING + 4] == bytes(4), (
+        "nobody wakes it"
+    )
     assert record_of(port.name, content) == before, "nobody closes it"
     ports.retire()
     assert record_of(port.name, port.read_bytes()).flags == before.flags & ~IS_OK

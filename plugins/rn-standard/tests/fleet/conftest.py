@@ -63,7 +63,9 @@ def fleet(make_fleet: Callable[..., Fleet]) -> Fleet:
 def call() -> Call:
     """Return a function that makes one call over MCP."""
 
-    def call(fleet: Fleet, tool: str, arguments: Mapping[str, Any] | None = None) -> types.CallToolResult:
+    def call(
+        fleet: Fleet, tool: str, arguments: Mapping[str, Any] | None = None
+    ) -> types.CallToolResult:
         async def ask() -> types.CallToolResult:
             async with Client(fleet.server) as client:
                 return await client.call_tool(tool, dict(arguments or {}))

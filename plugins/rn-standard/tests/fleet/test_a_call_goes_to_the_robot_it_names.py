@@ -1,4 +1,6 @@
-"""Every tool takes `robot`, and a call reaches that robot alone; without one the choices are listed."""
+"""Every tool takes `robot`, and a call reaches that robot alone; without one the choices are
+listed.
+"""
 
 from __future__ import annotations
 
@@ -18,14 +20,21 @@ Call = Callable[..., types.CallToolResult]
 def test_every_tool_of_a_robot_requires_the_robot(fleet: Fleet) -> None:
     tools = {tool.name: tool for tool in fleet.tools.listing()}
     assert {"list_fleet", "emergency_stop", "start_robot", "get_status"} <= tools.keys()
-    for name in tools.keys() - {"list_fleet", "emergency_stop", "find_robot_tools", "call_robot_tool"}:
+    for name in tools.keys() - {
+        "list_fleet",
+        "emergency_stop",
+        "find_robot_tools",
+        "call_robot_tool",
+    }:
         schema = tools[name].input_schema
         assert schema["properties"]["robot"]["enum"] == ["left", "right-arm"], name
         assert schema["required"][0] == "robot", name
     assert "robot" not in tools["emergency_stop"].input_schema.get("required", ())
 
 
-def test_one_robot_in_the_table_need_not_be_named(call: Call, make_fleet: Callable[..., Fleet]) -> None:
+def test_one_robot_in_the_table_need_not_be_named(
+    call: Call, make_fleet: Callable[..., Fleet]
+) -> None:
     fleet = make_fleet('[robots.only]\nrobot = "gantry"\n')
     for tool in fleet.tools.listing():
         assert "robot" not in tool.input_schema.get("required", ()), tool.name
@@ -44,7 +53,11 @@ def test_each_robot_answers_for_itself(call: Call, fleet: Fleet) -> None:
 @pytest.mark.parametrize(
     ("tool", "arguments", "expected"),
     [
-        ("get_status", {}, "get_status needs `robot`, which robot is meant. Choose one of: left, right-arm."),
+        (
+            "get_status",
+            {},
+            "get_status needs `robot`, which robot is meant. Choose one of: left, right-arm.",
+        ),
         ("get_status", {"robot": "lefft"}, "There is no robot 'lefft'. Did you mean 'left'?"),
         ("get_status", {"robot": 7}, "There is no robot '7'."),
         ("fly", {"robot": "left"}, "There is no tool 'fly'."),
@@ -58,14 +71,18 @@ def test_a_call_that_names_no_robot_is_refused_with_the_choices(
     assert answer.content[0].text.startswith(expected)
 
 
-def test_a_tool_of_another_robot_is_refused_with_those_that_have_it(call: Call, fleet: Fleet) -> None:
+def test_a_tool_of_another_robot_is_refused_with_those_that_have_it(
+    call: Call, fleet: Fleet
+) -> None:
     tools = fleet.robots["left"].tools
     known = tools.get("get_status")
     assert known is not None
     tools.add_all([replace(known, name="get_more")])
     answer = call(fleet, "get_more", {"robot": "right-arm"})
     assert answer.is_error
-    assert answer.content[0].text == "The robot 'right-arm' has no tool get_more. Choose one of: left."
+    assert (
+        answer.content[0].text == "The robot 'right-arm' has no tool get_more. Choose one of: left."
+    )
 
 
 def test_the_fleet_is_listed(call: Call, fleet: Fleet) -> None:
@@ -111,4 +128,7 @@ def test_a_client_hears_of_the_robot_whose_status_changed(fleet: Fleet) -> None:
 
 def test_the_instructions_name_the_robots(fleet: Fleet) -> None:
     told = str(fleet.server.instructions)
-    assert "2 robots: left (simulated robot gantry (driver simulated)), right-arm (simulated robot gantry" in told
+    assert (
+        "2 robots: left (simulated robot gantry (driver simulated)), right-arm (simulated robot "
+        "gantry" in told
+    )

@@ -86,7 +86,10 @@ def test_a_killed_robot_and_a_stopped_robot_leave_the_other_alone(tmp_path: Path
             assert (await robot("right"))["pid"] == before["pid"]
 
             def records() -> list[str]:
-                return [path.name for path in (state / "robots" / "left" / "incidents").glob("*exited*.json")]
+                return [
+                    path.name
+                    for path in (state / "robots" / "left" / "incidents").glob("*exited*.json")
+                ]
 
             async def is_recorded() -> bool:
                 return bool(records())

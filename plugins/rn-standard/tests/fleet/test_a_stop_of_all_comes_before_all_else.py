@@ -24,7 +24,9 @@ STOPS = [("stop", "left"), ("stop", "right-arm")]
 
 @pytest.fixture
 def order(fleet: Fleet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str]]:
-    """What happens while both robots move: a stop sent, a latch created, the topic told, a thread woken, a sync."""
+    """What happens while both robots move: a stop sent, a latch created, the topic told, a
+    thread woken, a sync.
+    """
     seen: list[tuple[str, str]] = []
     create, sync = os.open, os.fsync
 
@@ -35,7 +37,9 @@ def order(fleet: Fleet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list
         return descriptor
 
     monkeypatch.setattr(os, "open", opened)
-    monkeypatch.setattr(os, "fsync", lambda descriptor: (seen.append(("sync", "")), sync(descriptor)))
+    monkeypatch.setattr(
+        os, "fsync", lambda descriptor: (seen.append(("sync", "")), sync(descriptor))
+    )
     for name, robot in fleet.robots.items():
         publishers = robot.loop.emergency_stop._publishers
         publishers[name] = lambda is_latched, name=name: seen.append(("topic", name))  # type: ignore[misc]
@@ -58,33 +62,48 @@ def moving(fleet: Fleet, order: list[tuple[str, str]]) -> Any:
     with ExitStack() as stack:
         for name, robot in fleet.robots.items():
             exposed = cast(
-                Exposed, SimpleNamespace(robot=name, topic="cmd_vel", namespace=name, label="drive", moves=True)
+                Exposed,
+                SimpleNamespace(
+                    robot=name, topic="cmd_vel", namespace=name, label="drive", moves=True
+                ),
             )
-            motion = stack.enter_context(direct_path(robot.host).arbiter.claim(exposed, "a test", Halt(name)))
+            motion = stack.enter_context(
+                direct_path(robot.host).arbiter.claim(exposed, "a test", Halt(name))
+            )
             motion.stop_now = lambda name=name: order.append(("stop", name))  # type: ignore[misc]
         yield
 
 
 @pytest.mark.usefixtures("moving")
-def test_every_robot_is_told_to_stand_then_latched_then_the_rest(fleet: Fleet, order: list[tuple[str, str]]) -> None:
+def test_every_robot_is_told_to_stand_then_latched_then_the_rest(
+    fleet: Fleet, order: list[tuple[str, str]]
+) -> None:
     fleet.press("somebody", "a test")
     assert order[:4] == [*STOPS, ("file", "left"), ("file", "right-arm")]
-    assert sorted(order[4:]) == sorted((what, name) for what in ("topic", "wake") for name in fleet.robots)
+    assert sorted(order[4:]) == sorted(
+        (what, name) for what in ("topic", "wake") for name in fleet.robots
+    )
 
 
 @pytest.mark.usefixtures("moving")
-def test_modules_are_told_before_any_disk_is_waited_for(fleet: Fleet, order: list[tuple[str, str]]) -> None:
+def test_modules_are_told_before_any_disk_is_waited_for(
+    fleet: Fleet, order: list[tuple[str, str]]
+) -> None:
     for robot in fleet.robots.values():
         robot.loop.emergency_stop._tell = lambda *_: ([], [], 0.0)  # type: ignore[method-assign]
     fleet.latch("somebody", "a test")
-    assert [what for what, _ in order].index("sync") > max(order.index(("topic", name)) for name in fleet.robots)
+    assert [what for what, _ in order].index("sync") > max(
+        order.index(("topic", name)) for name in fleet.robots
+    )
     assert order.count(("sync", "")) == 4  # the latch of each robot, and its folder
 
 
 def test_a_stop_comes_before_the_leases_of_its_client(call: Call, fleet: Fleet) -> None:
     seen: list[bool] = []
     fleet.events.client.listen(
-        lambda who, is_there: seen.append(all(r.loop.emergency_stop.file.is_latched() for r in fleet.robots.values()))
+        lambda who, is_there: seen.append(
+            all(r.loop.emergency_stop.file.is_latched() for r in fleet.robots.values())
+        )
     )
     for robot in fleet.robots.values():
         robot.loop.emergency_stop.latch = lambda *_, **__: ([], 0.0)  # type: ignore[method-assign]

@@ -22,14 +22,18 @@ def latches(state: Path) -> list[str]:
     return sorted(str(path.parent.relative_to(state)) for path in state.rglob(ESTOP_FILE))
 
 
-def test_a_stop_in_a_terminal_reaches_all_robots(state: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_stop_in_a_terminal_reaches_all_robots(
+    state: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["estop", "--state", str(state)]) == 0
     assert latches(state) == [".", "robots/left", "robots/right"]
     assert main(["estop", "--state", str(state), "--status"]) == 1
     assert capsys.readouterr().out.count("is latched by") == 3
 
 
-def test_a_stop_of_one_robot_in_a_terminal_leaves_the_others(state: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_stop_of_one_robot_in_a_terminal_leaves_the_others(
+    state: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["estop", "--state", str(state), "--robot", "left"]) == 0
     assert latches(state) == ["robots/left"]
     assert main(["estop", "--state", str(state), "--robot", "right", "--status"]) == 0
@@ -55,7 +59,9 @@ def test_a_reset_needs_a_person_for_each(
     assert latches(state) == ["robots/left"]
 
 
-def test_config_check_names_the_robots_and_what_is_wrong(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_config_check_names_the_robots_and_what_is_wrong(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     path = tmp_path / "fleet.toml"
     head = f'disabled_plugins = ["rn-recorder"]\n[supervisor]\nstate_directory = "{tmp_path}"\n'
     path.write_text(f'{head}[robots.a]\nrobot = "husky"\n[robots.b-1]\nrobot = "racecar"\n')

@@ -1,4 +1,6 @@
-"""Middleware that a robot's features have appended sees the calls of that robot, as in a server of one robot."""
+"""Middleware that a robot's features have appended sees the calls of that robot, as in a server
+of one robot.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,14 @@ def seen(fleet: Fleet) -> list[tuple[str, str, dict[str, Any], bool]]:
     def watching(robot: str) -> Any:
         async def middleware(ctx: Any, call_next: Any) -> Any:
             answer = await call_next(ctx)
-            calls.append((robot, ctx.params["name"], dict(ctx.params["arguments"]), bool(answer.get("isError"))))
+            calls.append(
+                (
+                    robot,
+                    ctx.params["name"],
+                    dict(ctx.params["arguments"]),
+                    bool(answer.get("isError")),
+                )
+            )
             return answer
 
         return middleware
@@ -32,7 +41,9 @@ def seen(fleet: Fleet) -> list[tuple[str, str, dict[str, Any], bool]]:
     return calls
 
 
-def test_a_call_is_seen_by_the_robot_it_names_alone(fleet: Fleet, call: Call, seen: list[Any]) -> None:
+def test_a_call_is_seen_by_the_robot_it_names_alone(
+    fleet: Fleet, call: Call, seen: list[Any]
+) -> None:
     answer = call(fleet, "get_status", {"robot": "right-arm"})
     assert not answer.is_error
     assert seen == [("right-arm", "get_status", {}, False)]
@@ -45,7 +56,12 @@ def test_a_call_that_a_robot_refuses_is_seen(fleet: Fleet, call: Call, seen: lis
 
 @pytest.mark.parametrize(
     ("tool", "arguments"),
-    [("get_status", {}), ("get_status", {"robot": {"a": 1}}), ("list_fleet", {}), ("fly", {"robot": "left"})],
+    [
+        ("get_status", {}),
+        ("get_status", {"robot": {"a": 1}}),
+        ("list_fleet", {}),
+        ("fly", {"robot": "left"}),
+    ],
 )
 def test_a_call_of_no_robot_is_seen_by_none(
     fleet: Fleet, call: Call, seen: list[Any], tool: str, arguments: dict[str, Any]
@@ -54,7 +70,9 @@ def test_a_call_of_no_robot_is_seen_by_none(
     assert seen == []
 
 
-def test_the_only_robot_of_a_table_need_not_be_named(call: Call, make_fleet: Callable[..., Fleet]) -> None:
+def test_the_only_robot_of_a_table_need_not_be_named(
+    call: Call, make_fleet: Callable[..., Fleet]
+) -> None:
     fleet = make_fleet('[robots.only]\nrobot = "gantry"\n')
     seen: list[str] = []
 
@@ -67,8 +85,13 @@ def test_the_only_robot_of_a_table_need_not_be_named(call: Call, make_fleet: Cal
     assert seen == ["get_status"]
 
 
-def test_each_folder_says_which_namespace_it_is_of(tmp_path: Path, make_fleet: Callable[..., Fleet]) -> None:
-    text = '[robots.left]\nrobot = {name = "gantry", namespace = "hall_2/a"}\n[robots.b-1]\nrobot = "gantry"\n'
+def test_each_folder_says_which_namespace_it_is_of(
+    tmp_path: Path, make_fleet: Callable[..., Fleet]
+) -> None:
+    text = (
+        '[robots.left]\nrobot = {name = "gantry", namespace = "hall_2/a"}\n[robots.b-1]\nrobot '
+        '= "gantry"\n'
+    )
     make_fleet(text)._note_namespaces()  # as `open` does
     noted = {path.parent.name: path.read_text() for path in tmp_path.glob("robots/*/namespace")}
     assert noted == {"left": "hall_2/a", "b-1": "b_1"}

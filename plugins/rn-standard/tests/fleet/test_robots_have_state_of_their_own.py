@@ -40,14 +40,18 @@ def test_a_stop_of_the_whole_state_directory_stops_all(fleet: Fleet, tmp_path: P
     assert "smoke" in fleet.robots["left"].loop.emergency_stop.cause()
 
 
-def test_a_stop_from_before_the_start_holds_for_all(make_fleet: Callable[..., Fleet], tmp_path: Path) -> None:
+def test_a_stop_from_before_the_start_holds_for_all(
+    make_fleet: Callable[..., Fleet], tmp_path: Path
+) -> None:
     EmergencyStopLatch(tmp_path / ESTOP_FILE, lambda: 1).press(who="somebody", reason="")
     fleet = make_fleet()
     fleet._look()  # as `open` does
     assert latched(fleet) == ["left", "right-arm"]
 
 
-def test_a_robot_whose_latch_cannot_be_written_keeps_no_other_from_stopping(fleet: Fleet, tmp_path: Path) -> None:
+def test_a_robot_whose_latch_cannot_be_written_keeps_no_other_from_stopping(
+    fleet: Fleet, tmp_path: Path
+) -> None:
     (tmp_path / "robots").mkdir()
     (tmp_path / "robots" / "left").write_text("a file in the place of the folder")
     fleet.press("somebody", "")
@@ -70,7 +74,9 @@ def test_each_robot_has_an_operator_of_its_own(call: Call, fleet: Fleet) -> None
 def test_a_call_of_one_robot_renews_the_leases_of_the_client_and_a_client_that_left_has_none(
     make_fleet: Callable[..., Fleet],
 ) -> None:
-    fleet = make_fleet('[http]\nlease_s = 5.0\n[robots.left]\nrobot = "gantry"\n[robots.right]\nrobot = "gantry"\n')
+    fleet = make_fleet(
+        '[http]\nlease_s = 5.0\n[robots.left]\nrobot = "gantry"\n[robots.right]\nrobot = "gantry"\n'
+    )
     leases = []
     for robot in fleet.robots.values():
         feature = robot.features.get("http")
@@ -110,6 +116,9 @@ def test_a_person_who_is_asked_is_told_which_robot(call: Call, fleet: Fleet) -> 
 def test_participants_are_looked_for_by_the_modules_of_all_robots() -> None:
     arm = '[robots.a{n}]\nrobot = "gantry"\n[robots.a{n}.inference]\nbackend = "instant"\n'
     registry = fake_registry(FEATURE)
-    few, many = (parse_config("".join(arm.format(n=n) for n in range(count)), registry=registry) for count in (3, 100))
+    few, many = (
+        parse_config("".join(arm.format(n=n) for n in range(count)), registry=registry)
+        for count in (3, 100)
+    )
     assert participants_of(few.robots.values()) == 3 * 2 + 8
     assert participants_of(many.robots.values()) == 115

@@ -12,8 +12,16 @@ def number(lower: float, upper: float) -> dict[str, object]:
 
 
 def test_bounds_choices_and_requirements_become_wider() -> None:
-    one = {"type": "object", "properties": {"x": number(-1, 1), "m": {"enum": ["a"]}}, "required": ["x", "m"]}
-    two = {"type": "object", "properties": {"x": number(0, 3), "m": {"enum": ["b", "a"]}}, "required": ["x"]}
+    one = {
+        "type": "object",
+        "properties": {"x": number(-1, 1), "m": {"enum": ["a"]}},
+        "required": ["x", "m"],
+    }
+    two = {
+        "type": "object",
+        "properties": {"x": number(0, 3), "m": {"enum": ["b", "a"]}},
+        "required": ["x"],
+    }
     assert widest([one, two]) == {
         "type": "object",
         "properties": {"x": number(-1, 3), "m": {"enum": ["a", "b"]}},
@@ -22,11 +30,16 @@ def test_bounds_choices_and_requirements_become_wider() -> None:
 
 
 def test_a_bound_that_one_does_not_have_is_none() -> None:
-    assert widest([number(0, 1), {"type": "number", "minimum": 0}]) == {"type": "number", "minimum": 0}
+    assert widest([number(0, 1), {"type": "number", "minimum": 0}]) == {
+        "type": "number",
+        "minimum": 0,
+    }
 
 
 def test_a_default_that_differs_is_none() -> None:
-    assert widest([{"type": "number", "default": 1}, {"type": "number", "default": 2}]) == {"type": "number"}
+    assert widest([{"type": "number", "default": 1}, {"type": "number", "default": 2}]) == {
+        "type": "number"
+    }
 
 
 def test_equal_schemas_are_one() -> None:
@@ -35,7 +48,11 @@ def test_equal_schemas_are_one() -> None:
 
 def test_texts_share_what_they_share() -> None:
     text = merged_text(
-        {"a": "Drive. Up to 1 m/s. At once.", "b": "Drive. Up to 2 m/s. At once.", "c": "Drive. Up to 2 m/s. At once."}
+        {
+            "a": "Drive. Up to 1 m/s. At once.",
+            "b": "Drive. Up to 2 m/s. At once.",
+            "c": "Drive. Up to 2 m/s. At once.",
+        }
     )
     assert text == "Drive. At once. a: Up to 1 m/s. b, c: Up to 2 m/s."
 
@@ -46,10 +63,16 @@ def test_many_kinds_of_robots_do_not_make_the_text_long() -> None:
 
 
 def test_a_robot_argument_of_the_tool_itself_gives_way() -> None:
-    own = {"type": "object", "properties": {"robot": {"enum": ["fr3"]}, "x": number(0, 1)}, "required": ["robot", "x"]}
+    own = {
+        "type": "object",
+        "properties": {"robot": {"enum": ["fr3"]}, "x": number(0, 1)},
+        "required": ["robot", "x"],
+    }
     tool = types.Tool(name="t", description="On /a/x.", input_schema=own)
     merged = merged_tool(
-        {"a": tool, "b": tool.model_copy(update={"description": "On /b/x."})}, {"a": "a", "b": "b"}, required=True
+        {"a": tool, "b": tool.model_copy(update={"description": "On /b/x."})},
+        {"a": "a", "b": "b"},
+        required=True,
     )
     assert merged.input_schema["properties"]["robot"]["enum"] == ["a", "b"]
     assert merged.input_schema["required"] == ["robot", "x"]

@@ -1,4 +1,6 @@
-"""`[robots.<name>]`: a whole configuration for each robot, with what stands at the top level shared."""
+"""`[robots.<name>]`: a whole configuration for each robot, with what stands at the top level
+shared.
+"""
 
 from __future__ import annotations
 
@@ -54,7 +56,10 @@ def test_each_robot_has_what_is_its_own_and_what_all_share() -> None:
     assert (left.limits.max_speed_m_s, right.limits.max_speed_m_s) == (0.3, 0.1)
     assert left.inference is not None
     assert right.inference is None
-    assert (list(left.sections["models"]), list(right.sections["models"])) == (["quick", "slow"], ["quick"])
+    assert (list(left.sections["models"]), list(right.sections["models"])) == (
+        ["quick", "slow"],
+        ["quick"],
+    )
     assert all(one.sections["wire"] == {"port": 4711} for one in (left, right, config))
     assert config.supervisor.state_directory == "/here"
     assert not left.robots
@@ -64,18 +69,33 @@ def test_each_robot_has_what_is_its_own_and_what_all_share() -> None:
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ('[robot]\nname="gantry"\n[robots.a]\nrobot="gantry"', "either [robot] or [robots.<name>], not both"),
+        (
+            '[robot]\nname="gantry"\n[robots.a]\nrobot="gantry"',
+            "either [robot] or [robots.<name>], not both",
+        ),
         ("robots = 3", "robots = 3: expected tables"),
         ("[robots]", "expected tables [robots.<name>]"),
         ("[robots.a]", "[robots.a]: 'robot' is missing"),
         ("[robots.A]\nrobot='gantry'", "[robots.A]: a robot's name is made of"),
         ("[robots.a]\nrobot=3", "[robots.a]: robot.name = 3"),
         ("[robots.a]\nrobot='gantry'\n[robots.a.limit]\nx=1", "[robots.a]: unknown key 'limit'"),
-        ("[robots.a]\nrobot='gantry'\n[robots.a.limits]\nmax_sped_m_s=1", "Did you mean 'max_speed_m_s'"),
-        ("[robots.a]\nrobot='gantry'\n[robots.a.server]\nname='x'", "'server' is shared by all robots"),
+        (
+            "[robots.a]\nrobot='gantry'\n[robots.a.limits]\nmax_sped_m_s=1",
+            "Did you mean 'max_speed_m_s'",
+        ),
+        (
+            "[robots.a]\nrobot='gantry'\n[robots.a.server]\nname='x'",
+            "'server' is shared by all robots",
+        ),
         ("[robots.a]\nrobot='gantry'\n[robots.a.wire]\nport=1", "'wire' is shared by all robots"),
-        ("[robots.a]\nrobot='gantry'\n[robots.a.supervisor]\nstate_directory='/x'", "'state_directory' is shared"),
-        ("[robots.a-b]\nrobot='gantry'\n[robots.a_b]\nrobot='gantry'", "two robots have the namespace 'a_b'"),
+        (
+            "[robots.a]\nrobot='gantry'\n[robots.a.supervisor]\nstate_directory='/x'",
+            "'state_directory' is shared",
+        ),
+        (
+            "[robots.a-b]\nrobot='gantry'\n[robots.a_b]\nrobot='gantry'",
+            "two robots have the namespace 'a_b'",
+        ),
         ("plugins = 3\n[robots.a]\nrobot='gantry'", "plugins = 3"),
     ],
 )
@@ -97,5 +117,7 @@ def test_the_command_line_speaks_of_the_server_of_all_robots() -> None:
 
 
 def test_without_the_feature_the_file_is_refused_with_what_to_install() -> None:
-    with pytest.raises(ConfigurationError, match=r"No installed feature serves several robots.*requirements\.txt"):
+    with pytest.raises(
+        ConfigurationError, match=r"No installed feature serves several robots.*requirements\.txt"
+    ):
         parse_config("[robots.a]\nrobot='gantry'", registry=fake_registry(HTTP))

@@ -1,4 +1,6 @@
-"""Tools that few requests need are found by search; what the called robot checks, and who may call it, stays."""
+"""Tools that few requests need are found by search; what the called robot checks, and who may
+call it, stays.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,9 @@ from roboneuron.plugins.discovery import discover
 
 Call = Callable[..., types.CallToolResult]
 MOST_BYTES = 34_000
-"""Of four robots of two kinds with the packages that are usually installed; it was 53 kB, about 14,400 tokens."""
+"""Of four robots of two kinds with the packages that are usually installed; it was 53 kB, about
+14,400 tokens.
+"""
 FOUR = """
 disabled_plugins = ["rn-recorder", "rn-eval-libero", "rn-backend-shared"]
 [robots.left]
@@ -53,19 +57,29 @@ def test_the_list_of_four_robots_fits_a_bound(installed: Fleet) -> None:
 def test_what_moves_stops_or_shows_a_robot_is_listed(installed: Fleet) -> None:
     names = {tool.name for tool in installed.tools.listing()}
     assert {"start_all", "run_task", "stop_inference", "stop_all", "get_status", "move_ee"} <= names
-    assert not {name for name in names if name.startswith(("list_", "switch_"))} - {"list_fleet", "list_incidents"}
+    assert not {name for name in names if name.startswith(("list_", "switch_"))} - {
+        "list_fleet",
+        "list_incidents",
+    }
 
 
 def test_policies_are_offered_for_robots_that_take_them(installed: Fleet) -> None:
     tools = {tool.name: tool for tool in installed.tools.listing()}
     for name in ("set_instruction", "start_inference", "stop_inference", "run_task"):
         assert tools[name].input_schema["properties"]["robot"]["enum"] == ["left", "right"], name
-    assert tools["stop_robot"].input_schema["properties"]["robot"]["enum"] == ["left", "right", "base", "rover"]
+    assert tools["stop_robot"].input_schema["properties"]["robot"]["enum"] == [
+        "left",
+        "right",
+        "base",
+        "rover",
+    ]
     offered = {tool.name for tool in installed.robots["base"].tools.listing()}
     assert not offered & {"set_instruction", "start_inference", "run_task", "switch_inference"}
 
 
-@pytest.mark.parametrize(("query", "first"), [("describe interface", "describe_interface"), ("nodes", "list_nodes")])
+@pytest.mark.parametrize(
+    ("query", "first"), [("describe interface", "describe_interface"), ("nodes", "list_nodes")]
+)
 def test_other_tools_are_found_by_words(call: Call, fleet: Fleet, query: str, first: str) -> None:
     found = (call(fleet, "find_robot_tools", {"query": query}).structured_content or {})["tools"]
     assert found[0]["name"] == first
@@ -110,7 +124,11 @@ def test_the_robots_middleware_sees_the_call_that_is_meant(call: Call, fleet: Fl
         return await call_next(ctx)
 
     fleet.robots["left"].server.middleware.append(middleware)
-    call(fleet, "call_robot_tool", {"robot": "left", "tool": "list_nodes", "arguments": {"entries": 3}})
+    call(
+        fleet,
+        "call_robot_tool",
+        {"robot": "left", "tool": "list_nodes", "arguments": {"entries": 3}},
+    )
     assert seen == [("list_nodes", {"entries": 3})]
 
 
@@ -122,7 +140,11 @@ def test_one_robot_has_the_whole_list(make_fleet: Callable[[str], Fleet]) -> Non
 
 def test_summaries_of_choices_are_left_to_the_lists() -> None:
     entry = {"type": "string", "enum": ["a"], "description": "Which one. Choices: a: the first."}
-    assert without_summaries(entry) == {"type": "string", "enum": ["a"], "description": "Which one."}
+    assert without_summaries(entry) == {
+        "type": "string",
+        "enum": ["a"],
+        "description": "Which one.",
+    }
     assert without_summaries({"type": "string", "description": "Choices: none."}) == {
         "type": "string",
         "description": "Choices: none.",

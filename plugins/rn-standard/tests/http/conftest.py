@@ -1,4 +1,6 @@
-"""The fakes with this feature: an application in this process without ROS, and servers in processes of their own."""
+"""The fakes with this feature: an application in this process without ROS, and servers in
+processes of their own.
+"""
 
 from __future__ import annotations
 
@@ -72,7 +74,7 @@ def roboneuron_controllers():
 @hookimpl
 def roboneuron_robots():
     return [FAKE_ROBOT]
-"""
+"""  # noqa: E501
 
 
 @pytest.fixture
@@ -82,7 +84,9 @@ def application(tmp_path: Path) -> Iterator[Application]:
     application = Application(
         parse_config(MODULES.format(source="controlled")),
         plugins=PluginCatalogue(discover=lambda disabled: registry),
-        supervisor=Supervisor(tmp_path, command=lambda python: pytest.fail("nothing may be spawned")),
+        supervisor=Supervisor(
+            tmp_path, command=lambda python: pytest.fail("nothing may be spawned")
+        ),
     )
     try:
         yield application
@@ -107,7 +111,16 @@ def serve_command(tmp_path: Path) -> Callable[..., list[str]]:
         supervisor = f"start_timeout_s = {start_timeout_s}\nstop_timeout_s = 3.0\n"
         supervisor += f'state_directory = "{tmp_path}/state"\n'
         path.write_text(f"{MODULES.format(source=source)}[supervisor]\n{supervisor}")
-        return [sys.executable, "-m", "roboneuron.cli.main", "serve", "--config", str(path), "--log-level", "warning"]
+        return [
+            sys.executable,
+            "-m",
+            "roboneuron.cli.main",
+            "serve",
+            "--config",
+            str(path),
+            "--log-level",
+            "warning",
+        ]
 
     return make
 

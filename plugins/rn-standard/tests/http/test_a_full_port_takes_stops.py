@@ -21,7 +21,9 @@ from rn_standard.http.tokens import TokenTable, shows_right
 from roboneuron.server.access import Holder
 
 pytestmark = pytest.mark.timeout(60)
-WIDE = Bounds(silent=100, unproven=100, unproven_of_one=100, new=1000, handle=10_000, handle_known=10_000)
+WIDE = Bounds(
+    silent=100, unproven=100, unproven_of_one=100, new=1000, handle=10_000, handle_known=10_000
+)
 KNOWN = b"known"
 
 
@@ -39,7 +41,9 @@ class Echo(asyncio.Protocol):
 
 
 @asynccontextmanager
-async def listening(bounds: Bounds) -> AsyncIterator[tuple[BoundedListener, Callable[[], socket.socket]]]:
+async def listening(
+    bounds: Bounds,
+) -> AsyncIterator[tuple[BoundedListener, Callable[[], socket.socket]]]:
     """An echo server behind a listener, and a function that connects to it."""
     bound = socket.socket()
     bound.bind(("127.0.0.1", 0))
@@ -136,7 +140,14 @@ def test_the_oldest_unproven_connection_gives_way_and_a_proven_one_does_not() ->
                 crowd.append(connect())
                 assert await answer(crowd[-1]) == b"x"
             await settle()
-            assert [is_closed(one) for one in [proven, *crowd]] == [False, True, True, False, False, False]
+            assert [is_closed(one) for one in [proven, *crowd]] == [
+                False,
+                True,
+                True,
+                False,
+                False,
+                False,
+            ]
 
     run(test)
 
@@ -194,10 +205,13 @@ def few_handles(left: int) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_NOFILE, before)
 
 
-def test_a_process_without_handles_says_so_once_and_serves_again(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_process_without_handles_says_so_once_and_serves_again(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
     async def test() -> None:
         async with listening(WIDE) as (_, connect):
-            crowd = [connect() for _ in range(30)]  # in the queue of the kernel, since nothing was awaited
+            # in the queue of the kernel, since nothing was awaited
+            crowd = [connect() for _ in range(30)]
             with few_handles(0):
                 await settle()
                 assert all(is_closed(one) for one in crowd)
@@ -219,7 +233,9 @@ def test_the_port_of_stops_may_use_handles_that_no_other_port_may() -> None:
 
 def test_a_right_is_seen_in_the_first_bytes() -> None:
     tokens = TokenTable([("0123456789abcdef", Holder(who="v", role="viewer"))])
-    head = b"POST /mcp HTTP/1.1\r\nHost: 127.0.0.1\r\naUTHORIZATION: bearer %s\r\nAccept: */*\r\n\r\n"
+    head = (
+        b"POST /mcp HTTP/1.1\r\nHost: 127.0.0.1\r\naUTHORIZATION: bearer %s\r\nAccept: */*\r\n\r\n"
+    )
     assert shows_right(tokens, head % b"0123456789abcdef")
     assert not shows_right(tokens, head % b"0123456789abcdeX")
     assert not shows_right(tokens, b"POST /mcp HTTP/1.1\r\n\r\nemergency_stop")

@@ -1,4 +1,6 @@
-"""A real server on a free port of loopback, asked by real clients; modules start in one test only."""
+"""A real server on a free port of loopback, asked by real clients; modules start in one test
+only.
+"""
 
 from __future__ import annotations
 
@@ -62,11 +64,17 @@ class HttpServer:
         sent = {**HEADERS, **headers}
         if token is not None:
             sent["Authorization"] = f"Bearer {token}"
-        text = body if body is not None else json.dumps({"jsonrpc": "2.0", "id": 1, "method": "ping"}).encode()
+        text = (
+            body
+            if body is not None
+            else json.dumps({"jsonrpc": "2.0", "id": 1, "method": "ping"}).encode()
+        )
         return httpx2.post(self.url, headers=sent, content=text, timeout=30)
 
 
-async def with_client(server: HttpServer, role: str, work: Callable[[Client], Any], mode: str = "auto") -> Any:
+async def with_client(
+    server: HttpServer, role: str, work: Callable[[Client], Any], mode: str = "auto"
+) -> Any:
     headers = {"Authorization": f"Bearer {TOKENS[role]}"}
     async with (
         httpx2.AsyncClient(headers=headers, timeout=60) as http,
@@ -101,7 +109,9 @@ def serving(command: list[str], environment: dict[str, str], folder: Path) -> It
     words = [word if word != "warning" else "debug" for word in command]
     tokens = {f"TEST_{role.upper()}": token for role, token in TOKENS.items()}
     with log.open("wb") as sink:
-        process = subprocess.Popen(words, env={**environment, **tokens}, stdin=subprocess.DEVNULL, stderr=sink)
+        process = subprocess.Popen(
+            words, env={**environment, **tokens}, stdin=subprocess.DEVNULL, stderr=sink
+        )
     try:
         wait_until(lambda: process.poll() is not None or is_open(port), 60.0, "the server listens")
         assert process.poll() is None, log.read_text()
@@ -132,7 +142,9 @@ def wait_until(fact: Callable[[], bool], timeout_s: float, what: str) -> None:
 
 
 @pytest.fixture
-def server(serve_command: ServeCommand, server_environment: dict[str, str], tmp_path: Path) -> Iterator[HttpServer]:
+def server(
+    serve_command: ServeCommand, server_environment: dict[str, str], tmp_path: Path
+) -> Iterator[HttpServer]:
     with serving(serve_command(), server_environment, tmp_path) as running:
         yield running
 
@@ -162,7 +174,11 @@ def test_each_role_may_do_what_it_may(server: HttpServer) -> None:
 
     seen = {role: anyio.run(with_client, server, role, names) for role in TOKENS}
     assert seen["viewer"] < seen["operator"] < seen["admin"]
-    assert seen["admin"] - seen["operator"] == {"reset_emergency_stop", "expose_endpoint", "unexpose_endpoint"}
+    assert seen["admin"] - seen["operator"] == {
+        "reset_emergency_stop",
+        "expose_endpoint",
+        "unexpose_endpoint",
+    }
     assert {"get_status", "emergency_stop"} <= seen["viewer"]
     assert not {"start_robot", "set_instruction", "stop_all"} & seen["viewer"]
 
@@ -191,10 +207,15 @@ def test_an_admin_exposes_an_endpoint_while_the_server_runs(server: HttpServer) 
 def test_a_session_is_of_one_token(server: HttpServer) -> None:
     client = {"name": "wire", "version": "1"}
     params = {"protocolVersion": "2025-06-18", "capabilities": {}, "clientInfo": client}
-    body = json.dumps({"jsonrpc": "2.0", "id": 1, "method": "initialize", "params": params}).encode()
+    body = json.dumps(
+        {"jsonrpc": "2.0", "id": 1, "method": "initialize", "params": params}
+    ).encode()
     opened = server.post(body=body)
     assert opened.status_code == 200
-    session = {"mcp-session-id": opened.headers["mcp-session-id"], "mcp-protocol-version": "2025-06-18"}
+    session = {
+        "mcp-session-id": opened.headers["mcp-session-id"],
+        "mcp-protocol-version": "2025-06-18",
+    }
     assert server.post(token=TOKENS["viewer"], **session).status_code == 404
     assert server.post(**session).status_code == 200
 
@@ -229,11 +250,14 @@ def test_too_many_calls_at_once_are_refused_but_stops_are_not(
             group.cancel_scope.cancel()
         return third, stop, ended
 
-    with serving(serve_command(source="silent", start_timeout_s=60.0), server_environment, tmp_path) as server:
+    with serving(
+        serve_command(source="silent", start_timeout_s=60.0), server_environment, tmp_path
+    ) as server:
         third, stop, ended = anyio.run(with_client, server, "admin", crowd)
     assert code_of(third) == "not_ready"
     assert "2 calls are at work already" in third.content[0].text
-    assert not stop.is_error or code_of(stop) == "unsafe"  # taken, whatever modules that only start say
+    # taken, whatever modules that only start say
+    assert not stop.is_error or code_of(stop) == "unsafe"
     assert not ended.is_error
 
 
@@ -241,11 +265,18 @@ def test_the_command_line_talks_to_a_running_server(server: HttpServer) -> None:
     def roboneuron(*words: str, **variables: str) -> subprocess.CompletedProcess[str]:
         command = [sys.executable, "-m", "roboneuron.cli.main", *words, "--url", server.url]
         return subprocess.run(
-            command, env={**os.environ, **variables}, capture_output=True, text=True, timeout=60, check=False
+            command,
+            env={**os.environ, **variables},
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=False,
         )
 
     status = roboneuron("call", "get_status", "--token-variable", "MINE", MINE=TOKENS["viewer"])
-    assert (status.returncode, json.loads(status.stdout)["emergency_stop"]) == (0, False), status.stderr
+    assert (status.returncode, json.loads(status.stdout)["emergency_stop"]) == (0, False), (
+        status.stderr
+    )
     listed = roboneuron("tools", ROBONEURON_TOKEN=TOKENS["viewer"])
     assert "get_status" in listed.stdout
     assert "start_robot" not in listed.stdout

@@ -66,7 +66,8 @@ RULES = HostRules(
 
 
 @pytest.mark.parametrize(
-    "host", ["127.0.0.1:8765", "localhost", "[::1]:1", "robot.lan.", "proxy.lan:8443", "[fd00:0::1]"]
+    "host",
+    ["127.0.0.1:8765", "localhost", "[::1]:1", "robot.lan.", "proxy.lan:8443", "[fd00:0::1]"],
 )
 def test_hosts_of_this_server_are_known_in_every_spelling(host: str) -> None:
     assert RULES.allows_host([host])
@@ -74,9 +75,22 @@ def test_hosts_of_this_server_are_known_in_every_spelling(host: str) -> None:
 
 @pytest.mark.parametrize(
     "host",
-    ["", "robot.lan:evil", "robot.lan:80@evil", "robot.lan:99999", "robot.lan.evil", "robot.lan:*", "proxy.lan:8444",
-     "proxy.lan", "127.0.0.1:8765:1", "localhost:80/x", "user@localhost", "[::1", " localhost"],
-)  # fmt: skip
+    [
+        "",
+        "robot.lan:evil",
+        "robot.lan:80@evil",
+        "robot.lan:99999",
+        "robot.lan.evil",
+        "robot.lan:*",
+        "proxy.lan:8444",
+        "proxy.lan",
+        "127.0.0.1:8765:1",
+        "localhost:80/x",
+        "user@localhost",
+        "[::1",
+        " localhost",
+    ],
+)
 def test_hosts_that_only_begin_like_one_of_ours_are_refused(host: str) -> None:
     assert not RULES.allows_host([host])
     assert not RULES.allows_host([])
@@ -84,14 +98,32 @@ def test_hosts_that_only_begin_like_one_of_ours_are_refused(host: str) -> None:
 
 
 def test_origins_are_parsed() -> None:
-    good = ["https://panel.lan", "https://PANEL.lan:443", "http://localhost:3000", "http://tool.lan:5", "http://[::1]"]
-    bad = ["null", "https://panel.lan.evil", "https://panel.lan:444", "http://panel.lan", "http://localhost:80.evil",
-           "http://tool.lan:5@evil", "https://localhost", "http://tool.lan:*", "file://", "http://"]  # fmt: skip
+    good = [
+        "https://panel.lan",
+        "https://PANEL.lan:443",
+        "http://localhost:3000",
+        "http://tool.lan:5",
+        "http://[::1]",
+    ]
+    bad = [
+        "null",
+        "https://panel.lan.evil",
+        "https://panel.lan:444",
+        "http://panel.lan",
+        "http://localhost:80.evil",
+        "http://tool.lan:5@evil",
+        "https://localhost",
+        "http://tool.lan:*",
+        "file://",
+        "http://",
+    ]
     assert [text for text in good if not RULES.allows_origin(text)] == []
     assert [text for text in bad if RULES.allows_origin(text)] == []
 
 
-@pytest.mark.parametrize("line", ['allowed_origins = ["panel.lan"]', 'allowed_hosts = ["http://robot.lan"]'])
+@pytest.mark.parametrize(
+    "line", ['allowed_origins = ["panel.lan"]', 'allowed_hosts = ["http://robot.lan"]']
+)
 def test_what_cannot_be_a_host_or_an_origin_is_refused(line: str) -> None:
     with pytest.raises(ConfigurationError, match="is none"):
         HostRules(options(line))
@@ -101,11 +133,15 @@ def test_a_port_in_use_is_named() -> None:
     with listen(options(""), TokenTable([])) as first:
         first.listen()
         section = options("").model_copy(update={"port": first.getsockname()[1]})
-        with pytest.raises(ConfigurationError, match=f"Port {section.port} of 127.0.0.1 cannot be used"):
+        with pytest.raises(
+            ConfigurationError, match=f"Port {section.port} of 127.0.0.1 cannot be used"
+        ):
             listen(section, TokenTable([]))
 
 
-@pytest.mark.parametrize("token", ["", "short", "with space in the middle of it", "ümläuts-are-not-in-headers"])
+@pytest.mark.parametrize(
+    "token", ["", "short", "with space in the middle of it", "ümläuts-are-not-in-headers"]
+)
 def test_bad_tokens_are_refused_and_not_shown(token: str) -> None:
     with pytest.raises(ConfigurationError) as refusal:
         read_tokens((TokenConfig(name="lab", role="viewer", variable="T"),), {"T": token})
@@ -143,11 +179,15 @@ def test_the_command_line_goes_before_the_file() -> None:
     parser = argparse.ArgumentParser()
     configure(parser)
     base = parse_config('[robot]\nname = "none"\n')
-    chosen = with_server(base, parser.parse_args(["--transport", "http", "--port", "9000"]), REGISTRY)
+    chosen = with_server(
+        base, parser.parse_args(["--transport", "http", "--port", "9000"]), REGISTRY
+    )
     address = feature_options(FEATURE, chosen)
     assert isinstance(address, HttpOptions)
     assert (chosen.server.transport, address.host, address.port) == ("http", "127.0.0.1", 9000)
-    there = with_server(config('host = "::1"'), parser.parse_args(["--port", "1"]), REGISTRY).sections["http"]
+    there = with_server(
+        config('host = "::1"'), parser.parse_args(["--port", "1"]), REGISTRY
+    ).sections["http"]
     assert there == {"host": "::1", "port": 1}
     with pytest.raises(ConfigurationError, match="--transport http"):
         with_server(base, parser.parse_args(["--port", "9000"]), REGISTRY)
@@ -192,7 +232,10 @@ def test_a_token_file_that_changes_is_read_again(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("http", "words"),
     [
-        ('tokens = [{ name = "x", role = "admin", variable = "NOT_SET_AT_ALL" }]', "NOT_SET_AT_ALL, which is not set"),
+        (
+            'tokens = [{ name = "x", role = "admin", variable = "NOT_SET_AT_ALL" }]',
+            "NOT_SET_AT_ALL, which is not set",
+        ),
         ('host = "0.0.0.0"', "allowed_hosts"),
     ],
 )
@@ -201,7 +244,10 @@ def test_config_check_says_what_serve_would(
 ) -> None:
     pytest.importorskip("rn_robot_fr3")
     path = tmp_path / "roboneuron.toml"
-    text = f'[robot]\nname = "fr3"\n[supervisor]\nstate_directory = "{tmp_path}/state"\n[http]\n{http}\n'
+    text = (
+        '[robot]\nname = "fr3"\n[supervisor]\nstate_directory = '
+        f'"{tmp_path}/state"\n[http]\n{http}\n'
+    )
     path.write_text(text + '[server]\ntransport = "http"\n')
     assert main(["config", "check", str(path)]) == 2
     assert words in capsys.readouterr().err
@@ -211,7 +257,10 @@ def test_config_check_says_what_serve_would(
 
 @pytest.mark.parametrize("key", sorted({*HttpOptions.model_fields} - {"lease_streams"}))
 def test_a_key_where_it_was_is_told_where_it_is(key: str) -> None:
-    value = {"tokens": '[{ name = "a", role = "admin", variable = "T" }]', "allowed_hosts": "[]"}.get(key, "1")
+    value = {
+        "tokens": '[{ name = "a", role = "admin", variable = "T" }]',
+        "allowed_hosts": "[]",
+    }.get(key, "1")
     with pytest.raises(ConfigurationError) as caught:
         parse_config(f'[robot]\nname = "none"\n[server]\n{key} = {value}\n')
     words = f"roboneuron.toml: the key 'server.{key}' has moved: write {key} under [http]."

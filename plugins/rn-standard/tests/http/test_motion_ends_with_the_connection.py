@@ -1,4 +1,6 @@
-"""A client over HTTP that is lost while its call moves the robot: it is stopped, in both eras of the protocol."""
+"""A client over HTTP that is lost while its call moves the robot: it is stopped, in both eras
+of the protocol.
+"""
 
 from __future__ import annotations
 
@@ -46,7 +48,9 @@ def wait_until(fact: Callable[[], bool], timeout_s: float, what: str) -> None:
 
 
 @pytest.fixture
-def url(serve_command: Callable[..., list[str]], server_environment: dict[str, str], tmp_path: Path) -> Iterator[str]:
+def url(
+    serve_command: Callable[..., list[str]], server_environment: dict[str, str], tmp_path: Path
+) -> Iterator[str]:
     command = serve_command()
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
@@ -59,7 +63,9 @@ def url(serve_command: Callable[..., list[str]], server_environment: dict[str, s
             return probe.connect_ex(("127.0.0.1", port)) == 0
 
     with (tmp_path / "server.log").open("wb") as log:
-        process = subprocess.Popen(command, env=server_environment, stdin=subprocess.DEVNULL, stderr=log)
+        process = subprocess.Popen(
+            command, env=server_environment, stdin=subprocess.DEVNULL, stderr=log
+        )
     try:
         wait_until(lambda: process.poll() is not None or is_open(), 60.0, "the server listens")
         assert process.poll() is None, (tmp_path / "server.log").read_text()
@@ -78,7 +84,9 @@ def drive(url: str, headers: dict[str, str], params: dict[str, Any], wheels: Any
     """Call, wait until the wheels turn, and cut the connection without a word."""
     with (
         httpx2.Client(timeout=30) as http,
-        http.stream("POST", url, headers={**HEADERS, **headers}, content=request("tools/call", params, 2)) as response,
+        http.stream(
+            "POST", url, headers={**HEADERS, **headers}, content=request("tools/call", params, 2)
+        ) as response,
     ):
         assert response.status_code == 200, response.read()
         wait_until(lambda: 0.3 in wheels.speeds, 20.0, "the wheels turn")
@@ -92,13 +100,27 @@ def check_stopped(wheels: Any) -> None:
 
 
 def test_a_lost_client_of_a_session_stops_the_robot(url: str, wheels: Any) -> None:
-    params = {"protocolVersion": "2025-06-18", "capabilities": {}, "clientInfo": {"name": "lost", "version": "1"}}
+    params = {
+        "protocolVersion": "2025-06-18",
+        "capabilities": {},
+        "clientInfo": {"name": "lost", "version": "1"},
+    }
     hello = httpx2.post(url, headers=HEADERS, content=request("initialize", params), timeout=30)
-    session = {"Mcp-Session-Id": hello.headers["mcp-session-id"], "MCP-Protocol-Version": "2025-06-18"}
-    httpx2.post(url, headers={**HEADERS, **session}, content=request("notifications/initialized", {}, None), timeout=30)
+    session = {
+        "Mcp-Session-Id": hello.headers["mcp-session-id"],
+        "MCP-Protocol-Version": "2025-06-18",
+    }
+    httpx2.post(
+        url,
+        headers={**HEADERS, **session},
+        content=request("notifications/initialized", {}, None),
+        timeout=30,
+    )
     drive(url, session, CALL, wheels)
     check_stopped(wheels)
-    again = httpx2.post(url, headers={**HEADERS, **session}, content=request("tools/list", {}, 3), timeout=30)
+    again = httpx2.post(
+        url, headers={**HEADERS, **session}, content=request("tools/list", {}, 3), timeout=30
+    )
     assert again.status_code == 200, "the session itself goes on"
 
 
@@ -112,7 +134,7 @@ async def main():
         await client.call_tool("publish_velocity", {"message": {"linear": {"x": 0.3}}, "duration_s": 60})
 
 anyio.run(main)
-"""
+"""  # noqa: E501
 
 
 @pytest.mark.parametrize("mode", ["auto", "legacy"])

@@ -50,7 +50,11 @@ def test_only_one_client_acts_and_everybody_reads_and_stops(tmp_path: Path) -> N
     with pytest.raises(RefusedError):
         robot.call(ACTS, "ann")
     (record,) = [json.loads(line) for line in robot.audit.read_text().splitlines()]
-    assert (record["who"], record["tool"], record["reason"]) == ("bob", "take_over", "took over from ann")
+    assert (record["who"], record["tool"], record["reason"]) == (
+        "bob",
+        "take_over",
+        "took over from ann",
+    )
     robot.now_s += 1e6
     robot.lease.look()
     assert robot.lapses == []
@@ -103,7 +107,9 @@ def test_a_lease_of_calls_only_lapses_though_a_stream_is_open(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("lease_s", [None, 60.0])
-def test_who_has_left_hands_the_robot_to_the_next_who_acts(tmp_path: Path, lease_s: float | None) -> None:
+def test_who_has_left_hands_the_robot_to_the_next_who_acts(
+    tmp_path: Path, lease_s: float | None
+) -> None:
     robot = Operated(tmp_path, lease_s)
     robot.call(ACTS, "ann")
     robot.lease.release("bob")

@@ -1,4 +1,6 @@
-"""take_over, heartbeat and the lease are there over stdio too, and the feature leaves nothing open."""
+"""take_over, heartbeat and the lease are there over stdio too, and the feature leaves nothing
+open.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +38,9 @@ def make(tmp_path: Path) -> Iterator[Make]:
         application = Application(
             parse_config(f'[robot]\nname = "gantry"\n{text}', registry=registry),
             plugins=PluginCatalogue(discover=lambda disabled: registry),
-            supervisor=Supervisor(tmp_path, command=lambda python: pytest.fail("nothing may be spawned")),
+            supervisor=Supervisor(
+                tmp_path, command=lambda python: pytest.fail("nothing may be spawned")
+            ),
         )
         made.append(application)
         return application
@@ -53,7 +57,10 @@ def test_a_client_on_stdio_takes_over_and_renews_its_lease(make: Make) -> None:
         async with Client(application.server) as client:
             names = {tool.name for tool in (await client.list_tools()).tools}
             assert {"take_over", "heartbeat"} <= names
-            return [(await client.call_tool(name, {})).structured_content for name in ("take_over", "heartbeat")]
+            return [
+                (await client.call_tool(name, {})).structured_content
+                for name in ("take_over", "heartbeat")
+            ]
 
     assert [answer["operator"] for answer in anyio.run(scenario)] == ["agent on stdio"] * 2
 
@@ -65,7 +72,9 @@ def test_motion_ends_and_people_are_told_when_the_lease_lapses(
     application = make("[http]\nlease_s = 0.05\n")
     ended: list[str] = []
     faults: list[tuple[str, str]] = []
-    monkeypatch.setattr(application, "end_direct_motion", lambda reason, timeout_s: ended.append(reason) is None)
+    monkeypatch.setattr(
+        application, "end_direct_motion", lambda reason, timeout_s: ended.append(reason) is None
+    )
     monkeypatch.setattr(Host, "is_moving", is_moving)
     application.events.fault.listen(lambda module, what, facts: faults.append((module, what)))
     application.features.start(application.host)
@@ -103,10 +112,14 @@ def test_leases_are_on_over_http_unless_they_are_configured_away(
     assert anyio.run(scenario)["lease_s"] == expected_s
 
 
-def test_a_robot_at_rest_is_not_moving_and_one_with_a_policy_is(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_robot_at_rest_is_not_moving_and_one_with_a_policy_is(
+    make: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
     host = make("").host
     assert not host.is_moving
-    monkeypatch.setattr(host.supervisor, "view", lambda kind: ModuleView(kind=kind, phase="running"))
+    monkeypatch.setattr(
+        host.supervisor, "view", lambda kind: ModuleView(kind=kind, phase="running")
+    )
     assert host.is_moving
 
 

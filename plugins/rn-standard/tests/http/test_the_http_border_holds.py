@@ -33,7 +33,11 @@ from roboneuron.server.tool import CallContext, NoArguments, Result, Tool
 pytestmark = pytest.mark.timeout(120)
 TOKENS = {role: f"{role}-token-of-this-test" for role in ("viewer", "operator", "admin")}
 TABLE = TokenTable([(token, Holder(who=role, role=role)) for role, token in TOKENS.items()])
-HELLO = {"protocolVersion": "2025-06-18", "capabilities": {}, "clientInfo": {"name": "wire", "version": "1"}}
+HELLO = {
+    "protocolVersion": "2025-06-18",
+    "capabilities": {},
+    "clientInfo": {"name": "wire", "version": "1"},
+}
 PAGE = "https://panel.lan"
 
 
@@ -44,7 +48,9 @@ class Server:
         self.port = port
         self.url = f"http://127.0.0.1:{port}/mcp"
 
-    def post(self, request_id: Any, method: str, params: Any = None, **headers: str) -> httpx2.Response:
+    def post(
+        self, request_id: Any, method: str, params: Any = None, **headers: str
+    ) -> httpx2.Response:
         body = {"jsonrpc": "2.0", "id": request_id, "method": method, "params": params or {}}
         sent = {"Accept": "application/json, text/event-stream", **headers}
         return httpx2.post(self.url, json=body, headers=sent, timeout=30)
@@ -53,17 +59,26 @@ class Server:
         """Headers of a session that is open."""
         answer = self.post(0, "initialize", HELLO, **headers)
         assert answer.status_code == 200, answer.text
-        return {"mcp-session-id": answer.headers["mcp-session-id"], "mcp-protocol-version": "2025-06-18", **headers}
+        return {
+            "mcp-session-id": answer.headers["mcp-session-id"],
+            "mcp-protocol-version": "2025-06-18",
+            **headers,
+        }
 
     def call(self, session: dict[str, str], request_id: Any, tool: str) -> dict[str, Any]:
-        return answer_of(self.post(request_id, "tools/call", {"name": tool, "arguments": {}}, **session))
+        return answer_of(
+            self.post(request_id, "tools/call", {"name": tool, "arguments": {}}, **session)
+        )
 
     def connect(self) -> socket.socket:
         return socket.create_connection(("127.0.0.1", self.port), timeout=30)
 
 
 def answer_of(response: httpx2.Response) -> dict[str, Any]:
-    text = next((line[6:] for line in response.text.splitlines() if line.startswith("data: {")), response.text)
+    text = next(
+        (line[6:] for line in response.text.splitlines() if line.startswith("data: {")),
+        response.text,
+    )
     return json.loads(text)  # type: ignore[no-any-return]
 
 
@@ -72,11 +87,17 @@ def bearer(role: str) -> dict[str, str]:
 
 
 @contextmanager
-def serving(application: Application, tokens: TokenTable, events: Events | None = None) -> Iterator[Server]:
+def serving(
+    application: Application, tokens: TokenTable, events: Events | None = None
+) -> Iterator[Server]:
     options = HttpOptions(port=0, allowed_origins=(PAGE,))
     with listen(options, tokens) as listener:
-        server = make_server(application.server, options, HostRules(options), tokens, events or application.events)
-        thread = threading.Thread(target=lambda: asyncio.run(server.serve(sockets=[listener])), daemon=True)
+        server = make_server(
+            application.server, options, HostRules(options), tokens, events or application.events
+        )
+        thread = threading.Thread(
+            target=lambda: asyncio.run(server.serve(sockets=[listener])), daemon=True
+        )
         thread.start()
         deadline_s = time.monotonic() + 30
         while not server.started:
@@ -113,7 +134,9 @@ def is_closed(connection: socket.socket, timeout_s: float) -> bool:
         return False
 
 
-@pytest.mark.parametrize("said", [b"", b"POST /mcp HTTP/1.1\r\nHost: 127.0.0.1\r\n"], ids=["nothing", "half"])
+@pytest.mark.parametrize(
+    "said", [b"", b"POST /mcp HTTP/1.1\r\nHost: 127.0.0.1\r\n"], ids=["nothing", "half"]
+)
 def test_half_open_connections_shut_nobody_out(server: Server, said: bytes) -> None:
     with ExitStack() as stack:
         crowd = []
@@ -150,11 +173,17 @@ def test_headers_arrive_in_time_or_the_connection_ends(
         dripping.join()
 
 
-def test_a_body_arrives_in_time_or_the_connection_ends(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_body_arrives_in_time_or_the_connection_ends(
+    server: Server, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(connections, "BODY_S", 0.5)
     with server.connect() as connection:
-        head = f"POST /mcp HTTP/1.1\r\nHost: 127.0.0.1\r\nAuthorization: Bearer {TOKENS['viewer']}\r\n"
-        connection.sendall(head.encode() + b"Content-Type: application/json\r\nContent-Length: 99\r\n\r\n{")
+        head = (
+            f"POST /mcp HTTP/1.1\r\nHost: 127.0.0.1\r\nAuthorization: Bearer {TOKENS['viewer']}\r\n"
+        )
+        connection.sendall(
+            head.encode() + b"Content-Type: application/json\r\nContent-Length: 99\r\n\r\n{"
+        )
         assert is_closed(connection, 20)
     assert BODY_S > HEADERS_S
 
@@ -169,18 +198,26 @@ class Hashable:
     """A connection that is only counted."""
 
     def __init__(self, facts: SimpleNamespace) -> None:
-        self.address, self.is_idle, self.dropped, self.drop = facts.address, facts.is_idle, facts.dropped, facts.drop
+        self.address, self.is_idle, self.dropped, self.drop = (
+            facts.address,
+            facts.is_idle,
+            facts.dropped,
+            facts.drop,
+        )
         self.client = (facts.address, 1)
 
 
-def test_a_holder_has_a_share_and_a_stop_is_served_beyond_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_holder_has_a_share_and_a_stop_is_served_beyond_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     for name, number in {"MOST": 6, "MOST_OF_ONE": 4, "RESERVED": 2}.items():
         monkeypatch.setattr(connections, name, number)
     table = ConnectionTable()
     busy = [made_connection("a", is_idle=False) for _ in range(20)]
     assert [table.prove(c, "viewer") for c in busy[:6]] == [True] * 4 + [False] * 2
     assert table.prove(busy[6], "viewer", is_stop=True)
-    assert [table.prove(c, "operator") for c in busy[7:11]] == [True] * 2 + [False] * 2  # the reserve
+    # the reserve
+    assert [table.prove(c, "operator") for c in busy[7:11]] == [True] * 2 + [False] * 2
     busy[0].is_idle = True
     assert table.prove(busy[11], "viewer")
     assert busy[0].dropped
@@ -212,7 +249,11 @@ def test_sessions_are_shared_out(server: Server, monkeypatch: pytest.MonkeyPatch
 def test_a_request_with_an_impossible_id_is_answered(server: Server, request_id: Any) -> None:
     session = server.open_session(**bearer("viewer"))
     answer = server.post(request_id, "ping", **session)
-    assert (answer.status_code, answer.json()["id"], answer.json()["error"]["code"]) == (400, None, -32600)
+    assert (answer.status_code, answer.json()["id"], answer.json()["error"]["code"]) == (
+        400,
+        None,
+        -32600,
+    )
 
 
 @pytest.mark.parametrize("again", [7, "7"])
@@ -232,22 +273,40 @@ def test_a_repeated_id_is_refused_and_the_first_call_can_be_cancelled(
         return await context.run(work, on_cancel=cancelled.set)
 
     application.tools.add_all(
-        [Tool(name="slow", title="s", description="s", arguments=NoArguments, result=Result, handler=handle)]
+        [
+            Tool(
+                name="slow",
+                title="s",
+                description="s",
+                arguments=NoArguments,
+                result=Result,
+                handler=handle,
+            )
+        ]
     )
     session = server.open_session(**bearer("operator"))
-    body = json.dumps({"jsonrpc": "2.0", "id": 7, "method": "tools/call", "params": {"name": "slow"}}).encode()
+    body = json.dumps(
+        {"jsonrpc": "2.0", "id": 7, "method": "tools/call", "params": {"name": "slow"}}
+    ).encode()
     headers = {"Host": "127.0.0.1", "Accept": "application/json, text/event-stream", **session}
     head = "".join(f"{name}: {value}\r\n" for name, value in headers.items())
     with server.connect() as connection:
-        start = f"POST /mcp HTTP/1.1\r\n{head}Content-Type: application/json\r\nContent-Length: {len(body)}\r\n\r\n"
+        start = (
+            f"POST /mcp HTTP/1.1\r\n{head}Content-Type: application/json\r\nContent-Length: "
+            f"{len(body)}\r\n\r\n"
+        )
         connection.sendall(start.encode() + body)
         assert begun.wait(30)
         if is_lost:
             connection.close()
-        refused = server.post(again, "tools/call", {"name": "get_status", "arguments": {}}, **session)
+        refused = server.post(
+            again, "tools/call", {"name": "get_status", "arguments": {}}, **session
+        )
         assert (refused.status_code, refused.json()["id"]) == (400, again)
         note = {"jsonrpc": "2.0", "method": "notifications/cancelled", "params": {"requestId": 7}}
-        sent = httpx2.post(server.url, json=note, headers={**session, "Accept": headers["Accept"]}, timeout=30)
+        sent = httpx2.post(
+            server.url, json=note, headers={**session, "Accept": headers["Accept"]}, timeout=30
+        )
         assert sent.status_code == 202
         assert cancelled.wait(30)
     deadline_s = time.monotonic() + 30
@@ -257,8 +316,11 @@ def test_a_repeated_id_is_refused_and_the_first_call_can_be_cancelled(
 
 
 def test_a_page_that_is_allowed_may_read_the_answers(server: Server) -> None:
-    asked = {"Origin": PAGE, "Access-Control-Request-Method": "POST",
-             "Access-Control-Request-Headers": "authorization,content-type,mcp-protocol-version"}  # fmt: skip
+    asked = {
+        "Origin": PAGE,
+        "Access-Control-Request-Method": "POST",
+        "Access-Control-Request-Headers": "authorization,content-type,mcp-protocol-version",
+    }
     preflight = httpx2.options(server.url, headers=asked, timeout=30)
     assert preflight.status_code == 200
     assert preflight.headers["access-control-allow-origin"] == PAGE
@@ -301,7 +363,9 @@ def test_clients_without_a_session_are_told_apart(open_server: Server) -> None:
     from mcp import Client, types
 
     async def act(name: str) -> str:
-        async with Client(open_server.url, client_info=types.Implementation(name=name, version="1")) as client:
+        async with Client(
+            open_server.url, client_info=types.Implementation(name=name, version="1")
+        ) as client:
             return str((await client.call_tool("set_instruction", {"instruction": "wave"})).content)
 
     assert "operates the robot" not in anyio.run(act, "ann")
@@ -318,7 +382,10 @@ def test_an_operator_with_an_open_stream_is_not_silent(application: Application)
         session = server.open_session(**bearer("operator"))
         lease.take_over("operator", "operator")
         stream = {**session, "Accept": "text/event-stream"}
-        with httpx2.Client(timeout=30) as http, http.stream("GET", server.url, headers=stream) as answer:
+        with (
+            httpx2.Client(timeout=30) as http,
+            http.stream("GET", server.url, headers=stream) as answer,
+        ):
             assert answer.status_code == 200
             now_s[0] += 3600.0
             lease.look()
@@ -342,11 +409,15 @@ def test_a_client_without_a_session_is_known_by_its_process() -> None:
         assert peer_process(1, port) is None
 
 
-def test_where_it_serves_is_said_once_it_does(application: Application, caplog: pytest.LogCaptureFixture) -> None:
+def test_where_it_serves_is_said_once_it_does(
+    application: Application, caplog: pytest.LogCaptureFixture
+) -> None:
     caplog.set_level(logging.INFO)
     options = HttpOptions(port=0)
     with listen(options, TABLE) as listener:
-        server = make_server(application.server, options, HostRules(options), TABLE, application.events)
+        server = make_server(
+            application.server, options, HostRules(options), TABLE, application.events
+        )
         assert "serves MCP on" not in caplog.text
         seen: list[bool] = []
 

@@ -28,7 +28,12 @@ REACHED = "the robot would be spawned now"
 
 
 def driver(name: str, *, simulated: bool) -> DriverSpec:
-    return DriverSpec(name=name, summary="For tests.", target="rn_testing.fakes.robot:FakeDriver", simulated=simulated)
+    return DriverSpec(
+        name=name,
+        summary="For tests.",
+        target="rn_testing.fakes.robot:FakeDriver",
+        simulated=simulated,
+    )
 
 
 ARM = RobotSpec(
@@ -41,7 +46,9 @@ ARM = RobotSpec(
 
 @pytest.fixture
 def make(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Application]]:
-    """Return a function that makes an application of a real arm, `more` being lines of the configuration."""
+    """Return a function that makes an application of a real arm, `more` being lines of the
+    configuration.
+    """
     made: list[Application] = []
 
     def refuse(*_: Any, **__: Any) -> None:
@@ -52,7 +59,9 @@ def make(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[.
         application = Application(
             parse_config(f'[robot]\nname = "arm"\ndriver = "network"\n{more}', registry=registry),
             plugins=PluginCatalogue(discover=lambda disabled: registry),
-            supervisor=Supervisor(tmp_path, command=lambda python: pytest.fail("nothing may be spawned")),
+            supervisor=Supervisor(
+                tmp_path, command=lambda python: pytest.fail("nothing may be spawned")
+            ),
         )
         monkeypatch.setattr(application.loop, "start_selected", refuse)
         monkeypatch.setattr(application.loop.emergency_stop, "prepare", lambda namespace: None)
@@ -74,11 +83,17 @@ class Person:
 
     async def __call__(self, context: Any, params: types.ElicitRequestParams) -> types.ElicitResult:
         self.asked.append(params.message)
-        return types.ElicitResult(action="accept" if self._agrees else "decline", content={"confirmed": self._agrees})
+        return types.ElicitResult(
+            action="accept" if self._agrees else "decline", content={"confirmed": self._agrees}
+        )
 
 
 def start(
-    application: Application, person: Person | None, mode: str = "auto", tool: str = "start_robot", **arguments: Any
+    application: Application,
+    person: Person | None,
+    mode: str = "auto",
+    tool: str = "start_robot",
+    **arguments: Any,
 ) -> str:
     """The text of the answer to a call."""
 
@@ -91,32 +106,50 @@ def start(
 
 def audited(folder: Path) -> list[tuple[str, str]]:
     lines = [json.loads(line) for line in (folder / AUDIT_FILE).read_text().splitlines()]
-    return [(line["verdict"], line["reason"]) for line in lines if "first start" in line.get("reason", "")]
+    return [
+        (line["verdict"], line["reason"])
+        for line in lines
+        if "first start" in line.get("reason", "")
+    ]
 
 
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("tool", ["start_robot", "start_all"])
-def test_a_person_is_asked_once(make: Callable[..., Application], tool: str, mode: str, tmp_path: Path) -> None:
+def test_a_person_is_asked_once(
+    make: Callable[..., Application], tool: str, mode: str, tmp_path: Path
+) -> None:
     application, person = make(), Person(agrees=True)
     for _ in range(2):
         assert REACHED in start(application, person, mode, tool)
     assert len(person.asked) == 1
-    assert person.asked[0].startswith("Start the real robot arm (driver network)? It can move afterwards")
-    assert audited(tmp_path) == [("allowed", "first start of the real robot by network: a person agreed")]
+    assert person.asked[0].startswith(
+        "Start the real robot arm (driver network)? It can move afterwards"
+    )
+    assert audited(tmp_path) == [
+        ("allowed", "first start of the real robot by network: a person agreed")
+    ]
 
 
 @pytest.mark.parametrize("mode", MODES)
-def test_nothing_is_started_when_the_person_does_not_agree(make: Callable[..., Application], mode: str) -> None:
+def test_nothing_is_started_when_the_person_does_not_agree(
+    make: Callable[..., Application], mode: str
+) -> None:
     application, person = make(), Person(agrees=False)
     for number in (1, 2):
         answer = start(application, person, mode)
-        assert answer.startswith("The real robot arm (driver network) is not started: a person did not agree.")
+        assert answer.startswith(
+            "The real robot arm (driver network) is not started: a person did not agree."
+        )
         assert len(person.asked) == number, "the next start is asked again"
 
 
 @pytest.mark.parametrize(
     ("confirm", "expected"),
-    [("ask", REACHED), ("never", REACHED), ("require", "is not started: this client cannot ask a person.")],
+    [
+        ("ask", REACHED),
+        ("never", REACHED),
+        ("require", "is not started: this client cannot ask a person."),
+    ],
 )
 def test_a_client_that_cannot_ask_is_refused_where_that_is_required(
     make: Callable[..., Application], confirm: str, expected: str

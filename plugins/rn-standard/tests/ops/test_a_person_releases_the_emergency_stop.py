@@ -1,4 +1,6 @@
-"""Who releases the emergency stop: a person, in a terminal or asked by the client, or clients if so configured."""
+"""Who releases the emergency stop: a person, in a terminal or asked by the client, or clients
+if so configured.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,9 @@ ESTOP = [sys.executable, "-m", "roboneuron.cli.main", "estop"]
 
 @pytest.fixture
 def serve(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Application]]:
-    """Return a function that makes an application, `more` being lines of [server]; the stop is latched."""
+    """Return a function that makes an application, `more` being lines of [server]; the stop is
+    latched.
+    """
     monkeypatch.setenv("ROS_DOMAIN_ID", str(free_ros_domain()))
     made: list[Application] = []
 
@@ -40,7 +44,9 @@ def serve(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[
         application = Application(
             parse_config(f'[robot]\nname = "gantry"\n[server]\n{more}'),
             plugins=PluginCatalogue(discover=lambda disabled: registry),
-            supervisor=Supervisor(tmp_path, command=lambda python: pytest.fail("nothing may be spawned")),
+            supervisor=Supervisor(
+                tmp_path, command=lambda python: pytest.fail("nothing may be spawned")
+            ),
         )
         made.append(application)
         application.loop.emergency_stop.file.latch(who="a guard", reason="a hand in the workspace")
@@ -54,7 +60,12 @@ def serve(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[
 class Person:
     """Answers what the client asks."""
 
-    def __init__(self, action: str, content: dict[str, Any] | None = None, then: Callable[[], object] = lambda: None):
+    def __init__(
+        self,
+        action: str,
+        content: dict[str, Any] | None = None,
+        then: Callable[[], object] = lambda: None,
+    ):
         self.asked: list[str] = []
         self._answer = types.ElicitResult(action=action, content=content)  # type: ignore[arg-type]
         self._then = then
@@ -97,7 +108,9 @@ def test_a_client_that_cannot_ask_is_told_what_a_person_has_to_do(
 
 
 @pytest.mark.parametrize("mode", MODES)
-def test_a_person_who_agrees_releases_it(serve: Callable[..., Application], tmp_path: Path, mode: str) -> None:
+def test_a_person_who_agrees_releases_it(
+    serve: Callable[..., Application], tmp_path: Path, mode: str
+) -> None:
     application, person = serve(), Person("accept", {"confirmed": True})
     answer = call(application, mode, person)
     assert not answer.is_error, answer.content
@@ -111,7 +124,13 @@ def test_a_person_who_agrees_releases_it(serve: Callable[..., Application], tmp_
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize(
     ("action", "content"),
-    [("decline", None), ("cancel", None), ("accept", {"confirmed": False}), ("accept", {}), ("accept", None)],
+    [
+        ("decline", None),
+        ("cancel", None),
+        ("accept", {"confirmed": False}),
+        ("accept", {}),
+        ("accept", None),
+    ],
 )
 def test_any_other_answer_keeps_it_latched(
     serve: Callable[..., Application], mode: str, action: str, content: dict[str, Any] | None
@@ -138,20 +157,27 @@ def test_a_stop_that_is_pressed_while_the_person_thinks_is_not_released(
     person = Person("accept", {"confirmed": True}, then=press_again)
     answer = call(application, mode, person)
     assert answer.is_error
-    assert len(person.asked) == (2 if mode == "auto" else 1), "the new protocol asks about the new stop"
+    assert len(person.asked) == (2 if mode == "auto" else 1), (
+        "the new protocol asks about the new stop"
+    )
     assert "another guard" in person.asked[-1] or mode == "legacy"
     assert application.loop.emergency_stop.is_latched()
     assert latch.read_state().who == "another guard"
 
 
-def test_an_answer_to_a_question_that_was_not_asked_counts_for_nothing(serve: Callable[..., Application]) -> None:
+def test_an_answer_to_a_question_that_was_not_asked_counts_for_nothing(
+    serve: Callable[..., Application],
+) -> None:
     application, person = serve(), Person("decline")
 
     async def scenario() -> types.CallToolResult:
         async with Client(application.server, elicitation_callback=person) as client:  # type: ignore[arg-type]
             yes = types.ElicitResult(action="accept", content={"confirmed": True})
             return await client.call_tool(
-                "reset_emergency_stop", {}, input_responses={"confirm": yes}, request_state="made-up"
+                "reset_emergency_stop",
+                {},
+                input_responses={"confirm": yes},
+                request_state="made-up",
             )
 
     assert anyio.run(scenario).is_error
@@ -160,7 +186,9 @@ def test_an_answer_to_a_question_that_was_not_asked_counts_for_nothing(serve: Ca
 
 
 @pytest.mark.parametrize("mode", MODES)
-def test_the_configuration_may_leave_it_to_clients(serve: Callable[..., Application], mode: str) -> None:
+def test_the_configuration_may_leave_it_to_clients(
+    serve: Callable[..., Application], mode: str
+) -> None:
     application = serve('reset_emergency_stop = "client"')
     answer = call(application, mode, None)
     assert not answer.is_error, answer.content
@@ -168,14 +196,20 @@ def test_the_configuration_may_leave_it_to_clients(serve: Callable[..., Applicat
 
 
 def run_estop(state: Path, typed: str | None) -> subprocess.CompletedProcess[str]:
-    """`roboneuron estop --reset` in a terminal in which somebody types; without one when `typed` is None."""
+    """`roboneuron estop --reset` in a terminal in which somebody types; without one when
+    `typed` is None.
+    """
     command = [*ESTOP, "--reset", "--state", str(state)]
     if typed is None:
-        return subprocess.run(command, input="y\n", capture_output=True, text=True, timeout=60, check=False)
+        return subprocess.run(
+            command, input="y\n", capture_output=True, text=True, timeout=60, check=False
+        )
     person, terminal = pty.openpty()
     try:
         os.write(person, typed.encode())
-        return subprocess.run(command, stdin=terminal, capture_output=True, text=True, timeout=60, check=False)
+        return subprocess.run(
+            command, stdin=terminal, capture_output=True, text=True, timeout=60, check=False
+        )
     finally:
         os.close(person)
         os.close(terminal)

@@ -1,4 +1,6 @@
-"""Clients are told when tools and resources change, and only while the feature is there that tells them."""
+"""Clients are told when tools and resources change, and only while the feature is there that
+tells them.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,9 @@ def make(tmp_path: Path) -> Iterator[Callable[..., Application]]:
         application = Application(
             parse_config('[robot]\nname = "gantry"\n'),
             plugins=PluginCatalogue(discover=lambda disabled: registry),
-            supervisor=Supervisor(tmp_path, command=lambda python: pytest.fail("nothing may be spawned")),
+            supervisor=Supervisor(
+                tmp_path, command=lambda python: pytest.fail("nothing may be spawned")
+            ),
         )
         made.append(application)
         return application
@@ -42,14 +46,19 @@ def make(tmp_path: Path) -> Iterator[Callable[..., Application]]:
 
 
 @pytest.mark.parametrize("specs", [(CLIENTS,), ()], ids=["with", "without"])
-def test_what_clients_are_told_is_announced(make: Callable[..., Application], specs: tuple[FeatureSpec, ...]) -> None:
+def test_what_clients_are_told_is_announced(
+    make: Callable[..., Application], specs: tuple[FeatureSpec, ...]
+) -> None:
     capabilities = make(*specs).server.create_initialization_options().capabilities
     assert capabilities.tools.list_changed is bool(specs)
     assert capabilities.resources.subscribe is bool(specs)
 
 
-@pytest.mark.filterwarnings("ignore::mcp.shared.exceptions.MCPDeprecationWarning")  # older revisions of the protocol
-def test_a_subscribed_client_hears_of_its_resource_and_of_tools(make: Callable[..., Application]) -> None:
+# older revisions of the protocol
+@pytest.mark.filterwarnings("ignore::mcp.shared.exceptions.MCPDeprecationWarning")
+def test_a_subscribed_client_hears_of_its_resource_and_of_tools(
+    make: Callable[..., Application],
+) -> None:
     application = make(CLIENTS)
     heard: list[str] = []
 

@@ -37,7 +37,9 @@ def _quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """All checks run in every test; the slow two are replaced."""
     quick = ImageTransport(sent=20, received=20, median_ms=1.0, worst_ms=2.0, neighbours=())
     monkeypatch.setattr(checks, "measure_image_transport", lambda: quick)
-    monkeypatch.setattr(checks.shutil, "disk_usage", lambda _: SimpleNamespace(free=1 << 40, total=1 << 40))
+    monkeypatch.setattr(
+        checks.shutil, "disk_usage", lambda _: SimpleNamespace(free=1 << 40, total=1 << 40)
+    )
     kept = tuple(check for check in checks.CHECKS if check.id != "gpu")
     monkeypatch.setattr(checks, "CHECKS", kept)
 
@@ -50,8 +52,12 @@ def test_a_state_directory_that_cannot_be_written_fails(tmp_path: Path) -> None:
     assert "supervisor.state_directory" in finding.hint
 
 
-def test_little_space_for_shared_memory_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(checks.shutil, "disk_usage", lambda _: SimpleNamespace(free=64 * MIB, total=64 * MIB))
+def test_little_space_for_shared_memory_fails(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(
+        checks.shutil, "disk_usage", lambda _: SimpleNamespace(free=64 * MIB, total=64 * MIB)
+    )
     finding = find("shared-memory", config_in(tmp_path))
     assert finding.verdict is Verdict.FAILED
     assert "--shm-size" in finding.hint
@@ -69,7 +75,10 @@ def test_a_latched_emergency_stop_is_told_with_its_cause(tmp_path: Path) -> None
 def test_what_a_driver_runs_on_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("rn_robot_fr3")
     config = parse_config('[robot]\nname = "fr3"\ndriver = "simulated"\n')
-    for there, told in ((("mujoco",), "with mujoco"), (("pybullet", "mujoco"), "with pybullet or mujoco")):
+    for there, told in (
+        (("mujoco",), "with mujoco"),
+        (("pybullet", "mujoco"), "with pybullet or mujoco"),
+    ):
         here: Callable[[str], bool] = there.__contains__
         monkeypatch.setattr("roboneuron.plugins.availability.is_importable", here)
         assert f"robot fr3 (simulated {told})" in find("configuration", config).text
@@ -107,20 +116,32 @@ def test_a_configuration_that_names_what_is_not_installed_fails(tmp_path: Path) 
         ({"received": 0}, Verdict.FAILED, "none arrived"),
         ({"median_ms": 80.0}, Verdict.WARNING, "80.0 ms"),
         ({"received": 5}, Verdict.WARNING, "5 of 20"),
-        ({"neighbours": ("/roboneuron_doctor_1", "/fr3/control")}, Verdict.WARNING, "1 other nodes"),
+        (
+            {"neighbours": ("/roboneuron_doctor_1", "/fr3/control")},
+            Verdict.WARNING,
+            "1 other nodes",
+        ),
     ],
 )
 def test_images_that_do_not_come_or_come_late_are_told(
-    seen: dict[str, object], verdict: Verdict, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    seen: dict[str, object],
+    verdict: Verdict,
+    words: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     good = {"sent": 20, "received": 20, "median_ms": 1.0, "worst_ms": 2.0, "neighbours": ()}
-    monkeypatch.setattr(checks, "measure_image_transport", lambda: ImageTransport(**{**good, **seen}))
+    monkeypatch.setattr(
+        checks, "measure_image_transport", lambda: ImageTransport(**{**good, **seen})
+    )
     finding = find("images", config_in(tmp_path))
     assert finding.verdict is verdict
     assert words in finding.text
 
 
-def test_an_error_of_a_check_is_a_finding_and_the_others_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_error_of_a_check_is_a_finding_and_the_others_go_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def broken() -> ImageTransport:
         raise NotReadyError("The process that sends images hung for 20 s.")
 
@@ -135,7 +156,9 @@ def test_a_check_that_breaks_is_a_finding_and_what_needs_it_is_left_out(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(checks, "_try_ros", lambda: 1 / 0)
-    monkeypatch.setattr(checks, "measure_image_transport", lambda: pytest.fail("ROS cannot be used"))
+    monkeypatch.setattr(
+        checks, "measure_image_transport", lambda: pytest.fail("ROS cannot be used")
+    )
     findings = {check.id: finding for check, finding in checks.run_checks(config_in(tmp_path))}
     assert findings["ros"].verdict is Verdict.FAILED
     assert "ZeroDivisionError: division by zero" in findings["ros"].text
@@ -156,18 +179,28 @@ def foreign_rclpy(folder: Path) -> str:
         ("ROS_DOMAIN_ID", "abc", "ROS_DOMAIN_ID is 'abc', expected a whole number from 0 to 232."),
         ("ROS_DOMAIN_ID", "300", "ROS_DOMAIN_ID is '300'"),
         ("ROS_DOMAIN_ID", "-1", "ROS_DOMAIN_ID is '-1'"),
-        ("RMW_IMPLEMENTATION", "rmw_nope_cpp", "RMW_IMPLEMENTATION is 'rmw_nope_cpp', which is not installed"),
+        (
+            "RMW_IMPLEMENTATION",
+            "rmw_nope_cpp",
+            "RMW_IMPLEMENTATION is 'rmw_nope_cpp', which is not installed",
+        ),
         ("PYTHONPATH", "foreign", "rclpy would be imported from"),
         ("PYTHONIOENCODING", "ascii", ""),
     ],
 )
-def test_the_command_survives_what_it_is_for(variable: str, value: str, words: str, tmp_path: Path) -> None:
+def test_the_command_survives_what_it_is_for(
+    variable: str, value: str, words: str, tmp_path: Path
+) -> None:
     config = tmp_path / "roboneuron.toml"
-    config.write_text(f'[robot]\nname = "nobody"\n[supervisor]\nstate_directory = "{tmp_path / "state"}"\n')
+    config.write_text(
+        f'[robot]\nname = "nobody"\n[supervisor]\nstate_directory = "{tmp_path / "state"}"\n'
+    )
     environment = {**os.environ, "ROS_DOMAIN_ID": str(free_ros_domain())}
     environment[variable] = foreign_rclpy(tmp_path) if value == "foreign" else value
     command = [sys.executable, "-P", "-m", "roboneuron.cli.main", "doctor", "--config", str(config)]
-    done = subprocess.run(command, capture_output=True, encoding="utf-8", timeout=120, check=False, env=environment)
+    done = subprocess.run(
+        command, capture_output=True, encoding="utf-8", timeout=120, check=False, env=environment
+    )
     assert done.returncode == 1
     assert "Traceback" not in done.stderr
     assert words in done.stdout
@@ -178,10 +211,23 @@ def test_the_command_survives_what_it_is_for(variable: str, value: str, words: s
 @pytest.mark.ros
 def test_the_command_looks_at_the_real_machine(tmp_path: Path) -> None:
     config = tmp_path / "roboneuron.toml"
-    config.write_text(f'[robot]\nname = "nobody"\n[supervisor]\nstate_directory = "{tmp_path / "state"}"\n')
+    config.write_text(
+        f'[robot]\nname = "nobody"\n[supervisor]\nstate_directory = "{tmp_path / "state"}"\n'
+    )
     environment = {**os.environ, "ROS_DOMAIN_ID": str(free_ros_domain())}
-    command = [sys.executable, "-P", "-m", "roboneuron.cli.main", "doctor", "--json", "--config", str(config)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=90, check=False, env=environment)
+    command = [
+        sys.executable,
+        "-P",
+        "-m",
+        "roboneuron.cli.main",
+        "doctor",
+        "--json",
+        "--config",
+        str(config),
+    ]
+    done = subprocess.run(
+        command, capture_output=True, text=True, timeout=90, check=False, env=environment
+    )
     findings = {f["id"]: f for f in json.loads(done.stdout)["findings"]}
     assert done.returncode == 1
     assert findings["configuration"]["verdict"] == "failed"

@@ -1,4 +1,6 @@
-"""Logs are not for everybody on the machine, and nothing that a client sends acts on the terminal that shows them."""
+"""Logs are not for everybody on the machine, and nothing that a client sends acts on the
+terminal that shows them.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +39,9 @@ def test_files_are_640_and_directories_750(tmp_path: Path) -> None:
     log.open()
     logging.getLogger("t").warning("x")
     log.close()
-    process = spawn("m", ["true"], dict(os.environ), "", state / "log" / "run" / "m.log", ProcessEvents())
+    process = spawn(
+        "m", ["true"], dict(os.environ), "", state / "log" / "run" / "m.log", ProcessEvents()
+    )
     process.reap(lambda _: None)
     assert process.wait(20)
     process.note("said")
@@ -49,7 +53,9 @@ def test_files_are_640_and_directories_750(tmp_path: Path) -> None:
     files = [path for path in state.rglob("*") if path.is_file()]
     assert len(files) >= 4
     assert {mode(path) for path in files} == {0o640}
-    assert {mode(path) for path in (state, state / "log", log.path.parent, state / "incidents")} == {0o750}
+    assert {
+        mode(path) for path in (state, state / "log", log.path.parent, state / "incidents")
+    } == {0o750}
 
 
 @pytest.mark.parametrize(
@@ -63,13 +69,17 @@ def test_control_characters_are_shown_not_sent(text: str) -> None:
 
 def test_a_client_cannot_forge_an_entry() -> None:
     formatter = PlainFormatter()
-    lines = formatter.format(logging.LogRecord("t", 20, "f", 1, "Refused %s", (FORGED,), None)).splitlines()
+    lines = formatter.format(
+        logging.LogRecord("t", 20, "f", 1, "Refused %s", (FORGED,), None)
+    ).splitlines()
     (entry,) = parse_entries(tuple(lines))
     assert "allowed" in entry.text
     try:
         raise ValueError(FORGED + "\x1b[2J")
     except ValueError as error:
-        record = logging.LogRecord("t", 40, "f", 1, "failed", (), (ValueError, error, error.__traceback__))
+        record = logging.LogRecord(
+            "t", 40, "f", 1, "failed", (), (ValueError, error, error.__traceback__)
+        )
     text = formatter.format(record)
     assert "Traceback" in text
     assert "\x1b" not in text

@@ -28,8 +28,12 @@ def make_restarts(supervisor: Supervisor) -> Iterator[Make]:
 
     def make(**options: Any) -> tuple[Restarts, list[str]]:
         told: list[str] = []
-        rules = OpsOptions.model_validate({"restart_backoff_s": 0.1, "unresponsive_s": 0.6} | options)
-        made = Restarts(supervisor, rules, lambda kind, what: told.append(f"{kind}: {what}"), load=lambda: 0.0)
+        rules = OpsOptions.model_validate(
+            {"restart_backoff_s": 0.1, "unresponsive_s": 0.6} | options
+        )
+        made = Restarts(
+            supervisor, rules, lambda kind, what: told.append(f"{kind}: {what}"), load=lambda: 0.0
+        )
         watch = Watch(supervisor.views, made.on_health)
         watch.start()
         ended.extend((made.close, watch.close))
@@ -65,13 +69,21 @@ def test_perception_is_restarted_a_few_times_and_the_robot_is_not(
     supervisor.start("perception", config)
     first = pid_of(supervisor, "perception")
     os.kill(first, signal.SIGKILL)
-    wait_until(lambda: pid_of(supervisor, "perception") not in (0, first), 40.0, "perception is restarted")
+    wait_until(
+        lambda: pid_of(supervisor, "perception") not in (0, first), 40.0, "perception is restarted"
+    )
     second = pid_of(supervisor, "perception")
     os.kill(second, signal.SIGSTOP)
-    wait_until(lambda: pid_of(supervisor, "perception") not in (0, second), 40.0, "a frozen one is replaced")
+    wait_until(
+        lambda: pid_of(supervisor, "perception") not in (0, second),
+        40.0,
+        "a frozen one is replaced",
+    )
     for kind in ("perception", "robot"):
         os.kill(pid_of(supervisor, kind), signal.SIGKILL)  # type: ignore[arg-type]
-    wait_until(lambda: any("not restarted: 2 restarts" in text for text in told), 20.0, "the limit is told")
+    wait_until(
+        lambda: any("not restarted: 2 restarts" in text for text in told), 20.0, "the limit is told"
+    )
     assert supervisor.view("robot").phase == "exited"
     assert not any(text.startswith("robot") for text in told)
 
@@ -85,12 +97,18 @@ def test_a_module_is_restarted_only_when_the_configuration_says_so(
     before = pid_of(supervisor, "robot")
     os.kill(pid_of(supervisor, "perception"), signal.SIGKILL)
     os.kill(before, signal.SIGKILL)
-    wait_until(lambda: pid_of(supervisor, "robot") not in (0, before), 40.0, "the robot module is restarted")
+    wait_until(
+        lambda: pid_of(supervisor, "robot") not in (0, before),
+        40.0,
+        "the robot module is restarted",
+    )
     assert supervisor.view("perception").phase == "exited"
     assert not any(text.startswith("perception") for text in told)
 
 
-def test_a_stop_ends_a_pending_restart(supervisor: Supervisor, config: Config, make_restarts: Make) -> None:
+def test_a_stop_ends_a_pending_restart(
+    supervisor: Supervisor, config: Config, make_restarts: Make
+) -> None:
     made, told = make_restarts(restart_backoff_s=2.0)
     process = supervisor.start("perception", config).process
     assert process is not None

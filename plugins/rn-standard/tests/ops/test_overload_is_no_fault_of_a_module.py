@@ -76,7 +76,8 @@ def test_a_module_that_is_at_fault_is_given_up_with_what_to_do(rig: Rig) -> None
     rig.fail(5)
     assert rig.supervisor.started == 3
     assert rig.told[-1] == (
-        "not restarted: 3 restarts within 120 s; get_logs tells why. Mend the cause, then call start_perception"
+        "not restarted: 3 restarts within 120 s; get_logs tells why. Mend the cause, then call "
+        "start_perception"
     )
 
 
@@ -95,7 +96,9 @@ def test_restarts_on_an_overloaded_machine_end_too(rig: Rig) -> None:
     rig.load = BUSY
     rig.fail(9)
     assert rig.supervisor.started == 6
-    assert rig.told[-1].startswith("not restarted: 6 restarts within 3600 s; the machine is overloaded")
+    assert rig.told[-1].startswith(
+        "not restarted: 6 restarts within 3600 s; the machine is overloaded"
+    )
     assert rig.told[-1].endswith("then call start_perception")
 
 
@@ -124,7 +127,9 @@ def test_a_frozen_module_has_more_time_on_an_overloaded_machine(
     rig: Rig, monkeypatch: pytest.MonkeyPatch, load: float, looks: int
 ) -> None:
     clock = iter(range(100))
-    monkeypatch.setattr(restarts, "time", SimpleNamespace(monotonic=lambda: float(next(clock) // 2)))
+    monkeypatch.setattr(
+        restarts, "time", SimpleNamespace(monotonic=lambda: float(next(clock) // 2))
+    )
     monkeypatch.setattr(restarts, "assess", lambda view, now_s: "silent")
     view = SimpleNamespace(kind="perception", process=None)
     monkeypatch.setattr(rig.supervisor, "view", lambda kind: view)
@@ -133,7 +138,9 @@ def test_a_frozen_module_has_more_time_on_an_overloaded_machine(
     assert next(clock) // 2 == pytest.approx(looks, abs=1)
 
 
-def test_the_load_is_what_runs_and_waits_now(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_load_is_what_runs_and_waits_now(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("rn_standard.ops.load.cores", lambda: 2)
     file = tmp_path / "loadavg"
     file.write_text("0.10 0.20 0.30 9/512 4711\n")

@@ -1,4 +1,5 @@
-"""The tool recover_robot: who may call it, when it is refused, what it answers and what the audit keeps.
+"""The tool recover_robot: who may call it, when it is refused, what it answers and what the audit
+keeps.
 
 The robot module is a process of its own with a driver that plays an arm with a fault.
 """
@@ -56,14 +57,19 @@ SPEC = RobotSpec(name="arm", summary="Has faults.", target="rn_testing.fakes.rob
 @hookimpl
 def roboneuron_robots():
     return [SPEC]
-"""
+"""  # noqa: E501
 
 
 DRIVERS = tuple(
     DriverSpec(name=name, summary="For tests.", target="rn_faulty_plugin:Faulty", recovers=recovers)
     for name, recovers in (("faulty", True), ("sound", False))
 )
-ARM = RobotSpec(name="arm", summary="Has faults.", target="rn_testing.fakes.robot:gantry_profile", drivers=DRIVERS)
+ARM = RobotSpec(
+    name="arm",
+    summary="Has faults.",
+    target="rn_testing.fakes.robot:gantry_profile",
+    drivers=DRIVERS,
+)
 
 
 @dataclass(kw_only=True)
@@ -71,7 +77,8 @@ class Served:
     """A server with a running robot.
 
     Attributes:
-        fault: what ails the arm: a code, "pressed" as long as the user stop is, "broken", or nothing.
+        fault: what ails the arm: a code, "pressed" as long as the user stop is, "broken", or
+            nothing.
         audit: where the server writes.
     """
 
@@ -80,7 +87,9 @@ class Served:
     audit: Path
 
     def ask(self, answer: str | None) -> types.CallToolResult:
-        """Call the tool as a client whose person accepts or declines; None: a client that cannot ask."""
+        """Call the tool as a client whose person accepts or declines; None: a client that
+        cannot ask.
+        """
 
         async def person(context: Any, params: types.ElicitRequestParams) -> types.ElicitResult:
             assert "Look at the arm" in params.message
@@ -170,7 +179,9 @@ def test_a_driver_that_breaks_is_an_answer_and_not_a_silence(served: Served) -> 
 
 @pytest.mark.ros
 @pytest.mark.parametrize("answer", ["decline", "cancel", None])
-def test_without_a_person_s_yes_nothing_is_asked_of_the_robot(served: Served, answer: str | None) -> None:
+def test_without_a_person_s_yes_nothing_is_asked_of_the_robot(
+    served: Served, answer: str | None
+) -> None:
     served.fault.write_text("reflex")
     before = len(served.records())
     assert "is not recovered" in text(served.ask(answer))
@@ -180,7 +191,9 @@ def test_without_a_person_s_yes_nothing_is_asked_of_the_robot(served: Served, an
 
 @pytest.mark.ros
 @pytest.mark.parametrize("role", ["viewer", "", "Admin"])
-def test_a_role_below_operator_is_refused_before_anything_happens(served: Served, role: str) -> None:
+def test_a_role_below_operator_is_refused_before_anything_happens(
+    served: Served, role: str
+) -> None:
     served.fault.write_text("reflex")
     context: Any = SimpleNamespace(who=role, role=role)
     answer = anyio.run(served.application.tools.call, "recover_robot", {}, context)

@@ -1,4 +1,6 @@
-"""What an agent reads of a server with this feature: incidents, logs, restarts; and the server's log as a file."""
+"""What an agent reads of a server with this feature: incidents, logs, restarts; and the
+server's log as a file.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,9 @@ SOURCES = ("robot", "perception", "inference", "control", "server")
 def application(tmp_path: Path) -> Iterator[Application]:
     """The feature in a server of fakes; nothing is started."""
     config = Config.model_validate({"robot": {"name": "gantry"}})
-    supervisor = Supervisor(tmp_path / "state", command=lambda python: pytest.fail("nothing may be spawned"))
+    supervisor = Supervisor(
+        tmp_path / "state", command=lambda python: pytest.fail("nothing may be spawned")
+    )
     catalogue = PluginCatalogue(discover=lambda disabled: fake_registry(FEATURE))
     application = Application(config, plugins=catalogue, supervisor=supervisor)
     yield application
@@ -54,9 +58,14 @@ def test_the_tools_and_the_logs_of_modules_and_server_are_offered(application: A
 
     async def look() -> None:
         async with Client(application.server) as client:
-            assert {"get_logs", "list_incidents"} <= {tool.name for tool in (await client.list_tools()).tools}
+            assert {"get_logs", "list_incidents"} <= {
+                tool.name for tool in (await client.list_tools()).tools
+            }
             uris = [str(resource.uri) for resource in (await client.list_resources()).resources]
-            assert uris == ["roboneuron://status", *(f"roboneuron://logs/{source}" for source in SOURCES)]
+            assert uris == [
+                "roboneuron://status",
+                *(f"roboneuron://logs/{source}" for source in SOURCES),
+            ]
             text = (await client.read_resource("roboneuron://logs/server")).contents[0]
             assert text.text == "first\nsecond"  # type: ignore[union-attr]
             text = (await client.read_resource("roboneuron://logs/robot")).contents[0]
@@ -76,7 +85,13 @@ def test_faults_that_others_tell_are_recorded(application: Application) -> None:
 
 def fault(number: int) -> dict[str, Any]:
     """Of the size that real ones have."""
-    status = {"health": "exited", "error": {"message": f"fault {number}"}, "note": "", "exit": None, "published": 9}
+    status = {
+        "health": "exited",
+        "error": {"message": f"fault {number}"},
+        "note": "",
+        "exit": None,
+        "published": 9,
+    }
     return {
         "explanation": "its process has ended by itself",
         "status": status,
@@ -85,7 +100,9 @@ def fault(number: int) -> dict[str, Any]:
     }
 
 
-def test_incidents_are_a_line_each_and_one_of_them_is_told_in_full(application: Application) -> None:
+def test_incidents_are_a_line_each_and_one_of_them_is_told_in_full(
+    application: Application,
+) -> None:
     kinds = ("robot", "perception", "inference", "control")
     for number, kind in enumerate(kinds):
         application.events.fault.tell(kind, "exited", fault(number))
@@ -109,13 +126,18 @@ def test_an_incident_that_there_is_not_is_refused(application: Application) -> N
 
     answer = anyio.run(call)
     assert answer.is_error
-    assert answer.content[0].text == "There is no incident 'nothing'. Call list_incidents without `id`."
+    assert (
+        answer.content[0].text
+        == "There is no incident 'nothing'. Call list_incidents without `id`."
+    )
 
 
 def test_logs_are_bounded_and_say_what_is_left_out(application: Application) -> None:
     path = application.supervisor.log_directory / "server.log"
     path.parent.mkdir(parents=True)
-    path.write_text("".join(f"2026-01-01 00:00:00,000 INFO x: {i} {'y' * 2000}\n" for i in range(300)))
+    path.write_text(
+        "".join(f"2026-01-01 00:00:00,000 INFO x: {i} {'y' * 2000}\n" for i in range(300))
+    )
     answer = ask(application, "get_logs", module="server", entries=500)
     assert len(json.dumps(answer)) < 25_000
     assert answer["more"] > 0
@@ -123,7 +145,9 @@ def test_logs_are_bounded_and_say_what_is_left_out(application: Application) -> 
     assert len(application.resources.read("roboneuron://logs/server").text) < 45_000
 
 
-def test_the_log_begins_before_ros_is_joined_and_goes_on_until_all_is_closed(application: Application) -> None:
+def test_the_log_begins_before_ros_is_joined_and_goes_on_until_all_is_closed(
+    application: Application,
+) -> None:
     log = logging.getLogger("tests")
     application.events.open.tell()
     log.info("the server begins")
@@ -146,7 +170,15 @@ def test_faults_are_recorded_and_perception_is_restarted(
     path.write_text(f"{config_text}[ops]\nrestart_backoff_s = 0.2\n")
 
     async def scenario() -> None:
-        command = ["-m", "roboneuron.cli.main", "serve", "--config", str(path), "--log-level", "warning"]
+        command = [
+            "-m",
+            "roboneuron.cli.main",
+            "serve",
+            "--config",
+            str(path),
+            "--log-level",
+            "warning",
+        ]
         server = StdioServerParameters(command=sys.executable, args=command, env=server_environment)
         async with Client(server) as client:
 
@@ -179,7 +211,8 @@ def test_faults_are_recorded_and_perception_is_restarted(
             control = (await module("control"))["pid"]
             os.kill(control, signal.SIGSTOP)
             await until("control", "silent")
-            await recorded({("control", "silent")})  # the server looks at its modules by itself, a little later
+            # the server looks at its modules by itself, a little later
+            await recorded({("control", "silent")})
             os.kill(control, signal.SIGCONT)
             await until("control", "ok")
 
@@ -190,7 +223,9 @@ def test_faults_are_recorded_and_perception_is_restarted(
                     await anyio.sleep(0.05)
             await until("inference", "ok")
 
-            found = await recorded({("control", "silent"), ("perception", "exited"), ("perception", "restart")})
+            found = await recorded(
+                {("control", "silent"), ("perception", "exited"), ("perception", "restart")}
+            )
             line = next(i for i in found if (i["module"], i["what"]) == ("perception", "exited"))
             assert line.keys() == {"id", "at", "module", "what", "explanation"}
             (exited,) = (await do("list_incidents", id=line["id"]))["incidents"]
@@ -201,7 +236,9 @@ def test_faults_are_recorded_and_perception_is_restarted(
             assert [i["module"] for i in only] == ["control"]
 
             own = await do("get_logs", module="server", contains="Spawned inference")
-            assert [(e["level"], e["logger"]) for e in own["entries"]] == [("info", "roboneuron.supervisor.bringup")]
+            assert [(e["level"], e["logger"]) for e in own["entries"]] == [
+                ("info", "roboneuron.supervisor.bringup")
+            ]
             logs = await do("get_logs", module="inference", entries=3)
             assert len(logs["entries"]) <= 3
             assert Path(logs["path"]).exists()

@@ -1,4 +1,6 @@
-"""The recovery of a robot module: asked for by a parameter, done by the driver, answered in the module's status."""
+"""The recovery of a robot module: asked for by a parameter, done by the driver, answered in the
+module's status.
+"""
 
 from __future__ import annotations
 
@@ -72,9 +74,15 @@ class Module:
     ("outcome", "told"),
     [
         ("user_stop", "recovered user_stop"),
-        (RefusedError("The stop is pressed.", hint="Release it."), "refused The stop is pressed. Release it."),
+        (
+            RefusedError("The stop is pressed.", hint="Release it."),
+            "refused The stop is pressed. Release it.",
+        ),
         (StateError("The arm has no fault."), "wrong_state The arm has no fault."),
-        (RuntimeError("the client library broke"), "plugin_contract RuntimeError: the client library broke"),
+        (
+            RuntimeError("the client library broke"),
+            "plugin_contract RuntimeError: the client library broke",
+        ),
     ],
     ids=["recovered", "refused", "no-fault", "broken"],
 )

@@ -18,17 +18,24 @@ from roboneuron.supervisor.supervisor import Supervisor
 
 @pytest.fixture
 def application(tmp_path: Path) -> Iterator[Application]:
-    """The fakes and the feature as installed plugins; no ROS is touched until something is started."""
+    """The fakes and the feature as installed plugins; no ROS is touched until something is
+    started.
+    """
     config = parse_config(
-        '[robot]\nname = "gantry"\n[perception]\nsource = "controlled"\n[inference]\nbackend = "instant"\n'
+        '[robot]\nname = "gantry"\n[perception]\nsource = "controlled"\n[inference]\nbackend = '
+        '"instant"\n'
         '[control]\ncontroller = "gantry"\n'
     )
-    heavy = BackendSpec(name="heavy", summary="Needs weights.", target="nowhere:Heavy", needs_checkpoint=True)
+    heavy = BackendSpec(
+        name="heavy", summary="Needs weights.", target="nowhere:Heavy", needs_checkpoint=True
+    )
     registry = fake_registry(heavy, FEATURE)
     application = Application(
         config,
         plugins=PluginCatalogue(discover=lambda disabled: registry),
-        supervisor=Supervisor(tmp_path, command=lambda python: pytest.fail("nothing may be spawned")),
+        supervisor=Supervisor(
+            tmp_path, command=lambda python: pytest.fail("nothing may be spawned")
+        ),
     )
     try:
         yield application

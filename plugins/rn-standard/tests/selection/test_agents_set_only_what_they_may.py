@@ -50,8 +50,18 @@ def _module(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 REGISTRY = fake_registry(
-    BackendSpec(name="distant", summary="Asks a server.", target="nowhere:X", config="options_of_this_test:Options"),
-    BackendSpec(name="nested", summary="Asks one too.", target="nowhere:X", config="options_of_this_test:Nested"),
+    BackendSpec(
+        name="distant",
+        summary="Asks a server.",
+        target="nowhere:X",
+        config="options_of_this_test:Options",
+    ),
+    BackendSpec(
+        name="nested",
+        summary="Asks one too.",
+        target="nowhere:X",
+        config="options_of_this_test:Nested",
+    ),
     BackendSpec(
         name="heavy",
         summary="Needs weights.",
@@ -59,17 +69,28 @@ REGISTRY = fake_registry(
         config="options_of_this_test:Heavy",
         needs_checkpoint=True,
     ),
-    BackendSpec(name="elsewhere", summary="Not here.", target="no_such_package.x:X", config="needs_absent:Options"),
+    BackendSpec(
+        name="elsewhere",
+        summary="Not here.",
+        target="no_such_package.x:X",
+        config="needs_absent:Options",
+    ),
 )
-SECTION = '[plugins.distant]\nurl = "ws://policy"\n[plugins.distant.camera]\ndevice = "/dev/video0"\n'
+SECTION = (
+    '[plugins.distant]\nurl = "ws://policy"\n[plugins.distant.camera]\ndevice = "/dev/video0"\n'
+)
 
 
 def configuration(more: str = "", server: str = "") -> Config:
     return parse_config(f'[robot]\nname = "gantry"\n[server]\n{server}\n{more}')
 
 
-def select(config: Config, options: dict[str, Any], role: str = OPERATOR, backend: str = "distant") -> Selection:
-    return choose("inference", config, REGISTRY, StartInference(backend=backend, options=options), role)
+def select(
+    config: Config, options: dict[str, Any], role: str = OPERATOR, backend: str = "distant"
+) -> Selection:
+    return choose(
+        "inference", config, REGISTRY, StartInference(backend=backend, options=options), role
+    )
 
 
 @pytest.mark.parametrize("role", ["", OPERATOR, ADMIN])
@@ -79,7 +100,8 @@ def select(config: Config, options: dict[str, Any], role: str = OPERATOR, backen
         ({"url": "ws://evil"}, "plugins.distant.url"),
         ({"url": None}, "plugins.distant.url"),
         ({"camera": {"device": "/etc/shadow"}}, "plugins.distant.camera.device"),
-        ({"camera": {"rate_hz": 2.0}}, "plugins.distant.camera.device"),  # a table is replaced: its device would go
+        # a table is replaced: its device would go
+        ({"camera": {"rate_hz": 2.0}}, "plugins.distant.camera.device"),
         ({"camera": None}, "plugins.distant.camera.device"),
         ({"camera": {"device": "/dev/video0", "gain": 1}}, "plugins.distant.camera.gain"),
     ],
@@ -93,7 +115,12 @@ def test_a_restricted_option_is_refused(options: dict[str, Any], named: str, rol
 
 @pytest.mark.parametrize(
     "options",
-    [{}, {"gain": 2.0}, {"url": "ws://policy"}, {"camera": {"device": "/dev/video0", "rate_hz": 2.0}}],
+    [
+        {},
+        {"gain": 2.0},
+        {"url": "ws://policy"},
+        {"camera": {"device": "/dev/video0", "rate_hz": 2.0}},
+    ],
 )
 def test_everything_else_may_be_set(options: dict[str, Any]) -> None:
     selection = select(configuration(SECTION), options)
@@ -105,7 +132,9 @@ def test_an_admin_may_set_what_is_listed_and_nobody_else() -> None:
     config = configuration(SECTION, 'agent_options = ["distant.url", "distant.camera"]')
     options = {"url": "ws://other", "camera": {"device": "/dev/video1"}}
     assert select(config, options, ADMIN).config.options("distant")["url"] == "ws://other"
-    with pytest.raises(RefusedError, match=r"Only a client with the role 'admin' may set plugins\.distant\.url"):
+    with pytest.raises(
+        RefusedError, match=r"Only a client with the role 'admin' may set plugins\.distant\.url"
+    ):
         select(config, options, OPERATOR)
     with pytest.raises(RefusedError, match=r"Only the configuration may set plugins\.distant\.key"):
         select(config, {**options, "key": "/x"}, ADMIN)
@@ -113,7 +142,9 @@ def test_an_admin_may_set_what_is_listed_and_nobody_else() -> None:
 
 @pytest.mark.parametrize("role", ["", OPERATOR, ADMIN])
 def test_a_checkpoint_among_the_options_is_refused_like_any_file(role: str) -> None:
-    with pytest.raises(RefusedError, match=r"A checkpoint is no option for clients.*argument `checkpoint`"):
+    with pytest.raises(
+        RefusedError, match=r"A checkpoint is no option for clients.*argument `checkpoint`"
+    ):
         select(configuration(SECTION), {"checkpoint": "/models"}, role)
 
 
@@ -123,14 +154,21 @@ def test_options_of_a_plugin_that_cannot_be_imported_here_are_all_restricted(
     (tmp_path / "needs_absent.py").write_text("import absent_library\n")
     monkeypatch.syspath_prepend(tmp_path)
     config = parse_config(
-        '[robot]\nname = "gantry"\n[inference]\nbackend = "elsewhere"\npython = "/other/bin/python"\n'
+        '[robot]\nname = "gantry"\n[inference]\nbackend = "elsewhere"\npython = '
+        '"/other/bin/python"\n'
     )
     with pytest.raises(RefusedError, match=r"plugins\.elsewhere\.gain"):
         select(config, {"gain": 2.0}, ADMIN, "elsewhere")
 
 
 def load(config: Config, checkpoint: Path | str) -> Selection:
-    return choose("inference", config, REGISTRY, StartInference(backend="heavy", checkpoint=str(checkpoint)), OPERATOR)
+    return choose(
+        "inference",
+        config,
+        REGISTRY,
+        StartInference(backend="heavy", checkpoint=str(checkpoint)),
+        OPERATOR,
+    )
 
 
 def test_a_checkpoint_lies_where_the_configuration_says(tmp_path: Path) -> None:
@@ -143,7 +181,9 @@ def test_a_checkpoint_lies_where_the_configuration_says(tmp_path: Path) -> None:
         f'checkpoint_roots = ["{tmp_path}/models"]',
     )
     for allowed in ("named", "named/step-100", "plugin", "models/one", "models/../named"):
-        assert load(config, tmp_path / allowed).names["checkpoint"] == str((tmp_path / allowed).absolute())
+        assert load(config, tmp_path / allowed).names["checkpoint"] == str(
+            (tmp_path / allowed).absolute()
+        )
     for barred in ("other", "", "models/../other", "models/link", "nothing", "models-2"):
         with pytest.raises(RefusedError, match="does not allow the checkpoint") as caught:
             load(config, tmp_path / barred)
@@ -176,13 +216,16 @@ class Nested(BaseModel):
 
 
 @pytest.mark.parametrize(
-    ("backend", "named"), [("distant", "plugins.distant.url"), ("nested", "plugins.nested.server.hostname")]
+    ("backend", "named"),
+    [("distant", "plugins.distant.url"), ("nested", "plugins.nested.server.hostname")],
 )
 @pytest.mark.parametrize("role", ["", OPERATOR, ADMIN])
 def test_an_agent_does_not_start_what_connects_to_an_address_that_nobody_wrote_down(
     backend: str, named: str, role: str
 ) -> None:
-    with pytest.raises(RefusedError, match="default address that the configuration does not name") as caught:
+    with pytest.raises(
+        RefusedError, match="default address that the configuration does not name"
+    ) as caught:
         select(configuration(), {}, role, backend)
     assert named in caught.value.message
 
@@ -196,10 +239,14 @@ def test_an_agent_does_not_start_what_connects_to_an_address_that_nobody_wrote_d
         '[inference]\nbackend = "nested"\n',
     ],
 )
-def test_an_address_in_the_configuration_or_a_backend_that_it_chooses_may_be_started(more: str) -> None:
+def test_an_address_in_the_configuration_or_a_backend_that_it_chooses_may_be_started(
+    more: str,
+) -> None:
     select(configuration(more), {}, backend="nested" if "nested" in more else "distant")
 
 
 def test_an_admin_may_give_an_address_that_is_listed() -> None:
     config = configuration(server='agent_options = ["distant.url"]')
-    assert select(config, {"url": "ws://here"}, ADMIN).config.options("distant")["url"] == "ws://here"
+    assert (
+        select(config, {"url": "ws://here"}, ADMIN).config.options("distant")["url"] == "ws://here"
+    )

@@ -33,7 +33,9 @@ def test_choices_are_the_installed_plugins_with_their_summaries(application: App
     assert tools["start_inference"].input_schema["properties"]["runtime"]["enum"] == ["counting"]
 
 
-def test_a_newly_installed_plugin_appears_as_a_choice(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_newly_installed_plugin_appears_as_a_choice(
+    tmp_path: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     site = tmp_path / "site-packages"
     site.mkdir()
     monkeypatch.syspath_prepend(str(site))
@@ -44,19 +46,32 @@ def test_a_newly_installed_plugin_appears_as_a_choice(tmp_path: Any, monkeypatch
 
     config = Config.model_validate({"robot": {"name": "gantry"}})
     application = Application(config, plugins=PluginCatalogue(discover=discover))
-    assert "fresh" not in listing(application)["start_inference"].input_schema["properties"]["backend"]["enum"]
+    assert (
+        "fresh"
+        not in listing(application)["start_inference"].input_schema["properties"]["backend"]["enum"]
+    )
     installed.append(BackendSpec(name="fresh", summary="Just installed.", target="fresh:Fresh"))
     (site / "fresh-1.0.dist-info").mkdir()
-    assert "fresh" in listing(application)["start_inference"].input_schema["properties"]["backend"]["enum"]
+    assert (
+        "fresh"
+        in listing(application)["start_inference"].input_schema["properties"]["backend"]["enum"]
+    )
     application.close()
 
 
 def test_without_plugins_there_are_no_empty_enums() -> None:
     empty = Registry(plugins=(), all_offers=fake_registry(FEATURE).offers("feature"))
     application = Application(
-        Config.model_validate({"robot": {"name": "gantry"}}), plugins=PluginCatalogue(discover=lambda disabled: empty)
+        Config.model_validate({"robot": {"name": "gantry"}}),
+        plugins=PluginCatalogue(discover=lambda disabled: empty),
     )
     tools = {tool.name: tool.input_schema["properties"] for tool in application.tools.listing()}
-    assert "Nothing is installed to choose from." in tools["start_inference"]["backend"]["description"]
-    assert all("enum" not in entry or entry["enum"] for entries in tools.values() for entry in entries.values())
+    assert (
+        "Nothing is installed to choose from." in tools["start_inference"]["backend"]["description"]
+    )
+    assert all(
+        "enum" not in entry or entry["enum"]
+        for entries in tools.values()
+        for entry in entries.values()
+    )
     application.close()

@@ -1,4 +1,6 @@
-"""Options that name hosts, files, commands or secrets are found by mark, type and name, however deep they stand."""
+"""Options that name hosts, files, commands or secrets are found by mark, type and name, however
+deep they stand.
+"""
 
 from __future__ import annotations
 
@@ -69,7 +71,9 @@ FIELDS: list[tuple[str, Any, bool]] = [
 ]
 
 
-@pytest.mark.parametrize(("name", "kind", "expected"), FIELDS, ids=[f"{f[0]}-{f[1]}" for f in FIELDS])
+@pytest.mark.parametrize(
+    ("name", "kind", "expected"), FIELDS, ids=[f"{f[0]}-{f[1]}" for f in FIELDS]
+)
 def test_type_and_name_tell_what_looks_restricted(name: str, kind: Any, expected: bool) -> None:
     model = create_model("Model", **{name: (kind, ...)})
     assert looks_restricted(name, model.model_fields[name]) is expected
@@ -87,7 +91,11 @@ def test_restricted_values_are_found_in_tables_and_lists() -> None:
         "state_key": "k",
         "weights": "/w",
         "front": {"device": "/dev/video0", "rate_hz": 5.0},
-        "cameras": {"left": {"rate_hz": 1.0}, "right": {"from": "rtsp://x"}, "top": {"topic": "/image"}},
+        "cameras": {
+            "left": {"rate_hz": 1.0},
+            "right": {"from": "rtsp://x"},
+            "top": {"topic": "/image"},
+        },
         "more": [{"rate_hz": 3.0}, {"device": "/dev/mem"}],
     }
     assert restricted_values(Options, given) == {
@@ -100,7 +108,10 @@ def test_restricted_values_are_found_in_tables_and_lists() -> None:
 
 
 def test_what_no_model_knows_counts_as_restricted() -> None:
-    assert restricted_values(Options, {"front": {"devcie": 1}, "odd": 2}) == {"front.devcie": 1, "odd": 2}
+    assert restricted_values(Options, {"front": {"devcie": 1}, "odd": 2}) == {
+        "front.devcie": 1,
+        "odd": 2,
+    }
     assert restricted_values(Options, {"front": "front.toml"}) == {"front": "front.toml"}
     assert restricted_values(None, {"gain": 1.0}) == {"gain": 1.0}
 

@@ -1,4 +1,6 @@
-"""A handover on a busy machine: what a new module has done counts, however late it says so, and it may answer late."""
+"""A handover on a busy machine: what a new module has done counts, however late it says so, and
+it may answer late.
+"""
 
 from __future__ import annotations
 
@@ -47,7 +49,9 @@ class Machine:
 
 
 def first_output(machine: Machine) -> None:
-    check = SimpleNamespace(kind="control", noun="controller", has_taken_over=lambda new: "acted" in new.metrics)
+    check = SimpleNamespace(
+        kind="control", noun="controller", has_taken_over=lambda new: "acted" in new.metrics
+    )
     switch = switch_of(machine, check)
     switch._await_first_output(cast(Any, machine.slot("control")), time.monotonic(), 0.0)
 
@@ -106,7 +110,9 @@ def agree(client: Client) -> tuple[int, float]:
 
 
 @pytest.mark.parametrize(("has_rows", "bridged_ns"), [(True, 125_000_000), (False, 0)])
-def test_the_new_one_waits_for_rows_of_the_old_one_where_there_are_any(has_rows: bool, bridged_ns: int) -> None:
+def test_the_new_one_waits_for_rows_of_the_old_one_where_there_are_any(
+    has_rows: bool, bridged_ns: int
+) -> None:
     check = SimpleNamespace(kind="inference", has_rows=lambda: has_rows)
     switch = switch_of(Machine(), check)
     assert switch._bridged_ns(0.12) == bridged_ns

@@ -29,7 +29,9 @@ def clocks() -> Clocks:
 
 @pytest.fixture
 def handover(clocks: Clocks) -> TimedHandover:
-    return TimedHandover(False, StatusWriter("fake/inference"), lambda: clocks.wall_ns, lambda: clocks.mono_s)
+    return TimedHandover(
+        False, StatusWriter("fake/inference"), lambda: clocks.wall_ns, lambda: clocks.mono_s
+    )
 
 
 @pytest.mark.parametrize("jump_ns", [HOUR_NS, 365 * 24 * HOUR_NS])
@@ -41,7 +43,9 @@ def test_a_module_that_has_taken_over_is_not_in_shadow_again(
     assert handover.is_shadow(moment_ns - 1)
     assert not handover.is_shadow(moment_ns)
     clocks.mono_s += 1.0
-    assert handover.is_shadow(moment_ns - 1), "an old input that is still on its way belongs to the old module"
+    assert handover.is_shadow(moment_ns - 1), (
+        "an old input that is still on its way belongs to the old module"
+    )
     clocks.mono_s += 10.0
     assert not handover.is_shadow(clocks.wall_ns - jump_ns)
 
@@ -54,14 +58,18 @@ def test_a_module_that_was_replaced_stays_so(clocks: Clocks, handover: TimedHand
     assert handover.must_fall_silent(clocks.wall_ns - HOUR_NS)
 
 
-def test_a_moment_made_before_the_clock_was_set_does_not_last_for_ever(clocks: Clocks, handover: TimedHandover) -> None:
+def test_a_moment_made_before_the_clock_was_set_does_not_last_for_ever(
+    clocks: Clocks, handover: TimedHandover
+) -> None:
     clocks.set_moment(handover, ACT_FROM, clocks.wall_ns + HOUR_NS)
     assert handover.is_shadow(clocks.wall_ns)
     clocks.mono_s += 20.0
     assert not handover.is_shadow(clocks.wall_ns)
 
 
-def test_without_a_moment_nothing_changes_with_time(clocks: Clocks, handover: TimedHandover) -> None:
+def test_without_a_moment_nothing_changes_with_time(
+    clocks: Clocks, handover: TimedHandover
+) -> None:
     clocks.set_moment(handover, ACT_FROM, NEVER_NS)
     clocks.set_moment(handover, ACT_UNTIL, 0)
     clocks.mono_s += 1e6
@@ -70,7 +78,9 @@ def test_without_a_moment_nothing_changes_with_time(clocks: Clocks, handover: Ti
 
 
 def test_a_standby_is_in_shadow_until_it_is_told_otherwise(clocks: Clocks) -> None:
-    standby = TimedHandover(True, StatusWriter("fake/inference"), lambda: clocks.wall_ns, lambda: clocks.mono_s)
+    standby = TimedHandover(
+        True, StatusWriter("fake/inference"), lambda: clocks.wall_ns, lambda: clocks.mono_s
+    )
     assert standby.is_shadow(clocks.wall_ns)
     clocks.set_moment(standby, ACT_FROM, 0)
     assert standby.is_ours(clocks.wall_ns)

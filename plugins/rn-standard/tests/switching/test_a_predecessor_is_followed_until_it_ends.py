@@ -17,7 +17,12 @@ from rn_standard.switching.predecessor import _on_action, _on_command, _on_pose
 from roboneuron.contract import JointCommand, Pose
 from roboneuron.modules.status import StatusWriter
 from roboneuron.ros import topics
-from roboneuron.ros.messages import commands_from_message, to_action_message, to_joint_trajectory, to_pose_stamped
+from roboneuron.ros.messages import (
+    commands_from_message,
+    to_action_message,
+    to_joint_trajectory,
+    to_pose_stamped,
+)
 
 
 @pytest.fixture
@@ -31,7 +36,9 @@ def module(status: StatusWriter, followed: list[Any]) -> Any:
         followed.append((command, sent_s))
         return command
 
-    executor = SimpleNamespace(note_sent=lambda vector, now_s, now_ns: followed.append(vector.tolist()))
+    executor = SimpleNamespace(
+        note_sent=lambda vector, now_s, now_ns: followed.append(vector.tolist())
+    )
     return SimpleNamespace(
         status=status,
         executor=executor,
@@ -40,7 +47,9 @@ def module(status: StatusWriter, followed: list[Any]) -> Any:
     )
 
 
-def test_actions_of_the_predecessor_count_until_the_first_of_ones_own(handover: TimedHandover) -> None:
+def test_actions_of_the_predecessor_count_until_the_first_of_ones_own(
+    handover: TimedHandover,
+) -> None:
     followed: list[Any] = []
     fake = module(handover.status, followed)
     _on_action(fake, handover, Float64MultiArray(data=[1.0]))
@@ -63,16 +72,22 @@ def test_a_command_is_followed_from_the_time_it_was_sent(handover: TimedHandover
 
 def test_a_damaged_command_is_counted_and_not_followed(handover: TimedHandover) -> None:
     followed: list[Any] = []
-    _on_command(module(handover.status, followed), handover, JointTrajectory(), {"source_timestamp": 0})
+    _on_command(
+        module(handover.status, followed), handover, JointTrajectory(), {"source_timestamp": 0}
+    )
     assert not followed
     assert handover.status.report().dropped_by == {"malformed_command": 1}
 
 
-def test_its_poses_are_read_as_control_writes_them(handover: TimedHandover, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_its_poses_are_read_as_control_writes_them(
+    handover: TimedHandover, monkeypatch: pytest.MonkeyPatch
+) -> None:
     heard: list[Any] = []
     monkeypatch.setattr(handover, "hear", lambda output, sent_s: heard.append(output))
     pose = Pose(
-        position_m=np.array([0.1, 0.2, 0.3]), quaternion_xyzw=np.array([0.0, 0.6, 0.0, 0.8]), stamp_ns=5 * 10**9 + 7
+        position_m=np.array([0.1, 0.2, 0.3]),
+        quaternion_xyzw=np.array([0.0, 0.6, 0.0, 0.8]),
+        stamp_ns=5 * 10**9 + 7,
     )
     _on_pose(handover, to_pose_stamped(pose, "base"))
     assert heard[0].stamp_ns == pose.stamp_ns

@@ -1,4 +1,6 @@
-"""An acceleration is changed between two predictions while the arm moves: same process, same model, no pause."""
+"""An acceleration is changed between two predictions while the arm moves: same process, same
+model, no pause.
+"""
 
 from __future__ import annotations
 
@@ -116,7 +118,9 @@ def late_rows(witness: Witness, since_ns: int) -> tuple[int, int]:
     return sum(b - a > 1.5e9 * STEP_S for a, b in pairwise(times)), len(times)
 
 
-def test_50_changes_during_motion_cost_no_period_and_no_reload(cell: tuple[Switching, Witness]) -> None:
+def test_50_changes_during_motion_cost_no_period_and_no_reload(
+    cell: tuple[Switching, Witness],
+) -> None:
     switching, witness = cell
     process = inference(switching).process
     assert process is not None
@@ -124,7 +128,10 @@ def test_50_changes_during_motion_cost_no_period_and_no_reload(cell: tuple[Switc
     begun_ns = time.time_ns()
     witness.more_actions(100, timeout_s=30.0)
     usual, usual_rows = late_rows(witness, begun_ns)
-    starved, held = int(report(switching).metrics["execution.starved_periods"]), memory.memory_info().rss
+    starved, held = (
+        int(report(switching).metrics["execution.starved_periods"]),
+        memory.memory_info().rss,
+    )
     changing_ns = time.time_ns()
     took_s = []
     for count in range(CHANGES):
@@ -139,24 +146,35 @@ def test_50_changes_during_motion_cost_no_period_and_no_reload(cell: tuple[Switc
         told = report(switching).metrics
         assert told["acceleration"] == (name or "")
         assert told["backend.loads"] == "1"
-    wait_until(lambda: share(switching) == SHARES.get(NAMES[(CHANGES - 1) % len(NAMES)] or "", 1.0), "the last preset")
+    wait_until(
+        lambda: share(switching) == SHARES.get(NAMES[(CHANGES - 1) % len(NAMES)] or "", 1.0),
+        "the last preset",
+    )
     late, rows = late_rows(witness, changing_ns)
     # A loaded machine starves rows now and then, with changes and without them.
     allowed = 2 + 2 * round(usual * rows / usual_rows)
     assert late <= allowed, f"{late} of {rows} rows late, {usual} of {usual_rows} without changes"
     assert int(report(switching).metrics["execution.starved_periods"]) - starved <= allowed
-    print(f"{late} of {rows} rows late, {usual} of {usual_rows} before; a call took {statistics.median(took_s):.3f} s")
+    print(
+        f"{late} of {rows} rows late, {usual} of {usual_rows} before; a call took "
+        f"{statistics.median(took_s):.3f} s"
+    )
     assert memory.memory_info().rss - held < MODEL_BYTES / 4
-    tags = {action.tag for action in witness.actions()}  # 250, 500 and 1000, and between them where chunks were faded
+    # 250, 500 and 1000, and between them where chunks were faded
+    tags = {action.tag for action in witness.actions()}
     assert min(tags) < 450
     assert max(tags) > 800
     assert statistics.median(took_s) < 5.0
 
 
-def test_a_preset_that_does_not_fit_leaves_the_former_one_in_force(cell: tuple[Switching, Witness]) -> None:
+def test_a_preset_that_does_not_fit_leaves_the_former_one_in_force(
+    cell: tuple[Switching, Witness],
+) -> None:
     switching, _ = cell
     before = inference(switching)
-    with pytest.raises(RefusedError, match=r"'unfit' was refused: This preset fits no model.*'none' stays in force"):
+    with pytest.raises(
+        RefusedError, match=r"'unfit' was refused: This preset fits no model.*'none' stays in force"
+    ):
         switch(switching, "unfit")
     after = inference(switching)
     assert after.process is before.process
@@ -182,14 +200,18 @@ def test_one_call_goes_back_and_the_instruction_is_kept(cell: tuple[Switching, W
     assert back.view.choice.settings.config.inference.instruction == "move further"
 
 
-def test_what_else_is_to_change_needs_another_process_and_so_does_cold(cell: tuple[Switching, Witness]) -> None:
+def test_what_else_is_to_change_needs_another_process_and_so_does_cold(
+    cell: tuple[Switching, Witness],
+) -> None:
     switching, _ = cell
     switch(switching, "half")
     before = inference(switching).process
     cold = switching.switch("inference", StartInference(acceleration="quarter"), "cold", quiet)
     assert cold.mode == "cold"
     assert cold.view.process is not before
-    again = switching.switch("inference", StartInference(acceleration="half", instruction="another way"), "warm", quiet)
+    again = switching.switch(
+        "inference", StartInference(acceleration="half", instruction="another way"), "warm", quiet
+    )
     assert again.mode == "warm"
     assert again.view.process is not cold.view.process
     assert report(switching).metrics["acceleration"] == "half"
@@ -202,7 +224,9 @@ def test_a_restart_after_a_crash_uses_the_new_preset(cell: tuple[Switching, Witn
     process = inference(switching).process
     assert process is not None
     os.kill(process.pid, signal.SIGKILL)
-    wait_until(lambda: supervisor.view("inference").phase == "exited", "the end of the process is noticed")
+    wait_until(
+        lambda: supervisor.view("inference").phase == "exited", "the end of the process is noticed"
+    )
     choice = supervisor.view("inference").choice
     assert choice is not None
     # What a restart does: see rn_standard.ops.restarts.

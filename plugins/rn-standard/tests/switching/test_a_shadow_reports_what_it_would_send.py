@@ -28,9 +28,19 @@ def metrics(shadow: TimedHandover) -> dict[str, str]:
 
 
 def test_the_first_action_of_a_chunk_is_told_as_numbers(shadow: TimedHandover) -> None:
-    shadow.withhold(ActionChunk(actions=np.array([[0.01, 0, 0, 0, 0, -0.5, 1.0], [0] * 7]), step_s=0.1))
+    shadow.withhold(
+        ActionChunk(actions=np.array([[0.01, 0, 0, 0, 0, -0.5, 1.0], [0] * 7]), step_s=0.1)
+    )
     told = metrics(shadow)
-    assert [float(told[f"shadow_action.{name}"]) for name in ACTION_FIELDS] == [0.01, 0, 0, 0, 0, -0.5, 1.0]
+    assert [float(told[f"shadow_action.{name}"]) for name in ACTION_FIELDS] == [
+        0.01,
+        0,
+        0,
+        0,
+        0,
+        -0.5,
+        1.0,
+    ]
     assert told["shadow_count"] == "1"
 
 
@@ -59,7 +69,13 @@ def test_a_refusal_is_told_in_words(shadow: TimedHandover) -> None:
 
 def test_poses_of_one_joint_state_are_compared(shadow: TimedHandover) -> None:
     for stamp_ns in (1, 2, 3):
-        shadow.withhold(Pose(position_m=np.array([0.1 * stamp_ns, 0, 0]), quaternion_xyzw=UPRIGHT, stamp_ns=stamp_ns))
+        shadow.withhold(
+            Pose(
+                position_m=np.array([0.1 * stamp_ns, 0, 0]),
+                quaternion_xyzw=UPRIGHT,
+                stamp_ns=stamp_ns,
+            )
+        )
     shadow.hear(Pose(position_m=np.array([0.0, 0, 0]), quaternion_xyzw=UPRIGHT, stamp_ns=9), 0.0)
     assert "shadow_tcp_difference" not in metrics(shadow)
     shadow.hear(Pose(position_m=np.array([0.2, 0.03, 0]), quaternion_xyzw=UPRIGHT, stamp_ns=2), 0.0)

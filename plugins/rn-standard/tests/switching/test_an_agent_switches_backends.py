@@ -34,13 +34,25 @@ def test_an_agent_switches_and_goes_back(tmp_path: Path) -> None:
                 return result.structured_content
 
             async def inference() -> dict[str, Any]:
-                return next(m for m in (await do("get_status"))["modules"] if m["module"] == "inference")
+                return next(
+                    m for m in (await do("get_status"))["modules"] if m["module"] == "inference"
+                )
 
             for kind in ("robot", "perception", "control"):
                 await do(f"start_{kind}")
             started = await do("start_inference", instruction="move on")
-            assert started.keys() == {"module", "phase", "health", "pid", "started_with", "took_s", "acts_on"}
-            refused = await client.call_tool("switch_inference", {"backend": "first", "acceleration": "none"})
+            assert started.keys() == {
+                "module",
+                "phase",
+                "health",
+                "pid",
+                "started_with",
+                "took_s",
+                "acts_on",
+            }
+            refused = await client.call_tool(
+                "switch_inference", {"backend": "first", "acceleration": "none"}
+            )
             assert refused.is_error
             assert (await inference())["pid"] == started["pid"]
             switched = await do("switch_inference", backend="second")

@@ -51,7 +51,8 @@ def check_turns(switching: Switching, witness: Witness) -> None:
     assert [b.tag for _, b in changes] == [2, 1]
     images = [action.image for action in actions]
     assert images == sorted(set(images)), "an image was acted on twice"
-    # On a machine that is too busy for the rate, images are skipped all the time; a change-over must not add to that.
+    # On a machine that is too busy for the rate, images are skipped all the time; a change-over
+    # must not add to that.
     usual = max(b.image - a.image for a, b in pairwise(actions) if a.tag == b.tag)
     assert max(b.image - a.image for a, b in changes) <= usual
 
@@ -83,17 +84,24 @@ def test_at_first_there_is_nothing_to_go_back_to(cell: tuple[Switching, Witness]
         cell[0].roll_back("inference", "warm")
 
 
-def test_every_image_is_acted_on_once_while_backends_take_turns_at_10_hz(cell: tuple[Switching, Witness]) -> None:
+def test_every_image_is_acted_on_once_while_backends_take_turns_at_10_hz(
+    cell: tuple[Switching, Witness],
+) -> None:
     check_turns(*cell)
 
 
 def refused(
-    switching: Switching, error: type[RoboNeuronError], on_stage: Callable[[str], None], **options: object
+    switching: Switching,
+    error: type[RoboNeuronError],
+    on_stage: Callable[[str], None],
+    **options: object,
 ) -> str:
     """Message of a warm switch to "second" that must fail and leave the present process at work."""
     before = switching.loop.supervisor.view("inference").process
     with pytest.raises(error) as caught:
-        switching.switch("inference", StartInference(backend="second", options=options), "warm", on_stage)
+        switching.switch(
+            "inference", StartInference(backend="second", options=options), "warm", on_stage
+        )
     after = switching.loop.supervisor.view("inference")
     assert before is not None
     assert after.process is before
@@ -101,7 +109,9 @@ def refused(
     return str(caught.value)
 
 
-def test_what_fails_before_its_turn_changes_nothing(cell: tuple[Switching, Witness], tmp_path: Path) -> None:
+def test_what_fails_before_its_turn_changes_nothing(
+    cell: tuple[Switching, Witness], tmp_path: Path
+) -> None:
     switching, witness = cell
     loop = switching.loop
     text = refused(switching, RefusedError, quiet, offset_m=0.5)
@@ -122,7 +132,9 @@ def test_what_fails_before_its_turn_changes_nothing(cell: tuple[Switching, Witne
 
     assert "cancelled" in refused(switching, StateError, cancel)
     (tmp_path / "fail").touch()
-    assert "fell over" in refused(switching, RoboNeuronError, quiet, fail_file=str(tmp_path / "fail"))
+    assert "fell over" in refused(
+        switching, RoboNeuronError, quiet, fail_file=str(tmp_path / "fail")
+    )
     actions = witness.more_actions()
     assert {action.tag for action in actions} == {1}
     times = [action.at_ns for action in actions]
@@ -131,7 +143,9 @@ def test_what_fails_before_its_turn_changes_nothing(cell: tuple[Switching, Witne
 
 
 SOON_S = 15.0
-"""Half a second on an idle machine; what counts is that nobody waits for a time-out of 25 s or more."""
+"""Half a second on an idle machine; what counts is that nobody waits for a time-out of 25 s or
+more.
+"""
 STAGES = {
     "comparing": "new inference: comparing it in shadow with the old one",
     "handover": "inference: changing over",
@@ -150,7 +164,9 @@ def test_a_process_that_freezes_ends_the_switch_at_once(
 
     def freeze(told: str) -> None:
         if told == STAGES[stage]:
-            slot = supervisor.slot("inference") if which == "old" else supervisor.slots["inference"][1]
+            slot = (
+                supervisor.slot("inference") if which == "old" else supervisor.slots["inference"][1]
+            )
             assert slot.process is not None
             frozen.append(slot.process.pid)
             at_s.append(time.monotonic())
@@ -168,7 +184,9 @@ def test_a_process_that_freezes_ends_the_switch_at_once(
     assert supervisor.slots["inference"][1:] == []
 
 
-def test_what_does_not_act_when_its_turn_comes_gives_it_back(cell: tuple[Switching, Witness], tmp_path: Path) -> None:
+def test_what_does_not_act_when_its_turn_comes_gives_it_back(
+    cell: tuple[Switching, Witness], tmp_path: Path
+) -> None:
     switching, witness = cell
     hang = tmp_path / "hang"
 
@@ -176,7 +194,9 @@ def test_what_does_not_act_when_its_turn_comes_gives_it_back(cell: tuple[Switchi
         if stage == "inference: changing over":
             hang.touch()
 
-    assert "the old one acts again" in refused(switching, NotReadyError, hang_new, hang_file=str(hang))
+    assert "the old one acts again" in refused(
+        switching, NotReadyError, hang_new, hang_file=str(hang)
+    )
     assert {action.tag for action in witness.more_actions()} == {1}
 
 

@@ -1,4 +1,6 @@
-"""A change of the camera's source or of the controller while the arm moves; what fails changes nothing."""
+"""A change of the camera's source or of the controller while the arm moves; what fails changes
+nothing.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,13 @@ import pytest
 from rn_standard.selection.requests import StartControl, StartPerception
 from rn_standard.switching.replacing import Switching
 from rn_testing.fakes import gantry_profile
-from roboneuron.errors import InvalidInputError, NotReadyError, RefusedError, RoboNeuronError, StateError
+from roboneuron.errors import (
+    InvalidInputError,
+    NotReadyError,
+    RefusedError,
+    RoboNeuronError,
+    StateError,
+)
 from roboneuron.modules.settings import ModuleKind
 from roboneuron.server.loop import ClosedLoop
 
@@ -38,7 +46,9 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Switching,
 
 @pytest.fixture
 def cell(built: tuple[Switching, Witness]) -> tuple[Switching, Witness]:
-    """The loop of the module with whatever the test before left at work; the witness has seen nothing yet."""
+    """The loop of the module with whatever the test before left at work; the witness has seen
+    nothing yet.
+    """
     built[1].forget()
     return built
 
@@ -50,7 +60,9 @@ def wait_until(fact: Callable[[], bool], timeout_s: float, what: str) -> None:
         time.sleep(0.01)
 
 
-def refused(loop: ClosedLoop, kind: ModuleKind, error: type[RoboNeuronError], switch: Callable[[], object]) -> str:
+def refused(
+    loop: ClosedLoop, kind: ModuleKind, error: type[RoboNeuronError], switch: Callable[[], object]
+) -> str:
     """Message of a switch that must fail and leave the present process at work."""
     before = loop.supervisor.view(kind).process
     with pytest.raises(error) as caught:
@@ -68,7 +80,9 @@ def test_at_first_there_is_nothing_to_go_back_to(cell: tuple[Switching, Witness]
         cell[0].roll_back("perception", "warm")
 
 
-def test_a_source_takes_over_between_two_images_and_gives_it_back(cell: tuple[Switching, Witness]) -> None:
+def test_a_source_takes_over_between_two_images_and_gives_it_back(
+    cell: tuple[Switching, Witness],
+) -> None:
     switching, witness = cell
     witness.more_actions()
     switched = switching.switch("perception", StartPerception(source="other"), "warm")
@@ -77,7 +91,10 @@ def test_a_source_takes_over_between_two_images_and_gives_it_back(cell: tuple[Sw
     assert switched.replaced["source"] == "numbering"
     gap = switched.change.gap
     assert gap is not None
-    print(f"gap {gap.gap_s * 1e3:.0f} ms, period {gap.period_s * 1e3:.0f} ms, call {switched.took_s:.1f} s")
+    print(
+        f"gap {gap.gap_s * 1e3:.0f} ms, period {gap.period_s * 1e3:.0f} ms, call "
+        f"{switched.took_s:.1f} s"
+    )
     assert gap.gap_s < 0.25
     back = switching.roll_back("perception", "warm")
     assert back.view.choice is not None
@@ -91,7 +108,9 @@ def test_a_source_takes_over_between_two_images_and_gives_it_back(cell: tuple[Sw
     witness.more_actions()
 
 
-def test_a_source_that_fails_leaves_the_old_one_at_work(cell: tuple[Switching, Witness], tmp_path: Path) -> None:
+def test_a_source_that_fails_leaves_the_old_one_at_work(
+    cell: tuple[Switching, Witness], tmp_path: Path
+) -> None:
     switching, witness = cell
     loop = switching.loop
     mode = tmp_path / "mode"
@@ -109,7 +128,9 @@ def test_a_source_that_fails_leaves_the_old_one_at_work(cell: tuple[Switching, W
         if stage == "perception: changing over":
             mode.write_text("hang")
 
-    assert "the old one acts again" in refused(loop, "perception", NotReadyError, switch(hang, mode_file=str(mode)))
+    assert "the old one acts again" in refused(
+        loop, "perception", NotReadyError, switch(hang, mode_file=str(mode))
+    )
     mode.unlink()
 
     def kill(stage: str) -> None:
@@ -124,7 +145,9 @@ def test_a_source_that_fails_leaves_the_old_one_at_work(cell: tuple[Switching, W
     witness.more_actions()
 
 
-def test_a_controller_goes_on_from_the_last_command_of_the_old_one(cell: tuple[Switching, Witness]) -> None:
+def test_a_controller_goes_on_from_the_last_command_of_the_old_one(
+    cell: tuple[Switching, Witness],
+) -> None:
     switching, witness = cell
     loop = switching.loop
     witness.more_actions(10)
@@ -135,7 +158,10 @@ def test_a_controller_goes_on_from_the_last_command_of_the_old_one(cell: tuple[S
     gap = switched.change.gap
     assert gap is not None
     assert switched.change.difference is not None
-    print(f"gap {gap.gap_s * 1e3:.0f} ms, difference {switched.change.difference:.2g}, call {switched.took_s:.1f} s")
+    print(
+        f"gap {gap.gap_s * 1e3:.0f} ms, difference {switched.change.difference:.2g}, call "
+        f"{switched.took_s:.1f} s"
+    )
     assert switched.change.difference < 0.005
     assert gap.gap_s < 0.25
     back = switching.roll_back("control", "warm")
@@ -144,7 +170,8 @@ def test_a_controller_goes_on_from_the_last_command_of_the_old_one(cell: tuple[S
     witness.more_actions()
     commands = witness.commands()[first:]
     actions_ns = [action.at_ns for action in witness.actions() if action.at_ns > commands[0][0]]
-    without_actions_ns = max(b - a for a, b in pairwise(actions_ns))  # that is the machine, not the switch
+    # that is the machine, not the switch
+    without_actions_ns = max(b - a for a, b in pairwise(actions_ns))
     without_commands_ns = max(b[0] - a[0] for a, b in pairwise(commands))
     assert without_commands_ns < without_actions_ns + 0.3e9, "the arm was without commands"
     at_s, target_m = np.array([c[0] for c in commands]) / 1e9, np.array([c[1] for c in commands])
@@ -152,7 +179,8 @@ def test_a_controller_goes_on_from_the_last_command_of_the_old_one(cell: tuple[S
     print(f"largest change of the commanded velocity: {steps_m_s.max():.3f} m/s")
     limits = gantry_profile().limits
     assert limits is not None
-    # Times are those of sending, velocities those of targets: a late command makes one look slower, the next faster.
+    # Times are those of sending, velocities those of targets: a late command makes one look slower,
+    # the next faster.
     assert steps_m_s.max() < 2 * limits.acceleration[0] * np.diff(at_s).max()
     report = loop.supervisor.view("control").report
     assert report is not None
@@ -162,13 +190,17 @@ def test_a_controller_goes_on_from_the_last_command_of_the_old_one(cell: tuple[S
     assert cold.change.gap.gap_s > gap.gap_s
 
 
-def test_a_controller_that_differs_leaves_the_old_one_at_work(cell: tuple[Switching, Witness], tmp_path: Path) -> None:
+def test_a_controller_that_differs_leaves_the_old_one_at_work(
+    cell: tuple[Switching, Witness], tmp_path: Path
+) -> None:
     switching, witness = cell
     loop = switching.loop
     mode = tmp_path / "mode"
 
     def switch(on_stage: Callable[[str], None] = quiet, **options: object) -> Callable[[], object]:
-        return lambda: switching.switch("control", StartControl(controller="faulty", options=options), "warm", on_stage)
+        return lambda: switching.switch(
+            "control", StartControl(controller="faulty", options=options), "warm", on_stage
+        )
 
     assert "TCP poses differ by 0.1 " in refused(loop, "control", RefusedError, switch(tool_m=0.1))
     text = refused(loop, "control", RefusedError, switch(offset=0.2))
@@ -190,7 +222,9 @@ def test_a_controller_that_differs_leaves_the_old_one_at_work(cell: tuple[Switch
 
 
 def test_a_controller_takes_over_an_arm_whose_policy_pauses_just_then(tmp_path: Path) -> None:
-    """On a busy machine nothing may come for a second: the new one is not to blame for that, and holds the arm."""
+    """On a busy machine nothing may come for a second: the new one is not to blame for that,
+    and holds the arm.
+    """
     mode = tmp_path / "camera"
 
     def pause(stage: str) -> None:

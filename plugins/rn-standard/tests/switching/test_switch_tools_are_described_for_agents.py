@@ -26,7 +26,9 @@ def application(tmp_path: Path) -> Iterator[Application]:
     application = Application(
         parse_config('[robot]\nname = "gantry"\n'),
         plugins=PluginCatalogue(discover=lambda disabled: registry),
-        supervisor=Supervisor(tmp_path, command=lambda python: pytest.fail("nothing may be spawned")),
+        supervisor=Supervisor(
+            tmp_path, command=lambda python: pytest.fail("nothing may be spawned")
+        ),
     )
     try:
         yield application
@@ -43,9 +45,12 @@ def tools(application: Application) -> dict[str, types.Tool]:
 
 
 @pytest.mark.parametrize(
-    ("kind", "also"), [("inference", {"instruction"}), ("perception", {"cameras"}), ("control", set())]
+    ("kind", "also"),
+    [("inference", {"instruction"}), ("perception", {"cameras"}), ("control", set())],
 )
-def test_a_switch_takes_what_a_start_takes(application: Application, kind: str, also: set[str]) -> None:
+def test_a_switch_takes_what_a_start_takes(
+    application: Application, kind: str, also: set[str]
+) -> None:
     listed = tools(application)
     switch = listed[f"switch_{kind}"].input_schema["properties"]
     start = listed[f"start_{kind}"].input_schema["properties"]
@@ -67,11 +72,16 @@ def test_a_switch_takes_what_a_start_takes(application: Application, kind: str, 
     [
         ({}, "inference is not running"),
         ({"rollback": True}, "inference is not running"),
-        ({"rollback": True, "backend": "instant"}, "with rollback nothing else may be named, got backend"),
+        (
+            {"rollback": True, "backend": "instant"},
+            "with rollback nothing else may be named, got backend",
+        ),
         ({"mode": "hot"}, "Choose one of: warm, cold."),
     ],
 )
-def test_what_cannot_be_switched_is_refused(application: Application, arguments: dict[str, Any], text: str) -> None:
+def test_what_cannot_be_switched_is_refused(
+    application: Application, arguments: dict[str, Any], text: str
+) -> None:
     async def call() -> types.CallToolResult:
         async with Client(application.server) as client:
             return await client.call_tool("switch_inference", arguments)

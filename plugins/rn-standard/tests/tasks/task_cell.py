@@ -1,4 +1,6 @@
-"""A robot for tests of tasks, by a clock of its own: an arm that moves while its policy has an instruction."""
+"""A robot for tests of tasks, by a clock of its own: an arm that moves while its policy has an
+instruction.
+"""
 
 from __future__ import annotations
 
@@ -18,8 +20,8 @@ class FakeCell:
     """Follows the protocol `Cell`.
 
     Attributes:
-        script: called at each look with the cell and the number of seconds since the attempt began; returns the
-            snapshot's fields that the test cares about.
+        script: called at each look with the cell and the number of seconds since the attempt began;
+            returns the snapshot's fields that the test cares about.
         halted: the task is to end.
         acts: its policy has acted.
         refuses: attempts from this number on cannot begin.

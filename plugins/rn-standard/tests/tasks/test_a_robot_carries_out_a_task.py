@@ -1,4 +1,6 @@
-"""Real processes: everything at once, a task with an outcome, and tasks that are cancelled, stopped or left."""
+"""Real processes: everything at once, a task with an outcome, and tasks that are cancelled,
+stopped or left.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,10 @@ LIFTED = {
     "for_s": 0.5,
     "of": {
         "kind": "all",
-        "of": [{"kind": "gripper_holds"}, {"kind": "monitor", "name": "colour-lifted", "options": {"colour": "red"}}],
+        "of": [
+            {"kind": "gripper_holds"},
+            {"kind": "monitor", "name": "colour-lifted", "options": {"colour": "red"}},
+        ],
     },
 }
 
@@ -41,11 +46,15 @@ async def server(folder: Any, monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[
         command=sys.executable, args=["-m", "roboneuron.cli.main", "serve"], env=dict(os.environ)
     )
     with (folder / "server.log").open("w") as log:
-        async with Client(stdio_client(parameters, errlog=log), read_timeout_seconds=START_S) as client:
+        async with Client(
+            stdio_client(parameters, errlog=log), read_timeout_seconds=START_S
+        ) as client:
             yield client
 
 
-async def called(client: Client, tool: str, arguments: dict[str, Any] | None = None) -> types.CallToolResult:
+async def called(
+    client: Client, tool: str, arguments: dict[str, Any] | None = None
+) -> types.CallToolResult:
     answer = await client.call_tool(tool, arguments or {})
     assert not answer.is_error, answer.content
     return answer
@@ -62,7 +71,9 @@ async def is_idle(client: Client) -> bool:
     """No instruction, and no joint that moves."""
     if await is_instructed(client):
         return False
-    states = (await called(client, "read_joint_states", {"count": 10})).structured_content["messages"]  # type: ignore[index]
+    states = (await called(client, "read_joint_states", {"count": 10})).structured_content[
+        "messages"
+    ]  # type: ignore[index]
     positions = [state["position"] for state in states]
     return all(max(column) - min(column) < 0.003 for column in zip(*positions, strict=True))
 
@@ -73,14 +84,18 @@ async def becomes(fact: Callable[[Client], Awaitable[bool]], client: Client) -> 
             await anyio.sleep(0.1)
 
 
-def test_a_cube_is_picked_up_and_the_outcome_tells_so(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_cube_is_picked_up_and_the_outcome_tells_so(
+    tmp_path: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     async def run() -> None:
         async with server(tmp_path, monkeypatch) as client:
             started = (await called(client, "start_all")).structured_content
             assert started is not None
             assert len(started["started"]) == 4
             answer = await called(
-                client, "run_task", {"instruction": INSTRUCTION, "until": LIFTED, "on_end": "stop", "max_s": TASK_S}
+                client,
+                "run_task",
+                {"instruction": INSTRUCTION, "until": LIFTED, "on_end": "stop", "max_s": TASK_S},
             )
             result = answer.structured_content
             assert result is not None
@@ -88,7 +103,9 @@ def test_a_cube_is_picked_up_and_the_outcome_tells_so(tmp_path: Any, monkeypatch
             assert sum(isinstance(part, types.ImageContent) for part in answer.content) == 4
             status = (await called(client, "get_status")).structured_content
             assert status is not None
-            cubes = json.loads(next(m for m in status["modules"] if m["module"] == "robot")["detail"]["cubes"])
+            cubes = json.loads(
+                next(m for m in status["modules"] if m["module"] == "robot")["detail"]["cubes"]
+            )
             assert cubes["red"]["lifted_m"] > 0.08
             events = (await client.read_resource("roboneuron://events/tasks")).contents[0]
             assert isinstance(events, types.TextResourceContents)
@@ -97,7 +114,9 @@ def test_a_cube_is_picked_up_and_the_outcome_tells_so(tmp_path: Any, monkeypatch
     anyio.run(run)
 
 
-def test_no_sequence_leaves_a_task_or_a_moving_arm(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_sequence_leaves_a_task_or_a_moving_arm(
+    tmp_path: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     draw = random.Random(16)
 
     async def run() -> None:
@@ -105,7 +124,11 @@ def test_no_sequence_leaves_a_task_or_a_moving_arm(tmp_path: Any, monkeypatch: p
             await called(client, "start_all")
             task = {"instruction": INSTRUCTION, "until": NEVER, "max_s": TASK_S, "max_attempts": 1}
             for number in range(SEQUENCES):
-                kind = "emergency_stop" if number == SEQUENCES - 1 else draw.choice(["cancel", "stop_inference"])
+                kind = (
+                    "emergency_stop"
+                    if number == SEQUENCES - 1
+                    else draw.choice(["cancel", "stop_inference"])
+                )
                 async with anyio.create_task_group() as group:
                     outcome: list[types.CallToolResult] = []
 

@@ -14,11 +14,17 @@ LIFTED = {"kind": "joints_in", "joints": {"lift": [0.1, 1.0]}}
 PLAN = TaskPlan(instruction="pick it up", max_s=10.0, max_attempts=3)
 
 
-def run(cell: FakeCell, until: object = LIFTED, plan: TaskPlan = PLAN, told: list[str] | None = None) -> TaskEnd:
+def run(
+    cell: FakeCell, until: object = LIFTED, plan: TaskPlan = PLAN, told: list[str] | None = None
+) -> TaskEnd:
     judge = (
         None
         if until is None
-        else Judge(parse_predicate(until), plan.instruction, lambda named: pytest.fail("no monitor is named"))
+        else Judge(
+            parse_predicate(until),
+            plan.instruction,
+            lambda named: pytest.fail("no monitor is named"),
+        )
     )
     said = [] if told is None else told
     return Task(cell, judge, plan, said.append).run()
@@ -86,11 +92,15 @@ def test_what_falls_once_the_arm_stops_is_no_success() -> None:
 
 
 def test_an_arm_that_does_not_come_to_rest_is_unclear() -> None:
-    cell = FakeCell(script=lambda cell, t: lift(0.2 if cell.began and t > 1 else 0.0) | {"still_s": 0.0})
+    cell = FakeCell(
+        script=lambda cell, t: lift(0.2 if cell.began and t > 1 else 0.0) | {"still_s": 0.0}
+    )
     assert run(cell).outcome is Outcome.UNCLEAR
 
 
-@pytest.mark.parametrize("fields", [{"policy_done": True}, {}], ids=["the policy ends", "time ends"])
+@pytest.mark.parametrize(
+    "fields", [{"policy_done": True}, {}], ids=["the policy ends", "time ends"]
+)
 def test_what_cannot_be_judged_is_unclear_and_not_tried_again(fields: dict[str, object]) -> None:
     end = run(FakeCell(script=lambda cell, t: {"joints": None} | fields))
     assert (end.outcome, end.attempts) == (Outcome.UNCLEAR, 1)
@@ -176,7 +186,10 @@ def test_a_task_that_is_ended_says_by_whom() -> None:
         cell.halted = cell.time_s >= 1.0
         cell.taken = "perception was stopped" if cell.halted else ""
 
-    assert run(FakeCell(script=lambda cell, t: lift(0.0), on_wait=on_wait)).reason == "perception was stopped"
+    assert (
+        run(FakeCell(script=lambda cell, t: lift(0.0), on_wait=on_wait)).reason
+        == "perception was stopped"
+    )
 
 
 HELD = {"kind": "held", "for_s": 1.0, "of": LIFTED}
@@ -202,7 +215,9 @@ def test_one_look_that_cannot_tell_while_the_arm_comes_to_rest_hides_no_success(
         if cell.ended_s is not None and cell.time_s > cell.ended_s + 1.2 and not flickers:
             flickers.append(t)
             return {"joints": None}
-        return lift(0.2 if cell.began and t > 1 else 0.0) | {"still_s": 0.0 if not flickers else 1.0}
+        return lift(0.2 if cell.began and t > 1 else 0.0) | {
+            "still_s": 0.0 if not flickers else 1.0
+        }
 
     end = run(FakeCell(script=script), until=HELD)
     assert flickers

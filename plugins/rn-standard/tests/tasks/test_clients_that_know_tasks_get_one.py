@@ -1,4 +1,6 @@
-"""MCP Tasks of 2025-11-25 by raw JSON-RPC messages: begin, look, wait, cancel; everybody else makes the plain call."""
+"""MCP Tasks of 2025-11-25 by raw JSON-RPC messages: begin, look, wait, cancel; everybody else
+makes the plain call.
+"""
 
 from __future__ import annotations
 
@@ -35,10 +37,16 @@ class Done(Result):
 
 
 class Robot:
-    """What run_task and wave do here: they work until the test lets them end, or the call is cancelled."""
+    """What run_task and wave do here: they work until the test lets them end, or the call is
+    cancelled.
+    """
 
     def __init__(self) -> None:
-        self.may_end, self.halted, self.begun = threading.Event(), threading.Event(), threading.Event()
+        self.may_end, self.halted, self.begun = (
+            threading.Event(),
+            threading.Event(),
+            threading.Event(),
+        )
 
     async def run_task(self, _: NoArguments, context: CallContext) -> Done:
         def work(stage: Stage) -> Done:
@@ -88,7 +96,9 @@ class Wire:
         return told
 
     async def begin(self, **more: Any) -> str:
-        created = await self.result("tools/call", name="run_task", arguments={}, task={"ttl": 60000}, **more)
+        created = await self.result(
+            "tools/call", name="run_task", arguments={}, task={"ttl": 60000}, **more
+        )
         assert created["task"]["status"] == "working"
         return cast(str, created["task"]["taskId"])
 
@@ -101,14 +111,24 @@ def converse(talk: Talk, version: str = KNOWS, clock: Callable[[], float] | None
     robot = Robot()
 
     def tool(name: str, handler: Any) -> Tool[Any]:
-        return Tool(name=name, title=name, description=name, arguments=NoArguments, result=Done, handler=handler)
+        return Tool(
+            name=name,
+            title=name,
+            description=name,
+            arguments=NoArguments,
+            result=Done,
+            handler=handler,
+        )
 
     tools = ToolRegistry([tool("run_task", robot.run_task), tool("wave", robot.run_task)])
     server = make_server(cast(Served, SimpleNamespace(tools=tools, features=None)), "test", "")
     server.middleware.insert(1, TaskCalls() if clock is None else TaskCalls(clock))
 
     async def scenario() -> None:
-        async with create_client_server_memory_streams() as (client, (read, write)), anyio.create_task_group() as group:
+        async with (
+            create_client_server_memory_streams() as (client, (read, write)),
+            anyio.create_task_group() as group,
+        ):
             group.start_soon(server.run, read, write, server.create_initialization_options())
             wire = Wire(client)
             with anyio.fail_after(30):
@@ -127,7 +147,10 @@ def converse(talk: Talk, version: str = KNOWS, clock: Callable[[], float] | None
 def test_the_server_says_what_it_can_and_for_which_tool() -> None:
     async def talk(wire: Wire, robot: Robot) -> None:
         tools = (await wire.result("tools/list"))["tools"]
-        assert {t["name"]: t.get("execution") for t in tools} == {"run_task": {"taskSupport": "optional"}, "wave": None}
+        assert {t["name"]: t.get("execution") for t in tools} == {
+            "run_task": {"taskSupport": "optional"},
+            "wave": None,
+        }
 
     converse(talk)
 
@@ -135,10 +158,14 @@ def test_the_server_says_what_it_can_and_for_which_tool() -> None:
 def test_a_task_is_answered_at_once_and_its_result_is_that_of_the_plain_call() -> None:
     async def talk(wire: Wire, robot: Robot) -> None:
         task = await wire.begin(_meta={"progressToken": "p"})
-        while (told := await wire.result("tasks/get", taskId=task)).get("statusMessage") != "attempt 1":
+        while (told := await wire.result("tasks/get", taskId=task)).get(
+            "statusMessage"
+        ) != "attempt 1":
             await anyio.sleep(0.005)
         assert (told["taskId"], told["status"], told["ttl"]) == (task, "working", 60000)
-        assert datetime.fromisoformat(told["createdAt"]) <= datetime.fromisoformat(told["lastUpdatedAt"])
+        assert datetime.fromisoformat(told["createdAt"]) <= datetime.fromisoformat(
+            told["lastUpdatedAt"]
+        )
         assert told["pollInterval"] > 0
         waiting = await wire.send("tasks/result", taskId=task)
         assert [t["taskId"] for t in (await wire.result("tasks/list"))["tasks"]] == [task]
@@ -165,7 +192,9 @@ def test_cancelling_a_task_stops_the_robot_before_it_is_answered() -> None:
         robot.may_end.set()
         assert (await wire.result("tasks/get", taskId=task))["status"] == "cancelled"
         assert "cancelled" in (await wire.ask("tasks/result", taskId=task))["error"]["message"]
-        assert (await wire.ask("tasks/cancel", taskId=task))["error"]["code"] == types.INVALID_PARAMS
+        assert (await wire.ask("tasks/cancel", taskId=task))["error"][
+            "code"
+        ] == types.INVALID_PARAMS
 
     converse(talk)
 

@@ -1,4 +1,6 @@
-"""Events as resources, told to those that subscribe; prompts, models, postures and approval, over MCP."""
+"""Events as resources, told to those that subscribe; prompts, models, postures and approval,
+over MCP.
+"""
 
 from __future__ import annotations
 
@@ -46,7 +48,13 @@ position_m = [0.4, 0.0, 0.3]
 approval = ["run_task", "move_to"]
 approval_roles = ["operator", "admin"]
 """
-FIELD = {"kind": "field", "topic": "weight", "type": "std_msgs/msg/Float64", "field": "data", "at_least": 1.0}
+FIELD = {
+    "kind": "field",
+    "topic": "weight",
+    "type": "std_msgs/msg/Float64",
+    "field": "data",
+    "at_least": 1.0,
+}
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +68,8 @@ def application(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Applicatio
         parse_config(CONFIG, registry=registry),
         plugins=PluginCatalogue(discover=lambda disabled: registry),
         supervisor=Supervisor(
-            tmp_path_factory.mktemp("state"), command=lambda python: pytest.fail("nothing may be spawned")
+            tmp_path_factory.mktemp("state"),
+            command=lambda python: pytest.fail("nothing may be spawned"),
         ),
     )
     made.events.open.tell()
@@ -106,7 +115,9 @@ def test_a_fault_becomes_an_event_that_subscribers_hear_of(application: Applicat
 
 def test_all_kinds_of_events_and_the_predicates_are_resources(application: Application) -> None:
     uris = {resource.uri for resource in application.resources.listing()}
-    assert {f"roboneuron://events/{kind}" for kind in ("incidents", "tasks", "battery", "thresholds")} <= uris
+    assert {
+        f"roboneuron://events/{kind}" for kind in ("incidents", "tasks", "battery", "thresholds")
+    } <= uris
     predicates = json.loads(application.resources.read("roboneuron://tasks/predicates").text)
     assert "colour-lifted" in predicates["monitors"]
     assert "discriminator" in json.dumps(predicates["schema"])
@@ -115,7 +126,16 @@ def test_all_kinds_of_events_and_the_predicates_are_resources(application: Appli
 def test_crossings_are_told_once_until_the_value_comes_back() -> None:
     crossing = Crossing(above=10.0, below=None, hysteresis=2.0)
     values = [5, 11, 12, 9, 11, 7.9, math.nan, 11]
-    assert [crossing.observe(value) for value in values] == [False, True, False, False, False, True, False, True]
+    assert [crossing.observe(value) for value in values] == [
+        False,
+        True,
+        False,
+        False,
+        False,
+        True,
+        False,
+        True,
+    ]
 
 
 def test_a_low_battery_is_an_event(application: Application) -> None:
@@ -141,7 +161,9 @@ def test_prompts_are_listed_and_filled(application: Application) -> None:
     assert '"options": {"colour": "blue"}' in text
 
 
-@pytest.mark.parametrize(("name", "arguments"), [("absent", {}), ("pick_up", {}), ("bring_up", {"x": "1"})])
+@pytest.mark.parametrize(
+    ("name", "arguments"), [("absent", {}), ("pick_up", {}), ("bring_up", {"x": "1"})]
+)
 def test_a_prompt_that_cannot_be_filled_is_an_error(name: str, arguments: dict[str, str]) -> None:
     with pytest.raises(MCPError):
         filled(name, arguments)
@@ -149,7 +171,11 @@ def test_a_prompt_that_cannot_be_filled_is_an_error(name: str, arguments: dict[s
 
 def test_models_are_listed_with_why_one_cannot_be_used(application: Application) -> None:
     models = (call(application, "list_models", {}).structured_content or {})["models"]
-    assert (models[0]["name"], models[0]["installed"], models[0]["summary"]) == ("quick", True, "for tests")
+    assert (models[0]["name"], models[0]["installed"], models[0]["summary"]) == (
+        "quick",
+        True,
+        "for tests",
+    )
     assert not models[1]["installed"]
     assert "absent" in models[1]["problem"]
 
@@ -162,13 +188,17 @@ def test_models_are_listed_with_why_one_cannot_be_used(application: Application)
         ({"model": "absent"}, "absent"),
     ],
 )
-def test_a_model_that_cannot_be_started_is_refused(application: Application, arguments: dict[str, Any], text: str):
+def test_a_model_that_cannot_be_started_is_refused(
+    application: Application, arguments: dict[str, Any], text: str
+):
     result = call(application, "start_inference", arguments)
     assert result.is_error
     assert text in text_of(result)
 
 
-def test_a_client_that_cannot_ask_a_person_is_refused_where_approval_is_wanted(application: Application) -> None:
+def test_a_client_that_cannot_ask_a_person_is_refused_where_approval_is_wanted(
+    application: Application,
+) -> None:
     result = call(application, "move_to", {"name": "rest"})
     assert result.is_error
     assert "A person must approve move_to" in text_of(result)
@@ -180,7 +210,9 @@ def test_a_person_is_asked_before_the_arm_moves(application: Application, agrees
 
     async def answer(context: Any, params: Any) -> types.ElicitResult:
         asked.append(params.message)
-        return types.ElicitResult(action="accept" if agrees else "decline", content={"confirmed": agrees})
+        return types.ElicitResult(
+            action="accept" if agrees else "decline", content={"confirmed": agrees}
+        )
 
     async def ask() -> types.CallToolResult:
         async with Client(application.server, elicitation_callback=answer) as client:
@@ -202,17 +234,29 @@ def test_a_person_is_asked_before_the_arm_moves(application: Application, agrees
         ({"instruction": "x"}, "robot is not running"),
         ({"instruction": " "}, "empty"),
         ({"instruction": "pick\0up"}, "control character U+0000 at position 4"),
-        ({"instruction": "x", "until": {**FIELD, "topic": "/x y"}}, "'/x y' is not a topic name. A name is words"),
+        (
+            {"instruction": "x", "until": {**FIELD, "topic": "/x y"}},
+            "'/x y' is not a topic name. A name is words",
+        ),
         ({"instruction": "x", "until": {**FIELD, "topic": "/x\0"}}, "is not a topic name"),
-        ({"instruction": "x", "until": {**FIELD, "type": "nope_msgs/msg/Nope"}}, "No installed interface"),
+        (
+            {"instruction": "x", "until": {**FIELD, "type": "nope_msgs/msg/Nope"}},
+            "No installed interface",
+        ),
         (
             {"instruction": "x", "until": {**FIELD, "field": "__class__.__init__.__globals__"}},
-            "std_msgs/msg/Float64 has no field '__class__.__init__.__globals__'. std_msgs/msg/Float64 has: data.",
+            "std_msgs/msg/Float64 has no field '__class__.__init__.__globals__'. "
+            "std_msgs/msg/Float64 has: data.",
         ),
-        ({"instruction": "x", "until": {"kind": "not", "of": {**FIELD, "field": "data.real"}}}, "it has no fields"),
+        (
+            {"instruction": "x", "until": {"kind": "not", "of": {**FIELD, "field": "data.real"}}},
+            "it has no fields",
+        ),
     ],
 )
-def test_a_task_that_cannot_be_carried_out_is_refused(application: Application, arguments: Any, text: str) -> None:
+def test_a_task_that_cannot_be_carried_out_is_refused(
+    application: Application, arguments: Any, text: str
+) -> None:
     result = call(application, "run_task", arguments)
     assert result.is_error
     assert text in text_of(result)
@@ -226,7 +270,11 @@ def test_a_task_that_cannot_be_carried_out_is_refused(application: Application, 
         ({"topic": "weight", "field": "load"}, "has no field 'load'"),
     ],
 )
-def test_a_threshold_on_what_cannot_be_is_refused_with_the_configuration(threshold: Any, text: str) -> None:
-    options = EventOptions.model_validate({"thresholds": {"heavy": {"type": "std_msgs/msg/Float64", **threshold}}})
+def test_a_threshold_on_what_cannot_be_is_refused_with_the_configuration(
+    threshold: Any, text: str
+) -> None:
+    options = EventOptions.model_validate(
+        {"thresholds": {"heavy": {"type": "std_msgs/msg/Float64", **threshold}}}
+    )
     with pytest.raises(InvalidInputError, match=r"\[events.thresholds.heavy\]: .*" + text):
         check_thresholds(options)

@@ -1,4 +1,6 @@
-"""For each rule of monitors there is a monitor that breaks it: one that guesses, lies, remembers or is slow."""
+"""For each rule of monitors there is a monitor that breaks it: one that guesses, lies,
+remembers or is slow.
+"""
 
 from __future__ import annotations
 
@@ -183,14 +185,18 @@ MUTANTS: list[tuple[str, type, dict[str, object]]] = [
 ]
 
 
-def broken_case(target: type, spec: dict[str, object], monkeypatch: pytest.MonkeyPatch) -> MonitorCase:
+def broken_case(
+    target: type, spec: dict[str, object], monkeypatch: pytest.MonkeyPatch
+) -> MonitorCase:
     """The good case with the class as its target."""
     good = lifted_case()
     monkeypatch.setattr(MonitorCase, "_target", lambda self, descriptor: target)
     return replace(good, spec=replace(good.spec, **spec))
 
 
-@pytest.mark.parametrize(("name", "target", "spec"), MUTANTS, ids=lambda value: getattr(value, "__name__", ""))
+@pytest.mark.parametrize(
+    ("name", "target", "spec"), MUTANTS, ids=lambda value: getattr(value, "__name__", "")
+)
 def test_a_broken_monitor_fails_its_rule(name, target, spec, monkeypatch):
     rule = next(rule for rule in RULES if rule.id == f"monitor/{name}")
     assert verify(rule, lifted_case()).verdict is Verdict.PASSED
@@ -200,4 +206,6 @@ def test_a_broken_monitor_fails_its_rule(name, target, spec, monkeypatch):
 
 
 def test_every_rule_has_a_monitor_that_breaks_it():
-    assert {f"monitor/{name}" for name, _, _ in MUTANTS} == {r.id for r in RULES if r.id.startswith("monitor/")}
+    assert {f"monitor/{name}" for name, _, _ in MUTANTS} == {
+        r.id for r in RULES if r.id.startswith("monitor/")
+    }

@@ -1,4 +1,6 @@
-"""start_all: all starts run side by side, and a failure or a cancellation leaves nothing of the call."""
+"""start_all: all starts run side by side, and a failure or a cancellation leaves nothing of the
+call.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,9 @@ class FakeSelection:
 
 
 class FakeLoop:
-    """A closed loop that is its own supervisor and configuration; `begin` decides how each start goes."""
+    """A closed loop that is its own supervisor and configuration; `begin` decides how each
+    start goes.
+    """
 
     def __init__(self, configured: tuple[str, ...] = tuple(MODULE_KINDS)) -> None:
         self.supervisor = self
@@ -112,7 +116,9 @@ def test_a_failure_of_one_cancels_the_others_and_stops_what_had_started() -> Non
         if kind == "inference":
             assert perception_begins.wait(BOUND_S)
             deadline_s = time.monotonic() + BOUND_S
-            while [loop.phases["robot"], loop.phases["control"]] != ["running"] * 2 and time.monotonic() < deadline_s:
+            while [loop.phases["robot"], loop.phases["control"]] != [
+                "running"
+            ] * 2 and time.monotonic() < deadline_s:
                 time.sleep(0.001)
             raise NotReadyError("no weights")
         if kind == "perception":  # still starting when inference fails
@@ -159,7 +165,9 @@ def test_a_start_of_somebody_else_is_not_disturbed(phase: str) -> None:
 
 
 def test_an_instruction_goes_to_the_named_model() -> None:
-    request = requests_for("pick up the red cube", StartInference(model="vla", options={}))["inference"]
+    request = requests_for("pick up the red cube", StartInference(model="vla", options={}))[
+        "inference"
+    ]
     assert isinstance(request, StartInference)
     assert (request.model, request.instruction) == ("vla", "pick up the red cube")
     assert requests_for(None) == {}

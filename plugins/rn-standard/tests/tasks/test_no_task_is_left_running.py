@@ -1,4 +1,6 @@
-"""10,000 random sequences of start, cancel, disconnect and stop: no task is left, and no arm moves without an owner."""
+"""10,000 random sequences of start, cancel, disconnect and stop: no task is left, and no arm
+moves without an owner.
+"""
 
 from __future__ import annotations
 
@@ -17,9 +19,15 @@ from roboneuron.errors import RefusedError, RoboNeuronError, StateError
 from roboneuron.server.tool import Tool
 
 SEQUENCES = 10_000
-UNTIL = parse_predicate({"kind": "held", "for_s": 0.3, "of": {"kind": "joints_in", "joints": {"lift": [0.1, 1]}}})
-PLAN = TaskPlan(instruction="try", max_s=4.0, max_attempts=2, period_s=0.2, end_wait_s=0.4, give_up_s=0.6)
-SET_INSTRUCTION: Any = Tool(name="set_instruction", title="", description="", arguments=Any, result=Any, handler=Any)  # type: ignore[arg-type]
+UNTIL = parse_predicate(
+    {"kind": "held", "for_s": 0.3, "of": {"kind": "joints_in", "joints": {"lift": [0.1, 1]}}}
+)
+PLAN = TaskPlan(
+    instruction="try", max_s=4.0, max_attempts=2, period_s=0.2, end_wait_s=0.4, give_up_s=0.6
+)
+SET_INSTRUCTION: Any = Tool(
+    name="set_instruction", title="", description="", arguments=Any, result=Any, handler=Any
+)  # type: ignore[arg-type]
 
 
 class Robot:
@@ -39,7 +47,9 @@ class Robot:
 
         def script(cell: FakeCell, t: float) -> dict[str, object]:
             if self.random.random() < 0.02:
-                raise self.random.choice([RuntimeError("a detector broke"), StateError("a module went")])
+                raise self.random.choice(
+                    [RuntimeError("a detector broke"), StateError("a module went")]
+                )
             cell.failure = "gave up" if self.random.random() < 0.1 else ""
             height = heights[min(cell.began, 2)] if t > 0.5 and cell.began else 0.0
             joints = None if self.random.random() < 0.05 else {"lift": height}
@@ -89,7 +99,8 @@ def test_no_sequence_leaves_a_task_or_a_moving_arm() -> None:
             assert not any(cell.moving for cell in robot.cells), seed
         robot.arbiter.admit(SET_INSTRUCTION, None)  # type: ignore[arg-type]
         seen.update(robot.outcomes)
-    assert seen == {*Outcome, "RuntimeError", "StateError", "NotReadyError"}  # the sequences reach everything
+    # the sequences reach everything
+    assert seen == {*Outcome, "RuntimeError", "StateError", "NotReadyError"}
 
 
 def test_a_task_on_another_thread_is_ended_and_waited_for() -> None:

@@ -22,7 +22,9 @@ TRUE = {"kind": "joints_in", "joints": {"a": [0, 1]}}
 FALSE = {"kind": "joints_in", "joints": {"a": [2, 3]}}
 BLIND = {"kind": "joints_in", "joints": {"absent": [0, 1]}}
 HERE = Pose(position_m=np.array([0.5, 0.0, 0.3]), quaternion_xyzw=np.array([1.0, 0.0, 0.0, 0.0]))
-NOW = Snapshot(now_s=10.0, joints={"a": 0.5, "finger": 0.02}, tcp=HERE, gripper_open=0.5, still_s=1.0)
+NOW = Snapshot(
+    now_s=10.0, joints={"a": 0.5, "finger": 0.02}, tcp=HERE, gripper_open=0.5, still_s=1.0
+)
 
 
 def judge(data: Any, **parts: Any) -> Judge:
@@ -52,12 +54,18 @@ def value(data: Any, **changes: Any) -> bool | None:
         ("any", [FALSE, FALSE], False),
     ],
 )
-def test_parts_are_combined_as_by_kleene(kind: str, parts: list[Any], expected: bool | None) -> None:
+def test_parts_are_combined_as_by_kleene(
+    kind: str, parts: list[Any], expected: bool | None
+) -> None:
     assert value({"kind": kind, "of": parts}) is expected
 
 
 def test_not_of_what_cannot_be_judged_cannot_be_judged() -> None:
-    assert [value({"kind": "not", "of": part}) for part in (TRUE, FALSE, BLIND)] == [False, True, None]
+    assert [value({"kind": "not", "of": part}) for part in (TRUE, FALSE, BLIND)] == [
+        False,
+        True,
+        None,
+    ]
 
 
 @pytest.mark.parametrize(
@@ -91,36 +99,72 @@ def test_what_is_measured_decides_and_what_is_not_leaves_it_open(
 
 def test_a_closing_gripper_passes_every_opening_and_holds_nothing() -> None:
     made = judge({"kind": "gripper_holds"})
-    values = [made.look(replace(NOW, now_s=i * 0.1, gripper_open=1.0 - 0.08 * i)).value for i in range(12)]
+    values = [
+        made.look(replace(NOW, now_s=i * 0.1, gripper_open=1.0 - 0.08 * i)).value for i in range(12)
+    ]
     assert True not in values
 
 
 @pytest.mark.parametrize(
     ("bounds", "expected"),
-    [({"at_least": 1.0}, True), ({"at_most": 1.0}, False), ({"equals": 1.5}, True), ({"equals": "x"}, False)],
+    [
+        ({"at_least": 1.0}, True),
+        ({"at_most": 1.0}, False),
+        ({"equals": 1.5}, True),
+        ({"equals": "x"}, False),
+    ],
 )
 def test_fields_of_messages(bounds: dict[str, Any], expected: bool) -> None:
-    data = {"kind": "field", "topic": "t", "type": "std_msgs/msg/Float64", "field": "data", **bounds}
+    data = {
+        "kind": "field",
+        "topic": "t",
+        "type": "std_msgs/msg/Float64",
+        "field": "data",
+        **bounds,
+    }
     assert value(data, messages={"t": Float64(data=1.5)}) is expected
     assert value(data) is None
     assert value(data | {"field": "other"}, messages={"t": Float64(data=1.5)}) is None
-    nan = value(data | {"at_least": -1e9, "equals": None}, messages={"t": Float64(data=float("nan"))})
+    nan = value(
+        data | {"at_least": -1e9, "equals": None}, messages={"t": Float64(data=float("nan"))}
+    )
     assert nan is False
 
 
 @pytest.mark.parametrize(
-    "path", ["__class__.__init__.__globals__", "_data", "data.tolist", "data.__class__", "get_fields_and_field_types"]
+    "path",
+    [
+        "__class__.__init__.__globals__",
+        "_data",
+        "data.tolist",
+        "data.__class__",
+        "get_fields_and_field_types",
+    ],
 )
-@pytest.mark.parametrize("message", [Float64(data=1.5), Float64MultiArray(data=[1.0]), String(data="x")])
+@pytest.mark.parametrize(
+    "message", [Float64(data=1.5), Float64MultiArray(data=[1.0]), String(data="x")]
+)
 def test_nothing_but_the_fields_of_a_message_is_read(path: str, message: Any) -> None:
-    data = {"kind": "field", "topic": "t", "type": "std_msgs/msg/Float64", "field": path, "equals": "x"}
+    data = {
+        "kind": "field",
+        "topic": "t",
+        "type": "std_msgs/msg/Float64",
+        "field": path,
+        "equals": "x",
+    }
     judgement = judge(data).look(replace(NOW, messages={"t": message}))
     assert judgement.value is None
     assert len(judgement.reason) < 200
 
 
 def test_a_long_value_is_not_quoted_whole() -> None:
-    data = {"kind": "field", "topic": "t", "type": "std_msgs/msg/String", "field": "data", "equals": "x"}
+    data = {
+        "kind": "field",
+        "topic": "t",
+        "type": "std_msgs/msg/String",
+        "field": "data",
+        "equals": "x",
+    }
     judgement = judge(data).look(replace(NOW, messages={"t": String(data="y" * 10_000)}))
     assert judgement.value is False
     assert len(judgement.reason) < 200
@@ -129,7 +173,9 @@ def test_a_long_value_is_not_quoted_whole() -> None:
 def test_held_counts_from_the_last_break() -> None:
     made = judge({"kind": "held", "for_s": 1.0, "of": TRUE})
     places = [0.5, 0.5, 5.0, 0.5, 0.5, 0.5]
-    values = [made.look(replace(NOW, now_s=i * 0.6, joints={"a": a})).value for i, a in enumerate(places)]
+    values = [
+        made.look(replace(NOW, now_s=i * 0.6, joints={"a": a})).value for i, a in enumerate(places)
+    ]
     assert values == [False, False, False, False, False, True]
 
 
@@ -164,7 +210,10 @@ def test_the_examples_are_predicates(data: Any) -> None:
         ({"kind": "all", "of": []}, "until.all.of"),
         ({"kind": "still", "for_s": -1}, "for_s"),
         ({"kind": "field", "topic": "t", "type": "std_msgs/msg/Bool", "field": "data"}, "at_least"),
-        ({"kind": "not", "of": {"kind": "tcp_in", "lower_m": [0, 0], "upper_m": [1, 1, 1]}}, "lower_m"),
+        (
+            {"kind": "not", "of": {"kind": "tcp_in", "lower_m": [0, 0], "upper_m": [1, 1, 1]}},
+            "lower_m",
+        ),
         ({"kind": "still", "for_s": 1, "extra": 1}, "extra"),
         ({"kind": "all", "of": [{"kind": "policy_done"}] * 40}, "more than 32"),
     ],

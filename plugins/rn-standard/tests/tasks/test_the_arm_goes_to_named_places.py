@@ -1,4 +1,6 @@
-"""move_to: postures by the joints' tool, places in straight parts by the end effector's, and nothing by guessing."""
+"""move_to: postures by the joints' tool, places in straight parts by the end effector's, and
+nothing by guessing.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,9 @@ from rn_standard.tasks.options import PlaceOptions, PostureOptions, TasksSection
 from roboneuron import matrix_from_quaternion, matrix_from_rotvec, rotvec_from_matrix
 from roboneuron.errors import InvalidInputError, NotReadyError, RefusedError, StateError
 
-SHELF = PlaceOptions(position_m=(0.5, -0.8, 0.4), quaternion_xyzw=(1.0, 0.0, 0.0, 0.0), gripper_open=1.0)
+SHELF = PlaceOptions(
+    position_m=(0.5, -0.8, 0.4), quaternion_xyzw=(1.0, 0.0, 0.0, 0.0), gripper_open=1.0
+)
 OPTIONS = TasksSections(
     postures={"retract": PostureOptions(joints={"a": 0.5}, summary="out of the way")},
     places={"shelf": SHELF, "above": PlaceOptions(position_m=(0.5, 0.0, 0.7))},
@@ -31,7 +35,9 @@ class Arm:
         self.calls: list[tuple[str, dict[str, Any]]] = []
         self.is_stuck = self.is_stopped = False
         self.answer: dict[str, Any] = {"allowed": True, "error": 0.001, "duration_s": 0.5}
-        self.tools = {name: SimpleNamespace(call=self._caller(name)) for name in ("move_joints", "move_ee")}
+        self.tools = {
+            name: SimpleNamespace(call=self._caller(name)) for name in ("move_joints", "move_ee")
+        }
         self.starts = SimpleNamespace(arm_stops=0, reason="a reflex")
         self.host: Any = SimpleNamespace(tools=self, loop=SimpleNamespace(starts=self.starts))
 
@@ -84,7 +90,9 @@ def test_home_is_the_robots_own_unless_the_configuration_has_another(arm: Arm) -
     }
 
 
-def test_a_place_is_reached_in_parts_that_are_short_enough_and_the_gripper_moves_last(arm: Arm) -> None:
+def test_a_place_is_reached_in_parts_that_are_short_enough_and_the_gripper_moves_last(
+    arm: Arm,
+) -> None:
     moved = arm.move_to("shelf")
     *parts, last = [arguments for _, arguments in arm.calls]
     assert last == {"gripper_open": 1.0}
@@ -92,7 +100,8 @@ def test_a_place_is_reached_in_parts_that_are_short_enough_and_the_gripper_moves
     for part in parts:
         assert np.linalg.norm([part[f"d{axis}_m"] for axis in "xyz"]) <= 0.3 + 1e-9
         assert np.linalg.norm([part[f"r{axis}_rad"] for axis in "xyz"]) <= 1.2 + 1e-9
-    np.testing.assert_allclose(arm.position, SHELF.position_m, atol=0.004)  # `move_to` calls that there
+    # `move_to` calls that there
+    np.testing.assert_allclose(arm.position, SHELF.position_m, atol=0.004)
     wanted = matrix_from_quaternion(np.array(SHELF.quaternion_xyzw))
     assert np.linalg.norm(rotvec_from_matrix(wanted @ arm.rotation.T)) < 0.02
     assert (moved.kind, moved.took_s) == ("place", 0.5 * len(arm.calls))
@@ -130,15 +139,22 @@ def test_an_unknown_name_is_refused_with_those_there_are(arm: Arm) -> None:
 @pytest.mark.parametrize(
     ("sections", "words"),
     [
-        (TasksSections(postures={"a": OPTIONS.postures["retract"]}, places={"a": SHELF}), "a posture and a place"),
+        (
+            TasksSections(postures={"a": OPTIONS.postures["retract"]}, places={"a": SHELF}),
+            "a posture and a place",
+        ),
         (TasksSections(places={"hold": SHELF}), "'hold' cannot be a name"),
         (
-            TasksSections(places={"a": SHELF.model_copy(update={"quaternion_xyzw": (0.0, 0.0, 0.0, 0.1)})}),
+            TasksSections(
+                places={"a": SHELF.model_copy(update={"quaternion_xyzw": (0.0, 0.0, 0.0, 0.1)})}
+            ),
             "not of unit length",
         ),
     ],
 )
-def test_names_and_orientations_that_mean_nothing_are_refused_at_the_start(sections: TasksSections, words: str) -> None:
+def test_names_and_orientations_that_mean_nothing_are_refused_at_the_start(
+    sections: TasksSections, words: str
+) -> None:
     with pytest.raises(InvalidInputError, match=words):
         check_places(sections)
     check_places(OPTIONS)

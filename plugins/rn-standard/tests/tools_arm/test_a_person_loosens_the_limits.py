@@ -1,4 +1,6 @@
-"""Tightened limits hold at once and after a restart of the server; a person loosens them, in a terminal or asked."""
+"""Tightened limits hold at once and after a restart of the server; a person loosens them, in a
+terminal or asked.
+"""
 
 from __future__ import annotations
 
@@ -26,13 +28,17 @@ from roboneuron.server.app import Application
 from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.supervisor.supervisor import Supervisor
 
-CONFIG = '[robot]\nname = "gantry"\n[control]\ncontroller = "gantry"\n[limits]\nmax_speed_m_s = 0.4\n'
+CONFIG = (
+    '[robot]\nname = "gantry"\n[control]\ncontroller = "gantry"\n[limits]\nmax_speed_m_s = 0.4\n'
+)
 Make = Callable[[], Application]
 
 
 @pytest.fixture
 def make(tmp_path: Path) -> Iterator[Make]:
-    """Return a function that builds a server on one state directory; no module is started and no ROS is touched."""
+    """Return a function that builds a server on one state directory; no module is started and
+    no ROS is touched.
+    """
     made: list[Application] = []
 
     def build() -> Application:
@@ -40,7 +46,9 @@ def make(tmp_path: Path) -> Iterator[Make]:
         application = Application(
             parse_config(CONFIG),
             plugins=PluginCatalogue(discover=lambda disabled: registry),
-            supervisor=Supervisor(tmp_path / "state", command=lambda python: pytest.fail("nothing may be spawned")),
+            supervisor=Supervisor(
+                tmp_path / "state", command=lambda python: pytest.fail("nothing may be spawned")
+            ),
         )
         made.append(application)
         return application
@@ -50,7 +58,9 @@ def make(tmp_path: Path) -> Iterator[Make]:
         application.close()
 
 
-def call(application: Application, tool: str, agrees: bool | None = None, **arguments: Any) -> dict[str, Any]:
+def call(
+    application: Application, tool: str, agrees: bool | None = None, **arguments: Any
+) -> dict[str, Any]:
     found = application.tools.get(tool)
     assert found is not None
 
@@ -65,7 +75,9 @@ def call(application: Application, tool: str, agrees: bool | None = None, **argu
     return dict(anyio.run(found.call, arguments, context).structured)
 
 
-def test_what_is_tightened_holds_for_what_starts_later_and_after_the_server_starts_again(make: Make) -> None:
+def test_what_is_tightened_holds_for_what_starts_later_and_after_the_server_starts_again(
+    make: Make,
+) -> None:
     first = make()
     assert call(first, "tighten_limits", max_speed_m_s=0.1)["max_speed_m_s"] == 0.1
     assert call(first, "tighten_limits", max_speed_m_s=0.3)["max_speed_m_s"] == 0.1
@@ -97,12 +109,16 @@ def test_nobody_but_a_person_loosens(make: Make, agrees: bool | None) -> None:
     assert application.host.loop.limits.max_speed_m_s == 0.1
 
 
-def test_a_person_who_agrees_gets_the_configured_limits_back_and_the_audit_says_so(make: Make, tmp_path: Path) -> None:
+def test_a_person_who_agrees_gets_the_configured_limits_back_and_the_audit_says_so(
+    make: Make, tmp_path: Path
+) -> None:
     application = make()
     call(application, "tighten_limits", max_speed_m_s=0.1)
     assert call(application, "loosen_limits", True)["max_speed_m_s"] == 0.4
     assert make().supervisor.tightened is None
-    lines = [json.loads(line) for line in (tmp_path / "state" / "audit.jsonl").read_text().splitlines()]
+    lines = [
+        json.loads(line) for line in (tmp_path / "state" / "audit.jsonl").read_text().splitlines()
+    ]
     assert [(line["tool"], line["verdict"], line["who"]) for line in lines] == [
         ("tighten_limits", "tightened", "agent-1"),
         ("loosen_limits", "loosened", "a person asked by agent-1"),

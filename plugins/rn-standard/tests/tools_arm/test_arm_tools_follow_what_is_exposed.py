@@ -1,4 +1,6 @@
-"""The arm tools need only the direct path, and are there as long as the robot's endpoints are exposed."""
+"""The arm tools need only the direct path, and are there as long as the robot's endpoints are
+exposed.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,9 @@ def make(tmp_path: Path) -> Iterator[Make]:
         application = Application(
             parse_config('[robot]\nname = "gantry"\n' + text),
             plugins=PluginCatalogue(discover=lambda disabled: registry),
-            supervisor=Supervisor(tmp_path / "state", command=lambda python: pytest.fail("nothing may be spawned")),
+            supervisor=Supervisor(
+                tmp_path / "state", command=lambda python: pytest.fail("nothing may be spawned")
+            ),
         )
         made.append(application)
         return application
@@ -49,7 +53,8 @@ def names(application: Application) -> set[str]:
 
 def test_the_direct_path_alone_is_enough(make: Make) -> None:
     bare, with_arm = make(), make(FEATURE)
-    assert names(with_arm) - names(bare) == {"move_ee", "place"}  # this robot exposes no trajectories
+    # this robot exposes no trajectories
+    assert names(with_arm) - names(bare) == {"move_ee", "place"}
 
 
 def test_an_arm_that_is_not_exposed_has_no_tools(make: Make) -> None:

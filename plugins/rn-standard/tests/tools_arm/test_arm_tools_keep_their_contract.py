@@ -4,7 +4,14 @@ import pytest
 
 from rn_standard.direct_path.plugin import FEATURE as DIRECT_PATH
 from rn_standard.tools_arm.plugin import COMMAND, FEATURE, LIMITS
-from rn_testing import CommandCase, CommandContract, FeatureCase, FeatureContract, PackageCase, PackageContract
+from rn_testing import (
+    CommandCase,
+    CommandContract,
+    FeatureCase,
+    FeatureContract,
+    PackageCase,
+    PackageContract,
+)
 
 
 class TestArmTools(FeatureContract):

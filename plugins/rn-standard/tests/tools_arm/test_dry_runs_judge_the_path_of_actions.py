@@ -1,4 +1,6 @@
-"""What control would make of actions is computed with its own limits; dry runs of move_ee are judged by it."""
+"""What control would make of actions is computed with its own limits; dry runs of move_ee are
+judged by it.
+"""
 
 from __future__ import annotations
 
@@ -24,13 +26,18 @@ class Gantry:
         pass
 
     def forward(self, joints: JointSample) -> Pose:
-        return Pose(position_m=np.array([*joints.position[:2], 0.3]), quaternion_xyzw=np.array([0.0, 0.0, 0.0, 1.0]))
+        return Pose(
+            position_m=np.array([*joints.position[:2], 0.3]),
+            quaternion_xyzw=np.array([0.0, 0.0, 0.0, 1.0]),
+        )
 
     def compute(self, action: Action, joints: JointSample, step_s: float) -> JointCommand | Hold:
         if action.translation_m[2]:
             return Hold(code="no_solution", reason="It has no third axis.")
         return JointCommand(
-            names=("x", "y"), position=joints.position + action.translation_m[:2], duration_s=self.duration_s
+            names=("x", "y"),
+            position=joints.position + action.translation_m[:2],
+            duration_s=self.duration_s,
         )
 
     def close(self) -> None:

@@ -1,4 +1,6 @@
-"""What a client asks for is merged into something tighter, and never into something wider than configured."""
+"""What a client asks for is merged into something tighter, and never into something wider than
+configured.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,9 @@ from roboneuron.contract import RobotProfile, Workspace
 from roboneuron.errors import ConfigurationError, InvalidInputError, RefusedError
 from roboneuron.gate.motion import check_tighter
 
-PROFILE = RobotProfile(name="arm", workspace=Workspace(lower_m=np.full(3, -1.0), upper_m=np.full(3, 1.0)))
+PROFILE = RobotProfile(
+    name="arm", workspace=Workspace(lower_m=np.full(3, -1.0), upper_m=np.full(3, 1.0))
+)
 CONFIGURED = LimitsConfig.model_validate(
     {
         "max_speed_m_s": 0.4,
@@ -32,7 +36,9 @@ tightenings = st.builds(
     x_min_m=numbers,
     y_max_m=numbers,
     z_min_m=numbers,
-    keep_out=st.lists(st.just({"lower_m": [0.0, 0.0, 0.0], "upper_m": [0.5, 0.5, 0.5]}), max_size=1).map(tuple),
+    keep_out=st.lists(
+        st.just({"lower_m": [0.0, 0.0, 0.0], "upper_m": [0.5, 0.5, 0.5]}), max_size=1
+    ).map(tuple),
 )
 
 
@@ -45,7 +51,9 @@ def test_no_sequence_of_calls_makes_the_limits_wider(first: Tightening, second: 
 
 
 def test_each_number_keeps_its_tightest_value() -> None:
-    both = Tightening(max_speed_m_s=0.2, y_max_m=0.3).tighter(Tightening(max_speed_m_s=0.3, y_max_m=0.0, z_min_m=0.1))
+    both = Tightening(max_speed_m_s=0.2, y_max_m=0.3).tighter(
+        Tightening(max_speed_m_s=0.3, y_max_m=0.0, z_min_m=0.1)
+    )
     limits = both.applied(CONFIGURED, PROFILE)
     assert limits.max_speed_m_s == 0.2
     assert limits.workspace_lower_m == [-1.0, -1.0, 0.1]
@@ -54,7 +62,9 @@ def test_each_number_keeps_its_tightest_value() -> None:
 
 
 def test_a_wider_request_changes_nothing() -> None:
-    limits = Tightening(max_speed_m_s=2.0, acceleration=1.0, y_max_m=50.0).applied(CONFIGURED, PROFILE)
+    limits = Tightening(max_speed_m_s=2.0, acceleration=1.0, y_max_m=50.0).applied(
+        CONFIGURED, PROFILE
+    )
     assert limits.max_speed_m_s == 0.4
     assert limits.acceleration_fraction == 0.8
     assert limits.workspace_upper_m == [1.0, 1.0, 1.0]

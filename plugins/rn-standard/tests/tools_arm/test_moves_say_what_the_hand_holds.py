@@ -1,4 +1,6 @@
-"""move_ee, move_joints and place on an arm in computation: the grip that is sent, and what the answers say of it."""
+"""move_ee, move_joints and place on an arm in computation: the grip that is sent, and what the
+answers say of it.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,9 @@ from roboneuron.errors import InvalidInputError, NotReadyError, RefusedError, St
 from roboneuron.gate.motion.joint_space import JointLimit
 
 PROFILE = RobotProfile(
-    name="arm", arm_joints=("j1",), gripper=GripperProfile(joint="finger", closed_position=0.0, open_position=0.04)
+    name="arm",
+    arm_joints=("j1",),
+    gripper=GripperProfile(joint="finger", closed_position=0.0, open_position=0.04),
 )
 OBJECT_M = 0.02
 TABLE_M = 0.1
@@ -80,9 +84,16 @@ class Arm:
         return 1.0
 
     def play(
-        self, exposed: Any, request: GateRequest, commands: Iterable[Command], *, total_s: float, timeout_s: float,
-        halt: threading.Event, details: Callable[[], str] = lambda: "",
-    ) -> Sent:  # fmt: skip
+        self,
+        exposed: Any,
+        request: GateRequest,
+        commands: Iterable[Command],
+        *,
+        total_s: float,
+        timeout_s: float,
+        halt: threading.Event,
+        details: Callable[[], str] = lambda: "",
+    ) -> Sent:
         began_s, sent = self.now_s, 0
         for command in commands:
             if command.message is not None:
@@ -106,12 +117,16 @@ class Arm:
     @property
     def host(self) -> Any:
         def view(kind: str) -> Any:
-            report = SimpleNamespace(metrics={"gripper_commanded": f"{self.commanded:g}"}, detail={}, note="")
+            report = SimpleNamespace(
+                metrics={"gripper_commanded": f"{self.commanded:g}"}, detail={}, note=""
+            )
             return SimpleNamespace(report=report, phase=self.phase)
 
         supervisor = SimpleNamespace(view=view, require_running=lambda kind: None)
         loop = SimpleNamespace(limits=LimitsConfig())
-        return SimpleNamespace(supervisor=supervisor, loop=loop, config=SimpleNamespace(namespace="arm"), gate=self)
+        return SimpleNamespace(
+            supervisor=supervisor, loop=loop, config=SimpleNamespace(namespace="arm"), gate=self
+        )
 
 
 CONTEXT: Any = SimpleNamespace(who="agent", role="operator")
@@ -132,7 +147,9 @@ def arm(monkeypatch: pytest.MonkeyPatch) -> Arm:
 
 
 def exposed() -> Any:
-    return SimpleNamespace(robot="arm", namespace="arm", profile=PROFILE, endpoint=SimpleNamespace(name="ee"))
+    return SimpleNamespace(
+        robot="arm", namespace="arm", profile=PROFILE, endpoint=SimpleNamespace(name="ee")
+    )
 
 
 def mover(arm: Arm) -> EndEffectorMover:
@@ -186,7 +203,9 @@ def test_a_finger_that_something_blocks_grasps(arm: Arm) -> None:
     assert (turned.holding, turned.lost_on_the_way) == (True, False)
 
 
-def test_missing_joint_states_of_a_robot_that_runs_are_not_a_robot_that_was_not_started(arm: Arm) -> None:
+def test_missing_joint_states_of_a_robot_that_runs_are_not_a_robot_that_was_not_started(
+    arm: Arm,
+) -> None:
     gate: Any = arm
     joint_mover = _JointMover(exposed(), {"j1": JointLimit(lower=-1, upper=1)}, gate, arm.host)
     arm.phase = "stopped"
@@ -199,7 +218,9 @@ def test_missing_joint_states_of_a_robot_that_runs_are_not_a_robot_that_was_not_
         anyio.run(joint_mover, MoveJoints(positions={"j1": 0.3}), CONTEXT)
 
 
-def test_what_is_held_is_carried_over_others_and_put_down_at_the_height_of_the_grasp(arm: Arm) -> None:
+def test_what_is_held_is_carried_over_others_and_put_down_at_the_height_of_the_grasp(
+    arm: Arm,
+) -> None:
     height = watched(arm)
     arm.close_hand()
     arm.place = arm.place + np.array([0.0, 0.0, 0.03])

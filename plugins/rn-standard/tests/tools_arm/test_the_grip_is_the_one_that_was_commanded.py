@@ -1,4 +1,6 @@
-"""Kept is what was commanded last, by whomever; blocked fingers hold something, and what they lose is told."""
+"""Kept is what was commanded last, by whomever; blocked fingers hold something, and what they
+lose is told.
+"""
 
 from __future__ import annotations
 
@@ -12,13 +14,17 @@ from rn_standard.tools_arm.grip import Grip, is_lost
 from roboneuron.contract import GripperProfile, JointSample, RobotProfile
 from roboneuron.errors import NotReadyError
 
-PROFILE = RobotProfile(name="arm", gripper=GripperProfile(joint="finger", closed_position=0.0, open_position=0.04))
+PROFILE = RobotProfile(
+    name="arm", gripper=GripperProfile(joint="finger", closed_position=0.0, open_position=0.04)
+)
 
 
 class Hand:
     """A robot module's report, and fingers that are measured one place after the other."""
 
-    def __init__(self, *measured_m: float, commanded: float | None = None, holding: str = "") -> None:
+    def __init__(
+        self, *measured_m: float, commanded: float | None = None, holding: str = ""
+    ) -> None:
         self.measured_m = list(measured_m)
         metrics = {} if commanded is None else {"gripper_commanded": f"{commanded:g}"}
         report = SimpleNamespace(metrics=metrics, detail={"holding": holding} if holding else {})
@@ -47,7 +53,9 @@ def test_kept_is_the_commanded_opening_and_not_that_of_blocked_fingers() -> None
 def test_as_measured_is_kept_when_nothing_was_commanded_and_nothing_without_a_gripper() -> None:
     assert grip(Hand(0.02)).kept() == 0.5
     assert grip(Hand(), RobotProfile(name="arm")).kept() == 1.0
-    assert grip(Hand(0.02, commanded=0.0), namespace="another").kept() == 0.5, "that is another robot's report"
+    assert grip(Hand(0.02, commanded=0.0), namespace="another").kept() == 0.5, (
+        "that is another robot's report"
+    )
     with pytest.raises(NotReadyError, match="not measured"):
         grip(Hand()).kept()
 
@@ -64,9 +72,20 @@ def test_as_measured_is_kept_when_nothing_was_commanded_and_nothing_without_a_gr
         (Hand(0.04, commanded=1.0, holding="true"), True),
         (Hand(0.02, commanded=0.0, holding="false"), False),
     ],
-    ids=["blocked", "closed", "open", "still closing", "never commanded", "unmeasured", "driver: yes", "driver: no"],
+    ids=[
+        "blocked",
+        "closed",
+        "open",
+        "still closing",
+        "never commanded",
+        "unmeasured",
+        "driver: yes",
+        "driver: no",
+    ],
 )
-def test_fingers_that_rest_wider_than_commanded_hold_something(hand: Hand, holds: bool | None) -> None:
+def test_fingers_that_rest_wider_than_commanded_hold_something(
+    hand: Hand, holds: bool | None
+) -> None:
     assert grip(hand).holding() is holds
 
 

@@ -19,19 +19,29 @@ from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.supervisor.supervisor import Supervisor
 
 TOOLS = {
-    *("list_robots", "list_perception_sources", "list_controllers", "list_backends", "list_runtimes"),
+    *(
+        "list_robots",
+        "list_perception_sources",
+        "list_controllers",
+        "list_backends",
+        "list_runtimes",
+    ),
     *("list_accelerations", "get_camera_image"),
 }
 
 
 @pytest.fixture
 def application(tmp_path: Path) -> Iterator[Application]:
-    heavy = BackendSpec(name="heavy", summary="Needs weights.", target="nowhere:Heavy", needs_checkpoint=True)
+    heavy = BackendSpec(
+        name="heavy", summary="Needs weights.", target="nowhere:Heavy", needs_checkpoint=True
+    )
     registry = fake_registry(heavy, FEATURE)
     application = Application(
         Config.model_validate({"robot": {"name": "gantry"}}),
         plugins=PluginCatalogue(discover=lambda disabled: registry),
-        supervisor=Supervisor(tmp_path, command=lambda python: pytest.fail("nothing may be spawned")),
+        supervisor=Supervisor(
+            tmp_path, command=lambda python: pytest.fail("nothing may be spawned")
+        ),
     )
     try:
         yield application
@@ -39,7 +49,9 @@ def application(tmp_path: Path) -> Iterator[Application]:
         application.close()
 
 
-def call(application: Application, name: str, arguments: dict[str, Any] | None = None) -> types.CallToolResult:
+def call(
+    application: Application, name: str, arguments: dict[str, Any] | None = None
+) -> types.CallToolResult:
     async def ask() -> types.CallToolResult:
         async with Client(application.server) as client:
             return await client.call_tool(name, arguments or {})
@@ -52,7 +64,10 @@ def test_the_tools_are_listed_as_reading(application: Application) -> None:
     assert listing.keys() >= TOOLS
     for name in TOOLS:
         assert listing[name].annotations.read_only_hint  # type: ignore[union-attr]
-    assert listing["get_camera_image"].input_schema["properties"]["camera"]["enum"] == ["front", "hand"]
+    assert listing["get_camera_image"].input_schema["properties"]["camera"]["enum"] == [
+        "front",
+        "hand",
+    ]
 
 
 def test_lists_say_what_fits(application: Application) -> None:
@@ -63,7 +78,10 @@ def test_lists_say_what_fits(application: Application) -> None:
     assert by_name["instant"]["needs_state"] is True
     assert by_name["instant"]["status"] == "ready"
     robots = call(application, "list_robots").structured_content["robots"]
-    assert robots[0]["cameras"] == [{"name": "front", "role": "primary"}, {"name": "hand", "role": "wrist"}]
+    assert robots[0]["cameras"] == [
+        {"name": "front", "role": "primary"},
+        {"name": "hand", "role": "wrist"},
+    ]
     for name in TOOLS - {"get_camera_image"}:
         assert not call(application, name).is_error
 
@@ -84,7 +102,9 @@ def test_the_first_camera_is_looked_through_when_none_is_named(application: Appl
         ({"camera": "front", "timeout_s": "5"}, "Argument 'timeout_s' is '5'"),
     ],
 )
-def test_a_bad_call_is_refused_with_a_reason(application: Application, arguments: dict[str, Any], words: str) -> None:
+def test_a_bad_call_is_refused_with_a_reason(
+    application: Application, arguments: dict[str, Any], words: str
+) -> None:
     answer = call(application, "get_camera_image", arguments)
     assert answer.is_error
     assert words in answer.content[0].text  # type: ignore[union-attr]

@@ -1,4 +1,6 @@
-"""A server in this process and a robot beside it: a node of a ROS context of its own with topics, services, actions."""
+"""A server in this process and a robot beside it: a node of a ROS context of its own with
+topics, services, actions.
+"""
 
 from __future__ import annotations
 
@@ -160,7 +162,8 @@ class Rover:
         from rclpy.exceptions import InvalidHandle
         from rclpy.executors import ExternalShutdownException
 
-        with suppress(ExternalShutdownException, InvalidHandle):  # a last task may end while the executor is shut down
+        # a last task may end while the executor is shut down
+        with suppress(ExternalShutdownException, InvalidHandle):
             self.executor.spin()
 
     def _note(self, message_type: type, topic: str, qos: Any) -> None:
@@ -241,7 +244,9 @@ class Agent:
         return answer.meta["roboneuron/error"]["code"], answer.content[0].text  # type: ignore[union-attr]
 
 
-def run_agent(application: Application, scenario: Callable[[Agent], Any], mode: str = "auto") -> None:
+def run_agent(
+    application: Application, scenario: Callable[[Agent], Any], mode: str = "auto"
+) -> None:
     """Connect a client and run the scenario."""
 
     async def connect() -> None:
@@ -274,7 +279,9 @@ def make_application(tmp_path: Path) -> Iterator[Callable[..., Application]]:
         application = Application(
             parse_config(text),
             plugins=PluginCatalogue(discover=lambda disabled: found),
-            supervisor=Supervisor(tmp_path / "state", command=lambda python: pytest.fail("nothing may be spawned")),
+            supervisor=Supervisor(
+                tmp_path / "state", command=lambda python: pytest.fail("nothing may be spawned")
+            ),
         )
         made.append(application)
         return application
@@ -302,7 +309,9 @@ def rover(_domain: None) -> Iterator[Rover]:
 def ask(application: Application, rover: Rover) -> Callable[..., None]:
     """Run a scenario with a client while the robot is there and the server has discovered it."""
     node = application.supervisor.link.node
-    assert wait_until(lambda: ("robot_node", "/rover") in node.get_node_names_and_namespaces(), 10.0)
+    assert wait_until(
+        lambda: ("robot_node", "/rover") in node.get_node_names_and_namespaces(), 10.0
+    )
     return lambda scenario, mode="auto": run_agent(application, scenario, mode)
 
 

@@ -11,10 +11,18 @@ from roboneuron.errors import ConfigurationError
 
 def test_a_configuration_can_only_tighten() -> None:
     velocity = Endpoint(
-        name="velocity", kind="publish", topic="cmd_vel", type="geometry_msgs/msg/Twist", summary="Drive.",
-        bounds={"linear.x": (-0.5, 0.5), "angular.z": (-1.0, 1.0)}, rate_hz=5.0,
-    )  # fmt: skip
-    tight = tighten(velocity, ConfiguredLimits(bounds={"linear.x": (-0.1, 0.2), "linear.z": (0, 0)}, rate_hz=2.0))
+        name="velocity",
+        kind="publish",
+        topic="cmd_vel",
+        type="geometry_msgs/msg/Twist",
+        summary="Drive.",
+        bounds={"linear.x": (-0.5, 0.5), "angular.z": (-1.0, 1.0)},
+        rate_hz=5.0,
+    )
+    tight = tighten(
+        velocity,
+        ConfiguredLimits(bounds={"linear.x": (-0.1, 0.2), "linear.z": (0, 0)}, rate_hz=2.0),
+    )
     assert tight.bounds["linear.x"] == (-0.1, 0.2)
     assert tight.bounds["angular.z"] == (-1.0, 1.0)
     assert tight.rate_hz == 2.0

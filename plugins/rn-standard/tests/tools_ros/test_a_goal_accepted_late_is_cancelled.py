@@ -1,4 +1,6 @@
-"""A goal whose server takes its time: the call is over before the goal is accepted, and the goal ends all the same."""
+"""A goal whose server takes its time: the call is over before the goal is accepted, and the
+goal ends all the same.
+"""
 
 from __future__ import annotations
 
@@ -15,14 +17,20 @@ pytestmark = [pytest.mark.ros, pytest.mark.timeout(60)]
 
 
 class SlowServer:
-    """Accepts a goal when it is told to, and follows it until it is cancelled or ten seconds are over."""
+    """Accepts a goal when it is told to, and follows it until it is cancelled or ten seconds
+    are over.
+    """
 
     def __init__(self, rover: Any) -> None:
         from rclpy.action import ActionServer, CancelResponse, GoalResponse
         from rclpy.callback_groups import ReentrantCallbackGroup
         from test_msgs.action import Fibonacci
 
-        self.asked, self.may_accept, self.ended = threading.Event(), threading.Event(), threading.Event()
+        self.asked, self.may_accept, self.ended = (
+            threading.Event(),
+            threading.Event(),
+            threading.Event(),
+        )
         self.outcome = ""
 
         def accept(goal: Any) -> Any:
@@ -44,9 +52,14 @@ class SlowServer:
             return Fibonacci.Result()
 
         self.server = ActionServer(
-            rover.node, Fibonacci, "slow", follow, callback_group=ReentrantCallbackGroup(), goal_callback=accept,
+            rover.node,
+            Fibonacci,
+            "slow",
+            follow,
+            callback_group=ReentrantCallbackGroup(),
+            goal_callback=accept,
             cancel_callback=lambda goal: CancelResponse.ACCEPT,
-        )  # fmt: skip
+        )
 
 
 CONFIG = """

@@ -1,4 +1,6 @@
-"""expose_endpoint and unexpose_endpoint: checked like the configuration, told to clients, audited, for admins only."""
+"""expose_endpoint and unexpose_endpoint: checked like the configuration, told to clients,
+audited, for admins only.
+"""
 
 from __future__ import annotations
 
@@ -39,8 +41,16 @@ type = "geometry_msgs/msg/Twist"
 bounds = { "linear.x" = [-0.5, 0.5] }
 stop_message = "zero"
 """
-TOKENS = FeatureSpec(name="tokens", summary="Identifies clients.", target="tokens_of_this_test:Tokens")
-HORN = {"name": "horn", "kind": "publish", "topic": "horn", "type": "std_msgs/msg/Bool", "rate_hz": 2.0}
+TOKENS = FeatureSpec(
+    name="tokens", summary="Identifies clients.", target="tokens_of_this_test:Tokens"
+)
+HORN = {
+    "name": "horn",
+    "kind": "publish",
+    "topic": "horn",
+    "type": "std_msgs/msg/Bool",
+    "rate_hz": 2.0,
+}
 ADMIN = Admin(who="chief", role="admin", tool="expose_endpoint", arguments={})
 
 
@@ -59,7 +69,10 @@ def names(application: Application) -> set[str]:
 
 
 def records(application: Application) -> list[dict[str, Any]]:
-    return [json.loads(line) for line in direct_path(application.host).judge.audit.path.read_text().splitlines()]
+    return [
+        json.loads(line)
+        for line in direct_path(application.host).judge.audit.path.read_text().splitlines()
+    ]
 
 
 def test_it_is_offered_to_holders_of_a_token_unless_the_configuration_says_otherwise(
@@ -86,10 +99,15 @@ def test_clients_are_told_and_every_change_is_written_down(make_application: Mak
     application = make_application(LOCAL)
 
     async def scenario() -> None:
-        async with Client(application.server) as client, client.listen(tools_list_changed=True) as events:
+        async with (
+            Client(application.server) as client,
+            client.listen(tools_list_changed=True) as events,
+        ):
             await client.list_tools()
             made = await client.call_tool("expose_endpoint", HORN)
-            assert made.structured_content["added"] == ["publish_horn", "publish_horn_sequence"], made.content
+            assert made.structured_content["added"] == ["publish_horn", "publish_horn_sequence"], (
+                made.content
+            )
             with anyio.fail_after(5):
                 await anext(aiter(events))
             assert "publish_horn" in {tool.name for tool in (await client.list_tools()).tools}
@@ -130,7 +148,9 @@ def test_limits_are_tightened_and_come_back(make_application: Make) -> None:
     application = make_application(LOCAL)
 
     def bounds() -> Any:
-        return next(e.endpoint.bounds["linear.x"] for e in direct_path(application.host).judge.allowed())
+        return next(
+            e.endpoint.bounds["linear.x"] for e in direct_path(application.host).judge.allowed()
+        )
 
     entry = ExposeConfig.model_validate({"name": "velocity", "bounds": {"linear.x": [-0.1, 0.1]}})
     change = ros_tools(application).expose(entry, ADMIN)
@@ -153,7 +173,9 @@ def test_motion_through_a_withdrawn_endpoint_ends(make_application: Make) -> Non
     entered = threading.Event()
 
     def move() -> None:
-        with direct_path(application.host).arbiter.claim(exposed, "a test", threading.Event()) as motion:
+        with direct_path(application.host).arbiter.claim(
+            exposed, "a test", threading.Event()
+        ) as motion:
             entered.set()
             with pytest.raises(StateError, match="'velocity' was withdrawn"):
                 motion.sleep_until(time.monotonic() + 60)

@@ -36,7 +36,9 @@ class Graph:
 
 
 def exposed(number: int) -> Exposed:
-    endpoint = Endpoint(name=f"t{number}", kind="read", topic=f"t{number}", type="std_msgs/msg/Bool", summary="One.")
+    endpoint = Endpoint(
+        name=f"t{number}", kind="read", topic=f"t{number}", type="std_msgs/msg/Bool", summary="One."
+    )
     return Exposed(robot="arm", namespace="arm", label=endpoint.name, endpoint=endpoint)
 
 
@@ -58,7 +60,10 @@ def test_topics_are_cut_and_narrowed() -> None:
     found = ask("list_topics")
     assert (len(found.topics), found.more) == (50, COUNT - 50)
     narrow = ask("list_topics", contains="t12")
-    assert {topic.name for topic in narrow.topics} == {"t12", *(f"t12{digit}" for digit in range(10))}
+    assert {topic.name for topic in narrow.topics} == {
+        "t12",
+        *(f"t12{digit}" for digit in range(10)),
+    }
     assert narrow.more == 0
 
 

@@ -1,4 +1,6 @@
-"""Every kind of direct tool against a real node: what arrives, what is answered, what is refused."""
+"""Every kind of direct tool against a real node: what arrives, what is answered, what is
+refused.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,9 @@ def test_a_message_arrives_exactly_and_the_answer_says_to_how_many(ask: Ask, rov
     ask(scenario)
 
 
-def test_a_latching_subscription_is_matched_by_its_own_quality_of_service(ask: Ask, rover: Any) -> None:
+def test_a_latching_subscription_is_matched_by_its_own_quality_of_service(
+    ask: Ask, rover: Any
+) -> None:
     async def scenario(agent: Any) -> None:
         assert (await agent.do("publish_latched", message={"data": 7}))["subscribers"] == 1
         assert until(lambda: [m.data for m in rover.on("mode")] == [7])
@@ -45,7 +49,9 @@ def test_a_latching_subscription_is_matched_by_its_own_quality_of_service(ask: A
 
 def test_a_velocity_lasts_is_repeated_and_ends_in_zero(ask: Ask, rover: Any) -> None:
     async def scenario(agent: Any) -> None:
-        result = await agent.do("publish_velocity", robot="rover", message={"linear": {"x": 1 / 4}}, duration_s=0.3)
+        result = await agent.do(
+            "publish_velocity", robot="rover", message={"linear": {"x": 1 / 4}}, duration_s=0.3
+        )
         assert result["stopped"]
         assert 0.3 <= result["duration_s"] < 0.5
         assert until(lambda: len(rover.on("cmd_vel")) == result["sent"])
@@ -53,7 +59,9 @@ def test_a_velocity_lasts_is_repeated_and_ends_in_zero(ask: Ask, rover: Any) -> 
         assert speeds[-1] == 0.0
         assert set(speeds[:-1]) == {0.25}
         assert 5 <= len(speeds) <= 8
-        await agent.do("publish_velocity", robot="second", message={"linear": {"x": 0.1}}, duration_s=0.1)
+        await agent.do(
+            "publish_velocity", robot="second", message={"linear": {"x": 0.1}}, duration_s=0.1
+        )
         assert until(lambda: rover.on("/second/cmd_vel")[-1].linear.x == 0.0)
         assert rover.on("/second/cmd_vel")[0].linear.x == 0.1
 
@@ -62,14 +70,20 @@ def test_a_velocity_lasts_is_repeated_and_ends_in_zero(ask: Ask, rover: Any) -> 
 
 def test_limits_are_those_of_the_robot_that_is_chosen(ask: Ask, rover: Any) -> None:
     async def scenario(agent: Any) -> None:
-        code, text = await agent.fail("publish_velocity", robot="second", message={"linear": {"x": 0.4}})
+        code, text = await agent.fail(
+            "publish_velocity", robot="second", message={"linear": {"x": 0.4}}
+        )
         assert code == "refused"
         assert "linear.x is 0.4, allowed is -0.1 .. 0.1" in text
         code, text = await agent.fail("publish_velocity", robot="third", message={})
         assert code == "invalid_input"
         assert "rover, second" in text
-        assert (await agent.fail("publish_velocity", message={}))[1].startswith("Argument 'robot' is missing")
-        clamped = await agent.do("publish_velocity", robot="rover", message={"angular": {"z": 5}}, duration_s=0.1)
+        assert (await agent.fail("publish_velocity", message={}))[1].startswith(
+            "Argument 'robot' is missing"
+        )
+        clamped = await agent.do(
+            "publish_velocity", robot="rover", message={"angular": {"z": 5}}, duration_s=0.1
+        )
         assert clamped["clamped"] == [{"path": "angular.z", "asked": 5.0, "sent": 1.0}]
         assert until(lambda: rover.on("cmd_vel")[0].angular.z == 1.0)
         assert not rover.on("/second/cmd_vel")
@@ -80,7 +94,9 @@ def test_limits_are_those_of_the_robot_that_is_chosen(ask: Ask, rover: Any) -> N
 def test_nobody_listening_is_an_error_unless_that_is_configured(ask: Ask, rover: Any) -> None:
     async def scenario(agent: Any) -> None:
         assert (await agent.do("publish_lonely", message={}))["subscribers"] == 0
-        rover.node.destroy_subscription(next(s for s in rover.node.subscriptions if s.topic_name == "/rover/say"))
+        rover.node.destroy_subscription(
+            next(s for s in rover.node.subscriptions if s.topic_name == "/rover/say")
+        )
         code, text = await agent.fail("publish_speech", message={"data": "x"}, timeout_s=0.3)
         assert code == "not_ready"
         assert "Nobody subscribes to /rover/say (std_msgs/msg/String): nothing was sent." in text
@@ -90,9 +106,13 @@ def test_nobody_listening_is_an_error_unless_that_is_configured(ask: Ask, rover:
 
 def test_a_dry_run_answers_and_sends_nothing(ask: Ask, rover: Any) -> None:
     async def scenario(agent: Any) -> None:
-        allowed = await agent.do("publish_velocity", robot="rover", message={"linear": {"x": 0.2}}, dry_run=True)
+        allowed = await agent.do(
+            "publish_velocity", robot="rover", message={"linear": {"x": 0.2}}, dry_run=True
+        )
         assert (allowed["dry_run"], allowed["allowed"], allowed["sent"]) == (True, True, 0)
-        refused = await agent.do("publish_velocity", robot="rover", message={"linear": {"x": 9}}, dry_run=True)
+        refused = await agent.do(
+            "publish_velocity", robot="rover", message={"linear": {"x": 9}}, dry_run=True
+        )
         assert (refused["allowed"], refused["rule"]) == (False, "bounds")
         light = await agent.do("call_light", request={"data": True}, dry_run=True)
         assert light["allowed"]
@@ -111,7 +131,9 @@ def test_reading_waits_for_messages_and_summarises(ask: Ask, rover: Any) -> None
     async def scenario(agent: Any) -> None:
         code, text = await agent.fail("read_battery", timeout_s=0.2)
         assert (code, "Nobody publishes /rover/battery" in text) == ("not_ready", True)
-        rover.publish_often(BatteryState, "battery", BatteryState(voltage=12.5, temperature=float("nan")))
+        rover.publish_often(
+            BatteryState, "battery", BatteryState(voltage=12.5, temperature=float("nan"))
+        )
         got = await agent.do("read_battery", count=3)
         assert got["complete"]
         assert [m["voltage"] for m in got["messages"]] == [12.5] * 3
@@ -129,7 +151,9 @@ def test_reading_waits_for_messages_and_summarises(ask: Ask, rover: Any) -> None
     ask(scenario)
 
 
-def test_a_best_effort_and_a_latched_publisher_are_both_heard(ask: Ask, rover: Any, application: Any) -> None:
+def test_a_best_effort_and_a_latched_publisher_are_both_heard(
+    ask: Ask, rover: Any, application: Any
+) -> None:
     from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
     from sensor_msgs.msg import BatteryState
 
@@ -149,7 +173,9 @@ def test_a_best_effort_and_a_latched_publisher_are_both_heard(ask: Ask, rover: A
         assert (await agent.do("read_battery"))["messages"][0]["voltage"] == 2.0
         # Whoever publishes at the same time decides for no longer than it is there.
         other = rover.node.create_publisher(BatteryState, "battery", QoSProfile(depth=1))
-        assert until(lambda: application.supervisor.link.node.count_publishers("/rover/battery") == 2)
+        assert until(
+            lambda: application.supervisor.link.node.count_publishers("/rover/battery") == 2
+        )
         threading.Timer(0.5, rover.node.destroy_publisher, [other]).start()
         assert (await agent.do("read_battery"))["messages"][0]["voltage"] == 2.0
 
@@ -200,24 +226,47 @@ def test_parameters_are_listed_described_read_and_set_within_limits(ask: Ask, ro
     async def scenario(agent: Any) -> None:
         node = {"node": "robot_node"}
         assert (await agent.do("list_parameters", **node))["names"] == ["gain", "label"]
-        assert (await agent.do("get_parameters", **node, names=["gain", "label"]))["parameters"] == {
+        assert (await agent.do("get_parameters", **node, names=["gain", "label"]))[
+            "parameters"
+        ] == {
             "gain": 1.5,
             "label": "a",
         }
         described = await agent.do("describe_parameters", **node, names=["gain"])
         assert described["parameters"]["gain"]["type"] == "double"
-        assert (await agent.do("set_parameters", **node, parameters={"gain": 2}))["parameters"] == {"gain": 2.0}
+        assert (await agent.do("set_parameters", **node, parameters={"gain": 2}))["parameters"] == {
+            "gain": 2.0
+        }
         assert rover.node.get_parameter("gain").value == 2.0
         assert (await agent.fail("set_parameters", **node, parameters={"gain": 11}))[0] == "refused"
-        assert (await agent.fail("set_parameters", **node, parameters={"label": 3}))[0] == "invalid_input"
-        assert (await agent.fail("set_parameters", **node, parameters={"nothing": 3}))[0] == "invalid_input"
-        for name in ("gain\0", "gain\0x", "\0gain", "gain\n", "gain ", "\uff47ain", "gain\u200b", "g\u0061\u0301in"):
-            assert (await agent.fail("set_parameters", **node, parameters={name: 99}))[0] == "invalid_input"
+        assert (await agent.fail("set_parameters", **node, parameters={"label": 3}))[
+            0
+        ] == "invalid_input"
+        assert (await agent.fail("set_parameters", **node, parameters={"nothing": 3}))[
+            0
+        ] == "invalid_input"
+        for name in (
+            "gain\0",
+            "gain\0x",
+            "\0gain",
+            "gain\n",
+            "gain ",
+            "\uff47ain",
+            "gain\u200b",
+            "g\u0061\u0301in",
+        ):
+            assert (await agent.fail("set_parameters", **node, parameters={name: 99}))[
+                0
+            ] == "invalid_input"
             assert (await agent.fail("get_parameters", **node, names=[name]))[0] == "invalid_input"
         for tool in ("get_parameters", "describe_parameters"):
             assert (await agent.fail(tool, **node, names=["secret"]))[0] == "refused"
-        assert (await agent.fail("set_parameters", **node, parameters={"secret": "c"}))[0] == "refused"
-        assert (await agent.fail("get_parameters", node="other", names=["gain"]))[0] == "invalid_input"
+        assert (await agent.fail("set_parameters", **node, parameters={"secret": "c"}))[
+            0
+        ] == "refused"
+        assert (await agent.fail("get_parameters", node="other", names=["gain"]))[
+            0
+        ] == "invalid_input"
         assert rover.node.get_parameter("gain").value == 2.0
 
     ask(scenario)
@@ -233,8 +282,13 @@ def test_what_is_exposed_is_shown_with_what_the_graph_knows_of_it(ask: Ask, rove
         assert (await agent.do("list_nodes"))["nodes"] == ["/rover/robot_node"]
         described = await agent.do("describe_interface", type="std_srvs/srv/SetBool")
         assert set(described["parts"]) == {"request", "response"}
-        assert "geometry_msgs/msg/Twist" in (await agent.do("list_interfaces", package="geometry_msgs"))["interfaces"]
-        assert (await agent.fail("describe_interface", type="../../etc/passwd"))[0] == "invalid_input"
+        assert (
+            "geometry_msgs/msg/Twist"
+            in (await agent.do("list_interfaces", package="geometry_msgs"))["interfaces"]
+        )
+        assert (await agent.fail("describe_interface", type="../../etc/passwd"))[
+            0
+        ] == "invalid_input"
 
     ask(scenario)
 
@@ -244,7 +298,9 @@ def test_a_topic_of_another_type_is_named(ask: Ask, rover: Any, application: App
 
     async def scenario(agent: Any) -> None:
         rover.node.create_subscription(Bool, "nobody", lambda message: None, 1)
-        assert until(lambda: application.supervisor.link.node.count_subscribers("/rover/nobody") == 1)
+        assert until(
+            lambda: application.supervisor.link.node.count_subscribers("/rover/nobody") == 1
+        )
         code, text = await agent.fail("publish_lonely", message={})
         assert code == "configuration"
         assert "carries std_msgs/msg/Bool, it is exposed as std_msgs/msg/Empty" in text

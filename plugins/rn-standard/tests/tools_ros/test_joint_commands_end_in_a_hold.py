@@ -1,4 +1,6 @@
-"""Trajectories and joint commands last as long as they take, follow each other within the limits, and can be ended."""
+"""Trajectories and joint commands last as long as they take, follow each other within the
+limits, and can be ended.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +39,10 @@ Scenario = Callable[[Any], Any]
 
 def to(position: float, at_s: float) -> dict[str, Any]:
     """slide_x, measured at 0.1, to a position; its limits are -1 .. 1 and 1 per second."""
-    return {"joint_names": ["slide_x"], "points": [{"positions": [position], "time_from_start": at_s}]}
+    return {
+        "joint_names": ["slide_x"],
+        "points": [{"positions": [position], "time_from_start": at_s}],
+    }
 
 
 @pytest.fixture
@@ -48,7 +53,9 @@ def arm(rover: Any) -> Any:
 
     rover._note(JointTrajectory, TRAJECTORIES, 10)
     rover._note(JointState, COMMANDS, 10)
-    rover.publish_often(JointState, "/gantry/joint_states", JointState(name=JOINTS, position=[0.1] + [0.0] * 5))
+    rover.publish_often(
+        JointState, "/gantry/joint_states", JointState(name=JOINTS, position=[0.1] + [0.0] * 5)
+    )
     return rover
 
 
@@ -95,14 +102,18 @@ def test_a_trajectory_lasts_as_long_as_its_points_say(ask_arm: Any, arm: Any) ->
         result = await agent.do("publish_joint_trajectory", message=to(0.3, 0.5))
         assert time.monotonic() - began_s >= 0.5
         assert (result["sent"], result["stopped"]) == (1, False)
-        assert "would last 30 s" in await agent.fail("publish_joint_trajectory", message=to(0.3, 30))
+        assert "would last 30 s" in await agent.fail(
+            "publish_joint_trajectory", message=to(0.3, 30)
+        )
         assert len(await count(arm, TRAJECTORIES, 1)) == 1
 
     ask_arm(scenario)
 
 
 @pytest.mark.parametrize("cause", ["cancel", "stop"])
-def test_a_trajectory_that_may_not_go_on_ends_where_the_joints_are(ask_arm: Any, arm: Any, cause: str) -> None:
+def test_a_trajectory_that_may_not_go_on_ends_where_the_joints_are(
+    ask_arm: Any, arm: Any, cause: str
+) -> None:
     async def scenario(agent: Any) -> None:
         texts: list[str] = []
 
@@ -135,7 +146,9 @@ def test_each_step_of_a_sequence_begins_where_the_one_before_ends(ask_arm: Any, 
         short = [{"message": to(0.2, 1), "duration_s": 0.5}]
         assert "takes 1 s, its step only 0.5 s" in await agent.fail(name, steps=short)
         assert not arm.on(TRAJECTORIES)
-        result = await agent.do(name, steps=[{"message": to(0.13, 0.2)}, {"message": to(0.1, 0.2), "duration_s": 0.3}])
+        result = await agent.do(
+            name, steps=[{"message": to(0.13, 0.2)}, {"message": to(0.1, 0.2), "duration_s": 0.3}]
+        )
         assert (result["sent"], result["stopped"]) == (2, False)
         assert result["duration_s"] >= 0.5
 
@@ -146,13 +159,21 @@ def test_positions_are_checked_for_pace_and_velocities_end_in_zero(ask_arm: Any,
     async def scenario(agent: Any) -> None:
         name = "publish_joint_command"
         jump = {"name": ["slide_x"], "position": [0.9]}
-        assert "slide_x would move at 1.6 per second" in await agent.fail(name, message=jump, duration_s=0.5)
+        assert "slide_x would move at 1.6 per second" in await agent.fail(
+            name, message=jump, duration_s=0.5
+        )
         away = {"name": ["slide_x"], "velocity": [0.5]}
-        assert "slide_x would be at 1.1 after 2 s" in await agent.fail(name, message=away, duration_s=2)
+        assert "slide_x would be at 1.1 after 2 s" in await agent.fail(
+            name, message=away, duration_s=2
+        )
         steps = [{"message": away, "duration_s": 1.5}, {"message": away, "duration_s": 0.5}]
-        assert "steps[1]: slide_x would be at 1.1" in await agent.fail(f"{name}_sequence", steps=steps)
+        assert "steps[1]: slide_x would be at 1.1" in await agent.fail(
+            f"{name}_sequence", steps=steps
+        )
         assert not arm.on(COMMANDS)
-        assert not (await agent.do(name, message={"name": ["slide_x"], "position": [0.11]}, duration_s=0.1))["stopped"]
+        assert not (
+            await agent.do(name, message={"name": ["slide_x"], "position": [0.11]}, duration_s=0.1)
+        )["stopped"]
         assert (await agent.do(name, message=away, duration_s=0.2))["stopped"]
         told = await count(arm, COMMANDS, 3)
         assert [list(m.velocity) for m in told] == [[], [0.5], [0.0]]

@@ -1,4 +1,6 @@
-"""Zones, workspace and speed hold for joint commands as for actions, whatever tool sends them; rates count messages."""
+"""Zones, workspace and speed hold for joint commands as for actions, whatever tool sends them;
+rates count messages.
+"""
 
 from __future__ import annotations
 
@@ -42,7 +44,10 @@ rate_hz = 50
 
 
 def to(at_s: float, **target: float) -> dict[str, Any]:
-    return {"joint_names": list(target), "points": [{"positions": list(target.values()), "time_from_start": at_s}]}
+    return {
+        "joint_names": list(target),
+        "points": [{"positions": list(target.values()), "time_from_start": at_s}],
+    }
 
 
 @pytest.fixture
@@ -53,7 +58,9 @@ def arm(rover: Any) -> Any:
 
     rover._note(JointTrajectory, "/gantry/joint_trajectory", 10)
     rover._note(JointState, "/gantry/joint_command", 10)
-    rover.publish_often(JointState, "/gantry/joint_states", JointState(name=JOINTS, position=[0.1] + [0.0] * 6))
+    rover.publish_often(
+        JointState, "/gantry/joint_states", JointState(name=JOINTS, position=[0.1] + [0.0] * 6)
+    )
     return rover
 
 
@@ -72,7 +79,10 @@ CALLS = [
         {"steps": [{"message": to(8.0, slide_x=0.2)}, {"message": to(8.0, **THROUGH)}]},
     ),
     ("publish_joint_command", {"message": COMMAND, "duration_s": 8.0}),
-    ("publish_joint_command", {"message": {"name": ["slide_x"], "velocity": [0.1]}, "duration_s": 6.0}),
+    (
+        "publish_joint_command",
+        {"message": {"name": ["slide_x"], "velocity": [0.1]}, "duration_s": 6.0},
+    ),
     ("publish_joint_command_sequence", {"steps": [{"message": COMMAND, "duration_s": 8.0}]}),
 ]
 
@@ -90,7 +100,9 @@ def test_no_tool_drives_the_tcp_through_a_zone(run_arm: Callable[..., None], arm
     run_arm(CONFIG, scenario)
 
 
-def test_height_workspace_and_speed_hold_for_joint_commands(run_arm: Callable[..., None], arm: Any) -> None:
+def test_height_workspace_and_speed_hold_for_joint_commands(
+    run_arm: Callable[..., None], arm: Any
+) -> None:
     async def scenario(agent: Any) -> None:
         for target, duration_s, words in (
             ({"slide_z": -0.6}, 5.0, "height of -0.5"),
@@ -107,7 +119,9 @@ def test_height_workspace_and_speed_hold_for_joint_commands(run_arm: Callable[..
     run_arm(CONFIG, scenario)
 
 
-def test_an_arm_whose_controller_is_not_installed_is_refused(run_arm: Callable[..., None], arm: Any) -> None:
+def test_an_arm_whose_controller_is_not_installed_is_refused(
+    run_arm: Callable[..., None], arm: Any
+) -> None:
     async def scenario(agent: Any) -> None:
         _, text = await agent.fail("publish_joint_trajectory", message=to(5.0, slide_x=0.2))
         assert "cannot be judged" in text
@@ -117,7 +131,9 @@ def test_an_arm_whose_controller_is_not_installed_is_refused(run_arm: Callable[.
     run_arm(CONFIG + '[control]\ncontroller = "absent"\n', scenario)
 
 
-def test_a_sequence_counts_as_the_messages_that_it_sends(run_arm: Callable[..., None], arm: Any) -> None:
+def test_a_sequence_counts_as_the_messages_that_it_sends(
+    run_arm: Callable[..., None], arm: Any
+) -> None:
     async def scenario(agent: Any) -> None:
         name = "publish_joint_command_sequence"
         step = {"message": {"name": ["slide_x"], "position": [0.1]}, "duration_s": 0.002}
@@ -134,18 +150,27 @@ def test_a_finger_far_off_does_not_count_as_arrived(run_arm: Callable[..., None]
     """The finger is measured 9.8 mm from its target and stays there; the slide is 3 mm off."""
 
     async def scenario(agent: Any) -> None:
-        for positions, off in (({"finger": 0.0098}, "finger 0.0098"), ({"slide_x": 0.103}, "slide_x 0.0030")):
+        for positions, off in (
+            ({"finger": 0.0098}, "finger 0.0098"),
+            ({"slide_x": 0.103}, "slide_x 0.0030"),
+        ):
             code, text = await agent.fail("move_joints", positions=positions, duration_s=0.5)
             assert code == "wrong_state"
             assert off in text
-        assert (await agent.do("move_joints", positions={"yaw": 0.008}, duration_s=0.5))["error"] < 0.01
+        assert (await agent.do("move_joints", positions={"yaw": 0.008}, duration_s=0.5))[
+            "error"
+        ] < 0.01
 
     run_arm(CONFIG, scenario)
 
 
 def test_tolerances_follow_the_type_of_the_joint() -> None:
     profile = gantry_profile()
-    assert (profile.tolerance("slide_x"), profile.tolerance("yaw"), profile.tolerance("finger")) == (0.001, 0.01, 0.001)
+    assert (
+        profile.tolerance("slide_x"),
+        profile.tolerance("yaw"),
+        profile.tolerance("finger"),
+    ) == (0.001, 0.01, 0.001)
     bare = RobotProfile(name="arm", gripper=replace(profile.gripper, open_position=0.8))  # type: ignore[type-var]
     assert bare.tolerance("finger") == 0.01
     small = RobotProfile(name="arm", gripper=replace(profile.gripper, open_position=0.02))  # type: ignore[type-var]
@@ -171,7 +196,10 @@ def test_joint_commands_inside_goals_and_requests_are_found() -> None:
             return {"header": "", "trajectory": "", "others": ""}
 
     assert [command.joint_names for command in joint_commands(Goal())] == [["a"], ["b"]]
-    assert sent_types("publish", "geometry_msgs/msg/TwistStamped") >= {"std_msgs/msg/Header", "geometry_msgs/msg/Twist"}
+    assert sent_types("publish", "geometry_msgs/msg/TwistStamped") >= {
+        "std_msgs/msg/Header",
+        "geometry_msgs/msg/Twist",
+    }
     assert not is_joint_limited("action", "test_msgs/action/Fibonacci", gantry_profile())
     assert not is_joint_limited("read", "sensor_msgs/msg/JointState", gantry_profile())
     assert is_joint_limited("publish", "sensor_msgs/msg/JointState", gantry_profile())

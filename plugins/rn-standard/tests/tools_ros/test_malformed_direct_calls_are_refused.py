@@ -1,4 +1,6 @@
-"""Random and hostile calls: an error with a reason each time, nothing on the bus, no internals in the text."""
+"""Random and hostile calls: an error with a reason each time, nothing on the bus, no internals
+in the text.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,8 @@ from roboneuron.server.app import Application
 
 Ask = Callable[[Callable[[Any], Any]], None]
 INTERNALS = re.compile(
-    r"Traceback|File \"|site-packages|\.py\b|object at 0x|incident|KeyError|TypeError|/root|/work|/home"
+    r"Traceback|File \"|site-packages|\.py\b|object at "
+    r"0x|incident|KeyError|TypeError|/root|/work|/home"
 )
 HUGE = 10**400
 SCALARS = st.one_of(
@@ -26,16 +29,51 @@ SCALARS = st.one_of(
     st.sampled_from([HUGE, -HUGE, 2**63, -(2**63) - 1, 2**64, 1e308, -1e308, -0.0]),
     st.floats(allow_nan=True, allow_infinity=True),
     st.text(max_size=30),
-    st.sampled_from(["../../etc/passwd", "/rover/cmd_vel", "~/x", "a\x00b", "\ud800", "x" * 1_000_000, "{{7*7}}"]),
+    st.sampled_from(
+        [
+            "../../etc/passwd",
+            "/rover/cmd_vel",
+            "~/x",
+            "a\x00b",
+            "\ud800",
+            "x" * 1_000_000,
+            "{{7*7}}",
+        ]
+    ),
 )
 VALUES = st.recursive(
-    SCALARS, lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=8), inner, max_size=4),
+    SCALARS,
+    lambda inner: (
+        st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=8), inner, max_size=4)
+    ),
     max_leaves=8,
-)  # fmt: skip
+)
 KEYS = st.sampled_from(
-    ["robot", "message", "duration_s", "timeout_s", "dry_run", "steps", "times", "request", "goal", "node", "names",
-     "parameters", "count", "tool", "arguments", "query", "linear", "x", "data", "order", "type", "package"]
-)  # fmt: skip
+    [
+        "robot",
+        "message",
+        "duration_s",
+        "timeout_s",
+        "dry_run",
+        "steps",
+        "times",
+        "request",
+        "goal",
+        "node",
+        "names",
+        "parameters",
+        "count",
+        "tool",
+        "arguments",
+        "query",
+        "linear",
+        "x",
+        "data",
+        "order",
+        "type",
+        "package",
+    ]
+)
 ARGUMENTS = st.dictionaries(KEYS | st.text(max_size=12), VALUES, max_size=5)
 
 
@@ -45,7 +83,11 @@ class Context:
     who, role = "fuzz", "admin"
 
     async def run(
-        self, work: Callable[[Callable[[str], None]], Any], *, on_cancel: Any = None, on_leave: Any = None
+        self,
+        work: Callable[[Callable[[str], None]], Any],
+        *,
+        on_cancel: Any = None,
+        on_leave: Any = None,
     ) -> Any:
         """See `CallContext.run`."""
         return work(lambda stage: None)
@@ -53,7 +95,10 @@ class Context:
 
 def names(application: Application) -> list[str]:
     """Every tool that could reach the robot."""
-    return [tool.name for tool in application.tools.derived()] + ["describe_interface", "list_interfaces"]
+    return [tool.name for tool in application.tools.derived()] + [
+        "describe_interface",
+        "list_interfaces",
+    ]
 
 
 def broken(value: Any) -> Any:
@@ -81,9 +126,14 @@ def check_refused(application: Application, name: str, arguments: dict[str, Any]
     text = answer.content[0].text  # type: ignore[union-attr]
     assert answer.is_error, (name, arguments)
     assert answer.structured_content is None
-    assert answer.meta["roboneuron/error"]["code"] in ("invalid_input", "refused", "configuration"), text
+    assert answer.meta["roboneuron/error"]["code"] in (
+        "invalid_input",
+        "refused",
+        "configuration",
+    ), text
     assert len(text) < 2000
-    assert not INTERNALS.search(text.replace(name, "")), text  # the caller's own words are no secret
+    # the caller's own words are no secret
+    assert not INTERNALS.search(text.replace(name, "")), text
     json.dumps(answer.meta, allow_nan=False)
 
 
@@ -138,7 +188,10 @@ BAD: list[tuple[str, dict[str, Any]]] = [
     ("publish_velocity_sequence", {**DRIVE, "steps": []}),
     ("publish_velocity_sequence", {**DRIVE, "steps": {}}),
     ("publish_velocity_sequence", {**DRIVE, "steps": [{"message": {}}]}),
-    ("publish_velocity_sequence", {**DRIVE, "steps": [{"message": {}, "duration_s": 1}], "times": 1.5}),
+    (
+        "publish_velocity_sequence",
+        {**DRIVE, "steps": [{"message": {}, "duration_s": 1}], "times": 1.5},
+    ),
     ("publish_velocity_sequence", {**DRIVE, "steps": [{"message": {}, "duration_s": 0.001}] * 501}),
     ("publish_speech", {"message": {"data": "x" * 1_000_000}}),
     ("publish_speech", {"message": {"data": "a\x00b"}}),
@@ -171,14 +224,17 @@ def test_bad_input_is_refused_before_the_bus(silent: Application) -> None:
 
 @pytest.mark.ros
 @pytest.mark.timeout(120)
-def test_malformed_calls_over_mcp_leave_the_bus_silent_and_the_server_working(ask: Ask, rover: Any) -> None:
+def test_malformed_calls_over_mcp_leave_the_bus_silent_and_the_server_working(
+    ask: Ask, rover: Any
+) -> None:
     async def scenario(agent: Any) -> None:
         await agent.do("publish_speech", message={"data": "before"})
         with anyio.fail_after(5):
             while not rover.received:
                 await anyio.sleep(0.01)
         for name, arguments in BAD:
-            if not re.search(r"nan|inf", repr(arguments), re.IGNORECASE):  # JSON has no such numbers
+            # JSON has no such numbers
+            if not re.search(r"nan|inf", repr(arguments), re.IGNORECASE):
                 answer = await agent.call(name, arguments)
                 assert answer.is_error, (name, arguments)
                 assert not INTERNALS.search(answer.content[0].text)

@@ -1,4 +1,6 @@
-"""Lasting motion ends in zero whatever ends it: the emergency stop, a cancelled call, a lost client, an error."""
+"""Lasting motion ends in zero whatever ends it: the emergency stop, a cancelled call, a lost
+client, an error.
+"""
 
 from __future__ import annotations
 
@@ -145,7 +147,9 @@ def test_one_call_at_a_time_moves_a_robot(ask: Ask, rover: Any) -> None:
     ask(scenario)
 
 
-def test_a_policy_that_starts_takes_the_robot_over(application: Application, ask: Ask, rover: Any) -> None:
+def test_a_policy_that_starts_takes_the_robot_over(
+    application: Application, ask: Ask, rover: Any
+) -> None:
     policy: list[str] = [""]
     direct_path(application.host).arbiter._policy = lambda exposed: policy[0]
 
@@ -165,7 +169,9 @@ def test_a_policy_that_starts_takes_the_robot_over(application: Application, ask
     ask(scenario)
 
 
-def test_an_audit_that_cannot_be_written_ends_motion(application: Application, ask: Ask, rover: Any) -> None:
+def test_an_audit_that_cannot_be_written_ends_motion(
+    application: Application, ask: Ask, rover: Any
+) -> None:
     async def scenario(agent: Any) -> None:
         async def drive() -> None:
             code, text = await agent.fail("publish_velocity", **FORWARD)
@@ -205,7 +211,9 @@ def test_too_long_a_sequence_is_refused_before_anything_is_sent(ask: Ask, rover:
         code, text = await agent.fail("publish_velocity_sequence", robot="rover", steps=bad)
         assert text.startswith("steps[3]: message: Field 'linear.x'")
         outside = [*STEPS, {"message": {"linear": {"x": 9}}, "duration_s": 1}]
-        assert (await agent.fail("publish_velocity_sequence", robot="rover", steps=outside))[0] == "refused"
+        assert (await agent.fail("publish_velocity_sequence", robot="rover", steps=outside))[
+            0
+        ] == "refused"
         assert not rover.received
 
     ask(scenario)
@@ -231,13 +239,17 @@ def test_the_arbiter_waits_for_motions_to_end(application: Application) -> None:
     direct_path(application.host).arbiter.check_free(exposed)
 
 
-def test_pressing_the_stop_wakes_what_moves(application: Application, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pressing_the_stop_wakes_what_moves(
+    application: Application, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("rn_standard.direct_path.arbiter.POLL_S", 60.0)
     exposed = gate_of(application.host).exposed[0]
     entered = threading.Event()
 
     def move() -> None:
-        with direct_path(application.host).arbiter.claim(exposed, "a test", threading.Event()) as motion:
+        with direct_path(application.host).arbiter.claim(
+            exposed, "a test", threading.Event()
+        ) as motion:
             entered.set()
             with pytest.raises(RefusedError, match="latched by somebody: a test"):
                 motion.sleep_until(time.monotonic() + 60)
@@ -250,14 +262,18 @@ def test_pressing_the_stop_wakes_what_moves(application: Application, monkeypatc
     assert not thread.is_alive()
 
 
-@pytest.mark.parametrize("arguments", [{"reason": "first of all"}, {"resaon": "misspelt"}, {"reason": 7}])
+@pytest.mark.parametrize(
+    "arguments", [{"reason": "first of all"}, {"resaon": "misspelt"}, {"reason": 7}]
+)
 def test_the_stop_is_latched_before_ros_is_joined_and_whatever_the_arguments(
     application: Application, monkeypatch: pytest.MonkeyPatch, arguments: dict[str, Any]
 ) -> None:
     joined = threading.Event()
     link = type(application.supervisor).link
     monkeypatch.setattr(
-        type(application.supervisor), "link", property(lambda self: joined.wait(30) and link.fget(self))
+        type(application.supervisor),
+        "link",
+        property(lambda self: joined.wait(30) and link.fget(self)),
     )
     application._is_joining = True
     latch = application.loop.emergency_stop.file
@@ -279,7 +295,9 @@ def test_the_stop_message_does_not_wait_for_the_thread_that_plays(application: A
     exposed = gate_of(application.host).exposed[0]
     latch = application.loop.emergency_stop.file
     sent: list[tuple[bool, bool]] = []
-    with direct_path(application.host).arbiter.claim(exposed, "a test", threading.Event()) as motion:
+    with direct_path(application.host).arbiter.claim(
+        exposed, "a test", threading.Event()
+    ) as motion:
         motion.stop_now = lambda: sent.append((latch.is_latched(), latch.path.exists()))
         latch.press(who="somebody", reason="a test")
     assert sent == [(True, False)]
@@ -292,7 +310,9 @@ def test_the_server_hears_its_own_stop_before_it_is_reset(
     order: list[str] = []
     reset, on_executor = stop.file.reset, link.on_executor
     monkeypatch.setattr(stop.file, "reset", lambda **who: (order.append("reset"), reset(**who)))
-    monkeypatch.setattr(link, "on_executor", lambda task: (order.append("heard"), on_executor(task))[1])
+    monkeypatch.setattr(
+        link, "on_executor", lambda task: (order.append("heard"), on_executor(task))[1]
+    )
 
     async def scenario(agent: Any) -> None:
         await agent.do("emergency_stop")

@@ -1,4 +1,6 @@
-"""Endpoints found in the live graph: only what a pattern allows, told to clients of both eras when it changes."""
+"""Endpoints found in the live graph: only what a pattern allows, told to clients of both eras
+when it changes.
+"""
 
 from __future__ import annotations
 
@@ -58,7 +60,9 @@ def test_what_appears_becomes_a_tool_and_clients_are_told(
     anyio.run(scenario)
 
 
-def test_a_client_of_the_older_era_is_told_too(make_application: Callable[..., Application], rover: Any) -> None:
+def test_a_client_of_the_older_era_is_told_too(
+    make_application: Callable[..., Application], rover: Any
+) -> None:
     from std_msgs.msg import Float32
 
     application = make_application(CONFIG)

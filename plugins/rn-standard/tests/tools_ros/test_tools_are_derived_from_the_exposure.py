@@ -1,4 +1,6 @@
-"""Names, schemas and descriptions of derived tools; what a configuration may expose; what is too many to be listed."""
+"""Names, schemas and descriptions of derived tools; what a configuration may expose; what is
+too many to be listed.
+"""
 
 from __future__ import annotations
 
@@ -44,9 +46,27 @@ def tools(application: Application) -> dict[str, Any]:
 def test_every_exposed_endpoint_is_a_tool_with_strict_schemas(application: Application) -> None:
     found = tools(application)
     expected = {
-        *("publish_velocity", "publish_velocity_sequence", "publish_speech", "publish_speech_sequence"),
-        *("publish_latched", "publish_lonely", "read_battery", "read_picture", "call_light", "call_absent"),
-        *("send_count_goal", "get_parameters", "set_parameters", "list_parameters", "describe_parameters"),
+        *(
+            "publish_velocity",
+            "publish_velocity_sequence",
+            "publish_speech",
+            "publish_speech_sequence",
+        ),
+        *(
+            "publish_latched",
+            "publish_lonely",
+            "read_battery",
+            "read_picture",
+            "call_light",
+            "call_absent",
+        ),
+        *(
+            "send_count_goal",
+            "get_parameters",
+            "set_parameters",
+            "list_parameters",
+            "describe_parameters",
+        ),
     }
     assert expected <= set(found)
     for name in expected:
@@ -63,13 +83,19 @@ def test_robots_that_share_an_endpoint_share_a_tool(application: Application) ->
     assert tool.input_schema["properties"]["robot"]["enum"] == ["rover", "second"]
     assert tool.input_schema["required"] == ["robot", "message"]
     x = tool.input_schema["properties"]["message"]["properties"]["linear"]["properties"]["x"]
-    assert (x["minimum"], x["maximum"]) == (-0.5, 0.5)  # what any of them allows; the gate knows each one's
-    assert "second: Drive slowly. On /second/cmd_vel. Limits: linear.x -0.1 .. 0.1." in tool.description
+    # what any of them allows; the gate knows each one's
+    assert (x["minimum"], x["maximum"]) == (-0.5, 0.5)
+    assert (
+        "second: Drive slowly. On /second/cmd_vel. Limits: linear.x -0.1 .. 0.1."
+        in tool.description
+    )
 
 
 def test_two_types_under_one_name_are_told_apart_by_the_robot(make_application: Make) -> None:
     text = (
-        '[robot]\nname = "rover"\n[[expose]]\nname = "velocity"\n' + TWIST + '[[expose]]\nrobot = "second-one"\n'
+        '[robot]\nname = "rover"\n[[expose]]\nname = "velocity"\n'
+        + TWIST
+        + '[[expose]]\nrobot = "second-one"\n'
         'name = "velocity"\n' + TWIST.replace("Twist", "TwistStamped")
     )
     assert {"publish_velocity", "publish_second_one_velocity"} <= set(tools(make_application(text)))
@@ -77,7 +103,9 @@ def test_two_types_under_one_name_are_told_apart_by_the_robot(make_application: 
 
 def test_a_label_may_be_used_for_two_kinds(make_application: Make) -> None:
     text = (
-        '[robot]\nname = "rover"\n[[expose]]\nname = "velocity"\n' + TWIST + '[[expose]]\nname = "velocity"\n'
+        '[robot]\nname = "rover"\n[[expose]]\nname = "velocity"\n'
+        + TWIST
+        + '[[expose]]\nname = "velocity"\n'
         'kind = "read"\ntopic = "cmd_vel"\ntype = "geometry_msgs/msg/Twist"\n'
     )
     application = make_application(text)
@@ -99,18 +127,43 @@ def test_names_are_short_and_valid_whatever_the_label(label: str, use: str) -> N
 
 BAD = [
     ('[[expose]]\nname = "velocity"\n', "lacks kind, topic, type"),
-    ('[[expose]]\nname = "v"\nkind = "publish"\ntopic = "../x"\ntype = "std_msgs/msg/Bool"\n', "is not a topic name"),
-    ('[[expose]]\nname = "v"\nkind = "publish"\ntopic = "x"\ntype = "std_msgs/msg/Nothing"\n', "is called"),
-    ('[[expose]]\nname = "v"\nkind = "service"\ntopic = "x"\ntype = "std_msgs/msg/Bool"\n', "cannot be of"),
-    ('[[expose]]\nname = "v"\n' + TWIST + 'bounds = { "linear.w" = [0, 1] }\n', "has no number 'linear.w'"),
-    ('[[expose]]\nname = "v"\n' + TWIST + 'bounds = { "linear.x" = [1, 2] }\nstop_message = "zero"\n', "is zero"),
+    (
+        '[[expose]]\nname = "v"\nkind = "publish"\ntopic = "../x"\ntype = "std_msgs/msg/Bool"\n',
+        "is not a topic name",
+    ),
+    (
+        '[[expose]]\nname = "v"\nkind = "publish"\ntopic = "x"\ntype = "std_msgs/msg/Nothing"\n',
+        "is called",
+    ),
+    (
+        '[[expose]]\nname = "v"\nkind = "service"\ntopic = "x"\ntype = "std_msgs/msg/Bool"\n',
+        "cannot be of",
+    ),
+    (
+        '[[expose]]\nname = "v"\n' + TWIST + 'bounds = { "linear.w" = [0, 1] }\n',
+        "has no number 'linear.w'",
+    ),
+    (
+        '[[expose]]\nname = "v"\n'
+        + TWIST
+        + ('bounds = { "linear.x" = [1, 2] }\nstop_message = "zero"\n'),
+        "is zero",
+    ),
     ('[[expose]]\nname = "v"\n' + TWIST + 'clamp = ["linear.x"]\n', "nothing bounds it"),
-    ('[[expose]]\nname = "v"\n' + TWIST + "stop_message = { linear = { q = 1 } }\n", "unknown field 'q'"),
+    (
+        '[[expose]]\nname = "v"\n' + TWIST + "stop_message = { linear = { q = 1 } }\n",
+        "unknown field 'q'",
+    ),
     ('[[expose]]\nname = "p"\nkind = "parameters"\n', "needs `name` and `topic`"),
     ('[[expose]]\nrobot = "stranger"\n', "no installed plugin offers such a robot"),
-    ('[[expose]]\nrobot = "a"\nnamespace = "x"\nname = "v"\n' + TWIST + '[[expose]]\nrobot = "a"\nnamespace = "y"\n'
-     'name = "w"\n' + TWIST, "two namespaces"),
-]  # fmt: skip
+    (
+        '[[expose]]\nrobot = "a"\nnamespace = "x"\nname = "v"\n'
+        + TWIST
+        + '[[expose]]\nrobot = "a"\nnamespace = "y"\n'
+        'name = "w"\n' + TWIST,
+        "two namespaces",
+    ),
+]
 
 
 @pytest.mark.parametrize(("text", "words"), BAD, ids=[words for _, words in BAD])
@@ -119,18 +172,39 @@ def test_what_cannot_be_exposed_is_refused_by_name(text: str, words: str) -> Non
         exposed('[robot]\nname = "rover"\n' + text)
 
 
-OWN = ("/diagnostics", "/rosout", "/parameter_events", "action", "joint_states", "ee_pose", "predictions", "odometry")
-OWN += ("camera/front/image", "camera/front/camera_info", "emergency_stop", "robot/transition_event", "sim/state")
+OWN = (
+    "/diagnostics",
+    "/rosout",
+    "/parameter_events",
+    "action",
+    "joint_states",
+    "ee_pose",
+    "predictions",
+    "odometry",
+)
+OWN += (
+    "camera/front/image",
+    "camera/front/camera_info",
+    "emergency_stop",
+    "robot/transition_event",
+    "sim/state",
+)
 
 
 @pytest.mark.parametrize("topic", OWN)
 def test_what_roboneuron_writes_itself_is_not_exposed_for_publishing(
     topic: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    odometry = Endpoint(name="odometry", kind="read", topic="odometry", type="std_msgs/msg/Bool", summary="Where.")
+    odometry = Endpoint(
+        name="odometry", kind="read", topic="odometry", type="std_msgs/msg/Bool", summary="Where."
+    )
     profile = replace(gantry_profile(), endpoints=(odometry,), own_topics=("sim/state",))
-    monkeypatch.setattr("rn_standard.tools_ros.exposure.load_profile", lambda registry, name: profile)
-    entry = f'[[expose]]\nname = "v"\nkind = "publish"\ntopic = "{topic}"\ntype = "std_msgs/msg/Bool"\n'
+    monkeypatch.setattr(
+        "rn_standard.tools_ros.exposure.load_profile", lambda registry, name: profile
+    )
+    entry = (
+        f'[[expose]]\nname = "v"\nkind = "publish"\ntopic = "{topic}"\ntype = "std_msgs/msg/Bool"\n'
+    )
     for absolute in (entry, entry.replace(f'"{topic}"', f'"/gantry/{topic}"')):
         if "/gantry//" not in absolute:
             with pytest.raises(ConfigurationError, match=f"{topic} is written by RoboNeuron alone"):
@@ -138,17 +212,28 @@ def test_what_roboneuron_writes_itself_is_not_exposed_for_publishing(
     assert exposed(f'[robot]\nname = "gantry"\n{entry.replace("publish", "read")}').endpoints
 
 
-@pytest.mark.parametrize("topic", ["lamp", "camera/front/exposure", "robot/lamp", "/rosout_agg", "sim/reset"])
+@pytest.mark.parametrize(
+    "topic", ["lamp", "camera/front/exposure", "robot/lamp", "/rosout_agg", "sim/reset"]
+)
 def test_other_topics_may_be_exposed_for_publishing(topic: str) -> None:
-    entry = f'[[expose]]\nname = "v"\nkind = "publish"\ntopic = "{topic}"\ntype = "std_msgs/msg/Bool"\n'
+    entry = (
+        f'[[expose]]\nname = "v"\nkind = "publish"\ntopic = "{topic}"\ntype = "std_msgs/msg/Bool"\n'
+    )
     assert exposed(f'[robot]\nname = "gantry"\n{entry}').endpoints
 
 
 def test_a_profile_is_tightened_not_widened() -> None:
-    config = '[robot]\nname = "gantry"\n[[expose]]\nname = "joint_states"\nrate_hz = 2.0\nsummary = "Joints."\n'
+    config = (
+        '[robot]\nname = "gantry"\n[[expose]]\nname = "joint_states"\nrate_hz = 2.0\nsummary '
+        '= "Joints."\n'
+    )
     made = exposed(config)
     joints = next(e for e in made.endpoints if e.label == "joint_states")
-    assert (joints.endpoint.rate_hz, joints.endpoint.summary, joints.endpoint.kind) == (2.0, "Joints.", "read")
+    assert (joints.endpoint.rate_hz, joints.endpoint.summary, joints.endpoint.kind) == (
+        2.0,
+        "Joints.",
+        "read",
+    )
     off = '[robot]\nname = "gantry"\n[direct]\nprofile = false\n'
     assert exposed(off).endpoints == ()
 
@@ -158,7 +243,8 @@ def test_too_many_tools_are_found_by_search_and_called_by_name(make_application:
     from mcp import Client
 
     entries = "".join(
-        f'[[expose]]\nname = "wheel_{i}"\nkind = "publish"\ntopic = "w{i}"\ntype = "geometry_msgs/msg/Twist"\n'
+        f'[[expose]]\nname = "wheel_{i}"\nkind = "publish"\ntopic = "w{i}"\ntype = '
+        '"geometry_msgs/msg/Twist"\n'
         for i in range(200)
     )
     application = make_application('[robot]\nname = "rover"\n' + entries)
@@ -169,7 +255,9 @@ def test_too_many_tools_are_found_by_search_and_called_by_name(make_application:
 
     async def ask() -> None:
         async with Client(application.server) as client:
-            found = (await client.call_tool("find_tools", {"query": "wheel 137", "schemas": True})).structured_content
+            found = (
+                await client.call_tool("find_tools", {"query": "wheel 137", "schemas": True})
+            ).structured_content
             assert found["tools"][0]["name"] == "publish_wheel_137"
             assert found["total"] == 400
             arguments = {"message": {"linear": {"x": "fast"}}}
@@ -180,7 +268,9 @@ def test_too_many_tools_are_found_by_search_and_called_by_name(make_application:
                 answer = await client.call_tool(name, call)
                 assert answer.is_error
                 assert "linear.x" in answer.content[0].text  # type: ignore[union-attr]
-            missing = await client.call_tool("call_endpoint", {"tool": "publish_whel_137", "arguments": {}})
+            missing = await client.call_tool(
+                "call_endpoint", {"tool": "publish_whel_137", "arguments": {}}
+            )
             assert missing.is_error
 
     anyio.run(ask)
@@ -190,7 +280,9 @@ def test_the_output_schema_fits_what_is_decoded_of_every_message() -> None:
     for name in list_interfaces():
         if name.kind == "msg":
             part = load_message(str(name))
-            jsonschema.validate(part.decode(part.ros_type()), decoded_schema(part), jsonschema.Draft202012Validator)
+            jsonschema.validate(
+                part.decode(part.ros_type()), decoded_schema(part), jsonschema.Draft202012Validator
+            )
 
 
 def test_a_velocity_ends_in_zero_unless_the_configuration_says_otherwise() -> None:

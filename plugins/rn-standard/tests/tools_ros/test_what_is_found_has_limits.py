@@ -1,4 +1,6 @@
-"""Endpoints that a pattern found: bounded by the robot's profile, by the pattern, or not exposed at all."""
+"""Endpoints that a pattern found: bounded by the robot's profile, by the pattern, or not
+exposed at all.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,9 @@ from roboneuron.errors import ConfigurationError
 from roboneuron.server.app import Application
 
 TWIST = "geometry_msgs/msg/Twist"
-RANGES = f'[discover.limits."{TWIST}"]\n"linear.x" = [-0.5, 0.5]\n"angular.z" = [-1, 1]\n"*" = [0, 0]\n'
+RANGES = (
+    f'[discover.limits."{TWIST}"]\n"linear.x" = [-0.5, 0.5]\n"angular.z" = [-1, 1]\n"*" = [0, 0]\n'
+)
 
 
 def patterns(text: str) -> Any:
@@ -35,11 +39,16 @@ def pattern(text: str = "") -> Any:
 
 
 def found(kind: str, type_name: str, profile: RobotProfile | None = None) -> Exposed:
-    endpoint = Endpoint(name="thing", kind=kind, topic="/rover/thing", type=type_name, summary="", rate_hz=10.0)
+    endpoint = Endpoint(
+        name="thing", kind=kind, topic="/rover/thing", type=type_name, summary="", rate_hz=10.0
+    )
     return Exposed(
-        robot="rover", namespace="rover", label="thing", endpoint=endpoint,
+        robot="rover",
+        namespace="rover",
+        label="thing",
+        endpoint=endpoint,
         profile=profile,
-    )  # fmt: skip
+    )
 
 
 @pytest.mark.parametrize(
@@ -57,14 +66,23 @@ def found(kind: str, type_name: str, profile: RobotProfile | None = None) -> Exp
 def test_numbers_that_nothing_limits_are_not_exposed(kind: str, type_name: str, named: str) -> None:
     with pytest.raises(ConfigurationError, match=f"nothing limits {named}"):
         limit(found(kind, type_name), pattern(), ())
-    assert limit(found(kind, type_name), pattern(f'unlimited = ["{type_name}"]\n'), ()).endpoint.rate_hz == 10.0
+    assert (
+        limit(
+            found(kind, type_name), pattern(f'unlimited = ["{type_name}"]\n'), ()
+        ).endpoint.rate_hz
+        == 10.0
+    )
 
 
 @pytest.mark.parametrize(
     ("kind", "type_name"),
-    [("read", TWIST), ("publish", "std_msgs/msg/Bool"), ("publish", "std_msgs/msg/Header"),
-     ("service", "std_srvs/srv/SetBool")],
-)  # fmt: skip
+    [
+        ("read", TWIST),
+        ("publish", "std_msgs/msg/Bool"),
+        ("publish", "std_msgs/msg/Header"),
+        ("service", "std_srvs/srv/SetBool"),
+    ],
+)
 def test_what_carries_no_numbers_or_is_only_read_needs_none(kind: str, type_name: str) -> None:
     assert limit(found(kind, type_name), pattern(), ()).endpoint.bounds == {}
 
@@ -79,18 +97,33 @@ def test_a_pattern_limits_by_type_and_a_velocity_ends_in_zero() -> None:
 
 def test_a_robot_with_joint_limits_lends_them_to_joint_commands() -> None:
     for type_name in ("trajectory_msgs/msg/JointTrajectory", "sensor_msgs/msg/JointState"):
-        assert limit(found("publish", type_name, gantry_profile()), pattern(), ()).endpoint.joint_limited
+        assert limit(
+            found("publish", type_name, gantry_profile()), pattern(), ()
+        ).endpoint.joint_limited
 
 
-def test_an_exposed_endpoint_of_the_same_type_lends_its_limits_which_can_only_be_tightened() -> None:
+def test_an_exposed_endpoint_of_the_same_type_lends_its_limits_which_can_only_be_tightened() -> (
+    None
+):
     own = Endpoint(
-        name="velocity", kind="publish", topic="cmd_vel", type=TWIST, summary="Drive.", rate_hz=5.0,
-        bounds={"linear.x": (-0.2, 0.2)}, stop_message="zero", min_turning_radius_m=0.4, repeat_hz=20.0,
-    )  # fmt: skip
+        name="velocity",
+        kind="publish",
+        topic="cmd_vel",
+        type=TWIST,
+        summary="Drive.",
+        rate_hz=5.0,
+        bounds={"linear.x": (-0.2, 0.2)},
+        stop_message="zero",
+        min_turning_radius_m=0.4,
+        repeat_hz=20.0,
+    )
     known = Exposed(
-        robot="rover", namespace="rover", label="velocity", endpoint=own,
+        robot="rover",
+        namespace="rover",
+        label="velocity",
+        endpoint=own,
         clamp=frozenset({"linear.x"}),
-    )  # fmt: skip
+    )
     made = limit(found("publish", TWIST), pattern(), [known])
     assert made.endpoint.bounds == {"linear.x": (-0.2, 0.2)}
     assert (made.endpoint.topic, made.endpoint.rate_hz) == ("/rover/thing", 5.0)
@@ -116,7 +149,9 @@ def test_a_wrong_pattern_is_refused_at_the_start(text: str, words: str) -> None:
 def test_measurements_are_never_written_by_a_pattern() -> None:
     discover = patterns('kinds = ["publish", "read"]\n')
     config = parse_config('[robot]\nname = "rover"\n')
-    graph = LiveGraph(discover, config, None, tuple, lambda robot: gantry_profile(), lambda found: None)  # type: ignore[arg-type]
+    graph = LiveGraph(
+        discover, config, None, tuple, lambda robot: gantry_profile(), lambda found: None
+    )  # type: ignore[arg-type]
     names = {
         "/rover/joint_states": "sensor_msgs/msg/JointState",
         "/rover/camera/front/image": "sensor_msgs/msg/Image",
@@ -131,9 +166,12 @@ def test_measurements_are_never_written_by_a_pattern() -> None:
 
 @pytest.mark.ros
 @pytest.mark.timeout(90)
-def test_a_found_velocity_is_held_to_its_limits(make_application: Callable[..., Application], rover: Any) -> None:
+def test_a_found_velocity_is_held_to_its_limits(
+    make_application: Callable[..., Application], rover: Any
+) -> None:
     application = make_application(
-        '[robot]\nname = "rover"\n[[discover]]\npattern = "/rover/*"\nkinds = ["publish"]\nperiod_s = 0.1\n' + RANGES
+        '[robot]\nname = "rover"\n[[discover]]\npattern = "/rover/*"\nkinds = '
+        '["publish"]\nperiod_s = 0.1\n' + RANGES
     )
     application.open()
 
@@ -141,16 +179,22 @@ def test_a_found_velocity_is_held_to_its_limits(make_application: Callable[..., 
         await application.settle()
         async with Client(application.server) as client:
             with anyio.fail_after(20):
-                while not any(t.name == "publish_cmd_vel" for t in (await client.list_tools()).tools):
+                while not any(
+                    t.name == "publish_cmd_vel" for t in (await client.list_tools()).tools
+                ):
                     await anyio.sleep(0.05)
             fast = await client.call_tool("publish_cmd_vel", {"message": {"linear": {"x": 2.0}}})
             assert fast.is_error
             assert "allowed is -0.5 .. 0.5" in fast.content[0].text  # type: ignore[union-attr]
-            slow = await client.call_tool("publish_cmd_vel", {"message": {"linear": {"x": 0.2}}, "duration_s": 0.1})
+            slow = await client.call_tool(
+                "publish_cmd_vel", {"message": {"linear": {"x": 0.2}}, "duration_s": 0.1}
+            )
             assert slow.structured_content["stopped"]
             with anyio.fail_after(5):
                 while [m.linear.x for m in rover.on("cmd_vel")] != [0.2, 0.0]:
                     await anyio.sleep(0.01)
 
     anyio.run(scenario)
-    assert not any(e.endpoint.type == "std_msgs/msg/Int32" for e in gate_of(application.host).exposed)
+    assert not any(
+        e.endpoint.type == "std_msgs/msg/Int32" for e in gate_of(application.host).exposed
+    )

@@ -1,4 +1,5 @@
-"""The contract kit: subclass one class per kind, give one fixture, and every rule of that kind is tested.
+"""The contract kit: subclass one class per kind, give one fixture, and every rule of that kind is
+tested.
 
     from rn_testing import BackendCase, BackendContract
 
@@ -7,8 +8,9 @@
         def plugin(self) -> BackendCase:
             return BackendCase(spec=MY_POLICY)
 
-Only the contract classes need pytest; rules, cases and fakes do not. Names are imported when they are first asked for,
-so that the plugin module of this package stays light. Production code imports nothing of it.
+Only the contract classes need pytest; rules, cases and fakes do not. Names are imported when they
+are first asked for, so that the plugin module of this package stays light. Production code imports
+nothing of it.
 """
 
 from __future__ import annotations

@@ -1,4 +1,6 @@
-"""Starting what a case builds: for an automatic case, what cannot start makes a rule not applicable."""
+"""Starting what a case builds: for an automatic case, what cannot start makes a rule not
+applicable.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,9 @@ UNSTARTABLE = (CheckpointError, ConfigurationError, MissingDependencyError, NotR
 
 
 def attempt(case: Case[Any], start: Callable[[], T]) -> T:
-    """Return what `start` returns; for an automatic case what cannot start makes the rule not applicable."""
+    """Return what `start` returns; for an automatic case what cannot start makes the rule not
+    applicable.
+    """
     try:
         return start()
     except UNSTARTABLE as error:

@@ -1,4 +1,6 @@
-"""The case of an installed descriptor: the one its author ships, or one made from the descriptor alone."""
+"""The case of an installed descriptor: the one its author ships, or one made from the
+descriptor alone.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,8 @@ def make_case(spec: Spec, options: Mapping[str, object]) -> Case[Any]:
     """Return the case of `spec`, with `options` over its own.
 
     Raises:
-        PluginError: the descriptor's `case` cannot be imported, raises, or returns no case of this descriptor.
+        PluginError: the descriptor's `case` cannot be imported, raises, or returns no case of this
+            descriptor.
     """
     brought = None if spec.kind in CASES else kind_of(type(spec))
     expected = CASES.get(spec.kind, Case) if brought is None else brought.case
@@ -29,7 +32,9 @@ def make_case(spec: Spec, options: Mapping[str, object]) -> Case[Any]:
         return expected(spec=spec, options=options, is_automatic=True)
     function = load_attribute(spec.case, f"`case` of {spec.name!r}")
     if not callable(function):
-        raise PluginError(f"The `case` of {spec.name!r} ({spec.case}) is {function!r}, expected a function.")
+        raise PluginError(
+            f"The `case` of {spec.name!r} ({spec.case}) is {function!r}, expected a function."
+        )
     case = function()
     if not isinstance(case, expected) or case.spec != spec:
         raise PluginError(

@@ -27,8 +27,9 @@ class Case(Generic[S]):
         options: as a user would set them under `[plugins.<name>]`.
         limits_s: bound on one call by method name [s] ("predict", "close"), over those of
             `rn_testing.deadline`; a call that takes longer fails its rule.
-        is_automatic: made without the author's help (`roboneuron plugins check` on a plugin without `case`): then what
-            cannot be started for want of options, hardware or weights is skipped with the reason instead of failing.
+        is_automatic: made without the author's help (`roboneuron plugins check` on a plugin without
+            `case`): then what cannot be started for want of options, hardware or weights is skipped
+            with the reason instead of failing.
     """
 
     subject: ClassVar[str] = ""
@@ -78,9 +79,12 @@ class Case(Generic[S]):
         return frozenset(self.options)
 
     def prepare(
-        self, topics: MemoryTopics | None = None, configure: Callable[[object], object] = lambda options: options
+        self,
+        topics: MemoryTopics | None = None,
+        configure: Callable[[object], object] = lambda options: options,
     ) -> Callable[[], Any]:
-        """Load target and options and make the arguments; what is returned does nothing but call the constructor.
+        """Load target and options and make the arguments; what is returned does nothing but call
+        the constructor.
 
         Args:
             topics: lent to the plugin; new ones when None.

@@ -1,4 +1,6 @@
-"""Options that a case has to set: without them nothing can be built, and one rule says so instead of all that build."""
+"""Options that a case has to set: without them nothing can be built, and one rule says so
+instead of all that build.
+"""
 
 from __future__ import annotations
 
@@ -23,13 +25,21 @@ def missing_options(case: object) -> str:
     except (RoboNeuronError, Violation, NotApplicable):  # told by the rules about that
         return ""
     argument, given = case.given_options()
-    fields = {} if model is None else {field.alias or name: field for name, field in model.model_fields.items()}
-    required = {name: field for name, field in fields.items() if field.is_required() and name not in given}
+    fields = (
+        {}
+        if model is None
+        else {field.alias or name: field for name, field in model.model_fields.items()}
+    )
+    required = {
+        name: field for name, field in fields.items() if field.is_required() and name not in given
+    }
     if model is None or not required:
         return ""
     whole = {name: repr(value) for name, value in given.items()} | dict.fromkeys(required, "...")
     example = ", ".join(f'"{name}": {value}' for name, value in whole.items())
-    meaning = "; ".join(f"{name}: {field.description or 'no description'}" for name, field in required.items())
+    meaning = "; ".join(
+        f"{name}: {field.description or 'no description'}" for name, field in required.items()
+    )
     return (
         f"{model.__name__} requires {', '.join(required)}, which the case does not set. Write "
         f"{type(case).__name__}(spec=..., {argument}={{{example}}}) ({meaning})"
@@ -46,7 +56,8 @@ def _check(case: Case[Any]) -> None:
 RULES: tuple[Rule[Case[Any]], ...] = (
     Rule(
         id=RULE_ID,
-        text="The case sets every option that has no default; until it does, rules that build the plugin are skipped.",
+        text="The case sets every option that has no default; until it does, rules that build the "
+        "plugin are skipped.",
         source="rn_testing.case.Case",
         check=_check,
     ),

@@ -1,7 +1,8 @@
 """Cases: a descriptor, options it can run with, and what the rules of its kind need to try it.
 
-A case is what a contract class's one fixture returns and what a descriptor's `case` function returns. Everything but
-`spec` has a default that suffices for a plugin that works with synthetic input.
+A case is what a contract class's one fixture returns and what a descriptor's `case` function
+returns. Everything but `spec` has a default that suffices for a plugin that works with synthetic
+input.
 """
 
 from __future__ import annotations

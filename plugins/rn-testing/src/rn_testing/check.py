@@ -1,9 +1,11 @@
-"""`python -m rn_testing.check`: the rules of one installed plugin, one JSON line per rule, as they are decided.
+"""`python -m rn_testing.check`: the rules of one installed plugin, one JSON line per rule, as they
+are decided.
 
-Run by `roboneuron plugins check` in a process of its own, which it may lose. Standard input holds one JSON object:
-`distribution`, `plugin` (the name of its entry point), `offers` (a list of kind and name) and `options` (by name of the
-offer, "" for all of them). Standard output holds, per rule, first {"subject", "rule", "text"} when it is begun and then
-the same with "verdict", "detail" and "traceback".
+Run by `roboneuron plugins check` in a process of its own, which it may lose. Standard input holds
+one JSON object: `distribution`, `plugin` (the name of its entry point), `offers` (a list of kind
+    and name) and `options` (by name of the
+offer, "" for all of them). Standard output holds, per rule, first {"subject", "rule", "text"} when
+it is begun and then the same with "verdict", "detail" and "traceback".
 """
 
 from __future__ import annotations
@@ -32,7 +34,9 @@ class Request(TypedDict):
 
 
 def subjects(request: Request) -> Iterator[tuple[str, Any, tuple[Rule[Any], ...]]]:
-    """Label, case and rules of each thing to check; a case that cannot be made comes as its RoboNeuronError."""
+    """Label, case and rules of each thing to check; a case that cannot be made comes as its
+    RoboNeuronError.
+    """
     package = PackageCase(distribution=request["distribution"], plugin=request["plugin"])
     yield request["plugin"], package, RULES["package"]
     offers = [tuple(pair) for pair in request["offers"]]
@@ -53,7 +57,9 @@ def subjects(request: Request) -> Iterator[tuple[str, Any, tuple[Rule[Any], ...]
 def decide(rule: Rule[Any], case: object) -> Outcome:
     """Verify one rule; without a case it fails for the reason the case could not be made."""
     if isinstance(case, RoboNeuronError):
-        return Outcome(rule=rule.id, verdict=Verdict.FAILED, detail=f"there is no case to try: {case}")
+        return Outcome(
+            rule=rule.id, verdict=Verdict.FAILED, detail=f"there is no case to try: {case}"
+        )
     return verify(rule, case)
 
 
@@ -69,11 +75,20 @@ def run(request: Request, out: TextIO) -> None:
             begun = {"subject": subject, "rule": rule.id, "text": rule.text}
             write(begun)
             outcome = decide(rule, case)
-            write({**begun, "verdict": outcome.verdict, "detail": outcome.detail, "traceback": outcome.traceback})
+            write(
+                {
+                    **begun,
+                    "verdict": outcome.verdict,
+                    "detail": outcome.detail,
+                    "traceback": outcome.traceback,
+                }
+            )
 
 
 def main() -> None:
-    """Read the request, answer on the original standard output; what plugins print goes to standard error."""
+    """Read the request, answer on the original standard output; what plugins print goes to
+    standard error.
+    """
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "w", encoding="utf-8")
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
     run(json.load(sys.stdin), answers)

@@ -1,4 +1,5 @@
-"""How other systems merge chunks that overlap in time; to compare with, not used by RoboNeuron's modules.
+"""How other systems merge chunks that overlap in time; to compare with, not used by RoboNeuron's
+modules.
 
 Rows are float64 or float32 (..., D); step numbers count from the start of the episode.
 """
@@ -26,7 +27,8 @@ def temporal_ensemble(predictions: Sequence[Rows], decay: float = 0.01) -> Rows:
 
     Args:
         predictions: (D,) each, oldest first, N >= 1.
-        decay: prediction k (0 the oldest) weighs exp(-decay k); positive values trust old predictions more.
+        decay: prediction k (0 the oldest) weighs exp(-decay k); positive values trust old
+            predictions more.
 
     Source: ACT, arXiv 2304.13705, algorithm 2.
     """
@@ -36,14 +38,18 @@ def temporal_ensemble(predictions: Sequence[Rows], decay: float = 0.01) -> Rows:
 
 
 def aggregate(
-    queued: Mapping[int, Rows], new: Mapping[int, Rows], latest_executed_step: int, how: str = "weighted_average"
+    queued: Mapping[int, Rows],
+    new: Mapping[int, Rows],
+    latest_executed_step: int,
+    how: str = "weighted_average",
 ) -> dict[int, Rows]:
     """Return the queue after an answer, by time step.
 
     Args:
         queued, new: row (D,) by step.
         latest_executed_step: rows for it and for earlier steps are dropped.
-        how: key of AGGREGATIONS. A gripper in the rows is averaged too, which a real one does not bear.
+        how: key of AGGREGATIONS. A gripper in the rows is averaged too, which a real one does not
+            bear.
 
     Source: lerobot 0.6.1, async_inference.
     """

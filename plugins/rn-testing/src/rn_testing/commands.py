@@ -1,4 +1,6 @@
-"""What a controller is asked, and how its command is judged by the profile's limits and the URDF."""
+"""What a controller is asked, and how its command is judged by the profile's limits and the
+URDF.
+"""
 
 from __future__ import annotations
 
@@ -21,8 +23,8 @@ from roboneuron import (
 from roboneuron.feature import F64
 
 TRUTH_M, TRUTH_RAD = 5e-4, 5e-3
-"""How far a command may end from what its residual says: the residual is compared, so this only covers rounding and
-solvers that stop early."""
+"""How far a command may end from what its residual says: the residual is compared, so this only
+covers rounding and solvers that stop early."""
 
 
 def home_sample(profile: RobotProfile) -> JointSample:
@@ -36,7 +38,10 @@ def arm_sample(profile: RobotProfile, position: F64) -> JointSample:
     """Arm joints (n,) as measured, with an open gripper."""
     names = profile.arm_joints
     if profile.gripper is not None:
-        names, position = (*names, profile.gripper.joint), np.append(position, profile.gripper.open_position)
+        names, position = (
+            (*names, profile.gripper.joint),
+            np.append(position, profile.gripper.open_position),
+        )
     return JointSample(names=names, position=position, velocity=np.zeros(len(names)), stamp_ns=1)
 
 
@@ -53,23 +58,38 @@ def by_name(sample: JointSample | JointCommand) -> dict[str, float]:
     return dict(zip(sample.names, sample.position.tolist(), strict=True))
 
 
-def check_command(command: JointCommand, start: JointSample, profile: RobotProfile, step_s: float) -> None:
+def check_command(
+    command: JointCommand, start: JointSample, profile: RobotProfile, step_s: float
+) -> None:
     """Names, sizes, finiteness, limits, duration and speed."""
     known = set(profile.arm_joints) | ({profile.gripper.joint} if profile.gripper else set())
     foreign = [n for n in command.names if n not in known]
     require(not foreign, f"a command names joints that the profile lacks: {', '.join(foreign)}")
     require(len(set(command.names)) == len(command.names), "a command names a joint twice")
-    require(command.position.shape == (len(command.names),), f"a command has positions {command.position.shape}")
-    require(bool(np.isfinite(command.position).all()), "a command holds a position that is not finite")
+    require(
+        command.position.shape == (len(command.names),),
+        f"a command has positions {command.position.shape}",
+    )
+    require(
+        bool(np.isfinite(command.position).all()), "a command holds a position that is not finite"
+    )
     residuals = (command.residual_m, command.residual_rad)
-    require(all(np.isfinite(r) and r >= 0 for r in residuals), f"a command has residuals {residuals}")
+    require(
+        all(np.isfinite(r) and r >= 0 for r in residuals), f"a command has residuals {residuals}"
+    )
     duration_s = command.duration_s
-    require(duration_s >= 0.999 * step_s, f"a command for a step of {step_s:g} s lasts {duration_s:g} s")
+    require(
+        duration_s >= 0.999 * step_s, f"a command for a step of {step_s:g} s lasts {duration_s:g} s"
+    )
     limits = profile.limits
     assert limits is not None
     sent, measured = by_name(command), by_name(start)
     share = 0.0
-    bounds = zip(profile.arm_joints, *(v.tolist() for v in (limits.lower, limits.upper, limits.velocity)), strict=True)
+    bounds = zip(
+        profile.arm_joints,
+        *(v.tolist() for v in (limits.lower, limits.upper, limits.velocity)),
+        strict=True,
+    )
     for name, low, high, velocity in bounds:
         if name not in sent:
             continue
@@ -80,23 +100,30 @@ def check_command(command: JointCommand, start: JointSample, profile: RobotProfi
         share = max(share, abs(sent[name] - measured[name]) / (velocity * duration_s))
     require(share <= 1.01, f"a command needs {share:.1f} times the velocity limit of a joint")
     is_stretched = duration_s > 1.001 * step_s
-    require(not is_stretched or share > 0.1, f"a small step of {step_s:g} s is given {duration_s:g} s")
+    require(
+        not is_stretched or share > 0.1, f"a small step of {step_s:g} s is given {duration_s:g} s"
+    )
 
 
 def distance(a: Pose, b: Pose) -> tuple[float, float]:
     """How far apart two poses are [m], [rad]."""
     turn = matrix_from_quaternion(a.quaternion_xyzw).T @ matrix_from_quaternion(b.quaternion_xyzw)
-    return float(np.linalg.norm(a.position_m - b.position_m)), float(np.linalg.norm(rotvec_from_matrix(turn)))
+    return float(np.linalg.norm(a.position_m - b.position_m)), float(
+        np.linalg.norm(rotvec_from_matrix(turn))
+    )
 
 
-def check_arrives(command: JointCommand, action: Action, joints: JointSample, profile: RobotProfile) -> None:
+def check_arrives(
+    command: JointCommand, action: Action, joints: JointSample, profile: RobotProfile
+) -> None:
     """The command ends where its residual says, by the URDF."""
     start = by_name(joints)
     reached = place_tcp(profile, {**start, **by_name(command)})
     error_m, error_rad = distance(reached, apply_delta(place_tcp(profile, start), action))
     require(
         error_m <= command.residual_m + TRUTH_M and error_rad <= command.residual_rad + TRUTH_RAD,
-        f"an action of {action.to_vector()[:6]} ends {error_m:.5f} m and {error_rad:.4f} rad from its target, "
+        f"an action of {action.to_vector()[:6]} ends {error_m:.5f} m and {error_rad:.4f} rad from "
+        "its target, "
         f"the command says {command.residual_m:.5f} m and {command.residual_rad:.4f} rad",
     )
 
@@ -111,6 +138,8 @@ def postures(profile: RobotProfile) -> Iterator[JointSample]:
     yield home
     for turn in (0.15, -0.15):
         moved = np.clip(
-            arm + turn * signs, limits.lower + np.minimum(inner, 0.1), limits.upper - np.minimum(inner, 0.1)
+            arm + turn * signs,
+            limits.lower + np.minimum(inner, 0.1),
+            limits.upper - np.minimum(inner, 0.1),
         )
         yield arm_sample(profile, moved)

@@ -1,4 +1,6 @@
-"""Contract classes: pytest test classes that a third party subclasses, with the one fixture `plugin`."""
+"""Contract classes: pytest test classes that a third party subclasses, with the one fixture
+`plugin`.
+"""
 
 from __future__ import annotations
 
@@ -19,17 +21,24 @@ def _report(rule: Rule[Any], case: Any) -> None:
     if outcome.verdict is Verdict.SKIPPED:
         pytest.skip(f"{rule.id}: {outcome.detail}")
     if outcome.verdict is Verdict.FAILED:
-        text = f"{rule.id}: {outcome.detail}\n  rule: {rule.text}\n  source: {rule.source}\n{outcome.traceback}"
+        text = (
+            f"{rule.id}: {outcome.detail}\n  rule: {rule.text}\n  source: "
+            f"{rule.source}\n{outcome.traceback}"
+        )
         pytest.fail(text.rstrip(), pytrace=False)
 
 
 class Contract:
-    """Base of the contract classes: override `plugin`, and every rule of the kind becomes a test."""
+    """Base of the contract classes: override `plugin`, and every rule of the kind becomes a
+    test.
+    """
 
     @pytest.fixture
     def plugin(self) -> Any:
         """The case to test."""
-        raise NotImplementedError(f"override the fixture `plugin` and return a case, see {type(self).__mro__[1]}")
+        raise NotImplementedError(
+            f"override the fixture `plugin` and return a case, see {type(self).__mro__[1]}"
+        )
 
 
 def _contract(kind: str, case: type[Any], rules: tuple[Rule[Any], ...] = ()) -> type[Contract]:
@@ -40,9 +49,14 @@ def _contract(kind: str, case: type[Any], rules: tuple[Rule[Any], ...] = ()) -> 
         """The rule holds."""
         _report(rule, plugin)
 
-    text = f"Subclass as `TestX`, override `plugin` and return a {case.__name__}; every rule becomes a test."
+    text = (
+        f"Subclass as `TestX`, override `plugin` and return a {case.__name__}; every rule "
+        "becomes a test."
+    )
     name = f"{kind.capitalize()}Contract"
-    return type(name, (Contract,), {"__doc__": text, "__module__": __name__, "test_contract": test_contract})
+    return type(
+        name, (Contract,), {"__doc__": text, "__module__": __name__, "test_contract": test_contract}
+    )
 
 
 def contract_of(spec: type[Spec]) -> type[Contract]:

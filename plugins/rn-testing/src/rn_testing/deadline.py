@@ -1,4 +1,6 @@
-"""Bounds on the calls into a plugin: a call that hangs fails its rule, and the run goes on without it."""
+"""Bounds on the calls into a plugin: a call that hangs fails its rule, and the run goes on
+without it.
+"""
 
 from __future__ import annotations
 
@@ -17,16 +19,21 @@ CALL_LIMITS_S: Mapping[str, float] = {
     "constructor": 5.0,
     "load": 300.0,
     "open": 60.0,
-    "start": 10.0,  # of a feature: the server starts one after the other, and answers nobody meanwhile
+    # of a feature: the server starts one after the other, and answers nobody meanwhile
+    "start": 10.0,
     "reset": 5.0,
     "close": 5.0,  # the supervisor kills a module that takes longer
     "abort": 2.0,
     "hold": 2.0,
     "send": 2.0,
 }
-"""Bound on one call by method name [s]; a case's `limits_s` go first. Generous: slow is judged by other rules."""
+"""Bound on one call by method name [s]; a case's `limits_s` go first. Generous: slow is judged
+by other rules.
+"""
 RULE_LIMIT_S = 600.0
-"""Bound on a whole rule, for what hangs outside of a plugin's methods (a factory of the case, an import)."""
+"""Bound on a whole rule, for what hangs outside of a plugin's methods (a factory of the case,
+an import).
+"""
 
 
 class Overdue(Exception):
@@ -37,7 +44,8 @@ class _Watch:
     """The call that is in progress in the watched thread."""
 
     def __init__(self) -> None:
-        self._call: tuple[str, float, float] | None = None  # name, bound, begun; replaced as a whole
+        # name, bound, begun; replaced as a whole
+        self._call: tuple[str, float, float] | None = None
 
     def begin(self, name: str, limit_s: float) -> None:
         self._call = (name, limit_s, time.monotonic())
@@ -55,7 +63,9 @@ _watch: ContextVar[_Watch | None] = ContextVar("watched_calls", default=None)
 
 
 class _Bounded:
-    """Stands in for a plugin's object; tells the watch of its thread when a method is called and when it returns."""
+    """Stands in for a plugin's object; tells the watch of its thread when a method is called
+    and when it returns.
+    """
 
     def __init__(self, subject: object, limits_s: Mapping[str, float]) -> None:
         self._subject = subject
@@ -66,7 +76,9 @@ class _Bounded:
         if not callable(value):
             return value
         limit_s = self._limits_s.get(name, CALL_LIMIT_S)
-        return lambda *arguments, **named: call_bounded(name, limit_s, lambda: value(*arguments, **named))
+        return lambda *arguments, **named: call_bounded(
+            name, limit_s, lambda: value(*arguments, **named)
+        )
 
 
 def bounded(subject: P, limits_s: Mapping[str, float]) -> P:
@@ -92,7 +104,8 @@ def unbounded(subject: P) -> P:
 
 
 def run_bounded(work: Callable[[], T]) -> T:
-    """Return what `work` returns, run in a thread of its own, as a module would; raises what it raises.
+    """Return what `work` returns, run in a thread of its own, as a module would; raises what it
+    raises.
 
     Raises:
         Overdue: a bounded call or the whole hangs. The thread is a daemon and is left behind.

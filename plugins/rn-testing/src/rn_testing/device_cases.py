@@ -35,11 +35,11 @@ class PerceptionCase(Case[PerceptionSpec]):
 
     Attributes:
         cameras: makes the profiles to serve; the fake robot's when None.
-        feed: makes a frame arrive, called before each read with the open source and its topics; None when frames come
-            by themselves.
+        feed: makes a frame arrive, called before each read with the open source and its topics;
+            None when frames come by themselves.
         timeout_s: bound on waiting for one frame [s].
-        expected: makes the image that the first frame shows, RGB; None when it is not known. The mean difference may
-            be 12 of 255, so that a lossy codec passes.
+        expected: makes the image that the first frame shows, RGB; None when it is not known. The
+            mean difference may be 12 of 255, so that a lossy codec passes.
         rate_hz: frames per second of each camera; when None that of the option that says so.
     """
 
@@ -105,7 +105,8 @@ class RobotCase(Case[RobotSpec]):
     """A robot to try, with one of its drivers.
 
     Attributes:
-        driver: name of the driver that the rules may open and *move*; None to leave all of them alone.
+        driver: name of the driver that the rules may open and *move*; None to leave all of them
+            alone.
         driver_options: its options.
         step: how far the rules move one joint [rad or m].
         settle_s: bound on the time such a move takes [s].
@@ -139,7 +140,9 @@ class RobotCase(Case[RobotSpec]):
         if spec is None and self.is_automatic:
             raise NotApplicable(f"there is no driver {self.driver!r} to try")
         if spec is None:
-            raise Violation(f"the case names the driver {self.driver!r}, which the descriptor lacks")
+            raise Violation(
+                f"the case names the driver {self.driver!r}, which the descriptor lacks"
+            )
         return spec
 
     def option_names(self) -> frozenset[str]:
@@ -159,9 +162,13 @@ class RobotCase(Case[RobotSpec]):
         return replace(self, driver_options={**self.driver_options, **changes})
 
     def prepare(
-        self, topics: MemoryTopics | None = None, configure: Callable[[object], object] = lambda options: options
+        self,
+        topics: MemoryTopics | None = None,
+        configure: Callable[[object], object] = lambda options: options,
     ) -> Callable[[], Any]:
-        """As of every case, for the driver; the profile is made here, so that its files are not the constructor's."""
+        """As of every case, for the driver; the profile is made here, so that its files are not
+        the constructor's.
+        """
         spec = self.driver_spec()
         target, options = self._target(spec), configure(load_options(spec, self.driver_options))
         profile, lent = self.profile(), MemoryTopics() if topics is None else topics

@@ -1,4 +1,6 @@
-"""An installed distribution as the package rules see it: metadata, source files, and what a fresh interpreter says."""
+"""An installed distribution as the package rules see it: metadata, source files, and what a
+fresh interpreter says.
+"""
 
 from __future__ import annotations
 
@@ -54,7 +56,7 @@ try:
 except Exception as error:
     problem = str(error)
 print("\\n" + json.dumps({"loaded": loaded, "problem": problem, "effects": effects}))
-"""
+"""  # noqa: E501
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -62,7 +64,8 @@ class Probe:
     """What importing a plugin module in a fresh interpreter did.
 
     Attributes:
-        loaded: names of the modules that are loaded with it and are not loaded with the markers and descriptors.
+        loaded: names of the modules that are loaded with it and are not loaded with the markers and
+            descriptors.
         problem: why the module's hooks cannot be used; empty when they can.
         effects: what else the import did, as parts of a sentence.
     """
@@ -96,7 +99,9 @@ def _all_entry_points(case: PackageCase) -> list[EntryPoint]:
 
 
 def find_entry_points(case: PackageCase) -> list[EntryPoint]:
-    """The entry points of the group `roboneuron` that the case is about; raises Violation when there are none."""
+    """The entry points of the group `roboneuron` that the case is about; raises Violation when
+    there are none.
+    """
     points = [p for p in _all_entry_points(case) if case.plugin in ("", p.name)]
     if not points:
         named = f" {case.plugin!r}" if case.plugin else ""
@@ -105,17 +110,27 @@ def find_entry_points(case: PackageCase) -> list[EntryPoint]:
 
 
 def find_package(case: PackageCase, module: str) -> str:
-    """Name of the package that is the plugin: the top-level one, or of several in one distribution that of `module`."""
+    """Name of the package that is the plugin: the top-level one, or of several in one
+    distribution that of `module`.
+    """
     is_alone = len(_all_entry_points(case)) == 1
-    return module.partition(".")[0] if is_alone or not case.plugin else module.rpartition(".")[0] or module
+    return (
+        module.partition(".")[0]
+        if is_alone or not case.plugin
+        else module.rpartition(".")[0] or module
+    )
 
 
 def plugin_package(module: str) -> str:
-    """Name of the package of the installed plugin that `module` belongs to; its top-level package where that has one
-    plugin only, or none.
+    """Name of the package of the installed plugin that `module` belongs to; its top-level package
+    where that has one plugin only, or none.
     """
     top = module.partition(".")[0]
-    packages = [p.module.rpartition(".")[0] for p in entry_points(group=PROJECT) if p.module.partition(".")[0] == top]
+    packages = [
+        p.module.rpartition(".")[0]
+        for p in entry_points(group=PROJECT)
+        if p.module.partition(".")[0] == top
+    ]
     around = [package for package in packages if f"{module}.".startswith(f"{package}.")]
     return max(around, key=len, default=top) if len(packages) > 1 else top
 
@@ -130,11 +145,17 @@ def find_package_directory(case: PackageCase, module: str) -> Path:
 
 
 def source_files(case: PackageCase) -> Iterator[Path]:
-    """Every Python file of the packages that the entry points name, without those of other plugins inside of them."""
+    """Every Python file of the packages that the entry points name, without those of other
+    plugins inside of them.
+    """
     places = {find_package(case, p.module): _place(case, p.module) for p in find_entry_points(case)}
-    others = [_place(case, p.module) for p in _all_entry_points(case) if case.plugin not in ("", p.name)]
+    others = [
+        _place(case, p.module) for p in _all_entry_points(case) if case.plugin not in ("", p.name)
+    ]
     for directory in set(places.values()):
-        inner = [other for other in others if other != directory and other.is_relative_to(directory)]
+        inner = [
+            other for other in others if other != directory and other.is_relative_to(directory)
+        ]
         for path in sorted(directory.rglob("*.py")):
             if not any(path.is_relative_to(other) for other in inner):
                 yield path
@@ -169,15 +190,22 @@ def imported_modules(path: Path) -> Iterator[tuple[str, int]]:
 def requirements(case: PackageCase) -> frozenset[str]:
     """Normalised names of the distributions that it declares to need, those of extras included."""
     lines = find_distribution(case).requires or []
-    return frozenset(normalise(re.split(r"[^A-Za-z0-9._-]", line.strip(), maxsplit=1)[0]) for line in lines)
+    return frozenset(
+        normalise(re.split(r"[^A-Za-z0-9._-]", line.strip(), maxsplit=1)[0]) for line in lines
+    )
 
 
 def _import_path() -> list[str]:
-    """The import path of this process without the working directory, which `python -m` puts there by itself.
+    """The import path of this process without the working directory, which `python -m` puts there
+    by itself.
 
     A stray file such as re.py there is no fault of the plugin.
     """
-    asked = [Path(entry).absolute() for entry in os.environ.get("PYTHONPATH", "").split(os.pathsep) if entry]
+    asked = [
+        Path(entry).absolute()
+        for entry in os.environ.get("PYTHONPATH", "").split(os.pathsep)
+        if entry
+    ]
     here = Path.cwd()
     return [entry for entry in sys.path if entry and (Path(entry) != here or here in asked)]
 
@@ -185,7 +213,11 @@ def _import_path() -> list[str]:
 @functools.lru_cache(maxsize=16)
 def probe(case: PackageCase, module: str) -> Probe:
     """Import `module` in a fresh interpreter, once per case; raises Violation when that fails."""
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(_import_path()), "PYTHONSAFEPATH": "1"}
+    environment = {
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join(_import_path()),
+        "PYTHONSAFEPATH": "1",
+    }
     try:
         done = subprocess.run(
             [sys.executable, "-P", "-B", "-c", _PROBE, json.dumps(list(case.path)), module],
@@ -201,4 +233,8 @@ def probe(case: PackageCase, module: str) -> Probe:
         last = done.stderr.strip().splitlines()[-1:] or [f"exit status {done.returncode}"]
         raise Violation(f"importing {module} failed: {last[0]}")
     answer = json.loads(done.stdout.strip().splitlines()[-1])
-    return Probe(loaded=frozenset(answer["loaded"]), problem=answer["problem"], effects=tuple(answer["effects"]))
+    return Probe(
+        loaded=frozenset(answer["loaded"]),
+        problem=answer["problem"],
+        effects=tuple(answer["effects"]),
+    )

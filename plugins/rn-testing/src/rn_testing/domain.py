@@ -10,16 +10,21 @@ from collections import deque
 from pathlib import Path
 
 DOMAINS = range(30, 101)
-"""Domains whose ports stay below Linux' ephemeral ports. Source: docs.ros.org, "The ROS_DOMAIN_ID"."""
+"""Domains whose ports stay below Linux' ephemeral ports. Source: docs.ros.org, "The
+ROS_DOMAIN_ID".
+"""
 
 _POOL = 6
-"""Domains one process takes turns with, so that what an ended test left on the graph is not met by the next one."""
+"""Domains one process takes turns with, so that what an ended test left on the graph is not met
+by the next one.
+"""
 
 _held: deque[int] = deque()
 
 
 def free_ros_domain() -> int:
-    """A ROS domain that no other process which asked this function holds; it is given back when this process ends.
+    """A ROS domain that no other process which asked this function holds; it is given back when
+    this process ends.
 
     Raises:
         RuntimeError: every domain is taken; the text says which file to look at.
@@ -41,4 +46,6 @@ def free_ros_domain() -> int:
     if _held:
         _held.rotate(-1)
         return _held[-1]
-    raise RuntimeError(f"Every ROS domain of {DOMAINS} is held by another test process. Look who locks {folder}/*.")
+    raise RuntimeError(
+        f"Every ROS domain of {DOMAINS} is held by another test process. Look who locks {folder}/*."
+    )

@@ -1,4 +1,6 @@
-"""What a piece of code does besides computing: files, sockets, processes, threads, processor time."""
+"""What a piece of code does besides computing: files, sockets, processes, threads, processor
+time.
+"""
 
 from __future__ import annotations
 
@@ -27,17 +29,21 @@ HEAVY_MODULES = ("torch", "transformers", "tensorflow", "jax", "pybullet", "mujo
 PURE_CPU_S = 0.5
 """Processor time a constructor may take; generous, since what it must not do takes seconds."""
 MANY, QUICK_S, ROUND_S, TRIES = 200, 0.001, 0.25, 3
-"""Most calls per round of the memory check, how quick a call must be for so many in any case, how long a round of
-others may take when the least number of calls takes less, and how many calls are timed."""
+"""Most calls per round of the memory check, how quick a call must be for so many in any case, how
+long a round of others may take when the least number of calls takes less, and how many calls are
+timed."""
 RELEASE_S = 3.0
 """How long what was closed may take to end."""
 ROUNDS = 4
-"""Rounds of the memory check, of which the first may fill caches and one that keeps nothing is enough."""
+"""Rounds of the memory check, of which the first may fill caches and one that keeps nothing is
+enough.
+"""
 OPEN_FILES = 0.05
 """Files that a call may leave open: other threads open a few meanwhile."""
 LEAK_BYTES, SLOW_LEAK_BYTES, RESIDENT_LEAK_BYTES = 256, 2048, 100_000
-"""What each of MANY calls, each of the least number of calls (whose bounded histories are still filling) and, of memory
-that Python does not know, any call may keep; below is noise. Noise is a round's, so more calls show smaller leaks."""
+"""What each of MANY calls, each of the least number of calls (whose bounded histories are still
+filling) and, of memory that Python does not know, any call may keep; below is noise. Noise is a
+round's, so more calls show smaller leaks."""
 
 _EVENTS = {
     "open": "opens the file",
@@ -47,7 +53,8 @@ _EVENTS = {
     "os.posix_spawn": "starts the process",
     "os.fork": "forks",
     "os.system": "runs the command",
-    "_thread.start_new_thread": "starts the thread",  # from Python 3.12 on; before, only threads that last are seen
+    # from Python 3.12 on; before, only threads that last are seen
+    "_thread.start_new_thread": "starts the thread",
 }
 _IMPORT_SUFFIXES = (".py", ".pyc", ".so")
 _observed: ContextVar[list[str] | None] = ContextVar("observed_effects", default=None)
@@ -67,7 +74,9 @@ def find_effects(action: Callable[[], T]) -> tuple[T, list[str]]:
     finally:
         _observed.reset(token)
     spent_s = time.thread_time() - started_s
-    effects += [f"imports {name}" for name in HEAVY_MODULES if name in sys.modules and name not in loaded]
+    effects += [
+        f"imports {name}" for name in HEAVY_MODULES if name in sys.modules and name not in loaded
+    ]
     if not effects and not _threads() <= threads:  # a thread of somebody else's may end meanwhile
         effects.append("starts threads")
     if spent_s > PURE_CPU_S:
@@ -77,15 +86,20 @@ def find_effects(action: Callable[[], T]) -> tuple[T, list[str]]:
 
 @functools.cache
 def _install_hook() -> None:
-    """An audit hook cannot be removed again, so there is one, and it looks only where `find_effects` is running."""
+    """An audit hook cannot be removed again, so there is one, and it looks only where
+    `find_effects` is running.
+    """
     sys.addaudithook(_audit)
 
 
 @contextmanager
 def watch_new_files(created: list[Path]) -> Iterator[None]:
-    """Notes in `created` what this thread makes in the folder of temporary files and in the working folder."""
+    """Notes in `created` what this thread makes in the folder of temporary files and in the
+    working folder.
+    """
     _install_hook()
-    tempfile.gettempdir()  # asked for the first time it writes a file, which the hook must not wait for
+    # asked for the first time it writes a file, which the hook must not wait for
+    tempfile.gettempdir()
     token = _created.set(created)
     try:
         yield
@@ -98,7 +112,11 @@ def _note_new_file(created: list[Path], event: str, arguments: tuple[object, ...
         created.append(Path(str(arguments[0])))
         return
     name, flags = arguments[0], arguments[2]
-    if not isinstance(name, (str, bytes, os.PathLike)) or not isinstance(flags, int) or not flags & os.O_CREAT:
+    if (
+        not isinstance(name, (str, bytes, os.PathLike))
+        or not isinstance(flags, int)
+        or not flags & os.O_CREAT
+    ):
         return
     path = Path(os.fsdecode(name)).absolute()
     is_near = path.parent == Path.cwd() or path.is_relative_to(tempfile.gettempdir())
@@ -127,7 +145,9 @@ def _threads() -> frozenset[str]:
 
 
 def expect_refusal(action: Callable[[], object], what: str, *kinds: type[RoboNeuronError]) -> None:
-    """Raise Violation unless `action` raises one of `kinds` (any RoboNeuronError when none are given)."""
+    """Raise Violation unless `action` raises one of `kinds` (any RoboNeuronError when none are
+    given).
+    """
     expected = kinds or (RoboNeuronError,)
     names = " or ".join(k.__name__ for k in expected)
     try:
@@ -137,12 +157,15 @@ def expect_refusal(action: Callable[[], object], what: str, *kinds: type[RoboNeu
     except NotApplicable:
         raise
     except Exception as error:
-        raise Violation(f"{what} raised {type(error).__name__}: {error}; expected {names}") from error
+        raise Violation(
+            f"{what} raised {type(error).__name__}: {error}; expected {names}"
+        ) from error
     raise Violation(f"{what} returned {_short(result)}, expected {names}")
 
 
 def within(limit_s: float, action: Callable[[], T], what: str) -> T:
-    """Return what `action` returns; raise Violation when it takes longer than `limit_s`, its own errors otherwise.
+    """Return what `action` returns; raise Violation when it takes longer than `limit_s`, its own
+    errors otherwise.
 
     It runs in a daemon thread, which is left behind when it hangs.
     """
@@ -176,8 +199,14 @@ def wait_until(condition: Callable[[], bool], limit_s: float) -> bool:
 
 
 def running() -> frozenset[str]:
-    """Names of what a closed plugin must not leave behind: Python threads and child processes of this process."""
-    threads = {f"thread {t.name} ({t.native_id})" for t in threading.enumerate() if t is not threading.current_thread()}
+    """Names of what a closed plugin must not leave behind: Python threads and child processes
+    of this process.
+    """
+    threads = {
+        f"thread {t.name} ({t.native_id})"
+        for t in threading.enumerate()
+        if t is not threading.current_thread()
+    }
     children: set[str] = set()
     for listing in Path("/proc/self/task").glob("*/children"):
         try:
@@ -200,7 +229,8 @@ def open_files() -> frozenset[str]:
 
 
 def check_releases(run: Callable[[], object], what: str) -> None:
-    """Raise Violation when `run` leaves threads, processes or open files behind, while what it returns is kept.
+    """Raise Violation when `run` leaves threads, processes or open files behind, while what it
+    returns is kept.
 
     What stays open is tried a second time: libraries open some files once per process.
     """
@@ -218,13 +248,17 @@ def check_releases(run: Callable[[], object], what: str) -> None:
 
 
 def check_released(before: frozenset[str], what: str) -> None:
-    """Raise Violation when threads or child processes that were not `before` are still there after RELEASE_S."""
+    """Raise Violation when threads or child processes that were not `before` are still there
+    after RELEASE_S.
+    """
     if not wait_until(lambda: running() <= before, RELEASE_S):
         raise Violation(f"{what} leaves behind: {', '.join(sorted(running() - before))}")
 
 
 def check_quick(limit_s: float, action: Callable[[], object], what: str, *, tries: int = 3) -> None:
-    """Raise Violation unless the quickest of some calls takes at most `limit_s`: a busy machine slows one, not all."""
+    """Raise Violation unless the quickest of some calls takes at most `limit_s`: a busy machine
+    slows one, not all.
+    """
     quickest_s = float("inf")
     for _ in range(tries):
         begun_s = time.perf_counter()
@@ -236,7 +270,8 @@ def check_quick(limit_s: float, action: Callable[[], object], what: str, *, trie
 
 
 def check_memory(action: Callable[[], object], what: str, *, count: int = 20) -> None:
-    """Raise Violation when memory, or what is open, grows with every call, in each round after one that fills caches.
+    """Raise Violation when memory, or what is open, grows with every call, in each round after one
+    that fills caches.
 
     Args:
         action: the call.
@@ -248,7 +283,8 @@ def check_memory(action: Callable[[], object], what: str, *, count: int = 20) ->
         begun_s = time.perf_counter()
         action()
         times_s.append(time.perf_counter() - begun_s)
-    typical_s = sorted(times_s)[TRIES // 2]  # one may have found its answer waiting, or been interrupted
+    # one may have found its answer waiting, or been interrupted
+    typical_s = sorted(times_s)[TRIES // 2]
     calls = MANY if typical_s < QUICK_S else max(count, min(MANY, int(ROUND_S / typical_s)))
     python_bytes = LEAK_BYTES if calls >= MANY else max(LEAK_BYTES, SLOW_LEAK_BYTES * count / calls)
     marks: list[tuple[int, int, int]] = []
@@ -261,8 +297,12 @@ def check_memory(action: Callable[[], object], what: str, *, count: int = 20) ->
             gc.collect()
             marks.append((tracemalloc.get_traced_memory()[0], _resident_bytes(), len(open_files())))
             kept = _kept_by_each_call(marks, calls)
-            if kept is not None and (all(k <= most for k, most in zip(kept, allowed, strict=True)) or kept[2] > 0.5):
-                break  # one round that keeps nothing suffices; and of a leak of files a process has not room for more
+            if kept is not None and (
+                all(k <= most for k, most in zip(kept, allowed, strict=True)) or kept[2] > 0.5
+            ):
+                # one round that keeps nothing suffices; and of a leak of files a process has not
+                # room for more
+                break
     finally:
         tracemalloc.stop()
     assert kept is not None
@@ -274,11 +314,14 @@ def check_memory(action: Callable[[], object], what: str, *, count: int = 20) ->
 
 
 def _kept_by_each_call(marks: list[tuple[int, int, int]], calls: int) -> tuple[float, ...] | None:
-    """Of what was marked after each round, the least that a round added, for each call; None after the first round."""
+    """Of what was marked after each round, the least that a round added, for each call; None
+    after the first round.
+    """
     if len(marks) < 2:
         return None
     return tuple(
-        min(later - sooner for sooner, later in itertools.pairwise(each)) / calls for each in zip(*marks, strict=True)
+        min(later - sooner for sooner, later in itertools.pairwise(each)) / calls
+        for each in zip(*marks, strict=True)
     )
 
 

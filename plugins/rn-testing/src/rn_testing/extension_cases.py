@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class FeatureCase(Case[FeatureSpec]):
-    """A feature to try; `options` are its section of roboneuron.toml, or its sections by key when it has several.
+    """A feature to try; `options` are its section of roboneuron.toml, or its sections by key when
+    it has several.
 
     Attributes:
         needs: descriptors of the features that it needs.
@@ -37,7 +38,9 @@ class FeatureCase(Case[FeatureSpec]):
         return dict(self.options) if self.spec.sections else {self.spec.keys[0]: dict(self.options)}
 
     def option_model(self) -> type[BaseModel] | None:
-        """None: a feature has defaults for all options, which the rule `feature/defaults` judges."""
+        """None: a feature has defaults for all options, which the rule `feature/defaults`
+        judges.
+        """
         return None
 
     def options_model(self) -> type[BaseModel] | None:
@@ -65,7 +68,9 @@ class CommandCase(Case[CommandSpec]):
         return (), {}
 
     def prepare(
-        self, topics: MemoryTopics | None = None, configure: Callable[[object], object] = lambda options: options
+        self,
+        topics: MemoryTopics | None = None,
+        configure: Callable[[object], object] = lambda options: options,
     ) -> Callable[[], Any]:
         """As of every case; a command is given nothing."""
         return self._bounded(self._target(self.spec))

@@ -1,6 +1,8 @@
-"""Kinds of descriptors that other plugins bring (monitors, suites of tasks), with their case and rules.
+"""Kinds of descriptors that other plugins bring (monitors, suites of tasks), with their case and
+rules.
 
-Such a descriptor class names them: `rules: ClassVar[str] = "my_package.contract_cases:KIND"`. That module is loaded by
+Such a descriptor class names them: `rules: ClassVar[str] = "my_package.contract_cases:KIND"`. That
+    module is loaded by
 the kit only, and may import it.
 """
 
@@ -29,12 +31,15 @@ class Kind:
 
 
 def named_by(spec: type[Spec]) -> str:
-    """Where a descriptor class says that its rules are, as "module:attribute"; empty when it says nothing."""
+    """Where a descriptor class says that its rules are, as "module:attribute"; empty when it
+    says nothing.
+    """
     return str(getattr(spec, "rules", ""))
 
 
 def kind_of(spec: type[Spec]) -> Kind | None:
-    """Case and rules of a descriptor class that another plugin has brought; None when it names none.
+    """Case and rules of a descriptor class that another plugin has brought; None when it names
+    none.
 
     Raises:
         PluginError: what it names cannot be imported or is no Kind.
@@ -44,7 +49,9 @@ def kind_of(spec: type[Spec]) -> Kind | None:
         return None
     found = load_attribute(place, f"`rules` of {spec.__name__}")
     if not isinstance(found, Kind):
-        raise PluginError(f"The `rules` of {spec.__name__} ({place}) is {type(found).__name__}, expected a Kind.")
+        raise PluginError(
+            f"The `rules` of {spec.__name__} ({place}) is {type(found).__name__}, expected a Kind."
+        )
     return found
 
 

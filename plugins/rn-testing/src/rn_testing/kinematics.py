@@ -25,7 +25,8 @@ class UrdfJoint:
         child: the link it carries.
         origin: float64 (4, 4), pose of the joint in its parent link.
         axis: float64 (3,), unit length.
-        lower, upper, velocity: its limits [rad or m, per second]; infinite where the URDF gives none.
+        lower, upper, velocity: its limits [rad or m, per second]; infinite where the URDF gives
+            none.
     """
 
     name: str
@@ -85,7 +86,9 @@ def _read_joint(element: ElementTree.Element) -> UrdfJoint:
     roll, pitch, yaw = _numbers(_attribute(element, "origin", "rpy", "0 0 0"))
     origin = np.eye(4)
     x, y, z = np.eye(3)
-    origin[:3, :3] = matrix_from_rotvec(z * yaw) @ matrix_from_rotvec(y * pitch) @ matrix_from_rotvec(x * roll)
+    origin[:3, :3] = (
+        matrix_from_rotvec(z * yaw) @ matrix_from_rotvec(y * pitch) @ matrix_from_rotvec(x * roll)
+    )
     origin[:3, 3] = _numbers(_attribute(element, "origin", "xyz", "0 0 0"))
     axis = _numbers(_attribute(element, "axis", "xyz", "1 0 0"))
     return UrdfJoint(

@@ -26,14 +26,20 @@ from rn_testing.refusals import SECRET, check_error, check_missing_files, secret
 from rn_testing.rule import NotApplicable, Rule, Violation, require
 from roboneuron import RoboNeuronError, StateError
 
-PURE = "The constructor opens no file, starts no thread or process and computes nothing that takes time."
+PURE = (
+    "The constructor opens no file, starts no thread or process and computes nothing that "
+    "takes time."
+)
 """Text of the rule `constructor-pure`."""
 ALONE = (
-    "It leaves the process as it was: folder, environment, signals, global random generators, logging, standard output."
+    "It leaves the process as it was: folder, environment, signals, global random generators, "
+    "logging, standard output."
 )
 """Text of the rule `process-left-alone`."""
 CONSTRUCTOR_S = 1.0
-"""Bound on the quickest of some constructors: they return at once, and a busy machine slows one, not all."""
+"""Bound on the quickest of some constructors: they return at once, and a busy machine slows
+one, not all.
+"""
 
 
 class Closable(Protocol):
@@ -63,14 +69,16 @@ def check_protocol(case: Case[Any], protocol: type) -> None:
     """What the case builds has the methods of a runtime-checkable protocol."""
     subject = attempt(case, case.prepare())
     missing = [n for n in _methods(protocol) if not callable(getattr(subject, n, None))]
-    require(not missing, f"{type(subject).__name__} lacks {', '.join(missing)} of {protocol.__name__}")
+    require(
+        not missing, f"{type(subject).__name__} lacks {', '.join(missing)} of {protocol.__name__}"
+    )
 
 
 def check_pure_constructor(case: Case[Any]) -> None:
     """The constructor has no effect but to return an object.
 
-    Options, arguments and the target's module are made before, and a first object is built, so that only the
-    constructor itself is watched.
+    Options, arguments and the target's module are made before, and a first object is built, so that
+    only the constructor itself is watched.
     """
     build = attempt(case, case.prepare)
     first = attempt(case, build)
@@ -81,21 +89,27 @@ def check_pure_constructor(case: Case[Any]) -> None:
 
 
 def _methods(protocol: type) -> list[str]:
-    return sorted(n for n in vars(protocol) if not n.startswith("_") and callable(getattr(protocol, n)))
+    return sorted(
+        n for n in vars(protocol) if not n.startswith("_") and callable(getattr(protocol, n))
+    )
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Lifecycle(Generic[CaseT, C]):
-    """A kind whose objects are built, started, used and closed; `rules` are those that all such kinds share.
+    """A kind whose objects are built, started, used and closed; `rules` are those that all such
+    kinds share.
 
     Attributes:
         subject: first half of the rules' ids.
         protocol: what is built follows it.
         begin: name of the method that starts it.
-        start: starts what the case built; raises NotApplicable when the case has nothing to start it with.
-        uses: by name of a method, one use of it, which needs what was started. The first is the one that is tried most.
+        start: starts what the case built; raises NotApplicable when the case has nothing to start
+            it with.
+        uses: by name of a method, one use of it, which needs what was started. The first is the one
+            that is tried most.
         abuses: calls with wrong arguments, which it refuses.
-        besides: names of methods without arguments that are called too where the process is watched.
+        besides: names of methods without arguments that are called too where the process is
+            watched.
         repeat: how many uses are one round of the memory rule.
     """
 
@@ -127,7 +141,9 @@ class Lifecycle(Generic[CaseT, C]):
     def _rules(self) -> tuple[Rule[CaseT], ...]:
         source = f"{self.protocol.__module__}.{self.protocol.__name__}"
 
-        def rule(name: str, text: str, check: Callable[[CaseT], None], where: str = "") -> Rule[CaseT]:
+        def rule(
+            name: str, text: str, check: Callable[[CaseT], None], where: str = ""
+        ) -> Rule[CaseT]:
             return Rule(id=f"{self.subject}/{name}", text=text, source=source + where, check=check)
 
         begin = self.begin
@@ -151,7 +167,8 @@ class Lifecycle(Generic[CaseT, C]):
             ),
             rule(
                 "close-releases",
-                f"After `{begin}`, `close` may be called twice and leaves no thread, process or open file behind.",
+                f"After `{begin}`, `close` may be called twice and leaves no thread, process or "
+                "open file behind.",
                 self._check_release,
                 ".close",
             ),
@@ -181,7 +198,8 @@ class Lifecycle(Generic[CaseT, C]):
             ),
             rule(
                 "missing-file-refused",
-                "An option that names a file which is not there leads to an error of roboneuron.errors, or to none.",
+                "An option that names a file which is not there leads to an error of "
+                "roboneuron.errors, or to none.",
                 self._check_missing_files,
                 f".{begin}",
             ),
@@ -282,7 +300,9 @@ class Lifecycle(Generic[CaseT, C]):
         check_missing_files(case, use)
 
     def _check_errors(self, case: CaseT) -> None:
-        """With a secret in every option and variable that may hold one, whatever it raises is read."""
+        """With a secret in every option and variable that may hold one, whatever it raises is
+        read.
+        """
         hidden = dict.fromkeys(secret_options(case), SECRET)
         errors: list[BaseException] = []
 
@@ -318,7 +338,9 @@ class Lifecycle(Generic[CaseT, C]):
     def _check_use_first(self, case: CaseT, name: str) -> None:
         subject = self.built(case)
         try:
-            expect_refusal(lambda: self.uses[name](case, subject), f"{name} before {self.begin}", StateError)
+            expect_refusal(
+                lambda: self.uses[name](case, subject), f"{name} before {self.begin}", StateError
+            )
         finally:
             subject.close()
 

@@ -26,15 +26,16 @@ class BackendCase(Case[BackendSpec]):
     """A backend to try.
 
     Attributes:
-        observe: makes an observation that the backend can act on; a synthetic one when None. It is cut down to what the
-            descriptor declares before use.
+        observe: makes an observation that the backend can act on; a synthetic one when None. It is
+            cut down to what the descriptor declares before use.
         runtime, acceleration: make what the backend is to be built with; None for without.
         predict_limit_s: how long the quickest of three predictions may take [s].
-        row_tolerance: how far a backend that declares `conditions_on_rows` may leave the committed rows [m, rad,
-            opening]; less than without conditioning. Required of such a backend.
-        observe_next: makes what is seen after that, for rules about rows that are played meanwhile; with negative
-            pictures and another instruction when None.
-        rows: how many actions a chunk has; when None those of the option that says so, or of the descriptor.
+        row_tolerance: how far a backend that declares `conditions_on_rows` may leave the committed
+            rows [m, rad, opening]; less than without conditioning. Required of such a backend.
+        observe_next: makes what is seen after that, for rules about rows that are played meanwhile;
+            with negative pictures and another instruction when None.
+        rows: how many actions a chunk has; when None those of the option that says so, or of the
+            descriptor.
     """
 
     subject: ClassVar[str] = "backend"
@@ -54,7 +55,10 @@ class BackendCase(Case[BackendSpec]):
     def inputs(self, topics: MemoryTopics) -> tuple[tuple[object, ...], dict[str, object]]:
         """A new runtime and a new acceleration, if the case has some."""
         runtime = None if self.runtime is None else self.runtime()
-        return (), {"runtime": runtime, "acceleration": None if self.acceleration is None else self.acceleration()}
+        return (), {
+            "runtime": runtime,
+            "acceleration": None if self.acceleration is None else self.acceleration(),
+        }
 
     def build(self) -> Backend:
         """A new backend, not loaded."""
@@ -62,14 +66,18 @@ class BackendCase(Case[BackendSpec]):
 
     def observation(self) -> Observation:
         """What the backend sees: required roles only, state only when declared."""
-        return self._declared(make_observation(self.spec) if self.observe is None else self.observe())
+        return self._declared(
+            make_observation(self.spec) if self.observe is None else self.observe()
+        )
 
     def next_observation(self) -> Observation:
         """Something else, to which the backend answers something else; likewise."""
         if self.observe_next is not None:
             return self._declared(self.observe_next())
         now = self.observation()
-        frames = {role: replace(frame, image=255 - frame.image) for role, frame in now.frames.items()}
+        frames = {
+            role: replace(frame, image=255 - frame.image) for role, frame in now.frames.items()
+        }
         return replace(now, frames=frames, instruction="put it down")
 
     def _declared(self, whole: Observation) -> Observation:
@@ -90,9 +98,10 @@ class RuntimeCase(Case[RuntimeSpec]):
         acceleration: makes a preset that `load` must accept; None likewise.
         other_request: makes another request than `request`, whose answer differs; None likewise.
         late_request: makes a request whose deadline is over; None likewise.
-        check_answer: takes model, request and answer and raises Violation for an answer that its family does not
-            allow; None likewise.
-        long_request: makes a request that runs for seconds unless it is aborted; `request` when None.
+        check_answer: takes model, request and answer and raises Violation for an answer that its
+            family does not allow; None likewise.
+        long_request: makes a request that runs for seconds unless it is aborted; `request` when
+            None.
         expected: makes the answer to `request`; None when it is not known.
         run_limit_s: how long the quickest of three runs of `request` may take [s].
     """
@@ -121,8 +130,8 @@ class AccelerationCase(Case[AccelerationSpec]):
 
     Attributes:
         decoder: makes a decoder that has the capability; None when there is none to try.
-        expected: takes a decoder that the preset was applied to and says whether it was changed as intended; None when
-            only a change of any kind can be told.
+        expected: takes a decoder that the preset was applied to and says whether it was changed as
+            intended; None when only a change of any kind can be told.
     """
 
     subject: ClassVar[str] = "acceleration"

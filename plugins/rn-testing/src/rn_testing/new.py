@@ -26,9 +26,15 @@ class New:
 
     def configure(self, parser: ArgumentParser) -> None:
         """Add the arguments of `roboneuron new`."""
-        parser.add_argument("kind", choices=NEW_KINDS, metavar="KIND", help=f"one of {', '.join(NEW_KINDS)}")
-        parser.add_argument("name", metavar="NAME", help="what users will choose it by, such as my-policy")
-        parser.add_argument("--directory", type=Path, metavar="DIR", help="where to write (./rn-KIND-NAME)")
+        parser.add_argument(
+            "kind", choices=NEW_KINDS, metavar="KIND", help=f"one of {', '.join(NEW_KINDS)}"
+        )
+        parser.add_argument(
+            "name", metavar="NAME", help="what users will choose it by, such as my-policy"
+        )
+        parser.add_argument(
+            "--directory", type=Path, metavar="DIR", help="where to write (./rn-KIND-NAME)"
+        )
 
     def run(self, arguments: Namespace) -> int:
         """Write the package and say what to do next."""
@@ -36,7 +42,10 @@ class New:
         directory = arguments.directory or Path(distribution)
         written = write_package(arguments.kind, arguments.name, directory)
         print(f"Wrote {len(written)} files of {distribution} to {directory}/. Next:\n")
-        print(f"  cd {directory}\n  pip install -e '.[testing]'\n  pytest\n  roboneuron plugins check {arguments.name}")
+        print(
+            f"  cd {directory}\n  pip install -e '.[testing]'\n  pytest\n  roboneuron plugins "
+            f"check {arguments.name}"
+        )
         return 0
 
 
@@ -48,15 +57,27 @@ def write_package(kind: str, name: str, directory: Path) -> list[Path]:
     """
     package = f"rn_{PREFIXES[kind]}_{name}".replace("-", "_")
     class_name = "".join(part.capitalize() for part in name.split("-"))
-    if not NAME_PATTERN.fullmatch(name) or not class_name.isidentifier() or keyword.iskeyword(class_name):
+    if (
+        not NAME_PATTERN.fullmatch(name)
+        or not class_name.isidentifier()
+        or keyword.iskeyword(class_name)
+    ):
         suggestion = re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-0123456789")
         raise ConfigurationError(
-            f"The name {name!r} is malformed, expected lower-case letters, digits and single hyphens, a letter first"
+            f"The name {name!r} is malformed, expected lower-case letters, digits and single "
+            "hyphens, a letter first"
             f"{f'; for instance {suggestion!r}' if suggestion else ''}."
         )
     if directory.exists() and (not directory.is_dir() or any(directory.iterdir())):
-        raise ConfigurationError(f"{directory} exists and is not empty.", hint="Name another one with --directory.")
-    words = {"kind": kind, "name": name, "distribution": f"rn-{PREFIXES[kind]}-{name}", "package": package}
+        raise ConfigurationError(
+            f"{directory} exists and is not empty.", hint="Name another one with --directory."
+        )
+    words = {
+        "kind": kind,
+        "name": name,
+        "distribution": f"rn-{PREFIXES[kind]}-{name}",
+        "package": package,
+    }
     words |= {"cls": class_name, "tool": name.replace("-", "_")}
     needed = ["roboneuron-core", *([BROUGHT[kind]] if kind in BROUGHT else [])]
     words["dependencies"] = ", ".join(f'"{other}>=0.1,<0.2"' for other in needed)
@@ -69,7 +90,9 @@ def write_package(kind: str, name: str, directory: Path) -> list[Path]:
 
 
 def _place(template: str, package: str) -> Path:
-    """Where a template goes: metadata on top, tests under `tests`, everything else into the package."""
+    """Where a template goes: metadata on top, tests under `tests`, everything else into the
+    package.
+    """
     name = template.removesuffix(".tmpl")
     if name in ("pyproject.toml", "README.md", "LICENSE"):
         return Path(name)

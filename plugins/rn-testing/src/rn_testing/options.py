@@ -20,9 +20,11 @@ OPTIONS_READ = "The options are read, each that the case sets or at least one, a
 def check_options_read(
     case: Case[Any], use: Callable[[Callable[[], Any]], None], topics: MemoryTopics | None = None
 ) -> None:
-    """Every option that the case sets is read when the plugin is built, started and used, and at least one of all.
+    """Every option that the case sets is read when the plugin is built, started and used, and at
+    least one of all.
 
-    A model with validators of its own may have used an option there, so that of its options one is enough.
+    A model with validators of its own may have used an option there, so that of its options one is
+    enough.
     """
     read: set[str] = set()
     names: set[str] = set()
@@ -45,7 +47,10 @@ def check_options_read(
         raise NotApplicable("there are no options")
     use(build)
     changed = [type(options).__name__ for options, before in kept if _written(options) != before]
-    require(not changed, f"the options of {', '.join(changed)} are written to; they belong to the caller")
+    require(
+        not changed,
+        f"the options of {', '.join(changed)} are written to; they belong to the caller",
+    )
     ignored = sorted(judged - read)
     require(not ignored, f"the options {', '.join(ignored)} are set and never read")
     require(bool(read), f"none of the options {', '.join(sorted(names))} is read")
@@ -68,7 +73,9 @@ def _record_reads(options: BaseModel, read: set[str]) -> BaseModel:
             read.update(names)
         return object.__getattribute__(self, name)
 
-    recording = type(model.__name__, (model,), {"__getattribute__": get, "__module__": model.__module__})
+    recording = type(
+        model.__name__, (model,), {"__getattribute__": get, "__module__": model.__module__}
+    )
     copy = options.model_copy()
     object.__setattr__(copy, "__class__", recording)
     return copy

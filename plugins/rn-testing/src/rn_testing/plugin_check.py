@@ -1,4 +1,6 @@
-"""`roboneuron plugins check NAME`: the contract rules against an installed plugin, in a process that may be lost."""
+"""`roboneuron plugins check NAME`: the contract rules against an installed plugin, in a process
+that may be lost.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,13 @@ from roboneuron.feature import PLUGIN_KINDS, Registry, Status, discover
 
 SCHEMA_VERSION = 1
 """Raised when a key of the JSON document changes its meaning or goes."""
-STYLES = {"passed": "green", "failed": "bold red", "skipped": "dim", "timeout": "bold red", "crashed": "bold red"}
+STYLES = {
+    "passed": "green",
+    "failed": "bold red",
+    "skipped": "dim",
+    "timeout": "bold red",
+    "crashed": "bold red",
+}
 """Colour of each verdict."""
 WORKER = "rn_testing.check"
 """The module that runs the rules; never imported here."""
@@ -33,7 +41,8 @@ class Result:
         subject: the plugin, or kind and name of an offer.
         rule: the rule's id.
         text: what it demands.
-        verdict: "passed", "failed", "skipped"; "timeout" or "crashed" for the rule during which the process was lost.
+        verdict: "passed", "failed", "skipped"; "timeout" or "crashed" for the rule during which the
+            process was lost.
         detail: why not passed.
         traceback: of an unexpected exception.
     """
@@ -51,12 +60,20 @@ class PluginsCheck:
 
     def configure(self, parser: ArgumentParser) -> None:
         """Add the arguments of `roboneuron plugins check`."""
-        parser.add_argument("name", metavar="NAME", help="a plugin (rn-robot-fr3), a distribution or an offer (fr3)")
+        parser.add_argument(
+            "name", metavar="NAME", help="a plugin (rn-robot-fr3), a distribution or an offer (fr3)"
+        )
         add_config(parser)
-        parser.add_argument("--kind", choices=sorted(PLUGIN_KINDS), help="check offers of this kind only")
+        parser.add_argument(
+            "--kind", choices=sorted(PLUGIN_KINDS), help="check offers of this kind only"
+        )
         add_option(parser, "all that is checked")
         parser.add_argument(
-            "--timeout-s", type=float, default=120.0, metavar="SECONDS", help="bound for the whole (120)"
+            "--timeout-s",
+            type=float,
+            default=120.0,
+            metavar="SECONDS",
+            help="bound for the whole (120)",
         )
         parser.add_argument("--json", action="store_true", help="machine-readable results")
 
@@ -73,9 +90,16 @@ class PluginsCheck:
 
 
 def check(
-    registry: Registry, name: str, *, kind: str | None, options: Sequence[str], timeout_s: float, as_json: bool
+    registry: Registry,
+    name: str,
+    *,
+    kind: str | None,
+    options: Sequence[str],
+    timeout_s: float,
+    as_json: bool,
 ) -> int:
-    """Run the rules for what `name` means, print the results and return the exit status: 0 when nothing failed.
+    """Run the rules for what `name` means, print the results and return the exit status: 0 when
+    nothing failed.
 
     Raises:
         ConfigurationError: nothing has that name, or an option is malformed or of something else.
@@ -85,7 +109,8 @@ def check(
     names = sorted({o.spec.name for _, offers in found for o in offers})
     for unknown in set(given) - {"", *names}:
         raise ConfigurationError(
-            f"--option names {unknown!r}, which is not checked.", hint=f"Checked: {', '.join(names) or 'nothing'}."
+            f"--option names {unknown!r}, which is not checked.",
+            hint=f"Checked: {', '.join(names) or 'nothing'}.",
         )
     results: list[Result] = []
     for record, offers in found:
@@ -117,12 +142,16 @@ def check(
 
 
 def run_worker(request: str, timeout_s: float) -> list[Result]:
-    """Run the worker in a process group of its own and read what it decided before it ended or was ended."""
+    """Run the worker in a process group of its own and read what it decided before it ended or
+    was ended.
+    """
     with (
         tempfile.TemporaryFile("w+", encoding="utf-8") as errors,
-        # Folders that a case makes go with this one, also when the worker is killed. A thread that the kill did not
-        # reach at once may still write.
-        tempfile.TemporaryDirectory(prefix="roboneuron-check-", ignore_cleanup_errors=True) as scratch,
+        # Folders that a case makes go with this one, also when the worker is killed. A thread that
+        # the kill did not reach at once may still write.
+        tempfile.TemporaryDirectory(
+            prefix="roboneuron-check-", ignore_cleanup_errors=True
+        ) as scratch,
     ):
         process = subprocess.Popen(
             [sys.executable, "-P", "-m", WORKER],
@@ -131,7 +160,8 @@ def run_worker(request: str, timeout_s: float) -> list[Result]:
             stderr=errors,
             text=True,
             start_new_session=True,
-            env={**os.environ, "TMPDIR": scratch, "PYTHONSAFEPATH": "1"},  # no file here stands for a module
+            # no file here stands for a module
+            env={**os.environ, "TMPDIR": scratch, "PYTHONSAFEPATH": "1"},
         )
         lost = ""
         try:
@@ -170,13 +200,20 @@ def read_results(output: str, lost: str, *, timed_out: bool) -> list[Result]:
         else:
             begun = entry
     if lost:
-        place = begun or {"subject": "check", "rule": "check/completes", "text": "The check runs to its end."}
+        place = begun or {
+            "subject": "check",
+            "rule": "check/completes",
+            "text": "The check runs to its end.",
+        }
         results.append(Result(**place, verdict="timeout" if timed_out else "crashed", detail=lost))
     return results
 
 
 def _plain(result: Result) -> dict[str, str]:
-    return {key: getattr(result, key) for key in ("subject", "rule", "text", "verdict", "detail", "traceback")}
+    return {
+        key: getattr(result, key)
+        for key in ("subject", "rule", "text", "verdict", "detail", "traceback")
+    }
 
 
 def _print(results: Sequence[Result]) -> None:
@@ -195,9 +232,16 @@ def _print(results: Sequence[Result]) -> None:
     console.print(table)
     for result in results:
         if result.verdict not in ("passed", "skipped"):
-            console.print(Text(f"\n{result.subject}: {result.rule} {result.verdict}: {result.detail}", style="red"))
+            console.print(
+                Text(
+                    f"\n{result.subject}: {result.rule} {result.verdict}: {result.detail}",
+                    style="red",
+                )
+            )
             console.print(Text(f"  rule: {result.text}"))
             if result.traceback:
                 console.print(Text(result.traceback.rstrip(), style="dim"))
     counts = {verdict: sum(r.verdict == verdict for r in results) for verdict in STYLES}
-    console.print("\n" + ", ".join(f"{count} {verdict}" for verdict, count in counts.items() if count))
+    console.print(
+        "\n" + ", ".join(f"{count} {verdict}" for verdict, count in counts.items() if count)
+    )

@@ -1,6 +1,8 @@
-"""What belongs to the whole process, and so is no plugin's to change: folder, environment, signals, random generators.
+"""What belongs to the whole process, and so is no plugin's to change: folder, environment, signals,
+random generators.
 
-Whatever differs after a plugin was built, started, used and closed is tried a second time: what libraries do once per
+Whatever differs after a plugin was built, started, used and closed is tried a second time: what
+    libraries do once per
 process, when they are imported, does not come again.
 """
 
@@ -28,10 +30,24 @@ import numpy as np
 
 from rn_testing.effects import watch_new_files
 
-LIBRARY_VARIABLES = ("OPENCV_", "OMP_", "MKL_", "KMP_", "OPENBLAS_", "CUDA_", "MUJOCO_", "PYOPENGL_", "TOKENIZERS_")
-"""Beginnings of environment variables that native libraries read and that have no other way to be set."""
+LIBRARY_VARIABLES = (
+    "OPENCV_",
+    "OMP_",
+    "MKL_",
+    "KMP_",
+    "OPENBLAS_",
+    "CUDA_",
+    "MUJOCO_",
+    "PYOPENGL_",
+    "TOKENIZERS_",
+)
+"""Beginnings of environment variables that native libraries read and that have no other way to
+be set.
+"""
 _SEEDS = (20_011, 40_013)
-"""Of the global generators in the first and in the second trial: a plugin that only draws ends in different states."""
+"""Of the global generators in the first and in the second trial: a plugin that only draws ends
+in different states.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +60,11 @@ class _Aspect:
 
 
 def _environment() -> dict[str, str]:
-    return {name: text for name, text in os.environ.items() if not name.startswith((*LIBRARY_VARIABLES, "PYTEST_"))}
+    return {
+        name: text
+        for name, text in os.environ.items()
+        if not name.startswith((*LIBRARY_VARIABLES, "PYTEST_"))
+    }
 
 
 def _restore_environment(before: dict[str, str]) -> None:
@@ -111,9 +131,17 @@ def _restore_hooks(before: tuple[Any, ...]) -> None:
 _ASPECTS = (
     _Aspect("the working folder", os.getcwd, os.chdir),
     _Aspect("the environment", _environment, _restore_environment),
-    _Aspect("signal handlers", lambda: {n: signal.getsignal(n) for n in signal.valid_signals()}, _restore_handlers),
+    _Aspect(
+        "signal handlers",
+        lambda: {n: signal.getsignal(n) for n in signal.valid_signals()},
+        _restore_handlers,
+    ),
     _Aspect("the umask", _umask, os.umask),
-    _Aspect("the locale", lambda: locale.setlocale(locale.LC_ALL), lambda v: locale.setlocale(locale.LC_ALL, v)),
+    _Aspect(
+        "the locale",
+        lambda: locale.setlocale(locale.LC_ALL),
+        lambda v: locale.setlocale(locale.LC_ALL, v),
+    ),
     _Aspect("the default time-out of sockets", socket.getdefaulttimeout, socket.setdefaulttimeout),
     _Aspect("sys.path", lambda: tuple(sys.path), _restore_path),
     _Aspect("hooks for exceptions", lambda: (sys.excepthook, threading.excepthook), _restore_hooks),
@@ -133,7 +161,9 @@ def _generators() -> dict[str, Callable[[], bytes]]:
     """Of each global random generator, its state."""
     found = {
         "random": lambda: repr(random.getstate()).encode(),
-        "numpy.random": lambda: repr(np.random.get_state(legacy=False)).encode() + np.random.get_state()[1].tobytes(),  # type: ignore[index]
+        "numpy.random": lambda: (
+            repr(np.random.get_state(legacy=False)).encode() + np.random.get_state()[1].tobytes()  # type: ignore[index]
+        ),
     }
     torch = _torch()
     if torch is not None:
@@ -162,7 +192,9 @@ def _seeded(seed: int) -> Iterator[None]:
 
 @contextmanager
 def _watched_handlers(asked: list[str]) -> Iterator[None]:
-    """Notes in `asked` for which signals a handler is set; in a thread, as the rules run, Python would refuse it."""
+    """Notes in `asked` for which signals a handler is set; in a thread, as the rules run,
+    Python would refuse it.
+    """
     real = signal.signal
 
     def note(number: int, handler: Any) -> Any:
@@ -178,7 +210,9 @@ def _watched_handlers(asked: list[str]) -> Iterator[None]:
 
 @contextmanager
 def _watched_output(printed: list[str]) -> Iterator[None]:
-    """Adds to `printed` what is written to standard output meanwhile, that of C libraries and processes included."""
+    """Adds to `printed` what is written to standard output meanwhile, that of C libraries and
+    processes included.
+    """
     sys.stdout.flush()
     kept = os.dup(1)
     stream = sys.stdout
@@ -203,7 +237,9 @@ def _watched_output(printed: list[str]) -> Iterator[None]:
 
 @dataclass(frozen=True, slots=True)
 class _Trial:
-    """What one trial changed: sentence parts, and of the generators that moved the states they ended in."""
+    """What one trial changed: sentence parts, and of the generators that moved the states they
+    ended in.
+    """
 
     changes: tuple[str, ...]
     generators: dict[str, bytes]
@@ -229,7 +265,9 @@ def _try(action: Callable[[], object], seed: int) -> _Trial:
     changes += [f"sets a handler for {name}" for name in dict.fromkeys(asked)]
     changes += [f"writes to standard output ({text[:60]!r})" for text in printed]
     changes += [f"leaves {path}" for path in created if path.exists()]
-    return _Trial(tuple(changes), {name: state for name, state in ended.items() if state != begun[name]})
+    return _Trial(
+        tuple(changes), {name: state for name, state in ended.items() if state != begun[name]}
+    )
 
 
 def _difference(then: object, now: object) -> str:
@@ -240,13 +278,21 @@ def _difference(then: object, now: object) -> str:
 
 
 def find_changes(action: Callable[[], object]) -> list[str]:
-    """Run `action` in this thread, once or twice; return a sentence part for each thing it changes every time."""
+    """Run `action` in this thread, once or twice; return a sentence part for each thing it
+    changes every time.
+    """
     first = _try(action, _SEEDS[0])
     if not first.changes and not first.generators:
         return []
     second = _try(action, _SEEDS[1])
     kinds = {change.partition(" (")[0] for change in second.changes}
     leaves = any(change.startswith("leaves ") for change in second.changes)
-    changes = [c for c in first.changes if c.partition(" (")[0] in kinds or (leaves and c.startswith("leaves "))]
-    seeded = [name for name, state in first.generators.items() if second.generators.get(name) == state]
+    changes = [
+        c
+        for c in first.changes
+        if c.partition(" (")[0] in kinds or (leaves and c.startswith("leaves "))
+    ]
+    seeded = [
+        name for name, state in first.generators.items() if second.generators.get(name) == state
+    ]
     return changes + [f"seeds the global generator of {name}" for name in seeded]

@@ -1,4 +1,6 @@
-"""Errors as users meet them: of RoboNeuron's own classes for a file that is not there, short, and without secrets."""
+"""Errors as users meet them: of RoboNeuron's own classes for a file that is not there, short,
+and without secrets.
+"""
 
 from __future__ import annotations
 
@@ -22,16 +24,29 @@ LONGEST = 2000
 """Characters of an error that a person and an agent still read."""
 SECRET = "s3cret-0f-the-c0ntract-k1t"
 """What stands in options and variables that hold secrets, and in no error."""
-SECRET_VARIABLES = ("HF_TOKEN", "API_KEY", "OPENAI_API_KEY", "ROBONEURON_TOKEN", "AWS_SECRET_ACCESS_KEY", "PASSWORD")
+SECRET_VARIABLES = (
+    "HF_TOKEN",
+    "API_KEY",
+    "OPENAI_API_KEY",
+    "ROBONEURON_TOKEN",
+    "AWS_SECRET_ACCESS_KEY",
+    "PASSWORD",
+)
 """Variables of the environment that hold secrets on users' machines."""
-_PLACE = re.compile(r"(^|_)(path|file|dir|directory|folder|checkpoint|weights|urdf|calibration|video|device)($|_)")
-_SECRET = re.compile(r"(^|_)(secret|token|password|passphrase|credentials?|(api|access|private)_key)($|_)")
+_PLACE = re.compile(
+    r"(^|_)(path|file|dir|directory|folder|checkpoint|weights|urdf|calibration|video|device)($|_)"
+)
+_SECRET = re.compile(
+    r"(^|_)(secret|token|password|passphrase|credentials?|(api|access|private)_key)($|_)"
+)
 
 
 def _texts(field: FieldInfo) -> bool:
     """Whether an option may be text or a secret."""
     kinds = (field.annotation, *get_args(field.annotation))
-    return any(isinstance(k, type) and (issubclass(k, str) or k.__name__ == "SecretStr") for k in kinds)
+    return any(
+        isinstance(k, type) and (issubclass(k, str) or k.__name__ == "SecretStr") for k in kinds
+    )
 
 
 def _fields(case: Case[Any]) -> Mapping[str, FieldInfo]:
@@ -51,7 +66,9 @@ def file_options(case: Case[Any]) -> list[str]:
 
 
 def secret_options(case: Case[Any]) -> list[str]:
-    """Options that hold a secret, by name; one that names the file or variable with it holds none."""
+    """Options that hold a secret, by name; one that names the file or variable with it holds
+    none.
+    """
     found = []
     for name, field in _fields(case).items():
         elsewhere = re.search(r"(^|_)(file|path|env|variable|header|name)($|_)", name)
@@ -62,7 +79,9 @@ def secret_options(case: Case[Any]) -> list[str]:
 
 
 def check_missing_files(case: Case[Any], use: Callable[[Case[Any]], object]) -> None:
-    """Each option that names a file is set to one that is not there: `use` succeeds or raises a RoboNeuronError."""
+    """Each option that names a file is set to one that is not there: `use` succeeds or raises a
+    RoboNeuronError.
+    """
     names = file_options(case)
     if not names:
         raise NotApplicable("no option names a file")
@@ -100,9 +119,17 @@ def check_error(error: BaseException) -> None:
     text = str(error)
     kind = type(error).__name__
     require(bool(text.strip()), f"{kind} says nothing")
-    require(len(text) <= LONGEST, f"the text of {kind} has {len(text)} characters, at most {LONGEST}: {text[:80]!r}")
-    require("Traceback (most recent call last)" not in text, f"the text of {kind} holds a traceback")
+    require(
+        len(text) <= LONGEST,
+        f"the text of {kind} has {len(text)} characters, at most {LONGEST}: {text[:80]!r}",
+    )
+    require(
+        "Traceback (most recent call last)" not in text, f"the text of {kind} holds a traceback"
+    )
     one: BaseException | None = error
     while one is not None:
-        require(SECRET not in f"{one} {one!r}", f"the text of {type(one).__name__} holds a secret of the user")
+        require(
+            SECRET not in f"{one} {one!r}",
+            f"the text of {type(one).__name__} holds a secret of the user",
+        )
         one = one.__cause__ or one.__context__

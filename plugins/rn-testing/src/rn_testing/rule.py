@@ -18,7 +18,9 @@ class Violation(AssertionError):
 
 
 class NotApplicable(Exception):
-    """A rule says nothing about this case (a backend without state, a runtime without a request to try)."""
+    """A rule says nothing about this case (a backend without state, a runtime without a request
+    to try).
+    """
 
 
 class Verdict(StrEnum):
@@ -37,7 +39,8 @@ class Rule(Generic[CaseT]):
         id: "<subject>/<what>", stable, unique over all rules.
         text: one sentence that holds for every good plugin.
         source: dotted name whose docstring states it.
-        check: raises Violation when it does not hold, NotApplicable when it says nothing about the case.
+        check: raises Violation when it does not hold, NotApplicable when it says nothing about the
+            case.
     """
 
     id: str
@@ -64,14 +67,18 @@ class Outcome:
 
 
 def verify(rule: Rule[CaseT], case: CaseT) -> Outcome:
-    """Run one rule, every call bounded; what the plugin raises and the rule does not expect is a failure.
+    """Run one rule, every call bounded; what the plugin raises and the rule does not expect is a
+    failure.
 
-    Where the case lacks options that its plugin requires, the rule about that fails; those that build it are skipped.
+    Where the case lacks options that its plugin requires, the rule about that fails; those that
+    build it are skipped.
     """
     from rn_testing.case_options import RULE_ID, missing_options  # which needs this module
 
     if not rule.id.startswith("descriptor/") and missing_options(case):
-        return Outcome(rule=rule.id, verdict=Verdict.SKIPPED, detail=f"the case lacks options, see {RULE_ID}")
+        return Outcome(
+            rule=rule.id, verdict=Verdict.SKIPPED, detail=f"the case lacks options, see {RULE_ID}"
+        )
     try:
         run_bounded(lambda: rule.check(case))
     except Overdue as overdue:
@@ -82,7 +89,9 @@ def verify(rule: Rule[CaseT], case: CaseT) -> Outcome:
         return Outcome(rule=rule.id, verdict=Verdict.FAILED, detail=str(violation))
     except Exception as error:  # the border to a plugin's own code
         detail = f"raised {type(error).__name__}: {error}"
-        return Outcome(rule=rule.id, verdict=Verdict.FAILED, detail=detail, traceback=traceback.format_exc())
+        return Outcome(
+            rule=rule.id, verdict=Verdict.FAILED, detail=detail, traceback=traceback.format_exc()
+        )
     return Outcome(rule=rule.id, verdict=Verdict.PASSED)
 
 

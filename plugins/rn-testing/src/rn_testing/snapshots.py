@@ -1,4 +1,6 @@
-"""Values as plain data, to tell whether something was written to, changed or left alone, and whether answers agree."""
+"""Values as plain data, to tell whether something was written to, changed or left alone, and
+whether answers agree.
+"""
 
 from __future__ import annotations
 
@@ -11,12 +13,16 @@ from typing import Any
 import numpy as np
 
 ATOL, RTOL = 1e-6, 1e-4
-"""Tolerances of `is_alike`: what one machine's rounding may change between two runs of the same computation."""
+"""Tolerances of `is_alike`: what one machine's rounding may change between two runs of the same
+computation.
+"""
 _PLAIN = (type(None), bool, int, str, bytes, range)
 
 
 def snapshot(value: object, _seen: frozenset[int] = frozenset()) -> object:
-    """Comparable plain data of `value` and all it holds; functions by identity, arrays by content."""
+    """Comparable plain data of `value` and all it holds; functions by identity, arrays by
+    content.
+    """
     if isinstance(value, _PLAIN):
         return value
     if isinstance(value, float):
@@ -37,7 +43,9 @@ def snapshot(value: object, _seen: frozenset[int] = frozenset()) -> object:
     function = getattr(value, "__func__", value)
     if hasattr(function, "__code__"):
         return "code", id(function)
-    return type(value).__qualname__, tuple((name, snapshot(item, seen)) for name, item in _attributes(value))
+    return type(value).__qualname__, tuple(
+        (name, snapshot(item, seen)) for name, item in _attributes(value)
+    )
 
 
 def is_alike(a: Any, b: Any) -> bool:
@@ -49,7 +57,9 @@ def is_alike(a: Any, b: Any) -> bool:
         names = (f.name for f in fields(a) if f.name != "metrics")
         return all(is_alike(getattr(a, name), getattr(b, name)) for name in names)
     if isinstance(a, Mapping) and isinstance(b, Mapping):
-        return a.keys() == b.keys() and all(is_alike(a[key], b[key]) for key in a if key != "metrics")
+        return a.keys() == b.keys() and all(
+            is_alike(a[key], b[key]) for key in a if key != "metrics"
+        )
     if isinstance(a, (list, tuple)) and type(a) is type(b):
         return len(a) == len(b) and all(is_alike(x, y) for x, y in zip(a, b, strict=True))
     a, b = (value.item() if isinstance(value, np.generic) else value for value in (a, b))
@@ -89,6 +99,11 @@ def _array(value: Any) -> object:
 
 
 def _attributes(value: object) -> list[tuple[str, object]]:
-    names = [name for cls in type(value).__mro__ for name in getattr(cls, "__slots__", ()) if not name.startswith("__")]
+    names = [
+        name
+        for cls in type(value).__mro__
+        for name in getattr(cls, "__slots__", ())
+        if not name.startswith("__")
+    ]
     slots = [(name, getattr(value, name)) for name in names if hasattr(value, name)]
     return [*slots, *getattr(value, "__dict__", {}).items()]

@@ -1,4 +1,6 @@
-"""Calls that run code out of data, or hand text to a shell: what they are called, found in source text."""
+"""Calls that run code out of data, or hand text to a shell: what they are called, found in
+source text.
+"""
 
 from __future__ import annotations
 
@@ -16,13 +18,22 @@ UNSAFE: dict[str, str] = {
                 for module in ("pickle", "_pickle", "dill", "cloudpickle")
                 for name in ("load", "loads")
             ),
-            *("pickle.Unpickler", "pickle._Unpickler", "joblib.load", "pandas.read_pickle", "shelve.open"),
+            *(
+                "pickle.Unpickler",
+                "pickle._Unpickler",
+                "joblib.load",
+                "pandas.read_pickle",
+                "shelve.open",
+            ),
             *("jsonpickle.decode", "marshal.load", "marshal.loads"),
         ),
         UNPICKLES,
     ),
     **dict.fromkeys(("eval", "exec", "yaml.unsafe_load", "yaml.full_load"), EVALUATES),
-    **dict.fromkeys(("os.system", "os.popen", "subprocess.getoutput", "subprocess.getstatusoutput"), "runs a shell"),
+    **dict.fromkeys(
+        ("os.system", "os.popen", "subprocess.getoutput", "subprocess.getstatusoutput"),
+        "runs a shell",
+    ),
     "tempfile.mktemp": "names a file that somebody else may make meanwhile; use mkstemp",
 }
 """By qualified name, what is wrong with a call whatever its arguments are."""
@@ -56,7 +67,9 @@ def _aliases(tree: ast.AST) -> dict[str, str]:
 
 
 def _qualified(node: ast.expr, aliases: dict[str, str]) -> str:
-    """Dotted name of what is called; empty for what is no plain name, a method of a value included."""
+    """Dotted name of what is called; empty for what is no plain name, a method of a value
+    included.
+    """
     parts: list[str] = []
     while isinstance(node, ast.Attribute):
         parts.insert(0, node.attr)

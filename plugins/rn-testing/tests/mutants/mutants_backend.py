@@ -31,7 +31,9 @@ SHARED: list[bool] = []
 
 def but(rule, words="", *, spec=None, case=None, **changes):
     target = mutate(InstantBackend, **changes) if changes else None
-    return Mutant(rule=f"backend/{rule}", target=target, spec=spec or {}, case=case or {}, words=words)
+    return Mutant(
+        rule=f"backend/{rule}", target=target, spec=spec or {}, case=case or {}, words=words
+    )
 
 
 def scaled(chunk, *factors):
@@ -138,7 +140,11 @@ PREDICTED = {"takes_predicted_state": True}
 def continuing(rule, words="", *, spec=CONTINUING, case=None, **changes):
     case = {"row_tolerance": 1e-6} if case is None else case
     return Mutant(
-        rule=f"backend/{rule}", target=mutate(ContinuingBackend, **changes), spec=spec, case=case, words=words
+        rule=f"backend/{rule}",
+        target=mutate(ContinuingBackend, **changes),
+        spec=spec,
+        case=case,
+        words=words,
     )
 
 
@@ -163,14 +169,20 @@ def turns_with_joints(self, call, observation):
 MUTANTS: dict[str, Mutant] = {
     "no_reset": Mutant(
         rule="backend/protocol",
-        target=mutate(object, **dict.fromkeys(("__init__", "load", "predict", "close"), lambda *_, **__: None)),
+        target=mutate(
+            object, **dict.fromkeys(("__init__", "load", "predict", "close"), lambda *_, **__: None)
+        ),
     ),
     "no_predict": Mutant(
         rule="backend/protocol",
-        target=mutate(object, **{n: lambda *_, **__: None for n in ("__init__", "load", "reset", "close")}),
+        target=mutate(
+            object, **{n: lambda *_, **__: None for n in ("__init__", "load", "reset", "close")}
+        ),
     ),
     "constructor_reads_a_file": but(
-        "constructor-pure", "opens the file", __init__=lambda s, call, c, **k: then(call(c), read_file())
+        "constructor-pure",
+        "opens the file",
+        __init__=lambda s, call, c, **k: then(call(c), read_file()),
     ),
     "constructor_starts_a_thread": but(
         "constructor-pure", "thread", __init__=lambda s, call, c, **k: then(call(c), leave_thread())
@@ -178,32 +190,52 @@ MUTANTS: dict[str, Mutant] = {
     "constructor_computes": but(
         "constructor-pure", "computes", __init__=lambda s, call, c, **k: then(call(c), compute())
     ),
-    "constructor_loads": but("predict-before-load-refused", __init__=lambda s, call, c, **k: then(call(c), s.load())),
-    "options_ignored": but("options-read", "none of the options", __init__=lambda s, call, c, **k: call(None)),
+    "constructor_loads": but(
+        "predict-before-load-refused", __init__=lambda s, call, c, **k: then(call(c), s.load())
+    ),
+    "options_ignored": but(
+        "options-read", "none of the options", __init__=lambda s, call, c, **k: call(None)
+    ),
     "one_option_ignored": but(
         "options-read",
         "horizon",
         case={"options": {"horizon": 3, "delta_m": 0.001}},
         predict=lambda s, call, o: then(s._options.delta_m, anything()),
     ),
-    "close_needs_load": but("close-before-load", close=lambda s, call: call() if s._loaded else s.predict(None)),
+    "close_needs_load": but(
+        "close-before-load", close=lambda s, call: call() if s._loaded else s.predict(None)
+    ),
     "close_fails_the_second_time": but(
         "close-releases", close=lambda s, call: call() if counted(s) < 2 else s.predict(None)
     ),
     "close_takes_20_s": but(
-        "close-releases", "close did not return within 0.3 s", case={"limits_s": {"close": 0.3}}, close=forever
+        "close-releases",
+        "close did not return within 0.3 s",
+        case={"limits_s": {"close": 0.3}},
+        close=forever,
     ),
-    "close_leaves_a_thread": but("close-releases", "leaves behind", load=lambda s, call: then(call(), leave_thread())),
+    "close_leaves_a_thread": but(
+        "close-releases", "leaves behind", load=lambda s, call: then(call(), leave_thread())
+    ),
     "second_load_starts_another_thread": but(
         "second-load-safe",
         "leaves behind",
         load=lambda s, call: then(call(), leave_thread() if counted(s) > 1 else None),
     ),
-    "second_load_crashes": but("second-load-safe", load=lambda s, call: call() if counted(s) < 2 else [][0]),
-    "load_after_close_crashes": but("load-after-close", load=lambda s, call: call() if counted(s) < 2 else [][0]),
-    "load_after_close_is_half": but("load-after-close", load=lambda s, call: call() if counted(s) < 2 else None),
+    "second_load_crashes": but(
+        "second-load-safe", load=lambda s, call: call() if counted(s) < 2 else [][0]
+    ),
+    "load_after_close_crashes": but(
+        "load-after-close", load=lambda s, call: call() if counted(s) < 2 else [][0]
+    ),
+    "load_after_close_is_half": but(
+        "load-after-close", load=lambda s, call: call() if counted(s) < 2 else None
+    ),
     "load_hangs": but(
-        "predict-within-horizon", "load did not return within 0.3 s", case={"limits_s": {"load": 0.3}}, load=forever
+        "predict-within-horizon",
+        "load did not return within 0.3 s",
+        case={"limits_s": {"load": 0.3}},
+        load=forever,
     ),
     "predict_hangs": but(
         "predict-within-horizon",
@@ -212,11 +244,17 @@ MUTANTS: dict[str, Mutant] = {
         predict=forever,
     ),
     "predict_takes_3_s": but(
-        "predict-quick", case={"predict_limit_s": 0.05}, predict=lambda s, call, o: then(time.sleep(0.2), call(o))
+        "predict-quick",
+        case={"predict_limit_s": 0.05},
+        predict=lambda s, call, o: then(time.sleep(0.2), call(o)),
     ),
-    "reset_hangs": but("reset-safe", "reset did not return", case={"limits_s": {"reset": 0.3}}, reset=forever),
+    "reset_hangs": but(
+        "reset-safe", "reset did not return", case={"limits_s": {"reset": 0.3}}, reset=forever
+    ),
     "every_image_is_kept": but(
-        "memory-bounded", "bytes of memory", predict=lambda s, call, o: then(remembered(s, o), call(replace(o)))
+        "memory-bounded",
+        "bytes of memory",
+        predict=lambda s, call, o: then(remembered(s, o), call(replace(o))),
     ),
     "every_image_is_copied_and_kept": but("memory-bounded", predict=keeps_copies),
     "every_chunk_is_kept": but("memory-bounded", predict=lambda s, call, o: remembered(s, call(o))),
@@ -224,50 +262,85 @@ MUTANTS: dict[str, Mutant] = {
         "predict-before-load-refused", predict=lambda s, call, o: or_else(lambda: call(o), anything)
     ),
     "wrong_error_before_load": but(
-        "predict-before-load-refused", "AttributeError", predict=lambda s, call, o: call(o) if s._loaded else s.model
+        "predict-before-load-refused",
+        "AttributeError",
+        predict=lambda s, call, o: call(o) if s._loaded else s.model,
     ),
     "predicts_after_close": but("predict-after-close-refused", close=lambda s, call: None),
-    "millimetres": but("units", "millimetres", predict=lambda s, call, o: scaled(call(o), 1e3, 1e3, 1e3, 1, 1, 1, 1)),
-    "degrees": but(
-        "units", "degrees", predict=lambda s, call, o: replace(call(o), actions=STILL + 2.86 * np.eye(7)[4])
+    "millimetres": but(
+        "units",
+        "millimetres",
+        predict=lambda s, call, o: scaled(call(o), 1e3, 1e3, 1e3, 1, 1, 1, 1),
     ),
-    "normalised_actions": but("units", predict=lambda s, call, o: replace(call(o), actions=STILL + 0.8 * np.eye(7)[1])),
+    "degrees": but(
+        "units",
+        "degrees",
+        predict=lambda s, call, o: replace(call(o), actions=STILL + 2.86 * np.eye(7)[4]),
+    ),
+    "normalised_actions": but(
+        "units", predict=lambda s, call, o: replace(call(o), actions=STILL + 0.8 * np.eye(7)[1])
+    ),
     "gripper_signed": but(
-        "predict-within-horizon", "gripper_open", predict=lambda s, call, o: scaled(call(o), 1, 1, 1, 1, 1, 1, -1)
+        "predict-within-horizon",
+        "gripper_open",
+        predict=lambda s, call, o: scaled(call(o), 1, 1, 1, 1, 1, 1, -1),
     ),
     "gripper_in_percent": but(
-        "predict-within-horizon", "gripper_open", predict=lambda s, call, o: scaled(call(o), 1, 1, 1, 1, 1, 1, 100)
+        "predict-within-horizon",
+        "gripper_open",
+        predict=lambda s, call, o: scaled(call(o), 1, 1, 1, 1, 1, 1, 100),
     ),
     "nan_action": but(
-        "predict-within-horizon", "non-finite", predict=lambda s, call, o: scaled(call(o), np.nan, 1, 1, 1, 1, 1, 1)
+        "predict-within-horizon",
+        "non-finite",
+        predict=lambda s, call, o: scaled(call(o), np.nan, 1, 1, 1, 1, 1, 1),
     ),
     "six_values": but(
-        "predict-within-horizon", "shape", predict=lambda s, call, o: ActionChunk(actions=np.zeros((1, 6)), step_s=0.1)
+        "predict-within-horizon",
+        "shape",
+        predict=lambda s, call, o: ActionChunk(actions=np.zeros((1, 6)), step_s=0.1),
     ),
-    "step_of_another_rate": but("step-declared", predict=lambda s, call, o: replace(call(o), step_s=0.05)),
-    "step_in_milliseconds": but("step-declared", predict=lambda s, call, o: replace(call(o), step_s=100.0)),
-    "step_of_the_descriptor_wrong": but("step-declared", spec={"action_space": ActionSpace(horizon=16, step_s=0.5)}),
+    "step_of_another_rate": but(
+        "step-declared", predict=lambda s, call, o: replace(call(o), step_s=0.05)
+    ),
+    "step_in_milliseconds": but(
+        "step-declared", predict=lambda s, call, o: replace(call(o), step_s=100.0)
+    ),
+    "step_of_the_descriptor_wrong": but(
+        "step-declared", spec={"action_space": ActionSpace(horizon=16, step_s=0.5)}
+    ),
     "step_option_ignored": but(
-        "step-declared", case={"options": {"step_s": 0.2}}, predict=lambda s, call, o: replace(call(o), step_s=0.1)
+        "step-declared",
+        case={"options": {"step_s": 0.2}},
+        predict=lambda s, call, o: replace(call(o), step_s=0.1),
     ),
     "chunk_longer_than_the_horizon": but(
         "predict-within-horizon",
         "horizon",
         predict=lambda s, call, o: replace(call(o), actions=np.repeat(STILL, 17, axis=0)),
     ),
-    "array_instead_of_a_chunk": but("predict-within-horizon", predict=lambda s, call, o: call(o).actions),
-    "nothing_returned": but("predict-within-horizon", predict=lambda s, call, o: then(call(o), None)),
+    "array_instead_of_a_chunk": but(
+        "predict-within-horizon", predict=lambda s, call, o: call(o).actions
+    ),
+    "nothing_returned": but(
+        "predict-within-horizon", predict=lambda s, call, o: then(call(o), None)
+    ),
     "reads_an_undeclared_camera": but(
         "predict-within-horizon", predict=lambda s, call, o: then(o.frames["wrist"], call(o))
     ),
     "declares_no_state_and_reads_it": but("predict-within-horizon", spec={"needs_state": False}),
     "declares_state_and_ignores_it": but("missing-state-refused", predict=without_check),
-    "declares_a_camera_and_ignores_it": but("missing-frame-refused", spec={"cameras": ("primary", "wrist")}),
+    "declares_a_camera_and_ignores_it": but(
+        "missing-frame-refused", spec={"cameras": ("primary", "wrist")}
+    ),
     "missing_frame_crashes": but(
-        "missing-frame-refused", "KeyError", predict=lambda s, call, o: then(o.frames["primary"], call(o))
+        "missing-frame-refused",
+        "KeyError",
+        predict=lambda s, call, o: then(o.frames["primary"], call(o)),
     ),
     "missing_frame_is_zero_action": but(
-        "missing-frame-refused", predict=lambda s, call, o: call(o) if o.frames or not s._loaded else anything()
+        "missing-frame-refused",
+        predict=lambda s, call, o: call(o) if o.frames or not s._loaded else anything(),
     ),
     "missing_frame_is_a_state_error": but(
         "missing-frame-refused",
@@ -284,35 +357,51 @@ MUTANTS: dict[str, Mutant] = {
     "text_in_the_metrics": but(
         "metrics-numeric", predict=lambda s, call, o: replace(call(o), metrics={"state": "fine"})
     ),
-    "note_of_two_lines": but("metrics-numeric", predict=lambda s, call, o: replace(call(o), note="one\ntwo")),
+    "note_of_two_lines": but(
+        "metrics-numeric", predict=lambda s, call, o: replace(call(o), note="one\ntwo")
+    ),
     "reset_breaks": but("reset-safe", reset=lambda s, call: s.close()),
     "reset_only_once": but("reset-safe", reset=lambda s, call: None if counted(s) < 3 else [][0]),
     "reset_forgets_nothing": but("reset-forgets", predict=drifting),
     "noise": but("reset-forgets", predict=lambda s, call, o: plus(call(o), noise(0.01))),
-    "noise_of_the_instance": but("repeatable", __init__=noise_once, predict=lambda s, call, o: plus(call(o), s.noise)),
+    "noise_of_the_instance": but(
+        "repeatable", __init__=noise_once, predict=lambda s, call, o: plus(call(o), s.noise)
+    ),
     "time_in_the_action": but(
-        "reset-forgets", predict=lambda s, call, o: plus(call(o), time.monotonic() + 0.01 * counted(s))
+        "reset-forgets",
+        predict=lambda s, call, o: plus(call(o), time.monotonic() + 0.01 * counted(s)),
     ),
     "class_counts_loads": but(
-        "repeatable", load=shared_state, predict=lambda s, call, o: plus(call(o), 0.002 * len(SHARED))
+        "repeatable",
+        load=shared_state,
+        predict=lambda s, call, o: plus(call(o), 0.002 * len(SHARED)),
     ),
     "answers_share_one_buffer": but("chunk-kept", predict=one_buffer),
     "image_written_to": but("input-kept", predict=in_place),
-    "image_painted": but("input-kept", predict=lambda s, call, o: then(o.frames["primary"].image.fill(0), call(o))),
+    "image_painted": but(
+        "input-kept", predict=lambda s, call, o: then(o.frames["primary"].image.fill(0), call(o))
+    ),
     "joints_written_to": but("input-kept", predict=overwrite_joints),
-    "frames_taken_away": but("input-kept", predict=lambda s, call, o: then(call(o), o.frames.clear(), anything())),
+    "frames_taken_away": but(
+        "input-kept", predict=lambda s, call, o: then(call(o), o.frames.clear(), anything())
+    ),
     "only_the_first_size": but("any-image-size", "ValueError", predict=first_frame_only),
     "only_landscape": but(
         "any-image-size",
         predict=lambda s, call, o: then(
-            1 / max(0, o.frames["primary"].image.shape[1] - o.frames["primary"].image.shape[0]), call(o)
+            1 / max(0, o.frames["primary"].image.shape[1] - o.frames["primary"].image.shape[0]),
+            call(o),
         ),
     ),
     "only_contiguous_images": but("any-image-size", "contiguous", predict=flat_image),
     "committed_rows_are_forgotten": continuing("rows-kept", "are 0.1 off", predict=forgets_rows),
-    "committed_rows_are_kept_one_row_late": continuing("rows-kept", "off, the case's", predict=one_row_late),
+    "committed_rows_are_kept_one_row_late": continuing(
+        "rows-kept", "off, the case's", predict=one_row_late
+    ),
     "conditioned_rows_are_not_told": continuing(
-        "rows-kept", "conditioned_rows says 0", predict=lambda s, call, o: replace(call(o), conditioned_rows=0)
+        "rows-kept",
+        "conditioned_rows says 0",
+        predict=lambda s, call, o: replace(call(o), conditioned_rows=0),
     ),
     "conditioned_rows_are_too_few": continuing(
         "rows-kept",
@@ -320,10 +409,16 @@ MUTANTS: dict[str, Mutant] = {
         predict=lambda s, call, o: replace(call(o), conditioned_rows=1 if o.ahead else 0),
     ),
     "declares_conditioning_and_has_one_row": continuing(
-        "rows-kept", "one row", predict=lambda s, call, o: replace(call(o), actions=STILL, conditioned_rows=0)
+        "rows-kept",
+        "one row",
+        predict=lambda s, call, o: replace(call(o), actions=STILL, conditioned_rows=0),
     ),
-    "no_row_tolerance_is_named": continuing("rows-kept", "names no row_tolerance", case={"row_tolerance": None}),
-    "row_tolerance_allows_anything": continuing("rows-kept", "tells nothing", case={"row_tolerance": 1.0}),
+    "no_row_tolerance_is_named": continuing(
+        "rows-kept", "names no row_tolerance", case={"row_tolerance": None}
+    ),
+    "row_tolerance_allows_anything": continuing(
+        "rows-kept", "tells nothing", case={"row_tolerance": 1.0}
+    ),
     "declares_conditioning_and_does_none": but(
         "rows-kept", spec=CONTINUING, case={"row_tolerance": 1e-6, "options": {"horizon": 4}}
     ),
@@ -341,7 +436,9 @@ MUTANTS: dict[str, Mutant] = {
         predict=lambda s, call, o: then(o.ahead and 1 / o.ahead.committed_rows, call(o)),
     ),
     "needs_rows_to_be_left": continuing(
-        "ahead-optional", "IndexError", predict=lambda s, call, o: then(o.ahead and o.ahead.rows[0], call(o))
+        "ahead-optional",
+        "IndexError",
+        predict=lambda s, call, o: then(o.ahead and o.ahead.rows[0], call(o)),
     ),
     "conditions_on_rows_of_before": continuing(
         "ahead-optional",
@@ -349,17 +446,24 @@ MUTANTS: dict[str, Mutant] = {
         predict=lambda s, call, o: call(o) if o.ahead else replace(call(o), conditioned_rows=2),
     ),
     "acts_on_rows_it_does_not_declare": but(
-        "ahead-ignored", "differs by 0.01", predict=lambda s, call, o: plus(call(o), 0.01 if o.ahead else 0.0)
+        "ahead-ignored",
+        "differs by 0.01",
+        predict=lambda s, call, o: plus(call(o), 0.01 if o.ahead else 0.0),
     ),
     "another_length_with_rows_ahead": but(
         "ahead-ignored",
-        predict=lambda s, call, o: replace(call(o), actions=np.repeat(STILL, 3, axis=0)) if o.ahead else call(o),
+        predict=lambda s, call, o: (
+            replace(call(o), actions=np.repeat(STILL, 3, axis=0)) if o.ahead else call(o)
+        ),
     ),
     "says_that_it_conditions_and_declares_nothing": but(
-        "ahead-ignored", "conditioned_rows is 1", predict=lambda s, call, o: replace(call(o), conditioned_rows=1)
+        "ahead-ignored",
+        "conditioned_rows is 1",
+        predict=lambda s, call, o: replace(call(o), conditioned_rows=1),
     ),
     "rows_ahead_crash": but(
-        "ahead-ignored", predict=lambda s, call, o: then(o.ahead and o.ahead.context["own"], call(o))
+        "ahead-ignored",
+        predict=lambda s, call, o: then(o.ahead and o.ahead.context["own"], call(o)),
     ),
     "predicted_pose_is_ignored": but("predicted-state-used", "differs by 0 only", spec=PREDICTED),
     "predicted_pose_without_state": continuing(

@@ -71,10 +71,18 @@ MUTANTS: dict[str, Mutant] = {
     ),
     "options_open": but("options-closed", config="mutants_descriptors:OpenOptions"),
     "options_no_model": but("options-closed", config="mutants_descriptors:not_callable"),
-    "options_without_description": but("options-described", config="mutants_descriptors:BareOptions"),
-    "defaults_against_their_own_bounds": but("options-default", config="mutants_descriptors:BadDefaults"),
-    "restricted_unmarked": but("restricted-options-marked", config="mutants_descriptors:UnmarkedOptions"),
-    "restricted_unmarked_in_a_table": but("restricted-options-marked", config="mutants_descriptors:UnmarkedTable"),
+    "options_without_description": but(
+        "options-described", config="mutants_descriptors:BareOptions"
+    ),
+    "defaults_against_their_own_bounds": but(
+        "options-default", config="mutants_descriptors:BadDefaults"
+    ),
+    "restricted_unmarked": but(
+        "restricted-options-marked", config="mutants_descriptors:UnmarkedOptions"
+    ),
+    "restricted_unmarked_in_a_table": but(
+        "restricted-options-marked", config="mutants_descriptors:UnmarkedTable"
+    ),
     "case_absent": but("case-found", case="mutants_descriptors:absent"),
     "case_not_callable": but("case-found", case="mutants_descriptors:not_callable"),
     "case_without_what_is_required": but("case-options", config="mutants_descriptors:Demanding"),

@@ -1,4 +1,6 @@
-"""Drivers, sources and controllers whose numbers are plausible one by one and wrong over time or together."""
+"""Drivers, sources and controllers whose numbers are plausible one by one and wrong over time
+or together.
+"""
 
 from __future__ import annotations
 
@@ -85,11 +87,17 @@ DRIVERS = {
     "velocity_in_degrees": driver("velocity-measured", read=velocity(np.degrees)),
     "velocity_of_the_other_sign": driver("velocity-measured", read=velocity(lambda v: -v)),
     "velocity_in_millimetres": driver("velocity-measured", read=velocity(lambda v: 1000 * v)),
-    "velocity_always_zero": driver("velocity-measured", "add up to 0", read=velocity(lambda v: 0 * v)),
-    "velocity_of_another_joint": driver("velocity-measured", read=velocity(lambda v: np.roll(v, 1))),
+    "velocity_always_zero": driver(
+        "velocity-measured", "add up to 0", read=velocity(lambda v: 0 * v)
+    ),
+    "velocity_of_another_joint": driver(
+        "velocity-measured", read=velocity(lambda v: np.roll(v, 1))
+    ),
     "velocity_is_the_position": driver(
         "velocity-measured",
-        read=lambda s, c: (lambda x: replace(x, joints=replace(x.joints, velocity=-5 - x.joints.position)))(c()),
+        read=lambda s, c: (
+            lambda x: replace(x, joints=replace(x.joints, velocity=-5 - x.joints.position))
+        )(c()),
     ),
     "state_half_a_second_old": driver("state-fresh", "late", read=delayed(0.5)),
     "state_of_a_second_ago": driver("state-fresh", read=delayed(1.0)),
@@ -107,7 +115,9 @@ DRIVERS = {
 
 def source(rule, words="", *, base=ControlledSource, case=None, spec=None, **changes):
     target = mutate(base, **changes)
-    return Mutant(rule=f"perception/{rule}", target=target, case=case or {}, spec=spec or {}, words=words)
+    return Mutant(
+        rule=f"perception/{rule}", target=target, case=case or {}, spec=spec or {}, words=words
+    )
 
 
 class Pace(BaseModel):
@@ -142,7 +152,9 @@ class Stream(Streaming):
 def now_and_then_back(every: int, by_ns: int):
     def read(self, call, timeout_s):
         frame = call(timeout_s)
-        return replace(frame, stamp_ns=frame.stamp_ns - (by_ns if counted(self) % every == 0 else 0))
+        return replace(
+            frame, stamp_ns=frame.stamp_ns - (by_ns if counted(self) % every == 0 else 0)
+        )
 
     return read
 
@@ -161,7 +173,9 @@ STREAM = {"feed": None, "expected": None}
 PACE = {"config": "mutants_devices:Pace"}
 SOURCES = {
     "calibration_dropped": source(
-        "calibration-kept", "no calibration", read=lambda s, call, t: replace(call(t), calibration=None)
+        "calibration-kept",
+        "no calibration",
+        read=lambda s, call, t: replace(call(t), calibration=None),
     ),
     "stamps_jitter": source("frames-in-order", read=now_and_then_back(9, 50_000_000)),
     "stamps_jitter_in_a_stream": source(
@@ -184,7 +198,9 @@ SOURCES = {
 
 
 def controller(rule, words="", **changes):
-    return Mutant(rule=f"controller/{rule}", target=mutate(GantryController, **changes), words=words)
+    return Mutant(
+        rule=f"controller/{rule}", target=mutate(GantryController, **changes), words=words
+    )
 
 
 def to_the_limit(residual: bool):
@@ -214,7 +230,9 @@ def inaccurate(self, call, action, joints, step_s):
     result = call(action, joints, step_s)
     if isinstance(result, Hold) or abs(result.position[0]) < 0.6:
         return result
-    return replace(result, position=result.position - np.array([0.004, *np.zeros(len(result.position) - 1)]))
+    return replace(
+        result, position=result.position - np.array([0.004, *np.zeros(len(result.position) - 1)])
+    )
 
 
 CONTROLLERS = {

@@ -1,4 +1,6 @@
-"""Backends, runtimes and accelerations whose answers have the right type and still cannot be used."""
+"""Backends, runtimes and accelerations whose answers have the right type and still cannot be
+used.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,9 @@ from roboneuron.plugins.specs import ActionSpace
 
 def backend(rule, words="", *, spec=None, case=None, **changes):
     target = mutate(InstantBackend, **changes)
-    return Mutant(rule=f"backend/{rule}", target=target, spec=spec or {}, case=case or {}, words=words)
+    return Mutant(
+        rule=f"backend/{rule}", target=target, spec=spec or {}, case=case or {}, words=words
+    )
 
 
 def metrics(**values):
@@ -50,9 +54,13 @@ BACKENDS = {
         "metrics-numeric", "at most", predict=metrics(**{f"layer_{i}": 1.0 for i in range(2000)})
     ),
     "note_of_20_000_characters": backend(
-        "metrics-numeric", "20000 characters", predict=lambda s, call, o: replace(call(o), note="x" * 20_000)
+        "metrics-numeric",
+        "20000 characters",
+        predict=lambda s, call, o: replace(call(o), note="x" * 20_000),
     ),
-    "chunk_shorter_than_declared": backend("rows-declared", "declared are 8", spec=FIXED, predict=rows(4)),
+    "chunk_shorter_than_declared": backend(
+        "rows-declared", "declared are 8", spec=FIXED, predict=rows(4)
+    ),
     "chunk_shorter_than_its_option": backend(
         "rows-declared", "declared are 6", case={"options": {"horizon": 6}}, predict=rows(3)
     ),
@@ -60,7 +68,9 @@ BACKENDS = {
     "needs_a_word": backend("any-instruction", "IndexError", predict=first_word),
     "needs_ascii": backend("any-instruction", "UnicodeEncodeError", predict=only_ascii),
     "needs_a_short_instruction": backend(
-        "any-instruction", "IndexError", predict=lambda s, call, o: then(np.zeros(300)[len(o.instruction)], call(o))
+        "any-instruction",
+        "IndexError",
+        predict=lambda s, call, o: then(np.zeros(300)[len(o.instruction)], call(o)),
     ),
 }
 
@@ -76,9 +86,13 @@ RUNTIMES = {
         "run-expected", case={"expected": lambda: 4.0}, run=lambda s, call, r: repr(float(call(r)))
     ),
     "answers_an_array_of_text": runtime(
-        "run-expected", case={"expected": lambda: np.array([4.0])}, run=lambda s, call, r: np.array([str(call(r))])
+        "run-expected",
+        case={"expected": lambda: np.array([4.0])},
+        run=lambda s, call, r: np.array([str(call(r))]),
     ),
-    "answers_a_flag": runtime("run-expected", case={"expected": lambda: 1}, run=lambda s, call, r: then(call(r), True)),
+    "answers_a_flag": runtime(
+        "run-expected", case={"expected": lambda: 1}, run=lambda s, call, r: then(call(r), True)
+    ),
     "answers_nan": runtime("run-answers", "NaN", run=lambda s, call, r: call(r) * float("nan")),
     "answers_an_array_with_nan": runtime(
         "run-answers", "NaN", run=lambda s, call, r: {"logits": np.array([call(r), np.nan])}
@@ -87,7 +101,9 @@ RUNTIMES = {
 
 
 def preset(rule, words="", **changes):
-    return Mutant(rule=f"acceleration/{rule}", target=mutate(HalvingAcceleration, **changes), words=words)
+    return Mutant(
+        rule=f"acceleration/{rule}", target=mutate(HalvingAcceleration, **changes), words=words
+    )
 
 
 KEPT: list[object] = []

@@ -1,4 +1,6 @@
-"""Plugins of every kind that change the process, keep files open, or fail with an error that nobody should see."""
+"""Plugins of every kind that change the process, keep files open, or fail with an error that
+nobody should see.
+"""
 
 from __future__ import annotations
 
@@ -94,7 +96,9 @@ CHANGES: dict[str, Callable[[], object]] = {
     "ignores_numpy_errors": lambda: np.seterr(all="ignore"),
     "changes_print_options": lambda: np.set_printoptions(precision=2),
     "changes_the_umask": lambda: os.umask(0),
-    "changes_the_locale": lambda: locale.setlocale(locale.LC_ALL, "C" if "UTF" in now() else "C.UTF-8"),
+    "changes_the_locale": lambda: locale.setlocale(
+        locale.LC_ALL, "C" if "UTF" in now() else "C.UTF-8"
+    ),
     "changes_the_default_timeout": lambda: socket.setdefaulttimeout(3.0),
     "changes_the_import_path": lambda: sys.path.insert(0, "/opt/models"),
     "changes_the_exception_hook": lambda: setattr(sys, "excepthook", lambda *_: None),
@@ -107,7 +111,13 @@ CHANGES: dict[str, Callable[[], object]] = {
     "leaves_a_file_in_the_folder": write_here,
 }
 """By name, what changes the process."""
-OF_EVERY_KIND = ("ignores_sigterm", "changes_the_folder", "changes_the_environment", "seeds_numpy", "prints")
+OF_EVERY_KIND = (
+    "ignores_sigterm",
+    "changes_the_folder",
+    "changes_the_environment",
+    "seeds_numpy",
+    "prints",
+)
 
 
 def now() -> str:
@@ -116,7 +126,9 @@ def now() -> str:
 
 def doing(method: str, change: Callable[[], object]) -> dict[str, Callable[..., object]]:
     """The method does `change` first."""
-    return {method: lambda self, call, *arguments, **named: then(change(), call(*arguments, **named))}
+    return {
+        method: lambda self, call, *arguments, **named: then(change(), call(*arguments, **named))
+    }
 
 
 def changing(kind: str, name: str, *, in_use: bool = False) -> Mutant:
@@ -125,7 +137,9 @@ def changing(kind: str, name: str, *, in_use: bool = False) -> Mutant:
     return Mutant(rule=f"{kind}/process-left-alone", target=target)
 
 
-def with_options(self: Any, call: Callable[..., None], options: Any, *arguments: object, **named: object) -> None:
+def with_options(
+    self: Any, call: Callable[..., None], options: Any, *arguments: object, **named: object
+) -> None:
     """A constructor that keeps its options."""
     call(None, *arguments, **named)
     self.kept = options
@@ -140,7 +154,9 @@ def reading(self: Any, call: Callable[..., object], *arguments: object) -> objec
 def of_a_file(kind: str) -> Mutant:
     base, begin, _ = BASES[kind]
     target = mutate(base, __init__=with_options, **{begin: reading})
-    return Mutant(rule=f"{kind}/missing-file-refused", words="FileNotFoundError", target=target, spec=OPTIONS)
+    return Mutant(
+        rule=f"{kind}/missing-file-refused", words="FileNotFoundError", target=target, spec=OPTIONS
+    )
 
 
 def telling(text: Callable[[Any], str]) -> Callable[..., object]:
@@ -162,11 +178,17 @@ def told(kind: str, text: Callable[[Any], str], words: str, method: str = "") ->
 
 
 def token_of(self: Any) -> str:
-    return f"The server refuses the token {'' if self.kept is None else self.kept.api_token.get_secret_value()}."
+    return (
+        "The server refuses the token "
+        f"{'' if self.kept is None else self.kept.api_token.get_secret_value()}."
+    )
 
 
 def options_of(self: Any) -> str:
-    return f"The options are {self.kept and self.kept.api_token.get_secret_value()}, and that does not work."
+    return (
+        f"The options are {self.kept and self.kept.api_token.get_secret_value()}, and that "
+        "does not work."
+    )
 
 
 def environment_of(self: Any) -> str:
@@ -196,7 +218,9 @@ def second_refuses(self: Any, call: Callable[..., object], *arguments: object) -
 
 
 def of_a_handle(kind: str, rule: str, method: str, act: Callable[[], None] = leave_open) -> Mutant:
-    return Mutant(rule=f"{kind}/{rule}", words="open", target=mutate(BASES[kind][0], **doing(method, act)))
+    return Mutant(
+        rule=f"{kind}/{rule}", words="open", target=mutate(BASES[kind][0], **doing(method, act))
+    )
 
 
 def written_to(self: Any, call: Callable[..., object], *arguments: object) -> object:
@@ -211,7 +235,12 @@ def slowly(self: Any, call: Callable[..., object], *arguments: object, **named: 
 
 MUTANTS: dict[str, Mutant] = {
     **{f"backend_{name}": changing("backend", name) for name in CHANGES},
-    **{f"{kind}_{name}": changing(kind, name) for kind in BASES if kind != "backend" for name in OF_EVERY_KIND},
+    **{
+        f"{kind}_{name}": changing(kind, name)
+        for kind in BASES
+        if kind != "backend"
+        for name in OF_EVERY_KIND
+    },
     **{
         f"{kind}_{name}_in_use": changing(kind, name, in_use=True)
         for kind in BASES
@@ -229,7 +258,9 @@ MUTANTS: dict[str, Mutant] = {
     **{f"{kind}_tells_its_token": told(kind, token_of, "secret") for kind in BASES},
     "backend_tells_its_options": told("backend", options_of, "secret"),
     "backend_tells_the_environment": told("backend", environment_of, ""),
-    "backend_tells_a_traceback": told("backend", lambda s: "Traceback (most recent call last): ...", "traceback"),
+    "backend_tells_a_traceback": told(
+        "backend", lambda s: "Traceback (most recent call last): ...", "traceback"
+    ),
     "backend_tells_everything": told("backend", lambda s: "no, " * 5000, "characters"),
     "backend_says_nothing": told("backend", lambda s: "", "says nothing"),
     "backend_token_in_the_address": Mutant(
@@ -246,7 +277,9 @@ MUTANTS: dict[str, Mutant] = {
     ),
     **{
         f"{kind}_second_{begin}_is_busy": Mutant(
-            rule=f"{kind}/second-{begin}-safe", words="busy", target=mutate(base, **{begin: second_refuses})
+            rule=f"{kind}/second-{begin}-safe",
+            words="busy",
+            target=mutate(base, **{begin: second_refuses}),
         )
         for kind, (base, begin, _) in BASES.items()
     },

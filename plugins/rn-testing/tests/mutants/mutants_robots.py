@@ -7,7 +7,18 @@ import time
 from dataclasses import replace
 
 import numpy as np
-from mutation import Mutant, compute, counted, forever, leave_thread, mutate, or_else, read_file, remembered, then
+from mutation import (
+    Mutant,
+    compute,
+    counted,
+    forever,
+    leave_thread,
+    mutate,
+    or_else,
+    read_file,
+    remembered,
+    then,
+)
 
 from rn_testing.fakes import FakeDriver, gantry_profile
 from roboneuron.contract import CameraCalibration, Endpoint, JointSample, RobotState, Workspace
@@ -20,7 +31,9 @@ CALLS = itertools.count()
 
 def profiled(rule, words="", **changes):
     """A profile of which some fields are others."""
-    return Mutant(rule=f"robot/{rule}", target=lambda: replace(gantry_profile(), **changes), words=words)
+    return Mutant(
+        rule=f"robot/{rule}", target=lambda: replace(gantry_profile(), **changes), words=words
+    )
 
 
 def limited(rule, words="", **changes):
@@ -63,10 +76,16 @@ PROFILES: dict[str, Mutant] = {
     "limits_in_degrees": limited(
         "limits-of-urdf", lower=np.degrees(GOOD.limits.lower), upper=np.degrees(GOOD.limits.upper)
     ),
-    "limits_in_millimetres": limited("limits-of-urdf", upper=GOOD.limits.upper * [1000, 1000, 1000, 1, 1, 1]),
+    "limits_in_millimetres": limited(
+        "limits-of-urdf", upper=GOOD.limits.upper * [1000, 1000, 1000, 1, 1, 1]
+    ),
     "velocity_in_degrees": limited("limits-of-urdf", velocity=np.degrees(GOOD.limits.velocity)),
-    "limits_in_another_order": limited("limits-of-urdf", lower=GOOD.limits.lower[::-1], upper=GOOD.limits.upper[::-1]),
-    "gripper_in_millimetres": profiled("limits-of-urdf", "gripper", gripper=replace(GOOD.gripper, open_position=40.0)),
+    "limits_in_another_order": limited(
+        "limits-of-urdf", lower=GOOD.limits.lower[::-1], upper=GOOD.limits.upper[::-1]
+    ),
+    "gripper_in_millimetres": profiled(
+        "limits-of-urdf", "gripper", gripper=replace(GOOD.gripper, open_position=40.0)
+    ),
     "home_outside": profiled("home-inside", home_rad=np.full(6, 50.0)),
     "home_missing": profiled("home-inside", home_rad=None),
     "home_in_degrees": profiled("home-inside", home_rad=np.degrees(GOOD.home_rad)),
@@ -82,27 +101,40 @@ PROFILES: dict[str, Mutant] = {
     "camera_of_another_role": profiled(
         "cameras-agree", cameras=(replace(GOOD.cameras[0], role="wrist"), GOOD.cameras[1])
     ),
-    "camera_without_frame": profiled("cameras-agree", cameras=(replace(GOOD.cameras[0], frame_id=""), GOOD.cameras[1])),
-    "camera_without_pixels": profiled("cameras-agree", cameras=(replace(GOOD.cameras[0], width=0), GOOD.cameras[1])),
+    "camera_without_frame": profiled(
+        "cameras-agree", cameras=(replace(GOOD.cameras[0], frame_id=""), GOOD.cameras[1])
+    ),
+    "camera_without_pixels": profiled(
+        "cameras-agree", cameras=(replace(GOOD.cameras[0], width=0), GOOD.cameras[1])
+    ),
     "camera_pose_in_millimetres": camera("millimetres", T_mount_camera=moved(500.0)),
     "camera_mirrored": camera("no pose", T_mount_camera=np.diag([1, 1, -1, 1.0])),
     "camera_pose_transposed": camera("no pose", T_mount_camera=moved(0.5).T),
     "camera_on_another_mount": camera("mount", mount="wrist"),
-    "camera_centre_in_metres": camera("centre", intrinsics=np.array([[64, 0, -0.3], [0, 64, 0.2], [0, 0, 1]])),
-    "camera_focal_length_zero": camera("focal", intrinsics=np.array([[0, 0, 32], [0, 0, 24], [0, 0, 1.0]])),
+    "camera_centre_in_metres": camera(
+        "centre", intrinsics=np.array([[64, 0, -0.3], [0, 64, 0.2], [0, 0, 1]])
+    ),
+    "camera_focal_length_zero": camera(
+        "focal", intrinsics=np.array([[0, 0, 32], [0, 0, 24], [0, 0, 1.0]])
+    ),
     "gripper_stuck": profiled("gripper-travels", gripper=replace(GOOD.gripper, open_position=0.0)),
-    "workspace_empty": profiled("workspace-not-empty", workspace=Workspace(lower_m=np.ones(3), upper_m=np.zeros(3))),
+    "workspace_empty": profiled(
+        "workspace-not-empty", workspace=Workspace(lower_m=np.ones(3), upper_m=np.zeros(3))
+    ),
     "workspace_without_home": profiled(
         "home-in-workspace", workspace=Workspace(lower_m=np.full(3, 0.8), upper_m=np.ones(3))
     ),
     "workspace_in_millimetres": profiled(
-        "home-in-workspace", workspace=Workspace(lower_m=np.array([300.0, -500, 0]), upper_m=np.full(3, 900.0))
+        "home-in-workspace",
+        workspace=Workspace(lower_m=np.array([300.0, -500, 0]), upper_m=np.full(3, 900.0)),
     ),
     "profile_changes": Mutant(
         rule="robot/profile-stable",
         target=lambda: replace(gantry_profile(), home_rad=GOOD.home_rad + 1e-3 * next(CALLS)),
     ),
-    "base_with_an_arm": Mutant(rule="robot/kind-agrees", spec={"robot_kind": "base", "action_widths": ()}),
+    "base_with_an_arm": Mutant(
+        rule="robot/kind-agrees", spec={"robot_kind": "base", "action_widths": ()}
+    ),
     "arm_without_widths": Mutant(rule="robot/kind-agrees", spec={"action_widths": ()}),
     "endpoint_of_another_type": endpoint(type="sensor_msgs/srv/JointState"),
     "endpoint_of_an_unknown_kind": endpoint(kind="subscribe"),
@@ -112,7 +144,8 @@ PROFILES: dict[str, Mutant] = {
     "endpoint_with_bounds_of_nan": endpoint(bounds={"position": (float("nan"), 1.0)}),
     "endpoint_twice": profiled("endpoints-usable", endpoints=2 * GOOD.endpoints),
     "endpoint_without_a_package": profiled(
-        "endpoints-usable", endpoints=(Endpoint(name="a", kind="read", topic="a", type="JointState", summary="A."),)
+        "endpoints-usable",
+        endpoints=(Endpoint(name="a", kind="read", topic="a", type="JointState", summary="A."),),
     ),
 }
 
@@ -120,7 +153,11 @@ PROFILES: dict[str, Mutant] = {
 def but(rule, words="", *, case=None, config=None, **changes):
     target = mutate(FakeDriver, **changes)
     return Mutant(
-        rule=f"driver/{rule}", target=target, case=case or {}, words=words, spec={"config": config} if config else {}
+        rule=f"driver/{rule}",
+        target=target,
+        case=case or {},
+        words=words,
+        spec={"config": config} if config else {},
     )
 
 
@@ -130,7 +167,10 @@ def measured(**changes):
     def read(self, call):
         state = call()
         return replace(
-            state, joints=replace(state.joints, **{n: change(self, state.joints) for n, change in changes.items()})
+            state,
+            joints=replace(
+                state.joints, **{n: change(self, state.joints) for n, change in changes.items()}
+            ),
         )
 
     return read
@@ -146,7 +186,11 @@ def opened(change):
 
 def clipped(self, call, command):
     names, limits = self._profile.arm_joints, self._profile.limits
-    if command.names != names or not np.isfinite(command.position).all() or not command.duration_s > 0:
+    if (
+        command.names != names
+        or not np.isfinite(command.position).all()
+        or not command.duration_s > 0
+    ):
         return call(command)
     call(replace(command, position=np.clip(command.position, limits.lower, limits.upper)))
     return command
@@ -167,7 +211,9 @@ def jumps(self, call, command):
 
 def at_full_speed(self, call, command):
     sent = call(command)
-    self._duration_s = min(self._duration_s, max(abs(self._goal[n] - self._start[n]) for n in self._goal) + 1e-6)
+    self._duration_s = min(
+        self._duration_s, max(abs(self._goal[n] - self._start[n]) for n in self._goal) + 1e-6
+    )
     return sent
 
 
@@ -250,62 +296,117 @@ def back_and_forth(self, joints):
 
 NAMES = ("__init__", "open", "read", "send", "close")
 DRIVERS: dict[str, Mutant] = {
-    "no_hold": Mutant(rule="driver/protocol", target=mutate(object, **{n: lambda *_: None for n in NAMES})),
-    "constructor_reads_a_file": but("constructor-pure", __init__=lambda s, call, *a: then(call(*a), read_file())),
-    "constructor_starts_a_thread": but("constructor-pure", __init__=lambda s, call, *a: then(call(*a), leave_thread())),
-    "constructor_computes": but("constructor-pure", __init__=lambda s, call, *a: then(call(*a), compute())),
-    "constructor_advertises": but(
-        "constructor-leaves-topics", __init__=lambda s, call, c, p, t: then(call(c, p, t), t.advertise("a", object))
+    "no_hold": Mutant(
+        rule="driver/protocol", target=mutate(object, **{n: lambda *_: None for n in NAMES})
     ),
-    "constructor_opens": but("read-before-open-refused", __init__=lambda s, call, *a: then(call(*a), s.open())),
+    "constructor_reads_a_file": but(
+        "constructor-pure", __init__=lambda s, call, *a: then(call(*a), read_file())
+    ),
+    "constructor_starts_a_thread": but(
+        "constructor-pure", __init__=lambda s, call, *a: then(call(*a), leave_thread())
+    ),
+    "constructor_computes": but(
+        "constructor-pure", __init__=lambda s, call, *a: then(call(*a), compute())
+    ),
+    "constructor_advertises": but(
+        "constructor-leaves-topics",
+        __init__=lambda s, call, c, p, t: then(call(c, p, t), t.advertise("a", object)),
+    ),
+    "constructor_opens": but(
+        "read-before-open-refused", __init__=lambda s, call, *a: then(call(*a), s.open())
+    ),
     "options_ignored": but(
         "options-read",
         config="rn_testing.fakes.robot:FakeDriverOptions",
         __init__=lambda s, call, c, p, t: call(None, p, t),
     ),
-    "close_needs_open": but("close-before-open", close=lambda s, call: then(s._positions(), call())),
-    "close_takes_20_s": but("close-releases", "close did not return", case={"limits_s": {"close": 0.3}}, close=forever),
-    "close_leaves_a_thread": but("close-releases", open=lambda s, call: then(call(), leave_thread())),
-    "second_open_starts_another_thread": but(
-        "second-open-safe", open=lambda s, call: then(call(), leave_thread() if counted(s) > 1 else 0)
+    "close_needs_open": but(
+        "close-before-open", close=lambda s, call: then(s._positions(), call())
     ),
-    "open_after_close_is_half": but("open-after-close", open=lambda s, call: call() if counted(s) < 2 else None),
-    "open_hangs": but("reads-state", "open did not return", case={"limits_s": {"open": 0.3}}, open=forever),
+    "close_takes_20_s": but(
+        "close-releases", "close did not return", case={"limits_s": {"close": 0.3}}, close=forever
+    ),
+    "close_leaves_a_thread": but(
+        "close-releases", open=lambda s, call: then(call(), leave_thread())
+    ),
+    "second_open_starts_another_thread": but(
+        "second-open-safe",
+        open=lambda s, call: then(call(), leave_thread() if counted(s) > 1 else 0),
+    ),
+    "open_after_close_is_half": but(
+        "open-after-close", open=lambda s, call: call() if counted(s) < 2 else None
+    ),
+    "open_hangs": but(
+        "reads-state", "open did not return", case={"limits_s": {"open": 0.3}}, open=forever
+    ),
     "every_state_is_kept": but("memory-bounded", read=lambda s, call: remembered(s, call())),
     "reads_before_open": but(
-        "read-before-open-refused", read=lambda s, call: then(None if s._start else s.open(), call())
+        "read-before-open-refused",
+        read=lambda s, call: then(None if s._start else s.open(), call()),
     ),
     "reads_after_close": but("read-after-close-refused", close=lambda s, call: None),
-    "sends_before_open": but("send-before-open-refused", send=lambda s, call, c: or_else(lambda: call(c), lambda: c)),
+    "sends_before_open": but(
+        "send-before-open-refused", send=lambda s, call, c: or_else(lambda: call(c), lambda: c)
+    ),
     "sends_after_close": but("send-after-close-refused", close=lambda s, call: None),
     "holds_after_close": but("hold-after-close-refused", close=lambda s, call: None),
-    "holds_before_open_in_silence": but("hold-before-open-refused", hold=lambda s, call: or_else(call, lambda: None)),
-    "read_hangs": but("reads-state", "read did not return", case={"limits_s": {"read": 0.3}}, read=forever),
+    "holds_before_open_in_silence": but(
+        "hold-before-open-refused", hold=lambda s, call: or_else(call, lambda: None)
+    ),
+    "read_hangs": but(
+        "reads-state", "read did not return", case={"limits_s": {"read": 0.3}}, read=forever
+    ),
     "read_waits": but("read-quick", read=lambda s, call: then(time.sleep(0.03), call())),
     "read_returns_a_dictionary": but("reads-state", read=lambda s, call: then(call(), {})),
     "read_lacks_a_joint": but(
         "reads-state",
-        read=measured(names=lambda s, j: j.names[1:], position=lambda s, j: j.position[1:], velocity=lambda s, j: None),
+        read=measured(
+            names=lambda s, j: j.names[1:],
+            position=lambda s, j: j.position[1:],
+            velocity=lambda s, j: None,
+        ),
     ),
     "read_never_has_a_state": but("reads-state", case={"settle_s": 0.2}, read=no_state),
-    "read_in_degrees": but("reads-state", "degrees", read=measured(position=lambda s, j: np.degrees(j.position))),
-    "read_in_millimetres": but("reads-state", read=measured(position=lambda s, j: j.position * 1000)),
-    "position_of_nan": but("reads-state", read=measured(position=lambda s, j: np.append(j.position[:-1], np.nan))),
-    "velocity_of_nan": but("reads-state", "velocity", read=measured(velocity=lambda s, j: j.velocity * np.nan)),
-    "velocity_of_two_joints": but("reads-state", read=measured(velocity=lambda s, j: j.velocity[:2])),
-    "joint_twice": but("reads-state", read=measured(names=lambda s, j: (*j.names[:-1], j.names[0]))),
+    "read_in_degrees": but(
+        "reads-state", "degrees", read=measured(position=lambda s, j: np.degrees(j.position))
+    ),
+    "read_in_millimetres": but(
+        "reads-state", read=measured(position=lambda s, j: j.position * 1000)
+    ),
+    "position_of_nan": but(
+        "reads-state", read=measured(position=lambda s, j: np.append(j.position[:-1], np.nan))
+    ),
+    "velocity_of_nan": but(
+        "reads-state", "velocity", read=measured(velocity=lambda s, j: j.velocity * np.nan)
+    ),
+    "velocity_of_two_joints": but(
+        "reads-state", read=measured(velocity=lambda s, j: j.velocity[:2])
+    ),
+    "joint_twice": but(
+        "reads-state", read=measured(names=lambda s, j: (*j.names[:-1], j.names[0]))
+    ),
     "gripper_not_measured": but("reads-state", read=opened(lambda opening: None)),
     "gripper_not_scaled": but("reads-state", read=opened(lambda opening: opening * 40)),
     "gripper_inverted": but("gripper-follows", read=opened(lambda opening: 1 - opening)),
     "gripper_ignored": but("gripper-follows", case={"settle_s": 0.3}, send=no_gripper),
     "stamp_zero": but("stamps-in-ros-time", read=measured(stamp_ns=lambda s, j: 0)),
-    "stamp_in_seconds": but("stamps-in-ros-time", read=measured(stamp_ns=lambda s, j: j.stamp_ns // NS)),
-    "stamp_monotonic": but("stamps-in-ros-time", read=measured(stamp_ns=lambda s, j: time.monotonic_ns())),
-    "stamp_of_the_wall_clock": but("stamps-in-ros-time", read=measured(stamp_ns=lambda s, j: time.time_ns())),
-    "stamp_in_the_future": but("stamps-in-ros-time", "future", read=measured(stamp_ns=lambda s, j: j.stamp_ns + NS)),
+    "stamp_in_seconds": but(
+        "stamps-in-ros-time", read=measured(stamp_ns=lambda s, j: j.stamp_ns // NS)
+    ),
+    "stamp_monotonic": but(
+        "stamps-in-ros-time", read=measured(stamp_ns=lambda s, j: time.monotonic_ns())
+    ),
+    "stamp_of_the_wall_clock": but(
+        "stamps-in-ros-time", read=measured(stamp_ns=lambda s, j: time.time_ns())
+    ),
+    "stamp_in_the_future": but(
+        "stamps-in-ros-time", "future", read=measured(stamp_ns=lambda s, j: j.stamp_ns + NS)
+    ),
     "stamps_go_back": but("stamps-in-ros-time", read=measured(stamp_ns=back_and_forth)),
     "stamp_stays": but(
-        "stamps-in-ros-time", "same", read=measured(stamp_ns=lambda s, j: s.__dict__.setdefault("first", j.stamp_ns))
+        "stamps-in-ros-time",
+        "same",
+        read=measured(stamp_ns=lambda s, j: s.__dict__.setdefault("first", j.stamp_ns)),
     ),
     "send_returns_nothing": but("send-arrives", send=lambda s, call, c: then(call(c), None)),
     "send_does_nothing": but("send-arrives", case={"settle_s": 0.2}, send=lambda s, call, c: c),
@@ -313,7 +414,10 @@ DRIVERS: dict[str, Mutant] = {
         "send-arrives",
         case={"settle_s": 0.2},
         send=lambda s, call, c: then(
-            call(replace(c, position=(c.position + np.array(list(s._positions().values()))[:6]) / 2)), c
+            call(
+                replace(c, position=(c.position + np.array(list(s._positions().values()))[:6]) / 2)
+            ),
+            c,
         ),
     ),
     "send_moves_another_joint": but(
@@ -326,10 +430,16 @@ DRIVERS: dict[str, Mutant] = {
         case={"settle_s": 0.2},
         send=lambda s, call, c: then(call(replace(c, position=c.position + 0.1)), c),
     ),
-    "send_changes_the_goal": but("send-arrives", send=lambda s, call, c: call(replace(c, position=c.position * 0.9))),
-    "send_hangs": but("send-arrives", "send did not return", case={"limits_s": {"send": 0.3}}, send=forever),
+    "send_changes_the_goal": but(
+        "send-arrives", send=lambda s, call, c: call(replace(c, position=c.position * 0.9))
+    ),
+    "send_hangs": but(
+        "send-arrives", "send did not return", case={"limits_s": {"send": 0.3}}, send=forever
+    ),
     "send_waits_for_the_end": but("send-quick", send=blocks),
-    "joints_in_the_order_of_the_profile": but("joints-by-name", case={"settle_s": 0.2}, send=in_profile_order),
+    "joints_in_the_order_of_the_profile": but(
+        "joints-by-name", case={"settle_s": 0.2}, send=in_profile_order
+    ),
     "jumps_whatever_the_duration": but("duration-kept", send=jumps),
     "moves_at_full_speed": but("duration-kept", send=at_full_speed),
     "told_another_duration": but(
@@ -350,7 +460,9 @@ DRIVERS: dict[str, Mutant] = {
         send=lambda s, call, c: call(replace(c, position=np.nan_to_num(c.position, posinf=0))),
     ),
     "unknown_joint_crashes": but(
-        "bad-command-refused", "KeyError", send=lambda s, call, c: then([s._start[n] for n in c.names], call(c))
+        "bad-command-refused",
+        "KeyError",
+        send=lambda s, call, c: then([s._start[n] for n in c.names], call(c)),
     ),
     "moves_before_it_refuses": but("bad-command-refused", "moved", send=moves_before_it_refuses),
     "limits_ignored": but("limits-kept", send=takes),
@@ -361,7 +473,9 @@ DRIVERS: dict[str, Mutant] = {
     "hold_does_nothing": but("hold-stops", hold=lambda s, call: None),
     "hold_jumps_to_the_goal": but("hold-stops", "hold() moved", hold=to_the_goal),
     "hold_drives_home": but("hold-stops", "hold() moved", hold=home),
-    "hold_hangs": but("hold-stops", "hold did not return", case={"limits_s": {"hold": 0.3}}, hold=forever),
+    "hold_hangs": but(
+        "hold-stops", "hold did not return", case={"limits_s": {"hold": 0.3}}, hold=forever
+    ),
     "hold_for_ever": but(
         "moves-after-hold",
         case={"settle_s": 0.2},
@@ -372,10 +486,16 @@ DRIVERS: dict[str, Mutant] = {
 
 DRIVERS["target_absent"] = Mutant(
     rule="driver/target-callable",
-    spec={"drivers": (DriverSpec(name="simulated", summary="Absent.", target="mutants_robots:absent"),)},
+    spec={
+        "drivers": (
+            DriverSpec(name="simulated", summary="Absent.", target="mutants_robots:absent"),
+        )
+    },
 )
 
-MUTANTS = {f"profile_{n}": m for n, m in PROFILES.items()} | {f"driver_{n}": m for n, m in DRIVERS.items()}
+MUTANTS = {f"profile_{n}": m for n, m in PROFILES.items()} | {
+    f"driver_{n}": m for n, m in DRIVERS.items()
+}
 
 
 def __getattr__(name):

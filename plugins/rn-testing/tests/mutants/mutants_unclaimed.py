@@ -1,4 +1,5 @@
-"""Mistakes that were written down before the rules were read; no rule is named for them, and some are not found.
+"""Mistakes that were written down before the rules were read; no rule is named for them, and some
+are not found.
 
 `benchmarks/bench_contract_kit.py` counts how many of them any rule of their kind finds.
 """
@@ -64,14 +65,21 @@ def history(self, call, action, joints, step_s):
     if isinstance(result, Hold):
         return result
     self.last = getattr(self, "last", result.position)
-    self.last = 0.5 * (self.last + result.position) if self.last.shape == result.position.shape else result.position
+    self.last = (
+        0.5 * (self.last + result.position)
+        if self.last.shape == result.position.shape
+        else result.position
+    )
     return replace(result, position=self.last)
 
 
 def only_upwards(self, call, command):
     """Leaves a joint that is to go down by less than a degree where it is."""
     here = self._positions()
-    kept = [here[n] if 0 < here[n] - p < 0.01 else p for n, p in zip(command.names, command.position, strict=True)]
+    kept = [
+        here[n] if 0 < here[n] - p < 0.01 else p
+        for n, p in zip(command.names, command.position, strict=True)
+    ]
     return replace(call(replace(command, position=np.array(kept))), position=command.position)
 
 
@@ -90,7 +98,11 @@ def stale_after_long_pause(self, call, timeout_s):
     begun = getattr(self, "begun", time.monotonic())
     self.begun = begun
     frame = call(timeout_s)
-    return replace(frame, stamp_ns=frame.stamp_ns - 2_000_000_000) if time.monotonic() - begun > 30 else frame
+    return (
+        replace(frame, stamp_ns=frame.stamp_ns - 2_000_000_000)
+        if time.monotonic() - begun > 30
+        else frame
+    )
 
 
 MUTANTS: dict[str, Mutant] = {
@@ -100,29 +112,40 @@ MUTANTS: dict[str, Mutant] = {
     ),
     "backend_predicts_after_close": one("backend", close=after_close),
     "backend_leaves_a_child": one("backend", load=child),
-    "backend_ignores_the_instruction": one("backend", predict=lambda s, call, o: call(replace(o, instruction=""))),
+    "backend_ignores_the_instruction": one(
+        "backend", predict=lambda s, call, o: call(replace(o, instruction=""))
+    ),
     "backend_hangs_on_the_hundredth": one(
         "backend", predict=lambda s, call, o: time.sleep(2) if counted(s) == 100 else call(o)
     ),
     "backend_gripper_always_shut": one(
-        "backend", predict=lambda s, call, o: replace(call(o), actions=call(o).actions * [1, 1, 1, 1, 1, 1, 0])
+        "backend",
+        predict=lambda s, call, o: replace(
+            call(o), actions=call(o).actions * [1, 1, 1, 1, 1, 1, 0]
+        ),
     ),
     "backend_rows_written_later": one(
         "backend",
         reset=lambda s, call: then(setattr(s, "noise", counted(s)), call()),
         predict=lambda s, call, o: replace(
-            call(o), actions=call(o).actions + np.array([0.002 * getattr(s, "noise", 0), 0, 0, 0, 0, 0, 0])
+            call(o),
+            actions=call(o).actions + np.array([0.002 * getattr(s, "noise", 0), 0, 0, 0, 0, 0, 0]),
         ),
     ),
     "runtime_lies_now_and_then": one("runtime", run=third_time_lucky),
     "runtime_loses_the_type": one("runtime", run=lambda s, call, r: float(call(r))),
     "runtime_answers_a_view": one(
-        "runtime", run=lambda s, call, r: then(s.__dict__.setdefault("out", np.zeros(1)).__setitem__(0, call(r)), s.out)
+        "runtime",
+        run=lambda s, call, r: then(
+            s.__dict__.setdefault("out", np.zeros(1)).__setitem__(0, call(r)), s.out
+        ),
     ),
     "perception_repeats_a_frame": one(
         "perception",
         read=lambda s, call, t: then(
-            s.__dict__.__setitem__("f", call(t)), s._pending.append(s.f) if counted(s) == 1 else 0, s.f
+            s.__dict__.__setitem__("f", call(t)),
+            s._pending.append(s.f) if counted(s) == 1 else 0,
+            s.f,
         ),
     ),
     "perception_stamps_drift_after_a_pause": one("perception", read=stale_after_long_pause),
@@ -137,7 +160,8 @@ MUTANTS: dict[str, Mutant] = {
     "driver_stuck_downwards": one("driver", send=only_upwards),
     "driver_tells_the_command": one("driver", send=lambda s, call, c: then(call(c), c)),
     "acceleration_patches_the_class": one(
-        "acceleration", apply=lambda s, call, d: then(call(d), setattr(FakeDecoder, "patched", counted(s)))
+        "acceleration",
+        apply=lambda s, call, d: then(call(d), setattr(FakeDecoder, "patched", counted(s))),
     ),
 }
 

@@ -31,12 +31,20 @@ class Admission:
         """Who a new page is: None until it gives a token."""
         if self.tokens:
             return None
-        return Holder(who=f"{LOCAL_PROCESS.who} view {number}", role=LOCAL_PROCESS.role, client=f"view {number}")
+        return Holder(
+            who=f"{LOCAL_PROCESS.who} view {number}",
+            role=LOCAL_PROCESS.role,
+            client=f"view {number}",
+        )
 
     def allows(self, headers: Any) -> bool:
-        """Whether a connection may be: its Host is this machine, and its page comes from there or an allowed place."""
+        """Whether a connection may be: its Host is this machine, and its page comes from there
+        or an allowed place.
+        """
         origin = headers.get("Origin")
-        return self.rules.allows_host(headers.get_all("Host")) and (origin is None or self.rules.allows_origin(origin))
+        return self.rules.allows_host(headers.get_all("Host")) and (
+            origin is None or self.rules.allows_origin(origin)
+        )
 
 
 def host_rules(options: ViewOptions, http: HttpOptions) -> HostRules:

@@ -56,21 +56,27 @@ class ViewFeature(Feature[ViewOptions]):
             host.events.health.listen(self._source.on_health)
             host.events.fault.listen(self._source.on_fault)
             calls = ToolCalls(self._source.happenings, partial(_is_quiet, host))
-            host.events.open.listen(lambda: host.server.middleware.append(calls))  # not there before
+            # not there before
+            host.events.open.listen(lambda: host.server.middleware.append(calls))
         return ()
 
     def start(self, host: Host) -> None:
-        """Begin to serve the page; robots with the same address share one, with a choice of the robot."""
+        """Begin to serve the page; robots with the same address share one, with a choice of the
+        robot.
+        """
         if not self.options.enabled:
             return
         http = host.feature("http", HttpFeature)
         admission = Admission(
-            tokens=TokenFiles(http.options.tokens, os.environ), rules=host_rules(self.options, http.options)
+            tokens=TokenFiles(http.options.tokens, os.environ),
+            rules=host_rules(self.options, http.options),
         )
         operator = LiveOperator(host, http.lease)
         with contextlib.suppress(RuntimeError):  # not called by a server that serves
             operator.loop = from_thread.run_sync(asyncio.get_running_loop)
-        self._shared = _SharedPage.join(self.options, host.config.namespace, self._source, admission, operator)
+        self._shared = _SharedPage.join(
+            self.options, host.config.namespace, self._source, admission, operator
+        )
         self.viewer = self._shared.viewer
 
     def close(self) -> None:
@@ -80,7 +86,9 @@ class ViewFeature(Feature[ViewOptions]):
 
 
 class _SharedPage:
-    """The page of all robots of this process whose configuration names the same address: it can be bound only once."""
+    """The page of all robots of this process whose configuration names the same address: it can
+    be bound only once.
+    """
 
     _in_use: ClassVar[dict[tuple[str, int], _SharedPage]] = {}
     _lock: ClassVar[threading.Lock] = threading.Lock()
@@ -91,7 +99,12 @@ class _SharedPage:
 
     @classmethod
     def join(
-        cls, options: ViewOptions, name: str, source: LiveSource, admission: Admission, operator: LiveOperator
+        cls,
+        options: ViewOptions,
+        name: str,
+        source: LiveSource,
+        admission: Admission,
+        operator: LiveOperator,
     ) -> _SharedPage:
         """The page at that address, which shows this robot from now on."""
         from rn_view.viewer import Viewer  # heavy

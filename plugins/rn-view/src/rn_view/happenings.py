@@ -1,4 +1,6 @@
-"""What happened, for the list on the page: tool calls, faults, changes of health, decisions of the gate."""
+"""What happened, for the list on the page: tool calls, faults, changes of health, decisions of
+the gate.
+"""
 
 from __future__ import annotations
 
@@ -78,10 +80,13 @@ class ToolCalls:
 
     Args:
         happenings: where it is added.
-        is_quiet: of which tools only failures are added: those that only read, which agents call all the time.
+        is_quiet: of which tools only failures are added: those that only read, which agents call
+            all the time.
     """
 
-    def __init__(self, happenings: Happenings, is_quiet: Callable[[str], bool] = lambda tool: False) -> None:
+    def __init__(
+        self, happenings: Happenings, is_quiet: Callable[[str], bool] = lambda tool: False
+    ) -> None:
         self._happenings = happenings
         self._is_quiet = is_quiet
 
@@ -102,26 +107,37 @@ class ToolCalls:
         took = f"{time.monotonic() - begun_s:.2f} s"
         failure = failure_of(result)
         if failure or not is_quiet:
-            self._happenings.add("tool", f"{call}: {failure or 'done'}, {took}", is_bad=bool(failure))
+            self._happenings.add(
+                "tool", f"{call}: {failure or 'done'}, {took}", is_bad=bool(failure)
+            )
         return result
 
 
 def failure_of(result: Any) -> str:
-    """The text of a failed call, as middleware gets it: as it goes over the wire. Empty when it did not fail."""
+    """The text of a failed call, as middleware gets it: as it goes over the wire. Empty when it
+    did not fail.
+    """
     if not (isinstance(result, Mapping) and result.get("isError")):
         return ""
-    return " ".join(block["text"] for block in result.get("content", ()) if "text" in block) or "failed"
+    return (
+        " ".join(block["text"] for block in result.get("content", ()) if "text" in block)
+        or "failed"
+    )
 
 
 def shown_arguments(arguments: object) -> str:
     """The arguments of a call as one reads them in the list."""
     if not isinstance(arguments, dict) or not arguments:
         return ""
-    return ", ".join(f"{key}={json.dumps(value, default=str)[:60]}" for key, value in list(arguments.items())[:8])
+    return ", ".join(
+        f"{key}={json.dumps(value, default=str)[:60]}" for key, value in list(arguments.items())[:8]
+    )
 
 
 class AuditTail:
-    """New records of an audit that other processes write, across a rotation. For one thread; no file stays open."""
+    """New records of an audit that other processes write, across a rotation. For one thread; no
+    file stays open.
+    """
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -131,7 +147,9 @@ class AuditTail:
         self._rest = b""
 
     def read_new(self) -> list[dict[str, Any]]:
-        """Records since the last time; the end of the file the first time. Empty when there is no file."""
+        """Records since the last time; the end of the file the first time. Empty when there is
+        no file.
+        """
         data = b""
         with contextlib.suppress(OSError):
             if self._inode and self._path.stat().st_ino != self._inode:
@@ -164,7 +182,11 @@ def _record(line: bytes) -> dict[str, Any] | None:
 
 def add_record(happenings: Happenings, record: dict[str, Any]) -> None:
     """Add a record of the audit."""
-    parts = [str(record.get("verdict", "")), str(record.get("tool", "")), str(record.get("endpoint", ""))]
+    parts = [
+        str(record.get("verdict", "")),
+        str(record.get("tool", "")),
+        str(record.get("endpoint", "")),
+    ]
     text = " ".join(part for part in parts if part)
     text += f", {record['who']}" if record.get("who") else ""
     text += f": {record['reason']}" if record.get("reason") else ""

@@ -32,7 +32,16 @@ from roboneuron.feature import (
 T = TypeVar("T")
 M = TypeVar("M")
 _ORDER: tuple[ModuleKind, ...] = ("robot", "perception", "inference", "control")
-_SHOWN_VERDICTS = ("refused", "would_refuse", "scaled", "held", "latched", "restored", "reset", "lapsed")
+_SHOWN_VERDICTS = (
+    "refused",
+    "would_refuse",
+    "scaled",
+    "held",
+    "latched",
+    "restored",
+    "reset",
+    "lapsed",
+)
 """What is allowed is in the list as a tool call already."""
 
 
@@ -51,12 +60,16 @@ class LiveSource:
         """Listener of `Events.health`."""
         told = view.report.error if view.report is not None and health in FAULTS else ""
         self.happenings.add(
-            "health", f"{view.kind}: {health}{f': {told}' if told else ''} (was {before})", is_bad=health in FAULTS
+            "health",
+            f"{view.kind}: {health}{f': {told}' if told else ''} (was {before})",
+            is_bad=health in FAULTS,
         )
 
     def on_fault(self, module: str, what: str, facts: Mapping[str, Any]) -> None:
         """Listener of `Events.fault`."""
-        self.happenings.add("fault", f"{module}: {what}: {facts.get('explanation', '')}", is_bad=True)
+        self.happenings.add(
+            "fault", f"{module}: {what}: {facts.get('explanation', '')}", is_bad=True
+        )
 
     def now_s(self) -> float:
         """See Source."""
@@ -75,7 +88,9 @@ class LiveSource:
         statuses = [module_status(self._host.supervisor.view(kind)) for kind in _ORDER]
         stop = self._host.loop.emergency_stop
         is_latched = stop.is_latched()
-        instruction = next((status.instruction for status in statuses if status.module == "inference"), "")
+        instruction = next(
+            (status.instruction for status in statuses if status.module == "inference"), ""
+        )
         return Snapshot(
             modules=tuple(_row(status) for status in statuses),
             is_latched=is_latched,
@@ -93,19 +108,28 @@ class LiveSource:
             if record["verdict"] in _SHOWN_VERDICTS:
                 add_record(self.happenings, record)
 
-    def subscribe(self, message_type: type[M], topic: str, callback: Callable[[M], None]) -> Callable[[], None]:
+    def subscribe(
+        self, message_type: type[M], topic: str, callback: Callable[[M], None]
+    ) -> Callable[[], None]:
         """See Source."""
         return self._host.subscribe(message_type, topic, callback)
 
     def press_stop(self, who: str) -> str:
         """See Source."""
         stop = self._host.loop.emergency_stop
-        confirmed, took_s = stop.latch(self._host.config.namespace, who=who, reason="pressed in the live view")
-        return f"Latched after {took_s:.2f} s; confirmed by {', '.join(confirmed) or 'no module: none runs'}."
+        confirmed, took_s = stop.latch(
+            self._host.config.namespace, who=who, reason="pressed in the live view"
+        )
+        return (
+            f"Latched after {took_s:.2f} s; confirmed by "
+            f"{', '.join(confirmed) or 'no module: none runs'}."
+        )
 
 
 def robot_profile(config: Config, registry: Registry) -> RobotProfile:
-    """The profile of the configured robot. Raises RoboNeuronError when its plugin cannot be used."""
+    """The profile of the configured robot. Raises RoboNeuronError when its plugin cannot be
+    used.
+    """
     load = cast("Callable[[], RobotProfile]", load_target(registry.get("robot", config.robot.name)))
     return load()
 
@@ -114,7 +138,9 @@ def _row(status: ModuleStatus) -> ModuleRow:
     text = f"{status.error.message}" if status.error is not None else ""
     text = text or (f"waits for {status.waiting_for}" if status.waiting_for else status.note)
     chosen = status.started_with
-    named = next((chosen[key] for key in ("robot", "source", "backend", "controller") if key in chosen), "")
+    named = next(
+        (chosen[key] for key in ("robot", "source", "backend", "controller") if key in chosen), ""
+    )
     return ModuleRow(
         kind=status.module,
         health=status.health,
@@ -133,7 +159,8 @@ class LiveOperator:
 
     Args:
         host: the server.
-        lease: told who has a page open, and who has left, so that another client may operate the robot.
+        lease: told who has a page open, and who has left, so that another client may operate the
+            robot.
     """
 
     def __init__(self, host: Host, lease: OperatorLease | None = None) -> None:
@@ -179,7 +206,9 @@ class _Context:
         """See CallContext; no button makes a motion that would end with its page."""
         thread = anyio.CapacityLimiter(1)
         try:
-            return await to_thread.run_sync(lambda: work(lambda _: None), abandon_on_cancel=True, limiter=thread)
+            return await to_thread.run_sync(
+                lambda: work(lambda _: None), abandon_on_cancel=True, limiter=thread
+            )
         except anyio.get_cancelled_exc_class():
             on_cancel()
             raise

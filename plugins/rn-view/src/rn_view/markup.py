@@ -13,10 +13,16 @@ from roboneuron import RobotProfile
 from roboneuron.feature import EXPLANATIONS, FAULTS
 
 _GOOD, _IDLE, _BAD, _STARTING = "#237032", "#555c63", "#b01e1e", "#9c5200"
-"""Each has a contrast of more than 5 on white. Source: WCAG 2.2, success criterion 1.4.3 (AA: 4.5)."""
+"""Each has a contrast of more than 5 on white. Source: WCAG 2.2, success criterion 1.4.3 (AA:
+4.5).
+"""
 _SMALL = "font-size:12px;line-height:1.35"
-STYLE = '<style>@media (max-width: 36em) {div[style*="width: 20em"] {width: 100% !important}}</style>'
-"""On a phone viser 1.1 makes the panel 20em wide and leaves a strip beside it; with this it is as wide as the page."""
+STYLE = (
+    '<style>@media (max-width: 36em) {div[style*="width: 20em"] {width: 100% !important}}</style>'
+)
+"""On a phone viser 1.1 makes the panel 20em wide and leaves a strip beside it; with this it is
+as wide as the page.
+"""
 _NEAR = 0.05
 """Share of a joint's range within which it is shown as near its limit."""
 
@@ -29,7 +35,8 @@ def stop_text(snapshot: Snapshot | None, label: str) -> str:
         return _line("", f"{escape(label)} &middot; emergency stop not pressed")
     cause = f": {escape(snapshot.cause)}" if snapshot.cause else ""
     return (
-        f'<div style="{_SMALL};padding:6px 14px;background:{_BAD};color:white"><b>EMERGENCY STOP LATCHED</b>{cause}. '
+        f'<div style="{_SMALL};padding:6px 14px;background:{_BAD};color:white"><b>EMERGENCY STOP '
+        f"LATCHED</b>{cause}. "
         "Look at the robot; a person releases it with <code>roboneuron estop --reset</code>.</div>"
     )
 
@@ -38,16 +45,22 @@ def full_text(most: int) -> str:
     """Why a page shows the stop only."""
     return _line(
         "font-size:14px",
-        f"{most} pages are open, which is <code>max_viewers</code> of [view]. This one has the emergency stop only. "
+        f"{most} pages are open, which is <code>max_viewers</code> of [view]. This one has the "
+        "emergency stop only. "
         "Close another one and load this one again.",
     )
 
 
 def recording_text(playback: Playback, snapshot: Snapshot | None) -> str:
-    """Which recording this is and what time it shows; whether the emergency stop was latched then."""
+    """Which recording this is and what time it shows; whether the emergency stop was latched
+    then.
+    """
     at_s = playback.begun_s + playback.position_s
     moment = f"{time.strftime('%Y-%m-%d %H:%M:%S', time.localtime(at_s))}.{int(at_s * 10) % 10}"
-    text = f"<b>Recording</b> {escape(playback.title)}<br>{moment} &middot; no robot is connected to this page"
+    text = (
+        f"<b>Recording</b> {escape(playback.title)}<br>{moment} &middot; no robot is connected "
+        "to this page"
+    )
     if snapshot is not None and snapshot.is_latched:
         text += f'<br><b style="color:{_BAD}">Emergency stop latched: {escape(snapshot.cause)}</b>'
     return f'<div style="{_SMALL};padding:4px 14px;overflow-wrap:anywhere">{text}</div>'
@@ -55,7 +68,9 @@ def recording_text(playback: Playback, snapshot: Snapshot | None) -> str:
 
 def mark_text(mark: Mark, position_s: float) -> str:
     """The newest event before the position, and how long before."""
-    return _line("overflow-wrap:anywhere", f"{position_s - mark.at_s:.1f} s after {escape(mark.text[:160])}")
+    return _line(
+        "overflow-wrap:anywhere", f"{position_s - mark.at_s:.1f} s after {escape(mark.text[:160])}"
+    )
 
 
 def instruction_text(snapshot: Snapshot) -> str:
@@ -67,27 +82,35 @@ def instruction_text(snapshot: Snapshot) -> str:
 def modules_table(rows: Sequence[ModuleRow]) -> str:
     """Health, rates, latencies, ages and drops of the modules."""
     head = "".join(
-        f'<th style="text-align:{"left" if not i else "right"};font-weight:500;color:{_IDLE}">{word}</th>'
+        f'<th style="text-align:{"left" if not i else "right"};font-weight:500;color:{_IDLE}">'
+        f"{word}</th>"
         for i, word in enumerate(("module", "Hz", "ms", "p99", "age", "drops"))
     )
     body = "".join(_module_rows(row) for row in rows)
-    return f'<table style="{_SMALL};width:100%;padding:0 12px;border-spacing:2px 1px"><tr>{head}</tr>{body}</table>'
+    return (
+        f'<table style="{_SMALL};width:100%;padding:0 12px;border-spacing:2px '
+        f'1px"><tr>{head}</tr>{body}</table>'
+    )
 
 
 def _module_rows(row: ModuleRow) -> str:
     colour = _BAD if row.health in FAULTS else _GOOD if row.health == "ok" else _IDLE
     colour = _STARTING if row.health in ("starting", "stopping", "waiting") else colour
-    dot = f'<span style="color:{colour}" title="{escape(EXPLANATIONS.get(row.health, ""))}">&#9679;</span>'  # type: ignore[call-overload]
+    meaning = EXPLANATIONS.get(row.health, "")  # type: ignore[call-overload]
+    dot = f'<span style="color:{colour}" title="{escape(meaning)}">&#9679;</span>'
     numbers = (row.rate_hz, row.latency_ms, row.latency_p99_ms, row.age_ms)
     cells = "".join(f'<td style="text-align:right">{_number(number)}</td>' for number in numbers)
     chosen = f' <span style="color:{_IDLE}">{escape(row.chosen)}</span>' if row.chosen else ""
-    told = f"{row.health}: {row.text}" if row.text and row.health != "ok" else row.text or row.health
+    told = (
+        f"{row.health}: {row.text}" if row.text and row.health != "ok" else row.text or row.health
+    )
     told = "" if told == "ok" else told
     colour = _BAD if row.health in FAULTS else _IDLE
     return (
         f"<tr><td>{dot} <b>{escape(row.kind)}</b>{chosen}</td>{cells}"
         f'<td style="text-align:right">{row.dropped}</td></tr>'
-        f'<tr><td colspan="6" style="color:{colour};padding:0 0 2px 14px">{escape(told[:160])}</td></tr>'
+        f'<tr><td colspan="6" style="color:{colour};padding:0 0 2px '
+        f'14px">{escape(told[:160])}</td></tr>'
     )
 
 
@@ -104,12 +127,17 @@ def joints_table(profile: RobotProfile, joints: Mapping[str, float]) -> str:
         mark = (
             ""
             if at is None
-            else f'<div style="position:absolute;left:{100 * min(1.0, max(0.0, share)):.1f}%;top:-3px;width:4px;'
+            else f'<div style="position:absolute;left:{100 * min(1.0, max(0.0, share)):.1f}%;'
+            "top:-3px;width:4px;"
             f'height:12px;margin-left:-2px;background:{colour}"></div>'
         )
-        bar = f'<div style="position:relative;height:6px;background:#dee2e6;border-radius:3px">{mark}</div>'
+        bar = (
+            '<div style="position:relative;height:6px;background:#dee2e6;border-radius:3px">'
+            f"{mark}</div>"
+        )
         rows.append(
-            f'<tr><td style="white-space:nowrap">{escape(name)}</td><td style="width:45%">{bar}</td>'
+            f'<tr><td style="white-space:nowrap">{escape(name)}</td><td '
+            f'style="width:45%">{bar}</td>'
             f'<td style="text-align:right">{_number(at, 2)}</td></tr>'
         )
     return f'<table style="{_SMALL};width:100%;padding:0 12px">{"".join(rows)}</table>'
@@ -120,7 +148,8 @@ def happenings_list(happenings: Sequence[Happening]) -> str:
     if not happenings:
         return _line("", "Nothing has happened yet.")
     rows = "".join(
-        f'<div style="padding:1px 0;overflow-wrap:anywhere;color:{_BAD if happening.is_bad else "inherit"}">'
+        '<div style="padding:1px '
+        f'0;overflow-wrap:anywhere;color:{_BAD if happening.is_bad else "inherit"}">'
         f'<span style="color:{_IDLE}">{time.strftime("%H:%M:%S", time.localtime(happening.at_s))} '
         f"{escape(happening.what)}</span> {escape(happening.text)}</div>"
         for happening in happenings

@@ -1,4 +1,6 @@
-"""What the robot's topics carry while somebody looks: joints, TCP poses, actions, commands and pictures."""
+"""What the robot's topics carry while somebody looks: joints, TCP poses, actions, commands and
+pictures.
+"""
 
 from __future__ import annotations
 
@@ -31,14 +33,17 @@ _LEAST_STEP_M = 0.002
 
 
 class Measured:
-    """The newest messages; `open` subscribes and `close` ends that. Fields may be read from any thread.
+    """The newest messages; `open` subscribes and `close` ends that. Fields may be read from any
+    thread.
 
     Attributes:
         joints: measured position [rad or m] by joint name.
-        tcp: measured position [m] (3,) and orientation wxyz (4,) of the TCP in the base frame; None before the first.
+        tcp: measured position [m] (3,) and orientation wxyz (4,) of the TCP in the base frame; None
+            before the first.
         commanded: positions by joint name that were commanded last; empty before the first command.
         trail: positions of the TCP [m], oldest first.
-        actions: time [s], as of `Source.now_s`, and values (7,) of the newest actions, oldest first.
+        actions: time [s], as of `Source.now_s`, and values (7,) of the newest actions, oldest
+            first.
         images: number, pixels (H, W, 3) and capture time [ns] of each camera's newest picture.
         news: notified with every picture.
     """
@@ -104,14 +109,20 @@ class Measured:
 
     def _on_command(self, message: JointTrajectory) -> None:
         if message.points:
-            self.commanded = dict(zip(message.joint_names, message.points[-1].positions, strict=False))
+            self.commanded = dict(
+                zip(message.joint_names, message.points[-1].positions, strict=False)
+            )
 
     def _on_command_state(self, message: JointState) -> None:
         self.commanded = dict(zip(message.name, message.position, strict=False))
 
     def _on_image(self, camera: str, message: Image) -> None:
         pixels = frame_from_buffer(
-            message.data, width=message.width, height=message.height, step=message.step, encoding=message.encoding
+            message.data,
+            width=message.width,
+            height=message.height,
+            step=message.step,
+            encoding=message.encoding,
         )
         stamp_ns = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
         number = self.images[camera][0] + 1 if camera in self.images else 1

@@ -13,9 +13,15 @@ class ViewOptions(Section):
     """`[view]`: the page in the browser."""
 
     enabled: bool = Field(default=False, description="serve the page; nothing listens without it")
-    host: str = Field(default="127.0.0.1", min_length=1, max_length=253, description="address to listen on")
-    port: Annotated[int, Field(ge=0, le=65535)] = Field(default=8780, description="port; 0: any free one")
+    host: str = Field(
+        default="127.0.0.1", min_length=1, max_length=253, description="address to listen on"
+    )
+    port: Annotated[int, Field(ge=0, le=65535)] = Field(
+        default=8780, description="port; 0: any free one"
+    )
     image_hz: Annotated[float, Field(gt=0, le=60)] = Field(
         default=15.0, description="most pictures a second of each camera"
     )
-    max_viewers: Annotated[int, Field(ge=1, le=64)] = Field(default=8, description="most pages at once")
+    max_viewers: Annotated[int, Field(ge=1, le=64)] = Field(
+        default=8, description="most pages at once"
+    )

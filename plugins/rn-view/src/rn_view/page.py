@@ -23,7 +23,9 @@ from roboneuron.feature import OPERATOR, Holder, has_role
 
 _LEFT_PX = 310
 _PHONE_PX, _WIDE_PX = 576, 1100
-"""Between these widths cameras, plots and joints are in the panel on the right: the robot has no room between two."""
+"""Between these widths cameras, plots and joints are in the panel on the right: the robot has
+no room between two.
+"""
 _LINES = 40
 _MODULES = ("robot", "perception", "control", "inference")
 _JPEG_QUALITY = 80
@@ -37,7 +39,9 @@ class Operator(Protocol):
     """Calls tools for a page; the page of a view without one has no buttons but the stop."""
 
     def call(self, holder: Holder, tool: str, arguments: dict[str, Any]) -> Future[str]:
-        """Call a tool as `holder`; the text of its failure, empty when it did what it says. Returns at once."""
+        """Call a tool as `holder`; the text of its failure, empty when it did what it says.
+        Returns at once.
+        """
         ...
 
     def present(self, holder: Holder) -> AbstractContextManager[None]:
@@ -56,12 +60,18 @@ class Page:
     """
 
     def __init__(
-        self, client: viser.ClientHandle, sources: Mapping[str, Source], operators: Mapping[str, Operator],
-        admit: Callable[[str], Holder | None], on_choice: Callable[[Page], object],
-    ) -> None:  # fmt: skip
+        self,
+        client: viser.ClientHandle,
+        sources: Mapping[str, Source],
+        operators: Mapping[str, Operator],
+        admit: Callable[[str], Holder | None],
+        on_choice: Callable[[Page], object],
+    ) -> None:
         """Args:
-        sources: what can be shown by the robot's name, the first one first; of several one is chosen.
-        operators: call tools for the buttons, by the robot's name; of a robot without one there are none.
+        sources: what can be shown by the robot's name, the first one first; of several one is
+            chosen.
+        operators: call tools for the buttons, by the robot's name; of a robot without one there are
+            none.
         admit: whose token a text is; None for nobody's.
         on_choice: called when another robot was chosen.
         """
@@ -83,7 +93,9 @@ class Page:
         client.gui.add_html(markup.STYLE)
         self._choice: Any = None
         if len(sources) > 1:
-            self._choice = client.gui.add_dropdown("Robot", tuple(sources), initial_value=next(iter(sources)))
+            self._choice = client.gui.add_dropdown(
+                "Robot", tuple(sources), initial_value=next(iter(sources))
+            )
             self._choice.on_update(lambda _: on_choice(self))
         if self._source.playback is None:
             self._stop_text = client.gui.add_html(markup.stop_text(None, self._source.label))
@@ -127,7 +139,11 @@ class Page:
         assert self.holder is not None
         if self._operator is not None:
             self._presence.enter_context(self._operator.present(self.holder))
-        buttons = None if self._operator is None or not has_role(self.holder.role, OPERATOR) else self._call
+        buttons = (
+            None
+            if self._operator is None or not has_role(self.holder.role, OPERATOR)
+            else self._call
+        )
         with self._lock:
             self._content = _Content(self.client, self._source, profile, history, buttons)
 
@@ -149,7 +165,9 @@ class Page:
                 content.remove()
 
     def update_state(self, source: Source, snapshot: Snapshot, measured: Measured) -> None:
-        """Show the state of `source`, unless the page shows another by now: a few times a second."""
+        """Show the state of `source`, unless the page shows another by now: a few times a
+        second.
+        """
         with self._lock:
             if self._is_gone or source is not self._source:
                 return
@@ -165,7 +183,9 @@ class Page:
                 with self.client.atomic():
                     self._content.scene.update(measured)
 
-    def show_picture(self, source: Source, camera: str, pixels: NDArray[np.uint8], *, in_scene: bool) -> None:
+    def show_picture(
+        self, source: Source, camera: str, pixels: NDArray[np.uint8], *, in_scene: bool
+    ) -> None:
         """As `update_state`, a camera's picture."""
         with self._lock:
             if self._content is not None and not self._is_gone and source is self._source:
@@ -174,7 +194,9 @@ class Page:
 
     def tell(self, title: str, text: str, *, is_bad: bool) -> None:
         """Show a notice for a while."""
-        self.client.add_notification(title, text, auto_close_seconds=_NOTICE_S, color="red" if is_bad else "green")
+        self.client.add_notification(
+            title, text, auto_close_seconds=_NOTICE_S, color="red" if is_bad else "green"
+        )
 
     def leave(self) -> None:
         """The client is gone."""
@@ -201,9 +223,13 @@ class _Content:
     """What a page shows to whom it knows."""
 
     def __init__(
-        self, client: viser.ClientHandle, source: Source, profile: RobotProfile, history: History,
+        self,
+        client: viser.ClientHandle,
+        source: Source,
+        profile: RobotProfile,
+        history: History,
         call: Callable[[str, dict[str, Any]], None] | None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         gui = client.gui
         self._source = source
         self._profile = profile
@@ -223,8 +249,14 @@ class _Content:
         with tabs.add_tab("Cameras"):
             self._images = {
                 camera.name: gui.add_image(
-                    np.full((_BLANK_PX * camera.height // camera.width, _BLANK_PX, 3), 40, dtype=np.uint8),
-                    label=camera.name if camera.name == camera.role else f"{camera.name} ({camera.role})",
+                    np.full(
+                        (_BLANK_PX * camera.height // camera.width, _BLANK_PX, 3),
+                        40,
+                        dtype=np.uint8,
+                    ),
+                    label=camera.name
+                    if camera.name == camera.role
+                    else f"{camera.name} ({camera.role})",
                     format="jpeg",
                     jpeg_quality=_JPEG_QUALITY,
                 )
@@ -272,7 +304,9 @@ class _Content:
             send = gui.add_button("Give the instruction")
             start = gui.add_button_group("Start", _MODULES)
             stop = gui.add_button_group("Stop", (*_MODULES, "all"))
-            take = gui.add_button("Take over", hint="become the operator: the one client that may call what acts")
+            take = gui.add_button(
+                "Take over", hint="become the operator: the one client that may call what acts"
+            )
         send.on_click(lambda _: form.submit())
         form.on_submit(lambda _: call("set_instruction", {"instruction": text.value}))
         start.on_click(lambda _: call(f"start_{start.value}", {}))

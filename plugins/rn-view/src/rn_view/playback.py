@@ -1,4 +1,6 @@
-"""Where a recording is being played: position, speed, play and pause. All pages see the same moment."""
+"""Where a recording is being played: position, speed, play and pause. All pages see the same
+moment.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,9 @@ from dataclasses import dataclass
 
 SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
 _BACK_S = 0.5
-"""Going back from so little after a mark leads to the one before it, so that a second press gets on while it plays."""
+"""Going back from so little after a mark leads to the one before it, so that a second press
+gets on while it plays.
+"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -34,7 +38,9 @@ class Playback:
         marks: moments to jump to, oldest first.
     """
 
-    def __init__(self, title: str, begun_s: float, duration_s: float, marks: Sequence[Mark]) -> None:
+    def __init__(
+        self, title: str, begun_s: float, duration_s: float, marks: Sequence[Mark]
+    ) -> None:
         self.title = title
         self.begun_s = begun_s
         self.duration_s = duration_s
@@ -84,19 +90,25 @@ class Playback:
             self._jumped = True
 
     def seek_mark(self, step: int) -> Mark | None:
-        """Jump to the next mark (1) or the one before (-1) and stay there; None, and no jump, when there is none."""
+        """Jump to the next mark (1) or the one before (-1) and stay there; None, and no jump,
+        when there is none.
+        """
         here_s = self._position_s
         if step > 0:
             found = next((mark for mark in self.marks if mark.at_s > here_s + 1e-6), None)
         else:
-            found = next((mark for mark in reversed(self.marks) if mark.at_s < here_s - _BACK_S), None)
+            found = next(
+                (mark for mark in reversed(self.marks) if mark.at_s < here_s - _BACK_S), None
+            )
         if found is not None:
             self.pause()
             self.seek(found.at_s)
         return found
 
     def advance(self, elapsed_s: float) -> tuple[float, bool]:
-        """Let so much time of the day pass; the position then, and whether it was reached by a jump."""
+        """Let so much time of the day pass; the position then, and whether it was reached by a
+        jump.
+        """
         with self._lock:
             jumped, self._jumped = self._jumped, False
             if self._is_playing and not jumped:

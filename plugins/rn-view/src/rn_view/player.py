@@ -1,4 +1,6 @@
-"""The controls of a recording on one page: slider, play and pause, speed, and jumps to what happened."""
+"""The controls of a recording on one page: slider, play and pause, speed, and jumps to what
+happened.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,9 @@ if TYPE_CHECKING:
 _MOST_MARKS = 40
 """Dots below the slider; of more marks only some would be seen apart."""
 _HELD_S = 0.7
-"""After somebody moved the slider it is left alone for so long: it would be pulled from under the pointer."""
+"""After somebody moved the slider it is left alone for so long: it would be pulled from under
+the pointer.
+"""
 
 
 class Player:
@@ -41,9 +45,13 @@ class Player:
         self._slider.on_update(self._on_slider)
         self._play = gui.add_button("Play", icon=self._icons[0])
         self._play.on_click(lambda _: self._toggle())
-        self._speed = gui.add_dropdown("Speed", [f"{speed:g} x" for speed in SPEEDS], initial_value="1 x")
+        self._speed = gui.add_dropdown(
+            "Speed", [f"{speed:g} x" for speed in SPEEDS], initial_value="1 x"
+        )
         self._speed.on_update(self._on_speed)
-        events = gui.add_button_group("Event", ("previous", "next"), hint="calls, faults, instructions, stops")
+        events = gui.add_button_group(
+            "Event", ("previous", "next"), hint="calls, faults, instructions, stops"
+        )
         events.on_click(lambda _: self._seek_mark(1 if events.value == "next" else -1))
         self._mark = gui.add_html("")
 

@@ -23,21 +23,31 @@ _HEIGHT_PX = 130
 
 
 class History:
-    """Rates and latencies of the modules over the last seconds, taken from snapshots; shared by all pages."""
+    """Rates and latencies of the modules over the last seconds, taken from snapshots; shared by
+    all pages.
+    """
 
     def __init__(self) -> None:
-        self._rows: deque[tuple[float, dict[str, float], dict[str, float]]] = deque(maxlen=_MOST_POINTS)
+        self._rows: deque[tuple[float, dict[str, float], dict[str, float]]] = deque(
+            maxlen=_MOST_POINTS
+        )
 
     def add(self, snapshot: Snapshot, now_s: float) -> None:
-        """Keep what a snapshot says; what is later than `now_s`, the time of what is shown, was before a jump back."""
+        """Keep what a snapshot says; what is later than `now_s`, the time of what is shown, was
+        before a jump back.
+        """
         while self._rows and self._rows[-1][0] > now_s:
             self._rows.pop()
         rates = {row.kind: row.rate_hz for row in snapshot.modules if row.rate_hz is not None}
-        latencies = {row.kind: row.latency_ms for row in snapshot.modules if row.latency_ms is not None}
+        latencies = {
+            row.kind: row.latency_ms for row in snapshot.modules if row.latency_ms is not None
+        }
         self._rows.append((now_s, rates, latencies))
 
     def series(self, index: int, now_s: float) -> tuple[F64, ...]:
-        """Ages [s] and values of each module: 1 for rates [Hz], 2 for latencies [ms]; 0 where nothing was said."""
+        """Ages [s] and values of each module: 1 for rates [Hz], 2 for latencies [ms]; 0 where
+        nothing was said.
+        """
         rows = [row for row in list(self._rows) if now_s - row[0] <= SPAN_S]
         ages = np.array([row[0] - now_s for row in rows])
         values = [np.array([_value(row, index, kind) for row in rows]) for kind in _KINDS]
@@ -58,7 +68,9 @@ class Plots:
         self._latency = _plot(gui, "latency [ms]; 0: not said", _KINDS)
         self._rate = _plot(gui, "rate [Hz]", _KINDS)
 
-    def update(self, actions: Sequence[tuple[float, tuple[float, ...]]], history: History, now_s: float) -> None:
+    def update(
+        self, actions: Sequence[tuple[float, tuple[float, ...]]], history: History, now_s: float
+    ) -> None:
         """Show the newest values; `now_s` as of `Source.now_s`."""
         rows = [row for row in actions if now_s - row[0] <= SPAN_S and len(row[1]) == 7]
         rows = rows[:: 1 + len(rows) // _MOST_POINTS]
@@ -88,7 +100,9 @@ def _plot(gui: viser.GuiApi, title: str, names: Sequence[str]) -> Any:
 
 
 def _filled(data: tuple[F64, ...]) -> tuple[F64, ...]:
-    """The data, or one point at zero: a plot needs at least one, and cannot scale one without a value."""
+    """The data, or one point at zero: a plot needs at least one, and cannot scale one without a
+    value.
+    """
     if data[0].size:
         return data
     return (np.array([0.0]), *(np.array([0.0]) for _ in data[1:]))

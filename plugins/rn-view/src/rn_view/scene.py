@@ -20,7 +20,12 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 F64 = NDArray[np.float64]
-_BOX_RGB, _OBSTACLE_RGB, _ZONE_RGB, _TARGET_RGB = (40, 130, 200), (150, 140, 125), (210, 60, 50), (235, 120, 20)
+_BOX_RGB, _OBSTACLE_RGB, _ZONE_RGB, _TARGET_RGB = (
+    (40, 130, 200),
+    (150, 140, 125),
+    (210, 60, 50),
+    (235, 120, 20),
+)
 _TRAIL_RGB, _CAMERA_RGB = (40, 160, 110), (90, 90, 100)
 _FRUSTUM_M = 0.12
 _TARGET_M = 0.018
@@ -50,7 +55,9 @@ class RobotModel:
     def tcp_of(self, joints: Mapping[str, float]) -> F64:
         """Pose (4, 4) of the TCP in the base frame at these positions; leaves the model there."""
         self.urdf.update_cfg(self.configuration(joints))
-        return np.asarray(self.urdf.get_transform(self.profile.tcp_link, self.profile.base_link), dtype=np.float64)
+        return np.asarray(
+            self.urdf.get_transform(self.profile.tcp_link, self.profile.base_link), dtype=np.float64
+        )
 
 
 class Scene:
@@ -64,16 +71,30 @@ class Scene:
         self._shown: tuple[object, object, int] = (None, None, 0)
         self._target_at: Mapping[str, float] = {}
         self._model = RobotModel(profile) if profile.urdf else None
-        self._arm = ViserUrdf(client, self._model.urdf, root_node_name="/robot") if self._model is not None else None
+        self._arm = (
+            ViserUrdf(client, self._model.urdf, root_node_name="/robot")
+            if self._model is not None
+            else None
+        )
         if self._model is not None:
-            home = {} if profile.home_rad is None else dict(zip(profile.arm_joints, profile.home_rad, strict=True))
+            home = (
+                {}
+                if profile.home_rad is None
+                else dict(zip(profile.arm_joints, profile.home_rad, strict=True))
+            )
             self._move(home)
-        self._tcp = self._scene.add_frame("/tcp", axes_length=0.08, axes_radius=0.004, visible=False)
+        self._tcp = self._scene.add_frame(
+            "/tcp", axes_length=0.08, axes_radius=0.004, visible=False
+        )
         self._target = self._scene.add_icosphere(
             "/target", radius=_TARGET_M, color=_TARGET_RGB, opacity=0.75, visible=False
         )
         self._trail: Any = None
-        self._pictures = {camera.name: self._add_camera(camera) for camera in profile.cameras if camera.calibration}
+        self._pictures = {
+            camera.name: self._add_camera(camera)
+            for camera in profile.cameras
+            if camera.calibration
+        }
         limits = motion_rules(config.limits, profile)
         self._add_limits(limits, config)
         self._look_from(client, limits)
@@ -85,16 +106,26 @@ class Scene:
         if measured.tcp is not None and measured.tcp is not self._shown[1]:
             self._tcp.position, self._tcp.wxyz = measured.tcp
             self._tcp.visible = True
-        if self._model is not None and measured.commanded and measured.commanded is not self._target_at:
+        if (
+            self._model is not None
+            and measured.commanded
+            and measured.commanded is not self._target_at
+        ):
             self._target_at = measured.commanded
-            self._target.position = self._model.tcp_of({**measured.joints, **measured.commanded})[:3, 3]
+            self._target.position = self._model.tcp_of({**measured.joints, **measured.commanded})[
+                :3, 3
+            ]
             self._target.visible = True
         trail = list(measured.trail)
         if len(trail) > 1 and len(trail) + hash(trail[-1].tobytes()) != self._shown[2]:
             points = np.stack([trail[:-1], trail[1:]], axis=1)
             if self._trail is None:
                 self._trail = self._scene.add_line_segments(
-                    "/trail", points=points, colors=_TRAIL_RGB, thickness=2.0, thickness_units="screen"
+                    "/trail",
+                    points=points,
+                    colors=_TRAIL_RGB,
+                    thickness=2.0,
+                    thickness_units="screen",
                 )
             self._trail.points = points.astype(np.float32)
         if self._trail is not None:
@@ -133,10 +164,17 @@ class Scene:
         if np.isfinite(limits.lower_m).all() and np.isfinite(limits.upper_m).all():
             lower, upper = limits.lower_m, limits.upper_m
             self._scene.add_line_segments(
-                "/workspace", points=_edges(lower, upper), colors=_BOX_RGB, thickness=1.5, thickness_units="screen"
+                "/workspace",
+                points=_edges(lower, upper),
+                colors=_BOX_RGB,
+                thickness=1.5,
+                thickness_units="screen",
             )
-            behind = np.array([lower[0], upper[1], upper[2]])  # the corner beside which there is room, on a phone too
-            self._scene.add_label("/workspace/label", "workspace of the TCP", position=behind, font_screen_scale=0.8)
+            # the corner beside which there is room, on a phone too
+            behind = np.array([lower[0], upper[1], upper[2]])
+            self._scene.add_label(
+                "/workspace/label", "workspace of the TCP", position=behind, font_screen_scale=0.8
+            )
         for zone in limits.zones:
             self._add_box(f"/zones/{zone.name}", zone.lower_m, zone.upper_m, _ZONE_RGB, 0.25)
         collision = collision_of(config.limits, self._profile)
@@ -144,19 +182,33 @@ class Scene:
         for box in boxes:
             self._add_box(f"/obstacles/{box.name}", box.lower_m, box.upper_m, _OBSTACLE_RGB, 0.35)
         floor_m = min((float(box.lower_m[2]) for box in boxes), default=0.0)
-        self._scene.add_grid("/grid", 6.0, 6.0, cell_size=0.1, section_size=0.5, position=(0.0, 0.0, floor_m))
+        self._scene.add_grid(
+            "/grid", 6.0, 6.0, cell_size=0.1, section_size=0.5, position=(0.0, 0.0, floor_m)
+        )
 
-    def _add_box(self, name: str, lower: F64, upper: F64, rgb: tuple[int, int, int], opacity: float) -> None:
+    def _add_box(
+        self, name: str, lower: F64, upper: F64, rgb: tuple[int, int, int], opacity: float
+    ) -> None:
         self._scene.add_box(
-            name, color=rgb, dimensions=upper - lower, position=(lower + upper) / 2.0, opacity=opacity,
+            name,
+            color=rgb,
+            dimensions=upper - lower,
+            position=(lower + upper) / 2.0,
+            opacity=opacity,
             cast_shadow=False,
-        )  # fmt: skip
+        )
 
     def _look_from(self, client: viser.ClientHandle, limits: MotionRules) -> None:
         box = np.stack([limits.lower_m, limits.upper_m])
-        centre = box.mean(axis=0) * np.array([0.8, 1.0, 0.9]) if np.isfinite(box).all() else np.array([0.3, 0.0, 0.3])
+        centre = (
+            box.mean(axis=0) * np.array([0.8, 1.0, 0.9])
+            if np.isfinite(box).all()
+            else np.array([0.3, 0.0, 0.3])
+        )
         is_phone = client.camera.image_width <= _PHONE_PX
-        client.camera.position = centre + np.array([0.95, -1.15, 0.65]) * (1.25 if is_phone else 0.85)
+        client.camera.position = centre + np.array([0.95, -1.15, 0.65]) * (
+            1.25 if is_phone else 0.85
+        )
         client.camera.look_at = centre - np.array([0.0, 0.0, _BELOW_M * is_phone])
 
 

@@ -28,14 +28,17 @@ class Showing:
     Args:
         source: what is shown.
         image_hz: most pictures a second of each camera.
-        on_other_robot: called when another robot runs than the pages were built for: they have to begin anew.
+        on_other_robot: called when another robot runs than the pages were built for: they have to
+            begin anew.
 
     Attributes:
         source: see above.
         measured: None while nobody looks: nothing is subscribed to then.
     """
 
-    def __init__(self, source: Source, image_hz: float, on_other_robot: Callable[[], object]) -> None:
+    def __init__(
+        self, source: Source, image_hz: float, on_other_robot: Callable[[], object]
+    ) -> None:
         self.source = source
         self.measured: Measured | None = None
         self._image_hz = image_hz
@@ -49,7 +52,9 @@ class Showing:
         self._is_closing = threading.Event()
         self._motion = Periodic("view-motion", _MOTION_S, self._show_motion)
         self._state = Periodic("view-state", _STATE_S, self._show_state)
-        self._pictures = threading.Thread(target=self._show_pictures, name="view-pictures", daemon=True)
+        self._pictures = threading.Thread(
+            target=self._show_pictures, name="view-pictures", daemon=True
+        )
         self._looks = threading.Event()
 
     def start(self) -> None:
@@ -127,7 +132,8 @@ class Showing:
             self._looks.wait(_IDLE_S)
             return
         config = self.source.config()
-        if (config.robot.name, config.namespace) != self._place:  # another robot: every page begins anew
+        # another robot: every page begins anew
+        if (config.robot.name, config.namespace) != self._place:
             with self._lock:
                 self._stop_looking()
             self._on_other_robot()
@@ -160,7 +166,10 @@ class Showing:
             camera
             for camera, (number, _, _) in list(measured.images.items())
             if camera not in self._shown
-            or (self._shown[camera][0] != number and now_s - self._shown[camera][1] >= 0.9 / self._image_hz)
+            or (
+                self._shown[camera][0] != number
+                and now_s - self._shown[camera][1] >= 0.9 / self._image_hz
+            )
         ]
 
     def _show_picture(self, measured: Measured, camera: str) -> None:
@@ -179,7 +188,9 @@ class Showing:
 
 
 def fitted(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """A picture of a width that fits the panel: whole numbers of pixels are repeated or left out."""
+    """A picture of a width that fits the panel: whole numbers of pixels are repeated or left
+    out.
+    """
     width = pixels.shape[1]
     if width > _MOST_WIDTH_PX:
         step = -(-width // _MOST_WIDTH_PX)

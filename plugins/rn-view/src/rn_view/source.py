@@ -1,4 +1,6 @@
-"""What a page shows, whichever way it is learnt: from the server itself, or from the ROS graph and its files."""
+"""What a page shows, whichever way it is learnt: from the server itself, or from the ROS graph
+and its files.
+"""
 
 from __future__ import annotations
 
@@ -59,7 +61,8 @@ class Source(Protocol):
     Attributes:
         happenings: what happened, newest last.
         label: says on the page which kind of view it is.
-        playback: plays a recording; None for a robot that is there. Without a robot the page has no emergency stop.
+        playback: plays a recording; None for a robot that is there. Without a robot the page has no
+            emergency stop.
     """
 
     @property
@@ -72,7 +75,9 @@ class Source(Protocol):
     def playback(self) -> Playback | None: ...
 
     def now_s(self) -> float:
-        """Time of what is shown [s]: monotonic, or in a recording; in a callback of `subscribe` that of the message."""
+        """Time of what is shown [s]: monotonic, or in a recording; in a callback of `subscribe`
+        that of the message.
+        """
         ...
 
     def config(self) -> Config:
@@ -95,8 +100,11 @@ class Source(Protocol):
         """Read what is only read while somebody looks, such as the audit; adds to `happenings`."""
         ...
 
-    def subscribe(self, message_type: type[M], topic: str, callback: Callable[[M], None]) -> Callable[[], None]:
-        """Call `callback` with each message of a topic under the robot's namespace; returns what ends it.
+    def subscribe(
+        self, message_type: type[M], topic: str, callback: Callable[[M], None]
+    ) -> Callable[[], None]:
+        """Call `callback` with each message of a topic under the robot's namespace; returns what
+        ends it.
 
         Raises:
             RoboNeuronError: ROS cannot be joined.

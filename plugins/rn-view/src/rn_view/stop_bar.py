@@ -1,4 +1,6 @@
-"""The bar above the page with the emergency stop: plain HTML and requests, so that it needs no seat and no WebGL."""
+"""The bar above the page with the emergency stop: plain HTML and requests, so that it needs no
+seat and no WebGL.
+"""
 
 from __future__ import annotations
 
@@ -47,7 +49,7 @@ _STYLE = """
   #rn-stop kbd { display: none; }
   .rn-one { padding: 0 6px !important; }
 }
-"""
+"""  # noqa: E501
 _SCRIPT = """
 (() => {
   const bar = document.getElementById("rn-bar"), state = document.getElementById("rn-state");
@@ -120,7 +122,7 @@ _SCRIPT = """
   label();
   (async () => { for (;;) { await look(); await wait(document.hidden ? 5000 : 1000); } })();
 })();
-"""
+"""  # noqa: E501
 
 
 def base_page() -> str:
@@ -131,9 +133,14 @@ def base_page() -> str:
     """
     import viser  # heavy
 
-    page = (Path(viser.__file__).parent / "client" / "build" / "index.html").read_text(encoding="utf-8")
+    page = (Path(viser.__file__).parent / "client" / "build" / "index.html").read_text(
+        encoding="utf-8"
+    )
     if page.count(_HEAD) != 1 or page.count(_BODY) != 1:
-        raise PluginError(f"The page of viser {viser.__version__} is another than expected.", hint="Use viser 1.1.")
+        raise PluginError(
+            f"The page of viser {viser.__version__} is another than expected.",
+            hint="Use viser 1.1.",
+        )
     return page
 
 
@@ -147,20 +154,29 @@ def page_with_bar(base: str, robots: Sequence[str]) -> str:
     title = f"{', '.join(robots)} - {TITLE}" if any(robots) else TITLE
     several = len(robots) > 1
     ones = "".join(
-        f'<button type="button" class="rn-one" data-robot="{escape(name)}">Stop {escape(name)}</button>'
+        f'<button type="button" class="rn-one" data-robot="{escape(name)}">Stop '
+        f"{escape(name)}</button>"
         for name in robots
         if several
     )
     what = "EMERGENCY STOP, ALL" if several else "EMERGENCY STOP"
     bar = (
         '<div id="rn-bar" role="region" aria-label="Emergency stop">'
-        f'<button id="rn-stop" type="button" data-robot="" aria-keyshortcuts="{KEY}" title="Key {KEY}, anywhere on '
-        f'this page">{what}<kbd>{KEY}</kbd></button>{ones}<div id="rn-state" role="status"></div></div>'
+        f'<button id="rn-stop" type="button" data-robot="" aria-keyshortcuts="{KEY}" title="Key '
+        f"{KEY}, anywhere on "
+        f'this page">{what}<kbd>{KEY}</kbd></button>{ones}<div id="rn-state" '
+        'role="status"></div></div>'
     )
     told = {
-        "robots": list(robots), "stop": STOP_PATH, "state": STATE_PATH, "header": HEADER, "value": HEADER_VALUE,
-        "key": KEY, "title": title, "ready": f"Not pressed. {', '.join(robots)}".rstrip(". "),
-    }  # fmt: skip
+        "robots": list(robots),
+        "stop": STOP_PATH,
+        "state": STATE_PATH,
+        "header": HEADER,
+        "value": HEADER_VALUE,
+        "key": KEY,
+        "title": title,
+        "ready": f"Not pressed. {', '.join(robots)}".rstrip(". "),
+    }
     script = _SCRIPT.replace("(() => {", f"(() => {{ const CONFIG = {_json(told)};", 1)
     page = base.replace(_HEAD, f"<title>{escape(title)}</title><style>{_STYLE}</style>")
     return page.replace(_BODY, f"{bar}{_BODY}<script>{script}</script>")

@@ -30,7 +30,9 @@ _CONNECTIONS = 128
 _SILENT_S = 10.0
 """A websocket has this long to become a page; a browser's takes 1 to 5 s."""
 _MOST_SILENT, _MOST_WAITING = 32, 32
-"""Websockets that are no pages, and pages that show the stop only: the oldest gives way to the newest."""
+"""Websockets that are no pages, and pages that show the stop only: the oldest gives way to the
+newest.
+"""
 
 
 class _Server(viser.ViserServer):
@@ -59,7 +61,9 @@ class Viewer:
         operator: Operator | None,
     ) -> None:
         self._options = options
-        self._sources: dict[str, Source] = dict(source) if isinstance(source, Mapping) else {"": source}
+        self._sources: dict[str, Source] = (
+            dict(source) if isinstance(source, Mapping) else {"": source}
+        )
         self._admission = admission
         self._operators = {} if operator is None else dict.fromkeys(self._sources, operator)
         self._lock = threading.RLock()
@@ -67,12 +71,17 @@ class Viewer:
         self._server: _Server | None = None
         self._listener: BoundedListener | None = None
         self._visitors = Visitors()
-        self._showings = {name: Showing(one, options.image_hz, self._begin_anew) for name, one in self._sources.items()}
+        self._showings = {
+            name: Showing(one, options.image_hz, self._begin_anew)
+            for name, one in self._sources.items()
+        }
         self._shown: dict[Page, str] = {}
 
     @property
     def measured(self) -> Measured | None:
-        """What is measured of the first robot; None while nobody looks at it: nothing is subscribed to then."""
+        """What is measured of the first robot; None while nobody looks at it: nothing is
+        subscribed to then.
+        """
         return next(iter(self._showings.values())).measured
 
     @property
@@ -81,7 +90,9 @@ class Viewer:
         assert self._server is not None
         host = "127.0.0.1" if self._options.host in ("0.0.0.0", "::", "") else self._options.host
         return (
-            f"http://[{host}]:{self._server.get_port()}" if ":" in host else f"http://{host}:{self._server.get_port()}"
+            f"http://[{host}]:{self._server.get_port()}"
+            if ":" in host
+            else f"http://{host}:{self._server.get_port()}"
         )
 
     def open(self) -> None:
@@ -97,8 +108,12 @@ class Viewer:
             served_by(self._listener, web),
             contextlib.redirect_stdout(io.StringIO()),
         ):  # a banner; stdout may be a protocol
-            self._server = _Server(host=self._options.host, port=self._options.port, label=TITLE, verbose=False)
-        self._server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
+            self._server = _Server(
+                host=self._options.host, port=self._options.port, label=TITLE, verbose=False
+            )
+        self._server.gui.configure_theme(
+            show_logo=False, show_share_button=False, control_width="medium"
+        )
         self._server.gui.main_panel.dock_right()
         self._server.gui.main_panel.set_width(_RIGHT_PX)
         self._server._websock_server.on_client_connect(self._check_connection)
@@ -142,7 +157,9 @@ class Viewer:
             server._websock_server.disconnect_all_clients()
 
     async def _check_connection(self, connection: Any) -> None:
-        """A websocket was opened: it has a while to become a page, before the oldest that did not gives way to it."""
+        """A websocket was opened: it has a while to become a page, before the oldest that did
+        not gives way to it.
+        """
         assert self._server is not None
         live = self._server._websock_server._live_connections
         found = live.get(connection.client_id)
@@ -165,7 +182,9 @@ class Viewer:
             connection.transport.abort()
 
     def _on_connect(self, client: viser.ClientHandle) -> None:
-        page = Page(client, self._sources, self._operators, self._admission.tokens.find, self._choose)
+        page = Page(
+            client, self._sources, self._operators, self._admission.tokens.find, self._choose
+        )
         page.holder = self._admission.visitor(client.client_id)
         with self._lock:
             self._pages[client.client_id] = page
@@ -177,7 +196,9 @@ class Viewer:
         self._begin(page)
 
     def _abort(self, number: int) -> None:
-        """Cut a page that shows the stop only, for a newer one; its program comes again by itself."""
+        """Cut a page that shows the stop only, for a newer one; its program comes again by
+        itself.
+        """
         server = self._server
         found = None if server is None else server._websock_server._live_connections.get(number)
         loop = None if server is None else server._websock_server._background_event_loop
@@ -198,7 +219,10 @@ class Viewer:
                 return
             if page.holder is not None:
                 self._visitors.name(page.client.client_id, page.holder.who)
-            if sum(other.is_admitted for other in self._pages.values()) >= self._options.max_viewers:
+            if (
+                sum(other.is_admitted for other in self._pages.values())
+                >= self._options.max_viewers
+            ):
                 page.say_full(self._options.max_viewers)
                 return
             self._showings[robot].admit(page)

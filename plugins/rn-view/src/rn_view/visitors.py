@@ -53,7 +53,9 @@ class Visitors:
         """Who sends a request: whoever looks at the newest page of that browser."""
         cookie = _cookie_of(request)
         with self._lock:
-            pages = [number for number, other in self._cookies.items() if cookie and other == cookie]
+            pages = [
+                number for number, other in self._cookies.items() if cookie and other == cookie
+            ]
             named = [self._names[number] for number in pages if number in self._names]
         return named[-1] if named else f"a view without a token ({address})"
 

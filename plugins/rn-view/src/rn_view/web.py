@@ -1,4 +1,6 @@
-"""What the view's port answers by itself: the page, the emergency stop and its state; and whom it lets in."""
+"""What the view's port answers by itself: the page, the emergency stop and its state; and whom
+it lets in.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,11 @@ _OPEN_S = 5.0
 """A connection has this long for its first request."""
 _MOST_BYTES = 1 << 20
 """Largest message of a page; viser allows 50 MB."""
-_PAGE_HEADERS = {"X-Frame-Options": "DENY", "Cache-Control": "no-store", "Content-Type": "text/html; charset=utf-8"}
+_PAGE_HEADERS = {
+    "X-Frame-Options": "DENY",
+    "Cache-Control": "no-store",
+    "Content-Type": "text/html; charset=utf-8",
+}
 _patching = threading.Lock()
 _silent = logging.getLogger(f"{__name__}.websockets")
 _silent.setLevel(logging.CRITICAL)
@@ -64,7 +70,11 @@ class Web:
         """The answer to a request; None for a websocket, and for what viser answers."""
         if not self._admission.allows(request.headers):
             log.warning("A page of %s may not connect to the view.", request.headers.get("Origin"))
-            return _answer(HTTPStatus.FORBIDDEN, b"This page may not connect.\n", {"Content-Type": "text/plain"})
+            return _answer(
+                HTTPStatus.FORBIDDEN,
+                b"This page may not connect.\n",
+                {"Content-Type": "text/plain"},
+            )
         if request.headers.get("Upgrade", "").lower() == "websocket":
             return None
         asked = urlsplit(request.path)
@@ -74,7 +84,9 @@ class Web:
             latched = {name: source.is_latched() for name, source in self._robots().items()}
             return _json(HTTPStatus.OK, {"latched": latched})
         if asked.path == stop_bar.STOP_PATH:
-            return await self._stop(connection, request, parse_qs(asked.query).get("robot", [""])[0])
+            return await self._stop(
+                connection, request, parse_qs(asked.query).get("robot", [""])[0]
+            )
         return None
 
     def _robots(self) -> dict[str, Source]:
@@ -83,12 +95,15 @@ class Web:
     def _page(self, request: Request) -> Response:
         names = tuple(self._sources())
         if names not in self._pages:
-            recorded = [source.label for source in self._sources().values() if source.playback is not None]
+            recorded = [
+                source.label for source in self._sources().values() if source.playback is not None
+            ]
             page = (
                 stop_bar.page_without_stop(self._base, recorded[0])
                 if recorded
                 else stop_bar.page_with_bar(
-                    self._base, [name or one.config().namespace for name, one in self._robots().items()]
+                    self._base,
+                    [name or one.config().namespace for name, one in self._robots().items()],
                 )
             )
             self._pages[names] = page.encode(), gzip.compress(page.encode())
@@ -129,7 +144,12 @@ def served_by(listener: BoundedListener, web: Web) -> Iterator[None]:
             viser_says: Response | None = process_request(connection, request)
             return viser_says
 
-        limits = {"open_timeout": _OPEN_S, "max_size": _MOST_BYTES, "logger": _silent, "backlog": BACKLOG}
+        limits = {
+            "open_timeout": _OPEN_S,
+            "max_size": _MOST_BYTES,
+            "logger": _silent,
+            "backlog": BACKLOG,
+        }
         return original(handler, sock=listener, process_request=process, **{**options, **limits})
 
     with _patching:
@@ -154,5 +174,10 @@ def _json(status: HTTPStatus, value: object) -> Response:
 
 
 def _answer(status: HTTPStatus, body: bytes, headers: Mapping[str, str]) -> Response:
-    sent = {"Content-Length": str(len(body)), "Connection": "close", "X-Content-Type-Options": "nosniff", **headers}
+    sent = {
+        "Content-Length": str(len(body)),
+        "Connection": "close",
+        "X-Content-Type-Options": "nosniff",
+        **headers,
+    }
     return Response(status.value, status.phrase, Headers(sent), body)

@@ -17,23 +17,36 @@ if TYPE_CHECKING:
 
 
 class View:
-    """Show the robot of a running server in a browser, from the ROS graph and its state directory; or a recording.
+    """Show the robot of a running server in a browser, from the ROS graph and its state directory;
+    or a recording.
 
-    Works beside any server and publishes nothing. The page has the emergency stop and no other button. Give the
-    server's configuration: it names the robot, its namespace and the state directory.
+    Works beside any server and publishes nothing. The page has the emergency stop and no other
+    button. Give the server's configuration: it names the robot, its namespace and the state
+    directory.
 
-    With --run the page plays a recording of rn-recorder, with a slider for the time; that needs no robot and no ROS.
+    With --run the page plays a recording of rn-recorder, with a slider for the time; that needs no
+    robot and no ROS.
     """
 
     def configure(self, parser: ArgumentParser) -> None:
         """Add the arguments of `roboneuron view`."""
-        parser.add_argument("--config", type=Path, metavar="FILE", help="the server's roboneuron.toml")
-        parser.add_argument("--state", type=Path, metavar="DIRECTORY", help="its state directory, if it is another")
+        parser.add_argument(
+            "--config", type=Path, metavar="FILE", help="the server's roboneuron.toml"
+        )
+        parser.add_argument(
+            "--state", type=Path, metavar="DIRECTORY", help="its state directory, if it is another"
+        )
         parser.add_argument("--robot", metavar="NAME", help="this one of several robots only")
-        parser.add_argument("--run", help='play a recording: its id, "latest", or a path of MCAP files')
-        parser.add_argument("--directory", type=Path, help="with --run: the directory of runs itself")
+        parser.add_argument(
+            "--run", help='play a recording: its id, "latest", or a path of MCAP files'
+        )
+        parser.add_argument(
+            "--directory", type=Path, help="with --run: the directory of runs itself"
+        )
         parser.add_argument("--host", help="address to listen on; `view.host` without it")
-        parser.add_argument("--port", type=int, help="port, 0 for any free one; `view.port` without it")
+        parser.add_argument(
+            "--port", type=int, help="port, 0 for any free one; `view.port` without it"
+        )
 
     def run(self, arguments: Namespace) -> int:
         """Serve the page until Ctrl-C."""
@@ -55,9 +68,15 @@ class View:
         options, http = feature_options(FEATURE, config), feature_options(HTTP, config)
         assert isinstance(options, ViewOptions)
         assert isinstance(http, HttpOptions)
-        given = {name: getattr(arguments, name) for name in ("host", "port") if getattr(arguments, name) is not None}
+        given = {
+            name: getattr(arguments, name)
+            for name in ("host", "port")
+            if getattr(arguments, name) is not None
+        }
         options = ViewOptions.model_validate({**options.model_dump(), **given})
-        admission = Admission(tokens=TokenFiles(http.tokens, os.environ), rules=host_rules(options, http))
+        admission = Admission(
+            tokens=TokenFiles(http.tokens, os.environ), rules=host_rules(options, http)
+        )
         source, graph = _sources(arguments, robots, discover(config.disabled_plugins))
         viewer = Viewer(options, source, admission, None)
         signal.signal(signal.SIGTERM, signal.default_int_handler)
@@ -85,7 +104,9 @@ def _chosen(config: Config, robot: str | None) -> dict[str, Config]:
         return config.robots or {"": config}
     if robot not in config.robots:
         known = ", ".join(config.robots) or "none: the configuration has no [robots.<name>]"
-        raise ConfigurationError(f"There is no robot {robot[:80]!r}.", hint=f"--robot names one of: {known}.")
+        raise ConfigurationError(
+            f"There is no robot {robot[:80]!r}.", hint=f"--robot names one of: {known}."
+        )
     return {robot: config.robots[robot]}
 
 
@@ -97,20 +118,28 @@ def _sources(
     if arguments.run is not None:
         if len(robots) > 1:
             known = ", ".join(robots)
-            raise ConfigurationError("A recording is of one robot.", hint=f"--robot names one of: {known}.")
+            raise ConfigurationError(
+                "A recording is of one robot.", hint=f"--robot names one of: {known}."
+            )
         recorded = _recorded(arguments, config, registry)
         return recorded, recorded
     if arguments.directory is not None:
-        raise ConfigurationError("--directory goes with --run.", hint="--state names a server's state directory.")
+        raise ConfigurationError(
+            "--directory goes with --run.", hint="--state names a server's state directory."
+        )
     from rn_view_attached.source import AttachedSource, Graph
     from roboneuron.feature import robot_folder, state_directory
 
-    directory = state_directory(str(arguments.state) if arguments.state else config.supervisor.state_directory)
+    directory = state_directory(
+        str(arguments.state) if arguments.state else config.supervisor.state_directory
+    )
     graph = Graph(directory)
     if "" in robots:
         return {"": AttachedSource(config, registry, directory, graph)}, graph
     return {
-        name: AttachedSource(one, registry, robot_folder(directory, name), graph, is_one_of_several=True)
+        name: AttachedSource(
+            one, registry, robot_folder(directory, name), graph, is_one_of_several=True
+        )
         for name, one in robots.items()
     }, graph
 
@@ -121,7 +150,8 @@ def _recorded(arguments: Namespace, config: Config, registry: Registry) -> Recor
         from rn_runs.command import find_run, open_store
     except ImportError as error:
         raise MissingDependencyError(
-            "Recordings are read by rn-recorder, which is not installed.", hint="Run: pip install ./plugins/rn-recorder"
+            "Recordings are read by rn-recorder, which is not installed.",
+            hint="Run: pip install ./plugins/rn-recorder",
         ) from error
     from rn_view_recorded.source import RecordedSource
 

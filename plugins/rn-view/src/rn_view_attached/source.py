@@ -1,4 +1,6 @@
-"""A view of a robot that another process serves: from the ROS graph, the emergency stop's file and the audit."""
+"""A view of a robot that another process serves: from the ROS graph, the emergency stop's file
+and the audit.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,15 @@ from rn_view.happenings import AuditTail, Happenings, add_record
 from rn_view.live import robot_profile
 from rn_view.source import ModuleRow, Snapshot
 from roboneuron import RobotProfile
-from roboneuron.feature import AUDIT_FILE, ESTOP_FILE, FAULTS, AuditLog, Config, EmergencyStopLatch, Registry
+from roboneuron.feature import (
+    AUDIT_FILE,
+    ESTOP_FILE,
+    FAULTS,
+    AuditLog,
+    Config,
+    EmergencyStopLatch,
+    Registry,
+)
 
 M = TypeVar("M")
 _ORDER = ("robot", "perception", "inference", "control")
@@ -45,7 +55,8 @@ class Graph:
 
 
 class AttachedSource:
-    """Source of a view in a process of its own. It publishes nothing; its stop is the file that every module looks at.
+    """Source of a view in a process of its own. It publishes nothing; its stop is the file that
+    every module looks at.
 
     Args:
         config: of the server that is looked at.
@@ -116,7 +127,9 @@ class AttachedSource:
         for record in self._audit.read_new():
             add_record(self.happenings, record)
 
-    def subscribe(self, message_type: type[M], topic: str, callback: Callable[[M], None]) -> Callable[[], None]:
+    def subscribe(
+        self, message_type: type[M], topic: str, callback: Callable[[M], None]
+    ) -> Callable[[], None]:
         """See Source."""
         from roboneuron.feature import requested_qos  # heavy
 
@@ -134,7 +147,9 @@ class AttachedSource:
         return "Latched in the file that every module looks at 50 times a second."
 
     def _modules(self) -> tuple[ModuleStatus, ...]:
-        """Those of the robot; a server of one robot may run another one than the configuration names."""
+        """Those of the robot; a server of one robot may run another one than the configuration
+        names.
+        """
         found = self._graph.diagnostics.read_status()
         own = [status for status in found if status.namespace == self._config.namespace]
         return (own or ([] if self._is_one_of_several else found) or [ServerStatus()])[0].modules

@@ -1,4 +1,6 @@
-"""What a run says of the server: tool calls, faults, health of modules, the gate, instructions, by their times."""
+"""What a run says of the server: tool calls, faults, health of modules, the gate, instructions,
+by their times.
+"""
 
 from __future__ import annotations
 
@@ -42,11 +44,15 @@ class RunLog:
             for record in timeline.between(topic, -1, timeline.end_ns):
                 with suppress(ValueError):  # what another program wrote there
                     told = json.loads(timeline.decode(record).data)
-                    (self._add_event if topic == EVENTS else self._add_verdict)(told, record.log_ns, marks)
+                    (self._add_event if topic == EVENTS else self._add_verdict)(
+                        told, record.log_ns, marks
+                    )
         topic = next((topic for topic in timeline.topics if topic.endswith("/predictions")), "")
         for record in timeline.between(topic, -1, timeline.end_ns):
             with suppress(ValueError):
-                self._add_instruction(json.loads(timeline.decode(record).data), record.log_ns, marks)
+                self._add_instruction(
+                    json.loads(timeline.decode(record).data), record.log_ns, marks
+                )
         self.marks = sorted(marks, key=lambda mark: mark.at_s)
         self._sorted = sorted(self._lines.newest(10**9), key=lambda happening: happening.at_s)
         self._times_ns = [round(happening.at_s / _NS) for happening in self._sorted]
@@ -79,7 +85,10 @@ class RunLog:
         if what == "call":
             at_ns = int(told.get("at_ns", at_ns))
             is_bad = bool(told.get("error"))
-            result = f"{told['error'] if is_bad else 'done'}, {float(told.get('took_ms', 0.0)) / 1e3:.2f} s"
+            result = (
+                f"{told['error'] if is_bad else 'done'}, "
+                f"{float(told.get('took_ms', 0.0)) / 1e3:.2f} s"
+            )
             text = f"{told.get('tool')}({shown_arguments(told.get('arguments'))}): {result}"
         elif what == "health":
             health = str(told.get("health"))
@@ -89,7 +98,14 @@ class RunLog:
             text = f"{module}: {health}{f': {why}' if is_bad else ''} (was {told.get('before')})"
         elif what == "change":
             names = told.get("names") or {}
-            named = next((names[key] for key in ("robot", "source", "backend", "controller") if key in names), "")
+            named = next(
+                (
+                    names[key]
+                    for key in ("robot", "source", "backend", "controller")
+                    if key in names
+                ),
+                "",
+            )
             self._chosen.setdefault(module, []).append((at_ns, str(named)))
             return
         elif what == "fault":
@@ -111,7 +127,9 @@ class RunLog:
             return  # in the list as a tool call already
         add_record(self._lines, {**told, "time_ns": at_ns})
         if verdict in _STOPS:
-            self._stops.append((at_ns, _STOPS[verdict], f"{told.get('who', '')}: {told.get('reason', '')}"))
+            self._stops.append(
+                (at_ns, _STOPS[verdict], f"{told.get('who', '')}: {told.get('reason', '')}")
+            )
             self._mark(at_ns, f"emergency stop {verdict}", marks)
         elif verdict == "refused":
             self._mark(at_ns, f"refused: {told.get('reason', '')}", marks)

@@ -1,4 +1,6 @@
-"""A recorded run as the source of a view: its messages are delivered as the topics would, at the time that is shown."""
+"""A recorded run as the source of a view: its messages are delivered as the topics would, at
+the time that is shown.
+"""
 
 from __future__ import annotations
 
@@ -69,7 +71,9 @@ class RecordedSource:
         begin_ns, end_ns = self._timeline.begin_ns, self._timeline.end_ns
         self.playback = Playback(run, begin_ns / 1e9, (end_ns - begin_ns) / 1e9, self._log.marks)
         self._lock = threading.RLock()
-        """Guards the timeline and the fields below: pages, their thread of states, and the one that plays."""
+        """Guards the timeline and the fields below: pages, their thread of states, and the one
+        that plays.
+        """
         self._callbacks: dict[str, list[Callable[[Any], None]]] = {}
         self._shown_ns = begin_ns
         self._message_s = 0.0
@@ -103,7 +107,9 @@ class RecordedSource:
 
     def now_s(self) -> float:
         """See Source."""
-        return self._message_s if threading.get_ident() == self._delivering else self._shown_ns / 1e9
+        return (
+            self._message_s if threading.get_ident() == self._delivering else self._shown_ns / 1e9
+        )
 
     def snapshot(self) -> Snapshot:
         """See Source."""
@@ -116,7 +122,8 @@ class RecordedSource:
                 modules=tuple(self._row(kind, reports.get(kind), at_ns) for kind in _KINDS),
                 is_latched=latched,
                 cause=cause,
-                instruction=(told.instruction if told is not None else "") or self._log.instruction(at_ns),
+                instruction=(told.instruction if told is not None else "")
+                or self._log.instruction(at_ns),
             )
 
     def is_latched(self) -> bool:
@@ -126,18 +133,25 @@ class RecordedSource:
     def look(self) -> None:
         """See Source: everything was read already."""
 
-    def subscribe(self, message_type: type[M], topic: str, callback: Callable[[M], None]) -> Callable[[], None]:
+    def subscribe(
+        self, message_type: type[M], topic: str, callback: Callable[[M], None]
+    ) -> Callable[[], None]:
         """See Source."""
         place = f"/{self._config.namespace}/{topic}"
         with self._lock:
-            if place not in self._timeline.topics and f"{place}/compressed" in self._timeline.topics:
+            if (
+                place not in self._timeline.topics
+                and f"{place}/compressed" in self._timeline.topics
+            ):
                 place += "/compressed"
             self._callbacks.setdefault(place, []).append(callback)
         return lambda: self._callbacks[place].remove(callback)
 
     def press_stop(self, who: str) -> str:
         """See Source; no page has the button."""
-        raise StateError("This is a recording: no robot is stopped here.", hint="Use roboneuron estop.")
+        raise StateError(
+            "This is a recording: no robot is stopped here.", hint="Use roboneuron estop."
+        )
 
     def step(self) -> None:
         """Deliver what is due now."""
@@ -198,7 +212,9 @@ class RecordedSource:
         read = []
         for status in self._timeline.decode(record).status:
             namespace, _, node = status.name.strip("/").rpartition("/")
-            kind = next((kind for kind in _KINDS if node == kind or node.startswith(f"{kind}_")), None)
+            kind = next(
+                (kind for kind in _KINDS if node == kind or node.startswith(f"{kind}_")), None
+            )
             values = {pair.key: pair.value for pair in status.values}
             if kind is not None and namespace == self._config.namespace and "state" in values:
                 read.append((kind, Report.from_values(values, received_s=record.log_ns / 1e9)))
@@ -213,7 +229,9 @@ class RecordedSource:
         return ModuleRow(
             kind=kind,
             health=health or assessed,
-            text=why or report.error or (f"waits for {report.waiting_for}" if report.waiting_for else report.note),
+            text=why
+            or report.error
+            or (f"waits for {report.waiting_for}" if report.waiting_for else report.note),
             chosen=chosen,
             rate_hz=report.rate_hz,
             latency_ms=report.latency_ms,
@@ -236,7 +254,8 @@ class _Then:
 
 
 def _recorded_config(about: dict[str, str], config: Config) -> Config:
-    """The configuration that the run was recorded with; `config` with its robot when the run does not hold one.
+    """The configuration that the run was recorded with; `config` with its robot when the run does
+    not hold one.
 
     Raises:
         InvalidInputError: it does not even say of which robot it is.
@@ -246,11 +265,15 @@ def _recorded_config(about: dict[str, str], config: Config) -> Config:
     except (KeyError, ValueError, ValidationError):
         if "robot" not in about:
             raise InvalidInputError("The run does not say of which robot it is.") from None
-        log.warning("The run does not say how its robot was configured: the limits shown are those of now.")
+        log.warning(
+            "The run does not say how its robot was configured: the limits shown are those of now."
+        )
         robot = config.robot.model_copy(update={"name": about["robot"]})
         found = config.model_copy(update={"robot": robot})
     namespace = about.get("namespace") or found.namespace
-    return found.model_copy(update={"robot": found.robot.model_copy(update={"namespace": namespace})})
+    return found.model_copy(
+        update={"robot": found.robot.model_copy(update={"namespace": namespace})}
+    )
 
 
 def _as_image(message: Any, record: Record) -> Any:

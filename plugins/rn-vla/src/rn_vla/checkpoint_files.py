@@ -1,6 +1,8 @@
-"""Read the files of a model checkpoint: regular files of bounded size, one schema for each, one error class.
+"""Read the files of a model checkpoint: regular files of bounded size, one schema for each, one
+error class.
 
-For model plugins. A checkpoint may come from anywhere, so nothing here trusts a size, a type or a name in it.
+For model plugins. A checkpoint may come from anywhere, so nothing here trusts a size, a type or a
+name in it.
 """
 
 from __future__ import annotations
@@ -20,7 +22,9 @@ T = TypeVar("T")
 M = TypeVar("M", bound=BaseModel)
 
 MAX_JSON_BYTES = 8 * 2**20
-"""Largest JSON file that describes a model; parsed, JSON takes up to 20 times its size in memory."""
+"""Largest JSON file that describes a model; parsed, JSON takes up to 20 times its size in
+memory.
+"""
 MAX_TOKENIZER_BYTES = 64 * 2**20
 """Largest tokenizer.json (PaliGemma's has 34 MB)."""
 MAX_HEADER_BYTES = 32 * 2**20
@@ -41,7 +45,9 @@ def list_names(names: Iterable[str]) -> str:
     """The first names, clipped, and how many more there are."""
     known = list(names)
     more = len(known) - _LISTED
-    return ", ".join(clip(name, 240) for name in known[:_LISTED]) + (f" and {more} more" if more > 0 else "")
+    return ", ".join(clip(name, 240) for name in known[:_LISTED]) + (
+        f" and {more} more" if more > 0 else ""
+    )
 
 
 def explain_families(family: object) -> str:
@@ -56,7 +62,8 @@ def check_file(path: Path, max_bytes: int | None = None) -> int:
     """The size of `path` [bytes].
 
     Raises:
-        CheckpointError: it is absent, larger than `max_bytes`, or not a regular file (reading a pipe would not end).
+        CheckpointError: it is absent, larger than `max_bytes`, or not a regular file (reading a
+            pipe would not end).
     """
     try:
         found = path.stat()
@@ -66,18 +73,23 @@ def check_file(path: Path, max_bytes: int | None = None) -> int:
     if not stat.S_ISREG(found.st_mode):
         raise CheckpointError(f"{path} is not a regular file.", hint=_AGAIN)
     if max_bytes is not None and found.st_size > max_bytes:
-        raise CheckpointError(f"{path} has {found.st_size} bytes, expected at most {max_bytes}.", hint=_AGAIN)
+        raise CheckpointError(
+            f"{path} has {found.st_size} bytes, expected at most {max_bytes}.", hint=_AGAIN
+        )
     return found.st_size
 
 
 def check_safetensors(path: Path) -> None:
-    """Raise CheckpointError when a safetensors file is absent, not a regular file, or its header is too long."""
+    """Raise CheckpointError when a safetensors file is absent, not a regular file, or its
+    header is too long.
+    """
     size = check_file(path)
     with reading(path, "safetensors"), path.open("rb") as file:
         header = int.from_bytes(file.read(8), "little")
     if not 0 < header <= min(size - 8, MAX_HEADER_BYTES):
         raise CheckpointError(
-            f"Weight file {path} ({size} bytes) is truncated or damaged: it names a header of {header} bytes.",
+            f"Weight file {path} ({size} bytes) is truncated or damaged: it names a header of "
+            f"{header} bytes.",
             hint=_AGAIN,
         )
 
@@ -93,17 +105,25 @@ def reading(path: Path, what: str) -> Iterator[None]:
     except RoboNeuronError:
         raise
     except RecursionError as error:
-        raise CheckpointError(f"{path} cannot be read as {what}: it is nested too deeply.", hint=_AGAIN) from error
+        raise CheckpointError(
+            f"{path} cannot be read as {what}: it is nested too deeply.", hint=_AGAIN
+        ) from error
     except Exception as error:
-        raise CheckpointError(f"{path} cannot be read as {what}: {clip(error, 200)}", hint=_AGAIN) from error
+        raise CheckpointError(
+            f"{path} cannot be read as {what}: {clip(error, 200)}", hint=_AGAIN
+        ) from error
     except BaseException as error:
         if type(error).__name__ != "PanicException":
             raise
-        raise CheckpointError(f"{path} cannot be read as {what}: {clip(error, 200)}", hint=_AGAIN) from error
+        raise CheckpointError(
+            f"{path} cannot be read as {what}: {clip(error, 200)}", hint=_AGAIN
+        ) from error
 
 
 def read_json(path: Path, max_bytes: int = MAX_JSON_BYTES) -> object:
-    """The parsed file. Raises CheckpointError when it is absent, too large, not a regular file or not JSON."""
+    """The parsed file. Raises CheckpointError when it is absent, too large, not a regular file
+    or not JSON.
+    """
     check_file(path, max_bytes)
     with reading(path, "JSON"):
         return json.loads(path.read_bytes().decode("utf-8"))
@@ -115,15 +135,24 @@ def read_schema(path: Path, model: type[M], max_bytes: int = MAX_JSON_BYTES) -> 
 
 
 def check_schema(raw: object, schema: TypeAdapter[T], source: Path) -> T:
-    """`raw`, which came from `source`, as the schema has it. Raises CheckpointError with the first thing wrong."""
+    """`raw`, which came from `source`, as the schema has it. Raises CheckpointError with the
+    first thing wrong.
+    """
     if not isinstance(raw, dict):
-        raise CheckpointError(f"{source} holds a {type(raw).__name__}, expected an object.", hint=_AGAIN)
+        raise CheckpointError(
+            f"{source} holds a {type(raw).__name__}, expected an object.", hint=_AGAIN
+        )
     try:
         return schema.validate_python(raw)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         where = clip(".".join(clip(part, 60) for part in first["loc"]) or "it", 200)
-        given = "" if isinstance(first["input"], dict | list) else f" (got {clip(repr(first['input']), 60)})"
+        given = (
+            ""
+            if isinstance(first["input"], dict | list)
+            else f" (got {clip(repr(first['input']), 60)})"
+        )
         raise CheckpointError(
-            f"{source} does not say what is needed: {where}: {clip(first['msg'], 300)}{given}.", hint=_AGAIN
+            f"{source} does not say what is needed: {where}: {clip(first['msg'], 300)}{given}.",
+            hint=_AGAIN,
         ) from error

@@ -1,9 +1,12 @@
-"""What a backend built on a language model asks of a runtime: the model at `load`, one request at `run`.
+"""What a backend built on a language model asks of a runtime: the model at `load`, one request at
+`run`.
 
-numpy only, so that a backend, an in-process runtime and a served one agree without sharing an engine. Nothing here
-names a model family; which kinds of request a runtime answers for which families is said by its descriptor.
+numpy only, so that a backend, an in-process runtime and a served one agree without sharing an
+engine. Nothing here names a model family; which kinds of request a runtime answers for which
+families is said by its descriptor.
 
-A runtime reads what it can use: in process, the weights, the ids and the prepared arrays; served, the text and the
+A runtime reads what it can use: in process, the weights, the ids and the prepared arrays; served,
+    the text and the
 images. Both give the same reply.
 """
 
@@ -59,8 +62,9 @@ class Weight:
 
     Attributes:
         shape: as the file must hold it.
-        target: where an in-process runtime puts it: "decoder.<name in the Hugging Face Llama layout>",
-            "front.<parameter>" or "back.<parameter>"; empty for a tensor that is on disk and never computed with.
+        target: where an in-process runtime puts it: "decoder.<name in the Hugging Face Llama
+            layout>", "front.<parameter>" or "back.<parameter>"; empty for a tensor that is on disk
+            and never computed with.
     """
 
     shape: tuple[int, ...]
@@ -87,7 +91,8 @@ class Prompt:
     Attributes:
         text: the whole prompt, as a served engine gets it.
         ids: int64 (n,), the same as token ids, first and last special ids included.
-        images: uint8 (H, W, 3) RGB, one per camera in the model's order, as the model's own processor would get them.
+        images: uint8 (H, W, 3) RGB, one per camera in the model's order, as the model's own
+            processor would get them.
         arrays: float32 inputs of the front by name ("pixel_values" ...), without batch dimension.
     """
 
@@ -144,7 +149,8 @@ class RowsRequest:
         prompt: what the model is shown; its ids hold the placeholders too.
         rows: number of rows to read.
         tail: number of rows after them.
-        read: "output" the back module's result, "hidden" the rows after the final norm, "tokens" their best ids.
+        read: "output" the back module's result, "hidden" the rows after the final norm, "tokens"
+            their best ids.
         deadline_s: as in `TokenRequest`.
     """
 
@@ -184,18 +190,22 @@ class PolicyModel:
 
     Attributes:
         family: as in the descriptors.
-        checkpoint: its directory; a served runtime compares the name with what the server says it serves.
+        checkpoint: its directory; a served runtime compares the name with what the server says it
+            serves.
         decoder: shape of the language model.
         shards: every weight file; an in-process runtime reads one after the other.
         visual_tokens: how many positions after the first one hold image patches.
         max_prompt_tokens: longest `Prompt.ids`.
-        min_prompt_tokens: shortest prompt in the count of `example`: the template around an instruction of one word.
+        min_prompt_tokens: shortest prompt in the count of `example`: the template around an
+            instruction of one word.
         max_new_tokens: most tokens any request decodes; 0 for families that decode none.
-        extra_tokens: positions beyond `Prompt.ids` and `visual_tokens` that the front adds, right behind the latter.
+        extra_tokens: positions beyond `Prompt.ids` and `visual_tokens` that the front adds, right
+            behind the latter.
         example: a request with so many prompt ids, to warm up with.
-        build_front: heavy; returns a torch module called as `front(arrays, ids, embed)` that gives the decoder's
-            input (b, positions, hidden); `embed` looks ids up. Its parameters are the targets "front.*". Among several
-            prompts, the ids of shorter ones are filled up behind the first one.
+        build_front: heavy; returns a torch module called as `front(arrays, ids, embed)` that gives
+            the decoder's input (b, positions, hidden); `embed` looks ids up. Its parameters are the
+            targets "front.*". Among several prompts, the ids of shorter ones are filled up behind
+            the first one.
         build_back: likewise for what follows the read rows (b, rows, hidden); None for nothing.
     """
 
@@ -216,9 +226,13 @@ class PolicyModel:
 LlamaRuntime: TypeAlias = Runtime[PolicyModel, Request, Reply, PrunableDecoder]
 """A runtime of Llama-shaped decoders that answers both kinds of request."""
 TokenRuntime: TypeAlias = Runtime[PolicyModel, TokenRequest, Reply, PrunableDecoder]
-"""One that answers at least `TokenRequest`: what a backend of the family "openvla" is built with."""
+"""One that answers at least `TokenRequest`: what a backend of the family "openvla" is built
+with.
+"""
 RowsRuntime: TypeAlias = Runtime[PolicyModel, RowsRequest, Reply, PrunableDecoder]
-"""One that answers at least `RowsRequest`: what a backend of the family "openvla-oft" is built with."""
+"""One that answers at least `RowsRequest`: what a backend of the family "openvla-oft" is built
+with.
+"""
 
 
 @runtime_checkable
@@ -226,7 +240,9 @@ class BatchRuntime(Protocol):
     """What a runtime may offer beside `run`."""
 
     def run_batch(self, requests: Sequence[RowsRequest]) -> Sequence[Reply]:
-        """One reply for each request, in their order, from one pass; raises what `run` raises, for all of them."""
+        """One reply for each request, in their order, from one pass; raises what `run` raises,
+        for all of them.
+        """
         ...
 
 
@@ -235,8 +251,12 @@ LlamaAcceleration: TypeAlias = Acceleration[PrunableDecoder]
 
 
 class LlamaAccelerationChanger(Protocol):
-    """A runtime of Llama-shaped decoders whose acceleration changes while the model stays loaded."""
+    """A runtime of Llama-shaped decoders whose acceleration changes while the model stays
+    loaded.
+    """
 
     def set_acceleration(self, acceleration: LlamaAcceleration | None) -> None:
-        """Execute every later `run` with this preset, or with none; between two of them, in milliseconds."""
+        """Execute every later `run` with this preset, or with none; between two of them, in
+        milliseconds.
+        """
         ...

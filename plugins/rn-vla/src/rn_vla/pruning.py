@@ -11,7 +11,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class AttentionView:
-    """What a selection may look at: queries and keys of the layer just run, rotary positions applied.
+    """What a selection may look at: queries and keys of the layer just run, rotary positions
+    applied.
 
     Of several sequences in one pass, each is shown alone.
 
@@ -32,7 +33,8 @@ class AttentionView:
 
 
 class TokenSelection(Protocol):
-    """Chooses which positions go on. Shapes of what it returns must follow from shapes alone (CUDA graphs).
+    """Chooses which positions go on. Shapes of what it returns must follow from shapes alone (CUDA
+    graphs).
 
     Hashable; equal ones choose alike, so that recordings of one serve the other.
     """
@@ -43,7 +45,9 @@ class TokenSelection(Protocol):
         ...
 
     def select(self, view: AttentionView) -> Tensor | None:
-        """Return the positions to keep, int64, ascending; None keeps all. Only visual ones may be dropped."""
+        """Return the positions to keep, int64, ascending; None keeps all. Only visual ones may
+        be dropped.
+        """
         ...
 
 
@@ -51,5 +55,7 @@ class PrunableDecoder(Protocol):
     """What an acceleration gets from a runtime with the capability "visual-token-pruning"."""
 
     def install_selection(self, selection: TokenSelection) -> None:
-        """Use `selection` in every later pass. Raises ConfigurationError when its layer is not one of the decoder's."""
+        """Use `selection` in every later pass. Raises ConfigurationError when its layer is not
+        one of the decoder's.
+        """
         ...

@@ -32,12 +32,16 @@ class CommandModule(Protocol):
         ...
 
     def run(self, arguments: Namespace) -> int:
-        """Do it and return the exit status; a RoboNeuronError is shown by `main` and ends with status 2."""
+        """Do it and return the exit status; a RoboNeuronError is shown by `main` and ends with
+        status 2.
+        """
         ...
 
 
 COMMANDS: dict[str, Command] = {
-    "serve": Command("roboneuron.cli.serve", "serve MCP tools for a robot (an agent's client starts this)"),
+    "serve": Command(
+        "roboneuron.cli.serve", "serve MCP tools for a robot (an agent's client starts this)"
+    ),
     "estop": Command("roboneuron.cli.estop", "stop all motion now, with or without a server"),
 }
 """Command by name, in the order of `roboneuron --help`."""
@@ -59,7 +63,9 @@ def list_plugins(registry: Registry) -> str:
     if not lines:
         lines = [f"No plugins are installed. For a start: {install_command(WHOLE)}"]
     package = package_of("command", PLUGINS_LIST)
-    return "\n".join([*lines, f"Options and details of this command: {install_command(package or '')}"])
+    return "\n".join(
+        [*lines, f"Options and details of this command: {install_command(package or '')}"]
+    )
 
 
 def spoken(name: str) -> str:
@@ -73,14 +79,20 @@ def named_command(words: Sequence[str]) -> tuple[str, list[str]]:
     Options may stand between a group and its action: `plugins --config FILE list`.
     """
     name, *own = words
-    actions = [i for i, word in enumerate(own) if not word.startswith("-") and own[i - 1 : i] != ["--config"]]
+    actions = [
+        i
+        for i, word in enumerate(own)
+        if not word.startswith("-") and own[i - 1 : i] != ["--config"]
+    ]
     if name not in GROUPS or not actions:
         return name, own
     return f"{name}-{own.pop(actions[0])}", own
 
 
 def installed_commands(registry: Registry) -> dict[str, str]:
-    """Summary by name of the commands that plugins offer and that can be used; one of core's name is left out."""
+    """Summary by name of the commands that plugins offer and that can be used; one of core's
+    name is left out.
+    """
     return {
         offer.spec.name: offer.spec.summary
         for offer in registry.offers("command")
@@ -101,8 +113,12 @@ def load_command(name: str, registry: Registry | None = None) -> CommandModule:
     if not callable(target):
         raise PluginError(f"The target of command {name!r} is {target!r}, expected a class.")
     command = target()
-    if not (callable(getattr(command, "configure", None)) and callable(getattr(command, "run", None))):
-        raise PluginError(f"The command {name!r} is {command!r}, expected the methods configure and run.")
+    if not (
+        callable(getattr(command, "configure", None)) and callable(getattr(command, "run", None))
+    ):
+        raise PluginError(
+            f"The command {name!r} is {command!r}, expected the methods configure and run."
+        )
     return cast(CommandModule, command)
 
 
@@ -112,8 +128,11 @@ def run_command(command: CommandModule, prog: str, words: Sequence[str]) -> int:
     command.configure(parser)
     add_verbosity(parser)
     add_installed = getattr(command, "add_installed_flags", None)
-    # Discovery imports every plugin, so it waits until somebody asks for more than core's own flags.
-    if add_installed is not None and ({"-h", "--help"} & set(words) or parser.parse_known_args(words)[1]):
+    # Discovery imports every plugin, so it waits until somebody asks for more than core's own
+    # flags.
+    if add_installed is not None and (
+        {"-h", "--help"} & set(words) or parser.parse_known_args(words)[1]
+    ):
         add_installed(parser)
     arguments = parser.parse_args(words)
     apply_verbosity(arguments)

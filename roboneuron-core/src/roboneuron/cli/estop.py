@@ -1,7 +1,8 @@
-"""Stop all motion of every server and module that uses this state directory; works without any of them.
+"""Stop all motion of every server and module that uses this state directory; works without any of
+them.
 
-The stop is latched in a file, which every module checks 50 times a second; each of several robots has its own. A person
-releases it in a terminal by `roboneuron estop --reset`.
+The stop is latched in a file, which every module checks 50 times a second; each of several robots
+has its own. A person releases it in a terminal by `roboneuron estop --reset`.
 """
 
 from __future__ import annotations
@@ -23,14 +24,31 @@ _AGAIN_S = 0.1
 
 def configure(parser: ArgumentParser) -> None:
     """Add the arguments of `roboneuron estop`."""
-    parser.add_argument("--config", type=Path, metavar="FILE", help="a roboneuron.toml that names the state directory")
-    parser.add_argument("--state", type=Path, metavar="DIRECTORY", help="the state directory itself")
-    parser.add_argument("--robot", metavar="NAME", help="only this one of several robots; all of them without it")
+    parser.add_argument(
+        "--config",
+        type=Path,
+        metavar="FILE",
+        help="a roboneuron.toml that names the state directory",
+    )
+    parser.add_argument(
+        "--state", type=Path, metavar="DIRECTORY", help="the state directory itself"
+    )
+    parser.add_argument(
+        "--robot", metavar="NAME", help="only this one of several robots; all of them without it"
+    )
     parser.add_argument("--reason", default="", help="why; kept in the latch and in the audit")
     action = parser.add_mutually_exclusive_group()
     action.add_argument("--reset", action="store_true", help="release it; look at the robot first")
-    action.add_argument("--set-pin", action="store_true", help="have a release ask for a PIN; an empty one removes it")
-    action.add_argument("--status", action="store_true", help="only say whether it is latched (exit status 1 if it is)")
+    action.add_argument(
+        "--set-pin",
+        action="store_true",
+        help="have a release ask for a PIN; an empty one removes it",
+    )
+    action.add_argument(
+        "--status",
+        action="store_true",
+        help="only say whether it is latched (exit status 1 if it is)",
+    )
 
 
 def run(arguments: Namespace) -> int:
@@ -47,20 +65,30 @@ def run(arguments: Namespace) -> int:
     of_robots = robot_folder(directory).parent
     if arguments.robot is not None and not (of_robots / arguments.robot).is_dir():
         known = ", ".join(sorted(path.name for path in of_robots.glob("*"))) or "none"
-        raise ConfigurationError(f"There is no robot {arguments.robot!r} in {of_robots}; there are: {known}.")
+        raise ConfigurationError(
+            f"There is no robot {arguments.robot!r} in {of_robots}; there are: {known}."
+        )
     who = f"{getpass.getuser()} at the command line"
     if arguments.set_pin:
         return _set_pin(ReleasePin(directory), AuditLog(directory / AUDIT_FILE, time.time_ns), who)
     done: set[Path] = set()
     status, failure = 0, None
-    while folders := ({of_robots / arguments.robot} if arguments.robot else {directory, *of_robots.glob("*")}) - done:
+    while (
+        folders := (
+            {of_robots / arguments.robot} if arguments.robot else {directory, *of_robots.glob("*")}
+        )
+        - done
+    ):
         for folder in sorted(folders):  # a server that starts meanwhile makes more of them
             latch = EmergencyStopLatch(folder / ESTOP_FILE, time.time_ns)
             audit = AuditLog(folder / AUDIT_FILE, time.time_ns)
             if arguments.status:
                 state = latch.read_state()
                 cause = f" by {state.cause}" if state.cause else ""
-                print(f"The emergency stop is {f'latched{cause}' if state.latched else 'not latched'} ({latch.path}).")
+                print(
+                    "The emergency stop is "
+                    f"{f'latched{cause}' if state.latched else 'not latched'} ({latch.path})."
+                )
                 status |= int(state.latched)
             elif arguments.reset:
                 status |= _reset(latch, audit, who)
@@ -68,7 +96,15 @@ def run(arguments: Namespace) -> int:
                 try:
                     latch.latch(who=who, reason=arguments.reason)
                     print(f"Emergency stop latched: {latch.path}")
-                    audit.write(AuditRecord(who=who, role="", tool="estop", verdict="latched", reason=arguments.reason))
+                    audit.write(
+                        AuditRecord(
+                            who=who,
+                            role="",
+                            tool="estop",
+                            verdict="latched",
+                            reason=arguments.reason,
+                        )
+                    )
                 except RoboNeuronError as error:  # the others are to be stopped all the same
                     failure = error
         done |= folders
@@ -81,7 +117,8 @@ def _reset(latch: EmergencyStopLatch, audit: AuditLog, who: str) -> int:
     """Ask the person at the terminal, then release.
 
     Raises:
-        RefusedError: there is no terminal, so that nobody can be asked; or the audit cannot be written.
+        RefusedError: there is no terminal, so that nobody can be asked; or the audit cannot be
+            written.
     """
     from roboneuron.gate.pin import ReleasePin
     from roboneuron.gate.roles import ADMIN
@@ -92,7 +129,9 @@ def _reset(latch: EmergencyStopLatch, audit: AuditLog, who: str) -> int:
         return 0
     _check_terminal("The emergency stop is released")
     print(f"Latched{f' by {state.cause}' if state.cause else ''} ({latch.path}).")
-    print("Look at the robot. Nothing moves before somebody gives a new instruction or moves the arm.")
+    print(
+        "Look at the robot. Nothing moves before somebody gives a new instruction or moves the arm."
+    )
     try:
         answer = input("Release the emergency stop? [y/N] ")
     except EOFError:
@@ -104,7 +143,10 @@ def _reset(latch: EmergencyStopLatch, audit: AuditLog, who: str) -> int:
     latch.reset(who=who, role=ADMIN, audit=audit, pin=pin)
     time.sleep(_AGAIN_S)  # who presses it meanwhile does so within one look at the file
     if latch.is_latched():
-        print(f"It was latched again at once by {latch.read_state().who or 'somebody'}.", file=sys.stderr)
+        print(
+            f"It was latched again at once by {latch.read_state().who or 'somebody'}.",
+            file=sys.stderr,
+        )
         return 1
     print("Released.")
     return 0
@@ -137,7 +179,14 @@ def _set_pin(pin: ReleasePin, audit: AuditLog, who: str) -> int:
     if getpass.getpass("Again: ") != new:
         print("They differ; nothing was changed.", file=sys.stderr)
         return 1
-    audit.write(AuditRecord(who=who, role="", tool="set_pin", verdict="allowed", reason="" if new else "removed"))
+    audit.write(
+        AuditRecord(
+            who=who, role="", tool="set_pin", verdict="allowed", reason="" if new else "removed"
+        )
+    )
     pin.set(new)
-    print(f"A release of the emergency stop asks for {'the PIN' if new else 'no PIN'} from now on ({pin.path}).")
+    print(
+        f"A release of the emergency stop asks for {'the PIN' if new else 'no PIN'} from now on "
+        f"({pin.path})."
+    )
     return 0

@@ -1,4 +1,6 @@
-"""`roboneuron`: chooses the command, imports its module, shows deliberate errors in one sentence."""
+"""`roboneuron`: chooses the command, imports its module, shows deliberate errors in one
+sentence.
+"""
 
 from __future__ import annotations
 
@@ -27,15 +29,24 @@ from roboneuron.plugins.registry import Registry
 
 
 def build_parser(registry: Registry, group: str = "") -> ArgumentParser:
-    """The parser of `roboneuron` itself, or of a group of its commands; they are listed, not imported."""
-    summaries = {name: command.summary for name, command in COMMANDS.items()} | installed_commands(registry)
-    listed = {spoken(name): text for name, text in summaries.items() if spoken(name).startswith(f"{group} ".lstrip())}
+    """The parser of `roboneuron` itself, or of a group of its commands; they are listed, not
+    imported.
+    """
+    summaries = {name: command.summary for name, command in COMMANDS.items()} | installed_commands(
+        registry
+    )
+    listed = {
+        spoken(name): text
+        for name, text in summaries.items()
+        if spoken(name).startswith(f"{group} ".lstrip())
+    }
     width = max(len(name) for name in listed)
     table = "\n".join(f"  {name:<{width}}  {summary}" for name, summary in listed.items())
     parser = ArgumentParser(
         prog="roboneuron",
         usage=f"roboneuron {group or 'COMMAND'} {'ACTION ' if group else ''}[options]",
-        description="Typed MCP tools and supervised closed loops between LLM agents, ROS 2 robots and VLA models.",
+        description="Typed MCP tools and supervised closed loops between LLM agents, ROS 2 robots "
+        "and VLA models.",
         epilog=f"commands:\n{table}\n\n`roboneuron COMMAND --help` explains one of them.",
         formatter_class=RawDescriptionHelpFormatter,
     )
@@ -61,7 +72,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         meant = nearest(spoken(name), names, f"Choose one of: {', '.join(names)}.")
         print(f"roboneuron: There is no command {spoken(name)!r}. {meant}", file=sys.stderr)
         return EXIT_USAGE
-    if registry is not None and name == PLUGINS_LIST and not own and name not in installed_commands(registry):
+    if (
+        registry is not None
+        and name == PLUGINS_LIST
+        and not own
+        and name not in installed_commands(registry)
+    ):
         print(list_plugins(registry))
         return os.EX_OK
     try:
@@ -69,13 +85,20 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # the reader of our output went away, as `| head` does
         sys.stderr.close()
         return os.EX_OK
-    except (Exception, KeyboardInterrupt, BaseExceptionGroup) as error:  # the border to whoever typed the command
+    except (
+        Exception,
+        KeyboardInterrupt,
+        BaseExceptionGroup,
+    ) as error:  # the border to whoever typed the command
         return show_error(error)
 
 
 def _is_known(name: str, registry: Registry) -> bool:
     """An installed plugin offers the command, or it is known which package does."""
-    return any(o.spec.name == name for o in registry.offers("command")) or package_of("command", name) is not None
+    return (
+        any(o.spec.name == name for o in registry.offers("command"))
+        or package_of("command", name) is not None
+    )
 
 
 if __name__ == "__main__":

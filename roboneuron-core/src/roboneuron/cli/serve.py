@@ -1,4 +1,6 @@
-"""Serve MCP tools for a robot: on stdin and stdout for the agent that starts this, or over HTTP for several."""
+"""Serve MCP tools for a robot: on stdin and stdout for the agent that starts this, or over HTTP
+for several.
+"""
 
 from __future__ import annotations
 
@@ -20,23 +22,35 @@ if TYPE_CHECKING:
 
 
 _AT_A_TERMINAL = (
-    "roboneuron serve waits for an MCP client on standard input, which is this terminal: an agent's client starts it "
-    "(docs: Connect an agent). By hand use `roboneuron run`, or serve with --transport http. Ctrl-C ends it."
+    "roboneuron serve waits for an MCP client on standard input, which is this terminal: an "
+    "agent's client starts it "
+    "(docs: Connect an agent). By hand use `roboneuron run`, or serve with --transport http. "
+    "Ctrl-C ends it."
 )
 
 
 def configure(parser: ArgumentParser) -> None:
     """Add the arguments of `roboneuron serve`."""
     parser.add_argument(
-        "--config", type=Path, metavar="FILE", help="a roboneuron.toml; the embedded default without it"
+        "--config",
+        type=Path,
+        metavar="FILE",
+        help="a roboneuron.toml; the embedded default without it",
     )
     parser.add_argument(
-        "--transport", metavar="NAME", help="how clients connect: stdio, http ...; `server.transport` without it"
+        "--transport",
+        metavar="NAME",
+        help="how clients connect: stdio, http ...; `server.transport` without it",
     )
     parser.add_argument("--host", help="address that http listens on; `http.host` without it")
-    parser.add_argument("--port", type=int, help="port of http, 0 for any free one; `http.port` without it")
     parser.add_argument(
-        "--log-level", choices=["debug", "info", "warning", "error"], default="info", help="of the log on stderr"
+        "--port", type=int, help="port of http, 0 for any free one; `http.port` without it"
+    )
+    parser.add_argument(
+        "--log-level",
+        choices=["debug", "info", "warning", "error"],
+        default="info",
+        help="of the log on stderr",
     )
 
 
@@ -47,9 +61,14 @@ def add_installed_flags(parser: ArgumentParser) -> None:
     with quiet_streams():
         features = switched_features()
     for spec in features:
-        told = f"{spec.switch} = true in [{spec.keys[0]}]: {spec.summary[:1].lower()}{spec.summary[1:]}"
+        told = (
+            f"{spec.switch} = true in [{spec.keys[0]}]: "
+            f"{spec.summary[:1].lower()}{spec.summary[1:]}"
+        )
         with suppress(ArgumentError):  # a feature called as one of the options above has no flag
-            parser.add_argument(f"--{spec.name}", dest="switches", action="append_const", const=spec, help=told)
+            parser.add_argument(
+                f"--{spec.name}", dest="switches", action="append_const", const=spec, help=told
+            )
     for name in known_names("switch"):
         with suppress(ArgumentError):  # it is there
             parser.add_argument(f"--{name}", action=_Absent, nargs=0, help=SUPPRESS)
@@ -73,14 +92,19 @@ def switched_features(registry: Registry | None = None) -> list[FeatureSpec]:
 
     offers = (registry or discover()).offers("feature")
     specs = [offer.spec for offer in offers if offer.status is Status.READY]
-    return [spec for spec in specs if isinstance(spec, FeatureSpec) and spec.switch is not None and spec.keys]
+    return [
+        spec
+        for spec in specs
+        if isinstance(spec, FeatureSpec) and spec.switch is not None and spec.keys
+    ]
 
 
 def run(arguments: Namespace) -> int:
     """Run `roboneuron serve`."""
     wire = divert_standard_streams()
     begin_logging(arguments.log_level.upper())
-    gc.disable()  # what a start makes stays, and to look for garbage in it takes 0.1 s; see `shorten_pauses`
+    # what a start makes stays, and to look for garbage in it takes 0.1 s; see `shorten_pauses`
+    gc.disable()
     from roboneuron.config import STDIO, load_config
 
     config = with_server(load_config(arguments.config), arguments)
@@ -93,9 +117,11 @@ def run(arguments: Namespace) -> int:
 
 
 def divert_standard_streams() -> tuple[int, int]:
-    """Move stdin and stdout to private descriptors, which children do not inherit (PEP 446); call it first of all.
+    """Move stdin and stdout to private descriptors, which children do not inherit (PEP 446); call
+    it first of all.
 
-    Nothing else gets onto the wire then: fd 1 is stderr and fd 0 the null device, also for child processes and C++
+    Nothing else gets onto the wire then: fd 1 is stderr and fd 0 the null device, also for child
+        processes and C++
     libraries, and before anything is imported that might print.
     """
     wire = os.dup(0), os.dup(1)
@@ -109,7 +135,9 @@ def divert_standard_streams() -> tuple[int, int]:
 
 @contextmanager
 def quiet_streams() -> Iterator[None]:
-    """Within the block nothing reads from stdin or writes to stdout, which may be the wire of an agent."""
+    """Within the block nothing reads from stdin or writes to stdout, which may be the wire of
+    an agent.
+    """
     stdout = sys.stdout
     streams = divert_standard_streams()
     try:
@@ -123,7 +151,8 @@ def quiet_streams() -> Iterator[None]:
 
 
 def with_server(config: Config, arguments: Namespace, registry: Registry | None = None) -> Config:
-    """The configuration, and that of each of several robots, with what the command line says about the server.
+    """The configuration, and that of each of several robots, with what the command line says about
+    the server.
 
     Raises:
         ConfigurationError: nothing serves the transport, or it does not take that address.
@@ -133,7 +162,9 @@ def with_server(config: Config, arguments: Namespace, registry: Registry | None 
     from roboneuron.plugins.discovery import discover
 
     if config.robots:
-        robots = {name: with_server(one, arguments, registry) for name, one in config.robots.items()}
+        robots = {
+            name: with_server(one, arguments, registry) for name, one in config.robots.items()
+        }
         config = config.model_copy(update={"robots": robots})
     if arguments.transport is not None:
         server = config.server.model_copy(update={"transport": arguments.transport})
@@ -141,7 +172,11 @@ def with_server(config: Config, arguments: Namespace, registry: Registry | None 
     for spec in getattr(arguments, "switches", None) or ():
         section = {**config.sections.get(spec.keys[0], {}), spec.switch: True}
         config = config.model_copy(update={"sections": {**config.sections, spec.keys[0]: section}})
-    address = {name: getattr(arguments, name) for name in ("host", "port") if getattr(arguments, name) is not None}
+    address = {
+        name: getattr(arguments, name)
+        for name in ("host", "port")
+        if getattr(arguments, name) is not None
+    }
     if not address:
         return config
     if config.server.transport == STDIO:
@@ -149,7 +184,9 @@ def with_server(config: Config, arguments: Namespace, registry: Registry | None 
     registry = registry or discover(config.disabled_plugins)
     keys = transport_feature(config.server.transport, registry).keys
     if not keys:
-        raise ConfigurationError(f"The transport {config.server.transport!r} takes no --host and no --port.")
+        raise ConfigurationError(
+            f"The transport {config.server.transport!r} takes no --host and no --port."
+        )
     section = {**config.sections.get(keys[0], {}), **address}
     config = config.model_copy(update={"sections": {**config.sections, keys[0]: section}})
     check_sections(config, registry, "the command line")

@@ -24,12 +24,25 @@ EXIT_INTERNAL = os.EX_SOFTWARE
 """A defect of RoboNeuron."""
 LOG_LEVELS = ("debug", "info", "warning", "error")
 _QUIETNESS = re.compile(r"-v+|-q+|--verbose|--quiet")
-_PLAIN = {"✓": "+", "✗": "x", "…": "...", "→": "->", "≥": ">=", "≤": "<=", "“": '"', "”": '"', "°": "deg", "µ": "u"}
+_PLAIN = {
+    "✓": "+",
+    "✗": "x",
+    "…": "...",
+    "→": "->",
+    "≥": ">=",
+    "≤": "<=",
+    "“": '"',
+    "”": '"',
+    "°": "deg",
+    "µ": "u",
+}
 """What stands for a letter that the terminal's encoding lacks; a question mark for all others."""
 
 
 def accept_any_text() -> None:
-    """Let standard output and error show what their encoding lacks by something similar, instead of failing."""
+    """Let standard output and error show what their encoding lacks by something similar,
+    instead of failing.
+    """
     codecs.register_error("roboneuron", _replace)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
@@ -39,20 +52,29 @@ def accept_any_text() -> None:
 def _replace(error: UnicodeError) -> tuple[str, int]:
     if not isinstance(error, UnicodeEncodeError):
         raise error
-    return "".join(_PLAIN.get(letter, "?") for letter in error.object[error.start : error.end]), error.end
+    return "".join(
+        _PLAIN.get(letter, "?") for letter in error.object[error.start : error.end]
+    ), error.end
 
 
 def add_verbosity(parser: ArgumentParser, default: object = 0) -> None:
-    """Add -v and -q to a command's parser and to those of its subcommands; options of the command itself win."""
+    """Add -v and -q to a command's parser and to those of its subcommands; options of the
+    command itself win.
+    """
     for short, name, meaning in (("-v", "--verbose", "more"), ("-q", "--quiet", "less")):
         with suppress(ArgumentError):
             parser.add_argument(
-                short, name, action="count", default=default, help=f"log {meaning} to standard error; may be repeated"
+                short,
+                name,
+                action="count",
+                default=default,
+                help=f"log {meaning} to standard error; may be repeated",
             )
     for action in parser._actions:
         if isinstance(action, _SubParsersAction):
             for subparser in action.choices.values():
-                add_verbosity(subparser, SUPPRESS)  # with a default it would undo what stands before the subcommand
+                # with a default it would undo what stands before the subcommand
+                add_verbosity(subparser, SUPPRESS)
 
 
 def with_verbosity_behind(words: Sequence[str]) -> list[str]:
@@ -84,7 +106,8 @@ def _count(arguments: Namespace, name: str) -> int:
 def show_error(error: BaseException) -> int:
     """Print why a command ended, in one line, and return its exit status.
 
-    Of a group of exceptions a deliberate one counts: task groups wrap whatever is raised inside of them.
+    Of a group of exceptions a deliberate one counts: task groups wrap whatever is raised inside of
+        them.
     """
     if os.environ.get(TRACEBACK_VARIABLE):
         import traceback
@@ -103,7 +126,10 @@ def show_error(error: BaseException) -> int:
         return EXIT_USAGE
     words = str(cause).strip().splitlines() or ["no message"]
     what = f"an unexpected {type(cause).__name__}: {words[0].rstrip('.')}"
-    print(f"roboneuron: {what}. Set {TRACEBACK_VARIABLE}=1 to see where, and report it.", file=sys.stderr)
+    print(
+        f"roboneuron: {what}. Set {TRACEBACK_VARIABLE}=1 to see where, and report it.",
+        file=sys.stderr,
+    )
     return EXIT_INTERNAL
 
 

@@ -9,16 +9,23 @@ from pydantic import BaseModel, ConfigDict, Field
 
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9-]*$", max_length=64)]
 CameraName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=64)]
-Namespace = Annotated[str, Field(pattern=r"^[a-zA-Z][a-zA-Z0-9_]*(/[a-zA-Z][a-zA-Z0-9_]*)*$", max_length=128)]
+Namespace = Annotated[
+    str, Field(pattern=r"^[a-zA-Z][a-zA-Z0-9_]*(/[a-zA-Z][a-zA-Z0-9_]*)*$", max_length=128)
+]
 Seconds = Annotated[float, Field(gt=0, le=3600)]
 Share = Annotated[float, Field(gt=0, le=1)]
 Point = Annotated[list[Annotated[float, Field(ge=-100, le=100)]], Field(min_length=3, max_length=3)]
 StartTimeout = Annotated[
-    Seconds | None, Field(description="longest start, loading included; as in [supervisor] when not given")
+    Seconds | None,
+    Field(description="longest start, loading included; as in [supervisor] when not given"),
 ]
-Interpreter = Annotated[str | None, Field(description="interpreter of the module's own environment")]
+Interpreter = Annotated[
+    str | None, Field(description="interpreter of the module's own environment")
+]
 Reaction = Literal["hold", "scale", "refuse"]
-"""At a limit: stop where the arm is measured, shorten the command, or send nothing and let the last command end."""
+"""At a limit: stop where the arm is measured, shorten the command, or send nothing and let the
+last command end.
+"""
 CHECKPOINT_START_S = 900.0
 """15 GB from a slow disk, and the warm-up of a large model, take several minutes."""
 
@@ -34,10 +41,18 @@ class RobotConfig(Section):
 
     name: Name = Field(description="a robot offered by an installed plugin")
     driver: Name = Field(default="simulated", description="one of the robot's drivers")
-    namespace: Namespace | None = Field(default=None, description="ROS namespace; the robot's name when not given")
-    command_timeout_s: Seconds = Field(default=1.0, description="the driver holds when commands cease for this long")
-    server_timeout_s: Seconds = Field(default=2.0, description="the driver holds when the server is frozen this long")
-    state_rate_hz: Annotated[float, Field(ge=10, le=1000)] = Field(default=120.0, description="rate of joint_states")
+    namespace: Namespace | None = Field(
+        default=None, description="ROS namespace; the robot's name when not given"
+    )
+    command_timeout_s: Seconds = Field(
+        default=1.0, description="the driver holds when commands cease for this long"
+    )
+    server_timeout_s: Seconds = Field(
+        default=2.0, description="the driver holds when the server is frozen this long"
+    )
+    state_rate_hz: Annotated[float, Field(ge=10, le=1000)] = Field(
+        default=120.0, description="rate of joint_states"
+    )
     start_timeout_s: StartTimeout = None
     python: Interpreter = None
 
@@ -47,7 +62,9 @@ class PerceptionConfig(Section):
 
     source: Name = Field(description="a perception source offered by an installed plugin")
     cameras: tuple[CameraName, ...] = Field(
-        default=(), strict=False, description="names of the robot's cameras to serve; all of them when empty"
+        default=(),
+        strict=False,
+        description="names of the robot's cameras to serve; all of them when empty",
     )
     start_timeout_s: StartTimeout = None
     python: Interpreter = None
@@ -58,14 +75,23 @@ class InferenceConfig(Section):
 
     backend: Name = Field(description="a backend offered by an installed plugin")
     checkpoint: str | None = Field(default=None, description="directory of the model's files")
-    runtime: Name | None = Field(default=None, description="runtime; the backend's own default when not given")
-    acceleration: Name | None = Field(default=None, description="acceleration preset; none when not given")
+    runtime: Name | None = Field(
+        default=None, description="runtime; the backend's own default when not given"
+    )
+    acceleration: Name | None = Field(
+        default=None, description="acceleration preset; none when not given"
+    )
     instruction: str = Field(default="", description="what to do; can be set later")
-    cameras: dict[str, CameraName] = Field(default_factory=dict, description="camera name by role of the backend")
-    max_image_age_s: Seconds = Field(default=0.5, description="older images, joint states and poses are never acted on")
+    cameras: dict[str, CameraName] = Field(
+        default_factory=dict, description="camera name by role of the backend"
+    )
+    max_image_age_s: Seconds = Field(
+        default=0.5, description="older images, joint states and poses are never acted on"
+    )
     max_tail_age_s: Seconds | None = Field(
         default=None,
-        description="likewise for later rows of a chunk; when not given max_image_age_s and the length of the chunk",
+        description="likewise for later rows of a chunk; when not given max_image_age_s and the "
+        "length of the chunk",
     )
     execution: Literal["auto", "sequential", "overlap", "rtc", "predicted-state"] = Field(
         default="auto", description="how chunks are executed; auto chooses by the measured latency"
@@ -75,7 +101,8 @@ class InferenceConfig(Section):
     )
     start_timeout_s: Seconds | None = Field(
         default=None,
-        description="longest start, loading included; when not given 900 with a checkpoint, else as in [supervisor]",
+        description="longest start, loading included; when not given 900 with a checkpoint, else "
+        "as in [supervisor]",
     )
     python: Interpreter = None
 
@@ -84,14 +111,19 @@ class ControlConfig(Section):
     """`[control]`: how actions become joint commands."""
 
     controller: Name = Field(description="a controller offered by an installed plugin")
-    action_timeout_s: Seconds = Field(default=0.5, description="older actions are dropped; then the arm holds")
+    action_timeout_s: Seconds = Field(
+        default=0.5, description="older actions are dropped; then the arm holds"
+    )
     state_timeout_s: Seconds = Field(default=0.25, description="older joint states stop the arm")
-    server_timeout_s: Seconds = Field(default=2.0, description="the arm holds when the server is frozen this long")
+    server_timeout_s: Seconds = Field(
+        default=2.0, description="the arm holds when the server is frozen this long"
+    )
     command: Literal["joint_trajectory", "joint_state"] = Field(
         default="joint_trajectory", description="message type of the command topic"
     )
     switch_max_difference: Annotated[float, Field(gt=0)] = Field(
-        default=0.05, description="a warm switch to commands or TCP poses that differ more [rad or m] is refused"
+        default=0.05,
+        description="a warm switch to commands or TCP poses that differ more [rad or m] is refused",
     )
     start_timeout_s: StartTimeout = None
     python: Interpreter = None
@@ -100,9 +132,15 @@ class ControlConfig(Section):
 class SupervisorConfig(Section):
     """`[supervisor]`: bounds on starting and stopping processes."""
 
-    start_timeout_s: Seconds = Field(default=60.0, description="spawn until proof of readiness (loading included)")
-    stop_timeout_s: Seconds = Field(default=5.0, description="deactivate and SIGTERM before SIGKILL")
-    state_directory: str | None = Field(default=None, description="logs, latch and audit; XDG state when not given")
+    start_timeout_s: Seconds = Field(
+        default=60.0, description="spawn until proof of readiness (loading included)"
+    )
+    stop_timeout_s: Seconds = Field(
+        default=5.0, description="deactivate and SIGTERM before SIGKILL"
+    )
+    state_directory: str | None = Field(
+        default=None, description="logs, latch and audit; XDG state when not given"
+    )
 
 
 class ZoneConfig(Section):
@@ -114,20 +152,31 @@ class ZoneConfig(Section):
 
 
 class LimitsConfig(Section):
-    """`[limits]`: what may be sent to the arm, by actions or by joint commands; see docs/safety.md."""
+    """`[limits]`: what may be sent to the arm, by actions or by joint commands; see
+    docs/safety.md.
+    """
 
-    velocity_fraction: Share = Field(default=1.0, description="share of the joints' velocity limits in use")
-    acceleration_fraction: Share = Field(default=1.0, description="share of their acceleration limits in use")
+    velocity_fraction: Share = Field(
+        default=1.0, description="share of the joints' velocity limits in use"
+    )
+    acceleration_fraction: Share = Field(
+        default=1.0, description="share of their acceleration limits in use"
+    )
     max_step_m: Annotated[float, Field(gt=0, le=1)] = Field(
         default=0.1, description="farthest the TCP may go per action"
     )
     max_step_rad: Annotated[float, Field(gt=0, le=3)] = Field(
         default=0.5, description="farthest it may turn per action"
     )
-    max_speed_m_s: Annotated[float, Field(gt=0, le=3)] = Field(default=0.5, description="fastest motion of the TCP")
-    max_turn_rad_s: Annotated[float, Field(gt=0, le=10)] = Field(default=2.5, description="fastest turn of the TCP")
+    max_speed_m_s: Annotated[float, Field(gt=0, le=3)] = Field(
+        default=0.5, description="fastest motion of the TCP"
+    )
+    max_turn_rad_s: Annotated[float, Field(gt=0, le=10)] = Field(
+        default=2.5, description="fastest turn of the TCP"
+    )
     workspace_lower_m: Point | None = Field(
-        default=None, description="corner of the TCP's box in the base frame; the robot's own when not given"
+        default=None,
+        description="corner of the TCP's box in the base frame; the robot's own when not given",
     )
     workspace_upper_m: Point | None = Field(default=None, description="opposite corner")
     min_height_m: Annotated[float, Field(ge=-100, le=100)] | None = Field(
@@ -139,16 +188,22 @@ class LimitsConfig(Section):
         description="boxes that the TCP must not enter: tables of `name`, `lower_m`, `upper_m`",
     )
     min_singular_value: Annotated[float, Field(ge=0, le=1)] = Field(
-        default=0.02, description="distance from a singularity: smallest singular value of the TCP's Jacobian"
+        default=0.02,
+        description="distance from a singularity: smallest singular value of the TCP's Jacobian",
     )
-    collision: bool = Field(default=True, description="keep links away from each other and from obstacles")
+    collision: bool = Field(
+        default=True, description="keep links away from each other and from obstacles"
+    )
     min_distance_m: Annotated[float, Field(ge=0, le=0.2)] | None = Field(
-        default=None, description="least distance between links, and to obstacles; the robot's own when not given"
+        default=None,
+        description="least distance between links, and to obstacles; the robot's own when not "
+        "given",
     )
     obstacles: tuple[ZoneConfig, ...] | None = Field(
         default=None,
         strict=False,
-        description="boxes that no link may touch, as `zones`; the robot's own (its table) when not given",
+        description="boxes that no link may touch, as `zones`; the robot's own (its table) when "
+        "not given",
     )
     on_position: Reaction = Field(default="hold", description="a joint's position limit")
     on_velocity: Reaction = Field(default="scale", description="a joint's velocity limit")
@@ -159,7 +214,9 @@ class LimitsConfig(Section):
     on_zone: Reaction = Field(default="hold", description="zones")
     on_height: Reaction = Field(default="hold", description="min_height_m")
     on_singularity: Reaction = Field(default="hold", description="min_singular_value")
-    on_collision: Reaction = Field(default="hold", description="min_distance_m between links, and to obstacles")
+    on_collision: Reaction = Field(
+        default="hold", description="min_distance_m between links, and to obstacles"
+    )
 
 
 class ServerConfig(Section):
@@ -172,21 +229,28 @@ class ServerConfig(Section):
     max_concurrent_calls: Annotated[int, Field(ge=1, le=10000)] = Field(
         default=64, description="most tool calls at once of each role; stops are always taken"
     )
-    dry_run: bool = Field(default=False, description="direct calls answer what would happen, nothing is sent")
-    max_duration_s: Seconds = Field(default=120.0, description="longest direct motion, sequence or goal")
+    dry_run: bool = Field(
+        default=False, description="direct calls answer what would happen, nothing is sent"
+    )
+    max_duration_s: Seconds = Field(
+        default=120.0, description="longest direct motion, sequence or goal"
+    )
     reset_emergency_stop: Literal["person", "client"] = Field(
         default="person",
-        description="who releases the emergency stop: a person, in a terminal or asked by a client; or any admin",
+        description="who releases the emergency stop: a person, in a terminal or asked by a "
+        "client; or any admin",
     )
     checkpoint_roots: tuple[str, ...] = Field(
         default=(),
         strict=False,
-        description="folders whose checkpoints agents may name, besides those that this configuration names",
+        description="folders whose checkpoints agents may name, besides those that this "
+        "configuration names",
     )
     agent_options: tuple[Annotated[str, Field(pattern=r"^[a-z0-9-]+(\.[^.]+)+$")], ...] = Field(
         default=(),
         strict=False,
-        description='options for the configuration only that an admin may set all the same, such as "pi0-remote.url"',
+        description="options for the configuration only that an admin may set all the same, such "
+        'as "pi0-remote.url"',
     )
 
 
@@ -201,16 +265,22 @@ class Config(Section):
     supervisor: SupervisorConfig = SupervisorConfig()
     server: ServerConfig = ServerConfig()
     disabled_plugins: tuple[str, ...] = Field(
-        default=(), strict=False, description="plugins not to load, by name; a distribution means all in it"
+        default=(),
+        strict=False,
+        description="plugins not to load, by name; a distribution means all in it",
     )
     features: tuple[str, ...] = Field(
         default=(), strict=False, description="features without which the server does not start"
     )
-    plugins: dict[str, dict[str, Any]] = Field(default_factory=dict, description="options by plugin name")
+    plugins: dict[str, dict[str, Any]] = Field(
+        default_factory=dict, description="options by plugin name"
+    )
     sections: dict[str, Any] = Field(default_factory=dict, exclude=True)
     """Sections of features by top-level key, as in the file; modules are not told them."""
     robots: dict[str, Config] = Field(default_factory=dict, exclude=True)
-    """Of a file with `[robots.<name>]`: the whole configuration of each by its name; the rest is what all share."""
+    """Of a file with `[robots.<name>]`: the whole configuration of each by its name; the rest
+    is what all share.
+    """
 
     @property
     def namespace(self) -> str:
@@ -218,7 +288,9 @@ class Config(Section):
         return self.robot.namespace or self.robot.name.replace("-", "_")
 
     def options(self, name: str) -> Mapping[str, object]:
-        """Options of the backend, source, controller, driver ... called `name`; empty when the user set none."""
+        """Options of the backend, source, controller, driver ... called `name`; empty when the
+        user set none.
+        """
         return self.plugins.get(name, {})
 
     def start_timeout_s(self, kind: str) -> float:
@@ -226,6 +298,10 @@ class Config(Section):
         section = getattr(self, kind)
         if section is not None and section.start_timeout_s is not None:
             return float(section.start_timeout_s)
-        if kind == "inference" and self.inference is not None and self.inference.checkpoint is not None:
+        if (
+            kind == "inference"
+            and self.inference is not None
+            and self.inference.checkpoint is not None
+        ):
             return max(CHECKPOINT_START_S, self.supervisor.start_timeout_s)
         return self.supervisor.start_timeout_s

@@ -1,6 +1,7 @@
 """Text to `Config`: what is wrong is named with the file, the key and the nearest valid key.
 
-Sections that core does not know belong to features; they are checked against the models of what is installed.
+Sections that core does not know belong to features; they are checked against the models of what is
+installed.
 """
 
 from __future__ import annotations
@@ -29,7 +30,9 @@ KEYS = frozenset(name for name, field in Config.model_fields.items() if not fiel
 """Top-level keys of core, but for `robots`."""
 
 
-def parse_config(text: str, *, source: str = "roboneuron.toml", registry: Registry | None = None) -> Config:
+def parse_config(
+    text: str, *, source: str = "roboneuron.toml", registry: Registry | None = None
+) -> Config:
     """Parse the text of a roboneuron.toml.
 
     Args:
@@ -38,7 +41,8 @@ def parse_config(text: str, *, source: str = "roboneuron.toml", registry: Regist
         registry: what is installed; discovered when there are sections that core does not know.
 
     Raises:
-        ConfigurationError: not TOML, or a key or value is not valid; names file, key and the nearest valid key.
+        ConfigurationError: not TOML, or a key or value is not valid; names file, key and the
+            nearest valid key.
     """
     raw = _parse_toml(text, source)
     return (_read_robots if "robots" in raw else parse_tables)(raw, source, registry)
@@ -81,7 +85,9 @@ def fleet_feature(registry: Registry) -> FeatureSpec:
             return spec
     package = package_of("feature", "fleet")
     hint = f"Run: {install_command(package)}." if package is not None else ""
-    raise ConfigurationError("No installed feature serves several robots, [robots.<name>].", hint=hint)
+    raise ConfigurationError(
+        "No installed feature serves several robots, [robots.<name>].", hint=hint
+    )
 
 
 def robot_folder(state_directory: Path, name: str = "*") -> Path:
@@ -106,7 +112,8 @@ def load_config(path: Path | None = None, registry: Registry | None = None) -> C
 
 
 def read_state_directory(path: Path) -> str | None:
-    """`supervisor.state_directory` of a file, None when it names none; for what has to work whatever else is wrong.
+    """`supervisor.state_directory` of a file, None when it names none; for what has to work
+    whatever else is wrong.
 
     No plugin is looked for, and nothing else in the file is checked.
 
@@ -116,7 +123,9 @@ def read_state_directory(path: Path) -> str | None:
     section = _parse_toml(_read_text(path), str(path)).get("supervisor")
     found = section.get("state_directory") if isinstance(section, dict) else None
     if found is not None and not isinstance(found, str):
-        raise ConfigurationError(f"{path}: supervisor.state_directory = {found!r}: input should be a valid string.")
+        raise ConfigurationError(
+            f"{path}: supervisor.state_directory = {found!r}: input should be a valid string."
+        )
     return found
 
 
@@ -134,8 +143,8 @@ def check_sections(config: Config, registry: Registry, source: str = "roboneuron
     """Check the sections of all features, and that there is a feature for each.
 
     Raises:
-        ConfigurationError: a key that nothing installed knows, a value that is not valid, or a section of a feature
-            that cannot be used; says why.
+        ConfigurationError: a key that nothing installed knows, a value that is not valid, or a
+            section of a feature that cannot be used; says why.
     """
     owners = {key: offer for offer in registry.offers("feature") for key in _spec(offer.spec).keys}
     for key in config.sections:
@@ -144,29 +153,38 @@ def check_sections(config: Config, registry: Registry, source: str = "roboneuron
             silent = registry.not_loaded(package or "")
             if package is not None and silent:
                 raise ConfigurationError(
-                    f"{source}: the section {key!r} belongs to a feature of {package}, which is not loaded: {silent}.",
+                    f"{source}: the section {key!r} belongs to a feature of {package}, which is "
+                    f"not loaded: {silent}.",
                     hint="Leave the section out, or see `roboneuron plugins list`.",
                 )
             if package is not None:
                 raise ConfigurationError(
-                    f"{source}: the section {key!r} belongs to a feature of {package}, which is not installed.",
+                    f"{source}: the section {key!r} belongs to a feature of {package}, which is "
+                    "not installed.",
                     hint=f"Run: {install_command(package)}.",
                 )
             error = _unknown_key(source, key, {*KEYS, *owners})
             raise ConfigurationError(
-                error, hint="If it belongs to a feature, that is not installed: see `roboneuron plugins list`."
+                error,
+                hint="If it belongs to a feature, that is not installed: see `roboneuron plugins "
+                "list`.",
             )
         offer = owners[key]
         if offer.status is not Status.READY:
             raise ConfigurationError(
-                f"{source}: the section {key!r} belongs to the feature {offer.spec.name!r} of {offer.plugin}, "
+                f"{source}: the section {key!r} belongs to the feature {offer.spec.name!r} of "
+                f"{offer.plugin}, "
                 f"which cannot be used ({offer.status}): {offer.reason}"
             )
-    for spec in {owners[key].spec.name: _spec(owners[key].spec) for key in config.sections}.values():
+    for spec in {
+        owners[key].spec.name: _spec(owners[key].spec) for key in config.sections
+    }.values():
         feature_options(spec, config, source)
 
 
-def feature_options(spec: FeatureSpec, config: Config, source: str = "roboneuron.toml") -> BaseModel | None:
+def feature_options(
+    spec: FeatureSpec, config: Config, source: str = "roboneuron.toml"
+) -> BaseModel | None:
     """The options of a feature: its sections of the configuration, or their defaults.
 
     Raises:
@@ -194,15 +212,22 @@ def transport_feature(transport: str, registry: Registry) -> FeatureSpec:
     Raises:
         ConfigurationError: there is none; says which package brings it.
     """
-    served = {name: spec for spec in registry.specs(FeatureSpec).values() for name in spec.transports}
+    served = {
+        name: spec for spec in registry.specs(FeatureSpec).values() for name in spec.transports
+    }
     if transport in served:
         return served[transport]
     try:
-        registry.get(FeatureSpec, transport)  # by convention it is called as the transport: says why it is not there
+        # by convention it is called as the transport: says why it is not there
+        registry.get(FeatureSpec, transport)
     except ConfigurationError as error:
-        raise ConfigurationError(f"transport = {transport!r}: {error.message}", hint=error.hint) from error
+        raise ConfigurationError(
+            f"transport = {transport!r}: {error.message}", hint=error.hint
+        ) from error
     choices = ", ".join([STDIO, *served])
-    raise ConfigurationError(f"transport = {transport!r}: nothing serves it; choose one of: {choices}.")
+    raise ConfigurationError(
+        f"transport = {transport!r}: nothing serves it; choose one of: {choices}."
+    )
 
 
 def _spec(spec: object) -> FeatureSpec:
@@ -210,7 +235,9 @@ def _spec(spec: object) -> FeatureSpec:
     return spec
 
 
-def _explain(error: ValidationError, root: type[BaseModel], source: str, section: str = "") -> ConfigurationError:
+def _explain(
+    error: ValidationError, root: type[BaseModel], source: str, section: str = ""
+) -> ConfigurationError:
     """The error for people.
 
     Args:
@@ -227,13 +254,17 @@ def _explain(error: ValidationError, root: type[BaseModel], source: str, section
         elif item["type"] == "missing":
             lines.append(f"{source}: {key!r} is missing.")
         else:
-            lines.append(f"{source}: {key} = {item['input']!r}: {item['msg'][0].lower()}{item['msg'][1:]}.")
+            lines.append(
+                f"{source}: {key} = {item['input']!r}: {item['msg'][0].lower()}{item['msg'][1:]}."
+            )
     return ConfigurationError("\n".join(lines))
 
 
 def _unknown_key(source: str, key: str, valid: Iterable[str]) -> str:
     """The sentence for a key that nothing knows."""
-    moved = tomllib.loads(files("roboneuron").joinpath("data/moved.toml").read_text(encoding="utf-8"))
+    moved = tomllib.loads(
+        files("roboneuron").joinpath("data/moved.toml").read_text(encoding="utf-8")
+    )
     if key in moved:
         return f"{source}: the key {key!r} has moved: write {moved[key]}."
     known = sorted(valid)

@@ -1,30 +1,92 @@
-"""The fixed image -> action contract: the only types that cross between models, perception, control and robots.
+"""The fixed image -> action contract: the only types that cross between models, perception, control
+and robots.
 
 numpy only. Nothing here knows ROS, MCP, torch or a plugin.
 """
 
-# fmt: off
-# ruff: noqa: I001
 from roboneuron.contract.action import (
-    ACTION_FIELDS, ACTION_LABEL, ACTION_SIZE, Action, ActionChunk, apply_delta, check_action_vector,
+    ACTION_FIELDS,
+    ACTION_LABEL,
+    ACTION_SIZE,
+    Action,
+    ActionChunk,
+    apply_delta,
+    check_action_vector,
 )
 from roboneuron.contract.image import check_rgb8, frame_from_buffer
 from roboneuron.contract.motion import Hold, JointCommand, Posture, Proximity, RobotState
-from roboneuron.contract.observation import Ahead, CameraCalibration, Frame, JointSample, Observation, Pose
+from roboneuron.contract.observation import (
+    Ahead,
+    CameraCalibration,
+    Frame,
+    JointSample,
+    Observation,
+    Pose,
+)
 from roboneuron.contract.profile import (
-    TOPIC_RULE, CameraProfile, CollisionProfile, Endpoint, GripperProfile, JointLimits, Obstacle, RobotProfile,
-    Workspace, check_topic,
+    TOPIC_RULE,
+    CameraProfile,
+    CollisionProfile,
+    Endpoint,
+    GripperProfile,
+    JointLimits,
+    Obstacle,
+    RobotProfile,
+    Workspace,
+    check_topic,
 )
 from roboneuron.contract.protocols import (
-    Acceleration, AnyAcceleration, AnyRuntime, Backend, Controller, PerceptionSource, PostureInspector, RobotDriver,
-    Runtime, Topics,
+    Acceleration,
+    AnyAcceleration,
+    AnyRuntime,
+    Backend,
+    Controller,
+    PerceptionSource,
+    PostureInspector,
+    RobotDriver,
+    Runtime,
+    Topics,
 )
 
 __all__ = [
-    "ACTION_FIELDS", "ACTION_LABEL", "ACTION_SIZE", "TOPIC_RULE", "Acceleration", "Action",
-    "ActionChunk", "Ahead", "AnyAcceleration", "AnyRuntime", "Backend", "CameraCalibration", "CameraProfile",
-    "CollisionProfile", "Controller", "Endpoint", "Frame", "GripperProfile", "Hold", "JointCommand", "JointLimits",
-    "JointSample", "Observation", "Obstacle", "PerceptionSource", "Pose", "Posture", "PostureInspector", "Proximity",
-    "RobotDriver", "RobotProfile", "RobotState", "Runtime", "Topics", "Workspace", "apply_delta",
-    "check_action_vector", "check_rgb8", "check_topic", "frame_from_buffer",
+    "ACTION_FIELDS",
+    "ACTION_LABEL",
+    "ACTION_SIZE",
+    "TOPIC_RULE",
+    "Acceleration",
+    "Action",
+    "ActionChunk",
+    "Ahead",
+    "AnyAcceleration",
+    "AnyRuntime",
+    "Backend",
+    "CameraCalibration",
+    "CameraProfile",
+    "CollisionProfile",
+    "Controller",
+    "Endpoint",
+    "Frame",
+    "GripperProfile",
+    "Hold",
+    "JointCommand",
+    "JointLimits",
+    "JointSample",
+    "Observation",
+    "Obstacle",
+    "PerceptionSource",
+    "Pose",
+    "Posture",
+    "PostureInspector",
+    "Proximity",
+    "RobotDriver",
+    "RobotProfile",
+    "RobotState",
+    "Runtime",
+    "Topics",
+    "Workspace",
+    "apply_delta",
+    "check_action_vector",
+    "check_rgb8",
+    "check_topic",
+    "frame_from_buffer",
 ]

@@ -1,7 +1,7 @@
 """The action: a 7-vector that means the same whichever model produced it.
 
-dx dy dz [m] and rx ry rz [rad, rotation vector] move the TCP in the robot's base frame (p' = p + d, R' = exp(r) R);
-the last value is the absolute gripper opening, 0 closed .. 1 open.
+dx dy dz [m] and rx ry rz [rad, rotation vector] move the TCP in the robot's base frame (p' = p + d,
+R' = exp(r) R); the last value is the absolute gripper opening, 0 closed .. 1 open.
 """
 
 from __future__ import annotations
@@ -15,7 +15,11 @@ from numpy.typing import ArrayLike
 
 from roboneuron.contract.arrays import F64, freeze
 from roboneuron.contract.observation import Pose
-from roboneuron.contract.rotation import matrix_from_quaternion, matrix_from_rotvec, quaternion_from_matrix
+from roboneuron.contract.rotation import (
+    matrix_from_quaternion,
+    matrix_from_rotvec,
+    quaternion_from_matrix,
+)
 from roboneuron.errors import InvalidInputError, UnsafeError
 
 ACTION_LABEL = "ee_delta_base"
@@ -35,19 +39,26 @@ def check_action_vector(values: ArrayLike) -> F64:
     """
     vector = np.asarray(values, dtype=np.float64)
     if vector.shape != (ACTION_SIZE,):
-        raise InvalidInputError(f"An action has shape {vector.shape}, expected ({ACTION_SIZE},): {ACTION_FIELDS}.")
+        raise InvalidInputError(
+            f"An action has shape {vector.shape}, expected ({ACTION_SIZE},): {ACTION_FIELDS}."
+        )
     finite = np.isfinite(vector)
     if not finite.all():
         bad = ACTION_FIELDS[int(np.argmin(finite))]
-        raise UnsafeError(f"An action holds a non-finite value at {bad} ({vector[int(np.argmin(finite))]}).")
+        raise UnsafeError(
+            f"An action holds a non-finite value at {bad} ({vector[int(np.argmin(finite))]})."
+        )
     if not 0.0 <= vector[6] <= 1.0:
-        raise InvalidInputError(f"gripper_open is {vector[6]:g}, expected a value in [0 closed, 1 open].")
+        raise InvalidInputError(
+            f"gripper_open is {vector[6]:g}, expected a value in [0 closed, 1 open]."
+        )
     return vector
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Action:
-    """One step: a TCP delta in the base frame and the absolute gripper opening. Its arrays are read-only copies.
+    """One step: a TCP delta in the base frame and the absolute gripper opening. Its arrays are
+    read-only copies.
 
     Attributes:
         translation_m: float64 (3,), base frame.
@@ -78,14 +89,16 @@ class ActionChunk:
     """What one inference yields: H actions, played out one per `step_s`, the first at once.
 
     Attributes:
-        actions: float64 (H, 7), H >= 1, finite, gripper in [0, 1]; checked at construction, kept as a read-only copy.
+        actions: float64 (H, 7), H >= 1, finite, gripper in [0, 1]; checked at construction, kept as
+            a read-only copy.
         step_s: time between two actions [s], > 0.
-        metrics: numbers worth watching (for instance "tokens_kept"); they go to /diagnostics and get_status.
+        metrics: numbers worth watching (for instance "tokens_kept"); they go to /diagnostics and
+            get_status.
         note: one short sentence on what the backend is doing, shown to the agent; may be empty.
-        context: the backend's own form of the chunk (pi0: normalised actions); handed back to it in `Ahead.context`,
-            in the same process, never looked into.
-        conditioned_rows: so many rows from row 0 on continue `Observation.ahead.rows`, 0 .. H. When it is not 0, the
-            seam is not cross-faded.
+        context: the backend's own form of the chunk (pi0: normalised actions); handed back to it in
+            `Ahead.context`, in the same process, never looked into.
+        conditioned_rows: so many rows from row 0 on continue `Observation.ahead.rows`, 0 .. H. When
+            it is not 0, the seam is not cross-faded.
 
     Raises:
         InvalidInputError, UnsafeError: as `check_action_vector`, or when the shape is not (H, 7).
@@ -101,20 +114,28 @@ class ActionChunk:
     def __post_init__(self) -> None:
         actions = np.asarray(self.actions, dtype=np.float64)
         if actions.ndim != 2 or actions.shape[0] < 1 or actions.shape[1] != ACTION_SIZE:
-            raise InvalidInputError(f"A chunk has shape {actions.shape}, expected (H >= 1, {ACTION_SIZE}).")
+            raise InvalidInputError(
+                f"A chunk has shape {actions.shape}, expected (H >= 1, {ACTION_SIZE})."
+            )
         for row in actions:
             check_action_vector(row)
         if not (np.isfinite(self.step_s) and self.step_s > 0):
-            raise InvalidInputError(f"step_s is {self.step_s}, expected a finite number of seconds > 0.")
+            raise InvalidInputError(
+                f"step_s is {self.step_s}, expected a finite number of seconds > 0."
+            )
         if not 0 <= self.conditioned_rows <= len(actions):
-            raise InvalidInputError(f"conditioned_rows is {self.conditioned_rows}, the chunk has {len(actions)} rows.")
+            raise InvalidInputError(
+                f"conditioned_rows is {self.conditioned_rows}, the chunk has {len(actions)} rows."
+            )
         freeze(self, "actions")
         object.__setattr__(self, "metrics", dict(self.metrics))
 
 
 def apply_delta(pose: Pose, action: Action) -> Pose:
     """Return the TCP pose after `action`: p' = p + d, R' = exp(r) R, both in the base frame."""
-    rotation = matrix_from_rotvec(action.rotation_rad) @ matrix_from_quaternion(pose.quaternion_xyzw)
+    rotation = matrix_from_rotvec(action.rotation_rad) @ matrix_from_quaternion(
+        pose.quaternion_xyzw
+    )
     return Pose(
         position_m=pose.position_m + action.translation_m,
         quaternion_xyzw=quaternion_from_matrix(rotation),

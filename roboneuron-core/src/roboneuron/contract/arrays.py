@@ -1,4 +1,6 @@
-"""Read-only arrays of contract values: a buffer that a plugin uses again cannot change what it has handed over."""
+"""Read-only arrays of contract values: a buffer that a plugin uses again cannot change what it
+has handed over.
+"""
 
 from __future__ import annotations
 
@@ -11,10 +13,12 @@ F64 = NDArray[np.float64]
 
 
 def freeze(value: object, *names: str, dtype: DTypeLike | None = np.float64) -> None:
-    """Replace the named array fields of a frozen dataclass by read-only copies; called from `__post_init__`.
+    """Replace the named array fields of a frozen dataclass by read-only copies; called from
+    `__post_init__`.
 
-    Fields that are None stay None; with `dtype` None an array keeps its own. An array that is read-only already and
-    owns its memory is not copied again, so that `dataclasses.replace` copies only what it changes.
+    Fields that are None stay None; with `dtype` None an array keeps its own. An array that is
+    read-only already and owns its memory is not copied again, so that `dataclasses.replace` copies
+    only what it changes.
     """
     for name in names:
         array = getattr(value, name)
@@ -23,7 +27,9 @@ def freeze(value: object, *names: str, dtype: DTypeLike | None = np.float64) -> 
 
 
 def read_only_view(array: NDArray[Any]) -> NDArray[Any]:
-    """A view that cannot be written through; no pixel is copied, so the owner must leave the memory alone."""
+    """A view that cannot be written through; no pixel is copied, so the owner must leave the
+    memory alone.
+    """
     if not array.flags.writeable:
         return array
     view = array.view()

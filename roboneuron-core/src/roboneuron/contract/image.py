@@ -1,4 +1,6 @@
-"""Images as the contract uses them: uint8 (H, W, 3), RGB. Conversions from raw buffers live here, without ROS."""
+"""Images as the contract uses them: uint8 (H, W, 3), RGB. Conversions from raw buffers live
+here, without ROS.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,9 @@ def check_rgb8(image: NDArray[Any]) -> U8:
         InvalidInputError: any other dtype or shape.
     """
     if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3 or 0 in image.shape:
-        raise InvalidInputError(f"An image is {image.dtype} {image.shape}, expected uint8 (H, W, 3) in RGB order.")
+        raise InvalidInputError(
+            f"An image is {image.dtype} {image.shape}, expected uint8 (H, W, 3) in RGB order."
+        )
     return image
 
 
@@ -42,7 +46,8 @@ READABLE_ENCODINGS = tuple(_ENCODINGS)
 def frame_from_buffer(data: Any, *, width: int, height: int, step: int, encoding: str) -> U8:
     """Return the RGB image (H, W, 3) held in an image message's buffer.
 
-    `rgb8` without row padding is returned as a view on `data` (about 1 us); everything else costs one copy.
+    `rgb8` without row padding is returned as a view on `data` (about 1 us); everything else costs
+    one copy.
 
     Args:
         data: any buffer of bytes (array.array('B') as rclpy delivers it, bytes, ndarray).
@@ -51,11 +56,13 @@ def frame_from_buffer(data: Any, *, width: int, height: int, step: int, encoding
         encoding: a ROS image encoding (sensor_msgs/image_encodings).
 
     Raises:
-        InvalidInputError: unknown encoding, or a buffer that does not hold `height` rows of `step` bytes.
+        InvalidInputError: unknown encoding, or a buffer that does not hold `height` rows of `step`
+            bytes.
     """
     if encoding not in _ENCODINGS:
         raise InvalidInputError(
-            f"Image encoding {encoding!r} cannot be read, expected one of {', '.join(READABLE_ENCODINGS)}."
+            f"Image encoding {encoding!r} cannot be read, expected one of "
+            f"{', '.join(READABLE_ENCODINGS)}."
         )
     channels, convert = _ENCODINGS[encoding]
     if not (1 <= width <= MAX_SIDE_PX and 1 <= height <= MAX_SIDE_PX):
@@ -63,7 +70,8 @@ def frame_from_buffer(data: Any, *, width: int, height: int, step: int, encoding
     buffer = np.frombuffer(data, dtype=np.uint8)
     if step < width * channels or buffer.size != step * height:
         raise InvalidInputError(
-            f"Image buffer holds {buffer.size} bytes with step {step}, expected {height} rows of at least "
+            f"Image buffer holds {buffer.size} bytes with step {step}, expected {height} rows of "
+            "at least "
             f"{width * channels} bytes for {width}x{height} {encoding}."
         )
     pixels = buffer.reshape(height, step)[:, : width * channels].reshape(height, width, channels)

@@ -1,4 +1,5 @@
-"""What travels between controller and robot driver: measured state, joint commands, reasons to hold.
+"""What travels between controller and robot driver: measured state, joint commands, reasons to
+hold.
 
 Arrays are kept as read-only copies.
 """
@@ -20,7 +21,8 @@ class JointCommand:
         names: joint names, in the order of `position`; the gripper's joint may be among them.
         position: float64 (n,), rad or m.
         duration_s: time to get there from now [s], > 0.
-        residual_m, residual_rad: how far the position and rotation of the target remain from what was asked.
+        residual_m, residual_rad: how far the position and rotation of the target remain from what
+            was asked.
     """
 
     names: tuple[str, ...]
@@ -38,7 +40,8 @@ class Hold:
     """A controller's refusal: the robot is to hold its position.
 
     Attributes:
-        code: stable word, counted in /diagnostics ("no_solution", "joint_jump", "unknown_joint" ...).
+        code: stable word, counted in /diagnostics ("no_solution", "joint_jump", "unknown_joint"
+            ...).
         reason: one sentence with the numbers (residual, limit).
     """
 
@@ -68,8 +71,10 @@ class Posture:
 
     Attributes:
         pose: of the TCP in the base frame.
-        smallest_singular_value: of the TCP's Jacobian in m and rad per joint unit; 0 in a singularity, None unknown.
-        near: every pair nearer than the profile's `collision` allows, once; None when that is not checked.
+        smallest_singular_value: of the TCP's Jacobian in m and rad per joint unit; 0 in a
+            singularity, None unknown.
+        near: every pair nearer than the profile's `collision` allows, once; None when that is not
+            checked.
     """
 
     pose: Pose
@@ -84,8 +89,9 @@ class RobotState:
     Attributes:
         joints: all joints the driver reports, the gripper's included.
         gripper_open: 0 closed .. 1 open; None without a gripper.
-        detail: facts worth showing in get_status, as text (for a simulation: where the objects are). "fault" says what
-            has stopped the robot by itself; once it has been there, nothing moves before somebody asks for it anew.
+        detail: facts worth showing in get_status, as text (for a simulation: where the objects
+            are). "fault" says what has stopped the robot by itself; once it has been there, nothing
+            moves before somebody asks for it anew.
     """
 
     joints: JointSample

@@ -1,6 +1,8 @@
-"""What a backend sees: images, the instruction, proprioception, each with its own time, and what is played meanwhile.
+"""What a backend sees: images, the instruction, proprioception, each with its own time, and what is
+played meanwhile.
 
-Arrays are kept as read-only copies. An image is too large to copy at every hop: a frame keeps a read-only view of it.
+Arrays are kept as read-only copies. An image is too large to copy at every hop: a frame keeps a
+read-only view of it.
 """
 
 from __future__ import annotations
@@ -22,10 +24,11 @@ class CameraCalibration:
     """A pinhole camera and where it is mounted.
 
     Attributes:
-        intrinsics: float64 (3, 3) in pixels; u to the right, v down, pixel centres at integers + 0.5.
+        intrinsics: float64 (3, 3) in pixels; u to the right, v down, pixel centres at integers +
+            0.5.
         mount: "base" (fixed beside the robot) or "tcp" (carried by the end effector).
-        T_mount_camera: float64 (4, 4), pose of the optical frame in the mount frame [m]; the optical frame looks
-            along +z with x right and y down (REP 103).
+        T_mount_camera: float64 (4, 4), pose of the optical frame in the mount frame [m]; the
+            optical frame looks along +z with x right and y down (REP 103).
     """
 
     intrinsics: F64
@@ -42,7 +45,8 @@ class Frame:
 
     Attributes:
         camera: the camera's name on the robot ("front", "wrist").
-        image: uint8 (H, W, 3), RGB, row 0 on top; a read-only view, whose memory its source does not write to again.
+        image: uint8 (H, W, 3), RGB, row 0 on top; a read-only view, whose memory its source does
+            not write to again.
         stamp_ns: capture time, ROS clock [ns].
         frame_id: optical frame's name, never empty.
         calibration: None when the robot's profile has none for this camera.
@@ -101,20 +105,21 @@ class JointSample:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Ahead:
-    """Actions between the capture of an observation and the end of what is already planned. A read-only copy.
+    """Actions between the capture of an observation and the end of what is already planned. A
+    read-only copy.
 
-    Row 0 is the first one sent after the capture, so it is meant for the same moment as row 0 of the new chunk. Some of
-    the rows may have been sent when the backend sees them.
+    Row 0 is the first one sent after the capture, so it is meant for the same moment as row 0 of
+    the new chunk. Some of the rows may have been sent when the backend sees them.
 
     Attributes:
         rows: float64 (N, 7), N >= 0, contract units, oldest first.
         committed_rows: so many of them will be played whatever the backend answers, 0 .. N.
         step_s: their period [s], > 0.
-        context: what the running chunk carried as `ActionChunk.context`; None when it carried nothing, or when rows of
-            another instruction lie between.
+        context: what the running chunk carried as `ActionChunk.context`; None when it carried
+            nothing, or when rows of another instruction lie between.
         context_row: row of the running chunk that `rows[0]` is.
-        state_ahead_s: `ee_pose` and `gripper_open` of the observation are predicted for this long after the capture
-            [s]; 0 when they are measured.
+        state_ahead_s: `ee_pose` and `gripper_open` of the observation are predicted for this long
+            after the capture [s]; 0 when they are measured.
 
     Raises:
         InvalidInputError: a shape or number is outside of what is said here.
@@ -130,13 +135,18 @@ class Ahead:
     def __post_init__(self) -> None:
         rows = np.asarray(self.rows, dtype=np.float64)
         if rows.ndim != 2 or rows.shape[1] != 7 or not np.isfinite(rows).all():
-            raise InvalidInputError(f"Rows ahead have shape {rows.shape}, expected finite numbers (N, 7).")
+            raise InvalidInputError(
+                f"Rows ahead have shape {rows.shape}, expected finite numbers (N, 7)."
+            )
         if not 0 <= self.committed_rows <= len(rows) or self.context_row < 0:
             raise InvalidInputError(
-                f"committed_rows is {self.committed_rows} of {len(rows)} rows, context_row {self.context_row}."
+                f"committed_rows is {self.committed_rows} of {len(rows)} rows, context_row "
+                f"{self.context_row}."
             )
         if not self.step_s > 0 or self.state_ahead_s < 0:
-            raise InvalidInputError(f"step_s is {self.step_s}, state_ahead_s {self.state_ahead_s}: no times ahead.")
+            raise InvalidInputError(
+                f"step_s is {self.step_s}, state_ahead_s {self.state_ahead_s}: no times ahead."
+            )
         freeze(self, "rows")
 
 
@@ -145,14 +155,15 @@ class Observation:
     """Everything a backend may use for one prediction.
 
     Attributes:
-        frames: newest frame by *role* ("primary", "wrist"), exactly the roles that the backend's descriptor names.
+        frames: newest frame by *role* ("primary", "wrist"), exactly the roles that the backend's
+            descriptor names.
         instruction: what to do, as the agent gave it; never empty.
         joints: measured joints, or None when the backend's descriptor does not ask for state.
         ee_pose: measured TCP pose in the base frame, or None likewise.
         gripper_open: measured opening, 0 closed .. 1 open, or None likewise.
         stamp_ns: capture time of the oldest frame, ROS clock [ns].
-        ahead: what is played meanwhile, for backends that declare `conditions_on_rows` or `takes_predicted_state`;
-            None for others, and when nothing is planned.
+        ahead: what is played meanwhile, for backends that declare `conditions_on_rows` or
+            `takes_predicted_state`; None for others, and when nothing is planned.
     """
 
     frames: Mapping[str, Frame]

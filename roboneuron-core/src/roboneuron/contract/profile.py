@@ -1,4 +1,5 @@
-"""What is true of a robot whichever driver moves it: joints, limits, TCP, gripper, cameras, exposed endpoints.
+"""What is true of a robot whichever driver moves it: joints, limits, TCP, gripper, cameras, exposed
+endpoints.
 
 Arrays are kept as read-only copies.
 """
@@ -28,20 +29,25 @@ def prismatic_joints(urdf: str) -> frozenset[str]:
         root = ET.fromstring(urdf)
     except ET.ParseError:
         return frozenset()
-    return frozenset(joint.get("name", "") for joint in root.iter("joint") if joint.get("type") == "prismatic")
+    return frozenset(
+        joint.get("name", "") for joint in root.iter("joint") if joint.get("type") == "prismatic"
+    )
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class JointLimits:
-    """Official limits of the arm's joints; arrays are float64 (n,) in the order of `RobotProfile.arm_joints`.
+    """Official limits of the arm's joints; arrays are float64 (n,) in the order of
+    `RobotProfile.arm_joints`.
 
     Attributes:
         lower, upper: position [rad or m].
         velocity: [rad/s or m/s].
         acceleration: [rad/s^2 or m/s^2].
         effort: [Nm or N].
-        braking_offset, braking_deceleration: [rad/s], [rad/s^2] (or m) of robots that slow down near a position
-            limit: towards it, velocity is at most -offset + sqrt(2 * deceleration * distance to the limit), and never
+        braking_offset, braking_deceleration: [rad/s], [rad/s^2] (or m) of robots that slow down
+            near a position
+            limit: towards it, velocity is at most -offset + sqrt(2 * deceleration * distance to the
+                limit), and never
             negative. None where velocity does not depend on position.
     """
 
@@ -100,7 +106,9 @@ class CameraProfile:
     calibration: CameraCalibration | None = None
 
     def calibration_at(self, width: int, height: int) -> CameraCalibration | None:
-        """Calibration of an image of `width` x `height` [px]; None when the aspect ratio is not the nominal one."""
+        """Calibration of an image of `width` x `height` [px]; None when the aspect ratio is not
+        the nominal one.
+        """
         if self.calibration is None or width * self.height != height * self.width:
             return None
         scale = np.diag([width / self.width, height / self.height, 1.0])
@@ -135,9 +143,11 @@ class CollisionProfile:
     """What the arm must not touch; its own shapes are the collision elements of the URDF.
 
     Attributes:
-        min_distance_m: least distance between links that do not share a joint, and between links and obstacles.
+        min_distance_m: least distance between links that do not share a joint, and between links
+            and obstacles.
         obstacles: what stands around the arm and does not move.
-        tool_links: links that work close to obstacles, such as fingers: they only must not touch them.
+        tool_links: links that work close to obstacles, such as fingers: they only must not touch
+            them.
     """
 
     min_distance_m: float = 0.01
@@ -148,16 +158,21 @@ class CollisionProfile:
 _TOPIC = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 _LONGEST_TOPIC = 200
 TOPIC_RULE = (
-    'A name is words of letters, digits and underscores with "/" between them, such as /arm/joint_states; no word '
+    'A name is words of letters, digits and underscores with "/" between them, such as '
+    "/arm/joint_states; no word "
     f"begins with a digit, and it has at most {_LONGEST_TOPIC} characters."
 )
 """Source: https://design.ros2.org/articles/topic_and_service_names.html."""
 
 
 def check_topic(name: str) -> None:
-    """Raise InvalidInputError unless this may be the name of a topic, absolute or in a namespace."""
+    """Raise InvalidInputError unless this may be the name of a topic, absolute or in a
+    namespace.
+    """
     if len(name) > _LONGEST_TOPIC or not _TOPIC.fullmatch(name):
-        raise InvalidInputError(f"{name[:80]!a} is not a topic name.", hint=TOPIC_RULE, path="topic")
+        raise InvalidInputError(
+            f"{name[:80]!a} is not a topic name.", hint=TOPIC_RULE, path="topic"
+        )
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -165,17 +180,21 @@ class Endpoint:
     """A ROS interface of the robot that the agent may use directly.
 
     Attributes:
-        name: short snake_case noun; tools are called `publish_<name>`, `read_<name>`, `call_<name>` ...
+        name: short snake_case noun; tools are called `publish_<name>`, `read_<name>`, `call_<name>`
+            ...
         kind: "publish", "read", "service" or "action": what the agent may do.
         topic: relative to the robot's namespace, or absolute.
         type: "package/msg/Name", "package/srv/Name" or "package/action/Name".
         summary: one line for the agent.
         bounds: dotted field path -> (lowest, highest) value, in the field's own unit.
         rate_hz: most messages per second; 0 means no bound.
-        stop_message: field path -> value that ends a motion ("" for no stop message, "zero" for all zeros).
+        stop_message: field path -> value that ends a motion ("" for no stop message, "zero" for all
+            zeros).
         joint_limited: check positions and velocities against the profile's joint limits.
-        min_turning_radius_m: of a base that steers like a car; its twists are no sharper. 0: it turns on the spot.
-        repeat_hz: a value that is to last is sent again this often, because the robot stops when messages cease;
+        min_turning_radius_m: of a base that steers like a car; its twists are no sharper. 0: it
+            turns on the spot.
+        repeat_hz: a value that is to last is sent again this often, because the robot stops when
+            messages cease;
             repetitions do not count against `rate_hz`. 0: it is sent once.
     """
 
@@ -199,8 +218,9 @@ class RobotProfile:
     Attributes:
         name: as in the descriptor.
         urdf: the robot description as XML text; empty for robots without kinematics (mobile bases).
-        base_link, tcp_link: link names in the URDF; actions move `tcp_link` in the frame of `base_link`. The TCP's
-            z axis points out of the gripper, which the state of learned policies relies on.
+        base_link, tcp_link: link names in the URDF; actions move `tcp_link` in the frame of
+            `base_link`. The TCP's z axis points out of the gripper, which the state of learned
+            policies relies on.
         arm_joints: names of the joints that the controller moves, base to tip.
         limits: None for robots without arm joints.
         home_rad: float64 (n,), a posture that is safe to start from; None likewise.
@@ -209,7 +229,8 @@ class RobotProfile:
         workspace: None when nothing but the joint limits bounds the TCP.
         collision: None when links and obstacles are not checked by default.
         endpoints: what the agent may use on the direct path.
-        own_topics: topics in its namespace that its drivers and simulations write, besides those of the contract and
+        own_topics: topics in its namespace that its drivers and simulations write, besides those of
+            the contract and
             those of `endpoints` that are read: nobody else is let publish them.
     """
 
@@ -231,10 +252,14 @@ class RobotProfile:
         freeze(self, "home_rad")
 
     def tolerance(self, joint: str) -> float:
-        """How near a joint has to be to count as there: 0.01 rad or 1 mm, and at most 1/40 of a gripper's travel."""
+        """How near a joint has to be to count as there: 0.01 rad or 1 mm, and at most 1/40 of a
+        gripper's travel.
+        """
         arrived = ARRIVED_M if joint in prismatic_joints(self.urdf) else ARRIVED_RAD
         if self.gripper is not None and joint == self.gripper.joint:
-            return min(arrived, abs(self.gripper.open_position - self.gripper.closed_position) / 40.0)
+            return min(
+                arrived, abs(self.gripper.open_position - self.gripper.closed_position) / 40.0
+            )
         return arrived
 
     def camera(self, name: str) -> CameraProfile | None:

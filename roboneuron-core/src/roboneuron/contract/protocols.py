@@ -1,7 +1,9 @@
-"""How plugins behave: small protocols, pure constructors, `load`/`open` do the work, `close` is idempotent.
+"""How plugins behave: small protocols, pure constructors, `load`/`open` do the work, `close` is
+idempotent.
 
-Each class named by a descriptor's `target` is called as `target(config, ...)` with the arguments its protocol names;
-`config` is an instance of the pydantic model that the descriptor's `config` names (or None when it names none).
+Each class named by a descriptor's `target` is called as `target(config, ...)` with the arguments
+its protocol names; `config` is an instance of the pydantic model that the descriptor's `config`
+names (or None when it names none).
 """
 
 from __future__ import annotations
@@ -27,28 +29,41 @@ Accelerated = TypeVar("Accelerated", contravariant=True)
 
 
 class Topics(Protocol):
-    """What the host process lends a plugin of the ROS graph: nothing but topics under the robot's namespace.
+    """What the host process lends a plugin of the ROS graph: nothing but topics under the robot's
+    namespace.
 
-    Handed to perception sources and robot drivers. Message classes are ordinary rosidl classes; callbacks run on the
-    host's executor thread and must return quickly. A name that begins with a slash is taken as it is.
+    Handed to perception sources and robot drivers. Message classes are ordinary rosidl classes;
+    callbacks run on the host's executor thread and must return quickly. A name that begins with a
+    slash is taken as it is.
     """
 
     def subscribe(
-        self, topic: str, message_type: type[M], callback: Callable[[M], None], *, best_effort: bool = False
+        self,
+        topic: str,
+        message_type: type[M],
+        callback: Callable[[M], None],
+        *,
+        best_effort: bool = False,
     ) -> None:
-        """Call `callback` with every message (reliable, depth 1: the newest wins) until the host closes.
+        """Call `callback` with every message (reliable, depth 1: the newest wins) until the host
+        closes.
 
-        With `best_effort` it hears publishers that are best effort too, as many camera drivers are, and stays reliable
-        towards those that are not. Called from `open`, on the host's executor thread.
+        With `best_effort` it hears publishers that are best effort too, as many camera drivers are,
+        and stays reliable towards those that are not. Called from `open`, on the host's executor
+        thread.
         """
         ...
 
     def advertise(self, topic: str, message_type: type[M]) -> Callable[[M], None]:
-        """Return a function that publishes on `topic` (reliable, depth 1); callable from any thread."""
+        """Return a function that publishes on `topic` (reliable, depth 1); callable from any
+        thread.
+        """
         ...
 
     def publisher_types(self, topic: str) -> tuple[str, ...]:
-        """Message type ("package/msg/Name") of each publisher of `topic` discovered so far; from any thread."""
+        """Message type ("package/msg/Name") of each publisher of `topic` discovered so far;
+        from any thread.
+        """
         ...
 
     def now_ns(self) -> int:
@@ -58,7 +73,8 @@ class Topics(Protocol):
 
 @runtime_checkable
 class Backend(Protocol):
-    """Image -> action. Built as `target(config, runtime=..., acceleration=...)`; used from one worker thread.
+    """Image -> action. Built as `target(config, runtime=..., acceleration=...)`; used from one
+    worker thread.
 
     `runtime` and `acceleration` are None unless the descriptor declares that it takes them.
     """
@@ -67,7 +83,8 @@ class Backend(Protocol):
         """Read weights, warm up. Called once, during `configure`, before the first `predict`.
 
         Raises:
-            CheckpointError, ConfigurationError, MissingDependencyError: the process reports it and stays unconfigured.
+            CheckpointError, ConfigurationError, MissingDependencyError: the process reports it and
+                stays unconfigured.
         """
         ...
 
@@ -75,9 +92,12 @@ class Backend(Protocol):
         """Return what to do next, already in the contract's units and frame.
 
         Raises:
-            UngroundedError: cannot act on this observation; nothing is published and the status says why.
-            UnsafeError: the model produced non-finite values, or the observation holds some; nothing is published.
-            InvalidInputError: a frame or a part of the state that the descriptor declares is absent.
+            UngroundedError: cannot act on this observation; nothing is published and the status
+                says why.
+            UnsafeError: the model produced non-finite values, or the observation holds some;
+                nothing is published.
+            InvalidInputError: a frame or a part of the state that the descriptor declares is
+                absent.
             StateError: before `load` or after `close`.
         """
         ...
@@ -93,15 +113,19 @@ class Backend(Protocol):
 
 @runtime_checkable
 class Runtime(Protocol[Model, Request, Answer, Decoder]):
-    """Executes a model family's decoder for a backend, in process or served. Built as `target(config)`.
+    """Executes a model family's decoder for a backend, in process or served. Built as
+    `target(config)`.
 
-    What `load` takes and what requests look like is agreed per model family between the packages concerned, in types
-    that a package of the family binds here (`Runtime[MyModel, MyRequest, MyAnswer, MyDecoder]`); the descriptor's
-    `families` names them and planning matches them.
+    What `load` takes and what requests look like is agreed per model family between the packages
+    concerned, in types that a package of the family binds here
+    (`Runtime[MyModel, MyRequest, MyAnswer, MyDecoder]`); the descriptor's `families` names them and
+    planning matches them.
     """
 
     def load(self, model: Model, acceleration: Acceleration[Decoder] | None = None) -> None:
-        """Take the model (in process: read its weights; served: reach the server and check what it serves)."""
+        """Take the model (in process: read its weights; served: reach the server and check what
+        it serves).
+        """
         ...
 
     def run(self, request: Request) -> Answer:
@@ -126,7 +150,8 @@ class Acceleration(Protocol[Accelerated]):
     """A named preset that changes how a loaded model is executed. Built as `target(config)`."""
 
     def apply(self, decoder: Accelerated) -> None:
-        """Install the preset into a decoder of a runtime that has the capability the descriptor requires.
+        """Install the preset into a decoder of a runtime that has the capability the descriptor
+        requires.
 
         Raises:
             InvalidInputError: the decoder is of a kind that the preset does not know.
@@ -135,14 +160,18 @@ class Acceleration(Protocol[Accelerated]):
 
 
 AnyRuntime: TypeAlias = Runtime[Never, Never, object, object]
-"""A runtime of a family that is not known here: it can be handed on, aborted and closed, but not used."""
+"""A runtime of a family that is not known here: it can be handed on, aborted and closed, but
+not used.
+"""
 AnyAcceleration: TypeAlias = Acceleration[Never]
 """Likewise an acceleration."""
 
 
 @runtime_checkable
 class PerceptionSource(Protocol):
-    """Produces camera frames. Built as `target(config, topics, cameras)`: `cameras` are the profiles to serve."""
+    """Produces camera frames. Built as `target(config, topics, cameras)`: `cameras` are the
+    profiles to serve.
+    """
 
     def open(self) -> None:
         """Acquire the device. Raises NotReadyError or ConfigurationError with what to do."""
@@ -164,18 +193,24 @@ class PerceptionSource(Protocol):
 
 @runtime_checkable
 class Controller(Protocol):
-    """Pure computation from action and measured joints to a joint command. Built as `target(config, profile)`."""
+    """Pure computation from action and measured joints to a joint command. Built as
+    `target(config, profile)`.
+    """
 
     def load(self) -> None:
         """Parse the robot description. Raises ConfigurationError."""
         ...
 
     def forward(self, joints: JointSample) -> Pose:
-        """TCP pose in the base frame for measured joints. Raises UnsafeError for missing or non-finite joints."""
+        """TCP pose in the base frame for measured joints. Raises UnsafeError for missing or
+        non-finite joints.
+        """
         ...
 
     def compute(self, action: Action, joints: JointSample, step_s: float) -> JointCommand | Hold:
-        """Return where to go within `step_s`, or why the robot should hold. Never raises for bad numbers."""
+        """Return where to go within `step_s`, or why the robot should hold. Never raises for
+        bad numbers.
+        """
         ...
 
     def close(self) -> None:
@@ -185,13 +220,16 @@ class Controller(Protocol):
 
 @runtime_checkable
 class PostureInspector(Protocol):
-    """What a controller may offer beside `Controller`, so that singularities and collisions can be limited.
+    """What a controller may offer beside `Controller`, so that singularities and collisions can be
+    limited.
 
-    The control module asks it about every command; the server asks an instance of its own about joint motions.
+    The control module asks it about every command; the server asks an instance of its own about
+    joint motions.
     """
 
     def inspect(self, joints: JointSample) -> Posture:
-        """Return what holds in a posture, measured or planned, by the `collision` of the profile it was built with.
+        """Return what holds in a posture, measured or planned, by the `collision` of the profile it
+        was built with.
 
         Joints beside the arm's (a gripper's) count where `joints` names them. Raises UnsafeError as
         `Controller.forward`.
@@ -201,18 +239,24 @@ class PostureInspector(Protocol):
 
 @runtime_checkable
 class RobotDriver(Protocol):
-    """Moves one robot. Built as `target(config, profile, topics)`; called from the robot module's threads."""
+    """Moves one robot. Built as `target(config, profile, topics)`; called from the robot
+    module's threads.
+    """
 
     def open(self) -> None:
         """Connect or start the simulation. Raises NotReadyError or ConfigurationError."""
         ...
 
     def read(self) -> RobotState:
-        """Return the newest measured state without blocking for over a millisecond. Raises StateError unless open."""
+        """Return the newest measured state without blocking for over a millisecond. Raises
+        StateError unless open.
+        """
         ...
 
     def send(self, command: JointCommand) -> JointCommand:
-        """Start moving; returns what was really sent after the driver's own limits. Raises InvalidInputError."""
+        """Start moving; returns what was really sent after the driver's own limits. Raises
+        InvalidInputError.
+        """
         ...
 
     def hold(self) -> None:

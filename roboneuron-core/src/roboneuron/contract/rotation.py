@@ -1,4 +1,6 @@
-"""Rotations as the contract uses them: rotation vectors [rad], 3x3 matrices, unit quaternions in x y z w order."""
+"""Rotations as the contract uses them: rotation vectors [rad], 3x3 matrices, unit quaternions
+in x y z w order.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,9 @@ _SMALL_ANGLE_RAD = 1e-8
 
 
 def matrix_from_rotvec(rotvec_rad: F64) -> F64:
-    """Exponential map: rotation vector (3,) [rad] -> rotation matrix (3, 3). Source: Rodrigues' formula."""
+    """Exponential map: rotation vector (3,) [rad] -> rotation matrix (3, 3). Source: Rodrigues'
+    formula.
+    """
     angle = float(np.linalg.norm(rotvec_rad))
     x, y, z = (float(c) for c in rotvec_rad)
     skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
@@ -34,7 +38,9 @@ def rotvec_from_matrix(matrix: F64) -> F64:
 
 
 def quaternion_from_matrix(matrix: F64) -> F64:
-    """Rotation matrix (3, 3) -> unit quaternion (4,) x y z w with w >= 0. Source: Shepperd 1978 (largest pivot)."""
+    """Rotation matrix (3, 3) -> unit quaternion (4,) x y z w with w >= 0. Source: Shepperd 1978
+    (largest pivot).
+    """
     m = matrix
     trace = m[0, 0] + m[1, 1] + m[2, 2]
     pivots = np.array([m[0, 0], m[1, 1], m[2, 2], trace])

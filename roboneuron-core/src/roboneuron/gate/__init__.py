@@ -1,8 +1,16 @@
 """What keeps a robot safe whoever moves it: limits of motion, emergency stop, roles, audit."""
 
-# fmt: off
 from roboneuron.gate.audit import AuditLog, AuditRecord
 from roboneuron.gate.estop import EmergencyStopLatch, LatchState
 from roboneuron.gate.roles import ADMIN, OPERATOR, ROLES, VIEWER
 
-__all__ = ["ADMIN", "OPERATOR", "ROLES", "VIEWER", "AuditLog", "AuditRecord", "EmergencyStopLatch", "LatchState"]
+__all__ = [
+    "ADMIN",
+    "OPERATOR",
+    "ROLES",
+    "VIEWER",
+    "AuditLog",
+    "AuditRecord",
+    "EmergencyStopLatch",
+    "LatchState",
+]

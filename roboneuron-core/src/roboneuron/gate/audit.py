@@ -1,4 +1,6 @@
-"""Audit log: one JSON line per decision, rotated by size. Nothing moves while it cannot be written."""
+"""Audit log: one JSON line per decision, rotated by size. Nothing moves while it cannot be
+written.
+"""
 
 from __future__ import annotations
 
@@ -32,8 +34,9 @@ class AuditRecord:
         who, role: the client.
         tool, robot, endpoint: the tool that was called, and the endpoint of which robot it uses.
         arguments: as the client sent them, truncated.
-        verdict: "allowed", "refused", "would_allow" or "would_refuse" (dry run); "scaled" or "held" (control);
-            "latched" or "restored" (emergency stop); "cut" (the line before is no record).
+        verdict: "allowed", "refused", "would_allow" or "would_refuse" (dry run); "scaled" or "held"
+            (control); "latched" or "restored" (emergency stop); "cut" (the line before is no
+            record).
         rule, reason: the limit or rule that applied, and a sentence with the numbers.
         clamped: values that were changed, as "path: asked -> sent".
     """
@@ -51,16 +54,28 @@ class AuditRecord:
 
 
 _CUT = AuditRecord(
-    who="audit", role="", tool="", verdict="cut", rule="audit", reason="The line before was cut short and is no record."
+    who="audit",
+    role="",
+    tool="",
+    verdict="cut",
+    rule="audit",
+    reason="The line before was cut short and is no record.",
 )
 """Written after a line that a power failure or a killed process has left without an end."""
 
 
 class AuditLog:
-    """Append-only file of records, shared by several processes. Thread-safe. The constructor opens nothing."""
+    """Append-only file of records, shared by several processes. Thread-safe. The constructor
+    opens nothing.
+    """
 
     def __init__(
-        self, path: Path, clock_ns: Callable[[], int], *, max_bytes: int = 10_000_000, backups: int = 5
+        self,
+        path: Path,
+        clock_ns: Callable[[], int],
+        *,
+        max_bytes: int = 10_000_000,
+        backups: int = 5,
     ) -> None:
         """Args:
         path: the current file; its directory is created with the first record.
@@ -70,7 +85,9 @@ class AuditLog:
         """
         self.path = path
         self.on_record: Callable[[AuditRecord], object] = lambda record: None
-        """Called with each record that was written, on the thread of the writer; must return quickly."""
+        """Called with each record that was written, on the thread of the writer; must return
+        quickly.
+        """
         self._clock_ns = clock_ns
         self._max_bytes = max_bytes
         self._backups = max(1, backups)
@@ -81,7 +98,8 @@ class AuditLog:
         """Whether writing the last record failed; a motion in progress has to end then."""
 
     def write(self, record: AuditRecord) -> None:
-        """Append a record: handed to the operating system when this returns, not necessarily synced to the disk.
+        """Append a record: handed to the operating system when this returns, not necessarily synced
+        to the disk.
 
         Raises:
             RefusedError: it cannot be written; nothing may move.
@@ -94,18 +112,27 @@ class AuditLog:
                 self.failed = True
                 self._close()
                 raise RefusedError(
-                    f"The audit {self.path} cannot be written: {error.strerror or error}. Nothing moves without it.",
+                    f"The audit {self.path} cannot be written: {error.strerror or error}. Nothing "
+                    "moves without it.",
                     hint="Free disk space or mend the permissions of the state directory.",
                 ) from error
             self.failed = False
         self.on_record(record)
 
     def write_if_possible(self, record: AuditRecord) -> None:
-        """`write` for what must happen without a record too, such as an emergency stop; a failure is logged."""
+        """`write` for what must happen without a record too, such as an emergency stop; a
+        failure is logged.
+        """
         try:
             self.write(record)
         except RefusedError as error:
-            log.error("%s by %s (%s) is not in the audit: %s", record.tool, record.who, record.verdict, error)
+            log.error(
+                "%s by %s (%s) is not in the audit: %s",
+                record.tool,
+                record.who,
+                record.verdict,
+                error,
+            )
 
     def close(self) -> None:
         """Close the file; the next record reopens it."""
@@ -152,7 +179,11 @@ class AuditLog:
             if self.path.exists() and self.path.stat().st_size + coming > self._max_bytes:
                 for number in range(self._backups, 0, -1):
                     older = self.path.with_name(f"{self.path.name}.{number}")
-                    newer = self.path if number == 1 else self.path.with_name(f"{self.path.name}.{number - 1}")
+                    newer = (
+                        self.path
+                        if number == 1
+                        else self.path.with_name(f"{self.path.name}.{number - 1}")
+                    )
                     if newer.exists():
                         newer.replace(older)
         self._open()
@@ -163,7 +194,11 @@ class AuditLog:
             "time": datetime.fromtimestamp(now_ns / 1e9, UTC).isoformat(timespec="milliseconds"),
             "time_ns": now_ns,
             # Not `asdict`, which copies the arguments.
-            **{name: value for name in record.__dataclass_fields__ if (value := getattr(record, name))},
+            **{
+                name: value
+                for name in record.__dataclass_fields__
+                if (value := getattr(record, name))
+            },
         }
         if "arguments" in entry:
             entry["arguments"] = _bounded(record.arguments)
@@ -173,7 +208,9 @@ class AuditLog:
 def _bounded(arguments: Mapping[str, Any]) -> Any:
     """The arguments as JSON values, truncated, or the reason why they cannot be serialized."""
     try:
-        text = json.dumps(arguments, separators=(",", ":"), default=lambda value: f"<{type(value).__name__}>")
+        text = json.dumps(
+            arguments, separators=(",", ":"), default=lambda value: f"<{type(value).__name__}>"
+        )
         if len(text) > _MAX_ARGUMENTS:
             return {"length": len(text), "begins": text[:_MAX_ARGUMENTS]}
         return json.loads(text, parse_constant=str)  # JSON has no NaN

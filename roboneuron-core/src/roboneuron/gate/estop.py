@@ -1,11 +1,13 @@
 """The emergency stop as a latch in a file: while the file exists, nothing moves.
 
-Existence is all that counts, so that checking costs one system call, a damaged file still stops, a person can stop with
-`touch`, and the latch outlives every process. Whatever keeps it from being read counts as latched.
+Existence is all that counts, so that checking costs one system call, a damaged file still stops, a
+person can stop with `touch`, and the latch outlives every process. Whatever keeps it from being
+read counts as latched.
 
-A process that has seen the latch keeps it in memory too. Only a reset ends that: it renames the file instead of
-removing it, so that everybody can tell a file that was reset from one that was deleted, moved or lost with its
-directory. Such a file is written again, and counted.
+A process that has seen the latch keeps it in memory too. Only a reset ends that: it renames the
+    file instead of
+removing it, so that everybody can tell a file that was reset from one that was deleted, moved or
+lost with its directory. Such a file is written again, and counted.
 """
 
 from __future__ import annotations
@@ -61,12 +63,15 @@ class LatchState:
 
 
 class EmergencyStopLatch:
-    """A latch shared by all processes that use the same file; safe from any thread. Construction touches nothing.
+    """A latch shared by all processes that use the same file; safe from any thread. Construction
+    touches nothing.
 
     Who is to hold whatever happens to the file has to call `is_latched` now and then.
     """
 
-    def __init__(self, path: Path, clock_ns: Callable[[], int], clock_s: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self, path: Path, clock_ns: Callable[[], int], clock_s: Callable[[], float] = time.monotonic
+    ) -> None:
         """Args:
         path: the latch file; its directory is created when the stop is pressed.
         clock_ns: wall-clock time [ns].
@@ -77,7 +82,8 @@ class EmergencyStopLatch:
         self._clock_ns = clock_ns
         self._clock_s = clock_s
         self._held: LatchState | None = None
-        self._seen: tuple[int, int] | None = None  # device and inode of the newest file that was seen
+        # device and inode of the newest file that was seen
+        self._seen: tuple[int, int] | None = None
         self._tried_s = -_AGAIN_S
         self._spare: list[int] = []
         self._lock = threading.Lock()
@@ -85,7 +91,9 @@ class EmergencyStopLatch:
         self._telling: list[Callable[[], object]] = []
 
     def reserve(self) -> None:
-        """Keep a file handle for the latch's file: a process that has no other left still stops the others."""
+        """Keep a file handle for the latch's file: a process that has no other left still stops
+        the others.
+        """
         with suppress(OSError):
             self._spare.append(os.open(os.devnull, os.O_RDONLY | os.O_CLOEXEC))
 
@@ -98,14 +106,18 @@ class EmergencyStopLatch:
         return True
 
     def on_press(self, listener: Callable[[], object]) -> None:
-        """Have `listener` called when this process presses the stop, before anything is written or woken.
+        """Have `listener` called when this process presses the stop, before anything is written or
+        woken.
 
-        It runs on the pressing thread, must return at once and must not raise: it sends what stops a robot.
+        It runs on the pressing thread, must return at once and must not raise: it sends what stops
+            a robot.
         """
         self._stopping.append(listener)
 
     def on_pressed(self, listener: Callable[[], object]) -> None:
-        """As `on_press`, once the file is written, or could not be: it tells others and wakes threads."""
+        """As `on_press`, once the file is written, or could not be: it tells others and wakes
+        threads.
+        """
         self._telling.append(listener)
 
     def is_latched(self) -> bool:
@@ -134,25 +146,35 @@ class EmergencyStopLatch:
         return False
 
     def _restore(self) -> None:
-        """Write the file again: at once when it has vanished, now and then when it could not be written."""
+        """Write the file again: at once when it has vanished, now and then when it could not be
+        written.
+        """
         has_vanished, now_s = self._seen is not None, self._clock_s()
         if self._held is None or (not has_vanished and now_s - self._tried_s < _AGAIN_S):
             return
         self._held = replace(self._held, restored=self._held.restored + has_vanished)
         self._seen, self._tried_s = None, now_s
         if has_vanished:
-            log.error("The emergency stop's file %s vanished without a reset: written again.", self.path)
+            log.error(
+                "The emergency stop's file %s vanished without a reset: written again.", self.path
+            )
         try:
             self._create(self._held)
         except OSError as error:
-            log.error("The emergency stop's file %s cannot be written: %s; latched here.", self.path, error.strerror)
+            log.error(
+                "The emergency stop's file %s cannot be written: %s; latched here.",
+                self.path,
+                error.strerror,
+            )
 
     def check(self, note: str = "") -> None:
         """Raise RefusedError while latched; `note` follows the cause."""
         if self.is_latched():
             cause = self.read_state().cause
             by = f" by {cause}" if cause else ""
-            raise RefusedError(f"The emergency stop is latched{by}.{note}", hint="It has to be reset first.")
+            raise RefusedError(
+                f"The emergency stop is latched{by}.{note}", hint="It has to be reset first."
+            )
 
     def read_state(self) -> LatchState:
         """Who latched it and why, as far as the file tells."""
@@ -176,7 +198,8 @@ class EmergencyStopLatch:
             return LatchState(latched=True)
 
     def latch(self, *, who: str, reason: str, audit: AuditLog | None = None) -> LatchState:
-        """`press`, have it outlive a loss of power, and record it; returns the first cause when it is latched already.
+        """`press`, have it outlive a loss of power, and record it; returns the first cause when it
+        is latched already.
 
         Args:
             who: a client, person or signal.
@@ -193,15 +216,23 @@ class EmergencyStopLatch:
                 _sync(self.path.parent)
             return state
         finally:
-            record = AuditRecord(who=who[:200], role="", tool="emergency_stop", verdict="latched", reason=reason[:500])
+            record = AuditRecord(
+                who=who[:200],
+                role="",
+                tool="emergency_stop",
+                verdict="latched",
+                reason=reason[:500],
+            )
             if audit is not None:
                 audit.write_if_possible(record)
 
     def press(self, *, who: str, reason: str) -> LatchState:
-        """Forbid motion for every process; waits for no disk, so that it may be called where nothing may block.
+        """Forbid motion for every process; waits for no disk, so that it may be called where
+        nothing may block.
 
         Raises:
-            UnsafeError: the file cannot be created: only this process is stopped, the others do not know.
+            UnsafeError: the file cannot be created: only this process is stopped, the others do not
+                know.
         """
         failures = press_together([self], who=who, reason=reason)
         if failures:
@@ -209,7 +240,9 @@ class EmergencyStopLatch:
         return self.read_state()
 
     def _hold(self, state: LatchState) -> bool:
-        """Stop this process at once, whatever the disk says; False when the file is known to be there already."""
+        """Stop this process at once, whatever the disk says; False when the file is known to be
+        there already.
+        """
         with self._lock:
             if self._held is not None and self._look() and self._seen is not None:
                 return False
@@ -222,12 +255,15 @@ class EmergencyStopLatch:
             self._create(state)
         except OSError as error:
             raise UnsafeError(
-                f"The emergency stop cannot be written to {self.path}: {error.strerror}; only this process is stopped.",
+                f"The emergency stop cannot be written to {self.path}: {error.strerror}; only "
+                "this process is stopped.",
                 hint="Use the robot's own stop.",
             ) from error
 
     def _create(self, state: LatchState) -> None:
-        """Make the file with its cause; the latch holds without it, and the cause that came first is kept."""
+        """Make the file with its cause; the latch holds without it, and the cause that came
+        first is kept.
+        """
         make_log_directory(self.path.parent)
         is_reserved = self.release()
         try:
@@ -238,7 +274,9 @@ class EmergencyStopLatch:
 
     def _make_file(self, state: LatchState) -> None:
         try:
-            descriptor = os.open(self.path, os.O_CREAT | os.O_EXCL | os.O_WRONLY | os.O_CLOEXEC, 0o644)
+            descriptor = os.open(
+                self.path, os.O_CREAT | os.O_EXCL | os.O_WRONLY | os.O_CLOEXEC, 0o644
+            )
         except FileExistsError:
             with suppress(OSError):
                 self._seen = _identity(self.path)
@@ -262,41 +300,57 @@ class EmergencyStopLatch:
             pin: what a person has typed, where one is set.
 
         Raises:
-            RefusedError: the role has no right to, the PIN is wrong, or the audit cannot be written.
+            RefusedError: the role has no right to, the PIN is wrong, or the audit cannot be
+                written.
             StateError: the latch cannot be removed; it stays latched.
         """
         rule = "" if has_role(role, ADMIN) else "role"
         if not rule:
             ReleasePin(self.path.parent).check(pin, who=who, audit=audit)
         verdict = "refused" if rule else "allowed"
-        audit.write(AuditRecord(who=who, role=role, tool="reset_emergency_stop", verdict=verdict, rule=rule))
+        audit.write(
+            AuditRecord(who=who, role=role, tool="reset_emergency_stop", verdict=verdict, rule=rule)
+        )
         if rule:
-            raise RefusedError(f"Resetting the emergency stop needs the role {ADMIN!r}, {who!r} has {role!r}.")
+            raise RefusedError(
+                f"Resetting the emergency stop needs the role {ADMIN!r}, {who!r} has {role!r}."
+            )
         with self._lock:
             try:
                 if self._look() and self._seen is None:
-                    self._create(self._held or LatchState(latched=True))  # others learn of the reset by the file only
+                    # others learn of the reset by the file only
+                    self._create(self._held or LatchState(latched=True))
                 with suppress(FileNotFoundError):
-                    if stat.S_ISDIR(os.lstat(self.path).st_mode):  # the next reset could not replace it
+                    # the next reset could not replace it
+                    if stat.S_ISDIR(os.lstat(self.path).st_mode):
                         raise IsADirectoryError(errno.EISDIR, "it is a directory")
                     os.replace(self.path, self._reset_path)
                     _sync(self.path.parent)
             except OSError as error:
-                text = f"The latch {self.path} cannot be removed: {error.strerror}; it stays latched."
+                text = (
+                    f"The latch {self.path} cannot be removed: {error.strerror}; it stays latched."
+                )
                 raise StateError(text) from error
             self._held = self._seen = None
 
 
-def press_together(latches: Iterable[EmergencyStopLatch], *, who: str, reason: str) -> list[UnsafeError]:
-    """`EmergencyStopLatch.press` of all of them, each step for all before the next; returns what failed.
+def press_together(
+    latches: Iterable[EmergencyStopLatch], *, who: str, reason: str
+) -> list[UnsafeError]:
+    """`EmergencyStopLatch.press` of all of them, each step for all before the next; returns what
+    failed.
 
-    What stops the last robot is sent before the first file is written, and every file is written before a thread is
-    woken: each system call gives the interpreter away, and woken threads keep it for up to a millisecond each time.
+    What stops the last robot is sent before the first file is written, and every file is written
+    before a thread is
+    woken: each system call gives the interpreter away, and woken threads keep it for up to a
+        millisecond each time.
     """
     pressed: list[tuple[EmergencyStopLatch, LatchState]] = []
     failures: list[UnsafeError] = []
     for latch in latches:
-        state = LatchState(latched=True, who=who[:200], reason=reason[:500], time_ns=latch._clock_ns())
+        state = LatchState(
+            latched=True, who=who[:200], reason=reason[:500], time_ns=latch._clock_ns()
+        )
         if latch._hold(state):
             pressed.append((latch, state))
     for latch, _ in pressed:

@@ -1,7 +1,8 @@
-"""The PIN of the people who may release the emergency stop: optional, kept as a hash beside the latch.
+"""The PIN of the people who may release the emergency stop: optional, kept as a hash beside the
+latch.
 
-It keeps out whoever can type a command or answer a question, such as an agent with a shell, and does not know it. It
-does not keep out whoever can write to the state directory.
+It keeps out whoever can type a command or answer a question, such as an agent with a shell, and
+does not know it. It does not keep out whoever can write to the state directory.
 """
 
 from __future__ import annotations
@@ -29,7 +30,9 @@ _LEAST, _MOST = 4, 64
 _N, _R, _P, _MEMORY = 2**15, 8, 1, 64 * 2**20
 """Cost of scrypt: about 0.1 s and 32 MiB. Source: RFC 7914."""
 _FREE, _MOST_WAIT_S = 3, 300.0
-"""So many wrong PINs cost nothing; each one after that doubles the wait for the next attempt, from 2 s on."""
+"""So many wrong PINs cost nothing; each one after that doubles the wait for the next attempt,
+from 2 s on.
+"""
 
 
 class ReleasePin:
@@ -59,9 +62,13 @@ class ReleasePin:
             self.path.unlink(missing_ok=True)
             return
         if not _LEAST <= len(pin) <= _MOST:
-            raise InvalidInputError(f"The PIN has {len(pin)} characters; {_LEAST} to {_MOST} are allowed.")
+            raise InvalidInputError(
+                f"The PIN has {len(pin)} characters; {_LEAST} to {_MOST} are allowed."
+            )
         salt = secrets.token_bytes(16)
-        self._write({"salt": salt.hex(), "hash": _hash(pin, salt), "failures": 0, "not_before_s": 0.0})
+        self._write(
+            {"salt": salt.hex(), "hash": _hash(pin, salt), "failures": 0, "not_before_s": 0.0}
+        )
 
     def check(self, pin: str, *, who: str, audit: AuditLog) -> None:
         """Do nothing when no PIN is set or this is it; attempts are counted, delayed and audited.
@@ -75,16 +82,27 @@ class ReleasePin:
             reason = self._attempt(pin)
         if reason:
             record = AuditRecord(
-                who=who[:200], role="", tool="reset_emergency_stop", verdict="refused", rule="pin", reason=reason
+                who=who[:200],
+                role="",
+                tool="reset_emergency_stop",
+                verdict="refused",
+                rule="pin",
+                reason=reason,
             )
             audit.write_if_possible(record)
-            raise RefusedError(f"The emergency stop stays latched: {reason}", hint="Ask a person who knows the PIN.")
+            raise RefusedError(
+                f"The emergency stop stays latched: {reason}",
+                hint="Ask a person who knows the PIN.",
+            )
 
     def _attempt(self, pin: str) -> str:
         try:
             known = json.loads(self.path.read_text(encoding="utf-8"))
             salt, right = bytes.fromhex(known["salt"]), str(known["hash"])
-            failures, wait_s = int(known["failures"]), float(known["not_before_s"]) - self._clock_s()
+            failures, wait_s = (
+                int(known["failures"]),
+                float(known["not_before_s"]) - self._clock_s(),
+            )
         except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError):
             return f"the file of the PIN, {self.path}, cannot be read."
         if 0.0 < wait_s <= _MOST_WAIT_S:
@@ -95,7 +113,10 @@ class ReleasePin:
         failures += 1
         delay_s = 0.0 if failures <= _FREE else min(2.0 ** min(failures - _FREE, 16), _MOST_WAIT_S)
         self._write({**known, "failures": failures, "not_before_s": self._clock_s() + delay_s})
-        return f"the PIN is {'missing' if not pin else 'wrong'} (attempt {failures} since the last right one)."
+        return (
+            f"the PIN is {'missing' if not pin else 'wrong'} (attempt {failures} since the "
+            "last right one)."
+        )
 
     def _write(self, content: dict[str, Any]) -> None:
         make_log_directory(self.path.parent)

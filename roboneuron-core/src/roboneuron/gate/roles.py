@@ -2,7 +2,9 @@
 
 VIEWER, OPERATOR, ADMIN = "viewer", "operator", "admin"
 ROLES = (VIEWER, OPERATOR, ADMIN)
-"""Roles from least to most: read; also move; also expose and reset. Each includes the ones before it."""
+"""Roles from least to most: read; also move; also expose and reset. Each includes the ones
+before it.
+"""
 
 
 def has_role(role: str, least: str) -> bool:

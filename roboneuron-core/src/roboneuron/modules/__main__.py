@@ -1,4 +1,6 @@
-"""`python -m roboneuron.modules`: read ModuleSettings from stdin, run that module, leave with the parent."""
+"""`python -m roboneuron.modules`: read ModuleSettings from stdin, run that module, leave with
+the parent.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +42,9 @@ def _run(settings: ModuleSettings) -> None:
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     signals = Signals()
     signals.listen()
-    kind = cast("type[Module]", load_attribute(MODULE_CLASSES[settings.kind], "class of the module"))
+    kind = cast(
+        "type[Module]", load_attribute(MODULE_CLASSES[settings.kind], "class of the module")
+    )
     node = ModuleNode(settings, kind)
     executor = SingleThreadedExecutor()
     executor.add_node(node)

@@ -1,4 +1,6 @@
-"""Control: actions and measured joints in, joint commands out; holds when actions stop or anything is doubtful."""
+"""Control: actions and measured joints in, joint commands out; holds when actions stop or
+anything is doubtful.
+"""
 
 from __future__ import annotations
 
@@ -73,7 +75,9 @@ class ControlModule(Module):
         profile = load_profile(self.registry, section.name)
         self._profile = replace(profile, collision=collision_of(self.config.limits, profile))
         spec = self.registry.get("controller", config.controller)
-        self._controller = cast("Controller", build(spec, self.config.options(spec.name), self._profile))
+        self._controller = cast(
+            "Controller", build(spec, self.config.options(spec.name), self._profile)
+        )
         node.resources.callback(self._controller.close)
         self._controller.load()
         self._watched = JointWatch(self._profile, config.state_timeout_s)
@@ -89,10 +93,13 @@ class ControlModule(Module):
             self.status,
             state,
             immediate=immediate,
-            longest_s=self.config.robot.server_timeout_s,  # a longer command would outlive a frozen control
+            # a longer command would outlive a frozen control
+            longest_s=self.config.robot.server_timeout_s,
         )
         node.resources.callback(self._guard.close)
-        node.resources.callback(node.add_parameter(LIMITS_PARAMETER, "", self._tighten, self._why_not_tighten))
+        node.resources.callback(
+            node.add_parameter(LIMITS_PARAMETER, "", self._tighten, self._why_not_tighten)
+        )
         self.status.set_value("limits", "configured" if tightened is None else "tightened")
         self._ee_pose = node.advertise(PoseStamped, EE_POSE)
         commands = (JointState, JOINT_COMMAND) if immediate else (JointTrajectory, JOINT_TRAJECTORY)
@@ -123,10 +130,13 @@ class ControlModule(Module):
     def forget(self) -> None:
         """Hold; see `Module.forget`. Actions are dropped until somebody asks for motion."""
         if self._active:
-            self._hold(NEEDS_NEW_START, f"Motion needs a new start after a stop: {self.node.needs_start}.")
+            self._hold(
+                NEEDS_NEW_START, f"Motion needs a new start after a stop: {self.node.needs_start}."
+            )
 
     def follow(self, message: JointTrajectory | JointState, sent_s: float) -> JointCommand:
-        """Go on from where a command of the control before this one, sent then [monotonic s], has sent the arm.
+        """Go on from where a command of the control before this one, sent then [monotonic s], has
+        sent the arm.
 
         Raises:
             InvalidInputError: it is malformed.
@@ -139,7 +149,9 @@ class ControlModule(Module):
         return command
 
     def _limits_of(self, text: str) -> LimitsConfig:
-        """Raises ConfigurationError unless they fit the robot and are no wider than the configured ones."""
+        """Raises ConfigurationError unless they fit the robot and are no wider than the
+        configured ones.
+        """
         if not text:
             return self.config.limits
         try:
@@ -216,7 +228,8 @@ class ControlModule(Module):
             return "stale_action"
         if age_s < -FUTURE_S:
             return "future_action"
-        if source_ns < self._action_ns <= time.time_ns() + FUTURE_S * 1e9:  # else the clock was set back since
+        # else the clock was set back since
+        if source_ns < self._action_ns <= time.time_ns() + FUTURE_S * 1e9:
             return "reordered_action"
         if self._are_joints_stale():
             return "stale_joint_state"
@@ -234,10 +247,15 @@ class ControlModule(Module):
         if joints is None:  # excluded by `_why_not`
             return
         now_s = time.monotonic()
-        # By sending and by arrival: actions that were held up arrive together, and were not meant to follow each other.
+        # By sending and by arrival: actions that were held up arrive together, and were not meant
+        # to follow each other.
         spacing_s = (source_ns - self._action_ns) / 1e9 if self._action_ns else 0.0
         since_s = max(now_s - self._action_s, min(spacing_s, FIRST_STEP_S))
-        step_s = max(since_s, SHORTEST_STEP_S) if since_s < self._limits.action_timeout_s else FIRST_STEP_S
+        step_s = (
+            max(since_s, SHORTEST_STEP_S)
+            if since_s < self._limits.action_timeout_s
+            else FIRST_STEP_S
+        )
         self._action_ns = source_ns
         answer = self._controller.compute(action, joints, step_s)
         if self.handover.is_shadow(source_ns):
@@ -250,11 +268,15 @@ class ControlModule(Module):
         message = self._to_message(outcome) if isinstance(outcome, JointCommand) else None
         took_s = time.monotonic() - now_s
         if message is not None and (late := self._why_not(age_s + took_s, source_ns)):
-            # A slow controller, or a process that was frozen meanwhile: the command answers to what is past. Checked
-            # last, because a process that is frozen after this check sends it when it wakes up.
-            outcome = Hold(code=late, reason=f"A command was ready only {took_s:.3g} s after its action.")
+            # A slow controller, or a process that was frozen meanwhile: the command answers to what
+            # is past. Checked last, because a process that is frozen after this check sends it when
+            # it wakes up.
+            outcome = Hold(
+                code=late, reason=f"A command was ready only {took_s:.3g} s after its action."
+            )
             self._guard.rest(None, now_s)
-        if outcome is None:  # refused: what was sent before comes to its end, and is then held by the watchdog
+        # refused: what was sent before comes to its end, and is then held by the watchdog
+        if outcome is None:
             return
         self._action_s = now_s
         if isinstance(outcome, Hold):
@@ -280,16 +302,22 @@ class ControlModule(Module):
         if self._is_server_silent():
             if not self.node.needs_start:
                 self.node.require_start(SERVER_SILENT)
-            self._hold("server_silent", f"No sign of life of the server for {self._limits.server_timeout_s:g} s.")
+            self._hold(
+                "server_silent",
+                f"No sign of life of the server for {self._limits.server_timeout_s:g} s.",
+            )
         elif time.monotonic() - self._action_s > self._limits.action_timeout_s * HOLD_SHARE:
             self._hold("no_action", f"No action for {self._limits.action_timeout_s:g} s.")
         elif self._are_joints_stale():
-            self._hold("stale_joint_state", f"No joint state for {self._limits.state_timeout_s:g} s.")
+            self._hold(
+                "stale_joint_state", f"No joint state for {self._limits.state_timeout_s:g} s."
+            )
 
     def _hold(self, code: str, reason: str) -> None:
         """Command the measured posture, once per reason to hold.
 
-        Without a fresh one nothing is sent: the arm would go back to where it was. Its last command comes to an end,
+        Without a fresh one nothing is sent: the arm would go back to where it was. Its last command
+            comes to an end,
         and the next joint state is held at once. In shadow the arm is left to the other control.
         """
         if not self._is_ours_now():
@@ -314,10 +342,14 @@ class ControlModule(Module):
         self._hold_is_due = False
         arm = self._profile.arm_joints
         position = pick(joints.names, joints.position, arm)
-        self._command.publish(self._to_message(JointCommand(names=arm, position=position, duration_s=HOLD_DURATION_S)))
+        self._command.publish(
+            self._to_message(JointCommand(names=arm, position=position, duration_s=HOLD_DURATION_S))
+        )
         self._guard.rest(joints, time.monotonic())
 
     def _to_message(self, command: JointCommand) -> JointTrajectory | JointState:
         if self._limits.command == "joint_trajectory":
             return to_joint_trajectory(command)
-        return to_joint_state(JointSample(names=command.names, position=command.position, stamp_ns=self.node.now_ns()))
+        return to_joint_state(
+            JointSample(names=command.names, position=command.position, stamp_ns=self.node.now_ns())
+        )

@@ -1,8 +1,10 @@
-"""Execution of action chunks, one whole chunk after the other: when to predict, which row to send and when.
+"""Execution of action chunks, one whole chunk after the other: when to predict, which row to send
+and when.
 
-Everything is decided here under one lock; the threads that call it, one to predict and one to play, hold no state.
-Time comes from outside, so that tests and simulations run it by a virtual clock. A feature may put an executor of its
-own, derived from this one, in its place (`ModuleHost.make_executor`).
+Everything is decided here under one lock; the threads that call it, one to predict and one to play,
+hold no state. Time comes from outside, so that tests and simulations run it by a virtual clock. A
+feature may put an executor of its own, derived from this one, in its place
+(`ModuleHost.make_executor`).
 """
 
 from __future__ import annotations
@@ -20,11 +22,13 @@ from roboneuron.plugins.availability import install_command, package_of
 from roboneuron.plugins.specs import BackendSpec
 
 _PACE = 0.8
-"""The next image may be taken after this share of a step since the last row went out: the arm has then carried out most
-of it."""
+"""The next image may be taken after this share of a step since the last row went out: the arm has
+then carried out most of it."""
 _LEAST_WAIT_S = 0.001
 _RESYNC = 0.5
-"""A row that is later than this share of a period starts the period anew; less is jitter, and the grid is kept."""
+"""A row that is later than this share of a period starts the period anew; less is jitter, and
+the grid is kept.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,14 +98,15 @@ class Bounds:
 class ChunkExecutor:
     """Decides for one backend. Thread-safe.
 
-    Every instruction, emergency stop and handover begins a new epoch. Answers to observations of an earlier epoch are
-    dropped.
+    Every instruction, emergency stop and handover begins a new epoch. Answers to observations of an
+    earlier epoch are dropped.
 
     Args:
         bounds: ages of images.
 
     Attributes:
-        changed: held while anything is decided; notified when rows arrive or are sent, and when an epoch begins.
+        changed: held while anything is decided; notified when rows arrive or are sent, and when an
+            epoch begins.
     """
 
     def __init__(self, bounds: Bounds) -> None:
@@ -132,9 +137,14 @@ class ChunkExecutor:
                     return True
                 if now_s >= end_s:
                     break
-                # Between two chunks of sequential execution nothing but time makes a prediction wanted.
+                # Between two chunks of sequential execution nothing but time makes a prediction
+                # wanted.
                 is_paced = not self._rows and self._step_s is not None
-                wait_s = self._due_s - (1.0 - _PACE) * (self._step_s or 0.0) - now_s if is_paced else end_s - now_s
+                wait_s = (
+                    self._due_s - (1.0 - _PACE) * (self._step_s or 0.0) - now_s
+                    if is_paced
+                    else end_s - now_s
+                )
                 self.changed.wait(max(_LEAST_WAIT_S, min(wait_s, end_s - now_s)))
         return False
 
@@ -151,7 +161,8 @@ class ChunkExecutor:
     def answer(self, prediction: Prediction, chunk: ActionChunk, now_ns: int) -> str:
         """Take an answer over; returns "accepted", or a word for why the rows stay as they are.
 
-        "withdrawn": it was made for an earlier instruction or before a stop. A feature's executor has words of its own.
+        "withdrawn": it was made for an earlier instruction or before a stop. A feature's executor
+        has words of its own.
 
         Args:
             prediction: what `begin` returned.
@@ -160,7 +171,9 @@ class ChunkExecutor:
         """
         with self.changed:
             self.measure(prediction, chunk, now_ns)
-            outcome = self._put(prediction, chunk) if prediction.epoch == self._epoch else "withdrawn"
+            outcome = (
+                self._put(prediction, chunk) if prediction.epoch == self._epoch else "withdrawn"
+            )
             self.changed.notify_all()
             return outcome
 
@@ -192,7 +205,8 @@ class ChunkExecutor:
             None when no row is due.
 
         Raises:
-            NotReadyError: the image behind the row has become too old; the rest of its chunk is dropped.
+            NotReadyError: the image behind the row has become too old; the rest of its chunk is
+                dropped.
         """
         with self.changed:
             due_s = self.due_s()
@@ -204,7 +218,8 @@ class ChunkExecutor:
                 self.drop()
                 name = "max_image_age_s" if row.is_border else "max_tail_age_s"
                 raise NotReadyError(
-                    f"The image behind row {row.index + 1} of {row.horizon} was {age_s:.2f} s old when the row was "
+                    f"The image behind row {row.index + 1} of {row.horizon} was {age_s:.2f} s old "
+                    "when the row was "
                     f"due; {name} = {most_s:g} are allowed, so nothing was published.",
                     hint="Make the backend faster, or allow older images under [inference].",
                 )
@@ -214,7 +229,9 @@ class ChunkExecutor:
             return row
 
     def note_sent(self, vector: F64, now_s: float, now_ns: int) -> None:
-        """Count a row that the predecessor of a handover sent; the next row is due a period after it."""
+        """Count a row that the predecessor of a handover sent; the next row is due a period
+        after it.
+        """
         with self.changed:
             self._heard_s = now_s
             if self._rows:
@@ -223,7 +240,9 @@ class ChunkExecutor:
     # -- what interrupts
 
     def begin_epoch(self) -> None:
-        """Begin with another instruction, after a stop or a start: no row and no answer of before is played."""
+        """Begin with another instruction, after a stop or a start: no row and no answer of
+        before is played.
+        """
         with self.changed:
             self._epoch += 1
             self.drop()
@@ -235,9 +254,13 @@ class ChunkExecutor:
             self.changed.notify_all()
 
     def values(self) -> dict[str, str | float | int]:
-        """What the status tells of execution: numbers and words by name, without those that are unknown."""
+        """What the status tells of execution: numbers and words by name, without those that are
+        unknown.
+        """
         with self.changed:
-            reason = "no feature that executes chunks in another way is installed where this module runs"
+            reason = (
+                "no feature that executes chunks in another way is installed where this module runs"
+            )
             return {"mode": "sequential", "reason": reason, "rows": len(self._rows)}
 
     def _put(self, prediction: Prediction, chunk: ActionChunk) -> str:
@@ -262,7 +285,9 @@ def make_sequential(backend: BackendSpec, execution: str, bounds: Bounds) -> Chu
     if execution not in ("auto", "sequential"):
         package = package_of("feature", "execution")
         raise ConfigurationError(
-            f"inference.execution is {execution!r}, which no feature offers where backend {backend.name!r} runs.",
-            hint=f"For its interpreter: {install_command(*filter(None, [package]))}. Or use 'auto'.",
+            f"inference.execution is {execution!r}, which no feature offers where backend "
+            f"{backend.name!r} runs.",
+            hint=f"For its interpreter: {install_command(*filter(None, [package]))}. Or use "
+            "'auto'.",
         )
     return ChunkExecutor(bounds)

@@ -1,4 +1,6 @@
-"""Inference: newest images and proprioception in, actions out, one for each step of the backend's chunks."""
+"""Inference: newest images and proprioception in, actions out, one for each step of the
+backend's chunks.
+"""
 
 from __future__ import annotations
 
@@ -35,14 +37,25 @@ from roboneuron.modules.worker import Worker
 from roboneuron.planning import Plan, check_plan
 from roboneuron.plugins.specs import BackendSpec
 from roboneuron.ros.messages import to_action_message
-from roboneuron.ros.topics import ACTION, EE_POSE, JOINT_STATES, PREDICTIONS, camera_image, camera_info
+from roboneuron.ros.topics import (
+    ACTION,
+    EE_POSE,
+    JOINT_STATES,
+    PREDICTIONS,
+    camera_image,
+    camera_info,
+)
 
 _WAIT_S = 0.1
 _FIRST_LIMIT_S, _LEAST_LIMIT_S, _LIMIT_RATIO = 5.0, 0.4, 3.0
 _RECENT = 20
-"""A backend is stalled when it takes three times as long as it usually does; before the first prediction, after 5 s."""
+"""A backend is stalled when it takes three times as long as it usually does; before the first
+prediction, after 5 s.
+"""
 SILENCE_S = 1.0
-"""Without a usable observation for this long, inference reports an error (it has stopped acting long before)."""
+"""Without a usable observation for this long, inference reports an error (it has stopped acting
+long before).
+"""
 _SOURCES = {
     "image": ("image", "perception"),
     "joint_state": ("joint state", "the robot"),
@@ -55,15 +68,17 @@ log = logging.getLogger(__name__)
 class InferenceModule(Module):
     """Runs one backend on the newest observation, and publishes its actions one per step.
 
-    Two threads: one observes and predicts, one plays (`RowPlayer`). `ChunkExecutor` decides when each does what.
+    Two threads: one observes and predicts, one plays (`RowPlayer`). `ChunkExecutor` decides when
+        each does what.
 
     Attributes:
-        backend, runtime: what predicts, and what executes it; None for a backend that takes no runtime.
+        backend, runtime: what predicts, and what executes it; None for a backend that takes no
+            runtime.
         executor: what decides when to predict and what to send.
         before_prediction: called on the predicting thread between two predictions.
-        describe_prediction: lines of text to publish after each prediction, from what the backend was given, how its
-            answer is executed, whether it was reset before, its answer or why there is none, and whether somebody
-            listens; None unless a feature sets it.
+        describe_prediction: lines of text to publish after each prediction, from what the backend
+            was given, how its answer is executed, whether it was reset before, its answer or why
+            there is none, and whether somebody listens; None unless a feature sets it.
     """
 
     def __init__(self, node: ModuleNode) -> None:
@@ -127,7 +142,9 @@ class InferenceModule(Module):
 
     def activate(self) -> None:
         """Start acting on the instruction, when there is one."""
-        self._inputs.check_types(dict(self.node.get_topic_names_and_types()), self.node.get_namespace())
+        self._inputs.check_types(
+            dict(self.node.get_topic_names_and_types()), self.node.get_namespace()
+        )
         self._instruction.restart()
         self.executor.begin_epoch()
         self.status.set_waiting(self._inputs.missing() or "the first action")
@@ -142,7 +159,9 @@ class InferenceModule(Module):
             raise NotReadyError("The backend hangs in predict(); its process must be ended.")
 
     def emergency_stop(self, latched: bool) -> None:
-        """Forget what was planned; after a release, a new instruction is acted on by what is captured from then on."""
+        """Forget what was planned; after a release, a new instruction is acted on by what is
+        captured from then on.
+        """
         self._not_before_ns = self.node.now_ns()
         self.executor.begin_epoch()
 
@@ -151,18 +170,26 @@ class InferenceModule(Module):
         self._instruction.forget()
 
     def _give_up(self) -> None:
-        """End a prediction that a runtime works on, so that no server goes on with what nobody wants."""
+        """End a prediction that a runtime works on, so that no server goes on with what nobody
+        wants.
+        """
         if self.runtime is None:
             return
         try:
             self.runtime.abort()
-        except Exception:  # the module border: silence matters more than what a plugin says about it
+        except (
+            Exception
+        ):  # the module border: silence matters more than what a plugin says about it
             log.exception("the runtime could not give up its prediction")
 
     def _subscribe(self, cameras: dict[str, CameraProfile], *, with_state: bool) -> None:
         for role, camera in cameras.items():
-            self.node.subscribe(CameraInfo, camera_info(camera.name), partial(self._inputs.on_camera_info, role))
-            self.node.subscribe(Image, camera_image(camera.name), partial(self._inputs.on_image, role))
+            self.node.subscribe(
+                CameraInfo, camera_info(camera.name), partial(self._inputs.on_camera_info, role)
+            )
+            self.node.subscribe(
+                Image, camera_image(camera.name), partial(self._inputs.on_image, role)
+            )
         if with_state:
             self.node.subscribe(JointState, JOINT_STATES, self._inputs.on_joint_state)
             self.node.subscribe(PoseStamped, EE_POSE, self._inputs.on_ee_pose)
@@ -192,7 +219,8 @@ class InferenceModule(Module):
             self.status.set_ready()
             return
         prediction = self.executor.begin(replace(observation, instruction=instruction), captured_ns)
-        if self._instruction.count != count:  # changed meanwhile: the epoch may be that of the next one
+        # changed meanwhile: the epoch may be that of the next one
+        if self._instruction.count != count:
             return
         chunk = self._predict(prediction)
         now_ns = self.node.now_ns()
@@ -207,11 +235,14 @@ class InferenceModule(Module):
             outcome = self.executor.answer(prediction, chunk, now_ns)
             if outcome != "accepted":
                 self.status.dropped.add(f"{outcome}_chunk")
-        for name, value in self.executor.values().items():  # how chunks are executed, and the numbers that decided
+        # how chunks are executed, and the numbers that decided
+        for name, value in self.executor.values().items():
             self.status.set_value(f"execution.{name}", value)
 
     def _observe(self) -> Observation | None:
-        """The newest observation, without its instruction; None when there is none to act on now."""
+        """The newest observation, without its instruction; None when there is none to act on
+        now.
+        """
         observation = self._inputs.wait(_WAIT_S)
         if observation is None:
             missing = self._inputs.missing()
@@ -224,7 +255,9 @@ class InferenceModule(Module):
                     f"No usable {what} for {self._inputs.silence_s():.1f} s; actions have stopped.",
                     hint=f"Is {source} running, and is its clock right?",
                 )
-        elif self._is_blind:  # without an instruction no action follows that would say that all is well
+        elif (
+            self._is_blind
+        ):  # without an instruction no action follows that would say that all is well
             self._is_blind = False
             self.status.clear_error()
         return observation
@@ -240,11 +273,14 @@ class InferenceModule(Module):
             chunk = self.backend.predict(prediction.observation)
         except Exception as error:
             self._tell(prediction, resets, error)
-            self.executor.drop()  # rows that were planned before must not go on when the newest image is refused
+            # rows that were planned before must not go on when the newest image is refused
+            self.executor.drop()
             raise
         took_s = time.monotonic() - started_s
         self._took_s.append(took_s)
-        self._worker.limit_s = max(_LEAST_LIMIT_S, _LIMIT_RATIO * statistics.median(self._took_s), 2.0 * chunk.step_s)
+        self._worker.limit_s = max(
+            _LEAST_LIMIT_S, _LIMIT_RATIO * statistics.median(self._took_s), 2.0 * chunk.step_s
+        )
         self._worker.progress()
         self._tell(prediction, resets, chunk)
         self.status.set_value("inference_ms", took_s * 1e3)
@@ -256,7 +292,9 @@ class InferenceModule(Module):
         """Publish what was asked and answered, while somebody records it."""
         if self.describe_prediction is not None:
             is_heard = self._predictions.get_subscription_count() > 0
-            for text in self.describe_prediction(prediction.observation, prediction.mode, resets, answer, is_heard):
+            for text in self.describe_prediction(
+                prediction.observation, prediction.mode, resets, answer, is_heard
+            ):
                 self._predictions.publish(String(data=text))
 
     def _check_age(self, prediction: Prediction) -> None:
@@ -281,7 +319,9 @@ class InferenceModule(Module):
         self.status.set_value("chunk_rows", row.horizon)
 
     def _note_first(self, oldest_ns: int) -> None:
-        """The first action of a chunk is out, or would be: measure, and that is the proof of readiness."""
+        """The first action of a chunk is out, or would be: measure, and that is the proof of
+        readiness.
+        """
         age_ms = (self.node.now_ns() - oldest_ns) / 1e6
         self.status.latency.add(age_ms)
         self.status.set_value("image_age_ms", age_ms)
@@ -290,11 +330,15 @@ class InferenceModule(Module):
 
 
 def _cameras(plan: Plan, profile: RobotProfile) -> dict[str, CameraProfile]:
-    """Camera by role. Raises ConfigurationError for one that the descriptor names and the profile does not."""
+    """Camera by role. Raises ConfigurationError for one that the descriptor names and the
+    profile does not.
+    """
     cameras: dict[str, CameraProfile] = {}
     for role, name in plan.cameras.items():
         camera = profile.camera(name)
         if camera is None:
-            raise ConfigurationError(f"Robot {profile.name!r} has no camera {name!r} for the role {role!r}.")
+            raise ConfigurationError(
+                f"Robot {profile.name!r} has no camera {name!r} for the role {role!r}."
+            )
         cameras[role] = camera
     return cameras

@@ -38,8 +38,9 @@ _IMAGE_TYPE = "sensor_msgs/msg/Image"
 class CalibratedCamera:
     """Turns a camera's images into frames.
 
-    Where the camera is mounted comes from the robot's profile; its intrinsics come from the `camera_info` published
-    beside the images, and from the profile, scaled to the image, as long as none was published for that image size.
+    Where the camera is mounted comes from the robot's profile; its intrinsics come from the
+    `camera_info` published beside the images, and from the profile, scaled to the image, as long as
+    none was published for that image size.
     """
 
     def __init__(self, profile: CameraProfile) -> None:
@@ -54,7 +55,10 @@ class CalibratedCamera:
         Raises:
             InvalidInputError: the message holds no calibration.
         """
-        size, values = (int(message.width), int(message.height)), tuple(np.asarray(message.k).tolist())
+        size, values = (
+            (int(message.width), int(message.height)),
+            tuple(np.asarray(message.k).tolist()),
+        )
         mounted = self._profile.calibration
         if mounted is None or self._published.get(size) == values:
             return
@@ -65,8 +69,9 @@ class CalibratedCamera:
         """sensor_msgs/Image -> Frame; `rgb8` shares the message's memory.
 
         Raises:
-            InvalidInputError: the image is damaged, or of another size than the first one: a camera that changes its
-                size is another camera, and what was calibrated for it no longer holds.
+            InvalidInputError: the image is damaged, or of another size than the first one: a camera
+                that changes its size is another camera, and what was calibrated for it no longer
+                holds.
         """
         size = (int(message.width), int(message.height))
         if size not in self._calibrations:
@@ -75,7 +80,8 @@ class CalibratedCamera:
         shape, expected = frame.image.shape, self._shape or frame.image.shape
         if shape != expected:
             raise InvalidInputError(
-                f"Camera {frame.camera!r} changed its image size from {expected[1]}x{expected[0]} to "
+                f"Camera {frame.camera!r} changed its image size from {expected[1]}x{expected[0]} "
+                "to "
                 f"{shape[1]}x{shape[0]}; its images are not acted on.",
                 hint="Restart perception and inference if that is meant.",
             )
@@ -84,10 +90,11 @@ class CalibratedCamera:
 
 
 class NewestInputs:
-    """Holds one frame per role and the newest proprioception; older ones are overwritten, never queued.
+    """Holds one frame per role and the newest proprioception; older ones are overwritten, never
+    queued.
 
-    `wait` hands out an observation when the first role has a frame that was not handed out before, all else is there,
-    and nothing is older than `max_age_s` or from the future.
+    `wait` hands out an observation when the first role has a frame that was not handed out before,
+    all else is there, and nothing is older than `max_age_s` or from the future.
     """
 
     def __init__(
@@ -129,8 +136,9 @@ class NewestInputs:
         with self._fresh:
             self._frames[role] = frame
             self._fresh.notify()
-        # Give the interpreter lock to the waiting inference thread now: otherwise it waits until the executor has
-        # rebuilt its wait set, which takes longer than everything else between image and action.
+        # Give the interpreter lock to the waiting inference thread now: otherwise it waits until
+        # the executor has rebuilt its wait set, which takes longer than everything else between
+        # image and action.
         time.sleep(_HAND_OVER_S)
 
     def on_camera_info(self, role: str, message: CameraInfo) -> None:
@@ -167,7 +175,9 @@ class NewestInputs:
             topic = f"{namespace.rstrip('/')}/{camera_image(camera.name)}"
             foreign = [t for t in topics.get(topic, [_IMAGE_TYPE]) if t != _IMAGE_TYPE]
             if foreign:
-                raise ConfigurationError(f"Topic {topic} carries {foreign[0]}, expected {_IMAGE_TYPE} in rgb8.")
+                raise ConfigurationError(
+                    f"Topic {topic} carries {foreign[0]}, expected {_IMAGE_TYPE} in rgb8."
+                )
 
     def missing(self) -> str:
         """What has not arrived yet, as a phrase; empty when everything has."""
@@ -185,7 +195,9 @@ class NewestInputs:
         return " and ".join(absent)
 
     def captured_ns(self, observation: Observation) -> int:
-        """Capture time of the first role's image: the one that paces the loop, the same for every backend."""
+        """Capture time of the first role's image: the one that paces the loop, the same for
+        every backend.
+        """
         return observation.frames[self._leading].stamp_ns
 
     def silence_s(self) -> float:
@@ -193,13 +205,21 @@ class NewestInputs:
         return time.monotonic() - self._usable_s
 
     def unusable(self) -> str:
-        """What keeps observations from being handed out: "image", also when none comes, "joint_state" or "ee_pose"."""
+        """What keeps observations from being handed out: "image", also when none comes,
+        "joint_state" or "ee_pose".
+        """
         with self._fresh:
             frame = self._frames.get(self._leading)
-        return "image" if frame is None or self._doubt(frame.stamp_ns, self._now_ns()) else self._refused
+        return (
+            "image"
+            if frame is None or self._doubt(frame.stamp_ns, self._now_ns())
+            else self._refused
+        )
 
     def wait(self, timeout_s: float) -> Observation | None:
-        """Return the newest observation not handed out yet, without its instruction; None after `timeout_s`."""
+        """Return the newest observation not handed out yet, without its instruction; None after
+        `timeout_s`.
+        """
         with self._fresh:
             if not self._fresh.wait_for(self._is_fresh, timeout_s):
                 return None
@@ -252,4 +272,6 @@ class NewestInputs:
     def _opening(self, joints: JointSample | None) -> float | None:
         if joints is None or self._gripper is None or self._gripper.joint not in joints.names:
             return None
-        return self._gripper.to_opening(float(joints.position[joints.names.index(self._gripper.joint)]))
+        return self._gripper.to_opening(
+            float(joints.position[joints.names.index(self._gripper.joint)])
+        )

@@ -36,7 +36,9 @@ class Instruction:
         self._actions = 0
         if reason := instruction_problem(text):
             raise InvalidInputError(reason)
-        node.resources.callback(node.add_parameter(INSTRUCTION_PARAMETER, text, self._take, self._refusal))
+        node.resources.callback(
+            node.add_parameter(INSTRUCTION_PARAMETER, text, self._take, self._refusal)
+        )
         self._take("" if node.needs_start else text)  # a stop while the backend was loaded
 
     def restart(self) -> None:

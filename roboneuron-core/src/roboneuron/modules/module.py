@@ -1,4 +1,6 @@
-"""The frame of every module process: a managed node whose transitions make, drive and release a `Module`."""
+"""The frame of every module process: a managed node whose transitions make, drive and release a
+`Module`.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,12 @@ from pathlib import Path
 from typing import Any
 
 from rclpy.clock import Clock, ClockType
-from rclpy.lifecycle import LifecycleNode, LifecyclePublisher, LifecycleState, TransitionCallbackReturn
+from rclpy.lifecycle import (
+    LifecycleNode,
+    LifecyclePublisher,
+    LifecycleState,
+    TransitionCallbackReturn,
+)
 from rclpy.qos import QoSProfile
 from std_msgs.msg import Bool, Empty
 
@@ -44,10 +51,13 @@ log = logging.getLogger(__name__)
 
 
 class Module(ABC):
-    """Behaviour of one kind of module, from `configure` to cleanup. Methods are called on the executor's thread.
+    """Behaviour of one kind of module, from `configure` to cleanup. Methods are called on the
+    executor's thread.
 
-    The constructor acquires: it loads weights, opens the device, creates publishers and subscriptions. What it
-    acquires it gives to `node.resources`, which releases it, the newest first, also when the constructor fails.
+    The constructor acquires: it loads weights, opens the device, creates publishers and
+        subscriptions. What it
+    acquires it gives to `node.resources`, which releases it, the newest first, also when the
+    constructor fails.
 
     Any method may raise RoboNeuronError: the transition fails, the reason goes to /diagnostics.
     """
@@ -81,7 +91,8 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
         module: from `configure` to cleanup, else None.
         stopped: whether the emergency stop is latched.
         stops: stops seen so far.
-        needs_start: which of them forbids motion until somebody asks for it anew; empty when none does.
+        needs_start: which of them forbids motion until somebody asks for it anew; empty when none
+            does.
 
     Implements `ModuleHost`, which describes the other attributes.
     """
@@ -107,10 +118,14 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
         self._listeners: dict[str, int] = {}
         self._beat_s: float | None = None
         robot, control = settings.config.robot, settings.config.control
-        self._silence_s = min(section.server_timeout_s for section in (robot, control) if section is not None)
+        self._silence_s = min(
+            section.server_timeout_s for section in (robot, control) if section is not None
+        )
         self._silences = self._silences_seen = 0
         self.create_subscription(Empty, WARM_UP, lambda _: None, NEWEST)
-        self._warm_up = self.create_lifecycle_publisher(Empty, WARM_UP, NEWEST) if settings.shadow else None
+        self._warm_up = (
+            self.create_lifecycle_publisher(Empty, WARM_UP, NEWEST) if settings.shadow else None
+        )
         self._warm_ups_s: deque[float] = deque(maxlen=_WARM_UPS)
         self.create_timer(_LOOP_PERIOD_S, self._on_loop)
         add_parameter(self, START_PARAMETER, 0, self._permit, self._why_not_permit)
@@ -123,30 +138,46 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
         self._reporter.start()
 
     def create_timer(self, period_s: float, callback: Callable[[], None], **options: Any) -> Any:
-        """As of Node, by the steady clock: a timer by ROS time stands still for an hour when the clock is set back."""
-        return super().create_timer(period_s, callback, **{"clock": Clock(clock_type=ClockType.STEADY_TIME)} | options)
+        """As of Node, by the steady clock: a timer by ROS time stands still for an hour when
+        the clock is set back.
+        """
+        return super().create_timer(
+            period_s, callback, **{"clock": Clock(clock_type=ClockType.STEADY_TIME)} | options
+        )
 
     def now_ns(self) -> int:
         """ROS time [ns]."""
         return int(self.get_clock().now().nanoseconds)
 
     def advertise(self, message_type: type, topic: str) -> LifecyclePublisher:
-        """A publisher until cleanup; the status tells how many listeners it has, as `listeners.<topic>`."""
-        publisher = self._outputs[topic] = self.create_lifecycle_publisher(message_type, topic, NEWEST)
+        """A publisher until cleanup; the status tells how many listeners it has, as
+        `listeners.<topic>`.
+        """
+        publisher = self._outputs[topic] = self.create_lifecycle_publisher(
+            message_type, topic, NEWEST
+        )
         self.resources.callback(self.destroy_lifecycle_publisher, publisher)
         self.resources.callback(self._outputs.pop, topic)
         return publisher
 
     def subscribe(
-        self, message_type: type, topic: str, callback: Callable[..., None], qos: QoSProfile = NEWEST
+        self,
+        message_type: type,
+        topic: str,
+        callback: Callable[..., None],
+        qos: QoSProfile = NEWEST,
     ) -> None:
         """Call `callback` with each message until cleanup."""
-        self.resources.callback(self.destroy_subscription, self.create_subscription(message_type, topic, callback, qos))
+        self.resources.callback(
+            self.destroy_subscription, self.create_subscription(message_type, topic, callback, qos)
+        )
 
     add_parameter = add_parameter
 
     def require_start(self, reason: str) -> None:
-        """A stop has come: nothing moves before somebody asks for it anew, whatever ends the stop; from any thread."""
+        """A stop has come: nothing moves before somebody asks for it anew, whatever ends the
+        stop; from any thread.
+        """
         if self.settings.kind == "perception":
             return
         self.needs_start = reason
@@ -179,14 +210,18 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Lifecycle callback."""
         super().on_activate(state)
-        result = self._attempt(lambda: self._configured().activate(), "active", otherwise="inactive")
+        result = self._attempt(
+            lambda: self._configured().activate(), "active", otherwise="inactive"
+        )
         if result is TransitionCallbackReturn.FAILURE:
             super().on_deactivate(state)
         return result
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Lifecycle callback."""
-        result = self._attempt(lambda: self._configured().deactivate(), "inactive", otherwise="active")
+        result = self._attempt(
+            lambda: self._configured().deactivate(), "inactive", otherwise="active"
+        )
         super().on_deactivate(state)
         return result
 
@@ -203,7 +238,9 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
         self._requests.announcements.catch_up = watch_stdin(on_end, self.note_beat).read
 
     def note_beat(self, data: bytes = b"\n") -> None:
-        """The server has shown that it lives, or announced a request; called from the thread that reads stdin."""
+        """The server has shown that it lives, or announced a request; called from the thread
+        that reads stdin.
+        """
         now_s = time.monotonic()
         if self._beat_s is not None and now_s - self._beat_s > self._silence_s:
             self._silences += 1  # first: the executor never sees this silence over and not counted
@@ -213,7 +250,8 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
     def server_silence_s(self) -> float:
         """Time without a sign of life of the server; 0 for a module that was started without one.
 
-        A silence that has just ended is infinite until the executor has looked at it: when this process itself was
+        A silence that has just ended is infinite until the executor has looked at it: when this
+            process itself was
         frozen, the thread that reads the signs of life may be the first to go on.
         """
         if self._silences != self._silences_seen:
@@ -238,17 +276,21 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
     def _configure(self) -> None:
         if self.settings.shadow and type(self.handover) is Handover:
             raise ConfigurationError(
-                "This process was started beside a running module, and nothing here tells when it takes over.",
-                hint="Install the package of the feature that replaces modules in this interpreter's environment too.",
+                "This process was started beside a running module, and nothing here tells when it "
+                "takes over.",
+                hint="Install the package of the feature that replaces modules in this "
+                "interpreter's environment too.",
             )
         try:
             self.module = self._kind(self)
-            # What is loaded stays: a full collection over it all would be a pause of up to half a second in the loop.
+            # What is loaded stays: a full collection over it all would be a pause of up to half a
+            # second in the loop.
             gc.collect()
             gc.freeze()
             for extend in self.on_configured:
                 extend(self.module)
-            self._silences_seen = self._silences  # loading may keep every thread waiting, and nothing moved meanwhile
+            # loading may keep every thread waiting, and nothing moved meanwhile
+            self._silences_seen = self._silences
         except Exception:
             try:
                 self._release()
@@ -272,13 +314,17 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
         finally:
             self._release()
 
-    def _attempt(self, step: Callable[[], None], then: str, *, otherwise: str) -> TransitionCallbackReturn:
+    def _attempt(
+        self, step: Callable[[], None], then: str, *, otherwise: str
+    ) -> TransitionCallbackReturn:
         try:
             step()
         except RoboNeuronError as error:
             log.error("%s: %s", then, error)
             self.status.set_error(error)
-        except Exception as error:  # the module border: whatever a plugin raises must not end the process silently
+        except (
+            Exception
+        ) as error:  # the module border: whatever a plugin raises must not end the process silently
             log.exception("unexpected failure")
             self.status.set_unexpected(error)
         else:
@@ -301,7 +347,9 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
                 self.status.set_value(f"listeners.{topic}", count)
 
     def _check_server(self) -> None:
-        """Nobody could have stopped the robot meanwhile: what was asked for before counts no more."""
+        """Nobody could have stopped the robot meanwhile: what was asked for before counts no
+        more.
+        """
         silences = self._silences
         is_silent = self.server_silence_s() > self._silence_s
         if is_silent and not self._is_server_silent:
@@ -309,13 +357,19 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
         self._is_server_silent, self._silences_seen = is_silent, silences
 
     def _open_ports(self) -> None:
-        """In shadow, send something to all modules: the first message to a process opens a port, which may take long.
+        """In shadow, send something to all modules: the first message to a process opens a port,
+        which may take long.
 
-        Fast DDS checks that a port's listener lives and, when it was checked a moment ago, waits for a third of
-        `healthy_check_timeout_ms`, inside publish() and with the interpreter's lock held.
+        Fast DDS checks that a port's listener lives and, when it was checked a moment ago, waits
+        for a third of `healthy_check_timeout_ms`, inside publish() and with the interpreter's lock
+        held.
         """
         now_s = time.monotonic()
-        if self._warm_up is None or not self._warm_up.is_activated or len(self._warm_ups_s) == _WARM_UPS:
+        if (
+            self._warm_up is None
+            or not self._warm_up.is_activated
+            or len(self._warm_ups_s) == _WARM_UPS
+        ):
             return
         if not self._warm_ups_s or now_s - self._warm_ups_s[-1] > _WARM_UP_PERIOD_S:
             self._warm_ups_s.append(now_s)
@@ -330,7 +384,9 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
             self._check_stop()
 
     def press_stop(self, who: str) -> None:
-        """Stop this module at once, then latch it for every process and restart: from then on the latch file counts."""
+        """Stop this module at once, then latch it for every process and restart: from then on
+        the latch file counts.
+        """
         self._told_to_stop = True
         self._check_stop()
         try:
@@ -341,7 +397,9 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
             self._told_to_stop = False
 
     def _check_stop(self) -> None:
-        """Two independent ways lead here: the topic, and the latch file, which needs no other process to be alive."""
+        """Two independent ways lead here: the topic, and the latch file, which needs no other
+        process to be alive.
+        """
         stopped = self._told_to_stop or self._latch.is_latched()
         if stopped == self.stopped:
             return

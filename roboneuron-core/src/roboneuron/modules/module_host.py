@@ -1,4 +1,6 @@
-"""What a module process lends to features, how they join it, and what they may answer in its place."""
+"""What a module process lends to features, how they join it, and what they may answer in its
+place.
+"""
 
 from __future__ import annotations
 
@@ -25,11 +27,12 @@ log = logging.getLogger(__name__)
 
 
 class Handover:
-    """What a module asks about its inputs; the answers here are those of a module that nobody replaces.
+    """What a module asks about its inputs; the answers here are those of a module that nobody
+    replaces.
 
-    A feature puts its own into the module's process (`ModuleHost.handover`). Inputs are told apart by their time stamps
-    [ROS time, ns]: capture times of images, times at which actions were sent and joints measured. Methods are called
-    from any of the module's threads.
+    A feature puts its own into the module's process (`ModuleHost.handover`). Inputs are told apart
+    by their time stamps [ROS time, ns]: capture times of images, times at which actions were sent
+    and joints measured. Methods are called from any of the module's threads.
 
     Attributes:
         not_before_ns: images captured before it are not predicted on, not even in shadow.
@@ -71,15 +74,18 @@ class Handover:
 
 
 class ModuleHost(Protocol):
-    """What a module process lends to features (`FeatureSpec.on_join`): the part of ModuleNode that publishes nothing.
+    """What a module process lends to features (`FeatureSpec.on_join`): the part of ModuleNode that
+    publishes nothing.
 
     Attributes:
         settings: what the process was told.
         status: where to report.
         resources: what is released at cleanup, from `configure` on.
-        handover: which inputs are this module's; a feature that replaces modules puts its own object here.
+        handover: which inputs are this module's; a feature that replaces modules puts its own
+            object here.
         make_executor: how an inference module gets what executes its chunks; see `make_sequential`.
-        on_configured: called with the module at the end of every `configure`, which fails if one raises.
+        on_configured: called with the module at the end of every `configure`, which fails if one
+            raises.
     """
 
     settings: ModuleSettings
@@ -90,9 +96,14 @@ class ModuleHost(Protocol):
     on_configured: list[Callable[[Module], None]]
 
     def add_parameter(
-        self, name: str, value: str | int, take: Callable[[Any], None], refuse: Callable[[Any], str] = lambda _: ""
+        self,
+        name: str,
+        value: str | int,
+        take: Callable[[Any], None],
+        refuse: Callable[[Any], str] = lambda _: "",
     ) -> Callable[[], None]:
-        """Declare a ROS parameter, which only the server of this module can set; call what is returned to remove it.
+        """Declare a ROS parameter, which only the server of this module can set; call what is
+        returned to remove it.
 
         Args:
             name: of the parameter.
@@ -103,20 +114,32 @@ class ModuleHost(Protocol):
         ...
 
     def require_start(self, reason: str) -> None:
-        """A stop has come, such as a recovery: nothing moves before somebody asks for it anew. From any thread."""
+        """A stop has come, such as a recovery: nothing moves before somebody asks for it anew.
+        From any thread.
+        """
         ...
 
 
 def join(host: ModuleHost, reference: str) -> None:
-    """Call what a feature wants called in every module process, "module:attribute"; a failure is logged."""
+    """Call what a feature wants called in every module process, "module:attribute"; a failure
+    is logged.
+    """
     try:
-        cast("Callable[[ModuleHost], None]", load_attribute(reference, "`on_join` of a feature"))(host)
-    except Exception:  # the border to a feature's own code; under another interpreter it may not be installed
+        cast("Callable[[ModuleHost], None]", load_attribute(reference, "`on_join` of a feature"))(
+            host
+        )
+    except (
+        Exception
+    ):  # the border to a feature's own code; under another interpreter it may not be installed
         log.exception("%s cannot be used in this module.", reference)
 
 
 def add_parameter(
-    node: Node, name: str, value: str | int, take: Callable[[Any], None], refuse: Callable[[Any], str] = lambda _: ""
+    node: Node,
+    name: str,
+    value: str | int,
+    take: Callable[[Any], None],
+    refuse: Callable[[Any], str] = lambda _: "",
 ) -> Callable[[], None]:
     """See `ModuleHost.add_parameter`; a method of ModuleNode."""
 

@@ -1,4 +1,6 @@
-"""Which joint states control believes, and its last word before it publishes: the limits, and what they did."""
+"""Which joint states control believes, and its last word before it publishes: the limits, and
+what they did.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,14 @@ from typing import Any
 import numpy as np
 
 from roboneuron.config import LimitsConfig
-from roboneuron.contract import Controller, Hold, JointCommand, JointSample, PostureInspector, RobotProfile
+from roboneuron.contract import (
+    Controller,
+    Hold,
+    JointCommand,
+    JointSample,
+    PostureInspector,
+    RobotProfile,
+)
 from roboneuron.contract.arrays import F64
 from roboneuron.contract.profile import prismatic_joints
 from roboneuron.errors import InvalidInputError, NotReadyError, RefusedError, UnsafeError
@@ -21,19 +30,24 @@ from roboneuron.gate.motion.command import pick
 from roboneuron.modules.status import StatusWriter
 
 _RECORD_PERIOD_S = 1.0
-"""A limit that keeps acting is recorded this often; every change is recorded at once, at most ten a second."""
+"""A limit that keeps acting is recorded this often; every change is recorded at once, at most
+ten a second.
+"""
 _CHANGE_PERIOD_S = 0.1
 _SLACK, _SLACK_M = 0.05, 0.01
 """What noise and a late message may add to the way between two states [rad; m of slides]."""
 _HASTE = 2.0
-"""How many times its velocity limit a joint may seem to move: messages bunch up on a busy machine."""
+"""How many times its velocity limit a joint may seem to move: messages bunch up on a busy
+machine.
+"""
 log = logging.getLogger(__name__)
 
 
 class JointWatch:
     """Keeps the newest joint state that can be true; used from the executor's thread.
 
-    After `timeout_s` without one, the next state is compared with none before it: a clock that was set, or an arm that
+    After `timeout_s` without one, the next state is compared with none before it: a clock that was
+        set, or an arm that
     was moved while nobody listened, stops the arm for that long and not for ever.
 
     Attributes:
@@ -44,9 +58,15 @@ class JointWatch:
         self.joints: JointSample | None = None
         self._position = np.empty(0)
         self._names = profile.arm_joints
-        self._velocity = None if profile.limits is None else np.asarray(profile.limits.velocity, dtype=np.float64)
+        self._velocity = (
+            None
+            if profile.limits is None
+            else np.asarray(profile.limits.velocity, dtype=np.float64)
+        )
         slides = prismatic_joints(profile.urdf)
-        self._slack = np.array([_SLACK_M if name in slides else _SLACK for name in profile.arm_joints])
+        self._slack = np.array(
+            [_SLACK_M if name in slides else _SLACK for name in profile.arm_joints]
+        )
         self._timeout_s = timeout_s
         self._at_s = 0.0
 
@@ -70,9 +90,11 @@ class JointWatch:
         age_s = (ros_now_ns - joints.stamp_ns) / 1e9
         if abs(age_s) > self._timeout_s:
             late = age_s > 0
-            error = NotReadyError if late else InvalidInputError  # on a busy machine anything is late now and then
+            # on a busy machine anything is late now and then
+            error = NotReadyError if late else InvalidInputError
             raise error(
-                f"A joint state was measured {abs(age_s):.3g} s {'ago' if late else 'in the future'}, at most "
+                f"A joint state was measured {abs(age_s):.3g} s "
+                f"{'ago' if late else 'in the future'}, at most "
                 f"{self._timeout_s:g} s are allowed.",
                 hint="Is the robot's driver stuck, or are the clocks of two machines apart?",
             )
@@ -92,11 +114,14 @@ class JointWatch:
         if self._velocity is None:
             return
         before = self._position
-        way = np.abs(position - before) - _HASTE * self._velocity * (now_s - self._at_s) - self._slack
+        way = (
+            np.abs(position - before) - _HASTE * self._velocity * (now_s - self._at_s) - self._slack
+        )
         if way.max() > 0.0:
             i = int(way.argmax())
             raise UnsafeError(
-                f"{self._names[i]} is measured at {position[i]:.4f}, {abs(position[i] - before[i]):.4f} from where it "
+                f"{self._names[i]} is measured at {position[i]:.4f}, "
+                f"{abs(position[i] - before[i]):.4f} from where it "
                 f"was {now_s - self._at_s:.3f} s before; no arm is that fast.",
                 hint="Does something else publish joint states?",
             )
@@ -106,7 +131,8 @@ class MotionGuard:
     """Applies the limits of `[limits]` to one arm; used from the executor's thread.
 
     Attributes:
-        follow, rest: see `MotionLimiter`: a command of the predecessor, and a hold where the arm is measured.
+        follow, rest: see `MotionLimiter`: a command of the predecessor, and a hold where the arm is
+            measured.
         close: closes the audit.
 
     Raises:
@@ -126,7 +152,9 @@ class MotionGuard:
     ) -> None:
         is_checked = profile.collision is None or isinstance(controller, PostureInspector)
         if not is_checked:
-            log.warning("The controller tells no distances: collisions of %s are not checked.", profile.name)
+            log.warning(
+                "The controller tells no distances: collisions of %s are not checked.", profile.name
+            )
         status.set_value("collision_checked", is_checked and profile.collision is not None)
         self._limiter = MotionLimiter(
             motion_rules(limits, profile),
@@ -140,18 +168,28 @@ class MotionGuard:
         self._status = status
         self._counts: Counter[str] = Counter()
         self._audit = AuditLog(state / AUDIT_FILE, time_ns)
-        self.follow, self.rest, self.close = self._limiter.follow, self._limiter.rest, self._audit.close
+        self.follow, self.rest, self.close = (
+            self._limiter.follow,
+            self._limiter.rest,
+            self._audit.close,
+        )
         self._recorded: tuple[str, ...] = ()
         self._recorded_s = 0.0
 
     def use(self, limits: LimitsConfig) -> None:
-        """Apply other limits from the next command on. Raises ConfigurationError as `motion_rules`."""
+        """Apply other limits from the next command on. Raises ConfigurationError as
+        `motion_rules`.
+        """
         self._limiter.use(motion_rules(limits, self._profile))
 
-    def judge(self, command: JointCommand, joints: JointSample, now_s: float) -> JointCommand | Hold | None:
-        """What to send instead of `command`: itself, a shorter one, a reason to hold, or None for nothing.
+    def judge(
+        self, command: JointCommand, joints: JointSample, now_s: float
+    ) -> JointCommand | Hold | None:
+        """What to send instead of `command`: itself, a shorter one, a reason to hold, or None for
+        nothing.
 
-        The status tells both: `asked_*` and `sent_*`, `limited.<name>` how often a limit acted, `limit` the last one.
+        The status tells both: `asked_*` and `sent_*`, `limited.<name>` how often a limit acted,
+            `limit` the last one.
         """
         verdict = self._limiter.limit(command, joints, now_s)
         self._report("asked", verdict.asked)
@@ -185,11 +223,17 @@ class MotionGuard:
         outcome = _outcome(verdict)
         state = (outcome, *verdict.acted) if verdict.reason else ()
         since_s = now_s - self._recorded_s
-        if not state or since_s < (_CHANGE_PERIOD_S if state != self._recorded else _RECORD_PERIOD_S):
+        if not state or since_s < (
+            _CHANGE_PERIOD_S if state != self._recorded else _RECORD_PERIOD_S
+        ):
             return
         self._recorded, self._recorded_s = state, now_s
         numbers: dict[str, Any] = {
-            word: {name: round(value, 6) for name in Motion.__slots__ if (value := getattr(motion, name)) is not None}
+            word: {
+                name: round(value, 6)
+                for name in Motion.__slots__
+                if (value := getattr(motion, name)) is not None
+            }
             for word, motion in (("asked", verdict.asked), ("sent", verdict.sent))
             if motion is not None
         }
@@ -200,7 +244,8 @@ class MotionGuard:
             verdict=outcome,
             robot=self._profile.name,
             endpoint="action",
-            rule=", ".join(verdict.acted) or (verdict.command.code if isinstance(verdict.command, Hold) else ""),
+            rule=", ".join(verdict.acted)
+            or (verdict.command.code if isinstance(verdict.command, Hold) else ""),
             reason=verdict.reason,
             arguments={**numbers, "counts": dict(self._counts)},
         )

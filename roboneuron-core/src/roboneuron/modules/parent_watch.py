@@ -1,9 +1,10 @@
 """How a module process ends: with its parent, however the parent dies, and by signals.
 
-The parent's death is noticed in two independent ways: the kernel sends SIGTERM when the spawning thread ends
-(PR_SET_PDEATHSIG), and stdin, a pipe whose other end only the parent holds, comes to its end. Either way the module
-gets a bounded time to hold the robot and leave; after that the kernel ends it, whatever its threads wait for. A module
-that is stopped (SIGSTOP) is woken by the kernel, see `roboneuron.supervisor.process`.
+The parent's death is noticed in two independent ways: the kernel sends SIGTERM when the spawning
+thread ends (PR_SET_PDEATHSIG), and stdin, a pipe whose other end only the parent holds, comes to
+its end. Either way the module gets a bounded time to hold the robot and leave; after that the
+kernel ends it, whatever its threads wait for. A module that is stopped (SIGSTOP) is woken by the
+kernel, see `roboneuron.supervisor.process`.
 """
 
 from __future__ import annotations
@@ -29,12 +30,14 @@ _MOST_IN_A_PIPE = 2**20
 
 
 class Signals:
-    """What the process was told by signals, without a lock anywhere; main thread only, except `leave`.
+    """What the process was told by signals, without a lock anywhere; main thread only, except
+    `leave`.
 
-    A handler runs in the middle of whatever the main thread does, another handler included: when a server is killed,
-    the kernel sends the death signal again with the end of each of its threads. `threading.Event.set` holds a lock for
-    a moment; interrupted there by a second signal, the main thread would wait for itself, for ever. Assigning an
-    attribute cannot wait.
+    A handler runs in the middle of whatever the main thread does, another handler included: when a
+        server is killed,
+    the kernel sends the death signal again with the end of each of its threads.
+    `threading.Event.set` holds a lock for a moment; interrupted there by a second signal, the main
+    thread would wait for itself, for ever. Assigning an attribute cannot wait.
 
     Attributes:
         is_leaving: the module was told to end.
@@ -45,7 +48,9 @@ class Signals:
         self._pressed = False
 
     def listen(self) -> None:
-        """From now on SIGTERM, SIGINT and SIGHUP end the module, and SIGUSR1 presses the emergency stop."""
+        """From now on SIGTERM, SIGINT and SIGHUP end the module, and SIGUSR1 presses the
+        emergency stop.
+        """
         for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
             signal.signal(number, lambda *_: self.leave())
         signal.signal(signal.SIGUSR1, lambda *_: self._press())
@@ -66,9 +71,11 @@ class Signals:
 
 
 class ParentPipe:
-    """Stdin, whose other end only the parent holds; read by any thread that has to know what the parent has written.
+    """Stdin, whose other end only the parent holds; read by any thread that has to know what the
+    parent has written.
 
-    From now on descriptor 0 is the null device: a child that reads its stdin would take what is meant for this process.
+    From now on descriptor 0 is the null device: a child that reads its stdin would take what is
+        meant for this process.
 
     Args:
         on_data: gets what was read, in its order.
@@ -85,7 +92,8 @@ class ParentPipe:
     def read(self) -> bool:
         """Read all that has been written until now; False when the parent's end is closed.
 
-        When this returns, `on_data` has had every byte that was written before the call, whoever has read it.
+        When this returns, `on_data` has had every byte that was written before the call, whoever
+        has read it.
         """
         with self._lock:
             if not select.select([self._descriptor], [], [], 0)[0]:
@@ -111,9 +119,11 @@ def follow_parent(expected_parent: int) -> None:
 
 
 def end_group() -> None:
-    """Kill all that plugins have started in this process's group; nobody else does when the server was killed.
+    """Kill all that plugins have started in this process's group; nobody else does when the server
+    was killed.
 
-    The process itself steps out first, into its parent's group; where there is no parent any more, it goes with them.
+    The process itself steps out first, into its parent's group; where there is no parent any more,
+    it goes with them.
     """
     group = os.getpgrp()
     if group == os.getpid():
@@ -123,10 +133,13 @@ def end_group() -> None:
             os.killpg(group, signal.SIGKILL)
 
 
-def watch_stdin(on_end: Callable[[], None], on_beat: Callable[[bytes], object], grace_s: float = GRACE_S) -> ParentPipe:
+def watch_stdin(
+    on_end: Callable[[], None], on_beat: Callable[[bytes], object], grace_s: float = GRACE_S
+) -> ParentPipe:
     """Call `on_beat` with what comes on stdin: the server lives.
 
-    When stdin ends, call `on_end`, then leave the process the hard way after `grace_s` if it still runs. `on_end` may
+    When stdin ends, call `on_end`, then leave the process the hard way after `grace_s` if it still
+    runs. `on_end` may
     hang: by then SIGALRM is set, whose default action needs nobody's help.
 
     Returns:

@@ -1,4 +1,6 @@
-"""Perception: a PerceptionSource's frames as images on `camera/<name>/image`, calibrations on `.../camera_info`."""
+"""Perception: a PerceptionSource's frames as images on `camera/<name>/image`, calibrations on
+`.../camera_info`.
+"""
 
 from __future__ import annotations
 
@@ -40,8 +42,12 @@ class PerceptionModule(Module):
         self._source = cast("PerceptionSource", build(spec, options, self._topics, cameras))
         node.resources.callback(self._source.close)
         self._source.open()
-        self._images = {camera.name: node.advertise(Image, camera_image(camera.name)) for camera in cameras}
-        self._infos = {camera.name: node.advertise(CameraInfo, camera_info(camera.name)) for camera in cameras}
+        self._images = {
+            camera.name: node.advertise(Image, camera_image(camera.name)) for camera in cameras
+        }
+        self._infos = {
+            camera.name: node.advertise(CameraInfo, camera_info(camera.name)) for camera in cameras
+        }
         self._newest_s = 0.0
         self._missing: set[str] = set()
         self._worker = Worker("perception", self._step, self.status)
@@ -74,11 +80,15 @@ class PerceptionModule(Module):
             return
         publisher = self._images.get(frame.camera)
         if publisher is None:
-            raise PluginError(f"The source delivered camera {frame.camera!r}, asked for {sorted(self._images)}.")
+            raise PluginError(
+                f"The source delivered camera {frame.camera!r}, asked for {sorted(self._images)}."
+            )
         if stop.is_set():
             return
         self._newest_s = time.monotonic()
-        self.status.set_value(f"size.{frame.camera}", f"{frame.image.shape[1]}x{frame.image.shape[0]}")
+        self.status.set_value(
+            f"size.{frame.camera}", f"{frame.image.shape[1]}x{frame.image.shape[0]}"
+        )
         if self.handover.is_ours(frame.stamp_ns):
             info = to_camera_info(frame)
             if info is not None:
@@ -98,7 +108,9 @@ class PerceptionModule(Module):
                 self.status.set_ready()
 
 
-def _choose(cameras: tuple[CameraProfile, ...], names: tuple[str, ...], robot: str) -> tuple[CameraProfile, ...]:
+def _choose(
+    cameras: tuple[CameraProfile, ...], names: tuple[str, ...], robot: str
+) -> tuple[CameraProfile, ...]:
     """The profiles of `names`, or all. Raises ConfigurationError with the choices."""
     by_name = {camera.name: camera for camera in cameras}
     unknown = [name for name in names if name not in by_name]

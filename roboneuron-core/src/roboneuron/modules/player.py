@@ -19,11 +19,14 @@ _LOOK_S = 0.002
 class RowPlayer:
     """Plays what an executor holds between `start` and `stop`."""
 
-    def __init__(self, node: ModuleNode, executor: ChunkExecutor, send: Callable[[Row], None]) -> None:
+    def __init__(
+        self, node: ModuleNode, executor: ChunkExecutor, send: Callable[[Row], None]
+    ) -> None:
         """Args:
         node: of the inference module.
         executor: says which row is due.
-        send: publishes a row; the executor's lock is held, so that no instruction or stop comes between.
+        send: publishes a row; the executor's lock is held, so that no instruction or stop comes
+            between.
         """
         self._node = node
         self._executor = executor

@@ -12,11 +12,14 @@ from roboneuron.plugins.registry import Registry
 from roboneuron.plugins.specs import DriverSpec, Spec
 
 
-def build(spec: Spec | DriverSpec, options: Mapping[str, object], *arguments: object, **parts: object) -> object:
+def build(
+    spec: Spec | DriverSpec, options: Mapping[str, object], *arguments: object, **parts: object
+) -> object:
     """Import the spec's target and call it with its validated options and the given arguments.
 
     Raises:
-        MissingDependencyError, ConfigurationError, PluginError: as `load_target` and `load_options`.
+        MissingDependencyError, ConfigurationError, PluginError: as `load_target` and
+            `load_options`.
     """
     target = cast("Callable[..., object]", load_target(spec))
     return target(load_options(spec, options), *arguments, **parts)
@@ -31,5 +34,8 @@ def load_profile(registry: Registry, robot: str) -> RobotProfile:
     """
     profile = cast("Callable[[], object]", load_target(registry.get("robot", robot)))()
     if not isinstance(profile, RobotProfile):
-        raise PluginError(f"The target of robot {robot!r} returned {type(profile).__name__}, expected RobotProfile.")
+        raise PluginError(
+            f"The target of robot {robot!r} returned {type(profile).__name__}, expected "
+            "RobotProfile."
+        )
     return profile

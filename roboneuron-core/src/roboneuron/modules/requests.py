@@ -1,12 +1,15 @@
 """Requests that only a module's own server may make: lifecycle transitions, and setting parameters.
 
-ROS does not tell who has sent a request, and anybody on the graph may send one. The server therefore announces each of
-its own over the module's stdin, a pipe that nobody else holds, by a digest of its content. What was not announced is
-refused, counted and reported with the names of the nodes that could have sent it. A foreign node that repeats an
-announced request before the server's own arrives has done what the server wanted.
+ROS does not tell who has sent a request, and anybody on the graph may send one. The server
+therefore announces each of its own over the module's stdin, a pipe that nobody else holds, by a
+digest of its content. What was not announced is refused, counted and reported with the names of the
+nodes that could have sent it. A foreign node that repeats an announced request before the server's
+own arrives has done what the server wanted.
 
-The announcement lies in the pipe before the request is sent. Before it is judged the pipe is read to its present end,
-by the thread that judges: no thread has to be given the processor in time for that, and nothing has to be waited for.
+The announcement lies in the pipe before the request is sent. Before it is judged the pipe is read
+to its present end,
+by the thread that judges: no thread has to be given the processor in time for that, and nothing has
+    to be waited for.
 """
 
 from __future__ import annotations
@@ -38,7 +41,9 @@ _REASON = "only the server of this module may do that; use its tools"
 
 
 def digest_of_transition(number: int, label: str) -> bytes:
-    """Of the request for the transition with that number and label; the node goes by the label if there is one."""
+    """Of the request for the transition with that number and label; the node goes by the label
+    if there is one.
+    """
     return _digest(["change_state", number, label])
 
 
@@ -48,9 +53,13 @@ def digest_of_parameters(values: Mapping[str, object]) -> bytes:
 
 
 def _digest_of_messages(parameters: Sequence[ParameterMessage]) -> bytes:
-    """Empty when a type is none of ParameterType's: rclpy raises there, and the executor would end with it."""
+    """Empty when a type is none of ParameterType's: rclpy raises there, and the executor would
+    end with it.
+    """
     try:
-        return digest_of_parameters({p.name: Parameter.from_parameter_msg(p).value for p in parameters})
+        return digest_of_parameters(
+            {p.name: Parameter.from_parameter_msg(p).value for p in parameters}
+        )
     except ValueError:
         return b""
 
@@ -67,7 +76,8 @@ def _digest(content: object) -> bytes:
 
 
 class Announcements:
-    """What the server has announced and the module has not been asked for yet; usable from any thread.
+    """What the server has announced and the module has not been asked for yet; usable from any
+    thread.
 
     Attributes:
         catch_up: feeds what the server has written until now.
@@ -100,7 +110,9 @@ class Announcements:
 
 
 class RequestGuard:
-    """Stands before a node's services; everything happens on the executor's thread, except `Announcements.feed`."""
+    """Stands before a node's services; everything happens on the executor's thread, except
+    `Announcements.feed`.
+    """
 
     def __init__(self, node: Node, status: StatusWriter) -> None:
         self.announcements = Announcements()
@@ -118,7 +130,10 @@ class RequestGuard:
         def guarded(request: Any, response: Any) -> Any:
             if isinstance(request, ChangeState.Request):
                 asked = request.transition
-                what, digest = f"transition {asked.label or asked.id}", digest_of_transition(asked.id, asked.label)
+                what, digest = (
+                    f"transition {asked.label or asked.id}",
+                    digest_of_transition(asked.id, asked.label),
+                )
             else:
                 what = f"set {', '.join(p.name for p in request.parameters)}"
                 digest = _digest_of_messages(request.parameters)
@@ -150,10 +165,17 @@ class RequestGuard:
         name = self._node.resolve_service_name(service)
         found = self._node.get_publishers_info_by_topic(f"rq{name}Request", no_mangle=True)
         names = {f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in found}
-        return " or ".join(sorted(names - {f"/roboneuron_server_{os.getppid()}"})) or "a node that has left"
+        return (
+            " or ".join(sorted(names - {f"/roboneuron_server_{os.getppid()}"}))
+            or "a node that has left"
+        )
 
 
 def _refuse_simulated_time(parameters: list[Parameter]) -> SetParametersResult:
     """Nobody stamps by /clock here: ages would be those of another clock."""
-    simulated = any(parameter.name == "use_sim_time" and parameter.value for parameter in parameters)
-    return SetParametersResult(successful=not simulated, reason="use_sim_time is not supported" if simulated else "")
+    simulated = any(
+        parameter.name == "use_sim_time" and parameter.value for parameter in parameters
+    )
+    return SetParametersResult(
+        successful=not simulated, reason="use_sim_time is not supported" if simulated else ""
+    )

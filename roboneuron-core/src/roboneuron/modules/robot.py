@@ -1,4 +1,6 @@
-"""Robot: executes joint commands with a driver and publishes what it measures; holds when commands cease."""
+"""Robot: executes joint commands with a driver and publishes what it measures; holds when
+commands cease.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,8 @@ _GRIPPER_TOLD = 0.02
 
 
 class RobotModule(Module):
-    """Two threads beside the executor: one publishes measured states, one plays trajectories point by point.
+    """Two threads beside the executor: one publishes measured states, one plays trajectories point
+    by point.
 
     Attributes:
         driver: what moves the robot; open.
@@ -52,7 +55,8 @@ class RobotModule(Module):
         if spec is None:
             names = ", ".join(repr(driver.name) for driver in robot.drivers)
             raise ConfigurationError(
-                f"Robot {robot.name!r} has no driver {self.config.robot.driver!r}; its drivers are {names}."
+                f"Robot {robot.name!r} has no driver {self.config.robot.driver!r}; its drivers "
+                f"are {names}."
             )
         profile = load_profile(self.registry, robot.name)
         self._gripper = profile.gripper
@@ -90,16 +94,22 @@ class RobotModule(Module):
             raise NotReadyError("The driver hangs; the robot's own safety functions must hold it.")
 
     def emergency_stop(self, latched: bool) -> None:
-        """Hold at once and drop what was to be executed; refuse commands as long as the latch is set."""
+        """Hold at once and drop what was to be executed; refuse commands as long as the latch
+        is set.
+        """
         if latched:
             self._drop_and_hold()
 
     def forget(self) -> None:
-        """Drop what was to be executed; see `Module.forget`. Commands are refused until somebody asks for motion."""
+        """Drop what was to be executed; see `Module.forget`. Commands are refused until
+        somebody asks for motion.
+        """
         self._drop()
 
     def _watch(self) -> None:
-        """Hold while the server is silent: nobody could stop what is being executed, however long it lasts."""
+        """Hold while the server is silent: nobody could stop what is being executed, however
+        long it lasts.
+        """
         bound_s = self.config.robot.server_timeout_s
         is_silent = self.node.server_silence_s() > bound_s
         if is_silent == self._is_server_silent:
@@ -152,9 +162,13 @@ class RobotModule(Module):
         return True
 
     def _play(self, stop: threading.Event) -> None:
-        """Send the next pending command; a newer trajectory replaces what is left of the older one."""
+        """Send the next pending command; a newer trajectory replaces what is left of the older
+        one.
+        """
         with self._arrived:
-            if not self._arrived.wait_for(lambda: bool(self._pending) or stop.is_set(), timeout=0.05):
+            if not self._arrived.wait_for(
+                lambda: bool(self._pending) or stop.is_set(), timeout=0.05
+            ):
                 self._hold_when_silent()
                 return
             if stop.is_set():
@@ -163,9 +177,14 @@ class RobotModule(Module):
             command = plan.pop(0)
             began_s = time.monotonic()
             is_late = began_s - self._due_s > self.config.robot.command_timeout_s
-            # A command that is played late begins where the arm stands; in its own time the arm would catch up.
-            command = replace(command, duration_s=command.duration_s + max(0.0, began_s - self._due_s))
-            if is_late:  # this process was frozen, or the driver did not return: what is left of the plan is past
+            # A command that is played late begins where the arm stands; in its own time the arm
+            # would catch up.
+            command = replace(
+                command, duration_s=command.duration_s + max(0.0, began_s - self._due_s)
+            )
+            # this process was frozen, or the driver did not return: what is left of the plan is
+            # past
+            if is_late:
                 self._pending = []
         if is_late:
             self.status.dropped.add("stale_command")
@@ -189,10 +208,14 @@ class RobotModule(Module):
         with self._arrived:
             if plan and self._pending is plan:
                 self._due_s = began_s + sent.duration_s
-                self._arrived.wait_for(lambda: self._pending is not plan or stop.is_set(), timeout=sent.duration_s)
+                self._arrived.wait_for(
+                    lambda: self._pending is not plan or stop.is_set(), timeout=sent.duration_s
+                )
 
     def _note_gripper(self, sent: JointCommand) -> None:
-        """Report the opening that was last commanded: it holds an object, and blocked fingers do not tell it."""
+        """Report the opening that was last commanded: it holds an object, and blocked fingers
+        do not tell it.
+        """
         gripper = self._gripper
         if gripper is None or gripper.joint not in sent.names:
             return
@@ -203,7 +226,10 @@ class RobotModule(Module):
             self.status.changed.set()
 
     def _hold_when_silent(self) -> None:
-        if self._moving and time.monotonic() - self._command_s > self.config.robot.command_timeout_s:
+        if (
+            self._moving
+            and time.monotonic() - self._command_s > self.config.robot.command_timeout_s
+        ):
             self.driver.hold()
             self._moving = False
             self.status.set(note="holding: no command")
@@ -212,13 +238,16 @@ class RobotModule(Module):
         delay_s = self._next_state_s - time.monotonic()
         if delay_s > 0:
             stop.wait(delay_s)
-        self._next_state_s = max(self._next_state_s + 1.0 / self.config.robot.state_rate_hz, time.monotonic() - 0.05)
+        self._next_state_s = max(
+            self._next_state_s + 1.0 / self.config.robot.state_rate_hz, time.monotonic() - 0.05
+        )
         if stop.is_set():
             return
         try:
             state = self.driver.read()
         except Exception:
-            self.status.forget_details("gripper_open")  # what was true at the last state may not be any more
+            # what was true at the last state may not be any more
+            self.status.forget_details("gripper_open")
             self._detail_s = 0.0
             raise
         self._states.publish(to_joint_state(state.joints))
@@ -233,7 +262,9 @@ class RobotModule(Module):
                 self.status.set_value("gripper_open", float(state.gripper_open))
 
     def _check_fault(self, fault: str) -> None:
-        """A fault has stopped the robot: whoever clears it, also on the robot itself, sets nothing in motion."""
+        """A fault has stopped the robot: whoever clears it, also on the robot itself, sets
+        nothing in motion.
+        """
         if fault and not self._has_fault:
             self.node.require_start(f"a fault of the robot: {fault}")
         self._has_fault = bool(fault)

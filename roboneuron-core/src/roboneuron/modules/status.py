@@ -1,7 +1,8 @@
-"""What a module says of itself on /diagnostics: one record, filled from its threads, published by a thread of its own.
+"""What a module says of itself on /diagnostics: one record, filled from its threads, published by a
+thread of its own.
 
-The publishing thread is separate from the executor, so that a module which loads for a minute, or hangs, still reports
-how long its executor has not turned (`loop_age_s`).
+The publishing thread is separate from the executor, so that a module which loads for a minute, or
+hangs, still reports how long its executor has not turned (`loop_age_s`).
 """
 
 from __future__ import annotations
@@ -28,7 +29,9 @@ _SAMPLES = 256
 
 
 class RateMeter:
-    """Events per second over the last three seconds of monotonic time; `total` counts those since the start."""
+    """Events per second over the last three seconds of monotonic time; `total` counts those
+    since the start.
+    """
 
     def __init__(self) -> None:
         self._times: deque[float] = deque(maxlen=4096)
@@ -137,7 +140,11 @@ class StatusWriter:
         """Remember the newest failure; the same failure again is counted, not announced."""
         with self._lock:
             before = self._fields.copy()
-            self._fields |= {"error_code": error.code, "error": error.message, "error_hint": error.hint}
+            self._fields |= {
+                "error_code": error.code,
+                "error": error.message,
+                "error_hint": error.hint,
+            }
             same = before == self._fields
             self._fields["error_count"] += 1
         if not same:
@@ -145,7 +152,9 @@ class StatusWriter:
 
     def set_unexpected(self, error: Exception) -> None:
         """Remember what a plugin raised against its contract."""
-        self.set_error(InternalError(f"{type(error).__name__}: {error}", hint="See the module's log."))
+        self.set_error(
+            InternalError(f"{type(error).__name__}: {error}", hint="See the module's log.")
+        )
 
     def clear_error(self) -> None:
         """The module works again."""
@@ -198,7 +207,9 @@ class StatusWriter:
         latency = self.latency.median_and_p99() or (None, None)
         age_s = self.output.age_s()
         with self._lock:
-            slowest = max(self._work.values(), key=lambda tick: (now_s - tick[0]) / tick[1], default=None)
+            slowest = max(
+                self._work.values(), key=lambda tick: (now_s - tick[0]) / tick[1], default=None
+            )
             return StatusReport(
                 uptime_s=round(now_s - self._started_s, 1),
                 loop_age_s=round(now_s - self._loop_s, 3),

@@ -13,22 +13,29 @@ from roboneuron.modules.status import StatusWriter
 _RETRY_S = 0.05
 _GIVE_UP_S = 0.1
 LIMIT_S = 0.4
-"""A step that takes longer than this makes the module count as stalled, unless it says otherwise."""
+"""A step that takes longer than this makes the module count as stalled, unless it says
+otherwise.
+"""
 log = logging.getLogger(__name__)
 
 
 class Worker:
     """Runs `step` over and over on one thread between `start` and `stop`.
 
-    A failing step is reported and tried again after 50 ms; `step` gets the event that ends the loop and should wait on
-    nothing longer than a fraction of a second, or call `progress` in between.
+    A failing step is reported and tried again after 50 ms; `step` gets the event that ends the loop
+    and should wait on nothing longer than a fraction of a second, or call `progress` in between.
 
     Attributes:
         limit_s: time between two signs of progress after which the module counts as stalled.
     """
 
     def __init__(
-        self, name: str, step: Callable[[threading.Event], None], status: StatusWriter, *, limit_s: float = LIMIT_S
+        self,
+        name: str,
+        step: Callable[[threading.Event], None],
+        status: StatusWriter,
+        *,
+        limit_s: float = LIMIT_S,
     ) -> None:
         self._name = name
         self._step = step
@@ -44,13 +51,16 @@ class Worker:
     def start(self) -> None:
         """Start the thread; it must not be running."""
         self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, args=(self._stop,), name=self._name, daemon=True)
+        self._thread = threading.Thread(
+            target=self._run, args=(self._stop,), name=self._name, daemon=True
+        )
         self._thread.start()
 
     def stop(self, timeout_s: float = 2.0, give_up: Callable[[], object] = lambda: None) -> bool:
         """Ask the thread to end and wait; returns False when it still hangs in a step. Idempotent.
 
-        `give_up` is called at once and then every 0.1 s while the thread runs: it ends what the step waits for.
+        `give_up` is called at once and then every 0.1 s while the thread runs: it ends what the
+        step waits for.
         """
         self._stop.set()
         thread, self._thread = self._thread, None

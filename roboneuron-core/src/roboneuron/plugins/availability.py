@@ -23,49 +23,71 @@ def is_importable(module: str) -> bool:
 
 def present(requirement: Requirement) -> tuple[str, ...]:
     """Which of its module and alternatives can be found, in their order."""
-    return tuple(module for module in (requirement.module, *requirement.alternatives) if is_importable(module))
+    return tuple(
+        module
+        for module in (requirement.module, *requirement.alternatives)
+        if is_importable(module)
+    )
 
 
 def missing(requirements: Iterable[Requirement]) -> tuple[Requirement, ...]:
-    """Those of `requirements` for which neither the module nor an alternative can be found, in their order."""
+    """Those of `requirements` for which neither the module nor an alternative can be found, in
+    their order.
+    """
     return tuple(r for r in requirements if not present(r))
 
 
 def explain(absent: Iterable[Requirement]) -> str:
     """One sentence that names the absent modules and the commands that provide them."""
     parts = tuple(absent)
-    modules = ", ".join(" or ".join(f"'{name}'" for name in (r.module, *r.alternatives)) for r in parts)
+    modules = ", ".join(
+        " or ".join(f"'{name}'" for name in (r.module, *r.alternatives)) for r in parts
+    )
     commands = "; ".join(dict.fromkeys(r.install for r in parts))
     return f"Needs {modules}, not installed; run: {commands}"
 
 
 WHOLE = "roboneuron"
-"""The distribution that needs all of what the embedded default configuration names; requirements.txt installs it."""
+"""The distribution that needs all of what the embedded default configuration names;
+requirements.txt installs it.
+"""
 
 
 def package_of(kind: str, name: str) -> str | None:
-    """The project's own package that offers `name`, with the extra that it needs; None when no such is known."""
+    """The project's own package that offers `name`, with the extra that it needs; None when no
+    such is known.
+    """
     package = _table().get(kind, {}).get(name)
     return package if isinstance(package, str) else None
 
 
 def known_names(kind: str = "") -> dict[str, str]:
-    """Package by name of an offer, of any kind or of one; "switch": features that `serve` has a flag for."""
+    """Package by name of an offer, of any kind or of one; "switch": features that `serve` has a
+    flag for.
+    """
     kinds = {kind} if kind else _table().keys() - {"needs", "switch"}
     return {name: package for of in sorted(kinds) for name, package in _table()[of].items()}
 
 
 def install_command(*packages: str) -> str:
-    """The command that installs packages of the project, with those that they need, from its source folder."""
+    """The command that installs packages of the project, with those that they need, from its
+    source folder.
+    """
     needs = _table()["needs"]
     wanted = dict.fromkeys(packages)
     for package in packages:
         wanted |= dict.fromkeys(needs.get(package.partition("[")[0], ()))
     common = {WHOLE, *needs[WHOLE]}
     words = ["-r requirements.txt"] if common & set(wanted) else []
-    words += [f'"./plugins/{name}"' if "[" in name else f"./plugins/{name}" for name in wanted if name not in common]
+    words += [
+        f'"./plugins/{name}"' if "[" in name else f"./plugins/{name}"
+        for name in wanted
+        if name not in common
+    ]
     return f"pip install {' '.join(words)} (in RoboNeuron's source folder)"
 
 
 def _table() -> dict[str, dict[str, str]]:
-    return tomllib.loads(files("roboneuron").joinpath("data/packages.toml").read_text(encoding="utf-8"))
+    return tomllib.loads(
+        files("roboneuron").joinpath("data/packages.toml").read_text(encoding="utf-8")
+    )

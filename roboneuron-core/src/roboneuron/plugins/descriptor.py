@@ -1,4 +1,6 @@
-"""Checks of single descriptors: names, targets and field types, without loading what they describe."""
+"""Checks of single descriptors: names, targets and field types, without loading what they
+describe.
+"""
 
 from __future__ import annotations
 
@@ -50,26 +52,36 @@ def _check_identity(spec: Spec, who: str) -> None:
     _check_references(spec, who)
     for requirement in spec.requires:
         if not requirement.module.isidentifier():
-            raise PluginError(f"{who} requires {requirement.module!r}, expected a top-level module name.")
+            raise PluginError(
+                f"{who} requires {requirement.module!r}, expected a top-level module name."
+            )
 
 
 def check_name(name: str, who: str) -> None:
     """Raise PluginError unless `name` matches NAME_PATTERN."""
     if not NAME_PATTERN.fullmatch(name):
-        raise PluginError(f"The name of {who} is malformed, expected lower-case letters, digits and single hyphens.")
+        raise PluginError(
+            f"The name of {who} is malformed, expected lower-case letters, digits and single "
+            "hyphens."
+        )
 
 
 def _check_references(spec: Spec | DriverSpec, who: str) -> None:
     for name in REFERENCES:
         target = getattr(spec, name, None)
         if target is not None and not TARGET_PATTERN.fullmatch(target):
-            raise PluginError(f"The `{name}` of {who} is {target!r}, expected 'package.module:attribute'.")
+            raise PluginError(
+                f"The `{name}` of {who} is {target!r}, expected 'package.module:attribute'."
+            )
 
 
 def _check_robot(spec: RobotSpec) -> None:
     who = f"robot {spec.name!r}"
     if spec.robot_kind not in ROBOT_KINDS:
-        raise PluginError(f"The robot_kind of {who} is {spec.robot_kind!r}, expected one of {', '.join(ROBOT_KINDS)}.")
+        raise PluginError(
+            f"The robot_kind of {who} is {spec.robot_kind!r}, expected one of "
+            f"{', '.join(ROBOT_KINDS)}."
+        )
     if not spec.drivers:
         raise PluginError(f"{who} has no drivers, expected at least one DriverSpec.")
     for driver in spec.drivers:
@@ -82,10 +94,15 @@ def _check_robot(spec: RobotSpec) -> None:
 def _check_feature(spec: FeatureSpec) -> None:
     who = f"feature {spec.name!r}"
     if spec.sections and spec.config is None:
-        raise PluginError(f"{who} owns {', '.join(spec.sections)} of the configuration, but has no `config`.")
+        raise PluginError(
+            f"{who} owns {', '.join(spec.sections)} of the configuration, but has no `config`."
+        )
     for key in spec.keys:
         if not KEY_PATTERN.fullmatch(key):
-            raise PluginError(f"The section {key!r} of {who} is malformed, expected lower-case letters, digits and _.")
+            raise PluginError(
+                f"The section {key!r} of {who} is malformed, expected lower-case letters, digits "
+                "and _."
+            )
 
 
 def _check_unique(names: Iterable[str], who: str) -> None:
@@ -101,7 +118,9 @@ def _check_fields(value: object, who: str) -> None:
 
 
 def _check_value(value: object, hint: object, who: str) -> None:
-    """Compare one field with its annotation; only the shapes that descriptors use are known here."""
+    """Compare one field with its annotation; only the shapes that descriptors use are known
+    here.
+    """
     origin = get_origin(hint)
     if origin in (Union, UnionType):
         if value is None and NoneType in get_args(hint):
@@ -110,7 +129,9 @@ def _check_value(value: object, hint: object, who: str) -> None:
         origin = get_origin(hint)
     if origin is tuple:
         if type(value) is not tuple:
-            raise PluginError(f"The {who} is {_describe(value)}, expected a tuple (descriptors are immutable).")
+            raise PluginError(
+                f"The {who} is {_describe(value)}, expected a tuple (descriptors are immutable)."
+            )
         for item in value:
             _check_value(item, get_args(hint)[0], f"an item of {who}")
         return

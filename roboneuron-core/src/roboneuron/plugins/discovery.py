@@ -29,7 +29,9 @@ _HOOK_PREFIX = f"{PROJECT}_"
 _MARK = f"{PROJECT}_impl"
 """Attribute that `pluggy.HookimplMarker` sets on a decorated function."""
 _SPEC_MARK = f"{PROJECT}_spec"
-"""Attribute that `pluggy.HookspecMarker` sets: a feature may specify its hooks in its plugin module."""
+"""Attribute that `pluggy.HookspecMarker` sets: a feature may specify its hooks in its plugin
+module.
+"""
 
 
 class _Claim(NamedTuple):
@@ -43,11 +45,12 @@ def discover(disabled: Collection[str] = ()) -> Registry:
     """Read all installed plugins, importing nothing but their plugin modules.
 
     Args:
-        disabled: names of plugins that are not to be imported at all; the name of a distribution means all of its
-            plugins.
+        disabled: names of plugins that are not to be imported at all; the name of a distribution
+            means all of its plugins.
 
     Raises:
-        ConfigurationError: `disabled` names neither an installed plugin nor a distribution with plugins.
+        ConfigurationError: `disabled` names neither an installed plugin nor a distribution with
+            plugins.
     """
     return discover_from(entry_points(group=PROJECT), disabled)
 
@@ -61,7 +64,11 @@ def discover_from(points: Iterable[EntryPoint], disabled: Collection[str] = ()) 
     waiting: list[_Claim] = []
     for claim in claims:  # what they bring has to be known before any other plugin can offer it
         if not skipped.isdisjoint(map(_normalise, _names(claim.record))):
-            records.append(replace(claim.record, status=Status.DISABLED, reason="Disabled by the configuration."))
+            records.append(
+                replace(
+                    claim.record, status=Status.DISABLED, reason="Disabled by the configuration."
+                )
+            )
             continue
         try:
             hooks = hooks.extended(_bringing_hooks(claim))
@@ -83,13 +90,19 @@ def _names(record: PluginRecord) -> tuple[str, str]:
 
 
 def _bringing_hooks(claim: _Claim) -> tuple[FeatureSpec | CommandSpec, ...]:
-    """Features and commands with hooks of their own; what else is wrong with the plugin is told by `_examine`."""
+    """Features and commands with hooks of their own; what else is wrong with the plugin is told
+    by `_examine`.
+    """
     try:
         with redirect_stdout(sys.stderr):
             module = claim.point.load()
-            offers = [getattr(module, hookspecs.HOOKS[kind], tuple) for kind in ("feature", "command")]
+            offers = [
+                getattr(module, hookspecs.HOOKS[kind], tuple) for kind in ("feature", "command")
+            ]
             offered = [spec for offer in offers for spec in offer()]
-        bringing = (s for s in offered if isinstance(s, (FeatureSpec, CommandSpec)) and s.hooks is not None)
+        bringing = (
+            s for s in offered if isinstance(s, (FeatureSpec, CommandSpec)) and s.hooks is not None
+        )
         return tuple(s for s in bringing if TARGET_PATTERN.fullmatch(str(s.hooks)))
     except (Exception, SystemExit):
         return ()
@@ -101,7 +114,11 @@ def _identify(point: EntryPoint) -> _Claim:
         metadata = point.dist.metadata  # read from a file each time it is asked for
         distribution, version = metadata["Name"], metadata["Version"] or ""
     record = PluginRecord(
-        name=point.name, distribution=distribution, version=version, module=point.module, status=Status.READY
+        name=point.name,
+        distribution=distribution,
+        version=version,
+        module=point.module,
+        status=Status.READY,
     )
     return _Claim(point, record)
 
@@ -135,19 +152,24 @@ def _examine(claim: _Claim, hooks: Hooks) -> PluginRecord:
         return _failed(claim, error)
     except (Exception, SystemExit) as error:
         where = f"Importing {claim.point.value} raised {type(error).__name__}: {error}"
-        return replace(claim.record, status=Status.FAILED, reason=where, traceback=traceback.format_exc())
+        return replace(
+            claim.record, status=Status.FAILED, reason=where, traceback=traceback.format_exc()
+        )
     return replace(claim.record, offers=tuple(_offer(spec, claim.record) for spec in specs))
 
 
 def read_module(module: object, hooks: Hooks | None = None) -> tuple[Spec, ...]:
-    """Return the descriptors that a plugin module offers, in the order of the hooks (those of core when None).
+    """Return the descriptors that a plugin module offers, in the order of the hooks (those of core
+    when None).
 
     Raises:
-        PluginError: the module misspells a hook, forgets its decorator, or a hook raises or returns something else
-            than a sequence of well-formed descriptors.
+        PluginError: the module misspells a hook, forgets its decorator, or a hook raises or returns
+            something else than a sequence of well-formed descriptors.
     """
     if not isinstance(module, ModuleType):
-        raise PluginError(f"The entry point names {type(module).__name__} {module!r}, expected a module.")
+        raise PluginError(
+            f"The entry point names {type(module).__name__} {module!r}, expected a module."
+        )
     hooks = hooks or Hooks()
     _check_hook_names(module, tuple(hooks.specs))
     manager = pluggy.PluginManager(PROJECT)
@@ -163,24 +185,36 @@ def read_module(module: object, hooks: Hooks | None = None) -> tuple[Spec, ...]:
         for offered in _call(manager, hook):
             if not isinstance(offered, (list, tuple)):
                 what = type(offered).__name__
-                raise PluginError(f"The hook {hook} returned {what}, expected a sequence of descriptors.")
+                raise PluginError(
+                    f"The hook {hook} returned {what}, expected a sequence of descriptors."
+                )
             specs.extend(check_spec(spec, expected) for spec in offered)
     if not specs:
-        raise PluginError(f"{module.__name__} offers nothing, expected a hook such as {hookspecs.HOOKS['backend']}.")
+        raise PluginError(
+            f"{module.__name__} offers nothing, expected a hook such as "
+            f"{hookspecs.HOOKS['backend']}."
+        )
     return tuple(specs)
 
 
 def _check_hook_names(module: ModuleType, hooks: Sequence[str]) -> None:
-    """A function with the prefix of the hooks is one of them and decorated, whatever the decorator says."""
+    """A function with the prefix of the hooks is one of them and decorated, whatever the
+    decorator says.
+    """
     for name, value in vars(module).items():
         marked = getattr(value, _MARK, None) is not None
-        if not (callable(value) and (marked or name.startswith(_HOOK_PREFIX))) or hasattr(value, _SPEC_MARK):
+        if not (callable(value) and (marked or name.startswith(_HOOK_PREFIX))) or hasattr(
+            value, _SPEC_MARK
+        ):
             continue
         if name not in hooks:
-            raise PluginError(f"{module.__name__}.{name} is no hook. {nearest(name, hooks, likeness=0.0)}")
+            raise PluginError(
+                f"{module.__name__}.{name} is no hook. {nearest(name, hooks, likeness=0.0)}"
+            )
         if not marked:
             raise PluginError(
-                f"{module.__name__}.{name} is not decorated, expected @hookimpl from roboneuron.plugins.hookspecs."
+                f"{module.__name__}.{name} is not decorated, expected @hookimpl from "
+                "roboneuron.plugins.hookspecs."
             )
 
 
@@ -196,11 +230,15 @@ def _call(manager: pluggy.PluginManager, hook: str) -> list[object]:
 
 
 def _offer(spec: Spec, record: PluginRecord) -> Offer:
-    ready = Offer(spec=spec, plugin=record.name, distribution=record.distribution, status=Status.READY)
+    ready = Offer(
+        spec=spec, plugin=record.name, distribution=record.distribution, status=Status.READY
+    )
     if spec.contract != CONTRACT_VERSION:
         newer = spec.contract > CONTRACT_VERSION
         advice = "upgrade roboneuron-core" if newer else f"upgrade {record.distribution}"
-        reason = f"Written for contract {spec.contract}, this core has {CONTRACT_VERSION}; {advice}."
+        reason = (
+            f"Written for contract {spec.contract}, this core has {CONTRACT_VERSION}; {advice}."
+        )
         return replace(ready, status=Status.INCOMPATIBLE, reason=reason)
     absent = availability.missing(spec.requires)
     if absent:
@@ -215,7 +253,9 @@ def _settle(records: Sequence[PluginRecord], hooks: Hooks) -> Registry:
         for offer in record.offers:
             for claim in _claimed(offer.spec):
                 claims[claim].append(_who(offer))
-    settled = tuple(_summarise(record, tuple(_contest(o, claims) for o in record.offers)) for record in records)
+    settled = tuple(
+        _summarise(record, tuple(_contest(o, claims) for o in record.offers)) for record in records
+    )
     offers = [offer for record in settled for offer in record.offers]
     offers.sort(key=lambda o: (o.spec.kind, o.spec.name, o.plugin, o.distribution))
     return Registry(plugins=settled, all_offers=tuple(offers), kinds=hooks.kinds)
@@ -238,7 +278,8 @@ def _contest(offer: Offer, claims: Mapping[tuple[str, str], Sequence[str]]) -> O
         claimants = claims[kind, name]
         if len(claimants) > 1:
             reason = (
-                f"The {kind} {name!r} is claimed by {' and by '.join(claimants)}; uninstall or disable all but one."
+                f"The {kind} {name!r} is claimed by {' and by '.join(claimants)}; uninstall "
+                "or disable all but one."
             )
             return replace(offer, status=Status.CONFLICT, reason=reason)
     return offer

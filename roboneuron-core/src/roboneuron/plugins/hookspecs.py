@@ -1,7 +1,9 @@
-"""The hooks. Each takes nothing, imports nothing heavy and returns a sequence of frozen descriptors.
+"""The hooks. Each takes nothing, imports nothing heavy and returns a sequence of frozen
+descriptors.
 
-A plugin is a distribution with an entry point in the group `roboneuron` that points at a module holding any of these
-functions, decorated with `hookimpl`. `Hooks` are those of core and those that installed features bring.
+A plugin is a distribution with an entry point in the group `roboneuron` that points at a module
+holding any of these functions, decorated with `hookimpl`. `Hooks` are those of core and those that
+installed features bring.
 """
 
 from __future__ import annotations
@@ -40,8 +42,9 @@ hookimpl = pluggy.HookimplMarker(PROJECT)
 def roboneuron_backends() -> Sequence[BackendSpec]:  # type: ignore[empty-body]
     """Offer policies: image and instruction to actions.
 
-    `target` follows the protocol `Backend`; it is built as `target(config, runtime=..., acceleration=...)` in the
-    inference module, in a process of its own. The agent sees each as a choice of `start_inference`.
+    `target` follows the protocol `Backend`; it is built as
+    `target(config, runtime=..., acceleration=...)` in the inference module, in a process of its
+    own. The agent sees each as a choice of `start_inference`.
     """
 
 
@@ -49,8 +52,8 @@ def roboneuron_backends() -> Sequence[BackendSpec]:  # type: ignore[empty-body]
 def roboneuron_runtimes() -> Sequence[RuntimeSpec]:  # type: ignore[empty-body]
     """Offer engines that execute decoders for backends.
 
-    `target` follows the protocol `Runtime`; it is built as `target(config)` in the inference module and handed to a
-    backend whose `family` is among `families`.
+    `target` follows the protocol `Runtime`; it is built as `target(config)` in the inference module
+    and handed to a backend whose `family` is among `families`.
     """
 
 
@@ -58,8 +61,8 @@ def roboneuron_runtimes() -> Sequence[RuntimeSpec]:  # type: ignore[empty-body]
 def roboneuron_accelerations() -> Sequence[AccelerationSpec]:  # type: ignore[empty-body]
     """Offer named presets that change how a loaded model is executed.
 
-    `target` follows the protocol `Acceleration`; it is built as `target(config)` in the inference module and applied by
-    a runtime that offers its `capability`.
+    `target` follows the protocol `Acceleration`; it is built as `target(config)` in the inference
+    module and applied by a runtime that offers its `capability`.
     """
 
 
@@ -67,8 +70,8 @@ def roboneuron_accelerations() -> Sequence[AccelerationSpec]:  # type: ignore[em
 def roboneuron_perceptions() -> Sequence[PerceptionSpec]:  # type: ignore[empty-body]
     """Offer sources of camera frames.
 
-    `target` follows the protocol `PerceptionSource`; it is built as `target(config, topics, cameras)` in the perception
-    module, in a process of its own.
+    `target` follows the protocol `PerceptionSource`; it is built as
+    `target(config, topics, cameras)` in the perception module, in a process of its own.
     """
 
 
@@ -76,8 +79,8 @@ def roboneuron_perceptions() -> Sequence[PerceptionSpec]:  # type: ignore[empty-
 def roboneuron_controllers() -> Sequence[ControllerSpec]:  # type: ignore[empty-body]
     """Offer controllers from actions to joint commands.
 
-    `target` follows the protocol `Controller`; it is built as `target(config, profile)` in the control module, in a
-    process of its own.
+    `target` follows the protocol `Controller`; it is built as `target(config, profile)` in the
+    control module, in a process of its own.
     """
 
 
@@ -85,9 +88,9 @@ def roboneuron_controllers() -> Sequence[ControllerSpec]:  # type: ignore[empty-
 def roboneuron_robots() -> Sequence[RobotSpec]:  # type: ignore[empty-body]
     """Offer robots.
 
-    `target` is a function without arguments that returns the `RobotProfile`; each driver's `target` follows the
-    protocol `RobotDriver` and is built as `target(config, profile, topics)` in the robot module, in a process of its
-    own.
+    `target` is a function without arguments that returns the `RobotProfile`; each driver's `target`
+    follows the protocol `RobotDriver` and is built as `target(config, profile, topics)` in the
+    robot module, in a process of its own.
     """
 
 
@@ -95,9 +98,10 @@ def roboneuron_robots() -> Sequence[RobotSpec]:  # type: ignore[empty-body]
 def roboneuron_features() -> Sequence[FeatureSpec]:  # type: ignore[empty-body]
     """Offer what the server can do beyond starting, watching, limiting and stopping modules.
 
-    `target` is a subclass of `roboneuron.server.feature.Feature`; it is built as `target(options)` in the server's
-    process, asked for its tools and resources before clients are served, and started once the server has joined ROS.
-    Every installed feature is used unless the configuration disables its distribution.
+    `target` is a subclass of `roboneuron.server.feature.Feature`; it is built as `target(options)`
+    in the server's process, asked for its tools and resources before clients are served, and
+    started once the server has joined ROS. Every installed feature is used unless the configuration
+    disables its distribution.
     """
 
 
@@ -105,8 +109,9 @@ def roboneuron_features() -> Sequence[FeatureSpec]:  # type: ignore[empty-body]
 def roboneuron_commands() -> Sequence[CommandSpec]:  # type: ignore[empty-body]
     """Offer commands of `roboneuron`.
 
-    `target` is a class without arguments that follows the protocol `roboneuron.cli.commands.CommandModule`: `configure`
-    adds its arguments to a parser, `run` returns the exit status. It is imported only when the command is used.
+    `target` is a class without arguments that follows the protocol
+    `roboneuron.cli.commands.CommandModule`: `configure` adds its arguments to a parser, `run`
+    returns the exit status. It is imported only when the command is used.
     """
 
 
@@ -137,8 +142,9 @@ class Hooks:
         """These hooks and those that features and commands bring.
 
         Raises:
-            PluginError, MissingDependencyError: their `hooks` cannot be imported, is no mapping from hook names to
-                descriptor classes, or claims a hook or a kind that is there already.
+            PluginError, MissingDependencyError: their `hooks` cannot be imported, is no mapping
+                from hook names to descriptor classes, or claims a hook or a kind that is there
+                already.
         """
         specs, containers = dict(self.specs), list(self.containers)
         for bringer in bringing:
@@ -146,9 +152,12 @@ class Hooks:
                 continue
             who = f"`hooks` of {bringer.kind} {bringer.name!r}"
             brought = load_attribute(bringer.hooks, who)
-            if not isinstance(brought, Mapping) or not all(_is_entry(hook, spec) for hook, spec in brought.items()):
+            if not isinstance(brought, Mapping) or not all(
+                _is_entry(hook, spec) for hook, spec in brought.items()
+            ):
                 raise PluginError(
-                    f"The {who} are {brought!r}, expected a mapping from hook names to descriptor classes."
+                    f"The {who} are {brought!r}, expected a mapping from hook names to descriptor "
+                    "classes."
                 )
             module = sys.modules[bringer.hooks.partition(":")[0]]
             known = {spec.kind for spec in specs.values()}

@@ -1,4 +1,6 @@
-"""From a descriptor to what it describes: importing targets and validating options; the first heavy step."""
+"""From a descriptor to what it describes: importing targets and validating options; the first
+heavy step.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,8 @@ def load_target(spec: Spec | DriverSpec) -> object:
     """Import `spec.target` and return the class or function it names.
 
     Raises:
-        MissingDependencyError: a required module is absent; the hint holds the command that provides it.
+        MissingDependencyError: a required module is absent; the hint holds the command that
+            provides it.
         PluginError: the module cannot be imported or has no such attribute; the cause is kept.
     """
     absent = availability.missing(spec.requires)
@@ -42,61 +45,83 @@ def load_attribute(reference: str, who: str) -> object:
     except ModuleNotFoundError as error:
         absent = error.name or ""
         if absent.partition(".")[0] == module_name.partition(".")[0]:
-            raise PluginError(f"The {who} is {reference!r}, but there is no module {absent!r}.") from error
+            raise PluginError(
+                f"The {who} is {reference!r}, but there is no module {absent!r}."
+            ) from error
         raise MissingDependencyError(
             f"The {who} cannot be imported: there is no module {absent!r}.",
             hint="Install it, and ask the plugin's author to declare it in `requires`.",
         ) from error
     except Exception as error:  # the border to a plugin's own code
-        raise PluginError(f"Importing the {who} ({reference}) raised {type(error).__name__}: {error}") from error
+        raise PluginError(
+            f"Importing the {who} ({reference}) raised {type(error).__name__}: {error}"
+        ) from error
     for part in path.split("."):
         try:
             value = getattr(value, part)
         except AttributeError as error:
             hint = nearest(part, dir(value))
-            raise PluginError(f"The {who} is {reference!r}, but there is no attribute {part!r}.", hint=hint) from error
+            raise PluginError(
+                f"The {who} is {reference!r}, but there is no attribute {part!r}.", hint=hint
+            ) from error
     return value
 
 
 def load_options_model(spec: Spec | DriverSpec) -> type[BaseModel] | None:
-    """Import the pydantic model of a descriptor's options, or None when it names none; raises as `load_target`."""
+    """Import the pydantic model of a descriptor's options, or None when it names none; raises
+    as `load_target`.
+    """
     if spec.config is None:
         return None
     from pydantic import BaseModel  # heavy
 
     model = load_attribute(spec.config, f"`config` of {spec.name!r}")
     if not (isinstance(model, type) and issubclass(model, BaseModel)):
-        raise PluginError(f"The `config` of {spec.name!r} ({spec.config}) is {model!r}, expected a pydantic BaseModel.")
+        raise PluginError(
+            f"The `config` of {spec.name!r} ({spec.config}) is {model!r}, expected a pydantic "
+            "BaseModel."
+        )
     return model
 
 
 def load_options(
-    spec: Spec | DriverSpec, options: Mapping[str, object], *, section: str | None = None, is_partial: bool = False
+    spec: Spec | DriverSpec,
+    options: Mapping[str, object],
+    *,
+    section: str | None = None,
+    is_partial: bool = False,
 ) -> BaseModel | None:
     """Validate a user's options; returns None when the descriptor takes none.
 
-    Values are read as JSON is: no text for a number, no number for text; paths may be text, tuples may be lists.
+    Values are read as JSON is: no text for a number, no number for text; paths may be text, tuples
+        may be lists.
 
     Args:
         spec: descriptor of the plugin or driver.
         options: as in `[plugins.<name>]` of the configuration or as a tool's arguments.
         section: what to call them in errors; `plugins.<name>` when None.
-        is_partial: others may be given later, so what is missing, and what concerns the whole, is no error yet; the
-            result is None then.
+        is_partial: others may be given later, so what is missing, and what concerns the whole, is
+            no error yet; the result is None then.
 
     Raises:
-        ConfigurationError: an unknown key (names the nearest valid one), a missing one, or a value of the wrong type or
-            range; every problem is named.
+        ConfigurationError: an unknown key (names the nearest valid one), a missing one, or a value
+            of the wrong type or range; every problem is named.
     """
     place = f"plugins.{spec.name}" if section is None else section
     model = load_options_model(spec)
     if model is None:
         if options:
-            raise ConfigurationError(f"{place}.{next(iter(options))} is unknown: {spec.name!r} takes no options.")
+            raise ConfigurationError(
+                f"{place}.{next(iter(options))} is unknown: {spec.name!r} takes no options."
+            )
         return None
     valid = [field.alias or name for name, field in model.model_fields.items()]
     listed = f"Valid are: {', '.join(sorted(valid)) or 'none'}."
-    unknown = [f"{place}.{key} is unknown. {nearest(key, valid, listed)}" for key in options if key not in valid]
+    unknown = [
+        f"{place}.{key} is unknown. {nearest(key, valid, listed)}"
+        for key in options
+        if key not in valid
+    ]
     if unknown:
         raise ConfigurationError(" ".join(unknown))
     from pydantic import ValidationError  # heavy
@@ -111,7 +136,9 @@ def load_options(
 
 
 def option_names(model: type[BaseModel], path: Sequence[int | str]) -> list[str]:
-    """The fields of the table at `path` below a model, numbers being places in lists; none when there is no table."""
+    """The fields of the table at `path` below a model, numbers being places in lists; none when
+    there is no table.
+    """
     table: Any = model
     for part in path:
         if isinstance(part, int):
@@ -129,7 +156,9 @@ def _explain(error: ValidationError, place: str, is_partial: bool) -> str:
     parts: list[str] = []
     for problem in error.errors(include_url=False, include_context=False):
         path = ".".join([place, *(str(step) for step in problem["loc"])])
-        if is_partial and (not problem["loc"] or (problem["type"] == "missing" and len(problem["loc"]) == 1)):
+        if is_partial and (
+            not problem["loc"] or (problem["type"] == "missing" and len(problem["loc"]) == 1)
+        ):
             continue
         if problem["type"] == "missing":
             parts.append(f"{path} is required and not given.")
@@ -146,4 +175,6 @@ def _plain(value: object) -> object:
         return value.isoformat()
     if isinstance(value, Mapping):
         return dict(value)
-    raise ConfigurationError(f"An option is {value!r} ({type(value).__name__}), expected what a TOML file can hold.")
+    raise ConfigurationError(
+        f"An option is {value!r} ({type(value).__name__}), expected what a TOML file can hold."
+    )

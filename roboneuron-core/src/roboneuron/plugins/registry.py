@@ -16,7 +16,9 @@ S = TypeVar("S", bound=Spec)
 
 
 class Status(StrEnum):
-    """Whether something can be used. The order is the order of severity: a plugin has the worst of its offers."""
+    """Whether something can be used. The order is the order of severity: a plugin has the worst
+    of its offers.
+    """
 
     READY = "ready"
     DISABLED = "disabled"
@@ -85,7 +87,9 @@ class Registry:
     kinds: Mapping[str, type[Spec]] = field(default_factory=lambda: PLUGIN_KINDS)
 
     def offers(self, kind: str) -> tuple[Offer, ...]:
-        """Every descriptor of `kind`, also those that cannot be used; raises ConfigurationError for another kind."""
+        """Every descriptor of `kind`, also those that cannot be used; raises ConfigurationError
+        for another kind.
+        """
         _check_kind(kind, self.kinds)
         return tuple(o for o in self.all_offers if o.spec.kind == kind)
 
@@ -94,7 +98,9 @@ class Registry:
     @overload
     def specs(self, kind: str) -> Mapping[str, Spec]: ...
     def specs(self, kind: str | type[Spec]) -> Mapping[str, Spec]:
-        """The usable descriptors of a kind or class by name, sorted; raises ConfigurationError for another kind."""
+        """The usable descriptors of a kind or class by name, sorted; raises ConfigurationError
+        for another kind.
+        """
         offers = self.offers(kind if isinstance(kind, str) else kind.kind)
         return MappingProxyType({o.spec.name: o.spec for o in offers if o.status is Status.READY})
 
@@ -103,12 +109,12 @@ class Registry:
     @overload
     def get(self, kind: str, name: str, *, elsewhere: bool = False) -> Spec: ...
     def get(self, kind: str | type[Spec], name: str, *, elsewhere: bool = False) -> Spec:
-        """The usable descriptor of that kind (or class) and name; `elsewhere`: modules that it needs may be absent
-        here, for it runs under another interpreter.
+        """The usable descriptor of that kind (or class) and name; `elsewhere`: modules that it
+        needs may be absent here, for it runs under another interpreter.
 
         Raises:
-            ConfigurationError: there is none; says why (disabled, unavailable, failed, unknown), what the choices are
-                and what to do.
+            ConfigurationError: there is none; says why (disabled, unavailable, failed, unknown),
+                what the choices are and what to do.
         """
         kind = kind if isinstance(kind, str) else kind.kind
         ready = self.specs(kind)
@@ -120,14 +126,17 @@ class Registry:
         if claims:
             reasons = " ".join(dict.fromkeys(f"{o.status}: {o.reason}" for o in claims))
             raise ConfigurationError(
-                f"The {kind} {name!r} cannot be used ({', '.join(o.plugin for o in claims)} {reasons}).",
+                f"The {kind} {name!r} cannot be used ({', '.join(o.plugin for o in claims)} "
+                f"{reasons}).",
                 hint=_choices(kind, ready),
             )
         package = package_of(kind, name)
         if package is not None and not self.not_loaded(package):
             raise ConfigurationError(
-                f"There is no {kind} {name!r} installed; the package {package.partition('[')[0]} brings it.",
-                hint=f"Run: {install_command(package)}. {_choices(kind, ready)}{self._explain_absent_plugins()}",
+                f"There is no {kind} {name!r} installed; the package {package.partition('[')[0]} "
+                "brings it.",
+                hint=f"Run: {install_command(package)}. "
+                f"{_choices(kind, ready)}{self._explain_absent_plugins()}",
             )
         raise ConfigurationError(
             f"There is no {kind} {name!r}. {nearest(name, ready)}".rstrip(),
@@ -135,7 +144,8 @@ class Registry:
         )
 
     def not_loaded(self, package: str = "") -> str:
-        """Plugins (of a package) whose offers are unknown, since they are disabled or failed, as text: "rn-x (failed)".
+        """Plugins (of a package) whose offers are unknown, since they are disabled or failed, as
+        text: "rn-x (failed)".
 
         One of them may hold what is sought; empty when all were loaded.
         """
@@ -150,7 +160,9 @@ class Registry:
 
 def _choices(kind: str, ready: Mapping[str, Spec]) -> str:
     return (
-        f"Choose one of: {', '.join(ready)}." if ready else f"No {kind} plugin is ready; see `roboneuron plugins list`."
+        f"Choose one of: {', '.join(ready)}."
+        if ready
+        else f"No {kind} plugin is ready; see `roboneuron plugins list`."
     )
 
 

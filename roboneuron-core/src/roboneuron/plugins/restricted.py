@@ -1,8 +1,9 @@
 """Marks of plugin options that tell whether an agent may set them.
 
-Hosts, files, commands and environment variables are for the configuration: `url: Annotated[str, ConfigurationOnly()]`.
-An option without a mark counts as restricted when its type or name says that it names such a thing; `AgentMaySet()`
-lifts that. The feature that lets agents set options goes by this.
+Hosts, files, commands and environment variables are for the configuration:
+    `url: Annotated[str, ConfigurationOnly()]`.
+An option without a mark counts as restricted when its type or name says that it names such a thing;
+`AgentMaySet()` lifts that. The feature that lets agents set options goes by this.
 """
 
 from __future__ import annotations
@@ -16,7 +17,9 @@ SCHEMA_KEY = "x-configuration-only"
 
 @dataclass(frozen=True, slots=True)
 class ConfigurationOnly:
-    """Marks an option that only the configuration sets; `agent_options` of `[server]` lists exceptions for admins."""
+    """Marks an option that only the configuration sets; `agent_options` of `[server]` lists
+    exceptions for admins.
+    """
 
     def __get_pydantic_json_schema__(self, schema: Any, handler: Any) -> dict[str, Any]:
         """Say so in the option's JSON schema."""
@@ -25,4 +28,6 @@ class ConfigurationOnly:
 
 @dataclass(frozen=True, slots=True)
 class AgentMaySet:
-    """Marks an option whose type or name looks restricted, but that names nothing outside of the plugin."""
+    """Marks an option whose type or name looks restricted, but that names nothing outside of
+    the plugin.
+    """

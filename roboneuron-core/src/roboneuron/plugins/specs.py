@@ -1,8 +1,10 @@
-"""Descriptors: what a plugin offers, said with the standard library alone, so that it is listed without being loaded.
+"""Descriptors: what a plugin offers, said with the standard library alone, so that it is listed
+without being loaded.
 
-`target` and `config` are written "package.module:attribute". `target` is called with the arguments that the protocol of
-its kind names (see `roboneuron.contract.protocols`); `config` is a pydantic model class whose fields are the options a
-user may set under `[plugins.<name>]`, or None when there are none.
+`target` and `config` are written "package.module:attribute". `target` is called with the arguments
+that the protocol of its kind names (see `roboneuron.contract.protocols`); `config` is a pydantic
+model class whose fields are the options a user may set under `[plugins.<name>]`, or None when there
+are none.
 """
 
 from __future__ import annotations
@@ -31,11 +33,13 @@ class Requirement:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ActionSpace:
-    """What a model family itself produces, before the backend converts it to the contract's 7-vector.
+    """What a model family itself produces, before the backend converts it to the contract's
+    7-vector.
 
     Attributes:
         width: values per step and arm set; planning refuses what the robot's `action_widths` lacks.
-        translation: unit of the translation ("m", "normalized", "checkpoint" when each checkpoint has its own).
+        translation: unit of the translation ("m", "normalized", "checkpoint" when each checkpoint
+            has its own).
         rotation: "rotvec", "rpy", "joint", "checkpoint".
         frame: "base", "tcp", "checkpoint".
         gripper: "open_fraction", "closed_fraction", "signed_close", "checkpoint".
@@ -63,8 +67,9 @@ class Spec:
         config: "module:attribute" of the pydantic options model, or None.
         requires: modules that must be importable before `target` is.
         contract: the CONTRACT_VERSION the plugin was written for.
-        case: "module:attribute" of a function without arguments that returns this descriptor's contract case: what
-            `roboneuron plugins check` needs to try it (an observation it can act on, a small checkpoint); None when its
+        case: "module:attribute" of a function without arguments that returns this descriptor's
+            contract case: what `roboneuron plugins check` needs to try it (an observation it can
+                act on, a small checkpoint); None when its
             options' defaults and synthetic input suffice. Never loaded otherwise.
     """
 
@@ -87,17 +92,19 @@ class BackendSpec(Spec):
         cameras: roles it needs a frame of, in order.
         optional_cameras: roles it uses when the robot has them.
         needs_state: it reads joints, TCP pose and gripper of the observation.
-        needs_checkpoint: `start_inference` must name a checkpoint directory (a pydantic field `checkpoint`).
+        needs_checkpoint: `start_inference` must name a checkpoint directory (a pydantic field
+            `checkpoint`).
         action_space: what the model produces itself.
         family: model family, matched with runtimes and accelerations; empty when it takes neither.
         runtimes_required: it cannot run without a runtime of its family.
         default_runtime: runtime used when the user names none; empty for none.
         capabilities: words accelerations may require of it.
-        conditions_on_rows: it continues `Observation.ahead.rows` (real-time chunking), and says how many of them in
-            `ActionChunk.conditioned_rows`.
+        conditions_on_rows: it continues `Observation.ahead.rows` (real-time chunking), and says how
+            many of them in `ActionChunk.conditioned_rows`.
         max_committed_rows: greatest prefix that it was trained to keep; 0 for any number.
-        takes_predicted_state: it was trained on states ahead of the image and reads TCP pose and gripper only (joints
-            cannot be predicted from TCP deltas); it may be given them rolled forward to the end of the running chunk.
+        takes_predicted_state: it was trained on states ahead of the image and reads TCP pose and
+            gripper only (joints cannot be predicted from TCP deltas); it may be given them rolled
+            forward to the end of the running chunk.
     """
 
     kind: ClassVar[str] = "backend"
@@ -178,7 +185,9 @@ class ControllerSpec(Spec):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class CameraSpec:
-    """A camera a robot has, as far as planning must know: its name in topics and its role for backends."""
+    """A camera a robot has, as far as planning must know: its name in topics and its role for
+    backends.
+    """
 
     name: str
     role: str
@@ -194,7 +203,8 @@ class DriverSpec:
         target: "module:attribute" of the RobotDriver class.
         config: "module:attribute" of its pydantic options model, or None.
         requires: modules it needs beyond the robot package's own.
-        recovers: it can clear a fault that has stopped the robot, by a method `recover`; see rn-ops.
+        recovers: it can clear a fault that has stopped the robot, by a method `recover`; see
+            rn-ops.
         simulated: nothing real moves. A driver that does not say so counts as one of a real robot.
     """
 
@@ -215,7 +225,8 @@ class RobotSpec(Spec):
         robot_kind: "arm" or "base".
         drivers: at least one.
         cameras: what it sees with.
-        action_widths: widths of model action spaces it can execute (7 for one arm and gripper); empty for bases.
+        action_widths: widths of model action spaces it can execute (7 for one arm and gripper);
+            empty for bases.
     """
 
     kind: ClassVar[str] = "robot"
@@ -235,21 +246,25 @@ class FeatureSpec(Spec):
     """Something the server can do: tools, resources, a transport, reactions to events.
 
     Attributes:
-        sections: top-level keys of roboneuron.toml that belong to it. Empty: one section, called as the feature with
-            underscores, and `config` is the model of that section. Otherwise `config` has one field for each key.
+        sections: top-level keys of roboneuron.toml that belong to it. Empty: one section, called as
+            the feature with underscores, and `config` is the model of that section. Otherwise
+            `config` has one field for each key.
         transports: values of `[server] transport` that it serves.
-        hooks: "module:attribute" of a mapping from names of further hooks to their descriptor classes; the module
-            also holds a hook specification (`hookspec`) of each of these names. Imported while plugins are
-            discovered, so it must be as light as a plugin module.
+        hooks: "module:attribute" of a mapping from names of further hooks to their descriptor
+            classes; the module also holds a hook specification (`hookspec`) of each of these names.
+            Imported while plugins are discovered, so it must be as light as a plugin module.
         needs: names of features without which it does not work.
-        on_join: "module:attribute" of a function that every module process calls with its `ModuleHost` once it has
-            joined ROS; None for none. In the server, `start` is the place for that.
-        fleet: "module:attribute" of what serves a configuration with several robots: called with the Config
-            and the state directory, returns a `roboneuron.server.surface.Served`; None when it does not do that.
-        fleet_config: "module:attribute" of what reads a file with several robots, for a feature with `fleet`: called
-            with the tables, the file's name for messages and the Registry, returns the Config.
-        switch: name of an option, true or false, of its first section; `roboneuron serve --NAME`, NAME being the
-            feature's, sets it to true. None for no such flag.
+        on_join: "module:attribute" of a function that every module process calls with its
+            `ModuleHost` once it has joined ROS; None for none. In the server, `start` is the place
+            for that.
+        fleet: "module:attribute" of what serves a configuration with several robots: called with
+            the Config and the state directory, returns a `roboneuron.server.surface.Served`; None
+            when it does not do that.
+        fleet_config: "module:attribute" of what reads a file with several robots, for a feature
+            with `fleet`: called with the tables, the file's name for messages and the Registry,
+                returns the Config.
+        switch: name of an option, true or false, of its first section; `roboneuron serve --NAME`,
+            NAME being the feature's, sets it to true. None for no such flag.
     """
 
     kind: ClassVar[str] = "feature"

@@ -1,8 +1,9 @@
 """One process per node name and machine: two nodes of one name would both obey each request.
 
-The ROS graph shows a second one only once it has been discovered, which takes a moment on a busy machine. A process
-therefore holds a Unix socket in Linux' abstract namespace, named after the ROS domain and the node: it needs no file,
-is seen by every user of the machine (of its network namespace, as ROS' loopback traffic is), and is gone with the
+The ROS graph shows a second one only once it has been discovered, which takes a moment on a busy
+machine. A process therefore holds a Unix socket in Linux' abstract namespace, named after the ROS
+domain and the node: it needs no file, is seen by every user of the machine (of its network
+    namespace, as ROS' loopback traffic is), and is gone with the
 process, however that ends.
 
 Source: unix(7), "Abstract sockets" and SO_PEERCRED.
@@ -55,7 +56,9 @@ def claim(node: str, wait_s: float = 0.0) -> socket.socket:
 
 
 def claimant(node: str) -> int | None:
-    """Process id of who holds `node`; 0 when it cannot be told (another container), None when nobody does."""
+    """Process id of who holds `node`; 0 when it cannot be told (another container), None when
+    nobody does.
+    """
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as asking:
         asking.setblocking(False)
         try:

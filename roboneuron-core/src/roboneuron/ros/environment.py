@@ -1,6 +1,8 @@
-"""Defaults that make ROS 2 from pip wheels work on a laptop; whatever the user has set stays as it is.
+"""Defaults that make ROS 2 from pip wheels work on a laptop; whatever the user has set stays as it
+is.
 
-Source of the facts: the ros-python-wheels bootstrapper (a .pth file) re-executes Python with LD_LIBRARY_PATH and marks
+Source of the facts: the ros-python-wheels bootstrapper (a .pth file) re-executes Python with
+    LD_LIBRARY_PATH and marks
 that with `_ROS_WHEELS_BOOTSTRAP_COMPLETE`; AMENT_PREFIX_PATH is left unset by it.
 """
 
@@ -19,15 +21,23 @@ from roboneuron.log_files import make_log_directory
 
 BOOTSTRAP_GUARD = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
 CLIENT_TOKEN = "ROBONEURON_TOKEN"
-"""Environment variable with the bearer token of `roboneuron call --url` and alike, when no other is named."""
+"""Environment variable with the bearer token of `roboneuron call --url` and alike, when no
+other is named.
+"""
 PORT_OFFSET = "ROBONEURON_PORT_OFFSET"
-"""How far the ports for a process's data lie above the first port of its domain; the shipped profile reads it."""
+"""How far the ports for a process's data lie above the first port of its domain; the shipped
+profile reads it.
+"""
 PARTICIPANTS = "ROBONEURON_PARTICIPANTS"
-"""How many participants of this host are looked for when discovery is LOCALHOST; the shipped profile reads it."""
+"""How many participants of this host are looked for when discovery is LOCALHOST; the shipped
+profile reads it.
+"""
 _STANDARD_OFFSET = 11
 MAX_DOMAIN = 232
 _SLOTS = tuple(250 * block + slot for block in range(5) for slot in (131, 163, 195))
-"""Offsets of 16 ports each, above those of the first 60 participants of a domain: out of everybody's way."""
+"""Offsets of 16 ports each, above those of the first 60 participants of a domain: out of
+everybody's way.
+"""
 
 
 def fast_dds_profile() -> Path:
@@ -36,7 +46,9 @@ def fast_dds_profile() -> Path:
 
 
 def state_directory(configured: str | None = None) -> Path:
-    """Where logs, the emergency-stop latch and the audit live: `configured`, else the XDG state directory."""
+    """Where logs, the emergency-stop latch and the audit live: `configured`, else the XDG state
+    directory.
+    """
     if configured:
         return Path(configured).expanduser()
     base = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
@@ -56,12 +68,15 @@ def check_state_directory(directory: Path) -> None:
     except OSError as error:
         raise ConfigurationError(
             f"The state directory {directory} cannot be written: {error.strerror or error}.",
-            hint="It keeps logs, the emergency stop and the audit. Make it writable, or name another one with "
+            hint="It keeps logs, the emergency stop and the audit. Make it writable, or name "
+            "another one with "
             "state_directory in [supervisor], or with XDG_STATE_HOME.",
         ) from error
 
 
-def set_defaults(environment: MutableMapping[str, str], *, prefix: str, log_directory: Path) -> None:
+def set_defaults(
+    environment: MutableMapping[str, str], *, prefix: str, log_directory: Path
+) -> None:
     """Fill in what is unset.
 
     Args:
@@ -70,22 +85,33 @@ def set_defaults(environment: MutableMapping[str, str], *, prefix: str, log_dire
         log_directory: where rcl writes its logs.
 
     Raises:
-        ConfigurationError: a sourced ROS installation is mixed with the wheels of this environment, or a variable
-            has a value for which rcl would end this process.
+        ConfigurationError: a sourced ROS installation is mixed with the wheels of this environment,
+            or a variable has a value for which rcl would end this process.
     """
-    foreign = [p for p in environment.get("AMENT_PREFIX_PATH", "").split(":") if p and Path(p) != Path(prefix)]
+    foreign = [
+        p
+        for p in environment.get("AMENT_PREFIX_PATH", "").split(":")
+        if p and Path(p) != Path(prefix)
+    ]
     distribution = environment.get("ROS_DISTRO")
     if distribution and any(p.startswith("/opt/ros") for p in foreign):
         raise ConfigurationError(
-            f"ROS {distribution} is sourced in this shell and would be mixed with the ROS wheels of {prefix}.",
+            f"ROS {distribution} is sourced in this shell and would be mixed with the ROS wheels "
+            f"of {prefix}.",
             hint="Start from a shell without `source /opt/ros/.../setup.bash`.",
         )
     _check_domain(environment.get("ROS_DOMAIN_ID", ""))
-    _check_middleware(environment.get("RMW_IMPLEMENTATION", ""), [Path(prefix), *map(Path, foreign)])
+    _check_middleware(
+        environment.get("RMW_IMPLEMENTATION", ""), [Path(prefix), *map(Path, foreign)]
+    )
     environment.setdefault("AMENT_PREFIX_PATH", prefix)
-    if not any(k in environment for k in ("ROS_DISCOVERY_SERVER", "ROS_STATIC_PEERS", "ROS_LOCALHOST_ONLY")):
+    if not any(
+        k in environment for k in ("ROS_DISCOVERY_SERVER", "ROS_STATIC_PEERS", "ROS_LOCALHOST_ONLY")
+    ):
         environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    if not any(k in environment for k in ("FASTDDS_DEFAULT_PROFILES_FILE", "FASTDDS_BUILTIN_TRANSPORTS")):
+    if not any(
+        k in environment for k in ("FASTDDS_DEFAULT_PROFILES_FILE", "FASTDDS_BUILTIN_TRANSPORTS")
+    ):
         environment.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(fast_dds_profile()))
     environment.setdefault(PORT_OFFSET, str(_STANDARD_OFFSET))
     environment.setdefault(PARTICIPANTS, "32")
@@ -104,7 +130,9 @@ def _check_domain(domain: str) -> None:
 def _check_middleware(name: str, prefixes: Sequence[Path]) -> None:
     """Whether RMW_IMPLEMENTATION is one that is installed, by the ament index."""
     indexes = [prefix / "share/ament_index/resource_index/rmw_typesupport" for prefix in prefixes]
-    known = {entry.name for index in indexes if index.is_dir() for entry in index.iterdir()} - {"rmw_implementation"}
+    known = {entry.name for index in indexes if index.is_dir() for entry in index.iterdir()} - {
+        "rmw_implementation"
+    }
     if name and known and name not in known:
         raise ConfigurationError(
             f"RMW_IMPLEMENTATION is {name!r}, which is not installed in this environment.",
@@ -113,7 +141,9 @@ def _check_middleware(name: str, prefixes: Sequence[Path]) -> None:
 
 
 def _check_not_hidden(prefix: str) -> None:
-    """Refuse another rclpy before the one of this environment on the import path, as PYTHONPATH puts it there."""
+    """Refuse another rclpy before the one of this environment on the import path, as PYTHONPATH
+    puts it there.
+    """
     try:
         spec = find_spec("rclpy")
     except ValueError:  # a stand-in without a spec
@@ -121,11 +151,14 @@ def _check_not_hidden(prefix: str) -> None:
     found = Path(spec.origin).parent if spec is not None and spec.origin else None
     if found is None or found.is_relative_to(prefix):
         return
-    own = [Path(entry) / "rclpy" for entry in sys.path if entry and Path(entry).is_relative_to(prefix)]
+    own = [
+        Path(entry) / "rclpy" for entry in sys.path if entry and Path(entry).is_relative_to(prefix)
+    ]
     if any(folder.is_dir() for folder in own):
         raise ConfigurationError(
             f"rclpy would be imported from {found}, which hides the one of {prefix}.",
-            hint=f"PYTHONPATH is {os.environ.get('PYTHONPATH', '')!r}: unset it, or take that folder out.",
+            hint=f"PYTHONPATH is {os.environ.get('PYTHONPATH', '')!r}: unset it, or take that "
+            "folder out.",
         )
 
 
@@ -136,29 +169,42 @@ def prepare_environment(log_directory: Path | None = None) -> None:
         ConfigurationError: as `set_defaults`; or another rclpy hides the one of this environment.
     """
     _check_not_hidden(sys.prefix)
-    set_defaults(os.environ, prefix=sys.prefix, log_directory=log_directory or state_directory() / "log" / "ros")
+    set_defaults(
+        os.environ,
+        prefix=sys.prefix,
+        log_directory=log_directory or state_directory() / "log" / "ros",
+    )
 
 
 def port_offset(domain: int, start: int) -> int:
-    """Offset of the data ports of the `start`-th module process: none meets the ports of the 14 before it.
+    """Offset of the data ports of the `start`-th module process: none meets the ports of the 14
+    before it.
 
-    A sender goes on opening the port of a killed process until its lease ends (20 s), and Fast DDS 2.14 can lose a port
-    that is opened again by a successor just then: the successor hears nothing from that sender, ever.
+    A sender goes on opening the port of a killed process until its lease ends (20 s), and Fast DDS
+    2.14 can lose a port
+    that is opened again by a successor just then: the successor hears nothing from that sender,
+        ever.
 
-    Source: RTPS 2.2, 9.6.1.1 (port = 7400 + 250 * domain + offset + 2 * participant; the standard offset is 11).
+    Source: RTPS 2.2, 9.6.1.1 (port = 7400 + 250 * domain + offset + 2 * participant; the standard
+        offset is 11).
     """
     slots = [slot for slot in _SLOTS if 7400 + 250 * domain + slot + 32 < 2**16]
     return slots[start % len(slots)] if slots else _STANDARD_OFFSET
 
 
-def module_environment(python: str | None, start: int, secrets: Collection[str] = ()) -> dict[str, str]:
+def module_environment(
+    python: str | None, start: int, secrets: Collection[str] = ()
+) -> dict[str, str]:
     """Environment for the `start`-th module process, run by `python` (None: this interpreter).
 
     It holds none of the variables called `secrets`, nor the token of our own client.
 
-    Another interpreter has ROS libraries of its own: what points at ours is taken out, so that its bootstrapper runs.
+    Another interpreter has ROS libraries of its own: what points at ours is taken out, so that its
+        bootstrapper runs.
     """
-    environment = {name: value for name, value in os.environ.items() if name not in (CLIENT_TOKEN, *secrets)}
+    environment = {
+        name: value for name, value in os.environ.items() if name not in (CLIENT_TOKEN, *secrets)
+    }
     domain = environment.get("ROS_DOMAIN_ID", "")
     environment[PORT_OFFSET] = str(port_offset(int(domain) if domain.isdecimal() else 0, start))
     if python is not None and Path(python).absolute() != Path(sys.executable).absolute():

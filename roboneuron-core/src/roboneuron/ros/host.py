@@ -1,4 +1,6 @@
-"""The `Topics` that a module lends to its plugin: publish and subscribe under the robot's namespace, nothing else."""
+"""The `Topics` that a module lends to its plugin: publish and subscribe under the robot's
+namespace, nothing else.
+"""
 
 from __future__ import annotations
 
@@ -20,8 +22,8 @@ _LOOK_AGAIN_S = 0.25
 class NodeTopics:
     """Implements `roboneuron.contract.Topics` on a node; `close` takes everything back.
 
-    `accepts` is asked before each message is delivered: a robot's driver hears nothing while the emergency stop is
-    latched or its module is not active.
+    `accepts` is asked before each message is delivered: a robot's driver hears nothing while the
+    emergency stop is latched or its module is not active.
     """
 
     def __init__(self, node: Node, accepts: Callable[[], bool] = lambda: True) -> None:
@@ -30,7 +32,12 @@ class NodeTopics:
         self._made = ExitStack()
 
     def subscribe(
-        self, topic: str, message_type: type[M], callback: Callable[[M], None], *, best_effort: bool = False
+        self,
+        topic: str,
+        message_type: type[M],
+        callback: Callable[[M], None],
+        *,
+        best_effort: bool = False,
     ) -> None:
         """See `Topics.subscribe`."""
 
@@ -56,7 +63,10 @@ class NodeTopics:
             if wanted != qos:
                 if subscription is not None:
                     node.destroy_subscription(subscription)
-                qos, subscription = wanted, node.create_subscription(message_type, topic, deliver, wanted)
+                qos, subscription = (
+                    wanted,
+                    node.create_subscription(message_type, topic, deliver, wanted),
+                )
 
         look()
         self._made.callback(lambda: node.destroy_subscription(subscription))
@@ -76,7 +86,9 @@ class NodeTopics:
 
     def publisher_types(self, topic: str) -> tuple[str, ...]:
         """See `Topics.publisher_types`."""
-        return tuple(str(info.topic_type) for info in self._node.get_publishers_info_by_topic(topic))
+        return tuple(
+            str(info.topic_type) for info in self._node.get_publishers_info_by_topic(topic)
+        )
 
     def now_ns(self) -> int:
         """See `Topics.now_ns`."""

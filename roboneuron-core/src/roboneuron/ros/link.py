@@ -1,4 +1,6 @@
-"""The control plane's place in the ROS graph: one context, one node, one executor thread; usable from any thread."""
+"""The control plane's place in the ROS graph: one context, one node, one executor thread;
+usable from any thread.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,9 @@ _TASK_TIMEOUT_S = 10.0
 
 
 class Call:
-    """A service call on its way. `response` is None until `done`, and stays None when the call failed."""
+    """A service call on its way. `response` is None until `done`, and stays None when the call
+    failed.
+    """
 
     def __init__(self, client: Client, future: Any) -> None:
         self._client = client
@@ -51,7 +55,8 @@ class Call:
 class RosLink:
     """A node of the control plane.
 
-    Entities are made and destroyed on the executor's thread, where callbacks run too; callbacks must return quickly.
+    Entities are made and destroyed on the executor's thread, where callbacks run too; callbacks
+    must return quickly.
     """
 
     def __init__(self, node_name: str) -> None:
@@ -65,11 +70,18 @@ class RosLink:
         self._lock = threading.Lock()
 
     def open(self) -> None:
-        """Join the graph (about 0.4 s); `roboneuron.ros.environment.prepare_environment` must have run."""
+        """Join the graph (about 0.4 s); `roboneuron.ros.environment.prepare_environment` must
+        have run.
+        """
         self._is_closing = False
         self._context = rclpy.Context()
         rclpy.init(context=self._context)
-        self._node = Node(self._node_name, context=self._context, enable_rosout=False, start_parameter_services=False)
+        self._node = Node(
+            self._node_name,
+            context=self._context,
+            enable_rosout=False,
+            start_parameter_services=False,
+        )
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
         self._thread = threading.Thread(target=self._spin, name="ros-link", daemon=True)
@@ -84,7 +96,8 @@ class RosLink:
         self._thread.join(timeout=2.0)
         self._thread = None
         self._clients.clear()
-        for waitable in tuple(self._node.waitables):  # an action client would keep the node on the graph
+        # an action client would keep the node on the graph
+        for waitable in tuple(self._node.waitables):
             if isinstance(waitable, ActionClient):
                 waitable.destroy()
         self._node.destroy_node()
@@ -102,7 +115,9 @@ class RosLink:
         return self._node
 
     def on_executor(self, task: Callable[[], T]) -> T:
-        """Run `task` on the executor's thread and return its result; not callable from that thread."""
+        """Run `task` on the executor's thread and return its result; not callable from that
+        thread.
+        """
         if self._thread is None:
             raise InternalError("The ROS link is not open.")
         done = threading.Event()
@@ -120,20 +135,30 @@ class RosLink:
         def deliver(message: M) -> None:
             try:
                 callback(message)
-            except Exception:  # a failing callback must not end the thread that all modules are watched from
+            except (
+                Exception
+            ):  # a failing callback must not end the thread that all modules are watched from
                 log.exception("The callback of %s failed.", topic)
 
         node = self._node
-        subscription = self.on_executor(lambda: node.create_subscription(message_type, topic, deliver, qos))
+        subscription = self.on_executor(
+            lambda: node.create_subscription(message_type, topic, deliver, qos)
+        )
         return lambda: self.on_executor(lambda: node.destroy_subscription(subscription))
 
     def advertise(self, message_type: type[M], topic: str, qos: QoSProfile) -> Callable[[M], None]:
-        """Return a function that publishes on an absolute `topic`, for as long as the link is open."""
+        """Return a function that publishes on an absolute `topic`, for as long as the link is
+        open.
+        """
         publisher = self.on_executor(lambda: self._node.create_publisher(message_type, topic, qos))
         return cast("Callable[[M], None]", publisher.publish)
 
-    def call(self, service_type: type, name: str, request: object, on_answer: Callable[[], None]) -> Call:
-        """Send a request to the service with that absolute name; `on_answer` is called when the answer is there."""
+    def call(
+        self, service_type: type, name: str, request: object, on_answer: Callable[[], None]
+    ) -> Call:
+        """Send a request to the service with that absolute name; `on_answer` is called when the
+        answer is there.
+        """
         client = self._client(service_type, name)
         future = client.call_async(request)
         future.add_done_callback(lambda _: on_answer())
@@ -157,5 +182,6 @@ class RosLink:
         except ExternalShutdownException:
             log.debug("The ROS context was shut down.")
         except InvalidHandle:
-            if not self._is_closing:  # the executor's own guard condition goes while its last task ends
+            # the executor's own guard condition goes while its last task ends
+            if not self._is_closing:
                 raise

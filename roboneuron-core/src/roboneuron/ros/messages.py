@@ -1,4 +1,6 @@
-"""ROS messages <-> contract types. Every value is coerced: rclpy sends an int in a float64 field as garbage."""
+"""ROS messages <-> contract types. Every value is coerced: rclpy sends an int in a float64
+field as garbage.
+"""
 
 from __future__ import annotations
 
@@ -46,9 +48,11 @@ def to_image(frame: Frame) -> Image:
 
 
 def to_camera_info(frame: Frame) -> CameraInfo | None:
-    """Intrinsics of a frame -> sensor_msgs/CameraInfo of a camera without distortion; None when not calibrated.
+    """Intrinsics of a frame -> sensor_msgs/CameraInfo of a camera without distortion; None when not
+    calibrated.
 
-    Source of the half pixel: image_geometry and OpenCV put pixel centres at integers, the contract at integers + 0.5.
+    Source of the half pixel: image_geometry and OpenCV put pixel centres at integers, the contract
+        at integers + 0.5.
     """
     if frame.calibration is None:
         return None
@@ -64,21 +68,26 @@ def to_camera_info(frame: Frame) -> CameraInfo | None:
 
 
 def intrinsics_from_camera_info(message: CameraInfo) -> F64:
-    """sensor_msgs/CameraInfo -> float64 (3, 3) [px] in the contract's convention (see `CameraCalibration`).
+    """sensor_msgs/CameraInfo -> float64 (3, 3) [px] in the contract's convention (see
+    `CameraCalibration`).
 
     Raises:
-        InvalidInputError: the camera was never calibrated (focal length 0), or a value is not finite.
+        InvalidInputError: the camera was never calibrated (focal length 0), or a value is not
+            finite.
     """
     intrinsics = np.array(message.k, dtype=np.float64).reshape(3, 3)
     if not np.isfinite(intrinsics).all() or intrinsics[0, 0] <= 0 or intrinsics[1, 1] <= 0:
         raise InvalidInputError(
-            f"The camera_info of {message.header.frame_id!r} holds no calibration: k is {intrinsics.ravel().tolist()}."
+            f"The camera_info of {message.header.frame_id!r} holds no calibration: k is "
+            f"{intrinsics.ravel().tolist()}."
         )
     calibrated: F64 = intrinsics + _HALF_PIXEL
     return calibrated
 
 
-def frame_from_message(message: Image, camera: str, calibration: CameraCalibration | None = None) -> Frame:
+def frame_from_message(
+    message: Image, camera: str, calibration: CameraCalibration | None = None
+) -> Frame:
     """sensor_msgs/Image -> Frame; `rgb8` shares the message's memory.
 
     Args:
@@ -90,9 +99,15 @@ def frame_from_message(message: Image, camera: str, calibration: CameraCalibrati
     """
     stamp_ns = to_ns(message.header.stamp)
     if stamp_ns <= 0:
-        raise InvalidInputError(f"An image of camera {camera!r} carries no capture time in header.stamp.")
+        raise InvalidInputError(
+            f"An image of camera {camera!r} carries no capture time in header.stamp."
+        )
     image = frame_from_buffer(
-        message.data, width=message.width, height=message.height, step=message.step, encoding=message.encoding
+        message.data,
+        width=message.width,
+        height=message.height,
+        step=message.step,
+        encoding=message.encoding,
     )
     return Frame(
         camera=camera,
@@ -106,7 +121,9 @@ def frame_from_message(message: Image, camera: str, calibration: CameraCalibrati
 def to_action_message(vector: F64) -> Float64MultiArray:
     """Action vector (7,) -> std_msgs/Float64MultiArray with the contract's label."""
     message = Float64MultiArray()
-    message.layout.dim = [MultiArrayDimension(label=ACTION_LABEL, size=ACTION_SIZE, stride=ACTION_SIZE)]
+    message.layout.dim = [
+        MultiArrayDimension(label=ACTION_LABEL, size=ACTION_SIZE, stride=ACTION_SIZE)
+    ]
     message.data = array.array("d", vector.tolist())
     return message
 
@@ -119,7 +136,9 @@ def vector_from_action_message(message: Float64MultiArray) -> F64:
     """
     dims = message.layout.dim
     if dims and dims[0].label != ACTION_LABEL:
-        raise InvalidInputError(f"An action is labelled {dims[0].label!r}, expected {ACTION_LABEL!r}.")
+        raise InvalidInputError(
+            f"An action is labelled {dims[0].label!r}, expected {ACTION_LABEL!r}."
+        )
     return np.array(message.data, dtype=np.float64)
 
 
@@ -137,15 +156,19 @@ def joints_from_message(message: JointState) -> JointSample:
     """sensor_msgs/JointState -> JointSample.
 
     Raises:
-        InvalidInputError: names and positions differ in number, a name comes twice, or velocities differ in number.
+        InvalidInputError: names and positions differ in number, a name comes twice, or velocities
+            differ in number.
     """
     names = tuple(message.name)
     if len(names) != len(message.position) or len(set(names)) != len(names):
         raise InvalidInputError(
-            f"A joint state has {len(names)} names ({len(set(names))} different) and {len(message.position)} positions."
+            f"A joint state has {len(names)} names ({len(set(names))} different) and "
+            f"{len(message.position)} positions."
         )
     if message.velocity and len(message.velocity) != len(names):
-        raise InvalidInputError(f"A joint state has {len(names)} names and {len(message.velocity)} velocities.")
+        raise InvalidInputError(
+            f"A joint state has {len(names)} names and {len(message.velocity)} velocities."
+        )
     return JointSample(
         names=names,
         position=np.array(message.position, dtype=np.float64),
@@ -161,7 +184,9 @@ def to_pose_stamped(pose: Pose, frame_id: str) -> PoseStamped:
     message.header.frame_id = frame_id
     position, orientation = message.pose.position, message.pose.orientation
     position.x, position.y, position.z = (float(v) for v in pose.position_m)
-    orientation.x, orientation.y, orientation.z, orientation.w = (float(v) for v in pose.quaternion_xyzw)
+    orientation.x, orientation.y, orientation.z, orientation.w = (
+        float(v) for v in pose.quaternion_xyzw
+    )
     return message
 
 
@@ -179,7 +204,9 @@ def to_joint_trajectory(command: JointCommand) -> JointTrajectory:
     """JointCommand -> trajectory_msgs/JointTrajectory with one point, to start at once."""
     seconds = int(command.duration_s)
     nanoseconds = round((command.duration_s - seconds) * NS_PER_S)
-    point = JointTrajectoryPoint(time_from_start=Duration(sec=seconds, nanosec=min(nanoseconds, NS_PER_S - 1)))
+    point = JointTrajectoryPoint(
+        time_from_start=Duration(sec=seconds, nanosec=min(nanoseconds, NS_PER_S - 1))
+    )
     point.positions = array.array("d", command.position.tolist())
     return JointTrajectory(joint_names=list(command.names), points=[point])
 
@@ -190,11 +217,14 @@ def commands_from_message(message: JointTrajectory | JointState) -> list[JointCo
     Positions without times (a JointState) are one command, to be reached in 0.1 s.
 
     Raises:
-        InvalidInputError: no points, sizes that do not match, non-finite positions, or times that do not increase.
+        InvalidInputError: no points, sizes that do not match, non-finite positions, or times that
+            do not increase.
     """
     if isinstance(message, JointState):
         joints = joints_from_message(message)
-        return [JointCommand(names=joints.names, position=joints.position, duration_s=_STATE_STEP_S)]
+        return [
+            JointCommand(names=joints.names, position=joints.position, duration_s=_STATE_STEP_S)
+        ]
     names = tuple(message.joint_names)
     if not message.points or not names:
         raise InvalidInputError("A joint trajectory has no points or no joint names.")
@@ -204,11 +234,15 @@ def commands_from_message(message: JointTrajectory | JointState) -> list[JointCo
         time_s = point.time_from_start.sec + point.time_from_start.nanosec / NS_PER_S
         position = np.array(point.positions, dtype=np.float64)
         if position.shape != (len(names),):
-            raise InvalidInputError(f"Point {index} has {position.size} positions for {len(names)} joints.")
+            raise InvalidInputError(
+                f"Point {index} has {position.size} positions for {len(names)} joints."
+            )
         if not np.isfinite(position).all():
             raise InvalidInputError(f"Point {index} holds a non-finite position.")
         if time_s <= elapsed_s:
-            raise InvalidInputError(f"time_from_start of point {index} is {time_s:g} s, not after {elapsed_s:g} s.")
+            raise InvalidInputError(
+                f"time_from_start of point {index} is {time_s:g} s, not after {elapsed_s:g} s."
+            )
         commands.append(JointCommand(names=names, position=position, duration_s=time_s - elapsed_s))
         elapsed_s = time_s
     return commands

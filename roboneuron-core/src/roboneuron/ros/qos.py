@@ -10,29 +10,40 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 
 def _reliable(depth: int, durability: DurabilityPolicy = DurabilityPolicy.VOLATILE) -> QoSProfile:
     return QoSProfile(
-        history=HistoryPolicy.KEEP_LAST, depth=depth, reliability=ReliabilityPolicy.RELIABLE, durability=durability
+        history=HistoryPolicy.KEEP_LAST,
+        depth=depth,
+        reliability=ReliabilityPolicy.RELIABLE,
+        durability=durability,
     )
 
 
 NEWEST = _reliable(1)
-"""Images, actions, states, commands: reliable, and only the newest counts (best effort loses large images)."""
+"""Images, actions, states, commands: reliable, and only the newest counts (best effort loses
+large images).
+"""
 
 LATCHED = _reliable(1, DurabilityPolicy.TRANSIENT_LOCAL)
 """The emergency stop: late joiners receive the last value."""
 
 STOP_REQUESTS = (LATCHED, NEWEST)
-"""To hear every emergency stop, subscribe with each: one that asks for the last value never matches a publisher
-that keeps none, such as `ros2 topic pub`."""
+"""To hear every emergency stop, subscribe with each: one that asks for the last value never matches
+a publisher that keeps none, such as `ros2 topic pub`."""
 
 STATUS = _reliable(20)
 """/diagnostics: several modules write to one topic."""
 
 
 def requested_qos(publishers: Sequence[Any], depth: int, *, latched: bool = True) -> QoSProfile:
-    """A subscription profile that every given publisher matches; if `latched`, it gets the last value too."""
+    """A subscription profile that every given publisher matches; if `latched`, it gets the last
+    value too.
+    """
     offered = [info.qos_profile for info in publishers]
     reliable = all(qos.reliability == ReliabilityPolicy.RELIABLE for qos in offered)
-    latched = latched and bool(offered) and all(qos.durability == DurabilityPolicy.TRANSIENT_LOCAL for qos in offered)
+    latched = (
+        latched
+        and bool(offered)
+        and all(qos.durability == DurabilityPolicy.TRANSIENT_LOCAL for qos in offered)
+    )
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
         depth=depth,

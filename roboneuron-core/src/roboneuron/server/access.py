@@ -23,8 +23,8 @@ class Holder:
         who: for the audit and the log.
         role: one of ROLES; anything else has no rights.
         client: which of several clients without a token; empty for others.
-        watched: calls a listener when the connection of this request is lost within the block, or was before; None
-            where that cancels the call, as on stdio.
+        watched: calls a listener when the connection of this request is lost within the block, or
+            was before; None where that cancels the call, as on stdio.
     """
 
     who: str
@@ -36,7 +36,9 @@ class Holder:
 LOCAL_AGENT = Holder(who="agent on stdio", role=ADMIN)
 """The client of a stdio server: whoever started the server, so it has every role."""
 LOCAL_PROCESS = Holder(who="local HTTP client", role=ADMIN)
-"""A client of a server on loopback that asks for no token: anybody on this machine, who could start one as well."""
+"""A client of a server on loopback that asks for no token: anybody on this machine, who could
+start one as well.
+"""
 NOBODY = Holder(who="unknown", role="")
 
 
@@ -71,6 +73,7 @@ def check_role(tool: Tool[Any], context: CallContext) -> None:
     """
     if not may_call(context.role, tool):
         raise RefusedError(
-            f"{tool.name} needs the role {least_role(tool)!r}; {context.who} has {context.role or 'none'!r}.",
+            f"{tool.name} needs the role {least_role(tool)!r}; {context.who} has "
+            f"{context.role or 'none'!r}.",
             hint="Use a token with that role, or ask a person who has one.",
         )

@@ -31,14 +31,19 @@ from roboneuron.supervisor.health import Watch
 from roboneuron.supervisor.supervisor import LEAVE_S, Supervisor
 
 SWITCH_S = 0.001
-"""How long a thread that computes keeps the others waiting; the interpreter's own default is 5 ms."""
+"""How long a thread that computes keeps the others waiting; the interpreter's own default is 5
+ms.
+"""
 
 
 def shorten_pauses() -> None:
-    """Call it once everything is imported and derived; holds the interpreter for about 0.1 s itself.
+    """Call it once everything is imported and derived; holds the interpreter for about 0.1 s
+    itself.
 
-    A full garbage collection looks at every object there is and stops all threads meanwhile: 80 to 130 ms with ROS, MCP
-    and 3 to 1,000 endpoints loaded. What is there now stays until the end, so it is not looked at again.
+    A full garbage collection looks at every object there is and stops all threads meanwhile: 80 to
+        130 ms with ROS, MCP
+    and 3 to 1,000 endpoints loaded. What is there now stays until the end, so it is not looked at
+    again.
     """
     sys.setswitchinterval(SWITCH_S)
     gc.collect()
@@ -51,21 +56,29 @@ _MOTION_S = 2.0
 
 _INSTRUCTIONS = {
     "start_all": "start_all starts everything that is configured.",
-    "run_task": "run_task has the robot carry out an instruction and says how that ended: use it for most requests.",
-    "start_robot": "By single steps: start_robot, start_perception, start_control, start_inference, then "
+    "run_task": "run_task has the robot carry out an instruction and says how that ended: use it "
+    "for most requests.",
+    "start_robot": "By single steps: start_robot, start_perception, start_control, "
+    "start_inference, then "
     "set_instruction, which returns when the robot begins to move.",
     "get_camera_image": "get_camera_image shows what is there.",
     "get_status": "get_status tells how everything is.",
-    "stop_inference": "stop_inference ends the policy's motion, stop_all everything. emergency_stop is for danger: "
+    "stop_inference": "stop_inference ends the policy's motion, stop_all everything. "
+    "emergency_stop is for danger: "
     "only a person releases it.",
-    "move_ee": "move_*, publish_*, call_* and send_*_goal move the robot directly, but not while a policy runs.",
+    "move_ee": "move_*, publish_*, call_* and send_*_goal move the robot directly, but not while "
+    "a policy runs.",
 }
 """What clients are told of a tool, in this order."""
-_EVERYWHERE = "A call that returns without an error has done what it says; an error says why and what to do."
+_EVERYWHERE = (
+    "A call that returns without an error has done what it says; an error says why and what to do."
+)
 
 
 def instructions_for(tools: Collection[str]) -> str:
-    """How to use a server with these tools, for its clients; stands behind which robot it operates."""
+    """How to use a server with these tools, for its clients; stands behind which robot it
+    operates.
+    """
     said = [text for tool, text in _INSTRUCTIONS.items() if tool in tools]
     return " ".join([*said, _EVERYWHERE])
 
@@ -90,7 +103,9 @@ class Application:
         attached: bool = True,
     ) -> None:
         if config.robots:
-            raise ConfigurationError("This works with one robot; the configuration has [robots.<name>].")
+            raise ConfigurationError(
+                "This works with one robot; the configuration has [robots.<name>]."
+            )
         self.started_s = time.monotonic()
         self._is_joining = False
         self._joining = anyio.Lock()
@@ -106,10 +121,16 @@ class Application:
         self.supervisor.on_join = self.features.on_join
         reports = SafetyReports(self.loop.starts, self.loop.emergency_stop, self.events)
         self._watch = Watch(reports.look, self.events.health.tell)
-        self.events.health.listen(lambda view, before, health: self.events.resource.tell(STATUS_URI))
+        self.events.health.listen(
+            lambda view, before, health: self.events.resource.tell(STATUS_URI)
+        )
         self.events.fault.listen(lambda module, what, facts: self.events.resource.tell(STATUS_URI))
         self.tools = ToolRegistry(
-            [status_tool(self.loop, self.started_s), *closed_loop_tools(self.loop), *emergency_tools(self.loop)],
+            [
+                status_tool(self.loop, self.started_s),
+                *closed_loop_tools(self.loop),
+                *emergency_tools(self.loop),
+            ],
             most_calls=config.server.max_concurrent_calls,
             ready=self._join_ros,
             on_call=self.events.call.tell,
@@ -130,17 +151,21 @@ class Application:
             end_motion=self.end_motion,
         )
         offered = self.features.offer(self.host, self.tools)
-        with suppress(StateError):  # without a gate nothing is sent for agents; with two the server does not start
+        # without a gate nothing is sent for agents; with two the server does not start
+        with suppress(StateError):
             self.host.gate  # noqa: B018
         self.server.instructions = (
-            f"RoboNeuron operates one {self.loop.robot_facts}. {instructions_for(self.tools.names())}"
+            f"RoboNeuron operates one {self.loop.robot_facts}. "
+            f"{instructions_for(self.tools.names())}"
         )
         self.resources = Resources(self.loop, self.started_s, offered)
         if attached:
             self.features.attach(self.host)
 
     def check(self) -> None:
-        """Check the configuration against what is installed. Raises ConfigurationError, PlanningError."""
+        """Check the configuration against what is installed. Raises ConfigurationError,
+        PlanningError.
+        """
         check_configuration(self.loop.base, self.plugins.current())
         self.features.check()
 
@@ -154,7 +179,9 @@ class Application:
         press_on_signal(partial(stop.latch, namespace, who=SIGNAL, reason=""))
 
     def close(self) -> None:
-        """Stop all motion, modules and threads; idempotent. What features move first, then modules, then features."""
+        """Stop all motion, modules and threads; idempotent. What features move first, then
+        modules, then features.
+        """
         self._watch.close()
         if not self.end_direct_motion("The server is shutting down.", _MOTION_S):
             log.error("A motion did not end within %g s.", _MOTION_S)
@@ -166,7 +193,9 @@ class Application:
         self.events.end.tell()
 
     def end_direct_motion(self, reason: str, timeout_s: float) -> bool:
-        """End all that features move, beside the closed loop; whether it has ended in time. Idempotent."""
+        """End all that features move, beside the closed loop; whether it has ended in time.
+        Idempotent.
+        """
         deadline_s = time.monotonic() + timeout_s
         ended = True
         for name, feature in self.features.loaded.items():
@@ -186,7 +215,8 @@ class Application:
         self._watch.start()
 
     async def _join_ros(self) -> None:
-        """Let the background thread finish importing rclpy: a second thread that imports it meanwhile gets half of it.
+        """Let the background thread finish importing rclpy: a second thread that imports it
+        meanwhile gets half of it.
 
         Features start then. What cannot be joined is told by the tools that need it.
         """

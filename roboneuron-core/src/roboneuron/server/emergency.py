@@ -1,7 +1,8 @@
-"""The emergency stop of the control plane: two independent ways to every module, believed only when they confirm it.
+"""The emergency stop of the control plane: two independent ways to every module, believed only when
+they confirm it.
 
-The latch file stops modules without any other process being alive and outlives them all; the topic also reaches nodes
-that are not ours.
+The latch file stops modules without any other process being alive and outlives them all; the topic
+also reaches nodes that are not ours.
 """
 
 from __future__ import annotations
@@ -58,7 +59,8 @@ def reset_command(state_directory: Path) -> str:
 
 
 class EmergencyStop:
-    """Writes the latch file, and publishes in every namespace that a module was started in; usable from any thread.
+    """Writes the latch file, and publishes in every namespace that a module was started in; usable
+    from any thread.
 
     Attributes:
         file: the latch itself, which the gate of the direct path looks at before every message.
@@ -78,7 +80,8 @@ class EmergencyStop:
     def is_latched(self) -> bool:
         """Whether the stop is latched: by the file, whoever wrote it, or in any module."""
         return self.file.is_latched() or any(
-            view.report is not None and view.report.emergency_stop is True for view in self._supervisor.views()
+            view.report is not None and view.report.emergency_stop is True
+            for view in self._supervisor.views()
         )
 
     def cause(self) -> str:
@@ -88,7 +91,8 @@ class EmergencyStop:
         return f"{state.cause}{restored if state.restored else ''}" if state.cause else ""
 
     def take_restored(self) -> int:
-        """How often the latch's file has vanished without a reset, when that is news: recorded, 0 the next time.
+        """How often the latch's file has vanished without a reset, when that is news: recorded, 0
+        the next time.
 
         Called now and then, which also keeps the server latched when the file vanishes.
         """
@@ -96,11 +100,15 @@ class EmergencyStop:
         is_news, self._restored = restored > self._restored, restored
         if not is_news:
             return 0
-        self.audit.write_if_possible(AuditRecord(who="server", role="", tool="emergency_stop", verdict="restored"))
+        self.audit.write_if_possible(
+            AuditRecord(who="server", role="", tool="emergency_stop", verdict="restored")
+        )
         return restored
 
     def prepare(self, namespace: str) -> None:
-        """Make the topic known before it is needed, and tell modules that start later what the latch says now."""
+        """Make the topic known before it is needed, and tell modules that start later what the
+        latch says now.
+        """
         self._advertise(namespace)
         self._publishers[namespace](self.file.is_latched())
 
@@ -121,14 +129,16 @@ class EmergencyStop:
             if namespace not in self._publishers:
                 send = link.advertise(Bool, topic, LATCHED)
                 for qos in STOP_REQUESTS:
-                    link.subscribe(Bool, topic, lambda message: self._on_topic(topic, message.data), qos)
+                    link.subscribe(
+                        Bool, topic, lambda message: self._on_topic(topic, message.data), qos
+                    )
                 self._publishers[namespace] = publish
 
     def follow_file(self) -> bool:
         """Whether the file stops; called now and then.
 
-        A person's reset releases the file only. What was published last stays on the topic for nodes that come later:
-        they would press the stop again.
+        A person's reset releases the file only. What was published last stays on the topic for
+        nodes that come later: they would press the stop again.
         """
         is_latched = self.file.is_latched()
         if self._is_told and not is_latched:
@@ -144,7 +154,9 @@ class EmergencyStop:
             publish(is_latched)
 
     def _on_topic(self, topic: str, is_pressed: bool) -> None:
-        """Any node of the graph may stop; none may release. What this server has sent itself comes here too."""
+        """Any node of the graph may stop; none may release. What this server has sent itself
+        comes here too.
+        """
         if is_pressed and not self.file.is_latched():
             try:
                 self.file.press(who=f"a node on the topic {topic}", reason="received by the server")
@@ -155,8 +167,8 @@ class EmergencyStop:
         """Stop all motion; returns the modules that confirmed it, and after how many seconds.
 
         Raises:
-            UnsafeError: a running module did not confirm it in time (the message names it), or the latch file cannot
-                be written; the other way was used nevertheless.
+            UnsafeError: a running module did not confirm it in time (the message names it), or the
+                latch file cannot be written; the other way was used nevertheless.
         """
         unwritten: UnsafeError | None = None
         try:
@@ -168,12 +180,15 @@ class EmergencyStop:
             raise unwritten
         if silent:
             raise UnsafeError(
-                f"The emergency stop was sent, but not confirmed within {CONFIRM_S:g} s by: {', '.join(silent)}.",
+                f"The emergency stop was sent, but not confirmed within {CONFIRM_S:g} s by: "
+                f"{', '.join(silent)}.",
                 hint="Use the robot's own stop if it moves, then stop_all.",
             )
         return confirmed, took_s
 
-    def reset(self, namespace: str, *, who: str, role: str, pin: str = "") -> tuple[list[str], float]:
+    def reset(
+        self, namespace: str, *, who: str, role: str, pin: str = ""
+    ) -> tuple[list[str], float]:
         """Release the latch. Returns as `latch`.
 
         Raises:
@@ -186,13 +201,16 @@ class EmergencyStop:
         confirmed, silent, took_s = self._tell(namespace, False)
         if silent:
             raise NotReadyError(
-                f"The reset was sent, but not confirmed within {CONFIRM_S:g} s by: {', '.join(silent)}.",
+                f"The reset was sent, but not confirmed within {CONFIRM_S:g} s by: "
+                f"{', '.join(silent)}.",
                 hint="Look at get_status; call reset_emergency_stop again.",
             )
         return confirmed, took_s
 
     def _hear_echoes(self) -> None:
-        """Wait until our own messages were heard here too: after the reset they would press the stop again."""
+        """Wait until our own messages were heard here too: after the reset they would press the
+        stop again.
+        """
         if self._publishers:
             for _ in range(_ROUNDS):
                 self._supervisor.link.on_executor(lambda: None)
@@ -203,10 +221,16 @@ class EmergencyStop:
         self._publish(latched)
         log.warning("Emergency stop %s.", "latched" if latched else "released")
 
-        self._supervisor.changes.wait_for(lambda: not self._unconfirmed(latched, started_s), CONFIRM_S)
+        self._supervisor.changes.wait_for(
+            lambda: not self._unconfirmed(latched, started_s), CONFIRM_S
+        )
         silent = self._unconfirmed(latched, started_s)
         running = [view.kind for view in self._supervisor.views() if view.phase == "running"]
-        return [kind for kind in running if kind not in silent], silent, time.monotonic() - started_s
+        return (
+            [kind for kind in running if kind not in silent],
+            silent,
+            time.monotonic() - started_s,
+        )
 
     def _unconfirmed(self, latched: bool, since_s: float) -> list[str]:
         """Running modules that have not reported the latch since then."""
@@ -214,12 +238,17 @@ class EmergencyStop:
             view.kind
             for view in self._supervisor.views()
             if view.phase == "running"
-            and (view.report is None or view.report.received_s < since_s or view.report.emergency_stop is not latched)
+            and (
+                view.report is None
+                or view.report.received_s < since_s
+                or view.report.emergency_stop is not latched
+            )
         ]
 
 
 class SafetyReports:
-    """Reports faults that change no module's health: a latch file that vanished, requests of foreign nodes, stops.
+    """Reports faults that change no module's health: a latch file that vanished, requests of
+    foreign nodes, stops.
 
     It looks whenever the modules are looked at; used by the watching thread only.
     """
@@ -233,8 +262,12 @@ class SafetyReports:
     def look(self) -> Sequence[ModuleView]:
         """The modules; faults are reported on the way."""
         if restored := self._emergency_stop.take_restored():
-            what = "its file vanished without a reset and was written again; everything stays stopped"
-            self._events.fault.tell("emergency_stop", "latch_vanished", {"explanation": what, "times": restored})
+            what = (
+                "its file vanished without a reset and was written again; everything stays stopped"
+            )
+            self._events.fault.tell(
+                "emergency_stop", "latch_vanished", {"explanation": what, "times": restored}
+            )
         views = self._starts.look(self._emergency_stop.follow_file())
         for view in views:
             count = view.report.dropped_by.get(FOREIGN_REQUEST, 0) if view.report is not None else 0

@@ -1,4 +1,6 @@
-"""JSON-RPC messages as they come off a wire: read strictly, so that whoever sent something else gets an answer."""
+"""JSON-RPC messages as they come off a wire: read strictly, so that whoever sent something else
+gets an answer.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,8 @@ def read_message(data: bytes) -> JSONRPCMessage:
     """One JSON-RPC message, as the SDK's model.
 
     Raises:
-        EnvelopeError: not UTF-8, not JSON, a batch, or no request, notification or response with a valid id.
+        EnvelopeError: not UTF-8, not JSON, a batch, or no request, notification or response with a
+            valid id.
     """
     try:
         data.decode("utf-8")  # the parser below would let some of what is not UTF-8 pass as text
@@ -51,20 +54,30 @@ def read_message(data: bytes) -> JSONRPCMessage:
 
 
 def check_id(raw: Any) -> None:
-    """Raise EnvelopeError for a request whose id is no text and no integer: it would pass for a notification."""
+    """Raise EnvelopeError for a request whose id is no text and no integer: it would pass for a
+    notification.
+    """
     if isinstance(raw, dict) and "id" in raw and "method" in raw:
         found = raw["id"]
         if isinstance(found, bool) or not isinstance(found, int | str):
-            raise EnvelopeError(INVALID_REQUEST, "The id of a request must be a text or an integer.")
+            raise EnvelopeError(
+                INVALID_REQUEST, "The id of a request must be a text or an integer."
+            )
 
 
 def repeated(request_id: int | str) -> EnvelopeError:
-    """The error for a request whose id is that of another one at work: cancelling it could not tell which is meant."""
-    return EnvelopeError(INVALID_REQUEST, "A request with this id is still at work; use another id.", request_id)
+    """The error for a request whose id is that of another one at work: cancelling it could not
+    tell which is meant.
+    """
+    return EnvelopeError(
+        INVALID_REQUEST, "A request with this id is still at work; use another id.", request_id
+    )
 
 
 def is_urgent(method: object, params: object) -> bool:
     """Whether a message must not wait: an emergency stop, or a request that is cancelled."""
     if method == "notifications/cancelled":
         return True
-    return method == "tools/call" and isinstance(params, dict) and params.get("name") in URGENT_TOOLS
+    return (
+        method == "tools/call" and isinstance(params, dict) and params.get("name") in URGENT_TOOLS
+    )

@@ -1,4 +1,6 @@
-"""Features, what installed plugins add to the server: loaded as they need each other, isolated from others' faults."""
+"""Features, what installed plugins add to the server: loaded as they need each other, isolated
+from others' faults.
+"""
 
 from __future__ import annotations
 
@@ -49,8 +51,9 @@ class Resource:
 class Feature(Generic[OptionsT]):
     """Base of all features; override what the feature needs.
 
-    Built as `target(options)` in the server's process: `options` is an instance of the descriptor's `config`, or None
-    when it names none. The constructor has no effect; `start` does the work and `close` undoes it.
+    Built as `target(options)` in the server's process: `options` is an instance of the descriptor's
+    `config`, or None when it names none. The constructor has no effect; `start` does the work and
+    `close` undoes it.
     """
 
     def __init__(self, options: OptionsT) -> None:
@@ -63,7 +66,9 @@ class Feature(Generic[OptionsT]):
 
     @property
     def gate(self) -> object | None:
-        """What it lends the other features as `Host.gate`; None for all but the one that sends for them."""
+        """What it lends the other features as `Host.gate`; None for all but the one that sends
+        for them.
+        """
         return None
 
     @property
@@ -72,14 +77,16 @@ class Feature(Generic[OptionsT]):
         return False
 
     def check(self, config: Config) -> None:
-        """Check what the options alone do not tell (files, environment); for `config check` and before `listen`.
+        """Check what the options alone do not tell (files, environment); for `config check` and
+        before `listen`.
 
         Raises:
             ConfigurationError: the server would not work with it.
         """
 
     def reserve(self, config: Config) -> None:
-        """Take, or look for, what one server alone may hold, such as a port. Called once, before `listen`.
+        """Take, or look for, what one server alone may hold, such as a port. Called once, before
+        `listen`.
 
         `config check` does not call it: a server that runs may rightly hold what it is about.
 
@@ -96,34 +103,43 @@ class Feature(Generic[OptionsT]):
         return ()
 
     def complete(self, host: Host) -> None:
-        """Take in what the other features have added. Called once, after the `tools` of all of them.
+        """Take in what the other features have added. Called once, after the `tools` of all of
+        them.
 
         Raises:
-            RoboNeuronError: nothing may be served, whether the configuration asks for this feature or not.
+            RoboNeuronError: nothing may be served, whether the configuration asks for this feature
+                or not.
         """
 
     def end_motion(self, reason: str, timeout_s: float) -> bool:
-        """End all that it moves, and say whether it ended in time; at the end of the server before modules stop."""
+        """End all that it moves, and say whether it ended in time; at the end of the server
+        before modules stop.
+        """
         return True
 
     def attach(self, host: Host) -> None:
-        """Add to `host.server` what clients get besides tools and resources: prompts, subscriptions, questions.
+        """Add to `host.server` what clients get besides tools and resources: prompts,
+        subscriptions, questions.
 
-        Called once, after `tools`. A server of several robots calls it for the first one only, with a host whose
-        `server`, `events` and `check_resource` are those of all.
+        Called once, after `tools`. A server of several robots calls it for the first one only, with
+        a host whose `server`, `events` and `check_resource` are those of all.
         """
 
     def start(self, host: Host) -> None:
-        """Begin to work: threads, subscriptions. Called once, when the server begins to serve; must return quickly.
+        """Begin to work: threads, subscriptions. Called once, when the server begins to serve; must
+        return quickly.
 
         Raises:
-            RoboNeuronError: it cannot work; the server goes on without it unless the configuration names it.
+            RoboNeuronError: it cannot work; the server goes on without it unless the configuration
+                names it.
         """
 
     def listen(self, host: Host) -> Transport:
-        """Begin to listen for clients. Called once, after `tools`, if `[server] transport` is one of the descriptor's.
+        """Begin to listen for clients. Called once, after `tools`, if `[server] transport` is one
+        of the descriptor's.
 
-        Modules and ROS are not started yet. `roboneuron.server.access` says what a transport leaves with each request.
+        Modules and ROS are not started yet. `roboneuron.server.access` says what a transport leaves
+        with each request.
 
         Raises:
             ConfigurationError: it cannot, such as for a port that is in use.
@@ -137,8 +153,8 @@ class Feature(Generic[OptionsT]):
 class Features:
     """Loads, starts and closes features; `failed` tells which are left out and why.
 
-    A feature that the configuration asks for (by one of its sections, or in `features`) must work: its failure is
-    raised. Any other failure is logged and leaves that feature out.
+    A feature that the configuration asks for (by one of its sections, or in `features`) must work:
+    its failure is raised. Any other failure is logged and leaves that feature out.
     """
 
     def __init__(self, config: Config, registry: Registry) -> None:
@@ -149,7 +165,9 @@ class Features:
         for name in config.features:
             registry.get(FeatureSpec, name)  # says why a feature that must be there is not
         transport = config.server.transport
-        self._transport = None if transport == STDIO else transport_feature(transport, registry).name
+        self._transport = (
+            None if transport == STDIO else transport_feature(transport, registry).name
+        )
         for spec in _ordered(self._specs):
             self._attempt(spec, "loaded", partial(self._load, spec))
 
@@ -165,7 +183,9 @@ class Features:
     @property
     def on_join(self) -> tuple[str, ...]:
         """What every module calls once it has joined ROS."""
-        return tuple(reference for spec, _ in self._all() if (reference := spec.on_join) is not None)
+        return tuple(
+            reference for spec, _ in self._all() if (reference := spec.on_join) is not None
+        )
 
     @property
     def identifies_clients(self) -> bool:
@@ -178,7 +198,9 @@ class Features:
             self._attempt(spec, "used", partial(feature.check, self._config))
 
     def listen(self, host: Host) -> Transport | None:
-        """Have every feature reserve what it needs, and the one that serves the configured transport listen."""
+        """Have every feature reserve what it needs, and the one that serves the configured
+        transport listen.
+        """
         for spec, feature in self._all():
             self._attempt(spec, "started", partial(feature.reserve, self._config))
         return None if self._transport is None else self._loaded[self._transport].listen(host)
@@ -227,13 +249,20 @@ class Features:
             raise ConfigurationError(f"It needs the feature {absent[0]!r}, which is not there.")
         target = load_target(spec)
         if not callable(target):
-            raise PluginError(f"The target of feature {spec.name!r} is {target!r}, expected a class.")
+            raise PluginError(
+                f"The target of feature {spec.name!r} is {target!r}, expected a class."
+            )
         feature = target(feature_options(spec, self._config))
         if not isinstance(feature, Feature):
-            raise PluginError(f"The target of feature {spec.name!r} makes a {type(feature).__name__}, not a Feature.")
+            raise PluginError(
+                f"The target of feature {spec.name!r} makes a {type(feature).__name__}, not a "
+                "Feature."
+            )
         self._loaded[spec.name] = feature
 
-    def _attempt(self, spec: FeatureSpec, what: str, work: Callable[[], object], *, must_work: bool = False) -> None:
+    def _attempt(
+        self, spec: FeatureSpec, what: str, work: Callable[[], object], *, must_work: bool = False
+    ) -> None:
         try:
             work()
         except Exception as error:  # the border to a plugin's own code
@@ -256,7 +285,11 @@ class Features:
 
     def _is_asked_for(self, spec: FeatureSpec) -> bool:
         sections = any(key in self._config.sections for key in spec.keys)
-        return sections or spec.name in self._config.features or self._config.server.transport in spec.transports
+        return (
+            sections
+            or spec.name in self._config.features
+            or self._config.server.transport in spec.transports
+        )
 
 
 def _ordered(specs: Mapping[str, FeatureSpec]) -> list[FeatureSpec]:

@@ -1,4 +1,6 @@
-"""What a server lends its features: reading everything, and acting only through what every caller passes."""
+"""What a server lends its features: reading everything, and acting only through what every
+caller passes.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,9 @@ if TYPE_CHECKING:
 
 
 class GraphNode(Protocol):
-    """The part of `rclpy.node.Node` that tells of the ROS graph; `info` is an `rclpy` TopicEndpointInfo."""
+    """The part of `rclpy.node.Node` that tells of the ROS graph; `info` is an `rclpy`
+    TopicEndpointInfo.
+    """
 
     def get_name(self) -> str: ...
     def get_node_names_and_namespaces(self) -> list[tuple[str, str]]: ...
@@ -44,7 +48,8 @@ M = TypeVar("M")
 class Host:
     """The server, as a feature may use it. Usable from any thread unless a member says otherwise.
 
-    Nothing here publishes: what moves a robot goes through `gate`, or through the closed loop, as for every caller.
+    Nothing here publishes: what moves a robot goes through `gate`, or through the closed loop, as
+        for every caller.
 
     Attributes:
         loop: the closed loop: start, steer and stop modules; read what they report.
@@ -56,8 +61,8 @@ class Host:
         events: what happens, for listeners.
         started_s: monotonic time of the server's start [s].
         check_resource: raises MCPError unless there is a resource of that URI.
-        end_motion: ends every motion, and the policy, for a reason: nobody looks after the robot any more; returns
-            after at most so many seconds.
+        end_motion: ends every motion, and the policy, for a reason: nobody looks after the robot
+            any more; returns after at most so many seconds.
     """
 
     loop: ClosedLoop
@@ -83,22 +88,32 @@ class Host:
 
     @property
     def gate(self) -> object:
-        """In front of everything that moves a robot beside the closed loop: sends what it allows, lends no publisher.
+        """In front of everything that moves a robot beside the closed loop: sends what it allows,
+        lends no publisher.
 
-        One installed feature lends it (`Feature.gate`), and its package has a function that gives it its type.
+        One installed feature lends it (`Feature.gate`), and its package has a function that gives
+        it its type.
 
         Raises:
             StateError: none does: nothing can be sent for an agent.
             ConfigurationError: two do.
         """
-        gates = {name: gate for name, feature in self.features.loaded.items() if (gate := feature.gate) is not None}
+        gates = {
+            name: gate
+            for name, feature in self.features.loaded.items()
+            if (gate := feature.gate) is not None
+        }
         if not gates:
             package = package_of("feature", "direct-path")
-            hint = f"The feature 'direct-path' does. If it is not installed: {install_command(package or '')}."
+            hint = (
+                "The feature 'direct-path' does. If it is not installed: "
+                f"{install_command(package or '')}."
+            )
             raise StateError("No feature sends messages for others here.", hint=hint)
         if len(gates) > 1:
             raise ConfigurationError(
-                f"The features {' and '.join(map(repr, sorted(gates)))} lend a gate each; a server has one.",
+                f"The features {' and '.join(map(repr, sorted(gates)))} lend a gate each; a "
+                "server has one.",
                 hint="Name the plugin of one of them in disabled_plugins.",
             )
         return next(iter(gates.values()))
@@ -121,14 +136,23 @@ class Host:
 
     @property
     def graph(self) -> GraphNode:
-        """What the server's node has discovered of the ROS graph. Raises RoboNeuronError when ROS cannot be joined."""
+        """What the server's node has discovered of the ROS graph. Raises RoboNeuronError when
+        ROS cannot be joined.
+        """
         node: GraphNode = self.supervisor.link.node
         return node
 
     def subscribe(
-        self, message_type: type[M], topic: str, callback: Callable[[M], None], *, depth: int = 1, latched: bool = False
+        self,
+        message_type: type[M],
+        topic: str,
+        callback: Callable[[M], None],
+        *,
+        depth: int = 1,
+        latched: bool = False,
     ) -> Callable[[], None]:
-        """Call `callback` with each message of a topic, from the thread of the ROS node; it must return quickly.
+        """Call `callback` with each message of a topic, from the thread of the ROS node; it must
+        return quickly.
 
         The subscription is as reliable as those are who publish the topic now.
 
@@ -162,5 +186,7 @@ class Host:
         """
         found = self.features.get(name)
         if not isinstance(found, kind):
-            raise StateError(f"There is no feature {name!r} here.", hint="Name it in `needs` of the descriptor.")
+            raise StateError(
+                f"There is no feature {name!r} here.", hint="Name it in `needs` of the descriptor."
+            )
         return found

@@ -1,4 +1,6 @@
-"""The tools that start, instruct and stop the modules of the closed loop, and the emergency stop and its reset."""
+"""The tools that start, instruct and stop the modules of the closed loop, and the emergency
+stop and its reset.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,8 @@ class SetInstruction(Arguments):
     """Arguments of set_instruction."""
 
     instruction: str = Field(
-        max_length=MAX_INSTRUCTION_LENGTH, description='What to do, for instance "pick up the red cube".'
+        max_length=MAX_INSTRUCTION_LENGTH,
+        description='What to do, for instance "pick up the red cube".',
     )
     timeout_s: float = Field(
         default=30.0, gt=0, le=600, description="How long to wait for the first action, in seconds."
@@ -53,15 +56,21 @@ def closed_loop_tools(loop: ClosedLoop) -> list[Tool[Any]]:
 
 def _set_instruction(loop: ClosedLoop) -> Tool[Any]:
     async def set_instruction(arguments: SetInstruction, context: CallContext) -> InstructionResult:
-        report, took_s = await context.run(lambda _: loop.set_instruction(arguments.instruction, arguments.timeout_s))
-        return InstructionResult(instruction=report.instruction, took_s=round(took_s, 3), note=report.note)
+        report, took_s = await context.run(
+            lambda _: loop.set_instruction(arguments.instruction, arguments.timeout_s)
+        )
+        return InstructionResult(
+            instruction=report.instruction, took_s=round(took_s, 3), note=report.note
+        )
 
     return Tool(
         name="set_instruction",
         title="Tell the robot what to do",
         description=(
-            "Give the running policy an instruction. Returns when it has sent its first action: the robot is moving "
-            "then, not done; stop_inference ends it. If the policy cannot act on the instruction, the error says why "
+            "Give the running policy an instruction. Returns when it has sent its first action: "
+            "the robot is moving "
+            "then, not done; stop_inference ends it. If the policy cannot act on the instruction, "
+            "the error says why "
             "and nothing moves."
         ),
         arguments=SetInstruction,
@@ -81,7 +90,8 @@ def _stop_tool(loop: ClosedLoop, entry: KindEntry) -> Tool[Any]:
     return Tool(
         name=f"stop_{kind}",
         title=f"Stop {kind}",
-        description=f"{entry.stop_text} Returns when its process is gone. Also ends a start in progress.",
+        description=f"{entry.stop_text} Returns when its process is gone. Also ends a start in "
+        "progress.",
         offered=loop.takes_policies if kind == "inference" else lambda: True,
         arguments=NoArguments,
         result=StopResult,
@@ -100,7 +110,8 @@ def _stop_all(loop: ClosedLoop) -> Tool[Any]:
     return Tool(
         name="stop_all",
         title="Stop everything",
-        description="Stop all modules in the reverse order of their start. Returns when all processes are gone.",
+        description="Stop all modules in the reverse order of their start. Returns when all "
+        "processes are gone.",
         arguments=NoArguments,
         result=StopAllResult,
         handler=handler,
@@ -125,7 +136,8 @@ def _start_tool(loop: ClosedLoop, entry: KindEntry) -> Tool[Any]:
     return Tool(
         name=f"start_{entry.kind}",
         title=entry.title,
-        description=f"{entry.start_text}{which} Returns when {entry.proof}; if it fails, nothing is left running.",
+        description=f"{entry.start_text}{which} Returns when {entry.proof}; if it fails, nothing "
+        "is left running.",
         offered=loop.takes_policies if entry.kind == "inference" else lambda: True,
         arguments=entry.request,
         result=StartResult,
@@ -137,7 +149,9 @@ def _start_tool(loop: ClosedLoop, entry: KindEntry) -> Tool[Any]:
 class EmergencyStopArguments(Arguments):
     """Arguments of emergency_stop."""
 
-    reason: str = Field(default="", max_length=500, description="Why; kept in the latch and in the audit.")
+    reason: str = Field(
+        default="", max_length=500, description="Why; kept in the latch and in the audit."
+    )
 
 
 def emergency_tools(loop: ClosedLoop) -> list[Tool[Any]]:
@@ -145,12 +159,16 @@ def emergency_tools(loop: ClosedLoop) -> list[Tool[Any]]:
     stop = loop.emergency_stop
 
     def press(arguments: Mapping[str, Any], context: CallContext) -> None:
-        """Latch before anything else: also when ROS is not joined yet, and when the arguments are wrong."""
+        """Latch before anything else: also when ROS is not joined yet, and when the arguments
+        are wrong.
+        """
         with suppress(UnsafeError):  # told by the call itself, which tries again
             stop.file.press(who=context.who, reason=str(arguments.get("reason") or ""))
 
     async def ask_person(context: CallContext, *, for_pin: bool) -> str:
-        """The PIN that a person has typed; raises RefusedError unless one agreed to release this very stop."""
+        """The PIN that a person has typed; raises RefusedError unless one agreed to release
+        this very stop.
+        """
         before, cause = stop.file.read_state(), stop.cause()
         since = (
             datetime.fromtimestamp(min(max(before.time_ns, 0), 2**62) / 1e9, UTC)
@@ -158,14 +176,20 @@ def emergency_tools(loop: ClosedLoop) -> list[Tool[Any]]:
             .isoformat(" ", "milliseconds")
         )
         question = (  # the time makes a question about another stop another question
-            f"The emergency stop is latched since {since}{f' by {cause}' if cause else ''}. Release it? "
-            "Look at the robot first. Nothing moves before somebody gives a new instruction or moves the arm."
+            f"The emergency stop is latched since {since}{f' by {cause}' if cause else ''}. "
+            "Release it? "
+            "Look at the robot first. Nothing moves before somebody gives a new instruction or "
+            "moves the arm."
         )
         typed = await context.ask_for(question, "PIN") if for_pin else ""
-        agreed = (None if typed is None else bool(typed)) if for_pin else await context.ask(question)
+        agreed = (
+            (None if typed is None else bool(typed)) if for_pin else await context.ask(question)
+        )
         if agreed and stop.file.read_state().time_ns == before.time_ns:
             return typed or ""
-        why = {None: "this client cannot ask one", False: "nobody agreed"}.get(agreed, "it was pressed again")
+        why = {None: "this client cannot ask one", False: "nobody agreed"}.get(
+            agreed, "it was pressed again"
+        )
         raise RefusedError(
             f"Only a person releases the emergency stop, and {why}. It stays latched.",
             hint="Ask a person to look at the robot and to run, in a terminal on this machine: "
@@ -176,8 +200,14 @@ def emergency_tools(loop: ClosedLoop) -> list[Tool[Any]]:
         confirmed, took_s = await context.run(
             lambda _: stop.latch(loop.config.namespace, who=context.who, reason=arguments.reason)
         )
-        note = "" if confirmed else "No module runs; those that are started later are stopped from the beginning."
-        return EmergencyStopResult(latched=True, confirmed_by=confirmed, took_s=round(took_s, 3), note=note)
+        note = (
+            ""
+            if confirmed
+            else "No module runs; those that are started later are stopped from the beginning."
+        )
+        return EmergencyStopResult(
+            latched=True, confirmed_by=confirmed, took_s=round(took_s, 3), note=note
+        )
 
     async def reset(_: NoArguments, context: CallContext) -> EmergencyStopResult:
         who, pin = context.who, ""
@@ -188,15 +218,19 @@ def emergency_tools(loop: ClosedLoop) -> list[Tool[Any]]:
         confirmed, took_s = await context.run(
             lambda _: stop.reset(loop.config.namespace, who=who, role=context.role, pin=pin)
         )
-        return EmergencyStopResult(latched=False, confirmed_by=confirmed, took_s=round(took_s, 3), note=AGAIN)
+        return EmergencyStopResult(
+            latched=False, confirmed_by=confirmed, took_s=round(took_s, 3), note=AGAIN
+        )
 
     return [
         Tool(
             name="emergency_stop",
             title="Emergency stop",
             description=(
-                "For danger: stop all motion at once. Nothing moves again, also after restarts, until a person "
-                "releases it. For an ordinary stop use stop_inference or stop_all. Returns when every running module "
+                "For danger: stop all motion at once. Nothing moves again, also after restarts, "
+                "until a person "
+                "releases it. For an ordinary stop use stop_inference or stop_all. Returns when "
+                "every running module "
                 "has confirmed it; an error names those that have not."
             ),
             arguments=EmergencyStopArguments,
@@ -213,8 +247,10 @@ def emergency_tools(loop: ClosedLoop) -> list[Tool[Any]]:
             name="reset_emergency_stop",
             title="Release the emergency stop",
             description=(
-                "Release the emergency stop. A person decides: the client asks one, if it can; otherwise the call is "
-                "refused and says what a person has to do. Nothing moves by itself: the policy has forgotten its "
+                "Release the emergency stop. A person decides: the client asks one, if it can; "
+                "otherwise the call is "
+                "refused and says what a person has to do. Nothing moves by itself: the policy "
+                "has forgotten its "
                 "instruction; set_instruction or run_task starts it again."
             ),
             arguments=NoArguments,

@@ -1,4 +1,6 @@
-"""The closed loop as the agent operates it: choose, start, steer, stop. Calls block; any thread may call."""
+"""The closed loop as the agent operates it: choose, start, steer, stop. Calls block; any thread
+may call.
+"""
 
 from __future__ import annotations
 
@@ -31,24 +33,31 @@ _KEPT_ACTIONS = 4096
 
 
 Sent: TypeAlias = tuple[int, tuple[float, ...]]
-"""DDS source time of an action [ns], when inference sent it, whatever the way to here took; and its values."""
+"""DDS source time of an action [ns], when inference sent it, whatever the way to here took; and
+its values.
+"""
 
 
 def _listen(link: RosLink, namespace: str) -> deque[Sent]:
-    """The newest actions of `/<namespace>/action`, oldest first, for as long as the link is open; read a `copy`."""
+    """The newest actions of `/<namespace>/action`, oldest first, for as long as the link is
+    open; read a `copy`.
+    """
     from std_msgs.msg import Float64MultiArray  # heavy
 
     from roboneuron.ros.qos import STATUS
     from roboneuron.ros.topics import ACTION
 
-    # Many are kept in between: a busy control plane must not mistake its own delay for a missing action.
+    # Many are kept in between: a busy control plane must not mistake its own delay for a missing
+    # action.
     actions: deque[Sent] = deque(maxlen=_KEPT_ACTIONS)
 
     def receive(message: Any, info: dict[str, Any]) -> None:
         actions.append((int(info["source_timestamp"]), tuple(message.data)))
 
     topic = f"/{namespace}/{ACTION}"
-    link.on_executor(lambda: link.node.create_subscription(Float64MultiArray, topic, receive, STATUS))
+    link.on_executor(
+        lambda: link.node.create_subscription(Float64MultiArray, topic, receive, STATUS)
+    )
     return actions
 
 
@@ -56,7 +65,8 @@ class ClosedLoop:
     """One robot and the modules around it.
 
     Attributes:
-        choose: selects what a client asks for; a feature that lets clients choose more puts its own here.
+        choose: selects what a client asks for; a feature that lets clients choose more puts its own
+            here.
         on_stop: told of a module before it is stopped.
         starts: who has asked for motion, and the stops since.
         streams: what was sent on action topics, by namespace, see `stream`.
@@ -78,12 +88,16 @@ class ClosedLoop:
     def config(self) -> Config:
         """The configuration with the robot that is running, or the configured one."""
         choice = self.supervisor.view("robot").choice
-        others: dict[str, Any] = {kind: getattr(self.base, kind) for kind in MODULE_KINDS if kind != "robot"}
+        others: dict[str, Any] = {
+            kind: getattr(self.base, kind) for kind in MODULE_KINDS if kind != "robot"
+        }
         return self.base if choice is None else choice.settings.config.model_copy(update=others)
 
     @property
     def limits(self) -> LimitsConfig:
-        """The limits in force: those of the configuration, or what a client has tightened them to."""
+        """The limits in force: those of the configuration, or what a client has tightened them
+        to.
+        """
         return self.supervisor.tightened or self.base.limits
 
     @property
@@ -92,7 +106,9 @@ class ClosedLoop:
         robot = self.config.robot
         spec = self.plugins.current().specs(RobotSpec).get(robot.name)
         driver = None if spec is None else spec.driver(robot.driver)
-        kind: Literal["real", "simulated"] = "simulated" if driver is not None and driver.simulated else "real"
+        kind: Literal["real", "simulated"] = (
+            "simulated" if driver is not None and driver.simulated else "real"
+        )
         return RobotFacts(name=robot.name, driver=robot.driver, kind=kind)
 
     def takes_policies(self) -> bool:
@@ -106,7 +122,8 @@ class ClosedLoop:
         return {} if spec is None else {camera.name: camera.role for camera in spec.cameras}
 
     def select(self, kind: ModuleKind, request: Arguments | None, role: str = "") -> Selection:
-        """What a client with `role` asks for, or else what is configured, checked against what is installed and runs.
+        """What a client with `role` asks for, or else what is configured, checked against what is
+        installed and runs.
 
         Nothing is changed.
 
@@ -123,7 +140,8 @@ class ClosedLoop:
 
         Raises:
             StateError, InvalidInputError: as `check_compatible`.
-            RefusedError: a backend with an instruction proves itself by an action, and the emergency stop is latched.
+            RefusedError: a backend with an instruction proves itself by an action, and the
+                emergency stop is latched.
         """
         check_compatible(selection, {view.kind: view for view in self.supervisor.views()})
         section = selection.config.inference
@@ -131,7 +149,11 @@ class ClosedLoop:
             self._check_not_latched()
 
     def start(
-        self, kind: ModuleKind, request: Arguments | None = None, on_stage: Stage = lambda stage: None, role: str = ""
+        self,
+        kind: ModuleKind,
+        request: Arguments | None = None,
+        on_stage: Stage = lambda stage: None,
+        role: str = "",
     ) -> ModuleView:
         """Start a module for a client with `role`; as configured when there is no request.
 
@@ -141,7 +163,9 @@ class ClosedLoop:
         return self.start_selected(self.select(kind, request, role), on_stage)
 
     def start_selected(self, selection: Selection, on_stage: Stage) -> ModuleView:
-        """Start what `select` returned. An instruction in it is a start of motion. Raises as `Supervisor.start`."""
+        """Start what `select` returned. An instruction in it is a start of motion. Raises as
+        `Supervisor.start`.
+        """
         self.emergency_stop.prepare(selection.config.namespace)
         self.starts.look()
         self.starts.settle()
@@ -195,7 +219,8 @@ class ClosedLoop:
         self.supervisor.cancel(kind, "the client cancelled the call.")
 
     def set_instruction(self, text: str, timeout_s: float) -> tuple[Report, float]:
-        """Hand the backend a new instruction; returns when its first action for it was published, and after how long.
+        """Hand the backend a new instruction; returns when its first action for it was published,
+        and after how long.
 
         Raises:
             InvalidInputError: the instruction is empty or refused by the module.
@@ -214,7 +239,9 @@ class ClosedLoop:
         stops = self.starts.permit()
         _, refused = self.starts.give(text, _PARAMETER_S)
         if refused:
-            raise InvalidInputError(f"The backend refused the instruction: {refused}.", path="instruction")
+            raise InvalidInputError(
+                f"The backend refused the instruction: {refused}.", path="instruction"
+            )
 
         def settled() -> Report | None:
             self.starts.check(stops)
@@ -233,7 +260,8 @@ class ClosedLoop:
             newest = self.supervisor.view("inference").report
             missing = newest.waiting_for or newest.note if newest is not None else "its status"
             raise NotReadyError(
-                f"The backend has published no action for {text!r} within {timeout_s:g} s; it waits for: "
+                f"The backend has published no action for {text!r} within {timeout_s:g} s; it "
+                "waits for: "
                 f"{missing or 'its first inference'}.",
                 hint="The instruction stays set; see get_status, or give another one.",
             )
@@ -243,7 +271,8 @@ class ClosedLoop:
         if self.emergency_stop.is_latched():
             cause = self.emergency_stop.cause()
             raise RefusedError(
-                f"The emergency stop is latched{f' ({cause})' if cause else ''}: nothing would move.",
+                f"The emergency stop is latched{f' ({cause})' if cause else ''}: nothing would "
+                "move.",
                 hint="A person releases it: see reset_emergency_stop.",
             )
 
@@ -269,7 +298,10 @@ def check_compatible(selection: Selection, views: Mapping[ModuleKind, ModuleView
 
 def _check_robot(selection: Selection, views: Mapping[ModuleKind, ModuleView]) -> None:
     for view in views.values():
-        if view.choice is not None and view.choice.settings.config.namespace != selection.config.namespace:
+        if (
+            view.choice is not None
+            and view.choice.settings.config.namespace != selection.config.namespace
+        ):
             raise StateError(
                 f"{view.kind} works for the robot in /{view.choice.settings.config.namespace}, "
                 f"not for {selection.config.robot.name!r}.",

@@ -1,4 +1,6 @@
-"""The table of module kinds: the closed loop and the tools that start and stop modules are made from it."""
+"""The table of module kinds: the closed loop and the tools that start and stop modules are made
+from it.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,8 @@ Instruction = Annotated[
     str | None,
     Field(
         max_length=MAX_INSTRUCTION_LENGTH,
-        description='What to do at once, such as "pick up the red cube"; set_instruction gives one later.',
+        description='What to do at once, such as "pick up the red cube"; set_instruction gives '
+        "one later.",
     ),
 ]
 
@@ -62,7 +65,8 @@ _TABLE = (
         section=RobotConfig,
         request=NoArguments,
         title="Start the robot",
-        start_text="Connect to the robot, or start its simulation. It stands still until something moves it.",
+        start_text="Connect to the robot, or start its simulation. It stands still until "
+        "something moves it.",
         proof="its joints are measured",
         stop_text="Let the robot hold its position, and disconnect from it or end its simulation.",
     ),
@@ -84,7 +88,8 @@ _TABLE = (
         section=ControlConfig,
         request=NoArguments,
         title="Start the controller",
-        start_text="Start the controller, which turns the policy's actions, and move_ee, into joint commands. Needs "
+        start_text="Start the controller, which turns the policy's actions, and move_ee, into "
+        "joint commands. Needs "
         "start_robot. The arm stands still until actions come.",
         proof="it measures the pose of the end effector",
         stop_text="Stop the controller; the arm holds its position.",
@@ -96,9 +101,11 @@ _TABLE = (
         section=InferenceConfig,
         request=StartInference,
         title="Start the policy",
-        start_text="Load a policy (a vision-language-action model or a classical one). With an instruction the robot "
+        start_text="Load a policy (a vision-language-action model or a classical one). With an "
+        "instruction the robot "
         "moves at once. Needs start_perception; to move, also start_robot and start_control.",
-        proof="the policy receives its inputs and, if it has an instruction, has sent its first action",
+        proof="the policy receives its inputs and, if it has an instruction, has sent its first "
+        "action",
         stop_text="Stop the policy; the arm holds its position.",
     ),
 )

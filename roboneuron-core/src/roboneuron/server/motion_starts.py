@@ -1,7 +1,10 @@
-"""Starts of motion: a stop is over when it was released, and motion begins again only when somebody asks for it.
+"""Starts of motion: a stop is over when it was released, and motion begins again only when somebody
+asks for it.
 
-The modules keep still by themselves after a stop (`ModuleNode.require_start`). Here the server knows the same of what
-no module can know: others that have died, were stopped or restarted. And it knows who has given the policy its
+The modules keep still by themselves after a stop (`ModuleNode.require_start`). Here the server
+knows the same of what
+no module can know: others that have died, were stopped or restarted. And it knows who has given the
+    policy its
 instruction, so that whoever ends a task takes it back from every process that holds it.
 """
 
@@ -13,7 +16,12 @@ from collections.abc import Sequence
 from contextlib import suppress
 
 from roboneuron.errors import NotReadyError, RefusedError, RoboNeuronError, StateError
-from roboneuron.modules.settings import EMERGENCY_STOP, INSTRUCTION_PARAMETER, START_PARAMETER, ModuleKind
+from roboneuron.modules.settings import (
+    EMERGENCY_STOP,
+    INSTRUCTION_PARAMETER,
+    START_PARAMETER,
+    ModuleKind,
+)
 from roboneuron.supervisor.health import ModuleView
 from roboneuron.supervisor.slot import Slot
 from roboneuron.supervisor.supervisor import Supervisor
@@ -25,7 +33,10 @@ _PERMITTED_S = 5.0
 _SETTLED_S = 5.0
 _ARM: tuple[ModuleKind, ...] = ("robot", "control")
 """What moves the arm."""
-AGAIN = "Nothing moves by itself: give an instruction (set_instruction, run_task) or move the arm to go on."
+AGAIN = (
+    "Nothing moves by itself: give an instruction (set_instruction, run_task) or move the arm "
+    "to go on."
+)
 """What whoever releases a stop is told."""
 
 
@@ -33,11 +44,14 @@ class MotionStarts:
     """What was asked for, and what has ended it since; usable from any thread.
 
     Attributes:
-        stops: so many stops so far; what was asked for before the newest one is not carried out any more.
-        arm_stops: those among them that end every motion, of agents too: not the loss of a camera or of the policy.
+        stops: so many stops so far; what was asked for before the newest one is not carried out any
+            more.
+        arm_stops: those among them that end every motion, of agents too: not the loss of a camera
+            or of the policy.
         reason: the newest stop.
         instruction: what the policy was told last; empty when that was taken back.
-        ticket: number of the newest instruction or of its end; tells whoever has given one whether it still holds.
+        ticket: number of the newest instruction or of its end; tells whoever has given one whether
+            it still holds.
     """
 
     def __init__(self, supervisor: Supervisor) -> None:
@@ -51,7 +65,8 @@ class MotionStarts:
         self.reason = self.instruction = ""
 
     def look(self, is_latched: bool | None = None) -> Sequence[ModuleView]:
-        """The modules; stops that have come since the last look are counted, and end what was asked for.
+        """The modules; stops that have come since the last look are counted, and end what was asked
+        for.
 
         Args:
             is_latched: whether the emergency stop is; None when nobody has looked now.
@@ -86,18 +101,23 @@ class MotionStarts:
                 self._supervisor.needs_start = reason
 
     def stop(self, kind: ModuleKind, reason: str, *, is_asked: bool) -> None:
-        """A module was stopped, or is to be started again by itself: the policy forgets its instruction."""
+        """A module was stopped, or is to be started again by itself: the policy forgets its
+        instruction.
+        """
         self.note_stop(reason, holds_arm=kind in _ARM, is_asked=is_asked)
         self._take_back()
 
     @property
     def are_needed(self) -> bool:
         """Whether a stop keeps a module still until `permit`."""
-        reports = [self._supervisor.report_of(slot) for kind in _ARM for slot in self._running(kind)]
+        reports = [
+            self._supervisor.report_of(slot) for kind in _ARM for slot in self._running(kind)
+        ]
         return any(report is not None and report.needs_start for report in reports)
 
     def permit(self) -> int:
-        """Somebody asks for motion: the modules that a stop keeps still obey again; returns `stops`, see `check`.
+        """Somebody asks for motion: the modules that a stop keeps still obey again; returns
+        `stops`, see `check`.
 
         Raises:
             RefusedError: a module says that there was another stop since.
@@ -113,7 +133,9 @@ class MotionStarts:
         return count
 
     def arm_started(self) -> None:
-        """Let what was started since `permit` obey too; does nothing when there was a stop since."""
+        """Let what was started since `permit` obey too; does nothing when there was a stop
+        since.
+        """
         self.look()
         if self._supervisor.needs_start:
             return
@@ -128,8 +150,11 @@ class MotionStarts:
                 report = self._supervisor.report_of(slot)
                 if report is None or not report.needs_start or slot.process is None:
                     continue
-                if report.stops != self._seen.get(slot.process.pid):  # newer than what was asked for
-                    raise RefusedError(f"{kind} was stopped meanwhile: {report.needs_start}.", hint="Ask again.")
+                # newer than what was asked for
+                if report.stops != self._seen.get(slot.process.pid):
+                    raise RefusedError(
+                        f"{kind} was stopped meanwhile: {report.needs_start}.", hint="Ask again."
+                    )
                 if refused := self._set(slot, {START_PARAMETER: report.stops}, _PERMITTED_S):
                     raise RefusedError(f"{kind} keeps still: {refused}.", hint="See get_status.")
                 self._await_obeying(slot, report.stops)
@@ -137,7 +162,9 @@ class MotionStarts:
     def check(self, stops: int) -> None:
         """Raise StateError when a stop came since `permit` has returned `stops`."""
         if self.stops != stops:
-            raise StateError(f"There was a stop meanwhile: {self.reason}. Nothing moves.", hint="Ask again.")
+            raise StateError(
+                f"There was a stop meanwhile: {self.reason}. Nothing moves.", hint="Ask again."
+            )
 
     def begin(self, text: str) -> int:
         """A policy is about to be started or replaced with that instruction; returns the ticket."""
@@ -147,7 +174,8 @@ class MotionStarts:
             return self.ticket
 
     def give(self, text: str, timeout_s: float) -> tuple[int, str]:
-        """Tell the policy that works, and one that is about to replace it; returns the ticket and why it was refused.
+        """Tell the policy that works, and one that is about to replace it; returns the ticket and
+        why it was refused.
 
         Raises:
             StateError: none runs.
@@ -163,7 +191,8 @@ class MotionStarts:
         return ticket, "; ".join(filter(None, refused))
 
     def withdraw(self, ticket: int) -> None:
-        """Take an instruction back from every process that holds it; one that does not answer is ended.
+        """Take an instruction back from every process that holds it; one that does not answer is
+        ended.
 
         Does nothing more when somebody else has given another one since, or a stop has ended it.
         """
@@ -178,7 +207,9 @@ class MotionStarts:
 
     def follow(self, slot: Slot, ticket: int) -> None:
         """Tell a policy that was being started what holds now, when that has changed since."""
-        if self.ticket != ticket and self._set(slot, {INSTRUCTION_PARAMETER: self.instruction}, _PERMITTED_S):
+        if self.ticket != ticket and self._set(
+            slot, {INSTRUCTION_PARAMETER: self.instruction}, _PERMITTED_S
+        ):
             raise StateError("The policy does not take its instruction back.")
 
     def settle(self) -> None:
@@ -237,4 +268,6 @@ class MotionStarts:
             return report is not None and (not report.needs_start or report.stops != stops)
 
         if not self._supervisor.changes.wait_for(obeys, _PERMITTED_S):
-            raise NotReadyError(f"{slot.kind} has not said that it obeys again.", hint="See get_status.")
+            raise NotReadyError(
+                f"{slot.kind} has not said that it obeys again.", hint="See get_status."
+            )

@@ -1,4 +1,6 @@
-"""The installed plugins as the server sees them: read again when something was installed or removed."""
+"""The installed plugins as the server sees them: read again when something was installed or
+removed.
+"""
 
 from __future__ import annotations
 
@@ -13,10 +15,14 @@ from roboneuron.plugins.registry import Registry
 
 
 class PluginCatalogue:
-    """The registry of plugins, discovered on first use and whenever a folder of the import path has changed."""
+    """The registry of plugins, discovered on first use and whenever a folder of the import path
+    has changed.
+    """
 
     def __init__(
-        self, disabled: Collection[str] = (), discover: Callable[[Collection[str]], Registry] = discover
+        self,
+        disabled: Collection[str] = (),
+        discover: Callable[[Collection[str]], Registry] = discover,
     ) -> None:
         self._disabled = tuple(disabled)
         self._discover = discover

@@ -22,15 +22,21 @@ from roboneuron.server.tool import Answer, CallContext, Tool, UnfinishedCallErro
 
 log = logging.getLogger(__name__)
 Admission = Callable[[Tool[Any], CallContext], None]
-"""Raises RoboNeuronError for a call that is not to be made now; called on the event loop, must not block."""
+"""Raises RoboNeuronError for a call that is not to be made now; called on the event loop, must
+not block.
+"""
 _MOST_TEXT = 2000
 """Characters of an error's text."""
 _MOST_ANSWER = 100_000
-"""Characters of what a tool that only reads may answer; a bound for those that have none of their own."""
+"""Characters of what a tool that only reads may answer; a bound for those that have none of
+their own.
+"""
 _FIXED = ""
 """Owner of the tools that were added; the others are derived ones."""
 ERROR_META = "roboneuron/error"
-"""Key in a failed call's `_meta`: code, message and hint (clients check `structuredContent` by the output schema)."""
+"""Key in a failed call's `_meta`: code, message and hint (clients check `structuredContent` by
+the output schema).
+"""
 
 
 class ToolRegistry:
@@ -38,10 +44,11 @@ class ToolRegistry:
 
     Args:
         tools: the first ones.
-        most_calls: more calls at once of clients of one role are refused, so that those who look on cannot hold up
-            those who act; what stops something is never refused.
+        most_calls: more calls at once of clients of one role are refused, so that those who look on
+            cannot hold up those who act; what stops something is never refused.
         on_change: called, from any thread, when the listed derived tools changed.
-        ready: awaited before a tool that is known and permitted is called; what is urgent is done before.
+        ready: awaited before a tool that is known and permitted is called; what is urgent is done
+            before.
         on_call: told of each call that was answered, as `Events.call`.
         acts_on: the robot in words; stands in every answer of a tool that acts on it.
     """
@@ -86,7 +93,9 @@ class ToolRegistry:
 
     def names(self, besides: str = "") -> frozenset[str]:
         """Names of all tools but the derived ones of the owner `besides`."""
-        kept = [entries for owner, entries in self._owned.items() if owner == _FIXED or owner != besides]
+        kept = [
+            entries for owner, entries in self._owned.items() if owner == _FIXED or owner != besides
+        ]
         return frozenset(name for entries in kept for name in entries)
 
     def derived(self, owner: str = "") -> list[Tool[Any]]:
@@ -116,34 +125,47 @@ class ToolRegistry:
 
     def get(self, name: str) -> Tool[Any] | None:
         """The tool of that name, listed or not."""
-        return next((entries[name].tool for entries in self._owned.values() if name in entries), None)
+        return next(
+            (entries[name].tool for entries in self._owned.values() if name in entries), None
+        )
 
     def _shown(self, owner: str) -> list[types.Tool]:
         return [entry.shown() for entry in self._owned.get(owner, {}).values() if entry.tool.listed]
 
     def _replace(self, owner: str, tools: Iterable[Tool[Any]]) -> None:
         with self._lock:
-            known = {name for other, entries in self._owned.items() if other != owner for name in entries}
+            known = {
+                name for other, entries in self._owned.items() if other != owner for name in entries
+            }
             entries: dict[str, _Entry] = {}
             for tool in tools:
                 if tool.name in known or tool.name in entries:
                     raise InternalError(f"There are two tools called {tool.name!r}.")
                 entries[tool.name] = _Entry(tool)
-            self._owned = {**self._owned, owner: entries}  # another thread may be reading the one before
+            # another thread may be reading the one before
+            self._owned = {**self._owned, owner: entries}
 
-    async def call(self, name: str, arguments: Mapping[str, Any], context: CallContext) -> types.CallToolResult:
-        """Validate, run, and answer; every failure is an MCP error result. UnfinishedCallError is none."""
+    async def call(
+        self, name: str, arguments: Mapping[str, Any], context: CallContext
+    ) -> types.CallToolResult:
+        """Validate, run, and answer; every failure is an MCP error result. UnfinishedCallError
+        is none.
+        """
         begun_s = time.monotonic()
         result = await self._answer(name, arguments, context)
         code = str((result.meta or {})[ERROR_META]["code"]) if result.is_error else ""
         self._on_call(name, arguments, context.who, code, time.monotonic() - begun_s)
         return result
 
-    async def _answer(self, name: str, arguments: Mapping[str, Any], context: CallContext) -> types.CallToolResult:
+    async def _answer(
+        self, name: str, arguments: Mapping[str, Any], context: CallContext
+    ) -> types.CallToolResult:
         try:
             tool = self.get(name)
             if tool is None:
-                raise InvalidInputError(f"There is no tool {_short(name)}.", hint="See tools/list.", path="tool")
+                raise InvalidInputError(
+                    f"There is no tool {_short(name)}.", hint="See tools/list.", path="tool"
+                )
             check_role(tool, context)
             if tool.urgent is not None:
                 tool.urgent(arguments, context)
@@ -167,23 +189,33 @@ class ToolRegistry:
         structured = dict(answer.structured)
         if tool.read_only and (size := len(json.dumps(structured))) > _MOST_ANSWER:
             hint = "Ask for less: its arguments narrow what it answers."
-            return failure(InvalidInputError(f"The answer of {name} has {size} characters: too many.", hint=hint))
+            return failure(
+                InvalidInputError(
+                    f"The answer of {name} has {size} characters: too many.", hint=hint
+                )
+            )
         if tool.open_world and not tool.read_only and self._acts_on is not None:
             structured["acts_on"] = self._acts_on()
-        content: list[types.ContentBlock] = [types.TextContent(type="text", text=json.dumps(structured))]
+        content: list[types.ContentBlock] = [
+            types.TextContent(type="text", text=json.dumps(structured))
+        ]
         content += [
             types.ImageContent(type="image", data=b64encode(p.data).decode(), mime_type=p.mime_type)
             for p in answer.pictures
         ]
         return types.CallToolResult(content=content, structured_content=structured)
 
-    async def _carry_out(self, tool: Tool[Any], arguments: Mapping[str, Any], context: CallContext) -> Answer:
+    async def _carry_out(
+        self, tool: Tool[Any], arguments: Mapping[str, Any], context: CallContext
+    ) -> Answer:
         self._calls[context.role] += 1
         try:
             if self._calls[context.role] > self._most_calls and not tool.always:
                 raise NotReadyError(
-                    f"{self._most_calls} calls are at work already for the role {context.role!r}, no more are taken.",
-                    hint="Wait for one to end; max_concurrent_calls in [server] sets how many there may be.",
+                    f"{self._most_calls} calls are at work already for the role {context.role!r}, "
+                    "no more are taken.",
+                    hint="Wait for one to end; max_concurrent_calls in [server] sets how many "
+                    "there may be.",
                 )
             for admit in self._admissions:
                 admit(tool, context)
@@ -193,7 +225,9 @@ class ToolRegistry:
 
 
 class _Entry:
-    """A tool, and how it is listed: described once, unless it has choices, which may change at any time."""
+    """A tool, and how it is listed: described once, unless it has choices, which may change at
+    any time.
+    """
 
     def __init__(self, tool: Tool[Any]) -> None:
         self.tool = tool
@@ -215,7 +249,8 @@ def _described(tool: Tool[Any]) -> types.Tool:
         output_schema=listed_output(tool.output_schema()),
         annotations=types.ToolAnnotations(
             read_only_hint=tool.read_only,
-            destructive_hint=None if tool.read_only else tool.destructive,  # they mean nothing for what only reads
+            # they mean nothing for what only reads
+            destructive_hint=None if tool.read_only else tool.destructive,
             idempotent_hint=None if tool.read_only else tool.idempotent or None,
             open_world_hint=None if tool.open_world else False,  # true where nothing is said
         ),
@@ -237,5 +272,7 @@ def failure(error: RoboNeuronError) -> types.CallToolResult:
     if isinstance(error, InvalidInputError) and error.path:
         details["path"] = error.path[:_MOST_TEXT]
     return types.CallToolResult(
-        content=[types.TextContent(type="text", text=_clipped(str(error)))], _meta={ERROR_META: details}, is_error=True
+        content=[types.TextContent(type="text", text=_clipped(str(error)))],
+        _meta={ERROR_META: details},
+        is_error=True,
     )

@@ -1,4 +1,6 @@
-"""What the agent sees of the server: get_status, and the same as an MCP resource beside those of features."""
+"""What the agent sees of the server: get_status, and the same as an MCP resource beside those
+of features.
+"""
 
 from __future__ import annotations
 
@@ -65,7 +67,8 @@ def status_tool(loop: ClosedLoop, started_s: float) -> Tool[Any]:
         name="get_status",
         title="Status of everything",
         description=(
-            "Which robot this is, real or simulated; state, rates and errors of each module; whether the emergency "
+            "Which robot this is, real or simulated; state, rates and errors of each module; "
+            "whether the emergency "
             "stop is latched, and by whom."
         ),
         arguments=NoArguments,
@@ -82,7 +85,9 @@ STATUS_URI = "roboneuron://status"
 class Resources:
     """Lists and reads them: the server's own, and those that features offer."""
 
-    def __init__(self, loop: ClosedLoop, started_s: float, offered: Iterable[Resource] = ()) -> None:
+    def __init__(
+        self, loop: ClosedLoop, started_s: float, offered: Iterable[Resource] = ()
+    ) -> None:
         own = Resource(
             uri=STATUS_URI,
             name="status",
@@ -98,7 +103,13 @@ class Resources:
     def listing(self) -> list[types.Resource]:
         """What `resources/list` answers."""
         return [
-            types.Resource(name=r.name, title=r.title, uri=r.uri, description=r.description, mime_type=r.mime_type)
+            types.Resource(
+                name=r.name,
+                title=r.title,
+                uri=r.uri,
+                description=r.description,
+                mime_type=r.mime_type,
+            )
             for r in self._offered.values()
         ]
 
@@ -112,4 +123,6 @@ class Resources:
         """Raises MCPError when there is no such resource."""
         if uri not in self._offered:
             known = ", ".join(self._offered)
-            raise MCPError(types.INVALID_PARAMS, f"There is no resource {uri[:200]!r}; there are: {known}.")
+            raise MCPError(
+                types.INVALID_PARAMS, f"There is no resource {uri[:200]!r}; there are: {known}."
+            )

@@ -1,4 +1,6 @@
-"""What the closed-loop tools answer, field by field; the descriptions are part of the output schemas."""
+"""What the closed-loop tools answer, field by field; the descriptions are part of the output
+schemas.
+"""
 
 from __future__ import annotations
 
@@ -45,7 +47,9 @@ class ModuleSummary(Result):
     phase: Phase
     health: Health
     pid: int | None = None
-    started_with: dict[str, str] = Field(default_factory=dict, description="what was chosen: backend, camera ...")
+    started_with: dict[str, str] = Field(
+        default_factory=dict, description="what was chosen: backend, camera ..."
+    )
 
 
 class ModuleStatus(ModuleSummary):
@@ -54,34 +58,53 @@ class ModuleStatus(ModuleSummary):
     phase: Phase = Field(description="exited: it ended by itself, see `exit`")
     health: Health = Field(
         default="stopped",
-        description="how it is: " + "; ".join(f"{word}: {meaning}" for word, meaning in EXPLANATIONS.items()),
+        description="how it is: "
+        + "; ".join(f"{word}: {meaning}" for word, meaning in EXPLANATIONS.items()),
     )
     ready: bool = Field(default=False, description="it has proved that it works and still reports")
     responding: bool = Field(default=False, description="its newest report is at most 1 s old")
-    state: str = Field(default="", description="lifecycle state: unconfigured, configuring, inactive, active")
+    state: str = Field(
+        default="", description="lifecycle state: unconfigured, configuring, inactive, active"
+    )
     started_at: str | None = Field(default=None, description="ISO 8601")
     uptime_s: float | None = None
     rate_hz: float | None = Field(default=None, description="rate of its output")
-    latency_ms: float | None = Field(default=None, description="median from its input's stamp to its output")
+    latency_ms: float | None = Field(
+        default=None, description="median from its input's stamp to its output"
+    )
     latency_p99_ms: float | None = None
     age_ms: float | None = Field(default=None, description="age of its newest input or output")
     report_age_s: float | None = Field(default=None, description="time since its newest report")
-    loop_age_s: float | None = Field(default=None, description="time since its executor last turned; grows in a hang")
-    work_age_s: float | None = Field(default=None, description="time since its work last made progress")
-    work_limit_s: float | None = Field(default=None, description="from this age on it counts as stalled")
+    loop_age_s: float | None = Field(
+        default=None, description="time since its executor last turned; grows in a hang"
+    )
+    work_age_s: float | None = Field(
+        default=None, description="time since its work last made progress"
+    )
+    work_limit_s: float | None = Field(
+        default=None, description="from this age on it counts as stalled"
+    )
     published: int = 0
     dropped: int = Field(default=0, description="inputs not acted on, see `dropped_by`")
     dropped_by: dict[str, int] = Field(default_factory=dict)
     waiting_for: str = Field(default="", description="what is missing until it is ready")
     instruction: str = ""
-    actions_for_instruction: int = Field(default=0, description="actions published for the present instruction")
+    actions_for_instruction: int = Field(
+        default=0, description="actions published for the present instruction"
+    )
     note: str = Field(default="", description="what it is doing, in its own words")
     error: Failure | None = None
     error_count: int = 0
-    emergency_stop: bool | None = Field(default=None, description="whether the module itself is latched")
-    needs_start: str = Field(default="", description="the stop after which it waits to be asked for motion again")
+    emergency_stop: bool | None = Field(
+        default=None, description="whether the module itself is latched"
+    )
+    needs_start: str = Field(
+        default="", description="the stop after which it waits to be asked for motion again"
+    )
     metrics: dict[str, str] = Field(default_factory=dict, description="whatever else it reports")
-    detail: dict[str, str] = Field(default_factory=dict, description="facts of the robot or simulator")
+    detail: dict[str, str] = Field(
+        default_factory=dict, description="facts of the robot or simulator"
+    )
     exit: ExitInfo | None = None
     log: str | None = Field(default=None, description="resource with its log")
 
@@ -131,24 +154,31 @@ class RobotFacts(Result):
 
     name: str
     driver: str
-    kind: Literal["real", "simulated"] = Field(description="real unless its driver declares that it is simulated")
+    kind: Literal["real", "simulated"] = Field(
+        description="real unless its driver declares that it is simulated"
+    )
 
     def __str__(self) -> str:
         return f"{self.kind} robot {self.name} (driver {self.driver})"
 
 
 class StatusResult(Result):
-    """Everything at once; what is not known is left out, and of a stopped module all that is empty, 0 or false."""
+    """Everything at once; what is not known is left out, and of a stopped module all that is
+    empty, 0 or false.
+    """
 
     sparse = True
 
     robot: RobotFacts
     modules: list[ModuleStatus]
-    emergency_stop: bool = Field(description="latched here or in any module; nothing moves until it is reset")
+    emergency_stop: bool = Field(
+        description="latched here or in any module; nothing moves until it is reset"
+    )
     emergency_stop_cause: str = Field(default="", description="who latched it and why")
     namespace: str = Field(description="ROS namespace of the robot")
     tightened_limits: dict[str, Any] = Field(
-        default_factory=dict, description="limits tightened below those of the configuration; a person loosens them"
+        default_factory=dict,
+        description="limits tightened below those of the configuration; a person loosens them",
     )
     uptime_s: float = Field(description="of the server")
     pid: int = Field(description="of the server")
@@ -168,12 +198,16 @@ def module_summary(view: ModuleView) -> dict[str, Any]:
 
 
 def module_status(view: ModuleView) -> ModuleStatus:
-    """What is known of a module, as the agent reads it: what it reports, in the report's own words."""
+    """What is known of a module, as the agent reads it: what it reports, in the report's own
+    words.
+    """
     process, report = view.process, view.report
     facts = {
         **module_summary(view),
         "ready": False,
-        "started_at": process.started_at.isoformat(timespec="seconds") if process is not None else None,
+        "started_at": process.started_at.isoformat(timespec="seconds")
+        if process is not None
+        else None,
         "log": f"roboneuron://logs/{view.kind}",
     }
     if view.exit is not None:
@@ -185,10 +219,14 @@ def module_status(view: ModuleView) -> ModuleStatus:
     age_s = time.monotonic() - report.received_s
     responding = age_s <= STALE_S
     failure = report.failure()
-    facts |= {name: value for name, value in vars(report).items() if name in ModuleStatus.model_fields}
+    facts |= {
+        name: value for name, value in vars(report).items() if name in ModuleStatus.model_fields
+    }
     facts["report_age_s"], facts["responding"] = round(age_s, 3), responding
     facts["ready"] = report.ready and responding and view.phase == "running"
-    facts["error"] = Failure(code=failure.code, message=failure.message, hint=failure.hint) if failure else None
+    facts["error"] = (
+        Failure(code=failure.code, message=failure.message, hint=failure.hint) if failure else None
+    )
     if not responding:
         facts["rate_hz"], facts["note"] = 0.0, f"No report for {age_s:.1f} s."
     return _known(facts, view.phase)
@@ -197,12 +235,18 @@ def module_status(view: ModuleView) -> ModuleStatus:
 def _known(facts: Mapping[str, Any], phase: Phase) -> ModuleStatus:
     """The facts that say something; fields that are not set are left out of answers."""
     empty: tuple[object, ...] = (None,) if phase != "stopped" else (None, "", {}, (), 0, False)
-    kept = {name: _bounded(value) for name, value in facts.items() if name == "ready" or value not in empty}
+    kept = {
+        name: _bounded(value)
+        for name, value in facts.items()
+        if name == "ready" or value not in empty
+    }
     return ModuleStatus(**kept)
 
 
 def _bounded(value: Any) -> Any:
-    """What a plugin reports, cut to what an agent can read; the log and /diagnostics have the whole."""
+    """What a plugin reports, cut to what an agent can read; the log and /diagnostics have the
+    whole.
+    """
     if isinstance(value, str):
         return _clipped(value, _MOST_TEXT)
     if not isinstance(value, Mapping):

@@ -20,13 +20,17 @@ M_co = TypeVar("M_co", bound=BaseModel, covariant=True)
 
 
 class Shape(ABC, Generic[M_co]):
-    """Some fields of `model`, as one tool takes or returns them; results leave out what their handler did not set."""
+    """Some fields of `model`, as one tool takes or returns them; results leave out what their
+    handler did not set.
+    """
 
     model: type[M_co]
 
     @abstractmethod
     def schema(self, own: Schema) -> Schema:
-        """The strict JSON schema, from the model's own; a call may give `properties` and must give `required`."""
+        """The strict JSON schema, from the model's own; a call may give `properties` and must
+        give `required`.
+        """
 
     @abstractmethod
     def check(self, name: str, value: object) -> None:
@@ -35,7 +39,11 @@ class Shape(ABC, Generic[M_co]):
 
 def model_schema(kind: type[BaseModel] | Shape[BaseModel], *, result: bool = False) -> Schema:
     """The strict JSON schema of arguments, or of a result; `$defs` are collected at its root."""
-    return kind.schema(_own_schema(kind.model, result)) if isinstance(kind, Shape) else _own_schema(kind, result)
+    return (
+        kind.schema(_own_schema(kind.model, result))
+        if isinstance(kind, Shape)
+        else _own_schema(kind, result)
+    )
 
 
 @cache
@@ -46,12 +54,16 @@ def _own_schema(model: type[BaseModel], result: bool) -> Schema:
 
 
 def with_choices(schema: Schema, choices: Mapping[str, Mapping[str, str]]) -> Schema:
-    """The schema with {allowed value: one-line summary} of arguments: an enum, and summaries in the description."""
+    """The schema with {allowed value: one-line summary} of arguments: an enum, and summaries in
+    the description.
+    """
     properties = dict(schema["properties"])
     for name, allowed in choices.items():
         entry = dict(properties[name])
         if allowed:
-            listed = "; ".join(f"{value}: {summary}" if summary else value for value, summary in allowed.items())
+            listed = "; ".join(
+                f"{value}: {summary}" if summary else value for value, summary in allowed.items()
+            )
             if any(allowed.values()):
                 entry["description"] = f"{entry.get('description', '')} Choices: {listed}."
             if entry.get("type") == "array":
@@ -59,7 +71,9 @@ def with_choices(schema: Schema, choices: Mapping[str, Mapping[str, str]]) -> Sc
             else:
                 entry["enum"] = list(allowed)
         else:
-            entry["description"] = f"{entry.get('description', '')} Nothing is installed to choose from."
+            entry["description"] = (
+                f"{entry.get('description', '')} Nothing is installed to choose from."
+            )
         properties[name] = entry
     return {**schema, "properties": properties}
 
@@ -67,8 +81,8 @@ def with_choices(schema: Schema, choices: Mapping[str, Mapping[str, str]]) -> Sc
 def listed_output(schema: Schema) -> Schema:
     """An output schema as `tools/list` shows it: the fields of the answer and their types.
 
-    Every agent reads the list in full before it does anything, so what is inside of nested objects, and what fields
-    mean, is left to docs/tools.md.
+    Every agent reads the list in full before it does anything, so what is inside of nested objects,
+    and what fields mean, is left to docs/tools.md.
     """
     fields = {name: _listed_field(entry) for name, entry in schema.get("properties", {}).items()}
     return {"type": "object", "properties": fields}
@@ -79,14 +93,18 @@ def _listed_field(entry: Schema) -> Schema:
         return {"type": "string"} if all(isinstance(value, str) for value in entry["enum"]) else {}
     if "$ref" in entry:
         return {"type": "object"}
-    alternatives = [_listed_field(alternative).get("type") for alternative in entry.get("anyOf", ())]
+    alternatives = [
+        _listed_field(alternative).get("type") for alternative in entry.get("anyOf", ())
+    ]
     if alternatives and all(isinstance(kind, str) for kind in alternatives):
         return {"type": alternatives}
     return {"type": entry["type"]} if "type" in entry else {}
 
 
 def _plain(node: Any, *, keep_null: bool) -> Any:
-    """Drop generated titles, class docstrings and empty defaults; for inputs also null of optional arguments."""
+    """Drop generated titles, class docstrings and empty defaults; for inputs also null of
+    optional arguments.
+    """
     if isinstance(node, list):
         return [_plain(item, keep_null=keep_null) for item in node]
     if not isinstance(node, dict):
@@ -104,14 +122,21 @@ def _plain(node: Any, *, keep_null: bool) -> Any:
         and not (key == "additionalProperties" and value is True)
     }
     alternatives = cleaned.get("anyOf")
-    if not keep_null and alternatives and {"type": "null"} in alternatives and len(alternatives) == 2:
+    if (
+        not keep_null
+        and alternatives
+        and {"type": "null"} in alternatives
+        and len(alternatives) == 2
+    ):
         del cleaned["anyOf"]
         cleaned = {**next(a for a in alternatives if a != {"type": "null"}), **cleaned}
     return cleaned
 
 
 def parse(
-    kind: type[M] | Shape[M], arguments: Mapping[str, Any], choices: Mapping[str, Mapping[str, str]] | None = None
+    kind: type[M] | Shape[M],
+    arguments: Mapping[str, Any],
+    choices: Mapping[str, Mapping[str, str]] | None = None,
 ) -> M:
     """The arguments of a call as the model; null for what is optional counts as omitted.
 
@@ -124,15 +149,22 @@ def parse(
     for name in arguments:
         if name not in names:
             raise unknown_name("The call", name, names)
-    given = {name: value for name, value in arguments.items() if value is not None or name in required}
+    given = {
+        name: value for name, value in arguments.items() if value is not None or name in required
+    }
     for name in required:
         if name not in given:
             raise InvalidInputError(f"Argument {name!r} is missing.", path=name)
     for name, value in given.items():  # to JSON, 1.0 is an integer
-        if model.model_fields[name].annotation is int and isinstance(value, float) and value.is_integer():
+        if (
+            model.model_fields[name].annotation is int
+            and isinstance(value, float)
+            and value.is_integer()
+        ):
             given[name] = int(value)
     try:
-        parsed = model.model_validate_json(json.dumps(given))  # as JSON: strict, but a list is a tuple where one is due
+        # as JSON: strict, but a list is a tuple where one is due
+        parsed = model.model_validate_json(json.dumps(given))
     except ValidationError as error:
         raise _explain(model, error) from error
     for name, allowed in (choices or {}).items():
@@ -147,13 +179,17 @@ def parse(
 
 
 def _explain(model: type[BaseModel], error: ValidationError) -> InvalidInputError:
-    """The first error, in the words of JSON; an unknown name first, as it may explain the others."""
+    """The first error, in the words of JSON; an unknown name first, as it may explain the
+    others.
+    """
     errors = error.errors(include_url=False)
     first = next((found for found in errors if found["type"] == "extra_forbidden"), errors[0])
     *outer, last = first["loc"] or ("",)
     path = ".".join(str(part) for part in first["loc"])
     if first["type"] == "extra_forbidden":
-        return unknown_name(f"Argument {'.'.join(map(str, outer))!r}", str(last), option_names(model, outer))
+        return unknown_name(
+            f"Argument {'.'.join(map(str, outer))!r}", str(last), option_names(model, outer)
+        )
     if first["type"] == "missing":
         return InvalidInputError(f"Argument {path!r} is missing.", path=path)
     if first["type"] == "literal_error":
@@ -172,7 +208,9 @@ def unknown_name(where: str, name: object, valid: Sequence[str]) -> InvalidInput
 
 
 def no_choice(path: str, value: object, allowed: Sequence[str]) -> InvalidInputError:
-    """The error for a value at `path` that is none of those allowed, with the nearest one that is."""
+    """The error for a value at `path` that is none of those allowed, with the nearest one that
+    is.
+    """
     listed = ", ".join(allowed[:20]) + (" ..." if len(allowed) > 20 else "")
     message = f"Argument {path!r} is {_short(value)}. {nearest(str(value)[:60], allowed)}".rstrip()
     return InvalidInputError(message, hint=f"Choose one of: {listed}.", path=path)

@@ -23,14 +23,19 @@ from roboneuron.server.selection import select
 
 
 def check_configuration(config: Config, registry: Registry) -> None:
-    """Refuse a configuration that names what is not installed or sets what is unknown, before the server starts.
+    """Refuse a configuration that names what is not installed or sets what is unknown, before the
+    server starts.
 
     Raises:
         ConfigurationError, PlanningError: as `select` and `check_sections`; all
             that is wrong.
     """
-    configured = [entry for entry in KIND_ENTRIES.values() if getattr(config, entry.kind) is not None]
-    checks: list[Callable[[], object]] = [partial(_check_kind, entry, config, registry) for entry in configured]
+    configured = [
+        entry for entry in KIND_ENTRIES.values() if getattr(config, entry.kind) is not None
+    ]
+    checks: list[Callable[[], object]] = [
+        partial(_check_kind, entry, config, registry) for entry in configured
+    ]
     checks.append(partial(check_sections, config, registry))
     problems: dict[str, RoboNeuronError] = {}
     for check in checks:
@@ -53,7 +58,8 @@ def _check_kind(entry: KindEntry, config: Config, registry: Registry) -> None:
 
 
 def check_sections(config: Config, registry: Registry) -> None:
-    """Refuse options of what does not exist, unknown options, and values that no plugin of that name takes.
+    """Refuse options of what does not exist, unknown options, and values that no plugin of that
+    name takes.
 
     Options that are missing are no error: an agent may give them, or never choose that plugin.
 
@@ -67,9 +73,9 @@ def check_sections(config: Config, registry: Registry) -> None:
         )
     for entry in config.server.agent_options:
         name, _, option = entry.partition(".")
-        problems += _problems_of_name(f"agent_options {entry!r}", name, registry) or _problems_of_entry(
-            entry, name, option, registry
-        )
+        problems += _problems_of_name(
+            f"agent_options {entry!r}", name, registry
+        ) or _problems_of_entry(entry, name, option, registry)
     if problems:
         raise ConfigurationError("\n".join(problems))
 
@@ -88,7 +94,9 @@ def _problems_of_name(place: str, name: str, registry: Registry) -> list[str]:
     meant = nearest(name, {*installed, *ours})
     if not meant and registry.not_loaded():
         return []  # one of those that did not load may have that name
-    return [f"{place}: nothing is called {name!r}. {meant or f'Installed are: {_listed(installed)}.'}"]
+    return [
+        f"{place}: nothing is called {name!r}. {meant or f'Installed are: {_listed(installed)}.'}"
+    ]
 
 
 def _problems_of_options(name: str, options: Mapping[str, object], registry: Registry) -> list[str]:

@@ -1,6 +1,7 @@
 """What a module is started with; everything unfit is refused here.
 
-Nothing is spawned, and nothing heavy imported: names, plans, options, paths and cameras are checked beforehand.
+Nothing is spawned, and nothing heavy imported: names, plans, options, paths and cameras are checked
+    beforehand.
 """
 
 from __future__ import annotations
@@ -12,7 +13,12 @@ from pathlib import Path
 from typing import Any
 
 from roboneuron.config import Config, ControlConfig, InferenceConfig, PerceptionConfig, RobotConfig
-from roboneuron.errors import CheckpointError, InternalError, InvalidInputError, MissingDependencyError
+from roboneuron.errors import (
+    CheckpointError,
+    InternalError,
+    InvalidInputError,
+    MissingDependencyError,
+)
 from roboneuron.modules.settings import ModuleKind, instruction_problem
 from roboneuron.planning import Plan, check_plan
 from roboneuron.plugins.loading import load_options, load_options_model
@@ -71,7 +77,9 @@ def select(kind: ModuleKind, config: Config, registry: Registry) -> Selection:
 
 
 Choose = Callable[[ModuleKind, Config, Registry, Arguments | None, str], Selection]
-"""Selects what a client asks for; called with kind, configuration, plugins, request and role; raises as `select`."""
+"""Selects what a client asks for; called with kind, configuration, plugins, request and role;
+raises as `select`.
+"""
 
 
 def choose_configured(
@@ -79,7 +87,9 @@ def choose_configured(
 ) -> Selection:
     """What is configured, with the instruction that a request names; whatever the role."""
     if not isinstance(request, KIND_ENTRIES[kind].request | None):
-        raise InternalError(f"Nothing here reads {type(request).__name__}, what a client said of {kind}.")
+        raise InternalError(
+            f"Nothing here reads {type(request).__name__}, what a client said of {kind}."
+        )
     if isinstance(request, StartInference) and request.instruction is not None:
         section = configured_section(kind, config, registry)
         update = {"instruction": check_instruction(request.instruction)}
@@ -106,9 +116,15 @@ def plan_of(
 ) -> tuple[Plan, Spec | DriverSpec, dict[str, str]]:
     """The plan, what reads the options, and the names of what was chosen, the plugin first."""
     robot = section if isinstance(section, RobotConfig) else config.robot
-    parts = {"driver": robot} if section is robot else {"driver": robot, KIND_ENTRIES[kind].offer: section}
+    parts = (
+        {"driver": robot}
+        if section is robot
+        else {"driver": robot, KIND_ENTRIES[kind].offer: section}
+    )
     elsewhere = [name for name, part in parts.items() if part.python]
-    check = partial(check_plan, registry, robot=robot.name, driver=robot.driver, elsewhere=elsewhere)
+    check = partial(
+        check_plan, registry, robot=robot.name, driver=robot.driver, elsewhere=elsewhere
+    )
     match section:
         case RobotConfig():
             plan = check()
@@ -123,13 +139,19 @@ def plan_of(
                         f"Robot {plan.robot.name!r} has no camera {camera!r}.",
                         hint=f"Its cameras: {', '.join(known) or 'none'}.",
                     )
-            return plan, plan.perception, {"source": section.source, "cameras": ", ".join(section.cameras or known)}
+            return (
+                plan,
+                plan.perception,
+                {"source": section.source, "cameras": ", ".join(section.cameras or known)},
+            )
         case ControlConfig():
             plan = check(controller=section.controller)
             assert plan.controller is not None
             return plan, plan.controller, {"controller": section.controller}
         case InferenceConfig():
-            plan = check(**section.model_dump(include={"backend", "runtime", "acceleration", "cameras"}))
+            plan = check(
+                **section.model_dump(include={"backend", "runtime", "acceleration", "cameras"})
+            )
             assert plan.backend is not None
             names = {
                 "backend": section.backend,
@@ -148,16 +170,22 @@ def check_instruction(text: str) -> str:
         InvalidInputError: nothing is left, or it is too long or holds a control character.
     """
     if problem := instruction_problem(text):
-        raise InvalidInputError(f"{problem}.", hint="Write plain text on one line.", path="instruction")
+        raise InvalidInputError(
+            f"{problem}.", hint="Write plain text on one line.", path="instruction"
+        )
     if not text.strip():
         raise InvalidInputError(
-            "The instruction is empty.", hint='Say what to do, for instance "pick up the red cube".', path="instruction"
+            "The instruction is empty.",
+            hint='Say what to do, for instance "pick up the red cube".',
+            path="instruction",
         )
     return text.strip()
 
 
 def takes_checkpoint(backend: BackendSpec) -> bool:
-    """Whether a backend needs a checkpoint, or has an option for one; raises as `load_options_model`."""
+    """Whether a backend needs a checkpoint, or has an option for one; raises as
+    `load_options_model`.
+    """
     if backend.needs_checkpoint:
         return True
     model = load_options_model(backend)
@@ -177,17 +205,24 @@ def _check_checkpoint(section: InferenceConfig, plan: Plan, config: Config) -> I
             )
         return section
     if not takes_checkpoint(plan.backend):
-        raise CheckpointError(f"Backend {section.backend!r} takes no checkpoint, but {named!r} was named.")
+        raise CheckpointError(
+            f"Backend {section.backend!r} takes no checkpoint, but {named!r} was named."
+        )
     path = Path(str(named)).expanduser()
     if not path.exists():
         raise CheckpointError(
-            f"The checkpoint {str(named)!r} does not exist.", hint=f"Looked for {path.absolute()} on the server's host."
+            f"The checkpoint {str(named)!r} does not exist.",
+            hint=f"Looked for {path.absolute()} on the server's host.",
         )
     return section.model_copy(update={"checkpoint": str(path.absolute())})
 
 
-def _check_options(spec: Spec | DriverSpec, options: Options, python: str | None, section: str | None = None) -> None:
-    """Validate options here when the plugin can be imported here; a module with its own environment does it itself."""
+def _check_options(
+    spec: Spec | DriverSpec, options: Options, python: str | None, section: str | None = None
+) -> None:
+    """Validate options here when the plugin can be imported here; a module with its own
+    environment does it itself.
+    """
     try:
         load_options(spec, options, section=section)
     except MissingDependencyError:

@@ -28,7 +28,8 @@ _END_S = 20.0
 
 
 def _end_soon() -> None:
-    """The kernel ends this process in a while, whatever hangs in it; its modules hear of that and leave.
+    """The kernel ends this process in a while, whatever hangs in it; its modules hear of that and
+    leave.
 
     The default action of SIGALRM needs nobody's help. Callable from any thread.
     """
@@ -44,7 +45,10 @@ def make_served(config: Config) -> Served:
     if not config.robots:
         return Application(config)
     spec = fleet_feature(discover(config.disabled_plugins))
-    make = cast("Callable[[Config, Path], Served]", load_attribute(spec.fleet or "", f"feature {spec.name!r}"))
+    make = cast(
+        "Callable[[Config, Path], Served]",
+        load_attribute(spec.fleet or "", f"feature {spec.name!r}"),
+    )
     return make(config, state_directory(config.supervisor.state_directory))
 
 
@@ -56,13 +60,15 @@ def serve(config: Config, wire: tuple[int, int]) -> None:
         wire: descriptors to read from and write to, for stdio.
 
     Raises:
-        ConfigurationError, PlanningError: the configuration names what is not installed or does not fit, or the
-            transport cannot be served (an address in use, a token that is missing).
+        ConfigurationError, PlanningError: the configuration names what is not installed or does not
+            fit, or the transport cannot be served (an address in use, a token that is missing).
     """
     served = make_served(config)
     try:
         served.check()
-        transport = served.listen() or partial(_serve_stdio, served.server, config.server.max_concurrent_calls, wire)
+        transport = served.listen() or partial(
+            _serve_stdio, served.server, config.server.max_concurrent_calls, wire
+        )
         served.press_on_signal()
         served.open()
         anyio.run(_serve, served, transport)
@@ -88,7 +94,9 @@ async def _serve(served: Served, transport: Transport) -> None:
         group.cancel_scope.cancel()
 
 
-async def _serve_stdio(server: AnnouncingServer, most_calls: int, wire: tuple[int, int], leave: anyio.Event) -> None:
+async def _serve_stdio(
+    server: AnnouncingServer, most_calls: int, wire: tuple[int, int], leave: anyio.Event
+) -> None:
     """Serve one client until it leaves."""
     writer = LineWriter(wire[1])
     reader = MessageReader(wire[0], writer.write, 2 * most_calls + 64, _end_soon)
@@ -102,6 +110,8 @@ async def _serve_stdio(server: AnnouncingServer, most_calls: int, wire: tuple[in
         group.start_soon(end, group.cancel_scope)
         reader.start()
         log.info("RoboNeuron %s serves MCP on stdio, pid %d.", __version__, os.getpid())
-        await server.run(reader, MessageWriter(writer, reader), server.create_initialization_options())
+        await server.run(
+            reader, MessageWriter(writer, reader), server.create_initialization_options()
+        )
         group.cancel_scope.cancel()
     writer.close()

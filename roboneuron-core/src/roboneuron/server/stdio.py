@@ -1,7 +1,7 @@
 """Two descriptors as the MCP wire: messages in lanes, and lines out.
 
-Reading and writing happen on daemon threads, so that neither a silent nor a stuck client can keep the server from
-leaving.
+Reading and writing happen on daemon threads, so that neither a silent nor a stuck client can keep
+the server from leaving.
 """
 
 from __future__ import annotations
@@ -22,7 +22,14 @@ from mcp.shared.dispatcher import coerce_request_id
 from mcp.shared.message import ServerMessageMetadata, SessionMessage
 from mcp.types import JSONRPCError, JSONRPCMessage, JSONRPCRequest, JSONRPCResponse
 
-from roboneuron.server.envelope import BUSY, INVALID_REQUEST, EnvelopeError, is_urgent, read_message, repeated
+from roboneuron.server.envelope import (
+    BUSY,
+    INVALID_REQUEST,
+    EnvelopeError,
+    is_urgent,
+    read_message,
+    repeated,
+)
 
 MAX_LINE_BYTES = 16 * 1024 * 1024
 """A longer line is refused and dropped to the next newline."""
@@ -36,7 +43,9 @@ _MOST_WAITING_BYTES = 64 * 1024 * 1024
 
 
 class LineWriter:
-    """Writes to a descriptor on a thread; what the client does not take is dropped when the server ends."""
+    """Writes to a descriptor on a thread; what the client does not take is dropped when the
+    server ends.
+    """
 
     def __init__(self, descriptor: int) -> None:
         self._descriptor = descriptor
@@ -70,9 +79,9 @@ class LineWriter:
 class MessageReader(ObjectReceiveStream[SessionMessage]):
     """The read stream of a stdio server: messages of a descriptor, until it ends.
 
-    What is no message is answered here. So are requests whose id is still at work, and those that come while too many
-    wait. An emergency stop and a cancellation overtake the rest, and pings let everything else pass, so that a flood of
-    them holds nothing up.
+    What is no message is answered here. So are requests whose id is still at work, and those that
+    come while too many wait. An emergency stop and a cancellation overtake the rest, and pings let
+    everything else pass, so that a flood of them holds nothing up.
 
     Args:
         descriptor: read by a thread of its own.
@@ -84,7 +93,11 @@ class MessageReader(ObjectReceiveStream[SessionMessage]):
     last_context = None
 
     def __init__(
-        self, descriptor: int, answer: Callable[[str], None], most: int, on_end: Callable[[], None] = lambda: None
+        self,
+        descriptor: int,
+        answer: Callable[[str], None],
+        most: int,
+        on_end: Callable[[], None] = lambda: None,
     ) -> None:
         self._descriptor = descriptor
         self._answer = answer
@@ -176,7 +189,9 @@ class MessageReader(ObjectReceiveStream[SessionMessage]):
             self._wake()
 
     def _refuse_length(self) -> None:
-        self._answer(EnvelopeError(INVALID_REQUEST, f"A line is longer than {MAX_LINE_BYTES} bytes.").answer)
+        self._answer(
+            EnvelopeError(INVALID_REQUEST, f"A line is longer than {MAX_LINE_BYTES} bytes.").answer
+        )
 
     def _take(self, line: bytes) -> None:
         """Put a message in its lane, or answer that it is none or one too many."""
@@ -199,7 +214,10 @@ class MessageReader(ObjectReceiveStream[SessionMessage]):
             key = coerce_request_id(message.id)
             if key in self._ids:
                 raise repeated(message.id)
-            if len(self._waiting[lane]) >= _MOST_WAITING or self._waiting_bytes + size > _MOST_WAITING_BYTES:
+            if (
+                len(self._waiting[lane]) >= _MOST_WAITING
+                or self._waiting_bytes + size > _MOST_WAITING_BYTES
+            ):
                 raise EnvelopeError(BUSY, "Too many requests wait for their turn.", message.id)
             self._ids[key] = lane
         self._waiting[lane].append((message, size))

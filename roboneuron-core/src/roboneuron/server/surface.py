@@ -1,4 +1,6 @@
-"""What clients meet: the MCP server in front of tools and resources, and the context of each of their calls."""
+"""What clients meet: the MCP server in front of tools and resources, and the context of each of
+their calls.
+"""
 
 from __future__ import annotations
 
@@ -23,12 +25,16 @@ from roboneuron.server.tool import Stage, UnfinishedCallError
 T = TypeVar("T")
 
 
-Ask = Callable[[ServerRequestContext[Any, Any], types.CallToolRequestParams, str, str], Awaitable[str | None]]
-"""Asks the person behind the client of a tool call a question; the last argument is what they are to type, if anything.
+Ask = Callable[
+    [ServerRequestContext[Any, Any], types.CallToolRequestParams, str, str], Awaitable[str | None]
+]
+"""Asks the person behind the client of a tool call a question; the last argument is what they are
+to type, if anything.
 
 Answers with what was typed, or "yes"; empty when they did not agree, None when it cannot ask.
 
-Raises UnfinishedCallError when the question goes out as the answer to the call, which is then made again.
+Raises UnfinishedCallError when the question goes out as the answer to the call, which is then made
+again.
 """
 
 
@@ -36,7 +42,8 @@ class AnnouncingServer(Server[Any]):
     """Announces the same on every transport: over HTTP the SDK asks for no options.
 
     Attributes:
-        announced: of which changes clients are told while they are connected; set by the feature that tells them.
+        announced: of which changes clients are told while they are connected; set by the feature
+            that tells them.
         ask: set by the feature that asks clients; None when there is none.
     """
 
@@ -47,11 +54,15 @@ class AnnouncingServer(Server[Any]):
         self, notification_options: NotificationOptions | None = None, *arguments: Any, **named: Any
     ) -> Any:
         """See Server."""
-        return super().create_initialization_options(notification_options or self.announced, *arguments, **named)
+        return super().create_initialization_options(
+            notification_options or self.announced, *arguments, **named
+        )
 
 
 class Served(Protocol):
-    """What `serve` serves: an Application, or several behind one surface; the members mean the same."""
+    """What `serve` serves: an Application, or several behind one surface; the members mean the
+    same.
+    """
 
     @property
     def tools(self) -> ToolRegistry: ...
@@ -70,7 +81,9 @@ class Served(Protocol):
 def make_server(surface: Served, name: str, instructions: str) -> AnnouncingServer:
     """The MCP server in front of tools and resources; they are asked with each request."""
 
-    async def list_tools(context: ServerRequestContext[Any, Any], params: Any) -> types.ListToolsResult:
+    async def list_tools(
+        context: ServerRequestContext[Any, Any], params: Any
+    ) -> types.ListToolsResult:
         return types.ListToolsResult(tools=surface.tools.listing(holder_of(context.request).role))
 
     async def call_tool(
@@ -82,7 +95,9 @@ def make_server(surface: Served, name: str, instructions: str) -> AnnouncingServ
         except UnfinishedCallError as question:
             return cast(types.InputRequiredResult, question.result)
 
-    async def list_resources(_: ServerRequestContext[Any, Any], params: Any) -> types.ListResourcesResult:
+    async def list_resources(
+        _: ServerRequestContext[Any, Any], params: Any
+    ) -> types.ListResourcesResult:
         return types.ListResourcesResult(resources=surface.resources.listing())
 
     async def read_resource(
@@ -106,7 +121,10 @@ class RequestContext:
     """CallContext of one request: work on threads, progress to the client."""
 
     def __init__(
-        self, request: ServerRequestContext[Any, Any], params: types.CallToolRequestParams, ask: Ask | None
+        self,
+        request: ServerRequestContext[Any, Any],
+        params: types.CallToolRequestParams,
+        ask: Ask | None,
     ) -> None:
         self._request = request
         self._params = params
@@ -116,8 +134,10 @@ class RequestContext:
         self.role = holder.role
         self._watched = holder.watched
         client = request.session.client_params if holder.client.startswith("pid") else None
-        if client is not None:  # several clients in one process may be told apart by what they call themselves
-            self.who += f" ({''.join(c for c in client.client_info.name[:40] if c.isascii() and c.isalnum())})"
+        # several clients in one process may be told apart by what they call themselves
+        if client is not None:
+            name = client.client_info.name[:40]
+            self.who += f" ({''.join(c for c in name if c.isascii() and c.isalnum())})"
 
     async def run(
         self,
@@ -138,7 +158,11 @@ class RequestContext:
 
     async def ask_for(self, question: str, what: str) -> str | None:
         """See `CallContext.ask_for`."""
-        return None if self._ask is None else await self._ask(self._request, self._params, question, what)
+        return (
+            None
+            if self._ask is None
+            else await self._ask(self._request, self._params, question, what)
+        )
 
     async def _run(self, work: Callable[[Stage], T], on_cancel: Callable[[], object]) -> T:
         loop = asyncio.get_running_loop()
@@ -164,12 +188,19 @@ class RequestContext:
         async with anyio.create_task_group() as group:
             group.start_soon(forward)
             try:
-                thread = anyio.CapacityLimiter(1)  # of its own: a stop never waits for threads of other calls
-                result.append(await to_thread.run_sync(lambda: work(stage), abandon_on_cancel=True, limiter=thread))
+                # of its own: a stop never waits for threads of other calls
+                thread = anyio.CapacityLimiter(1)
+                result.append(
+                    await to_thread.run_sync(
+                        lambda: work(stage), abandon_on_cancel=True, limiter=thread
+                    )
+                )
             except anyio.get_cancelled_exc_class():
                 on_cancel()
                 raise
-            except Exception as error:  # raised again below, outside of the task group that would wrap it
+            except (
+                Exception
+            ) as error:  # raised again below, outside of the task group that would wrap it
                 failure = error
             finally:
                 send.close()

@@ -34,7 +34,8 @@ class Result(BaseModel):
     """Base of all result models.
 
     Attributes:
-        sparse: of an answer that leaves out what its handler did not set; other answers have all fields.
+        sparse: of an answer that leaves out what its handler did not set; other answers have all
+            fields.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -60,14 +61,17 @@ class Reply:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Answer:
-    """What a client gets: JSON-able values that fit the tool's output schema, and pictures beside them."""
+    """What a client gets: JSON-able values that fit the tool's output schema, and pictures
+    beside them.
+    """
 
     structured: Mapping[str, Any]
     pictures: tuple[Picture, ...] = ()
 
 
 class UnfinishedCallError(Exception):
-    """Not a failure: ends a call with a question to the client's person, whose answer comes with the next call.
+    """Not a failure: ends a call with a question to the client's person, whose answer comes with
+    the next call.
 
     Attributes:
         result: an `mcp.types.InputRequiredResult`.
@@ -101,18 +105,23 @@ class CallContext(Protocol):
     ) -> T:
         """Run blocking `work` on a thread; its stages go to the client as progress.
 
-        When the client cancels or leaves, `on_cancel` is called, the thread is left to end by itself, and the
-        cancellation goes on. By some revisions of the protocol a client that loses its connection may come back for
-        the answer and its call goes on; then only `on_leave` is called: what moves a robot ends with the connection.
+        When the client cancels or leaves, `on_cancel` is called, the thread is left to end by
+        itself, and the cancellation goes on. By some revisions of the protocol a client that loses
+        its connection may come back for the answer and its call goes on; then only `on_leave` is
+        called: what moves a robot ends with the connection.
         """
         ...
 
     async def ask(self, question: str) -> bool | None:
-        """Whether the client's person agreed; None when it cannot ask one. May end the call and begin it again."""
+        """Whether the client's person agreed; None when it cannot ask one. May end the call and
+        begin it again.
+        """
         ...
 
     async def ask_for(self, question: str, what: str) -> str | None:
-        """What the client's person types, such as a PIN; empty when they do not agree, None as `ask`."""
+        """What the client's person types, such as a PIN; empty when they do not agree, None as
+        `ask`.
+        """
         ...
 
 
@@ -131,14 +140,17 @@ class Tool(Generic[A]):
         idempotent: a second call changes nothing more.
         open_world: reaches what this server does not control (the physical world counts).
         listed: in tools/list; others are found by search and called by name all the same.
-        offered: whether it makes sense for the present robot, asked whenever tools are listed; called by name all
-            the same.
-        seldom: needed for few requests; a server of several robots may leave it out of its list, to be found by search.
-        choices: argument name -> function that returns {choice: summary}, asked whenever tools are listed.
-        role: least role of a caller; when empty, viewers may call what is read-only and operators everything else.
+        offered: whether it makes sense for the present robot, asked whenever tools are listed;
+            called by name all the same.
+        seldom: needed for few requests; a server of several robots may leave it out of its list, to
+            be found by search.
+        choices: argument name -> function that returns {choice: summary}, asked whenever tools are
+            listed.
+        role: least role of a caller; when empty, viewers may call what is read-only and operators
+            everything else.
         always: it stops something, so it is done however many calls are at work already.
-        urgent: done first of all, on the event loop, before the arguments are checked and anything is waited for;
-            must not block or raise.
+        urgent: done first of all, on the event loop, before the arguments are checked and anything
+            is waited for; must not block or raise.
     """
 
     name: str
@@ -169,7 +181,9 @@ class Tool(Generic[A]):
         return model_schema(self.result, result=True)
 
     async def call(self, arguments: Mapping[str, Any], context: CallContext) -> Answer:
-        """Check the arguments and do it. Raises InvalidInputError for them, and what the handler raises."""
+        """Check the arguments and do it. Raises InvalidInputError for them, and what the
+        handler raises.
+        """
         outcome = await self.handler(parse(self.arguments, arguments, self._choices()), context)
         reply = outcome if isinstance(outcome, Reply) else Reply(result=outcome)
         is_sparse = isinstance(self.result, Shape) or self.result.sparse

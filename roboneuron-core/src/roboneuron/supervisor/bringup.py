@@ -25,18 +25,26 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 _REASON_S = 1.0
-"""The reason of a refused transition is published just before the answer; it may arrive a little later."""
+"""The reason of a refused transition is published just before the answer; it may arrive a
+little later.
+"""
 _PROGRESS_S = 5.0
 _ABSENT_S = 3.0
-"""Modules may be started side by side, in any order: what a start needs may be started this much later."""
+"""Modules may be started side by side, in any order: what a start needs may be started this
+much later.
+"""
 _ROBOT_S = 1.0
 """Likewise the robot, for cameras that need its driver."""
 _PERSISTENT_S = 1.5
-"""An error that stays this long while a module is active but not ready ends the start; shorter ones may heal."""
+"""An error that stays this long while a module is active but not ready ends the start; shorter
+ones may heal.
+"""
 
 
 class Bringup:
-    """One start of one module, into a slot that was claimed for it; used once, on the thread of the caller."""
+    """One start of one module, into a slot that was claimed for it; used once, on the thread of
+    the caller.
+    """
 
     _process: ModuleProcess
 
@@ -72,22 +80,31 @@ class Bringup:
                     end_processes([slot.process], self._settings.config.supervisor.stop_timeout_s)
                     self._board.forget(self._name, slot.process.pid)
             finally:
-                slot.settle(phase)  # also when it survives SIGKILL, else nobody could start one again
+                # also when it survives SIGKILL, else nobody could start one again
+                slot.settle(phase)
             if slot.process is not None and slot.process.exit_code is not None:
                 self._on_exit(slot.process)  # it died between its proof and here
             self._supervisor.on_change(slot.kind)
 
     def _check_robot(self) -> None:
-        """Refuse at once a source that shows what the robot's own driver moves, when no robot is there to show."""
+        """Refuse at once a source that shows what the robot's own driver moves, when no robot
+        is there to show.
+        """
         plan = self._plan
-        if self._slot.kind != "perception" or plan is None or plan.perception is None or not plan.perception.drivers:
+        if (
+            self._slot.kind != "perception"
+            or plan is None
+            or plan.perception is None
+            or not plan.perception.drivers
+        ):
             return
         robot = self._supervisor.slot("robot")
         if not self._changes.wait_for(
             lambda: robot.phase in ("starting", "running"), _ROBOT_S, self._slot.check_not_cancelled
         ):
             raise NotReadyError(
-                f"The images of {plan.perception.name!r} come from the driver of the robot, which is not running.",
+                f"The images of {plan.perception.name!r} come from the driver of the robot, which "
+                "is not running.",
                 hint="Call start_robot first.",
             )
 
@@ -95,14 +112,18 @@ class Bringup:
         settings, supervisor = self._settings, self._supervisor
         command = supervisor.command(python)
         # A plugin has no use for the server's section.
-        told = settings.model_copy(update={"config": settings.config.model_copy(update={"server": ServerConfig()})})
+        told = settings.model_copy(
+            update={"config": settings.config.model_copy(update={"server": ServerConfig()})}
+        )
         check_state_directory(supervisor.log_directory)
         try:
             spawning = supervisor.spawner.submit(
                 spawn,
                 settings.node_name,
                 command,
-                module_environment(python, next(supervisor.connection.starts), supervisor.secret_variables),
+                module_environment(
+                    python, next(supervisor.connection.starts), supervisor.secret_variables
+                ),
                 told.model_dump_json(),
                 supervisor.log_directory / f"{settings.node_name}.log",
                 supervisor.process_events,
@@ -110,7 +131,8 @@ class Bringup:
             process = spawning.result()
         except OSError as error:
             raise ConfigurationError(
-                f"The {settings.kind} process cannot be started with {command[0]!r}: {error.strerror or error}.",
+                f"The {settings.kind} process cannot be started with {command[0]!r}: "
+                f"{error.strerror or error}.",
                 hint=f"Check `python` in the section [{settings.kind}] of the configuration.",
             ) from error
         supervisor.heartbeat.start()
@@ -129,7 +151,9 @@ class Bringup:
         """Configure, activate, wait for readiness until that monotonic time."""
         self._stage("starting")
         link, announce = self._supervisor.link, self._process.announce
-        client = self._client = NodeClient(link, self._changes, f"/{self._name}", announce, self._check)
+        client = self._client = NodeClient(
+            link, self._changes, f"/{self._name}", announce, self._check
+        )
         self._check_alone()
         if self._changes.wait_for(self._report, _left(deadline_s), self._check) is None:
             raise self._too_late("its first status on /diagnostics")
@@ -159,7 +183,8 @@ class Bringup:
         if failure is not None:
             raise failure
         raise InternalError(
-            f"The {self._slot.kind} module refused to {name} and gave no reason.", hint=f"See {self._process.log_path}."
+            f"The {self._slot.kind} module refused to {name} and gave no reason.",
+            hint=f"See {self._process.log_path}.",
         )
 
     def _await_ready(self, deadline_s: float) -> None:
@@ -176,7 +201,8 @@ class Bringup:
             if report.ready and report.state == "active":
                 return True
             failure = report.failure()
-            lasts = failure is not None and not isinstance(failure, NotReadyError)  # what is late may still come
+            # what is late may still come
+            lasts = failure is not None and not isinstance(failure, NotReadyError)
             if failing.held_s(lasts) > _PERSISTENT_S and failure is not None:
                 raise failure
             if report.waiting_for and report.waiting_for != told:
@@ -185,29 +211,47 @@ class Bringup:
             absent = self._absent() if report.waiting_for else ()
             if absence.held_s(bool(absent)) > _ABSENT_S:
                 raise NotReadyError(
-                    f"{self._slot.kind} waits for {report.waiting_for}; not running: {', '.join(absent)}.",
+                    f"{self._slot.kind} waits for {report.waiting_for}; not running: "
+                    f"{', '.join(absent)}.",
                     hint=f"Call {', '.join(f'start_{kind}' for kind in absent)} first.",
                 )
             return False
 
         if not self._changes.wait_for(ready, _left(deadline_s)):
             report = self._report()
-            raise self._too_late(report.waiting_for if report and report.waiting_for else "its first output")
+            raise self._too_late(
+                report.waiting_for if report and report.waiting_for else "its first output"
+            )
 
     def _absent(self) -> list[ModuleKind]:
-        """Modules that this one takes inputs from and that are neither running nor being started."""
+        """Modules that this one takes inputs from and that are neither running nor being
+        started.
+        """
         kind, plan = self._slot.kind, self._plan
-        sources: dict[ModuleKind, tuple[ModuleKind, ...]] = {"control": ("robot",), "inference": ("perception",)}
+        sources: dict[ModuleKind, tuple[ModuleKind, ...]] = {
+            "control": ("robot",),
+            "inference": ("perception",),
+        }
         needed = sources.get(kind, ())
-        if kind == "inference" and plan is not None and plan.backend is not None and plan.backend.needs_state:
+        if (
+            kind == "inference"
+            and plan is not None
+            and plan.backend is not None
+            and plan.backend.needs_state
+        ):
             needed = ("robot", "perception", "control")
-        return [other for other in needed if self._supervisor.slot(other).phase not in ("starting", "running")]
+        return [
+            other
+            for other in needed
+            if self._supervisor.slot(other).phase not in ("starting", "running")
+        ]
 
     def _check_alone(self) -> None:
-        """Two nodes of one name would both obey each lifecycle request: never drive somebody else's robot.
+        """Two nodes of one name would both obey each lifecycle request: never drive somebody else's
+        robot.
 
-        One on this machine is known at once, one on another by its status. What an ended server has left behind is
-        given the time that it may take to leave.
+        One on this machine is known at once, one on another by its status. What an ended server has
+        left behind is given the time that it may take to leave.
         """
         if not self._changes.wait_for(lambda: self._other() is None, LEAVE_S):
             raise runs_already(f"/{self._name}", self._other() or 0)
@@ -215,15 +259,19 @@ class Bringup:
     def _other(self) -> int | str | None:
         """Process id of another node of our name."""
         holder = claimant(f"/{self._name}")
-        return holder if holder not in (None, self._process.pid) else self._board.foreign(self._name)
+        return (
+            holder if holder not in (None, self._process.pid) else self._board.foreign(self._name)
+        )
 
     def _too_late(self, missing: str) -> RoboNeuronError:
         report = self._report()
         said = f" It says: {report.error}" if report is not None and report.error else ""
         return NotReadyError(
-            f"{self._slot.kind} (pid {self._process.pid}) was not ready within {self._timeout_s:g} s; "
+            f"{self._slot.kind} (pid {self._process.pid}) was not ready within "
+            f"{self._timeout_s:g} s; "
             f"missing: {missing}.{said}",
-            hint=f"The process was ended; its log is {self._process.log_path}. If it only needs longer, raise "
+            hint=f"The process was ended; its log is {self._process.log_path}. If it only needs "
+            "longer, raise "
             f"start_timeout_s in [{self._slot.kind}].",
         )
 
@@ -241,12 +289,15 @@ class Bringup:
         self._tell_progress()
 
     def _tell_progress(self) -> None:
-        """Loading may take minutes: say for how long it has gone on, and how much is in memory by now."""
+        """Loading may take minutes: say for how long it has gone on, and how much is in memory
+        by now.
+        """
         now_s = time.monotonic()
         if now_s - self._told_s >= _PROGRESS_S:
             self._told_s = now_s
             self._on_stage(
-                f"{self._slot.kind}: {self._doing}, {now_s - self._since_s:.0f} of at most {self._timeout_s:g} s"
+                f"{self._slot.kind}: {self._doing}, {now_s - self._since_s:.0f} of at most "
+                f"{self._timeout_s:g} s"
                 f"{_memory(self._process.pid)}"
             )
 

@@ -1,4 +1,6 @@
-"""Events; waiting with a bound, where every change wakes every waiter; and threads that repeat one step."""
+"""Events; waiting with a bound, where every change wakes every waiter; and threads that repeat
+one step.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,9 @@ class Event(Generic[P]):
         self._listeners: list[Callable[P, object]] = []
 
     def listen(self, listener: Callable[P, object]) -> None:
-        """Have `listener` called with each event, on the thread that brings it; it must return quickly."""
+        """Have `listener` called with each event, on the thread that brings it; it must return
+        quickly.
+        """
         self._listeners.append(listener)
 
     def tell(self, *facts: P.args, **named: P.kwargs) -> None:
@@ -32,7 +36,9 @@ class Event(Generic[P]):
         for listener in self._listeners:
             try:
                 listener(*facts, **named)
-            except Exception:  # a failing listener must not stop the others, nor the thread that told it
+            except (
+                Exception
+            ):  # a failing listener must not stop the others, nor the thread that told it
                 log.exception("A listener failed.")
 
 
@@ -43,7 +49,9 @@ class Lasting:
         self._since_s = math.inf
 
     def held_s(self, fact: bool) -> float:
-        """Look once more: time since the first of the last looks that all found it [s], -inf when it does not hold."""
+        """Look once more: time since the first of the last looks that all found it [s], -inf
+        when it does not hold.
+        """
         now_s = time.monotonic()
         self._since_s = min(self._since_s, now_s) if fact else math.inf
         return now_s - self._since_s
@@ -68,12 +76,16 @@ class Changes:
             self._condition.notify_all()
 
     def wait_for(
-        self, look: Callable[[], T | None], timeout_s: float, check: Callable[[], object] = lambda: None
+        self,
+        look: Callable[[], T | None],
+        timeout_s: float,
+        check: Callable[[], object] = lambda: None,
     ) -> T | None:
-        """Return the first result of `look` that is neither None nor False, or None after `timeout_s`.
+        """Return the first result of `look` that is neither None nor False, or None after
+        `timeout_s`.
 
-        Both run on the waiting thread without any lock, `check` after each look that found nothing; both may raise to
-        end the wait.
+        Both run on the waiting thread without any lock, `check` after each look that found nothing;
+        both may raise to end the wait.
         """
         deadline_s = time.monotonic() + timeout_s
         while True:
@@ -90,10 +102,11 @@ class Changes:
 
 
 class Periodic:
-    """Calls `step` at once and then every `period_s` [s], on a thread of its own, from `start` to `close`.
+    """Calls `step` at once and then every `period_s` [s], on a thread of its own, from `start` to
+    `close`.
 
-    A step that raises is repeated like any other, and logged unless it failed in the same way before. `start` and
-    `close` may be called from any thread, also from the step itself.
+    A step that raises is repeated like any other, and logged unless it failed in the same way
+    before. `start` and `close` may be called from any thread, also from the step itself.
     """
 
     def __init__(self, name: str, period_s: float, step: Callable[[], object]) -> None:
@@ -119,7 +132,9 @@ class Periodic:
         while not self._end.is_set():
             try:
                 self._step()
-            except Exception as error:  # one failing look must not end a watch that safety depends on
+            except (
+                Exception
+            ) as error:  # one failing look must not end a watch that safety depends on
                 if repr(error) != told:
                     told = repr(error)
                     log.exception("A step of %r failed.", self._thread.name)

@@ -1,4 +1,6 @@
-"""How modules are: what they say of themselves on /diagnostics, and a word for each, looked at every 30 ms."""
+"""How modules are: what they say of themselves on /diagnostics, and a word for each, looked at
+every 30 ms.
+"""
 
 from __future__ import annotations
 
@@ -82,7 +84,9 @@ class StatusBoard:
         self._foreign: dict[str, tuple[str, float]] = {}
 
     def watch(self, name: str, pid: int) -> None:
-        """Accept reports of the process `pid` under the status name `name`; those of anybody else are ignored."""
+        """Accept reports of the process `pid` under the status name `name`; those of anybody
+        else are ignored.
+        """
         with self.changes.lock:
             self._reports[name, str(pid)] = None
             self._ours.add(str(pid))
@@ -98,7 +102,9 @@ class StatusBoard:
             return self._reports.get((name, str(pid)))
 
     def foreign(self, name: str) -> str | None:
-        """Pid of a process of somebody else that reported under `name` within the last second, or None."""
+        """Pid of a process of somebody else that reported under `name` within the last second,
+        or None.
+        """
         with self.changes.lock:
             pid, seen_s = self._foreign.get(name, ("", 0.0))
         return pid if pid and time.monotonic() - seen_s < _FOREIGN_S else None
@@ -110,7 +116,9 @@ class StatusBoard:
             for status in message.status:
                 key = (status.name, status.hardware_id)
                 if key in self._reports:
-                    self._reports[key] = Report.from_values({v.key: v.value for v in status.values}, received_s=now_s)
+                    self._reports[key] = Report.from_values(
+                        {v.key: v.value for v in status.values}, received_s=now_s
+                    )
                 elif status.name.endswith(_KINDS) and status.hardware_id not in self._ours:
                     self._foreign = dict(list(self._foreign.items())[-_FOREIGN:])
                     self._foreign[status.name] = (status.hardware_id, now_s)
@@ -118,10 +126,23 @@ class StatusBoard:
 
 
 log = logging.getLogger(__name__)
-Health = Literal["stopped", "starting", "stopping", "ok", "waiting", "failing", "stalled", "stuck", "silent", "exited"]
+Health = Literal[
+    "stopped",
+    "starting",
+    "stopping",
+    "ok",
+    "waiting",
+    "failing",
+    "stalled",
+    "stuck",
+    "silent",
+    "exited",
+]
 FAULTS: frozenset[Health] = frozenset({"failing", "stalled", "stuck", "silent", "exited"})
 SILENT_S = 0.42
-"""A module reports every 0.2 s; without a report for this long it is frozen, or its machine is overloaded."""
+"""A module reports every 0.2 s; without a report for this long it is frozen, or its machine is
+overloaded.
+"""
 STUCK_S = 0.3
 """A module's executor turns every 0.02 s; the age it reports grows for up to one period more."""
 LOOK_S = 0.03

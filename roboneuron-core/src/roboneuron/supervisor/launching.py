@@ -46,7 +46,9 @@ class Connection:
             if self._opened is not None:
                 return
             self._opened = Future()
-            threading.Thread(target=self._open, args=(self._opened,), name="ros-open", daemon=True).start()
+            threading.Thread(
+                target=self._open, args=(self._opened,), name="ros-open", daemon=True
+            ).start()
 
     def link(self) -> RosLink:
         """The open link.
@@ -61,7 +63,9 @@ class Connection:
         try:
             return self._opened.result(timeout=_OPEN_TIMEOUT_S)
         except FutureTimeoutError as error:
-            raise NotReadyError(f"The ROS graph was not joined within {_OPEN_TIMEOUT_S:g} s.", hint="Retry.") from error
+            raise NotReadyError(
+                f"The ROS graph was not joined within {_OPEN_TIMEOUT_S:g} s.", hint="Retry."
+            ) from error
 
     def close(self) -> None:
         """Leave the graph; idempotent."""

@@ -1,4 +1,6 @@
-"""The standard lifecycle and parameter services of a managed node, called with a bound on the time."""
+"""The standard lifecycle and parameter services of a managed node, called with a bound on the
+time.
+"""
 
 from __future__ import annotations
 
@@ -15,11 +17,23 @@ if TYPE_CHECKING:
 
 TRANSITIONS = {"configure": 1, "cleanup": 2, "activate": 3, "deactivate": 4}
 """Source: lifecycle_msgs/msg/Transition."""
-_BEFORE = {"configure": "unconfigured", "cleanup": "inactive", "activate": "inactive", "deactivate": "active"}
-_AFTER = {"configure": "inactive", "cleanup": "unconfigured", "activate": "active", "deactivate": "inactive"}
+_BEFORE = {
+    "configure": "unconfigured",
+    "cleanup": "inactive",
+    "activate": "inactive",
+    "deactivate": "active",
+}
+_AFTER = {
+    "configure": "inactive",
+    "cleanup": "unconfigured",
+    "activate": "active",
+    "deactivate": "inactive",
+}
 _STATE_CALL_S = 1.0
 _LOST_S = 1.0
-"""A request that is not answered by then, though the node answers others and is where it was, did not reach it."""
+"""A request that is not answered by then, though the node answers others and is where it was,
+did not reach it.
+"""
 
 
 class NodeClient:
@@ -28,7 +42,8 @@ class NodeClient:
     Args:
         node: its absolute name.
         announce: tells the node's process the digest of a request before it is sent.
-        check: called while waiting for a transition; raises to give up (the process died, the start was cancelled).
+        check: called while waiting for a transition; raises to give up (the process died, the start
+            was cancelled).
     """
 
     def __init__(
@@ -48,17 +63,19 @@ class NodeClient:
     def wait_until_served(self, timeout_s: float) -> bool:
         """Whether `get_state` answered and `change_state` was discovered within `timeout_s`.
 
-        A node that was killed stays in the graph for some seconds, so only an answer proves that this one serves.
+        A node that was killed stays in the graph for some seconds, so only an answer proves that
+        this one serves.
         """
         from lifecycle_msgs.srv import ChangeState, GetState  # heavy
 
         deadline_s = time.monotonic() + timeout_s
 
         def served() -> bool:
-            # In this order: discovery keeps it, so a node that answers `get_state` can also answer `change_state`.
-            return self._link.is_service_ready(ChangeState, self._name("change_state")) and self._link.is_service_ready(
-                GetState, self._name("get_state")
-            )
+            # In this order: discovery keeps it, so a node that answers `get_state` can also answer
+            # `change_state`.
+            return self._link.is_service_ready(
+                ChangeState, self._name("change_state")
+            ) and self._link.is_service_ready(GetState, self._name("get_state"))
 
         while (remaining_s := deadline_s - time.monotonic()) > 0:
             if not self._changes.wait_for(served, remaining_s, self._check):
@@ -71,7 +88,9 @@ class NodeClient:
         """Label of the primary state, or None when nobody answered in time."""
         from lifecycle_msgs.srv import GetState  # heavy
 
-        call = self._link.call(GetState, self._name("get_state"), GetState.Request(), self._changes.notify)
+        call = self._link.call(
+            GetState, self._name("get_state"), GetState.Request(), self._changes.notify
+        )
         if not self._changes.wait_for(lambda: call.done, timeout_s, self._check):
             call.abandon()
             return None
@@ -100,11 +119,18 @@ class NodeClient:
             if state == _AFTER[name]:
                 made = True  # the answer was lost
                 break
-            # One that was killed is in the graph for some seconds more: a request may have gone to it alone.
+            # One that was killed is in the graph for some seconds more: a request may have gone to
+            # it alone.
             if state == _BEFORE[name]:
                 self._announce(digest_of_transition(TRANSITIONS[name], name))
-                calls.append(self._link.call(ChangeState, self._name("change_state"), request, self._changes.notify))
-            self._changes.wait_for(lambda: _made(calls) is not None, min(_LOST_S, remaining_s), self._check)
+                calls.append(
+                    self._link.call(
+                        ChangeState, self._name("change_state"), request, self._changes.notify
+                    )
+                )
+            self._changes.wait_for(
+                lambda: _made(calls) is not None, min(_LOST_S, remaining_s), self._check
+            )
             made = _made(calls)
         for call in calls:
             if not call.done:
@@ -123,7 +149,9 @@ class NodeClient:
         from rcl_interfaces.srv import SetParameters  # heavy
 
         name = self._name("set_parameters")
-        if not self._changes.wait_for(lambda: self._link.is_service_ready(SetParameters, name), timeout_s, check):
+        if not self._changes.wait_for(
+            lambda: self._link.is_service_ready(SetParameters, name), timeout_s, check
+        ):
             raise NotReadyError(f"The service {name} was not found within {timeout_s:g} s.")
 
     def send(self, values: Mapping[str, str | int]) -> Call:
@@ -134,9 +162,13 @@ class NodeClient:
 
         self._announce(digest_of_parameters(values))
         request = parameters_request(values)
-        return self._link.call(SetParameters, self._name("set_parameters"), request, self._changes.notify)
+        return self._link.call(
+            SetParameters, self._name("set_parameters"), request, self._changes.notify
+        )
 
-    def finish(self, call: Call, timeout_s: float, check: Callable[[], object] = lambda: None) -> str:
+    def finish(
+        self, call: Call, timeout_s: float, check: Callable[[], object] = lambda: None
+    ) -> str:
         """Wait for the answer; returns why the node refused, empty when it took the values.
 
         Args:
@@ -154,7 +186,12 @@ class NodeClient:
         refused = [result.reason for result in call.response.results if not result.successful]
         return "; ".join(refused)
 
-    def set(self, values: Mapping[str, str | int], timeout_s: float, check: Callable[[], object] = lambda: None) -> str:
+    def set(
+        self,
+        values: Mapping[str, str | int],
+        timeout_s: float,
+        check: Callable[[], object] = lambda: None,
+    ) -> str:
         """Find, send and finish."""
         self.find(timeout_s, check)
         return self.finish(self.send(values), timeout_s, check)
@@ -166,7 +203,8 @@ class NodeClient:
 def _made(calls: Sequence[Call]) -> bool | None:
     """Whether the node made the transition; None before the first answer.
 
-    Answers come in the order in which the node follows requests: a refusal comes first only when none was followed.
+    Answers come in the order in which the node follows requests: a refusal comes first only when
+        none was followed.
     """
     answers = [bool(call.response.success) for call in calls if call.done]
     return any(answers) if answers else None

@@ -1,8 +1,9 @@
-"""One module process: spawned in a process group of its own, reaped at once when it ends, killed with its children.
+"""One module process: spawned in a process group of its own, reaped at once when it ends, killed
+with its children.
 
-The group stays in the server's session: when the server dies, the kernel wakes a module that is stopped, with SIGHUP
-and SIGCONT as to every newly orphaned group (POSIX, `_exit`), and it leaves. In a session of its own it would stay
-frozen for ever, deaf to its death signal.
+The group stays in the server's session: when the server dies, the kernel wakes a module that is
+stopped, with SIGHUP and SIGCONT as to every newly orphaned group (POSIX, `_exit`), and it leaves.
+In a session of its own it would stay frozen for ever, deaf to its death signal.
 """
 
 from __future__ import annotations
@@ -33,12 +34,15 @@ _FROZEN_S = 0.3
 
 
 class ProcessEvents:
-    """What happens to module processes; listeners are called from any thread and must return quickly.
+    """What happens to module processes; listeners are called from any thread and must return
+    quickly.
 
     Attributes:
         spawning: another process is about to be started.
-        seen: the living process of that pid has proved that it works, or is about to be ended: look at it now.
-        ended: the process of that pid and name, and all that it had started, are dead; nobody was told yet.
+        seen: the living process of that pid has proved that it works, or is about to be ended: look
+            at it now.
+        ended: the process of that pid and name, and all that it had started, are dead; nobody was
+            told yet.
     """
 
     def __init__(self) -> None:
@@ -48,7 +52,9 @@ class ProcessEvents:
 
 
 def read_tail(path: Path, *, lines: int, offset: int = 0) -> tuple[str, ...]:
-    """The last `lines` lines after byte `offset`, of at most the last 64 KiB; empty when there is no such file."""
+    """The last `lines` lines after byte `offset`, of at most the last 64 KiB; empty when there
+    is no such file.
+    """
     try:
         with path.open("rb") as file:
             size = file.seek(0, os.SEEK_END)
@@ -64,10 +70,17 @@ def read_tail(path: Path, *, lines: int, offset: int = 0) -> tuple[str, ...]:
 
 
 class ModuleProcess:
-    """A running child and, later, how it ended. Made by `spawn`; every method may be called from any thread."""
+    """A running child and, later, how it ended. Made by `spawn`; every method may be called
+    from any thread.
+    """
 
     def __init__(
-        self, name: str, child: subprocess.Popen[bytes], log_path: Path, log_offset: int, events: ProcessEvents
+        self,
+        name: str,
+        child: subprocess.Popen[bytes],
+        log_path: Path,
+        log_offset: int,
+        events: ProcessEvents,
     ) -> None:
         self.name = name
         self.pid = child.pid
@@ -86,7 +99,9 @@ class ModuleProcess:
         return self._child.returncode if self._exited.is_set() else None
 
     def is_frozen(self) -> bool:
-        """Whether it has been stopped (SIGSTOP, a debugger) for a while: then it neither works nor answers."""
+        """Whether it has been stopped (SIGSTOP, a debugger) for a while: then it neither works
+        nor answers.
+        """
         try:
             stat = Path(f"/proc/{self.pid}/stat").read_text(encoding="utf-8", errors="replace")
             state = stat.rpartition(")")[2].split()[0]  # the name before it may hold blanks
@@ -108,21 +123,28 @@ class ModuleProcess:
         self._events.seen.tell(self.pid)
 
     def beat(self) -> None:
-        """Show the process that the server lives; never waits, and a process that does not read loses nothing."""
+        """Show the process that the server lives; never waits, and a process that does not read
+        loses nothing.
+        """
         self._write(b"\n")
 
     def announce(self, digest: bytes) -> None:
-        """Tell the process that a request comes from its server, before that is sent; see `modules.requests`.
+        """Tell the process that a request comes from its server, before that is sent; see
+        `modules.requests`.
 
         Raises:
-            NotReadyError: it has read nothing for so long that its pipe is full: it would take the request for a
-                foreign one.
+            NotReadyError: it has read nothing for so long that its pipe is full: it would take the
+                request for a foreign one.
         """
         if not self._write(digest + b"\n"):
-            raise NotReadyError(f"{self.name} (pid {self.pid}) does not read what its server tells it; it hangs.")
+            raise NotReadyError(
+                f"{self.name} (pid {self.pid}) does not read what its server tells it; it hangs."
+            )
 
     def _write(self, line: bytes) -> bool:
-        """Write all of it, or return False: the pipe is full (POSIX: up to PIPE_BUF bytes are never cut)."""
+        """Write all of it, or return False: the pipe is full (POSIX: up to PIPE_BUF bytes are
+        never cut).
+        """
         with self._reaping, suppress(OSError):
             if self._child.returncode is None and self._child.stdin is not None:
                 try:
@@ -155,10 +177,13 @@ class ModuleProcess:
         return self._exited.wait(timeout_s)
 
     def reap(self, on_exit: Callable[[ModuleProcess], None]) -> None:
-        """Wait for the end on a thread of its own; then kill what it left, reap it, and call `on_exit`."""
+        """Wait for the end on a thread of its own; then kill what it left, reap it, and call
+        `on_exit`.
+        """
 
         def watch() -> None:
-            # Until it is reaped its number cannot be given to another process: killing its group is safe.
+            # Until it is reaped its number cannot be given to another process: killing its group is
+            # safe.
             os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOWAIT)
             with self._reaping:
                 _kill_group(self.pid)
@@ -186,12 +211,19 @@ def end_processes(processes: Sequence[ModuleProcess], timeout_s: float) -> set[i
     killed = set()
     for process in processes:
         if not process.wait(max(0.0, deadline_s - time.monotonic())):
-            log.warning("%s (pid %d) did not leave within %g s: killed.", process.name, process.pid, timeout_s)
+            log.warning(
+                "%s (pid %d) did not leave within %g s: killed.",
+                process.name,
+                process.pid,
+                timeout_s,
+            )
             process.kill()
             killed.add(process.pid)
     for process in processes:
         if not process.wait(KILL_S):
-            raise NotReadyError(f"{process.name} (pid {process.pid}) survives SIGKILL: it hangs in the kernel.")
+            raise NotReadyError(
+                f"{process.name} (pid {process.pid}) survives SIGKILL: it hangs in the kernel."
+            )
     return killed
 
 
@@ -208,9 +240,11 @@ def spawn(
     log_path: Path,
     events: ProcessEvents,
 ) -> ModuleProcess:
-    """Start `command`, write `first_line` to its stdin and keep that open; all its output goes to `log_path`.
+    """Start `command`, write `first_line` to its stdin and keep that open; all its output goes to
+    `log_path`.
 
-    To be called on a thread that lives as long as the server: PR_SET_PDEATHSIG follows the *thread*.
+    To be called on a thread that lives as long as the server: PR_SET_PDEATHSIG follows the
+        *thread*.
 
     Raises:
         OSError: the command cannot be started.

@@ -133,7 +133,9 @@ class Slot:
     def check_running(self, hint: str = "") -> None:
         """Raises StateError with the reason and `hint` unless the module runs."""
         if self.phase != "running":
-            why = f": {self.explain_exit()}" if self.phase == "exited" else f" (it is {self.phase})."
+            why = (
+                f": {self.explain_exit()}" if self.phase == "exited" else f" (it is {self.phase})."
+            )
             raise StateError(f"{self.kind} is not running{why}", hint=_NEXT.get(self.phase, hint))
 
     def check_alive(self, doing: str) -> None:
@@ -141,13 +143,16 @@ class Slot:
         process = self.process
         if process is not None and process.exit_code is None and process.is_frozen():
             raise NotReadyError(
-                f"The {self.kind} process (pid {process.pid}) is frozen (SIGSTOP or a debugger) while {doing}.",
+                f"The {self.kind} process (pid {process.pid}) is frozen (SIGSTOP or a debugger) "
+                f"while {doing}.",
                 hint=f"Continue it (kill -CONT {process.pid}), or start it again.",
             )
         if process is not None and process.exit_code is not None:
             raise NotReadyError(
-                f"The {self.kind} process (pid {process.pid}) ended with {_ending(process.exit_code)} while {doing}.",
-                hint=f"Its last lines: {_quote(process.last_lines())} Whole log: {process.log_path}",
+                f"The {self.kind} process (pid {process.pid}) ended with "
+                f"{_ending(process.exit_code)} while {doing}.",
+                hint=f"Its last lines: {_quote(process.last_lines())} Whole log: "
+                f"{process.log_path}",
             )
 
     def note_exit(self, process: ModuleProcess) -> bool:

@@ -1,4 +1,6 @@
-"""Starts, watches and stops module processes; usable from any thread, and every wait has a bound."""
+"""Starts, watches and stops module processes; usable from any thread, and every wait has a
+bound.
+"""
 
 from __future__ import annotations
 
@@ -32,10 +34,12 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 DEACTIVATE_S = 2.0
 _BEAT_S = 0.2
-"""A module whose server has ended sees the end of stdin. One whose server is frozen, so that nobody could stop the arm,
-misses these signs of life on stdin; control holds then."""
+"""A module whose server has ended sees the end of stdin. One whose server is frozen, so that nobody
+could stop the arm, misses these signs of life on stdin; control holds then."""
 LEAVE_S = 1.5
-"""When the server ends, whatever the configuration says about stops: its modules are gone within 2 s."""
+"""When the server ends, whatever the configuration says about stops: its modules are gone
+within 2 s.
+"""
 
 
 class Supervisor:
@@ -44,21 +48,29 @@ class Supervisor:
     Args:
         state_directory: logs go to its `log` folder, and modules are told it.
         command: how to start a module under a given interpreter.
-        on_change: called from any thread, with the kind, when a module started, stopped or ended by itself.
-        connect: makes the server's node from what receives /diagnostics and the folder for its logs.
+        on_change: called from any thread, with the kind, when a module started, stopped or ended by
+            itself.
+        connect: makes the server's node from what receives /diagnostics and the folder for its
+            logs.
 
     Attributes:
-        log_directory: where this server's modules log, one file for each; `<state>/log/<time>-<pid>`.
+        log_directory: where this server's modules log, one file for each;
+            `<state>/log/<time>-<pid>`.
         process_events: what happens to module processes, for listeners.
         changes: told of all that happens to modules; its lock guards `slots`.
-        tightened: limits that modules are started with instead of the configured ones; None for these.
-        slots: by kind, the one of the module that works first; others are about to replace it, or were replaced.
-        on_join: functions of features that modules call with their node, as "module:attribute"; see `ModuleHost`.
-        needs_start: which stop keeps robot and control still, when they are started, until somebody asks for motion.
+        tightened: limits that modules are started with instead of the configured ones; None for
+            these.
+        slots: by kind, the one of the module that works first; others are about to replace it, or
+            were replaced.
+        on_join: functions of features that modules call with their node, as "module:attribute"; see
+            `ModuleHost`.
+        needs_start: which stop keeps robot and control still, when they are started, until somebody
+            asks for motion.
         secret_variables: environment variables that modules do not get.
         board: what the modules report.
         connection: the server's node.
-        command, spawner, heartbeat: for `Bringup`; the thread that spawns lives as long as the server.
+        command, spawner, heartbeat: for `Bringup`; the thread that spawns lives as long as the
+            server.
     """
 
     def __init__(
@@ -73,7 +85,9 @@ class Supervisor:
         self.changes = Changes()
         self.tightened: LimitsConfig | None = None
         self.on_join: tuple[str, ...] = ()
-        self.log_directory = state_directory / "log" / f"{time.strftime('%Y%m%d-%H%M%S')}-{os.getpid()}"
+        self.log_directory = (
+            state_directory / "log" / f"{time.strftime('%Y%m%d-%H%M%S')}-{os.getpid()}"
+        )
         self.process_events = ProcessEvents()
         self.secret_variables: set[str] = set()
         self.needs_start = ""
@@ -116,7 +130,8 @@ class Supervisor:
         on_stage: Stage = lambda stage: None,
         beside: Slot | None = None,
     ) -> ModuleView:
-        """Spawn, configure, activate, and wait for the proof that it works; a failing start leaves nothing behind.
+        """Spawn, configure, activate, and wait for the proof that it works; a failing start leaves
+        nothing behind.
 
         Args:
             kind: which module.
@@ -125,7 +140,8 @@ class Supervisor:
             names: what was chosen, for messages.
             plan: the descriptors behind these names.
             on_stage: called with a phrase whenever the start has come further.
-            beside: one of `slots` but the first: it starts there, in shadow, while another one works.
+            beside: one of `slots` but the first: it starts there, in shadow, while another one
+                works.
 
         Raises:
             StateError: it is already there, or the start was cancelled.
@@ -136,7 +152,9 @@ class Supervisor:
             if self._closed:
                 raise StateError("The server is shutting down.")
             working = self.slot(kind).choice
-            other_name = beside is not None and working is not None and working.settings.node_name == kind
+            other_name = (
+                beside is not None and working is not None and working.settings.node_name == kind
+            )
             slot = beside or self.slot(kind)
             stopped_by = self.needs_start
             if beside is not None and (report := self.report_of(self.slot(kind))) is not None:
@@ -169,7 +187,8 @@ class Supervisor:
         return self.board.newest(choice.settings.status_name, process.pid)
 
     def stop(self, kind: ModuleKind) -> Stopped | None:
-        """Deactivate, end and reap a module; a start in progress is cancelled instead, and None is returned.
+        """Deactivate, end and reap a module; a start in progress is cancelled instead, and None is
+        returned.
 
         Raises:
             StateError: it is not running.
@@ -200,7 +219,8 @@ class Supervisor:
         """Stop everything in the reverse order of starting; never raises for what is not running.
 
         Args:
-            within_s: kill what has not left by then, where `supervisor.stop_timeout_s` would give it more time.
+            within_s: kill what has not left by then, where `supervisor.stop_timeout_s` would give
+                it more time.
         """
         slots = self._all()
         for slot in slots:
@@ -243,7 +263,9 @@ class Supervisor:
     def log_path(self, kind: ModuleKind) -> Path:
         """Where the present module of that kind logs."""
         choice = self.slot(kind).choice
-        return self.log_directory / f"{choice.settings.node_name if choice is not None else kind}.log"
+        return (
+            self.log_directory / f"{choice.settings.node_name if choice is not None else kind}.log"
+        )
 
     def close(self) -> None:
         """Stop everything, leave the ROS graph, end all threads; idempotent."""
@@ -260,7 +282,9 @@ class Supervisor:
         share_s = within_s / (len(claims) + 1)
         for claim in claims:
             self._deactivate(claim, min(share_s, DEACTIVATE_S))
-        timeout_s = max((claim.settings.config.supervisor.stop_timeout_s for claim in claims), default=0.0)
+        timeout_s = max(
+            (claim.settings.config.supervisor.stop_timeout_s for claim in claims), default=0.0
+        )
         left_s = max(share_s, started_s + within_s - time.monotonic())
         killed = end_processes([claim.process for claim in claims], min(timeout_s, left_s))
         return [self._settle(claim, claim.process.pid in killed, started_s) for claim in claims]
@@ -273,7 +297,9 @@ class Supervisor:
             node, check = f"/{settings.status_name}", lambda: slot.check_alive("being deactivated")
             client = NodeClient(self.link, self.changes, node, process.announce, check)
             if client.transition("deactivate", limit_s) is None:
-                log.warning("%s did not answer `deactivate` within %.1f s.", settings.node_name, limit_s)
+                log.warning(
+                    "%s did not answer `deactivate` within %.1f s.", settings.node_name, limit_s
+                )
         except RoboNeuronError as error:
             log.warning("Deactivating %s: %s", settings.node_name, error)
 

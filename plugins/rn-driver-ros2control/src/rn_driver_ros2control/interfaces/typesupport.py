@@ -1,13 +1,15 @@
-"""Build a ROS 2 interface package without colcon, CMake or a ROS installation: generators from wheels, one compiler.
+"""Build a ROS 2 interface package without colcon, CMake or a ROS installation: generators from
+wheels, one compiler.
 
     python -m rn_driver_ros2control.interfaces.typesupport FOLDER OUTPUT
 
-FOLDER is named as the package and holds `msg`, `srv` and `action` with its definitions; OUTPUT gets `<package>/` (a
-Python package with one extension module, for site-packages), `lib/` (the typesupports, which ROS 2 loads by name) and
-`share/` (definitions, type descriptions, the ament index), both for the environment's prefix.
+FOLDER is named as the package and holds `msg`, `srv` and `action` with its definitions; OUTPUT gets
+`<package>/` (a Python package with one extension module, for site-packages), `lib/` (the
+typesupports, which ROS 2 loads by name) and `share/` (definitions, type descriptions, the ament
+index), both for the environment's prefix.
 
-Used by this distribution's build hook, which loads this file by path: it imports nothing but the standard library
-until `build` is called.
+Used by this distribution's build hook, which loads this file by path: it imports nothing but the
+standard library until `build` is called.
 """
 
 from __future__ import annotations
@@ -27,8 +29,10 @@ from pathlib import Path
 
 KINDS = ("msg", "srv", "action")
 NO_COMPILER = (
-    "No C++ compiler was found, and the ROS 2 types of {package} have to be compiled once. Install one "
-    "(Debian, Ubuntu: apt-get install g++) and repeat the command; without the rights for that, pip install ziglang "
+    "No C++ compiler was found, and the ROS 2 types of {package} have to be compiled once. "
+    "Install one "
+    "(Debian, Ubuntu: apt-get install g++) and repeat the command; without the rights for that, "
+    "pip install ziglang "
     "into the environment and set CXX='python -m ziglang c++' (quotes included)."
 )
 REQUIRED = (
@@ -50,7 +54,7 @@ import em, lark, numpy, rosidl_adapter, rosidl_generator_c, rosidl_generator_py,
 import rosidl_typesupport_c, rosidl_typesupport_fastrtps_c, rosidl_typesupport_introspection_c
 print(rosidl_generator_c.__file__)
 print(numpy.get_include())
-"""
+"""  # noqa: E501
 _GENERATE = Path(__file__).resolve().parent / "generators.py"
 _LONGEST_S = 600.0
 
@@ -60,7 +64,8 @@ class BuildError(RuntimeError):
 
 
 def find_compiler(package: str) -> list[str]:
-    """The command of a C++ compiler: $CXX, or the first of c++, g++ and clang++ on the PATH, or zig's from PyPI.
+    """The command of a C++ compiler: $CXX, or the first of c++, g++ and clang++ on the PATH, or
+    zig's from PyPI.
 
     Raises:
         BuildError: there is none.
@@ -93,15 +98,24 @@ class Wheels:
 
 
 def find_wheels() -> Wheels | None:
-    """The generators of this interpreter's environment, otherwise those on its module path; None without.
+    """The generators of this interpreter's environment, otherwise those on its module path; None
+    without.
 
-    The two differ while pip builds a wheel: what it installed for the build is on the path, and the environment that
+    The two differ while pip builds a wheel: what it installed for the build is on the path, and the
+        environment that
     the wheel is for, which often has the generators already, is hidden by PYTHONPATH.
     """
     plain = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     for environment in (plain, dict(os.environ)):
         command = [sys.executable, "-c", _PROBE]
-        done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=_LONGEST_S, check=False)
+        done = subprocess.run(
+            command,
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=_LONGEST_S,
+            check=False,
+        )
         if done.returncode != 0:
             continue
         generator, headers = done.stdout.splitlines()[-2:]
@@ -118,14 +132,19 @@ def definitions(folder: Path) -> list[str]:
     Raises:
         BuildError: there are none.
     """
-    found = sorted(str(p.relative_to(folder)) for kind in KINDS for p in (folder / kind).glob(f"*.{kind}"))
+    found = sorted(
+        str(p.relative_to(folder)) for kind in KINDS for p in (folder / kind).glob(f"*.{kind}")
+    )
     if not found:
-        raise BuildError(f"{folder} holds no definition: expected msg/*.msg, srv/*.srv or action/*.action.")
+        raise BuildError(
+            f"{folder} holds no definition: expected msg/*.msg, srv/*.srv or action/*.action."
+        )
     return found
 
 
 def build_once(folder: Path, cache: Path) -> Path:
-    """As `build`, into a folder of `cache` that stands for these definitions, this Python and this build.
+    """As `build`, into a folder of `cache` that stands for these definitions, this Python and this
+    build.
 
     Returns:
         That folder; it is built in another place and moved there, so it is whole or absent.
@@ -146,13 +165,16 @@ def build(folder: Path, output: Path) -> None:
     """Build the package that `folder` is named after into `output`; see the module.
 
     Raises:
-        BuildError: no compiler, no generators, or one of them failed; the message ends with what it said.
+        BuildError: no compiler, no generators, or one of them failed; the message ends with what it
+            said.
     """
     folder, package = folder.resolve(), folder.resolve().name
     definitions(folder)
     compiler, wheels = find_compiler(package), find_wheels()
     if wheels is None:
-        raise BuildError(f"The ROS 2 generators are not installed; pip install {' '.join(REQUIRED)} brings them.")
+        raise BuildError(
+            f"The ROS 2 generators are not installed; pip install {' '.join(REQUIRED)} brings them."
+        )
     target = output / package
     shutil.rmtree(target, ignore_errors=True)
     with tempfile.TemporaryDirectory(prefix=f"{package}-") as scratch:
@@ -174,7 +196,9 @@ def _copy(source: Path, target: Path, patterns: Iterable[str]) -> None:
 
 
 def _share(folder: Path, generated: Path, share: Path, package: str) -> None:
-    """What other programs look interfaces up in: the definitions, and the package's entries in the ament index."""
+    """What other programs look interfaces up in: the definitions, and the package's entries in
+    the ament index.
+    """
     place = share / package
     shutil.rmtree(place, ignore_errors=True)
     _copy(folder, place, [f"*.{kind}" for kind in KINDS])
@@ -188,20 +212,34 @@ def _share(folder: Path, generated: Path, share: Path, package: str) -> None:
 
 def _run(command: Sequence[str], wheels: Wheels) -> None:
     done = subprocess.run(
-        command, env=wheels.environment, capture_output=True, text=True, timeout=_LONGEST_S, check=False
+        command,
+        env=wheels.environment,
+        capture_output=True,
+        text=True,
+        timeout=_LONGEST_S,
+        check=False,
     )
     if done.returncode != 0:
         tail = "\n".join((done.stdout + done.stderr).splitlines()[-20:])
         raise BuildError(f"{' '.join(command[:4])} ... failed with {done.returncode}:\n{tail}")
 
 
-def _compile(compiler: Sequence[str], wheels: Wheels, work: Path, package: str, output: Path) -> None:
-    """Compile each generated source; link the typesupports into one library and the conversion into the extension."""
+def _compile(
+    compiler: Sequence[str], wheels: Wheels, work: Path, package: str, output: Path
+) -> None:
+    """Compile each generated source; link the typesupports into one library and the conversion
+    into the extension.
+    """
     sources = sorted(work.rglob("*.c*"))
     if not sources:
         raise BuildError(f"The generators of {package} produced nothing to compile.")
     headers = wheels.prefix / "include"
-    includes = [work, work / "introspection", headers, *sorted(path for path in headers.iterdir() if path.is_dir())]
+    includes = [
+        work,
+        work / "introspection",
+        headers,
+        *sorted(path for path in headers.iterdir() if path.is_dir()),
+    ]
     includes += [Path(sysconfig.get_path("include")), wheels.numpy_headers]
     flags = ["-O1", "-fPIC", "-w", *(f"-I{path}" for path in includes)]
 
@@ -214,7 +252,11 @@ def _compile(compiler: Sequence[str], wheels: Wheels, work: Path, package: str, 
 
     with ThreadPoolExecutor(max_workers=min(4, os.cpu_count() or 1)) as pool:
         objects = dict(zip(sources, pool.map(compile_one, enumerate(sources)), strict=True))
-    conversion = [made for source, made in objects.items() if source.name.endswith("_s.c") or ".ep." in source.name]
+    conversion = [
+        made
+        for source, made in objects.items()
+        if source.name.endswith("_s.c") or ".ep." in source.name
+    ]
     structures = [made for made in objects.values() if made not in conversion]
     libraries = [str(path) for path in _libraries(wheels.prefix, package)]
     lib = output / "lib"
@@ -226,7 +268,8 @@ def _compile(compiler: Sequence[str], wheels: Wheels, work: Path, package: str, 
 
     main, alias = (lib / f"lib{package}__{name}.so" for name in TYPESUPPORTS)
     link(main, *structures, "-Wl,-rpath,$ORIGIN", "-Wl,--as-needed", *libraries)
-    # ROS 2 loads each typesupport by its name and asks it for symbols; those of a needed library count as its own.
+    # ROS 2 loads each typesupport by its name and asks it for symbols; those of a needed library
+    # count as its own.
     link(alias, "-Wl,-rpath,$ORIGIN", "-Wl,--no-as-needed", str(main))
     suffix = sysconfig.get_config_var("EXT_SUFFIX")
     extension = output / package / f"{package}_s__rosidl_typesupport_c{suffix}"
@@ -238,15 +281,26 @@ TYPESUPPORTS = ("rosidl_typesupport_fastrtps_c", "rosidl_typesupport_introspecti
 _TO_LIB = "$ORIGIN/../../.."
 """From a package in site-packages to `lib` of the environment."""
 _NEEDED = ("rosidl_generator_c", "rosidl_generator_py", "rosidl_typesupport_c", *TYPESUPPORTS)
-_BASE = ("rosidl_runtime_c", "rosidl_typesupport_c", *TYPESUPPORTS, "rosidl_typesupport_fastrtps_cpp")
+_BASE = (
+    "rosidl_runtime_c",
+    "rosidl_typesupport_c",
+    *TYPESUPPORTS,
+    "rosidl_typesupport_fastrtps_cpp",
+)
 
 
 def _libraries(prefix: Path, package: str) -> list[Path]:
-    """Libraries of the packages that the definitions may use: every interface package installed, and the base."""
+    """Libraries of the packages that the definitions may use: every interface package
+    installed, and the base.
+    """
     lib = prefix / "lib"
     found = [lib / f"lib{name}.so" for name in (*_BASE, "rcutils", "rmw", "fastcdr")]
     for kind in _NEEDED:
-        found += [p for p in sorted(lib.glob(f"lib*__{kind}.so")) if not p.name.startswith(f"lib{package}__")]
+        found += [
+            p
+            for p in sorted(lib.glob(f"lib*__{kind}.so"))
+            if not p.name.startswith(f"lib{package}__")
+        ]
     return [path for path in found if path.exists()]
 
 

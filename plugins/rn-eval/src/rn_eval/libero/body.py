@@ -11,7 +11,9 @@ IMAGE_PX = 256
 def profile() -> RobotProfile:
     """Name and cameras; kinematics and limits are the simulator's."""
     cameras = tuple(
-        CameraProfile(name=c.name, role=c.role, frame_id=f"{c.name}_optical", width=IMAGE_PX, height=IMAGE_PX)
+        CameraProfile(
+            name=c.name, role=c.role, frame_id=f"{c.name}_optical", width=IMAGE_PX, height=IMAGE_PX
+        )
         for c in BODY.cameras
     )
     return RobotProfile(name=BODY.name, cameras=cameras)

@@ -21,7 +21,9 @@ class NoopOptions(BaseModel):
 class NoopBackend:
     """Follows `roboneuron.contract.Backend`: no motion, gripper open."""
 
-    def __init__(self, config: NoopOptions | None, *, runtime: object = None, acceleration: object = None) -> None:
+    def __init__(
+        self, config: NoopOptions | None, *, runtime: object = None, acceleration: object = None
+    ) -> None:
         options = config or NoopOptions()
         self._rows = np.zeros((options.rows, 7))
         self._rows[:, 6] = 1.0
@@ -33,11 +35,16 @@ class NoopBackend:
         self._loaded = True
 
     def predict(self, observation: Observation) -> ActionChunk:
-        """Stay. Raises StateError unless loaded, UngroundedError without an image, as a model does."""
+        """Stay. Raises StateError unless loaded, UngroundedError without an image, as a model
+        does.
+        """
         if not self._loaded:
             raise StateError("Backend 'noop' is not loaded; call load first.")
         if "primary" not in observation.frames:
-            raise UngroundedError(f"The observation has no image of role 'primary', only {sorted(observation.frames)}.")
+            raise UngroundedError(
+                "The observation has no image of role 'primary', only "
+                f"{sorted(observation.frames)}."
+            )
         return ActionChunk(actions=self._rows.copy(), step_s=self._step_s)
 
     def reset(self) -> None:

@@ -9,16 +9,23 @@ from pydantic import BaseModel, ConfigDict, Field
 
 
 class LiberoOptions(BaseModel):
-    """How the simulator is run. Nothing here changes the protocol but `step_limit` and `image_px`."""
+    """How the simulator is run. Nothing here changes the protocol but `step_limit` and
+    `image_px`.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     python: Path = Field(
-        default=Path(".venv-libero/bin/python"), description="interpreter of the environment that has the simulator"
+        default=Path(".venv-libero/bin/python"),
+        description="interpreter of the environment that has the simulator",
     )
-    renderer: Literal["egl", "osmesa"] = Field(default="egl", description="how MuJoCo draws without a display")
+    renderer: Literal["egl", "osmesa"] = Field(
+        default="egl", description="how MuJoCo draws without a display"
+    )
     image_px: int = Field(default=256, ge=64, le=1024, description="width and height of the images")
     step_limit: int | None = Field(
         default=None, ge=1, le=10_000, description="steps of an episode, instead of the protocol's"
     )
-    answer_s: float = Field(default=300.0, gt=0, le=3600, description="an answer of the simulator takes no longer [s]")
+    answer_s: float = Field(
+        default=300.0, gt=0, le=3600, description="an answer of the simulator takes no longer [s]"
+    )

@@ -1,4 +1,6 @@
-"""What this package offers: the suites "libero-spatial", "libero-object", "libero-goal" and "libero-10"; and "noop"."""
+"""What this package offers: the suites "libero-spatial", "libero-object", "libero-goal" and
+"libero-10"; and "noop".
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,8 @@ MAX_ROWS = 64
 AGENTVIEW, WRIST = "agentview", "robot0_eye_in_hand"
 BODY = RobotSpec(
     name="libero-panda",
-    summary="The Franka Panda of LIBERO's simulation; its base frame is the simulation's world frame",
+    summary="The Franka Panda of LIBERO's simulation; its base frame is the simulation's world "
+    "frame",
     target="rn_eval.libero.body:profile",
     cameras=(CameraSpec(name=AGENTVIEW, role="primary"), CameraSpec(name=WRIST, role="wrist")),
     drivers=(
@@ -24,7 +27,9 @@ BODY = RobotSpec(
     ),
 )
 _OPENVLA = ("profile=libero", 'image_steps=["jpeg_95", "resize_lanczos", "center_crop_90"]')
-"""What the evaluation scripts do to an image after the rotation by 180 degrees, which the suite does."""
+"""What the evaluation scripts do to an image after the rotation by 180 degrees, which the suite
+does.
+"""
 _OFT = (
     *_OPENVLA,
     "constants=libero",
@@ -35,9 +40,15 @@ _OFT = (
 
 
 def _options(suite: str) -> tuple[str, ...]:
-    """Options by which the backends do what the scripts do. A key may also end in "_no_noops" in the checkpoint."""
+    """Options by which the backends do what the scripts do. A key may also end in "_no_noops"
+    in the checkpoint.
+    """
     asked = {"openvla": _OPENVLA, "oft": _OFT, "oft-primary": _OFT}
-    return tuple(f"{name}.{text}" for name, texts in asked.items() for text in (*texts, f"unnorm_key={suite}"))
+    return tuple(
+        f"{name}.{text}"
+        for name, texts in asked.items()
+        for text in (*texts, f"unnorm_key={suite}")
+    )
 
 
 def _suite(name: str, target: str, summary: str) -> SuiteSpec:
@@ -55,7 +66,9 @@ def _suite(name: str, target: str, summary: str) -> SuiteSpec:
 def roboneuron_suites() -> Sequence[SuiteSpec]:
     """The LIBERO suites."""
     return [
-        _suite("libero_spatial", "LiberoSpatial", "LIBERO-Spatial: the same objects in other places"),
+        _suite(
+            "libero_spatial", "LiberoSpatial", "LIBERO-Spatial: the same objects in other places"
+        ),
         _suite("libero_object", "LiberoObject", "LIBERO-Object: other objects"),
         _suite("libero_goal", "LiberoGoal", "LIBERO-Goal: other goals in one scene"),
         _suite("libero_10", "Libero10", "LIBERO-Long: ten long tasks"),

@@ -38,12 +38,20 @@ class SimulatorProcess:
         if not options.python.is_file():
             raise ConfigurationError(
                 f"There is no interpreter {str(options.python)!r} with the LIBERO simulator.",
-                hint="Run: make .venv-libero (in RoboNeuron's source folder), or give --suite-option python=PATH.",
+                hint="Run: make .venv-libero (in RoboNeuron's source folder), or give "
+                "--suite-option python=PATH.",
             )
         self._answer_s = options.answer_s
         self._words: IO[bytes] = tempfile.TemporaryFile(prefix="roboneuron-libero-")  # noqa: SIM115  it outlives this
-        platform: dict[str, str] = {"MUJOCO_GL": options.renderer, "PYOPENGL_PLATFORM": options.renderer}
-        inherited = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "PYTHONHOME")}
+        platform: dict[str, str] = {
+            "MUJOCO_GL": options.renderer,
+            "PYOPENGL_PLATFORM": options.renderer,
+        }
+        inherited = {
+            name: value
+            for name, value in os.environ.items()
+            if name not in ("PYTHONPATH", "PYTHONHOME")
+        }
         self._process = subprocess.Popen(
             [str(options.python), str(MAIN)],
             stdin=subprocess.PIPE,
@@ -69,13 +77,17 @@ class SimulatorProcess:
             self._end()
             said = self._tail()
             self.close()
-            raise NotReadyError(f"The LIBERO simulator does not answer: {error} It said: {said}") from error
+            raise NotReadyError(
+                f"The LIBERO simulator does not answer: {error} It said: {said}"
+            ) from error
         if isinstance(reply, pipe.Failed):
             self.close()
             raise NotReadyError(f"The LIBERO simulator failed: {reply.reason.strip()}")
         if not isinstance(reply, kind):
             self.close()
-            raise NotReadyError(f"The LIBERO simulator answered {type(reply).__name__}, expected {kind.__name__}.")
+            raise NotReadyError(
+                f"The LIBERO simulator answered {type(reply).__name__}, expected {kind.__name__}."
+            )
         return reply
 
     def close(self) -> None:

@@ -1,6 +1,7 @@
 """The four LIBERO suites, by the protocol of OpenVLA's and OpenVLA-OFT's evaluation.
 
-Source: experiments/robot/libero/run_libero_eval.py and libero_utils.py of openvla/openvla and moojink/openvla-oft; the
+Source: experiments/robot/libero/run_libero_eval.py and libero_utils.py of openvla/openvla and
+    moojink/openvla-oft; the
 simulator's part is in `simulator/world.py`.
 """
 
@@ -34,7 +35,11 @@ STATES = 50
 METRES_PER_UNIT, RADIANS_PER_UNIT = 0.05, 0.5
 """What 1.0 means to the simulator's controller. Source: robosuite's OSC_POSE, output_max."""
 FINGER_TRAVEL_M = 0.04
-JOINTS = (*(f"panda_joint{number}" for number in range(1, 8)), "panda_finger_joint1", "panda_finger_joint2")
+JOINTS = (
+    *(f"panda_joint{number}" for number in range(1, 8)),
+    "panda_finger_joint1",
+    "panda_finger_joint2",
+)
 _REST = np.zeros(6)
 
 
@@ -45,7 +50,8 @@ def tasks_of(suite: str) -> list[tuple[str, str]]:
 
 
 def to_simulator(vector: F64) -> F64:
-    """A contract action -> the simulator's: units of its controller, gripper -1 open, 1 closed (0 at the very middle).
+    """A contract action -> the simulator's: units of its controller, gripper -1 open, 1 closed (0
+    at the very middle).
 
     Source: normalize_gripper_action and invert_gripper_action of the evaluation scripts.
     """
@@ -54,7 +60,9 @@ def to_simulator(vector: F64) -> F64:
 
 
 class LiberoSuite:
-    """Follows the protocol `Suite`. An episode's seed is the number of its initial state, 0 .. 49."""
+    """Follows the protocol `Suite`. An episode's seed is the number of its initial state, 0 ..
+    49.
+    """
 
     name = ""
 
@@ -68,7 +76,8 @@ class LiberoSuite:
         return tasks_of(self.name)
 
     def episodes(self, count: int, first_seed: int) -> Sequence[Episode]:
-        """The tasks in turn, each with its next initial state; ordered by task, since a simulator holds one task.
+        """The tasks in turn, each with its next initial state; ordered by task, since a simulator
+        holds one task.
 
         Raises:
             ConfigurationError: there are not so many initial states.
@@ -76,25 +85,35 @@ class LiberoSuite:
         most = (STATES - first_seed) * len(self._tasks)
         if count > most:
             raise ConfigurationError(
-                f"{self.name} has {STATES} initial states for each of {len(self._tasks)} tasks; from --seed "
+                f"{self.name} has {STATES} initial states for each of {len(self._tasks)} tasks; "
+                "from --seed "
                 f"{first_seed} on that makes {max(0, most)} episodes, {count} were asked for."
             )
         limit = self._options.step_limit or STEP_LIMITS[self.name]
-        chosen = sorted((n % len(self._tasks), first_seed + n // len(self._tasks)) for n in range(count))
+        chosen = sorted(
+            (n % len(self._tasks), first_seed + n // len(self._tasks)) for n in range(count)
+        )
         return [
             Episode(
-                task=self._tasks[task][0], seed=state, instruction=self._tasks[task][1], time_limit_s=limit * STEP_S
+                task=self._tasks[task][0],
+                seed=state,
+                instruction=self._tasks[task][1],
+                time_limit_s=limit * STEP_S,
             )
             for task, state in chosen
         ]
 
     def open(self, episode: Episode, setup: Setup) -> LiberoScene:
-        """Begin the episode in the simulator; a new process for each task keeps its memory bounded."""
+        """Begin the episode in the simulator; a new process for each task keeps its memory
+        bounded.
+        """
         task = [name for name, _ in self._tasks].index(episode.task)
         if self._simulator is None or self._task != task:
             self.close()
             self._simulator, self._task = SimulatorProcess(self._options), task
-        request = pipe.Open(suite=self.name, task=task, state=episode.seed, image_px=self._options.image_px)
+        request = pipe.Open(
+            suite=self.name, task=task, state=episode.seed, image_px=self._options.image_px
+        )
         try:
             state = self._simulator.ask(request, pipe.State)
         except Exception:
@@ -153,12 +172,16 @@ class LiberoScene:
     def observe(self, stamp_ns: int) -> Observation:
         """Images rotated by 180 degrees, as the training data have them, and the measured state."""
         state = self._state
-        frames = {role: self._frame(camera, stamp_ns) for role, camera in self._setup.cameras.items()}
+        frames = {
+            role: self._frame(camera, stamp_ns) for role, camera in self._setup.cameras.items()
+        }
         return Observation(
             frames=frames,
             instruction=state.instruction,
             joints=JointSample(names=JOINTS, position=state.joints, stamp_ns=stamp_ns),
-            ee_pose=Pose(position_m=state.eef_pos, quaternion_xyzw=state.eef_quat, stamp_ns=stamp_ns),
+            ee_pose=Pose(
+                position_m=state.eef_pos, quaternion_xyzw=state.eef_quat, stamp_ns=stamp_ns
+            ),
             gripper_open=float(np.clip(state.joints[7] / FINGER_TRAVEL_M, 0.0, 1.0)),
             stamp_ns=stamp_ns,
         )
@@ -185,10 +208,18 @@ class LiberoScene:
 
     def judge(self) -> Judgement:
         """By the simulator, in every step."""
-        facts: dict[str, str | float] = {"idle_steps": float(self._idle), "simulator": self._simulator.versions}
+        facts: dict[str, str | float] = {
+            "idle_steps": float(self._idle),
+            "simulator": self._simulator.versions,
+        }
         if self._state.is_done:
             return Judgement(success=True, is_over=True, facts=facts)
-        return Judgement(success=False, is_over=False, reason="The task was not done when time was up.", facts=facts)
+        return Judgement(
+            success=False,
+            is_over=False,
+            reason="The task was not done when time was up.",
+            facts=facts,
+        )
 
     def state(self) -> bytes:
         """Time, positions and velocities, bit for bit."""

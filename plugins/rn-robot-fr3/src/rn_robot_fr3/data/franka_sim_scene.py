@@ -1,12 +1,17 @@
-"""franka-sim with a hand, a table and cubes, in the simulator's own environment, where this package is not installed.
+"""franka-sim with a hand, a table and cubes, in the simulator's own environment, where this package
+is not installed.
 
-Started by `rn_robot_fr3.fci.simulator`. Beside the FCI (TCP/UDP 1337, gripper 1338) it answers on a UDP port: "{}" asks
-for the scene; {"mode": 5} presses the user stop, {"mode": 1} releases it; {"error": 0..40} stops a motion with that
-flag; {"drop": n} loses the next n states on their way to the client. With --record FILE, each physics step appends 15
-float64 to it: monotonic time [s], joints [rad] and their velocities [rad/s]. Each command appends 11 to FILE.commands:
-monotonic time [s], number of the state that it answers, 0 in time or 1 late or 2 missing (the simulator extrapolated),
-whether it was accepted, joints [rad]; {"flush": 1} writes what is buffered. Facts about franka-sim: its version 1.1.7,
-`franka_sim.mujoco_franka_sim`, `franka_sim.limits.checker`.
+Started by `rn_robot_fr3.fci.simulator`. Beside the FCI (TCP/UDP 1337, gripper 1338) it answers on a
+UDP port: "{}" asks for the scene; {"mode": 5} presses the user stop, {"mode": 1} releases it;
+    {"error": 0..40} stops a motion with that
+flag; {"drop": n} loses the next n states on their way to the client. With --record FILE, each
+physics step appends 15
+float64 to it: monotonic time [s], joints [rad] and their velocities [rad/s]. Each command appends
+    11 to FILE.commands:
+monotonic time [s], number of the state that it answers, 0 in time or 1 late or 2 missing (the
+simulator extrapolated), whether it was accepted, joints [rad]; {"flush": 1} writes what is
+buffered. Facts about franka-sim: its version 1.1.7, `franka_sim.mujoco_franka_sim`,
+`franka_sim.limits.checker`.
 """
 
 # mypy: ignore-errors
@@ -69,7 +74,11 @@ def build(scene, dt):
         joint = body.add_joint()
         joint.type, joint.name = mujoco.mjtJoint.mjJNT_FREE, cube["name"]
         box = body.add_geom()
-        box.type, box.size, box.density = mujoco.mjtGeom.mjGEOM_BOX, [cube["edge_m"] / 2] * 3, scene["density_kg_m3"]
+        box.type, box.size, box.density = (
+            mujoco.mjtGeom.mjGEOM_BOX,
+            [cube["edge_m"] / 2] * 3,
+            scene["density_kg_m3"],
+        )
         solid(box, scene["cube_friction"], SURROUNDINGS)
     spec.option.timestep = dt
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
@@ -98,7 +107,9 @@ class SceneSim(backend.MujocoFrankaSim):
         backend.default_fr3_mjcf = lambda: pathlib.Path("fr3.urdf of rn-robot-fr3")
 
     def finger_control_force(self):
-        """As the parent's, and the two fingers keep together, as the one motor of the real hand has it."""
+        """As the parent's, and the two fingers keep together, as the one motor of the real hand
+        has it.
+        """
         force = super().finger_control_force()
         apart = self.data.qpos[self.finger_qpos_adr[0]] - self.data.qpos[self.finger_qpos_adr[1]]
         speed = self.data.qvel[self.finger_dofs_idx[0]] - self.data.qvel[self.finger_dofs_idx[1]]
@@ -110,7 +121,9 @@ class SceneSim(backend.MujocoFrankaSim):
         self.keep_mode()
         if self.record:
             state = self._state_snapshot
-            self.record.write(np.concatenate([[time.monotonic()], state["q"], state["dq"]]).tobytes())
+            self.record.write(
+                np.concatenate([[time.monotonic()], state["q"], state["dq"]]).tobytes()
+            )
         poses = []
         for cube in self.scene["cubes"]:
             start = self.model.joint(cube["name"]).qposadr[0]
@@ -119,7 +132,10 @@ class SceneSim(backend.MujocoFrankaSim):
         self.truth = {
             "time_s": self.data.time,
             "seed": self.scene["seed"],
-            "joints": [*self.data.qpos[self.arm_qpos_adr].tolist(), *self.data.qpos[self.finger_qpos_adr].tolist()],
+            "joints": [
+                *self.data.qpos[self.arm_qpos_adr].tolist(),
+                *self.data.qpos[self.finger_qpos_adr].tolist(),
+            ],
             "velocities": self.data.qvel[self.arm_dofs_idx].tolist(),
             "cubes": [[cube["name"], cube["edge_m"]] for cube in self.scene["cubes"]],
             "poses": poses,
@@ -144,7 +160,11 @@ def record_commands(file):
     absorb, extrapolate = MotionLimitChecker.absorb_command, MotionLimitChecker.extrapolate
 
     def write(command, kind, accepted):
-        file.write(np.array([time.monotonic(), command["message_id"], kind, accepted, *command["q_c"]]).tobytes())
+        file.write(
+            np.array(
+                [time.monotonic(), command["message_id"], kind, accepted, *command["q_c"]]
+            ).tobytes()
+        )
 
     def absorb_command(self, command, joint_positions=None, *, fresh, enforce=False):
         outcome = absorb(self, command, joint_positions, fresh=fresh, enforce=enforce)
@@ -157,7 +177,10 @@ def record_commands(file):
             write(outcome[0], MISSING, outcome[1] is None)
         return outcome
 
-    MotionLimitChecker.absorb_command, MotionLimitChecker.extrapolate = absorb_command, extrapolate_command
+    MotionLimitChecker.absorb_command, MotionLimitChecker.extrapolate = (
+        absorb_command,
+        extrapolate_command,
+    )
 
 
 def tell(sim, server, address):
@@ -169,7 +192,10 @@ def tell(sim, server, address):
         asked = json.loads(data)
         if "mode" in asked:
             mode = RobotMode(asked["mode"])
-            if mode != RobotMode.kIdle and server.robot_state.state["robot_mode"] == RobotMode.kMove:
+            if (
+                mode != RobotMode.kIdle
+                and server.robot_state.state["robot_mode"] == RobotMode.kMove
+            ):
                 server._abort_with_error(0, f"told to stop: {mode.name}")
                 server.robot_state.state["errors"] = [False] * 41
             server.robot_state.state["robot_mode"] = mode
@@ -196,7 +222,9 @@ def main():
     parser.add_argument("--enforce-comm-constraints", action="store_true")
     parser.add_argument("--enforce-motion-limits", action="store_true")
     arguments = parser.parse_args()
-    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s")
+    logging.basicConfig(
+        level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s"
+    )
     state_stream.socket = types.SimpleNamespace(**{**vars(socket), "socket": LossySocket})
     sim = SceneSim(json.loads(pathlib.Path(arguments.scene).read_text()), arguments.record)
     server = FrankaSimServer(
@@ -207,7 +235,9 @@ def main():
         enforce_comm_constraints=arguments.enforce_comm_constraints,
         enforce_motion_limits=arguments.enforce_motion_limits,
     )
-    threading.Thread(target=tell, args=(sim, server, (arguments.host, arguments.scene_port)), daemon=True).start()
+    threading.Thread(
+        target=tell, args=(sim, server, (arguments.host, arguments.scene_port)), daemon=True
+    ).start()
     try:
         server.start()
     except KeyboardInterrupt:

@@ -1,4 +1,6 @@
-"""Free addresses on this machine: the FCI has fixed ports, so each simulator gets an address of its own."""
+"""Free addresses on this machine: the FCI has fixed ports, so each simulator gets an address of
+its own.
+"""
 
 from __future__ import annotations
 
@@ -12,13 +14,17 @@ _TRIES = 200
 
 
 def free_address(*ports: int) -> str:
-    """An address of 127.0.0.0/8 on which nobody uses these TCP and UDP ports. Raises NotReadyError."""
+    """An address of 127.0.0.0/8 on which nobody uses these TCP and UDP ports. Raises
+    NotReadyError.
+    """
     dice = random.SystemRandom()
     for _ in range(_TRIES):
         address = f"127.{dice.randint(1, 254)}.{dice.randint(0, 254)}.{dice.randint(2, 254)}"
         if all(_is_free(address, port) for port in ports):
             return address
-    raise NotReadyError("No free address was found in 127.0.0.0/8.", hint="End other simulators on this machine.")
+    raise NotReadyError(
+        "No free address was found in 127.0.0.0/8.", hint="End other simulators on this machine."
+    )
 
 
 def _is_free(address: str, port: int) -> bool:

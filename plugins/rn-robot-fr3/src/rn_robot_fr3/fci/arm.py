@@ -1,4 +1,6 @@
-"""The arm as the driver sees it: a process of its own answers it at 1 kHz, this one only says where to go."""
+"""The arm as the driver sees it: a process of its own answers it at 1 kHz, this one only says
+where to go.
+"""
 
 from __future__ import annotations
 
@@ -62,9 +64,10 @@ class ArmState:
     Attributes:
         position, velocity, torque: float64 (7,) [rad, rad/s, Nm].
         external_torque: float64 (7,), filtered [Nm].
-        wrench: float64 (6,), external force [N] and torque [Nm] at the stiffness frame, in the base frame.
-        tcp_m, tcp_xyzw: float64 (3,) and (4,), position and unit quaternion of the end effector that Desk has
-            configured, in the base frame.
+        wrench: float64 (6,), external force [N] and torque [Nm] at the stiffness frame, in the base
+            frame.
+        tcp_m, tcp_xyzw: float64 (3,) and (4,), position and unit quaternion of the end effector
+            that Desk has configured, in the base frame.
         mode: libfranka's RobotMode, such as "Idle".
         errors: flags that are set now.
         success_rate: share of the last 100 commands that came in time; 0 when none are sent.
@@ -157,7 +160,9 @@ class FciArm:
         self.refusal = ""
 
     def read(self) -> ArmState:
-        """The newest state, at most 8 ms old while the arm answers. Raises once what ended a motion."""
+        """The newest state, at most 8 ms old while the arm answers. Raises once what ended a
+        motion.
+        """
         self._say_alive()
         with self._news:
             ended, self._ended = self._ended, None
@@ -195,7 +200,9 @@ class FciArm:
         return bool(self._newest and self._newest["realtime"])
 
     def go(self, plan: Plan) -> None:
-        """Go to the plan's target; replaces the motion before, without a jump in acceleration. See `await_rest`."""
+        """Go to the plan's target; replaces the motion before, without a jump in acceleration.
+        See `await_rest`.
+        """
         factor = self._options.dynamics_factor
         self._is_stopping = False
         self._number += 1
@@ -212,7 +219,9 @@ class FciArm:
         )
 
     def stop(self) -> None:
-        """Brake with the limits' acceleration and jerk, then end the control loop; returns at once."""
+        """Brake with the limits' acceleration and jerk, then end the control loop; returns at
+        once.
+        """
         if self.is_moving and not self._is_stopping:
             self._send({"do": "brake"})
             self._is_stopping = True
@@ -245,7 +254,9 @@ class FciArm:
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         command = [sys.executable, "-m", "rn_robot_fr3.fci.control_process", str(theirs.fileno())]
         with theirs:
-            self._process = subprocess.Popen(command, pass_fds=[theirs.fileno()], stdin=subprocess.DEVNULL)
+            self._process = subprocess.Popen(
+                command, pass_fds=[theirs.fileno()], stdin=subprocess.DEVNULL
+            )
         self._link, self._newest, self._ended, self._is_stopping = ours, None, None, False
         self._aimed = 0
         self._answers.clear()
@@ -263,14 +274,18 @@ class FciArm:
                     return
                 if not message:
                     self._newest = None
-                    self._ended = self._ended or ClientError("NetworkException", "the control process has ended.")
+                    self._ended = self._ended or ClientError(
+                        "NetworkException", "the control process has ended."
+                    )
                     self._news.notify_all()
                     return
                 self._take(json.loads(message))
 
     def _take(self, told: dict[str, Any]) -> None:
         if "answer" in told:
-            self._answers[told["answer"]] = ClientError(told["kind"], told["text"]) if told["kind"] else None
+            self._answers[told["answer"]] = (
+                ClientError(told["kind"], told["text"]) if told["kind"] else None
+            )
             self._news.notify_all()
         elif "ended" in told:
             self._aimed = 0
@@ -285,8 +300,12 @@ class FciArm:
         self._send({"do": what, "number": number, "arguments": arguments})
         with self._news:
             if not self._news.wait_for(lambda: number in self._answers or self._is_gone(), limit_s):
-                raise ClientError(_SILENT, f"the control process did not answer {what!r} within {limit_s:g} s.")
-            error = self._answers.pop(number, ClientError("NetworkException", "the control process has ended."))
+                raise ClientError(
+                    _SILENT, f"the control process did not answer {what!r} within {limit_s:g} s."
+                )
+            error = self._answers.pop(
+                number, ClientError("NetworkException", "the control process has ended.")
+            )
         if error is not None:
             raise error
 
@@ -306,7 +325,9 @@ class FciArm:
         try:
             self._link.send(json.dumps(message).encode())
         except OSError as error:
-            raise ClientError("NetworkException", f"the control process has ended ({error.strerror}).") from error
+            raise ClientError(
+                "NetworkException", f"the control process has ended ({error.strerror})."
+            ) from error
 
     def _kill(self) -> None:
         process, link = self._process, self._link

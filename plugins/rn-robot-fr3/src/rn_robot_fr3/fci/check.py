@@ -1,7 +1,9 @@
-"""Whether a machine and its network can answer the FCI every millisecond: measured, and judged by limits.
+"""Whether a machine and its network can answer the FCI every millisecond: measured, and judged by
+limits.
 
-The limits are those of libfranka's documentation (system requirements, troubleshooting): PREEMPT_RT, no power saving,
-and a round trip that leaves the control loop its share of 1 ms. Nothing here moves the arm.
+The limits are those of libfranka's documentation (system requirements, troubleshooting):
+PREEMPT_RT, no power saving, and a round trip that leaves the control loop its share of 1 ms.
+Nothing here moves the arm.
 """
 
 from __future__ import annotations
@@ -25,7 +27,9 @@ from numpy.typing import NDArray
 F64 = NDArray[np.float64]
 PORT = 1337
 ROUND_TRIP_S = 0.0003
-"""Median that leaves 0.7 ms for planning and the control box. Source: libfranka, docs/troubleshooting.rst."""
+"""Median that leaves 0.7 ms for planning and the control box. Source: libfranka,
+docs/troubleshooting.rst.
+"""
 WORST_ROUND_TRIP_S = 0.001
 LATE_S = 0.0003
 """A wake-up that is this late leaves too little of a cycle."""
@@ -89,7 +93,10 @@ class Machine:
 
     def texts(self, pattern: str) -> dict[str, str]:
         """The texts of all files of a pattern, by path."""
-        return {str(path.relative_to(self._root)): self.text(str(path)) for path in sorted(self._root.glob(pattern))}
+        return {
+            str(path.relative_to(self._root)): self.text(str(path))
+            for path in sorted(self._root.glob(pattern))
+        }
 
     def interface(self, host: str) -> str:
         """The network card that leads to a host; empty where that cannot be told."""
@@ -108,7 +115,9 @@ class Machine:
         return best[0]
 
 
-def check_machine(machine: Machine, seconds: float, measure: Callable[[float], Timing] | None = None) -> list[Finding]:
+def check_machine(
+    machine: Machine, seconds: float, measure: Callable[[float], Timing] | None = None
+) -> list[Finding]:
     """Kernel, priority, memory, power saving, and how late a thread is woken."""
     return [
         _kernel(machine),
@@ -121,7 +130,9 @@ def check_machine(machine: Machine, seconds: float, measure: Callable[[float], T
 
 
 def check_network(machine: Machine, host: str, seconds: float) -> list[Finding]:
-    """Round trips to the control box, whether FCI is active there, and the network card that leads there."""
+    """Round trips to the control box, whether FCI is active there, and the network card that
+    leads there.
+    """
     return [_fci(host), judged_round_trips(round_trips(host, seconds)), card(machine, host)]
 
 
@@ -142,12 +153,17 @@ def _priority() -> Finding:
     limit = resource.getrlimit(resource.RLIMIT_RTPRIO)[0]
     told = "unlimited" if limit == resource.RLIM_INFINITY else str(limit)
     if granted:
-        return Finding(name="priority", verdict="ok", found=f"SCHED_FIFO {PRIORITY} is granted (ulimit -r: {told})")
+        return Finding(
+            name="priority",
+            verdict="ok",
+            found=f"SCHED_FIFO {PRIORITY} is granted (ulimit -r: {told})",
+        )
     return Finding(
         name="priority",
         verdict="failed",
         found=f"SCHED_FIFO {PRIORITY} is refused (ulimit -r: {told}, needed: 99)",
-        hint="Add '@realtime - rtprio 99' to /etc/security/limits.conf, join that group, log in again.",
+        hint="Add '@realtime - rtprio 99' to /etc/security/limits.conf, join that group, log in "
+        "again.",
     )
 
 
@@ -178,7 +194,9 @@ def _locked_memory() -> Finding:
 def _governor(machine: Machine) -> Finding:
     found = set(machine.texts("sys/devices/system/cpu/cpu[0-9]*/cpufreq/scaling_governor").values())
     if not found:
-        return Finding(name="governor", verdict="ok", found="the system does not change the clock of the CPU")
+        return Finding(
+            name="governor", verdict="ok", found="the system does not change the clock of the CPU"
+        )
     if found == {"performance"}:
         return Finding(name="governor", verdict="ok", found="performance, on every CPU")
     return Finding(
@@ -198,17 +216,22 @@ def _idle_states(machine: Machine) -> Finding:
     ]
     worst_us = max(enabled_us, default=0)
     if worst_us <= LATE_S * 1e6 / 2:
-        return Finding(name="idle-states", verdict="ok", found=f"the deepest takes {worst_us} us to leave")
+        return Finding(
+            name="idle-states", verdict="ok", found=f"the deepest takes {worst_us} us to leave"
+        )
     return Finding(
         name="idle-states",
         verdict="warning",
-        found=f"the deepest takes {worst_us} us to leave, wanted: at most {LATE_S * 1e6 / 2:.0f} us",
+        found=f"the deepest takes {worst_us} us to leave, wanted: at most {LATE_S * 1e6 / 2:.0f} "
+        "us",
         hint="cpupower idle-set --disable-by-latency 100",
     )
 
 
 def wake_ups(seconds: float) -> Timing:
-    """Ask to be woken each millisecond, with the priority of the control thread where it is granted."""
+    """Ask to be woken each millisecond, with the priority of the control thread where it is
+    granted.
+    """
     before, parameter = os.sched_getscheduler(0), os.sched_getparam(0)
     with contextlib.suppress(OSError):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
@@ -229,7 +252,8 @@ def wake_ups(seconds: float) -> Timing:
 def _wake_ups(timing: Timing) -> Finding:
     count, longest_s = len(timing.late_s), float(timing.late_s.max())
     found = (
-        f"{timing.missed} of {count} cycles of 1 ms began more than {LATE_S * 1e3:g} ms late, the latest "
+        f"{timing.missed} of {count} cycles of 1 ms began more than {LATE_S * 1e3:g} ms late, the "
+        "latest "
         f"{longest_s * 1e3:.2f} ms; limits: {LATE_SHARE:.1%} of them, {LONGEST_LATE_S * 1e3:g} ms"
     )
     if timing.missed <= LATE_SHARE * count and longest_s <= LONGEST_LATE_S:
@@ -238,7 +262,8 @@ def _wake_ups(timing: Timing) -> Finding:
         name="cycles",
         verdict="failed",
         found=found,
-        hint="Needs a PREEMPT_RT kernel, the priority above, and no other heavy work; no virtual machine.",
+        hint="Needs a PREEMPT_RT kernel, the priority above, and no other heavy work; no virtual "
+        "machine.",
     )
 
 
@@ -250,27 +275,34 @@ def _fci(host: str) -> Finding:
             name="fci",
             verdict="failed",
             found=f"{host} is there and refuses port {PORT}",
-            hint="Activate FCI in Desk; it stays active until the control box is restarted or FCI is ended there.",
+            hint="Activate FCI in Desk; it stays active until the control box is restarted or FCI "
+            "is ended there.",
         )
     except OSError as error:
         return Finding(
             name="fci",
             verdict="failed",
             found=f"nobody answers at {host}: {error.strerror or error}",
-            hint="Check the cable, the address, and that this machine's address is in the same network.",
+            hint="Check the cable, the address, and that this machine's address is in the same "
+            "network.",
         )
     return Finding(name="fci", verdict="ok", found=f"{host} accepts connections on port {PORT}")
 
 
 def round_trips(host: str, seconds: float) -> list[float] | str:
-    """Times [s] of echo requests (ping) with the size of a state; why there are none where they are not allowed."""
+    """Times [s] of echo requests (ping) with the size of a state; why there are none where they
+    are not allowed.
+    """
     try:
         link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM, socket.IPPROTO_ICMP)
     except OSError:
         try:
             link = socket.socket(socket.AF_INET, socket.SOCK_RAW, socket.IPPROTO_ICMP)
         except OSError as error:
-            return f"echo requests are not allowed here ({error.strerror}); see sysctl net.ipv4.ping_group_range"
+            return (
+                f"echo requests are not allowed here ({error.strerror}); see sysctl "
+                "net.ipv4.ping_group_range"
+            )
     found: list[float] = []
     with link:
         try:
@@ -287,14 +319,17 @@ def _round_trip(link: socket.socket, number: int) -> float:
     """Of one request [s]; inf without an answer in time."""
     payload = bytes(1200)
     header = struct.pack("!BBHHH", _ECHO_REQUEST, 0, 0, os.getpid() & 0xFFFF, number)
-    header = struct.pack("!BBHHH", _ECHO_REQUEST, 0, checksum(header + payload), os.getpid() & 0xFFFF, number)
+    header = struct.pack(
+        "!BBHHH", _ECHO_REQUEST, 0, checksum(header + payload), os.getpid() & 0xFFFF, number
+    )
     began_s = time.perf_counter()
     link.send(header + payload)
     while (left_s := began_s + _TIMEOUT_S - time.perf_counter()) > 0.0:
         if not select.select([link], [], [], left_s)[0]:
             break
         answer = link.recv(2048)
-        at = (answer[0] & 0x0F) * 4 if len(answer) > len(header) + len(payload) else 0  # raw sockets show the IP header
+        # raw sockets show the IP header
+        at = (answer[0] & 0x0F) * 4 if len(answer) > len(header) + len(payload) else 0
         if answer[at] == _ECHO_ANSWER and struct.unpack_from("!H", answer, at + 6)[0] == number:
             return time.perf_counter() - began_s
     return float("inf")
@@ -312,15 +347,22 @@ def checksum(data: bytes) -> int:
 def judged_round_trips(times_s: list[float] | str) -> Finding:
     """By `ROUND_TRIP_S` and `WORST_ROUND_TRIP_S`; none may be lost."""
     if isinstance(times_s, str):
-        return Finding(name="round-trip", verdict="warning", found=times_s, hint="Run this as root, or ping by hand.")
+        return Finding(
+            name="round-trip",
+            verdict="warning",
+            found=times_s,
+            hint="Run this as root, or ping by hand.",
+        )
     times = np.array(times_s)
     lost = int(np.isinf(times).sum())
     answered = times[np.isfinite(times)] if lost < len(times) else np.array([np.inf])
     median_s, worst_s = float(np.median(answered)), float(answered.max())
     jitter_s = float(np.percentile(answered, 99)) - median_s if lost < len(times) else np.inf
     found = (
-        f"median {median_s * 1e3:.3f} ms, jitter (p99 - median) {jitter_s * 1e3:.3f} ms, worst {worst_s * 1e3:.3f} ms, "
-        f"{lost} of {len(times)} lost; limits: {ROUND_TRIP_S * 1e3:g}, -, {WORST_ROUND_TRIP_S * 1e3:g} ms, 0"
+        f"median {median_s * 1e3:.3f} ms, jitter (p99 - median) {jitter_s * 1e3:.3f} ms, worst "
+        f"{worst_s * 1e3:.3f} ms, "
+        f"{lost} of {len(times)} lost; limits: {ROUND_TRIP_S * 1e3:g}, -, "
+        f"{WORST_ROUND_TRIP_S * 1e3:g} ms, 0"
     )
     if lost == 0 and median_s <= ROUND_TRIP_S and worst_s <= WORST_ROUND_TRIP_S:
         return Finding(name="round-trip", verdict="ok", found=found)
@@ -328,7 +370,8 @@ def judged_round_trips(times_s: list[float] | str) -> Finding:
         name="round-trip",
         verdict="failed",
         found=found,
-        hint="A cable straight from a network card of its own to the control box: no switch, no Wi-Fi, no USB adapter.",
+        hint="A cable straight from a network card of its own to the control box: no switch, no "
+        "Wi-Fi, no USB adapter.",
     )
 
 
@@ -336,11 +379,15 @@ def card(machine: Machine, host: str) -> Finding:
     """The network card towards a host: wired, 1 Gbit/s, awake."""
     name = machine.interface(host)
     if not name or name == "lo":
-        return Finding(name="network-card", verdict="ok", found=f"{host} is reached without a network card")
+        return Finding(
+            name="network-card", verdict="ok", found=f"{host} is reached without a network card"
+        )
     folder = f"sys/class/net/{name}"
     speed, control = machine.text(f"{folder}/speed"), machine.text(f"{folder}/device/power/control")
     problems = []
-    if (machine.texts(f"{folder}/wireless") or machine.texts(f"{folder}/phy80211/*")) or re.match(r"wl", name):
+    if (machine.texts(f"{folder}/wireless") or machine.texts(f"{folder}/phy80211/*")) or re.match(
+        r"wl", name
+    ):
         problems.append("it is wireless")
     if speed.isdigit() and int(speed) < 1000:
         problems.append(f"it runs at {speed} Mbit/s, wanted: 1000")
@@ -351,6 +398,7 @@ def card(machine: Machine, host: str) -> Finding:
             name="network-card",
             verdict="failed" if "it is wireless" in problems else "warning",
             found=f"{name}: {', '.join(problems)}",
-            hint=f"Use a wired card; echo on > /{folder}/device/power/control; ethtool --set-eee {name} eee off.",
+            hint=f"Use a wired card; echo on > /{folder}/device/power/control; ethtool --set-eee "
+            f"{name} eee off.",
         )
     return Finding(name="network-card", verdict="ok", found=f"{name}, {speed or 'unknown'} Mbit/s")

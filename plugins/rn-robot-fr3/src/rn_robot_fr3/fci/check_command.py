@@ -16,12 +16,22 @@ class Fr3:
 
     def configure(self, parser: ArgumentParser) -> None:
         """Add the arguments of `roboneuron fr3`."""
-        actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION", help="what to do")
-        check = actions.add_parser(
-            "check", help="test network and kernel against limits; moves nothing, exit status 1 when something failed"
+        actions = parser.add_subparsers(
+            dest="action", required=True, metavar="ACTION", help="what to do"
         )
-        check.add_argument("host", nargs="?", help="address of the control box; without one only the machine is tested")
-        check.add_argument("--seconds", type=float, default=5.0, help="of each measurement (default: %(default)s)")
+        check = actions.add_parser(
+            "check",
+            help="test network and kernel against limits; moves nothing, exit status 1 when "
+            "something failed",
+        )
+        check.add_argument(
+            "host",
+            nargs="?",
+            help="address of the control box; without one only the machine is tested",
+        )
+        check.add_argument(
+            "--seconds", type=float, default=5.0, help="of each measurement (default: %(default)s)"
+        )
         check.add_argument("--json", action="store_true", help="write the findings as JSON")
 
     def run(self, arguments: Namespace) -> int:
@@ -42,5 +52,9 @@ class Fr3:
                     print(f"    {finding.hint}")
         failed = [finding.name for finding in findings if finding.verdict == "failed"]
         if not arguments.json:
-            print(f"Not fit for a real arm: {', '.join(failed)}." if failed else "Nothing speaks against a real arm.")
+            print(
+                f"Not fit for a real arm: {', '.join(failed)}."
+                if failed
+                else "Nothing speaks against a real arm."
+            )
         return 1 if failed else 0

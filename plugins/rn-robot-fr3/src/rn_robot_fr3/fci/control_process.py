@@ -1,10 +1,12 @@
-"""The process that answers the arm once a millisecond: `python -m rn_robot_fr3.fci.control_process DESCRIPTOR`.
+"""The process that answers the arm once a millisecond:
+`python -m rn_robot_fr3.fci.control_process DESCRIPTOR`.
 
-Started by `rn_robot_fr3.fci.arm`; nothing else runs in it, so that no pause of the driver's Python reaches the arm. It
-talks to the arm through pylibfranka, which cannot be imported beside franky (both register the same types), and to its
-parent in messages of JSON over a socket. Requests ("connect", "configure", "recover") are answered, "go" and "brake"
-are not; states go the other way 125 times a second. It brakes when its parent is gone or silent, and after an error
-nothing moves until "recover".
+Started by `rn_robot_fr3.fci.arm`; nothing else runs in it, so that no pause of the driver's Python
+reaches the arm. It talks to the arm through pylibfranka, which cannot be imported beside franky
+(both register the same types), and to its parent in messages of JSON over a socket. Requests
+("connect", "configure", "recover") are answered, "go" and "brake" are not; states go the other way
+125 times a second. It brakes when its parent is gone or silent, and after an error nothing moves
+until "recover".
 """
 
 from __future__ import annotations
@@ -23,7 +25,14 @@ import time
 from pathlib import Path
 from typing import Any
 
-from rn_robot_fr3.fci.follower import LONGEST_GAP, LONGEST_UNHEARD, STEP_S, Course, Follower, PlannerError
+from rn_robot_fr3.fci.follower import (
+    LONGEST_GAP,
+    LONGEST_UNHEARD,
+    STEP_S,
+    Course,
+    Follower,
+    PlannerError,
+)
 
 PRIORITY = 20
 SILENT_S = 0.5
@@ -73,7 +82,9 @@ class ControlProcess:
                     self._cycle()
                 else:
                     self._idle()
-            except Exception as error:  # whatever ended a motion or the connection is the parent's to judge
+            except (
+                Exception
+            ) as error:  # whatever ended a motion or the connection is the parent's to judge
                 self._fail(error)
 
     def _idle(self) -> None:
@@ -88,7 +99,9 @@ class ControlProcess:
         self._report(self._robot.read_once())
 
     def _begin(self) -> None:
-        self._control = self._robot.start_joint_position_control(self._client.ControllerMode.JointImpedance)
+        self._control = self._robot.start_joint_position_control(
+            self._client.ControllerMode.JointImpedance
+        )
         state, _ = self._control.readOnce()
         self._at_ms = _milliseconds(state.time)
         self._follower = Follower(list(state.q_d), *self._stop)
@@ -112,7 +125,10 @@ class ControlProcess:
         if cycles > LONGEST_GAP:
             self._give_up(f"no state of the robot came for {cycles} ms")
         elif self._follower.unheard > LONGEST_UNHEARD:
-            self._give_up(f"the robot took none of the last {LONGEST_UNHEARD} commands: each came later than 1 ms")
+            self._give_up(
+                f"the robot took none of the last {LONGEST_UNHEARD} commands: each came later "
+                "than 1 ms"
+            )
         command = self._client.JointPositions(position)
         if self._course is None and self._follower.is_resting:
             command.motion_finished = True
@@ -155,7 +171,8 @@ class ControlProcess:
         if type(error).__name__ == "NetworkException":
             self._robot = None
         elif self._robot is not None:
-            with contextlib.suppress(Exception):  # the state shows the mode that the error has led to
+            # the state shows the mode that the error has led to
+            with contextlib.suppress(Exception):
                 self._report(self._robot.read_once())
         self._tell_end(error)
 
@@ -199,15 +216,21 @@ class ControlProcess:
     def _hello(self) -> None:
         """The process runs."""
 
-    def _connect(self, host: str, is_required: bool, stop_acceleration: list[float], stop_jerk: list[float]) -> None:
+    def _connect(
+        self, host: str, is_required: bool, stop_acceleration: list[float], stop_jerk: list[float]
+    ) -> None:
         if is_required and not (_REALTIME.exists() and _REALTIME.read_text().strip() == "1"):
-            raise RealtimeException("/sys/kernel/realtime is not 1, so this is no PREEMPT_RT kernel.")
+            raise RealtimeException(
+                "/sys/kernel/realtime is not 1, so this is no PREEMPT_RT kernel."
+            )
         config = self._client.RealtimeConfig
         self._stop = tuple(stop_acceleration), tuple(stop_jerk)
         self._robot = self._client.Robot(host, config.kEnforce if is_required else config.kIgnore)
         self._report(self._robot.read_once())
 
-    def _configure(self, torque_nm: float, force_n: float, load_kg: float, centre_m: list[float]) -> None:
+    def _configure(
+        self, torque_nm: float, force_n: float, load_kg: float, centre_m: list[float]
+    ) -> None:
         torques, forces = [torque_nm] * 7, [force_n] * 6
         self._robot.set_collision_behavior(torques, torques, forces, forces)
         if load_kg > 0.0:
@@ -235,7 +258,9 @@ class ControlProcess:
                 **{name: list(getattr(state, name)) for name in _FIELDS},
                 "mode": state.robot_mode.name,
                 "rate": state.control_command_success_rate,
-                "errors": [name for name in self._flags if getattr(errors, name) is True] if errors else [],
+                "errors": [name for name in self._flags if getattr(errors, name) is True]
+                if errors
+                else [],
                 "number": self._number,
                 "moving": self._control is not None,
                 "realtime": self._is_realtime,

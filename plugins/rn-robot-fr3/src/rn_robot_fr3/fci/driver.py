@@ -39,21 +39,32 @@ F64 = NDArray[np.float64]
 
 _PERIOD_S = 0.008
 _IDLE_S = 1.0
-"""So long after a motion has ended the control loop is ended too: no packet can be late when nothing moves."""
+"""So long after a motion has ended the control loop is ended too: no packet can be late when
+nothing moves.
+"""
 _RECOVERY_S = 2.0
 _JOIN_S = 5.0
 
 
 class FciDriver:
-    """Follows the protocol `RobotDriver`, and may be asked to `recover`; every method may be called from any thread."""
+    """Follows the protocol `RobotDriver`, and may be asked to `recover`; every method may be
+    called from any thread.
+    """
 
-    def __init__(self, config: FciDriverOptions | None, profile: RobotProfile, topics: Topics) -> None:
-        """Remember what to connect to. Raises ConfigurationError without a host or for another robot's profile."""
+    def __init__(
+        self, config: FciDriverOptions | None, profile: RobotProfile, topics: Topics
+    ) -> None:
+        """Remember what to connect to. Raises ConfigurationError without a host or for another
+        robot's profile.
+        """
         if config is None:
-            raise ConfigurationError("The driver 'fci' needs an address.", hint="Set host in [plugins.fr3].")
+            raise ConfigurationError(
+                "The driver 'fci' needs an address.", hint="Set host in [plugins.fr3]."
+            )
         if profile.arm_joints != ARM_JOINTS:
             raise ConfigurationError(
-                f"The driver 'fci' moves {', '.join(ARM_JOINTS)}, the profile {profile.name!r} has others."
+                f"The driver 'fci' moves {', '.join(ARM_JOINTS)}, the profile {profile.name!r} "
+                "has others."
             )
         self._options = config
         self._topics = topics
@@ -77,12 +88,17 @@ class FciDriver:
 
         Raises:
             StateError: it is open already.
-            ConfigurationError, NotReadyError, MissingDependencyError: it cannot be; says what to do.
+            ConfigurationError, NotReadyError, MissingDependencyError: it cannot be; says what to
+                do.
         """
         if self._arm is not None:
             raise StateError("The driver 'fci' is open already.")
         arm = FciArm(self._options)
-        gripper = FciGripper(self._options, importlib.import_module("franky")) if self._options.gripper else None
+        gripper = (
+            FciGripper(self._options, importlib.import_module("franky"))
+            if self._options.gripper
+            else None
+        )
         try:
             arm.connect()
             self._arm = arm
@@ -109,10 +125,10 @@ class FciDriver:
     def read(self) -> RobotState:
         """Return the newest state, measured 125 times per second.
 
-        `detail` holds "mode", "fault" and "fault_hint" (empty without one), "errors", "control_success_rate",
-        "joints_rad", "velocity_rad_s", "torque_nm", "external_torque_nm", "external_wrench" (N, Nm, base frame),
-        "tcp_m", "watchdog_stops", "missed_cycles", "realtime" and "gripper". The same goes out on the topics of
-        `state_topics`.
+        `detail` holds "mode", "fault" and "fault_hint" (empty without one), "errors",
+        "control_success_rate", "joints_rad", "velocity_rad_s", "torque_nm", "external_torque_nm",
+        "external_wrench" (N, Nm, base frame), "tcp_m", "watchdog_stops", "missed_cycles",
+        "realtime" and "gripper". The same goes out on the topics of `state_topics`.
 
         Raises:
             StateError: not open.
@@ -124,13 +140,15 @@ class FciDriver:
         return state
 
     def send(self, command: JointCommand) -> JointCommand:
-        """Move towards `command`; it replaces the one before, without a jump in position, velocity or acceleration.
+        """Move towards `command`; it replaces the one before, without a jump in position, velocity
+        or acceleration.
 
         Returns:
             The command with positions inside the limits and an estimate of the time that it takes.
 
         Raises:
-            InvalidInputError: an unknown joint, a wrong size, a non-finite value, a duration <= 0; nothing is sent.
+            InvalidInputError: an unknown joint, a wrong size, a non-finite value, a duration <= 0;
+                nothing is sent.
             StateError: not open.
             UnsafeError: the arm has a fault; says which, and what to do.
         """
@@ -146,23 +164,35 @@ class FciDriver:
             sent = dict(values)
             duration_s = command.duration_s
             if any(name in values for name in ARM_JOINTS):
-                target = np.array([values.get(n, q) for n, q in zip(ARM_JOINTS, measured.position, strict=True)])
-                course = plan(measured.position, target, command.duration_s, self._options.dynamics_factor)
+                target = np.array(
+                    [values.get(n, q) for n, q in zip(ARM_JOINTS, measured.position, strict=True)]
+                )
+                course = plan(
+                    measured.position, target, command.duration_s, self._options.dynamics_factor
+                )
                 try:
                     arm.go(course)
                 except Exception as error:
                     self._fail(faults.from_exception(error))
                     raise faults.from_exception(error).error() from error
                 duration_s = course.duration_s
-                sent.update((n, float(q)) for n, q in zip(ARM_JOINTS, course.target, strict=True) if n in values)
+                sent.update(
+                    (n, float(q))
+                    for n, q in zip(ARM_JOINTS, course.target, strict=True)
+                    if n in values
+                )
                 self._busy_until_s = time.monotonic() + duration_s + _IDLE_S
         if self._gripper is not None and FINGER_JOINT in values:
             sent[FINGER_JOINT] = float(np.clip(values[FINGER_JOINT], 0.0, FINGER_OPEN_M))
             self._gripper.aim(2 * sent[FINGER_JOINT])
-        return replace(command, position=np.array([sent[n] for n in command.names]), duration_s=duration_s)
+        return replace(
+            command, position=np.array([sent[n] for n in command.names]), duration_s=duration_s
+        )
 
     def hold(self) -> None:
-        """Brake the arm to a standstill; the gripper keeps its grasp. Raises StateError unless open."""
+        """Brake the arm to a standstill; the gripper keeps its grasp. Raises StateError unless
+        open.
+        """
         with self._commanding:
             if self._arm is None:
                 raise StateError("The driver 'fci' is not open.")
@@ -174,7 +204,8 @@ class FciDriver:
                     self._fail(faults.from_exception(error))
 
     def recover(self) -> str:
-        """Clear the fault; called because a person said so. The arm stays where it is until the next command.
+        """Clear the fault; called because a person said so. The arm stays where it is until the
+        next command.
 
         Returns:
             The code of the fault that was cleared.
@@ -195,7 +226,9 @@ class FciDriver:
                 raise faults.still(fault, error) from error
             if now is not None:
                 self._fail(now)
-                raise RefusedError(f"The FR3 cannot be recovered ({now.code}): {now.message}", hint=now.hint)
+                raise RefusedError(
+                    f"The FR3 cannot be recovered ({now.code}): {now.message}", hint=now.hint
+                )
             self._fault = None
             self._busy_until_s = 0.0
             self._take(arm.read())
@@ -215,7 +248,9 @@ class FciDriver:
             return found
         arm.recover()
         deadline_s = time.monotonic() + _RECOVERY_S
-        while (found := faults.from_mode(state.mode, state.errors)) and time.monotonic() < deadline_s:
+        while (
+            found := faults.from_mode(state.mode, state.errors)
+        ) and time.monotonic() < deadline_s:
             time.sleep(_PERIOD_S)
             state = arm.read()
         if found is None and arm.refusal:
@@ -266,11 +301,16 @@ class FciDriver:
         now_s = time.monotonic()
         if not arm.is_moving:
             return
-        is_hung = now_s - self._asked_s > self._options.watchdog_s and now_s > self._stopped_s + _IDLE_S
+        is_hung = (
+            now_s - self._asked_s > self._options.watchdog_s and now_s > self._stopped_s + _IDLE_S
+        )
         if is_hung:
             self._watchdog_stops += 1
             self._stopped_s = now_s
-            log.error("The robot module has asked for nothing for %.2f s: the arm stops.", now_s - self._asked_s)
+            log.error(
+                "The robot module has asked for nothing for %.2f s: the arm stops.",
+                now_s - self._asked_s,
+            )
         if is_hung or now_s > self._busy_until_s:
             arm.stop()
             self._busy_until_s = now_s + _IDLE_S
@@ -298,25 +338,36 @@ class FciDriver:
             **described(measured, fault),
             "watchdog_stops": str(self._watchdog_stops + measured.silences),
             "missed_cycles": f"{measured.missed_cycles}, at most {measured.longest_gap} in a row",
-            "realtime": self._options.realtime if self._options.realtime == "required" else _scheduled(self._arm),
+            "realtime": self._options.realtime
+            if self._options.realtime == "required"
+            else _scheduled(self._arm),
         }
         if self._told is not None:
             self._told.publish(measured, fault)
         if self._gripper is not None:
             finger_m = self._gripper.width_m / 2
             names = (*ARM_JOINTS, FINGER_JOINT, MIMIC_FINGER_JOINT)
-            position, velocity = np.append(position, [finger_m, finger_m]), np.append(velocity, [0.0, 0.0])
+            position, velocity = (
+                np.append(position, [finger_m, finger_m]),
+                np.append(velocity, [0.0, 0.0]),
+            )
             is_open = float(np.clip(finger_m / FINGER_OPEN_M, 0.0, 1.0))
             detail["gripper"] = self._gripper.note
             detail["holding"] = "true" if self._gripper.is_holding else "false"
         if self._scene is not None:
             detail |= self._scene.detail()
         self._state = RobotState(
-            joints=JointSample(names=names, position=position, velocity=velocity, stamp_ns=self._topics.now_ns()),
+            joints=JointSample(
+                names=names, position=position, velocity=velocity, stamp_ns=self._topics.now_ns()
+            ),
             gripper_open=is_open,
             detail=detail,
         )
 
 
 def _scheduled(arm: FciArm | None) -> str:
-    return "ignored; scheduled first in, first out" if arm is not None and arm.is_realtime else "ignored"
+    return (
+        "ignored; scheduled first in, first out"
+        if arm is not None and arm.is_realtime
+        else "ignored"
+    )

@@ -1,6 +1,7 @@
 """Faults of the arm as states: one code, one sentence, and what a person does about it.
 
-Facts: RobotMode and the error flags of libfranka (robot_state.h, errors.h); texts of its exceptions (robot_impl.h) as
+Facts: RobotMode and the error flags of libfranka (robot_state.h, errors.h); texts of its exceptions
+    (robot_impl.h) as
 seen with pylibfranka 0.21.3 against franka-sim 1.1.7. The FCI names no reason for the mode "Other".
 """
 
@@ -49,9 +50,11 @@ GUIDING = Fault(
 )
 NOT_OPERATIONAL = Fault(
     code="brakes_locked",
-    message='the arm is not ready to move (robot mode "Other"): its brakes are closed, FCI is not active, a self-test '
+    message='the arm is not ready to move (robot mode "Other"): its brakes are closed, FCI is not '
+    "active, a self-test "
     "is due or running, or Desk is configuring it; the FCI does not say which.",
-    hint=f"In Desk: run the self-test if one is due, unlock the joints, choose Execution and activate FCI; {_RECOVER}. "
+    hint="In Desk: run the self-test if one is due, unlock the joints, choose Execution and "
+    f"activate FCI; {_RECOVER}. "
     "recover_robot itself opens no brakes.",
     stands=True,
 )
@@ -63,8 +66,10 @@ RECOVERING = Fault(
 )
 _SAFETY_FUNCTION = Fault(
     code="safety_function",
-    message="a safety function of the control box is active: a self-test is due, or a safety rule has stopped the arm.",
-    hint=f"In Desk: look at the safety status, run the self-test or end what has triggered; {_RECOVER}.",
+    message="a safety function of the control box is active: a self-test is due, or a safety rule "
+    "has stopped the arm.",
+    hint="In Desk: look at the safety status, run the self-test or end what has triggered; "
+    f"{_RECOVER}.",
 )
 _WRONG_MODE = Fault(
     code="not_possible_now",
@@ -74,7 +79,8 @@ _WRONG_MODE = Fault(
 _MANUAL = Fault(
     code="manual_recovery",
     message="the control box wants a person to clear this error.",
-    hint=f"In Desk: follow the shown steps, such as guiding the arm back into its limits; {_RECOVER}.",
+    hint="In Desk: follow the shown steps, such as guiding the arm back into its limits; "
+    f"{_RECOVER}.",
 )
 _STANDING = {"UserStopped": USER_STOP, "Guiding": GUIDING, "Other": NOT_OPERATIONAL}
 _STANDING["AutomaticErrorRecovery"] = RECOVERING
@@ -88,7 +94,8 @@ _BY_ERROR = {
     "communication_constraints_violation": Fault(
         code="communication_lost",
         message="too many commands in succession came late.",
-        hint=f"Give the robot a network card of its own and the machine a real-time kernel and less load, {_RECOVER}.",
+        hint="Give the robot a network card of its own and the machine a real-time kernel and "
+        f"less load, {_RECOVER}.",
     ),
     "self_collision_avoidance_violation": Fault(
         code="self_collision",
@@ -96,11 +103,17 @@ _BY_ERROR = {
         hint=f"Guide the arm apart by hand, {_RECOVER}.",
     ),
 }
-_LIMITS = ("joint_position_limits_violation", "joint_velocity_violation", "motion_generator_position_limits_violation")
+_LIMITS = (
+    "joint_position_limits_violation",
+    "joint_velocity_violation",
+    "motion_generator_position_limits_violation",
+)
 
 
 def from_errors(errors: Iterable[str], mode: str) -> Fault:
-    """The fault for the flags that are set, such as "joint_reflex", in a robot mode such as "Reflex"."""
+    """The fault for the flags that are set, such as "joint_reflex", in a robot mode such as
+    "Reflex".
+    """
     named = tuple(errors)
     for name in named:
         if name in _BY_ERROR:
@@ -115,9 +128,11 @@ def from_errors(errors: Iterable[str], mode: str) -> Fault:
     if named and all(name.endswith("_discontinuity") for name in named):
         return Fault(
             code="commands_disordered",
-            message=f"the arm counted a jump in its commands ({listed}). The driver sends none: packets came late, "
+            message=f"the arm counted a jump in its commands ({listed}). The driver sends none: "
+            "packets came late, "
             "twice or out of order.",
-            hint=f"Give the robot a network card of its own without a switch, run roboneuron fr3 check, {_RECOVER}.",
+            hint="Give the robot a network card of its own without a switch, run roboneuron fr3 "
+            f"check, {_RECOVER}.",
         )
     return Fault(
         code="reflex",
@@ -155,14 +170,17 @@ def from_exception(error: Exception) -> Fault:
         return Fault(
             code="communication_lost",
             message=f"the connection to the control box broke ({text}).",
-            hint=f"Check the cable, that the control box runs and that FCI is still active in Desk, {_RECOVER}: it "
+            hint="Check the cable, that the control box runs and that FCI is still active in "
+            f"Desk, {_RECOVER}: it "
             "connects anew.",
         )
     for words, fault in _BY_TEXT.items():
         if words in text:
             return fault
     flags = text[text.find("[") + 1 : text.rfind("]")] if "[" in text else ""
-    return from_errors([flag.strip(' "') for flag in flags.split(",") if flag.strip()] or [text], "Reflex")
+    return from_errors(
+        [flag.strip(' "') for flag in flags.split(",") if flag.strip()] or [text], "Reflex"
+    )
 
 
 def settings_refused(text: str) -> Fault:
@@ -170,12 +188,15 @@ def settings_refused(text: str) -> Fault:
     return Fault(
         code="settings_refused",
         message=f"the control box does not take collision thresholds and load ({text}).",
-        hint=f"If Desk shows an error, do what it says; {_RECOVER}: it clears errors first and sets them afterwards.",
+        hint=f"If Desk shows an error, do what it says; {_RECOVER}: it clears errors first and "
+        "sets them afterwards.",
     )
 
 
 def still(fault: Fault, error: Exception) -> RefusedError:
-    """The error for a recovery from `fault` that `error` ended; the fault stays as it is, however often it is tried."""
+    """The error for a recovery from `fault` that `error` ended; the fault stays as it is,
+    however often it is tried.
+    """
     _, text = _named(error)
     reasons = (found.message for words, found in _BY_TEXT.items() if words in text)
     hint = next((found.hint for words, found in _BY_TEXT.items() if words in text), fault.hint)
@@ -201,11 +222,13 @@ def while_connecting(error: Exception, host: str) -> RoboNeuronError:
     if kind == "IncompatibleVersionException":
         return ConfigurationError(
             f"The robot at {host} speaks another protocol version: {text}",
-            hint="Protocol 10 (robot system 5.9 or newer) is needed; update the robot, or install a matching client.",
+            hint="Protocol 10 (robot system 5.9 or newer) is needed; update the robot, or install "
+            "a matching client.",
         )
     return NotReadyError(
         f"The robot at {host} refused the connection: {text}",
-        hint="Unlock the joints, activate FCI in Desk, and make sure that no other client is connected.",
+        hint="Unlock the joints, activate FCI in Desk, and make sure that no other client is "
+        "connected.",
     )
 
 
@@ -213,13 +236,16 @@ def unreachable(host: str, reason: str) -> NotReadyError:
     """Nobody answers at `host`."""
     return NotReadyError(
         f"Nobody answers at {host} on the FCI's port 1337: {reason}.",
-        hint="Check the cable and the address. FCI is not active: activate it in Desk. A simulator: start it first.",
+        hint="Check the cable and the address. FCI is not active: activate it in Desk. A "
+        "simulator: start it first.",
     )
 
 
 def silent(host: str, timeout_s: float) -> NotReadyError:
     """The control box accepts connections and says nothing."""
     return NotReadyError(
-        f"The control box at {host} accepts the connection but did not answer within {timeout_s:g} s.",
-        hint="Another client is connected, or FCI is not active: end the other client, activate FCI in Desk.",
+        f"The control box at {host} accepts the connection but did not answer within "
+        f"{timeout_s:g} s.",
+        hint="Another client is connected, or FCI is not active: end the other client, activate "
+        "FCI in Desk.",
     )

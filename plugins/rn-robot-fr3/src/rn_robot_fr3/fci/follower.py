@@ -1,11 +1,15 @@
-"""The next joint positions for the arm, planned from what the arm itself last had; pure computation.
+"""The next joint positions for the arm, planned from what the arm itself last had; pure
+computation.
 
-The arm differences what it is sent: of the last three positions it knows a velocity and an acceleration, and of the
-next one a jerk. For a cycle without a command it extrapolates with constant acceleration, and counts the result as
-commanded (libfranka, docs/overview.rst). `Arm` keeps the same books, `Follower` plans from them.
+The arm differences what it is sent: of the last three positions it knows a velocity and an
+    acceleration, and of the
+next one a jerk. For a cycle without a command it extrapolates with constant acceleration, and
+counts the result as commanded (libfranka, docs/overview.rst). `Arm` keeps the same books,
+`Follower` plans from them.
 
-Every course begins on the parabola through the last three positions and has a bounded jerk. So the third difference of
-what is sent is a mean of jerks that are within the limit, whatever was missed before.
+Every course begins on the parabola through the last three positions and has a bounded jerk. So the
+third difference of what is sent is a mean of jerks that are within the limit, whatever was missed
+before.
 """
 
 from __future__ import annotations
@@ -29,11 +33,17 @@ _ROUNDING = 6.5e-8
 """States have 32-bit floats: they are off by up to 2**-24 of a position."""
 _LEAST_RAD = 1e-9
 _CLEARLY_RAD_S2 = 0.3
-"""By so much nearer is the acceleration of an arm that has missed a command whose position says nothing."""
+"""By so much nearer is the acceleration of an arm that has missed a command whose position says
+nothing.
+"""
 LONGEST_GAP = 20
-"""Cycles without a command after which the arm stops by itself. Source: libfranka, docs/overview.rst."""
+"""Cycles without a command after which the arm stops by itself. Source: libfranka,
+docs/overview.rst.
+"""
 LONGEST_UNHEARD = 100
-"""Commands in a row that the arm did not take, although states came: they are late, each of them."""
+"""Commands in a row that the arm did not take, although states came: they are late, each of
+them.
+"""
 _VELOCITY_SHARE = 0.97
 """Of the velocity that the arm allows where it is; beyond it the follower brakes."""
 _RESTING_RAD_S = 1e-9
@@ -58,16 +68,21 @@ class Arm:
     """What the arm last had, by its own count.
 
     Attributes:
-        position, velocity, acceleration: 7 each, the newest position and backward differences [rad, rad/s, rad/s^2].
+        position, velocity, acceleration: 7 each, the newest position and backward differences [rad,
+            rad/s, rad/s^2].
     """
 
-    def __init__(self, position: list[float], velocity: list[float], acceleration: list[float]) -> None:
+    def __init__(
+        self, position: list[float], velocity: list[float], acceleration: list[float]
+    ) -> None:
         self.position, self.velocity, self.acceleration = position, velocity, acceleration
 
     def sent(self, position: list[float]) -> Arm:
         """After a cycle with a command."""
         velocity = [(new - old) / STEP_S for new, old in zip(position, self.position, strict=True)]
-        acceleration = [(new - old) / STEP_S for new, old in zip(velocity, self.velocity, strict=True)]
+        acceleration = [
+            (new - old) / STEP_S for new, old in zip(velocity, self.velocity, strict=True)
+        ]
         return Arm(list(position), velocity, acceleration)
 
     def missed(self, cycles: int) -> Arm:
@@ -100,7 +115,10 @@ class Follower:
     """
 
     def __init__(
-        self, position: list[float], stop_acceleration: tuple[float, ...], stop_jerk: tuple[float, ...]
+        self,
+        position: list[float],
+        stop_acceleration: tuple[float, ...],
+        stop_jerk: tuple[float, ...],
     ) -> None:
         """The arm stands at `position`; the other two limit a stop [rad/s^2, rad/s^3]."""
         self._ruckig: Any = importlib.import_module("ruckig")
@@ -132,7 +150,9 @@ class Follower:
         stands = max(map(abs, self._arm.velocity)) < _RESTING_RAD_S
         return stands and self._time_s >= float(self._trajectory.duration) + 3 * STEP_S
 
-    def next(self, position: list[float], velocity: list[float], acceleration: list[float], cycles: int) -> list[float]:
+    def next(
+        self, position: list[float], velocity: list[float], acceleration: list[float], cycles: int
+    ) -> list[float]:
         """The command that answers a state.
 
         Args:
@@ -165,14 +185,18 @@ class Follower:
         """The newest command was not sent."""
         self._sent = None
 
-    def _observe(self, position: list[float], velocity: list[float], acceleration: list[float], cycles: int) -> bool:
+    def _observe(
+        self, position: list[float], velocity: list[float], acceleration: list[float], cycles: int
+    ) -> bool:
         """Take over what the arm has; returns whether it is just what was sent."""
         before = self._arm
         taken = before.sent(self._sent).missed(cycles - 1) if self._sent is not None else None
         lost = before.missed(cycles)
         is_lost = lost.is_at(position)
         if taken is not None and taken.is_at(position):
-            is_lost &= taken.differs_by(acceleration) > lost.differs_by(acceleration) + _CLEARLY_RAD_S2
+            is_lost &= (
+                taken.differs_by(acceleration) > lost.differs_by(acceleration) + _CLEARLY_RAD_S2
+            )
             self._arm = lost if is_lost else taken
         elif is_lost:
             self._arm = lost
@@ -232,8 +256,15 @@ class Follower:
         """Whether a joint would be faster than it may be there and not slowing down."""
         for joint in range(JOINTS):
             speed = (command[joint] - self._arm.position[joint]) / STEP_S
-            room = UPPER_RAD[joint] - command[joint] if speed > 0.0 else command[joint] - LOWER_RAD[joint]
-            braking = sqrt(2.0 * BRAKING_DECELERATION_RAD_S2[joint] * max(room, 0.0)) - BRAKING_OFFSET_RAD_S[joint]
+            room = (
+                UPPER_RAD[joint] - command[joint]
+                if speed > 0.0
+                else command[joint] - LOWER_RAD[joint]
+            )
+            braking = (
+                sqrt(2.0 * BRAKING_DECELERATION_RAD_S2[joint] * max(room, 0.0))
+                - BRAKING_OFFSET_RAD_S[joint]
+            )
             if abs(speed) > _VELOCITY_SHARE * max(0.0, min(VELOCITY_RAD_S[joint], braking)) + 1e-6:
                 return True
         return False

@@ -1,4 +1,6 @@
-"""The Franka Hand in a thread of its own: it answers when a motion has ended, and nothing else may wait for that."""
+"""The Franka Hand in a thread of its own: it answers when a motion has ended, and nothing else
+may wait for that.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,8 @@ class FciGripper:
 
     Attributes:
         width_m: last measured, 0 .. 0.08.
-        note: "moving", "at ...", "grasped ...", "nothing grasped", "blocked at ...", "at rest" or why it fails.
+        note: "moving", "at ...", "grasped ...", "nothing grasped", "blocked at ...", "at rest" or
+            why it fails.
         is_holding: it grasps something with force.
     """
 
@@ -54,7 +57,8 @@ class FciGripper:
             self.is_holding = bool(self._hand.state.is_grasped)
         except Exception as error:
             raise NotReadyError(
-                f"The robot at {self._options.host} has no gripper that answers: {str(error).splitlines()[0]}",
+                f"The robot at {self._options.host} has no gripper that answers: "
+                f"{str(error).splitlines()[0]}",
                 hint="Mount and configure the Franka Hand in Desk, or set gripper = false.",
             ) from error
         self._stop, self._wanted_m, self._done_m = False, None, None
@@ -66,7 +70,8 @@ class FciGripper:
     def aim(self, width_m: float) -> None:
         """Go to a width [m]; a width of nothing grasps. Returns at once; the newest counts.
 
-        What is held stays held with force until a width asks for more room than it needs. So does what the hand held
+        What is held stays held with force until a width asks for more room than it needs. So does
+        what the hand held
         before anything was commanded: to be where the fingers are is no command then.
         """
         with self._changed:
@@ -96,7 +101,9 @@ class FciGripper:
             self.note = f"homing failed: {error}"
         while not self._stop:
             with self._changed:
-                self._changed.wait_for(lambda: self._stop or self._wanted_m != self._done_m, timeout=_PERIOD_S)
+                self._changed.wait_for(
+                    lambda: self._stop or self._wanted_m != self._done_m, timeout=_PERIOD_S
+                )
                 wanted = self._wanted_m
             try:
                 if wanted is not None and wanted != self._done_m and not self._stop:
@@ -131,7 +138,9 @@ class FciGripper:
             self._grasp()  # a motion that something blocks ends without force
             return
         if not arrived or missed_m > _MISSED_M:
-            self.note = f"blocked at {self.width_m * 1e3:.0f} mm on the way to {width_m * 1e3:.0f} mm"
+            self.note = (
+                f"blocked at {self.width_m * 1e3:.0f} mm on the way to {width_m * 1e3:.0f} mm"
+            )
         else:
             self.note = f"at {self.width_m * 1e3:.0f} mm"
 

@@ -17,22 +17,29 @@ class FciDriverOptions(BaseModel):
     host: Annotated[str, ConfigurationOnly()] = Field(
         description="Address of the robot's control box, or 127.0.0.1 for franka-sim.", min_length=1
     )
-    gripper: Annotated[bool, ConfigurationOnly()] = Field(default=True, description="Whether a Franka Hand is mounted.")
+    gripper: Annotated[bool, ConfigurationOnly()] = Field(
+        default=True, description="Whether a Franka Hand is mounted."
+    )
     realtime: Annotated[Literal["required", "ignored"], ConfigurationOnly()] = Field(
         default="required",
-        description="required refuses a kernel without PREEMPT_RT, as libfranka does; ignored is for simulators.",
+        description="required refuses a kernel without PREEMPT_RT, as libfranka does; ignored is "
+        "for simulators.",
     )
     dynamics_factor: Annotated[float, ConfigurationOnly()] = Field(
         default=0.3,
         gt=0.0,
         le=0.5,
-        description="Share of velocity, acceleration and jerk that motions may use; a stop uses all of it.",
+        description="Share of velocity, acceleration and jerk that motions may use; a stop uses "
+        "all of it.",
     )
     collision_torque_nm: Annotated[float, ConfigurationOnly()] = Field(
         default=20.0, gt=0.0, le=100.0, description="External joint torque that triggers a reflex."
     )
     collision_force_n: Annotated[float, ConfigurationOnly()] = Field(
-        default=30.0, gt=0.0, le=200.0, description="External force at the end effector that triggers a reflex."
+        default=30.0,
+        gt=0.0,
+        le=200.0,
+        description="External force at the end effector that triggers a reflex.",
     )
     load_kg: Annotated[float, ConfigurationOnly()] = Field(
         default=0.0, ge=0.0, le=3.0, description="Mass that the gripper carries all the time."
@@ -49,12 +56,15 @@ class FciDriverOptions(BaseModel):
     grasp_force_n: Annotated[float, ConfigurationOnly()] = Field(
         default=30.0, gt=0.0, le=70.0, description="Force with which the gripper closes."
     )
-    gripper_speed_m_s: float = Field(default=0.1, gt=0.0, le=0.1, description="How fast its width changes.")
+    gripper_speed_m_s: float = Field(
+        default=0.1, gt=0.0, le=0.1, description="How fast its width changes."
+    )
     connect_timeout_s: float = Field(
         default=8.0, gt=0.0, le=20.0, description="How long the control box has to answer."
     )
     scene: Annotated[str | None, ConfigurationOnly()] = Field(
         default=None,
         pattern=r"^[0-9A-Za-z.\-]+:[0-9]+$",
-        description="host:port where franka-sim tells its scene (rn_robot_fr3.fci.simulator); none for a real arm.",
+        description="host:port where franka-sim tells its scene (rn_robot_fr3.fci.simulator); "
+        "none for a real arm.",
     )

@@ -1,6 +1,7 @@
 """How fast the arm may go to a target, so that ruckig's motion stays inside the limits of the arm.
 
-Pure computation. The follower interpolates with ruckig under constant limits; the FR3 accepts less speed near a joint's
+Pure computation. The follower interpolates with ruckig under constant limits; the FR3 accepts less
+speed near a joint's
 limit. Source of that envelope: see `rn_robot_fr3.limits.velocity_bounds`.
 """
 
@@ -22,9 +23,13 @@ from rn_robot_fr3.limits import (
 F64 = NDArray[np.float64]
 
 VELOCITY_LIMIT_RAD_S = np.array([2.1, 2.1, 2.1, 2.1, 2.6, 2.6, 2.6])
-"""Below the official table, so that an arm that extrapolates through a gap of 20 cycles stays below it, too."""
+"""Below the official table, so that an arm that extrapolates through a gap of 20 cycles stays
+below it, too.
+"""
 STOP_ACCELERATION_RAD_S2 = np.full(7, 9.0)
-"""Of a stop. The room to the official 10 rad/s^2 is for states, whose 32-bit floats may be off by 0.5 rad/s^2."""
+"""Of a stop. The room to the official 10 rad/s^2 is for states, whose 32-bit floats may be off
+by 0.5 rad/s^2.
+"""
 ACCELERATION_LIMIT_RAD_S2 = np.full(7, 7.4)
 """Of motions."""
 JERK_LIMIT_RAD_S3 = np.full(7, 1800.0)
@@ -36,10 +41,14 @@ _LEAST_FACTOR = 0.01
 _BRAKING_SHARE = 0.6
 """Share of the acceleration that the envelope counts on for braking."""
 _AWAY = np.linspace(0.0, 1.5, 751)
-_DECELERATION = np.minimum(np.array(BRAKING_DECELERATION_RAD_S2), _BRAKING_SHARE * ACCELERATION_LIMIT_RAD_S2)
+_DECELERATION = np.minimum(
+    np.array(BRAKING_DECELERATION_RAD_S2), _BRAKING_SHARE * ACCELERATION_LIMIT_RAD_S2
+)
 _OFFSET = np.array(BRAKING_OFFSET_RAD_S)
 MARGIN_RAD = (_OFFSET + 1.5 * _SLOWEST_RAD_S) ** 2 / (2.0 * _DECELERATION)
-"""Nearest that a target may come to a joint's limit: nearer the envelope leaves no speed to arrive with."""
+"""Nearest that a target may come to a joint's limit: nearer the envelope leaves no speed to
+arrive with.
+"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -58,9 +67,11 @@ class Plan:
 
 
 def plan(position: F64, target: F64, duration_s: float, factor: float) -> Plan:
-    """How to go from `position` (7,) to `target` (7,) [rad] in about `duration_s`, with `factor` of the limits.
+    """How to go from `position` (7,) to `target` (7,) [rad] in about `duration_s`, with `factor` of
+    the limits.
 
-    The duration becomes a bound on the speed: given as a least time, ruckig failed on 18 of 43 targets that replaced a
+    The duration becomes a bound on the speed: given as a least time, ruckig failed on 18 of 43
+        targets that replaced a
     motion (its error -111), without one on 0 of 64.
     """
     clamped = np.clip(target, np.array(LOWER_RAD) + MARGIN_RAD, np.array(UPPER_RAD) - MARGIN_RAD)
@@ -71,14 +82,19 @@ def plan(position: F64, target: F64, duration_s: float, factor: float) -> Plan:
     moving = np.abs(distance) > 1e-6
     share = np.minimum(1.0, allowed / VELOCITY_LIMIT_RAD_S)
     length = np.abs(distance)
-    # the speed with which a trapezoid of velocity takes just duration_s; none when even a triangle takes longer
+    # the speed with which a trapezoid of velocity takes just duration_s; none when even a triangle
+    # takes longer
     room_s2 = (acceleration * duration_s) ** 2 - 4.0 * acceleration * length
-    unhurried = np.where(room_s2 > 0.0, (acceleration * duration_s - np.sqrt(np.maximum(room_s2, 0.0))) / 2.0, np.inf)
+    unhurried = np.where(
+        room_s2 > 0.0, (acceleration * duration_s - np.sqrt(np.maximum(room_s2, 0.0))) / 2.0, np.inf
+    )
     wanted = float((unhurried / VELOCITY_LIMIT_RAD_S).max())
     velocity_factor = float(min(factor, share[moving].min(initial=1.0), max(wanted, _LEAST_FACTOR)))
     speed = velocity_factor * VELOCITY_LIMIT_RAD_S
     times = np.where(
-        length * acceleration > speed**2, length / speed + speed / acceleration, 2.0 * np.sqrt(length / acceleration)
+        length * acceleration > speed**2,
+        length / speed + speed / acceleration,
+        2.0 * np.sqrt(length / acceleration),
     )
     ramps_s = acceleration / (factor * JERK_LIMIT_RAD_S3)
     return Plan(
@@ -89,8 +105,8 @@ def plan(position: F64, target: F64, duration_s: float, factor: float) -> Plan:
 
 
 def fastest_towards(room: F64, acceleration: F64) -> F64:
-    """Cruising speed (7,) [rad/s] with which a joint, braking with `acceleration` to rest at `room` (7,) [rad] before
-    its limit, is nowhere faster than the envelope."""
+    """Cruising speed (7,) [rad/s] with which a joint, braking with `acceleration` to rest at `room`
+    (7,) [rad] before its limit, is nowhere faster than the envelope."""
     away = _AWAY[:, None]
     envelope = np.sqrt(2.0 * _DECELERATION * (room + away)) - _OFFSET
     braking = np.sqrt(2.0 * acceleration * away)

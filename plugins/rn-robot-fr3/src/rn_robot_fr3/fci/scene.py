@@ -1,4 +1,6 @@
-"""What a simulator behind the network protocol tells of its scene: for cameras and judge, never for policies."""
+"""What a simulator behind the network protocol tells of its scene: for cameras and judge, never
+for policies.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,9 @@ _JOIN_S = 3.0
 
 
 class SceneFeed:
-    """Asks the simulator for its scene and publishes it on `sim/state`, where `SimulatedCameras` look."""
+    """Asks the simulator for its scene and publishes it on `sim/state`, where
+    `SimulatedCameras` look.
+    """
 
     def __init__(self, address: str, topics: Topics) -> None:
         """`address` is host:port of `rn_robot_fr3.fci.simulator`."""
@@ -50,7 +54,8 @@ class SceneFeed:
         except OSError as error:
             raise NotReadyError(
                 f"No scene at {self._address[0]}:{self._address[1]}: {error}.",
-                hint="Leave out the option `scene` for a real arm; make demo-fr3 starts the simulator that has one.",
+                hint="Leave out the option `scene` for a real arm; make demo-fr3 starts the "
+                "simulator that has one.",
             ) from error
         self._thread = threading.Thread(target=self._run, name="fci-scene", daemon=True)
         self._thread.start()
@@ -84,9 +89,13 @@ class SceneFeed:
         self._socket.send(b"{}")
         told = json.loads(self._socket.recv(65536))
         sizes = {name: float(edge_m) for name, edge_m in told["cubes"]}
-        poses = {name: (pose[:3], pose[3:]) for name, pose in zip(sizes, told["poses"], strict=True)}
+        poses = {
+            name: (pose[:3], pose[3:]) for name, pose in zip(sizes, told["poses"], strict=True)
+        }
         if self._lifts is None:
-            self._lifts = LiftClock([Cube(name=n, edge_m=e, x_m=0.0, y_m=0.0, yaw_rad=0.0) for n, e in sizes.items()])
+            self._lifts = LiftClock(
+                [Cube(name=n, edge_m=e, x_m=0.0, y_m=0.0, yaw_rad=0.0) for n, e in sizes.items()]
+            )
         self._lifts.observe(float(told["time_s"]), poses)
         state = SceneState(
             engine=choose_engine("auto"),

@@ -1,4 +1,5 @@
-"""Starts franka-sim with our table and cubes, in an environment of its own: `python -m rn_robot_fr3.fci.simulator`.
+"""Starts franka-sim with our table and cubes, in an environment of its own:
+`python -m rn_robot_fr3.fci.simulator`.
 
 franka-sim 1.1.7 speaks protocol version 10 of the FCI and pins numpy 1.26, so it is installed apart
 (`make .venv-fr3sim`). What it runs there is `data/franka_sim_scene.py`.
@@ -99,12 +100,23 @@ class FrankaSim:
         path = Path(self._folder.name) / "scene.json"
         path.write_text(json.dumps(scene(self._seed)), encoding="utf-8")
         script = str(files("rn_robot_fr3").joinpath("data/franka_sim_scene.py"))
-        ours = [str(self._python), script, str(path), "--scene-port", str(self._port), "--host", self.host]
+        ours = [
+            str(self._python),
+            script,
+            str(path),
+            "--scene-port",
+            str(self._port),
+            "--host",
+            self.host,
+        ]
         command = [*self._prefix, *ours, *self._options]
         self._log.parent.mkdir(parents=True, exist_ok=True)
         with self._log.open("wb") as output:
-            self.process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT, start_new_session=True)
-        with contextlib.suppress(OSError):  # a control box has a computer of its own: let it not wait for others here
+            self.process = subprocess.Popen(
+                command, stdout=output, stderr=subprocess.STDOUT, start_new_session=True
+            )
+        # a control box has a computer of its own: let it not wait for others here
+        with contextlib.suppress(OSError):
             os.sched_setscheduler(self.process.pid, os.SCHED_FIFO, os.sched_param(_PRIORITY))
         deadline_s = time.monotonic() + _START_S
         while not self._answers():
@@ -115,7 +127,10 @@ class FrankaSim:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         process = self.process
         if process is not None and process.poll() is None:
@@ -133,7 +148,9 @@ class FrankaSim:
         return f"{self.host}:{self._port}"
 
     def tell(self, **what: int) -> dict[str, Any]:
-        """Ask for the scene; with mode= or error= play the person at the arm, or a reflex. Raises OSError."""
+        """Ask for the scene; with mode= or error= play the person at the arm, or a reflex.
+        Raises OSError.
+        """
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asking:
             asking.settimeout(2.0)
             asking.connect((self.host, self._port))
@@ -156,15 +173,26 @@ class FrankaSim:
 def main() -> int:
     """Run until interrupted."""
     parser = argparse.ArgumentParser(description="franka-sim with a table and cubes.")
-    parser.add_argument("--host", default="127.0.0.1", help="address to serve on; another one for a second simulator")
+    parser.add_argument(
+        "--host",
+        default="127.0.0.1",
+        help="address to serve on; another one for a second simulator",
+    )
     parser.add_argument("--python", type=Path, default=Path(".venv-fr3sim/bin/python"))
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--log", type=Path, default=Path("out/franka-sim.log"))
     arguments, options = parser.parse_known_args()
     with FrankaSim(
-        arguments.python, seed=arguments.seed, options=options, log=arguments.log, host=arguments.host
+        arguments.python,
+        seed=arguments.seed,
+        options=options,
+        log=arguments.log,
+        host=arguments.host,
     ) as sim:
-        print(f"franka-sim serves scene {arguments.seed} on {sim.host}; log: {arguments.log}", flush=True)
+        print(
+            f"franka-sim serves scene {arguments.seed} on {sim.host}; log: {arguments.log}",
+            flush=True,
+        )
         assert sim.process is not None
         with contextlib.suppress(KeyboardInterrupt):
             sim.process.wait()

@@ -33,7 +33,9 @@ EXTERNAL_WRENCH = "external_wrench_in_base_frame"
 CURRENT_POSE = "current_pose"
 """`PoseStamped` of the end effector that Desk has configured, in the base frame."""
 ROBOT_STATE = "robot_state"
-"""`DiagnosticStatus` with the keys mode, fault, errors and control_success_rate; ERROR with a fault."""
+"""`DiagnosticStatus` with the keys mode, fault, errors and control_success_rate; ERROR with a
+fault.
+"""
 _PERIOD_S = 1.0 / 60.0
 _STATE_PERIOD_S = 0.1
 
@@ -56,15 +58,21 @@ def described(measured: ArmState, fault: Fault | None) -> dict[str, str]:
 
 
 class StateTopics:
-    """Publishes states at 60 Hz, and mode and fault at 10 Hz and when they change; used by one thread."""
+    """Publishes states at 60 Hz, and mode and fault at 10 Hz and when they change; used by one
+    thread.
+    """
 
     def __init__(self, topics: Topics) -> None:
         self._now_ns = topics.now_ns
         self._joints: Callable[[JointState], None] = topics.advertise(MEASURED_JOINTS, JointState)
         self._torques: Callable[[JointState], None] = topics.advertise(EXTERNAL_TORQUES, JointState)
-        self._wrench: Callable[[WrenchStamped], None] = topics.advertise(EXTERNAL_WRENCH, WrenchStamped)
+        self._wrench: Callable[[WrenchStamped], None] = topics.advertise(
+            EXTERNAL_WRENCH, WrenchStamped
+        )
         self._pose: Callable[[PoseStamped], None] = topics.advertise(CURRENT_POSE, PoseStamped)
-        self._state: Callable[[DiagnosticStatus], None] = topics.advertise(ROBOT_STATE, DiagnosticStatus)
+        self._state: Callable[[DiagnosticStatus], None] = topics.advertise(
+            ROBOT_STATE, DiagnosticStatus
+        )
         self._sent_s = self._state_s = -1.0
         self._told: Mapping[str, str] = {}
 
@@ -74,7 +82,11 @@ class StateTopics:
         if now_s - self._sent_s >= _PERIOD_S:
             self._sent_s = now_s
             self._publish_measured(measured)
-        told = {"mode": measured.mode, "fault": fault.code if fault else "", "errors": ", ".join(measured.errors)}
+        told = {
+            "mode": measured.mode,
+            "fault": fault.code if fault else "",
+            "errors": ", ".join(measured.errors),
+        }
         if told != self._told or now_s - self._state_s >= _STATE_PERIOD_S:
             self._told, self._state_s = told, now_s
             values = {**told, "control_success_rate": f"{measured.success_rate:.2f}"}
@@ -90,12 +102,23 @@ class StateTopics:
     def _publish_measured(self, measured: ArmState) -> None:
         seconds, nanoseconds = divmod(self._now_ns(), 10**9)
         header = Header(stamp=Time(sec=seconds, nanosec=nanoseconds), frame_id=BASE_LINK)
-        position, velocity, torque = (v.tolist() for v in (measured.position, measured.velocity, measured.torque))
+        position, velocity, torque = (
+            v.tolist() for v in (measured.position, measured.velocity, measured.torque)
+        )
         names = list(ARM_JOINTS)
-        self._joints(JointState(header=header, name=names, position=position, velocity=velocity, effort=torque))
-        self._torques(JointState(header=header, name=names, effort=measured.external_torque.tolist()))
+        self._joints(
+            JointState(
+                header=header, name=names, position=position, velocity=velocity, effort=torque
+            )
+        )
+        self._torques(
+            JointState(header=header, name=names, effort=measured.external_torque.tolist())
+        )
         wrench = WrenchStamped(header=header)
-        wrench.wrench.force, wrench.wrench.torque = _vector(measured.wrench[:3]), _vector(measured.wrench[3:])
+        wrench.wrench.force, wrench.wrench.torque = (
+            _vector(measured.wrench[:3]),
+            _vector(measured.wrench[3:]),
+        )
         self._wrench(wrench)
         pose = PoseStamped(header=header)
         pose.pose.position.x, pose.pose.position.y, pose.pose.position.z = measured.tcp_m.tolist()

@@ -1,8 +1,9 @@
-"""`python -m rn_runtime_sglang.served --model-path DIRECTORY`: an SGLang server for an OpenVLA checkpoint.
+"""`python -m rn_runtime_sglang.served --model-path DIRECTORY`: an SGLang server for an OpenVLA
+checkpoint.
 
-Run it with the interpreter of the environment that SGLang is installed in. What it does not know itself is passed on to
-SGLang (`--tp`, `--dp`, `--mem-fraction-static` ...). The API key is read from the environment variable
-ROBONEURON_SGLANG_KEY, so that no process list shows it.
+Run it with the interpreter of the environment that SGLang is installed in. What it does not know
+itself is passed on to SGLang (`--tp`, `--dp`, `--mem-fraction-static` ...). The API key is read
+from the environment variable ROBONEURON_SGLANG_KEY, so that no process list shows it.
 """
 
 from __future__ import annotations
@@ -21,7 +22,9 @@ from rn_runtime_sglang.served.versions import SUPPORTED, is_supported
 
 KEY_VARIABLE = "ROBONEURON_SGLANG_KEY"
 REFUSED = ("--enable-custom-logit-processor", "--trust-remote-code")
-"""Options of SGLang that would run code out of requests (unpickled) or out of the checkpoint's directory."""
+"""Options of SGLang that would run code out of requests (unpickled) or out of the checkpoint's
+directory.
+"""
 _PR_SET_PDEATHSIG = 1
 _PACKAGE = "rn_runtime_sglang.served"
 _ENVIRONMENT = {
@@ -42,9 +45,15 @@ _CPU_FLAGS = ("--disable-overlap-schedule", "--sleep-on-idle")
 
 def main() -> None:
     """Check, say what is served, and become the SGLang server."""
-    parser = argparse.ArgumentParser(prog=f"python -m {_PACKAGE}", description=__doc__, allow_abbrev=False)
-    parser.add_argument("--model-path", type=Path, required=True, help="checkpoint directory in the public layout")
-    parser.add_argument("--host", default="127.0.0.1", help="address to listen on (default: this machine only)")
+    parser = argparse.ArgumentParser(
+        prog=f"python -m {_PACKAGE}", description=__doc__, allow_abbrev=False
+    )
+    parser.add_argument(
+        "--model-path", type=Path, required=True, help="checkpoint directory in the public layout"
+    )
+    parser.add_argument(
+        "--host", default="127.0.0.1", help="address to listen on (default: this machine only)"
+    )
     parser.add_argument("--port", type=int, default=30000)
     parser.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto")
     parser.add_argument("--dtype", default="auto", help="auto, float32, bfloat16 or float16")
@@ -55,10 +64,16 @@ def main() -> None:
     check_version()
     refused = [name for name in REFUSED if any(other.partition("=")[0] == name for other in others)]
     if refused:
-        sys.exit(f"{', '.join(refused)} would let requests or checkpoints run code; it is not available here.")
+        sys.exit(
+            f"{', '.join(refused)} would let requests or checkpoints run code; it is not "
+            "available here."
+        )
     key = os.environ.pop(KEY_VARIABLE, "")
     if not key and options.host not in ("127.0.0.1", "::1", "localhost"):
-        sys.exit(f"Listening on {options.host} needs an API key: set the environment variable {KEY_VARIABLE}.")
+        sys.exit(
+            f"Listening on {options.host} needs an API key: set the environment variable "
+            f"{KEY_VARIABLE}."
+        )
     checkpoint = options.model_path.resolve()
     if not (checkpoint / "config.json").is_file():
         sys.exit(f"{checkpoint} holds no config.json; --model-path must be a checkpoint directory.")
@@ -68,7 +83,9 @@ def main() -> None:
     runpy.run_module("sglang.launch_server", run_name="__main__", alter_sys=True)
 
 
-def to_arguments(options: argparse.Namespace, checkpoint: Path, key: str, others: list[str]) -> list[str]:
+def to_arguments(
+    options: argparse.Namespace, checkpoint: Path, key: str, others: list[str]
+) -> list[str]:
     """SGLang's own command line; what the user gives (`others`) comes last and wins."""
     named = {
         "--model-path": str(checkpoint),
@@ -102,12 +119,15 @@ def check_version() -> None:
         sys.exit(f"SGLang is not installed for {sys.executable}; run there: {wanted}")
     if not is_supported(found):
         sys.exit(
-            f"SGLang {found} is installed for {sys.executable}, supported is >={first},<{end}; run there: {wanted}"
+            f"SGLang {found} is installed for {sys.executable}, supported is >={first},<{end}; "
+            f"run there: {wanted}"
         )
 
 
 def end_with(parent: int) -> None:
-    """Ask the kernel for SIGKILL at the parent's death; SGLang's own children do the same with this process."""
+    """Ask the kernel for SIGKILL at the parent's death; SGLang's own children do the same with
+    this process.
+    """
     libc = ctypes.CDLL(None, use_errno=True)
     if libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0) != 0:
         raise OSError(ctypes.get_errno(), "prctl(PR_SET_PDEATHSIG) failed")

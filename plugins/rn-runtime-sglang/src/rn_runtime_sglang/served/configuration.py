@@ -1,4 +1,6 @@
-"""The configuration and tokenizer classes that SGLang asks transformers for, made from the public checkpoint files."""
+"""The configuration and tokenizer classes that SGLang asks transformers for, made from the
+public checkpoint files.
+"""
 
 from __future__ import annotations
 
@@ -14,12 +16,18 @@ ARCHITECTURE = "OpenVLAForActionPrediction"
 
 
 class OpenVlaServedConfig(PretrainedConfig):  # type: ignore[misc, no-untyped-call, unused-ignore]
-    """config.json of an OpenVLA checkpoint; the decoder's part is completed from the defaults it was saved against."""
+    """config.json of an OpenVLA checkpoint; the decoder's part is completed from the defaults
+    it was saved against.
+    """
 
     model_type = MODEL_TYPE
 
-    def __init__(self, text_config: dict[str, Any] | LlamaConfig | None = None, **others: Any) -> None:
-        self.text_config = text_config if isinstance(text_config, LlamaConfig) else _llama(text_config or {})
+    def __init__(
+        self, text_config: dict[str, Any] | LlamaConfig | None = None, **others: Any
+    ) -> None:
+        self.text_config = (
+            text_config if isinstance(text_config, LlamaConfig) else _llama(text_config or {})
+        )
         others.pop("auto_map", None)  # names code in the checkpoint's directory, which is never run
         super().__init__(**others)
         self.architectures = [ARCHITECTURE]
@@ -42,7 +50,9 @@ def _llama(raw: dict[str, Any]) -> LlamaConfig:
 
 
 class OpenVlaTokenizer(PreTrainedTokenizerFast):  # type: ignore[misc, unused-ignore]
-    """tokenizer.json as it is. SGLang insists on a tokenizer; requests bring token ids, so it is never asked."""
+    """tokenizer.json as it is. SGLang insists on a tokenizer; requests bring token ids, so it
+    is never asked.
+    """
 
 
 class OpenVlaFiles:
@@ -53,9 +63,14 @@ class OpenVlaFiles:
 
     @classmethod
     def from_pretrained(cls, name: str, *arguments: Any, **options: Any) -> OpenVlaFiles:
-        """Read tokenizer.json of the checkpoint directory `name`; the other arguments are about other formats."""
+        """Read tokenizer.json of the checkpoint directory `name`; the other arguments are about
+        other formats.
+        """
         tokenizer = OpenVlaTokenizer(  # type: ignore[no-untyped-call, unused-ignore]
-            tokenizer_file=str(Path(name) / "tokenizer.json"), bos_token="<s>", eos_token="</s>", unk_token="<unk>"
+            tokenizer_file=str(Path(name) / "tokenizer.json"),
+            bos_token="<s>",
+            eos_token="</s>",
+            unk_token="<unk>",
         )
         tokenizer.chat_template = ""
         return cls(tokenizer)

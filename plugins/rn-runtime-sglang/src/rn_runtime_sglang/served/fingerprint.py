@@ -12,10 +12,12 @@ _SAMPLE_BYTES = 16384
 
 
 def fingerprint(checkpoint: Path) -> str:
-    """Twelve hexadecimal digits over config.json and samples spread over each weight file; milliseconds even for 15 GB.
+    """Twelve hexadecimal digits over config.json and samples spread over each weight file;
+    milliseconds even for 15 GB.
 
     Raises:
-        CheckpointError: a file is absent, not a regular file, or the configuration is too large to be one.
+        CheckpointError: a file is absent, not a regular file, or the configuration is too large to
+            be one.
         OSError: a file cannot be read.
     """
     check_file(checkpoint / "config.json", MAX_JSON_BYTES)

@@ -1,11 +1,14 @@
-"""Entry point of the group `sglang.srt.plugins`: SGLang calls `register` early in each of its processes."""
+"""Entry point of the group `sglang.srt.plugins`: SGLang calls `register` early in each of its
+processes.
+"""
 
 from __future__ import annotations
 
 
 def register() -> None:
     """Make the model type `openvla` known; code in a checkpoint's directory is never run for it."""
-    from sglang.srt.multimodal.customized_mm_processor_utils import register_customized_processor  # heavy
+    # heavy
+    from sglang.srt.multimodal.customized_mm_processor_utils import register_customized_processor
     from transformers import AutoConfig
 
     from rn_runtime_sglang.served.configuration import MODEL_TYPE, OpenVlaFiles, OpenVlaServedConfig

@@ -1,4 +1,6 @@
-"""What the stand-in says: shapes and texts as recorded from SGLang 0.5.23 with this package's model."""
+"""What the stand-in says: shapes and texts as recorded from SGLang 0.5.23 with this package's
+model.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,19 @@ from typing import Any, Literal
 
 ACTION_TOKENS = range(31744, 32000)
 BOS_ID, FINAL_ID = 1, 29871
-Fault = Literal["", "malformed", "short", "range", "other", "nan", "error", "hang", "trickle", "hang up", "too long"]
+Fault = Literal[
+    "",
+    "malformed",
+    "short",
+    "range",
+    "other",
+    "nan",
+    "error",
+    "hang",
+    "trickle",
+    "hang up",
+    "too long",
+]
 
 
 @dataclass
@@ -56,7 +70,9 @@ def request_problem(body: dict[str, Any]) -> str:
     return ""
 
 
-def generate_reply(rid: str, tokens: list[int], finish: dict[str, Any], prompt: int, spent_s: float) -> dict[str, Any]:
+def generate_reply(
+    rid: str, tokens: list[int], finish: dict[str, Any], prompt: int, spent_s: float
+) -> dict[str, Any]:
     """A reply of `/generate`."""
     meta = {
         "id": rid,
@@ -89,14 +105,20 @@ def model_info(told: Behaviour) -> dict[str, Any]:
 
 def server_info(told: Behaviour) -> dict[str, Any]:
     """A reply of `/server_info`."""
-    return {"model_path": told.model_path, "skip_tokenizer_init": True, "version": told.version, "frontend": "python"}
+    return {
+        "model_path": told.model_path,
+        "skip_tokenizer_init": True,
+        "version": told.version,
+        "frontend": "python",
+    }
 
 
 def metrics_text(told: Behaviour) -> str:
     """A reply of `/metrics`."""
     labels = f'{{engine_type="unified",model_name="{told.served_name}",tp_rank="0"}}'
     return (
-        "# HELP sglang:num_running_reqs The number of running requests.\n# TYPE sglang:num_running_reqs gauge\n"
+        "# HELP sglang:num_running_reqs The number of running requests.\n# TYPE "
+        "sglang:num_running_reqs gauge\n"
         f"sglang:num_running_reqs{labels} {told.running}\n"
         f"sglang:num_queue_reqs{labels} {told.queued}\n"
         f"sglang:token_usage{labels} 0.07\n"

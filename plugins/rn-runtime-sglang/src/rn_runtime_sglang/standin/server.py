@@ -1,4 +1,6 @@
-"""The stand-in: requests are checked and replies are shaped as SGLang's were when they were recorded."""
+"""The stand-in: requests are checked and replies are shaped as SGLang's were when they were
+recorded.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,9 @@ from rn_runtime_sglang.standin.replies import (
 
 @dataclass
 class Seen:
-    """What reached the server: ids of the requests for tokens and of the aborts, and the last body."""
+    """What reached the server: ids of the requests for tokens and of the aborts, and the last
+    body.
+    """
 
     generated: list[str] = field(default_factory=list)
     aborted: list[str] = field(default_factory=list)
@@ -61,7 +65,9 @@ class StandIn:
         self._http = _Http(("127.0.0.1", self._port), _Handler)
         self._http.owner = self
         self._port = self._http.server_address[1]
-        self._thread = threading.Thread(target=self._http.serve_forever, args=(0.02,), name="stand-in", daemon=True)
+        self._thread = threading.Thread(
+            target=self._http.serve_forever, args=(0.02,), name="stand-in", daemon=True
+        )
         self._thread.start()
         return self
 
@@ -83,7 +89,9 @@ class StandIn:
         threading.Event().wait()
 
     def wait(self, rid: str, seconds: float) -> bool:
-        """Whether the request was aborted within so many seconds; also ends when the server stops."""
+        """Whether the request was aborted within so many seconds; also ends when the server
+        stops.
+        """
         event = self._aborts.setdefault(rid, threading.Event())
         deadline_s = time.monotonic() + seconds
         while not self.released.is_set():
@@ -146,7 +154,9 @@ class _Handler(BaseHTTPRequestHandler):
             self._send(200, metrics_text(told).encode(), "text/plain")
         elif self.path in ("/model_info", "/server_info"):
             if self._may():
-                self._json(200, model_info(told) if self.path == "/model_info" else server_info(told))
+                self._json(
+                    200, model_info(told) if self.path == "/model_info" else server_info(told)
+                )
         else:
             self._json(404, {"detail": "Not Found"})
 
@@ -157,7 +167,10 @@ class _Handler(BaseHTTPRequestHandler):
         try:
             body = json.loads(raw)
         except ValueError:
-            self._json(400, {"object": "error", "message": "json_invalid", "type": "Bad Request", "code": 400})
+            self._json(
+                400,
+                {"object": "error", "message": "json_invalid", "type": "Bad Request", "code": 400},
+            )
             return
         if self.path == "/abort_request":
             self.server.owner.abort(str(body.get("rid", "")))
@@ -196,8 +209,13 @@ class _Handler(BaseHTTPRequestHandler):
         tokens = expected_tokens(body["input_ids"], base64.b64decode(body["image_data"]), count)
         finish: dict[str, Any] = {"type": "length", "length": count}
         if aborted:
-            tokens, finish = [], {"type": "abort", "message": "Aborted", "status_code": None, "err_type": None}
-        reply = generate_reply(rid, tokens, finish, len(body["input_ids"]) + 256, time.monotonic() - started_s)
+            tokens, finish = (
+                [],
+                {"type": "abort", "message": "Aborted", "status_code": None, "err_type": None},
+            )
+        reply = generate_reply(
+            rid, tokens, finish, len(body["input_ids"]) + 256, time.monotonic() - started_s
+        )
         self._reply(told.fault, reply)
 
     def _reply(self, fault: Fault, reply: dict[str, Any]) -> None:

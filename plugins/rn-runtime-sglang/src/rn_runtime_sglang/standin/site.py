@@ -1,4 +1,6 @@
-"""A directory that looks like an installed SGLang: put on a Python path, `python -m sglang.launch_server` is ours."""
+"""A directory that looks like an installed SGLang: put on a Python path, `python -m
+sglang.launch_server` is ours.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,7 @@ options, _ = parser.parse_known_args()
 time.sleep(float(os.environ.get("STANDIN_START_S", "0")))
 StandIn(Behaviour(served_name=options.served_model_name, model_path=options.model_path, key=options.api_key),
         options.port).serve()
-'''
+'''  # noqa: E501
 
 
 def write_site(directory: Path, version: str = "0.5.23") -> Path:
@@ -38,5 +40,7 @@ def write_site(directory: Path, version: str = "0.5.23") -> Path:
     (package / "launch_server.py").write_text(_MAIN, encoding="utf-8")
     metadata = directory / f"sglang-{version}.dist-info"
     metadata.mkdir()
-    (metadata / "METADATA").write_text(f"Metadata-Version: 2.4\nName: sglang\nVersion: {version}\n", encoding="utf-8")
+    (metadata / "METADATA").write_text(
+        f"Metadata-Version: 2.4\nName: sglang\nVersion: {version}\n", encoding="utf-8"
+    )
     return directory

@@ -16,26 +16,45 @@ if TYPE_CHECKING:
 
 
 class Call:
-    """Call tools of a server, as an agent would: of a running one over HTTP, or of one started for these calls.
+    """Call tools of a server, as an agent would: of a running one over HTTP, or of one started for
+    these calls.
 
-    Without --url a server is started. It ends with the command, and so does everything that the calls have started.
+    Without --url a server is started. It ends with the command, and so does everything that the
+    calls have started.
     """
 
     def configure(self, parser: ArgumentParser) -> None:
         """Add the arguments of `roboneuron call`."""
         parser.add_argument("tool", metavar="TOOL", help="as in `roboneuron tools`")
-        parser.add_argument("arguments", metavar="JSON", nargs="?", default="{}", help="such as '{\"timeout_s\": 2}'")
         parser.add_argument(
-            "--then", nargs="+", action="append", default=[], metavar=("TOOL", "JSON"), help="call another one after it"
+            "arguments",
+            metavar="JSON",
+            nargs="?",
+            default="{}",
+            help="such as '{\"timeout_s\": 2}'",
+        )
+        parser.add_argument(
+            "--then",
+            nargs="+",
+            action="append",
+            default=[],
+            metavar=("TOOL", "JSON"),
+            help="call another one after it",
         )
         connection.add_arguments(parser)
         parser.add_argument(
-            "--keep", action="store_true", help="after the calls keep the server, and what they started, until Ctrl-C"
+            "--keep",
+            action="store_true",
+            help="after the calls keep the server, and what they started, until Ctrl-C",
         )
-        parser.add_argument("--images", type=Path, metavar="FOLDER", help="save the images of the answer here")
+        parser.add_argument(
+            "--images", type=Path, metavar="FOLDER", help="save the images of the answer here"
+        )
 
     def run(self, arguments: Namespace) -> int:
-        """Call, print the structured answers as JSON lines; status 1 when one is an error, and no further calls."""
+        """Call, print the structured answers as JSON lines; status 1 when one is an error, and
+        no further calls.
+        """
         from roboneuron import ConfigurationError
 
         if too_long := next((words for words in arguments.then if len(words) > 2), None):
@@ -44,7 +63,9 @@ class Call:
                 hint="Quote the JSON, and write --then once for each tool.",
             )
         if arguments.keep and arguments.url is not None:
-            raise ConfigurationError("--keep is for a server that `call` starts; the one at --url goes on by itself.")
+            raise ConfigurationError(
+                "--keep is for a server that `call` starts; the one at --url goes on by itself."
+            )
         calls = [(arguments.tool, arguments.arguments), *arguments.then]
         parsed = [(call[0], _parse(call[1]) if len(call) > 1 else {}) for call in calls]
         import anyio  # heavy
@@ -60,7 +81,9 @@ def _parse(text: str) -> dict[str, Any]:
     except json.JSONDecodeError as error:
         raise ConfigurationError(f"The arguments {text[:80]!r} are not JSON: {error}.") from error
     if not isinstance(value, dict):
-        raise ConfigurationError(f"The arguments {text[:80]!r} are not a JSON object.", hint="Write '{}' for none.")
+        raise ConfigurationError(
+            f"The arguments {text[:80]!r} are not a JSON object.", hint="Write '{}' for none."
+        )
     return value
 
 
@@ -68,7 +91,9 @@ async def _call_all(arguments: Namespace, calls: list[tuple[str, dict[str, Any]]
     async with connection.connect(arguments) as client:
         status = 0
         for tool, values in calls:
-            answer = await client.call_tool(tool, values, progress_callback=None if arguments.quiet else _show_progress)
+            answer = await client.call_tool(
+                tool, values, progress_callback=None if arguments.quiet else _show_progress
+            )
             if answer.is_error:
                 print(f"roboneuron: {_text(answer)}", file=sys.stderr)
                 status = 1
@@ -82,14 +107,20 @@ async def _call_all(arguments: Namespace, calls: list[tuple[str, dict[str, Any]]
 
 
 async def _end(client: Client, *, stays: bool, quiet: bool) -> None:
-    """Say what ends with the server that this command has started; if it `stays`, wait for Ctrl-C first."""
+    """Say what ends with the server that this command has started; if it `stays`, wait for
+    Ctrl-C first.
+    """
     found = (await client.call_tool("get_status", {})).structured_content or {}
-    running = [module["module"] for module in found.get("modules", ()) if module.get("pid") is not None]
+    running = [
+        module["module"] for module in found.get("modules", ()) if module.get("pid") is not None
+    ]
     what = ", ".join(["the server of this command", *running])
     if stays:
         import anyio
 
-        print(f"roboneuron: running until Ctrl-C: {what} (pid {found.get('pid')}).", file=sys.stderr)
+        print(
+            f"roboneuron: running until Ctrl-C: {what} (pid {found.get('pid')}).", file=sys.stderr
+        )
         with anyio.open_signal_receiver(signal.SIGINT, signal.SIGTERM) as signals:
             async for _ in signals:
                 break

@@ -1,4 +1,6 @@
-"""Which plugins a command is about: those that a configuration does not disable, and those that a name means."""
+"""Which plugins a command is about: those that a configuration does not disable, and those that
+a name means.
+"""
 
 from __future__ import annotations
 
@@ -12,11 +14,18 @@ from roboneuron.feature import Offer, PluginRecord, Registry, nearest
 
 def add_config(parser: ArgumentParser) -> None:
     """Add --config, for `read_disabled`."""
-    parser.add_argument("--config", type=Path, metavar="FILE", help="a roboneuron.toml whose `disabled_plugins` apply")
+    parser.add_argument(
+        "--config",
+        type=Path,
+        metavar="FILE",
+        help="a roboneuron.toml whose `disabled_plugins` apply",
+    )
 
 
 def read_disabled(config: Path | None) -> tuple[str, ...]:
-    """`disabled_plugins` of a configuration file, read without the models that check the rest of it."""
+    """`disabled_plugins` of a configuration file, read without the models that check the rest
+    of it.
+    """
     if config is None:
         return ()
     try:
@@ -29,13 +38,17 @@ def read_disabled(config: Path | None) -> tuple[str, ...]:
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ConfigurationError(f"{config} is no valid TOML: {error}.") from error
     if not (isinstance(names, list) and all(isinstance(n, str) for n in names)):
-        raise ConfigurationError(f"disabled_plugins in {config} is {names!r}, expected a list of names of plugins.")
+        raise ConfigurationError(
+            f"disabled_plugins in {config} is {names!r}, expected a list of names of plugins."
+        )
     return tuple(names)
 
 
-def find(registry: Registry, name: str, kind: str | None = None) -> list[tuple[PluginRecord, tuple[Offer, ...]]]:
-    """The plugins that `name` means, each with the offers it means: all for a plugin or a distribution,
-    else those so called.
+def find(
+    registry: Registry, name: str, kind: str | None = None
+) -> list[tuple[PluginRecord, tuple[Offer, ...]]]:
+    """The plugins that `name` means, each with the offers it means: all for a plugin or a
+    distribution, else those so called.
 
     Raises:
         ConfigurationError: nothing (of that kind) has the name; names the nearest.

@@ -47,13 +47,19 @@ async def spawned_server(options: Sequence[str], log: Path | None = None) -> Asy
                 raise NotReadyError(
                     f"The server broke off: {str(leaves[0]).rstrip('.')}.", hint=_last_words(log)
                 ) from error
-            raise ConfigurationError("The server ended before it answered.", hint=_last_words(log)) from error
+            raise ConfigurationError(
+                "The server ended before it answered.", hint=_last_words(log)
+            ) from error
 
 
 def _last_words(log: Path | None) -> str:
     if log is None:
         return "What it said stands above."
-    lines = [line.strip() for line in log.read_text(encoding="utf-8", errors="replace").splitlines() if line.strip()]
+    lines = [
+        line.strip()
+        for line in log.read_text(encoding="utf-8", errors="replace").splitlines()
+        if line.strip()
+    ]
     return f"Its last words: {lines[-1] if lines else 'none'} (all of them: {log})"
 
 

@@ -14,7 +14,9 @@ class ConfigCheck:
         parser.add_argument("file", type=Path, help="the roboneuron.toml")
 
     def run(self, arguments: Namespace) -> int:
-        """Refuse what `roboneuron serve` would refuse at its start, but for ports, which a running server may hold."""
+        """Refuse what `roboneuron serve` would refuse at its start, but for ports, which a
+        running server may hold.
+        """
         from roboneuron.feature import (
             check_configuration,
             discover,
@@ -31,8 +33,14 @@ class ConfigCheck:
         finally:
             served.close()
         if config.robots:
-            named = ", ".join(f"{name} ({one.robot.name}, /{one.namespace})" for name, one in config.robots.items())
+            named = ", ".join(
+                f"{name} ({one.robot.name}, /{one.namespace})"
+                for name, one in config.robots.items()
+            )
             print(f"{arguments.file} is valid: robots {named}.")
             return 0
-        print(f"{arguments.file} is valid: robot {config.robot.name!r}, namespace /{config.namespace}.")
+        print(
+            f"{arguments.file} is valid: robot {config.robot.name!r}, namespace "
+            f"/{config.namespace}."
+        )
         return 0

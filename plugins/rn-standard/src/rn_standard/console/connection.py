@@ -1,4 +1,6 @@
-"""A client of a server: a spawned one, or a running one over HTTP with a token from the environment."""
+"""A client of a server: a spawned one, or a running one over HTTP with a token from the
+environment.
+"""
 
 from __future__ import annotations
 
@@ -21,12 +23,18 @@ if TYPE_CHECKING:
 def add_arguments(parser: ArgumentParser) -> None:
     """Add --config, --url and --token-variable."""
     where = parser.add_mutually_exclusive_group()
-    where.add_argument("--config", type=Path, metavar="FILE", help="a roboneuron.toml; the embedded default without it")
+    where.add_argument(
+        "--config",
+        type=Path,
+        metavar="FILE",
+        help="a roboneuron.toml; the embedded default without it",
+    )
     where.add_argument("--url", help="a running server instead, such as http://127.0.0.1:8765/mcp")
     parser.add_argument(
         "--token-variable",
         metavar="NAME",
-        help=f"environment variable with the bearer token for --url; {CLIENT_TOKEN} when that is set",
+        help=f"environment variable with the bearer token for --url; {CLIENT_TOKEN} when that is "
+        "set",
     )
 
 
@@ -35,11 +43,13 @@ async def connect(arguments: Namespace) -> AsyncIterator[Client]:
     """A connected client.
 
     Raises:
-        ConfigurationError: there is no such server, it refuses the token, or the token's variable is not set.
+        ConfigurationError: there is no such server, it refuses the token, or the token's variable
+            is not set.
     """
     if arguments.url is None:
         level = log_level(arguments)
-        options = ["--log-level", "error" if level == "warning" else level]  # its warnings also reach us as answers
+        # its warnings also reach us as answers
+        options = ["--log-level", "error" if level == "warning" else level]
         if arguments.config is not None:
             options += ["--config", str(arguments.config)]
         async with spawned_server(options) as client:
@@ -76,7 +86,9 @@ async def _knock(http: object, url: str) -> None:
     try:
         answer = await http.delete(url)  # of no session: nothing happens
     except httpx2.ConnectError as error:
-        raise ConfigurationError(f"Nobody answers at {url}: {error}.", hint="Is the server running?") from error
+        raise ConfigurationError(
+            f"Nobody answers at {url}: {error}.", hint="Is the server running?"
+        ) from error
     if answer.status_code == 401:
         raise ConfigurationError(
             f"The server at {url} refuses the token.",

@@ -1,7 +1,10 @@
-"""Status without a server's help: what modules say on /diagnostics, and which servers use this state directory.
+"""Status without a server's help: what modules say on /diagnostics, and which servers use this
+state directory.
 
-A server on stdio talks to the client that started it and to nobody else. Its modules report on /diagnostics five times
-a second, its process id is in the name of its log directory, and the emergency stop is a file: that is enough to show
+A server on stdio talks to the client that started it and to nobody else. Its modules report on
+/diagnostics five times
+a second, its process id is in the name of its log directory, and the emergency stop is a file: that
+    is enough to show
 how the modules are, without disturbing anybody.
 """
 
@@ -50,14 +53,24 @@ class FoundServer:
 
 
 def find_servers(state_directory: Path) -> list[FoundServer]:
-    """Servers that log below this state directory and are alive, the newest first; another user's are left out."""
+    """Servers that log below this state directory and are alive, the newest first; another
+    user's are left out.
+    """
     found = []
     folders = [state_directory, *sorted(robot_folder(state_directory).parent.glob("*"))]
     for run in (run for folder in folders for run in log_runs(folder)):
         command = _read_proc(run.pid, "cmdline").split("\0")
         if "serve" in command and any("roboneuron" in word for word in command):
-            variables = dict(entry.partition("=")[::2] for entry in _read_proc(run.pid, "environ").split("\0"))
-            found.append(FoundServer(pid=run.pid, domain=variables.get("ROS_DOMAIN_ID") or "0", log_directory=run.path))
+            variables = dict(
+                entry.partition("=")[::2] for entry in _read_proc(run.pid, "environ").split("\0")
+            )
+            found.append(
+                FoundServer(
+                    pid=run.pid,
+                    domain=variables.get("ROS_DOMAIN_ID") or "0",
+                    log_directory=run.path,
+                )
+            )
     return found
 
 
@@ -102,7 +115,11 @@ class DiagnosticsListener:
         for status in message.status:
             namespace, _, node = status.name.strip("/").rpartition("/")
             values = {pair.key: pair.value for pair in status.values}
-            if _kind_of(node) is None or "state" not in values or not status.hardware_id.isdecimal():
+            if (
+                _kind_of(node) is None
+                or "state" not in values
+                or not status.hardware_id.isdecimal()
+            ):
                 continue  # the supervisor's own words, or somebody else's
             report = Report.from_values(values, received_s=time.monotonic())
             with self._lock:
@@ -118,7 +135,9 @@ class DiagnosticsListener:
         ]
 
     def read_status(self) -> list[ServerStatus]:
-        """One status for each robot that modules report for, and one without modules when none does."""
+        """One status for each robot that modules report for, and one without modules when none
+        does.
+        """
         now_s = time.monotonic()
         with self._lock:
             for key, report in list(self._reports.items()):
@@ -126,7 +145,9 @@ class DiagnosticsListener:
                     del self._reports[key]
             reports = dict(self._reports)
         domain = own_domain()
-        servers = [server for server in find_servers(self._state_directory) if server.domain == domain]
+        servers = [
+            server for server in find_servers(self._state_directory) if server.domain == domain
+        ]
         found = []
         for namespace in sorted({key[0] for key in reports}) or [""]:
             modules = [
@@ -135,7 +156,9 @@ class DiagnosticsListener:
                 if place == namespace
             ]
             server = _server_of([m.pid for m in modules if m.pid is not None], servers)
-            runs = [one.log_directory for one in servers if server is not None and one.pid == server.pid]
+            runs = [
+                one.log_directory for one in servers if server is not None and one.pid == server.pid
+            ]
             directory = self._folder_of(namespace, runs)
             latch = EmergencyStopLatch(directory / ESTOP_FILE, time.time_ns).read_state()
             found.append(
@@ -152,17 +175,26 @@ class DiagnosticsListener:
         return found
 
     def _folder_of(self, namespace: str, runs: list[Path]) -> Path:
-        """Where the latch of a robot is: a server of several robots notes in each one's folder whose it is.
+        """Where the latch of a robot is: a server of several robots notes in each one's folder
+        whose it is.
 
         The state directory itself for a robot that is alone in its server.
 
         Args:
             namespace: of the robot.
-            runs: log directories of its server, `<folder>/log/<run>`; none when the server has ended.
+            runs: log directories of its server, `<folder>/log/<run>`; none when the server has
+                ended.
         """
         folders = sorted(robot_folder(self._state_directory).parent.glob("*"))
-        own = [folder for folder in folders if not runs or any(run.is_relative_to(folder) for run in runs)]
-        return next((folder for folder in own if _noted_namespace(folder) == namespace), self._state_directory)
+        own = [
+            folder
+            for folder in folders
+            if not runs or any(run.is_relative_to(folder) for run in runs)
+        ]
+        return next(
+            (folder for folder in own if _noted_namespace(folder) == namespace),
+            self._state_directory,
+        )
 
 
 def own_domain() -> str:
@@ -185,7 +217,9 @@ def _in_order(item: tuple[tuple[str, str, int], Report]) -> tuple[str, int, int]
 
 def _kind_of(node: str) -> ModuleKind | None:
     """Which module a node is: nodes are called as their kind, after a switch with a suffix."""
-    return next((kind for kind in MODULE_KINDS if node == kind or node.startswith(f"{kind}_")), None)
+    return next(
+        (kind for kind in MODULE_KINDS if node == kind or node.startswith(f"{kind}_")), None
+    )
 
 
 def _health(node: str, pid: int, report: Report, now_s: float) -> Health:
@@ -206,6 +240,8 @@ def _server_of(pids: list[int], servers: list[FoundServer]) -> FoundServer | Non
 
 
 def _parent(pid: int) -> int:
-    """Source: proc(5): the fourth field of /proc/<pid>/stat, the second being a name in parentheses."""
+    """Source: proc(5): the fourth field of /proc/<pid>/stat, the second being a name in
+    parentheses.
+    """
     fields = _read_proc(pid, "stat").rpartition(")")[2].split()
     return int(fields[1]) if len(fields) > 1 else 0

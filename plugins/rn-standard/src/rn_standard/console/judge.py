@@ -1,4 +1,6 @@
-"""When a run is over, and how it went: decided from one status after the other, without any input or output."""
+"""When a run is over, and how it went: decided from one status after the other, without any
+input or output.
+"""
 
 from __future__ import annotations
 
@@ -12,9 +14,13 @@ from rn_standard.console.table import fault_text
 HELD_S = 1.0
 """A simulator's object that has been lifted for so long was picked up."""
 PATIENCE_S = 4.0
-"""A fault that is gone sooner does not end the run: a late image on a busy machine, a module that is started again."""
+"""A fault that is gone sooner does not end the run: a late image on a busy machine, a module
+that is started again.
+"""
 DONE_METRIC = "done"
-"""A backend that knows when it has finished says so with this metric of its action chunks: 1 finished, 0 not yet."""
+"""A backend that knows when it has finished says so with this metric of its action chunks: 1
+finished, 0 not yet.
+"""
 
 
 class Outcome(IntEnum):
@@ -41,7 +47,8 @@ class Verdict:
 class Judge:
     """Looks at each status of a run; not for more than one run.
 
-    The simulator's word counts most, where it knows the object that the instruction names; then the backend's own.
+    The simulator's word counts most, where it knows the object that the instruction names; then the
+    backend's own.
 
     Args:
         instruction: what the robot is to do.
@@ -57,7 +64,11 @@ class Judge:
 
     def target(self, status: ServerStatus) -> tuple[str, SimulatedObject] | None:
         """The one simulated object that the instruction names, or None."""
-        named = [(n, o) for n, o in simulated_objects(status.module("robot")).items() if n.lower() in self._words]
+        named = [
+            (n, o)
+            for n, o in simulated_objects(status.module("robot")).items()
+            if n.lower() in self._words
+        ]
         return named[0] if len(named) == 1 else None
 
     def look(self, status: ServerStatus, elapsed_s: float) -> Verdict | None:
@@ -67,8 +78,12 @@ class Judge:
             return _not_done(f"the emergency stop was latched{cause}")
         target = self.target(status)
         if target is not None and target[1].held_s >= HELD_S:
-            lift = f"lifted by {target[1].lifted_m * 100:.0f} cm and held for {target[1].held_s:.1f} s"
-            return Verdict(outcome=Outcome.DONE, reason=f"the simulator says that {target[0]} is {lift}")
+            lift = (
+                f"lifted by {target[1].lifted_m * 100:.0f} cm and held for {target[1].held_s:.1f} s"
+            )
+            return Verdict(
+                outcome=Outcome.DONE, reason=f"the simulator says that {target[0]} is {lift}"
+            )
         if (fault := self._fault(status, elapsed_s)) is not None:
             return fault
         inference = status.module("inference")
@@ -78,14 +93,20 @@ class Judge:
             return Verdict(outcome=Outcome.DONE, reason="the backend reports that it has finished")
         if elapsed_s - self._claimed_since_s > PATIENCE_S and target is not None:
             lift = f"lifted by {target[1].lifted_m * 100:.0f} cm"
-            return _not_done(f"the backend reports that it has finished, the simulator that {target[0]} is {lift}")
+            return _not_done(
+                f"the backend reports that it has finished, the simulator that {target[0]} is "
+                f"{lift}"
+            )
         if elapsed_s < self._timeout_s:
             return None
         if target is not None:
             return _not_done(f"{self._timeout_s:g} s are over and {target[0]} is not lifted")
         if inference is not None and DONE_METRIC in inference.metrics:
             return _not_done(f"{self._timeout_s:g} s are over and the backend has not finished")
-        reason = f"{self._timeout_s:g} s are over; neither the backend nor a simulator tells whether it is done"
+        reason = (
+            f"{self._timeout_s:g} s are over; neither the backend nor a simulator tells "
+            "whether it is done"
+        )
         return Verdict(outcome=Outcome.UNKNOWN, reason=reason)
 
     def _fault(self, status: ServerStatus, elapsed_s: float) -> Verdict | None:

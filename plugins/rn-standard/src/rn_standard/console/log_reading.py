@@ -17,9 +17,17 @@ from roboneuron import ConfigurationError
 from roboneuron.feature import escaped
 
 _STAMP = re.compile(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d{3} ([A-Z]+) ")
-"""How an entry begins, see `roboneuron.log_files.FORMAT`; other lines belong to the entry before them."""
+"""How an entry begins, see `roboneuron.log_files.FORMAT`; other lines belong to the entry
+before them.
+"""
 _STYLES = {"WARNING": "yellow", "ERROR": "red", "CRITICAL": "bold red", "DEBUG": "dim"}
-_COLOURS = {"robot": "cyan", "perception": "magenta", "inference": "green", "control": "blue", "server": "white"}
+_COLOURS = {
+    "robot": "cyan",
+    "perception": "magenta",
+    "inference": "green",
+    "control": "blue",
+    "server": "white",
+}
 _LOOK_S = 0.2
 
 
@@ -32,11 +40,14 @@ def choose_run(state_directory: Path, name: str | None) -> LogRun:
     runs = log_runs(state_directory)
     if not runs:
         raise ConfigurationError(
-            f"No server has logged below {state_directory} yet.", hint="Start one, or name another with --state."
+            f"No server has logged below {state_directory} yet.",
+            hint="Start one, or name another with --state.",
         )
     found = next((run for run in runs if name in (None, run.path.name)), None)
     if found is None:
-        raise ConfigurationError(f"There is no run {name!r}.", hint="`roboneuron logs --runs` lists them.")
+        raise ConfigurationError(
+            f"There is no run {name!r}.", hint="`roboneuron logs --runs` lists them."
+        )
     return found
 
 
@@ -52,7 +63,9 @@ class _File:
     rest: bytes = b""
 
     def read_lines(self) -> Iterator[tuple[str, str, str]]:
-        """(time, module, line) of each whole line since the last call; from the beginning in a file begun anew."""
+        """(time, module, line) of each whole line since the last call; from the beginning in a
+        file begun anew.
+        """
         try:
             with self.path.open("rb") as file:
                 facts = self.path.stat()
@@ -89,7 +102,9 @@ class LogView:
         self._style = ""
         if module is not None and module not in run.files():
             there = ", ".join(run.files()) or "nothing"
-            raise ConfigurationError(f"The run {run.path.name} has no log of {module}.", hint=f"It has: {there}.")
+            raise ConfigurationError(
+                f"The run {run.path.name} has no log of {module}.", hint=f"It has: {there}."
+            )
 
     def show_last(self, count: int) -> None:
         """Print the newest `count` lines, 0 for all."""
@@ -98,7 +113,8 @@ class LogView:
         self._print(lines[-count:] if count else lines)
 
     def follow(self, newest_below: Path | None) -> None:
-        """Print what is added until interrupted; with a state directory go over to a newer run when one begins.
+        """Print what is added until interrupted; with a state directory go over to a newer run when
+        one begins.
 
         Raises:
             KeyboardInterrupt: Ctrl-C, also where Python would lose it.
@@ -131,5 +147,7 @@ class LogView:
         for _, module, line in lines:
             if entry := _STAMP.match(line):
                 self._style = _STYLES.get(entry[1], "")
-            prefix = (f"{module:<{width}} ", _COLOURS.get(module, "")) if self._module is None else ""
+            prefix = (
+                (f"{module:<{width}} ", _COLOURS.get(module, "")) if self._module is None else ""
+            )
             self._console.print(Text.assemble(prefix, (escaped(line), self._style)), soft_wrap=True)

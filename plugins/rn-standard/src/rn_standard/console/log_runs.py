@@ -29,9 +29,17 @@ class LogRun:
 
 
 def log_runs(state_directory: Path) -> list[LogRun]:
-    """All runs, the newest first; of two begun within one second the one that was written to last comes first."""
+    """All runs, the newest first; of two begun within one second the one that was written to
+    last comes first.
+    """
     found = []
     for path in (state_directory / "log").glob("*/"):
         if name := _NAME.fullmatch(path.name):
-            found.append((name[1], path.stat().st_mtime_ns, LogRun(time=name[1], pid=int(name[2]), path=path)))
+            found.append(
+                (
+                    name[1],
+                    path.stat().st_mtime_ns,
+                    LogRun(time=name[1], pid=int(name[2]), path=path),
+                )
+            )
     return [run for *_, run in sorted(found, key=lambda entry: entry[:2], reverse=True)]

@@ -16,16 +16,34 @@ class Logs:
 
     def configure(self, parser: ArgumentParser) -> None:
         """Add the arguments of `roboneuron logs`."""
-        parser.add_argument("module", metavar="MODULE", nargs="?", choices=_MODULES, help=", ".join(_MODULES))
-        parser.add_argument("-f", "--follow", action="store_true", help="go on with what is added, until Ctrl-C")
-        parser.add_argument("-n", "--lines", type=int, default=50, metavar="N", help="the newest N lines (50); 0: all")
+        parser.add_argument(
+            "module", metavar="MODULE", nargs="?", choices=_MODULES, help=", ".join(_MODULES)
+        )
+        parser.add_argument(
+            "-f", "--follow", action="store_true", help="go on with what is added, until Ctrl-C"
+        )
+        parser.add_argument(
+            "-n",
+            "--lines",
+            type=int,
+            default=50,
+            metavar="N",
+            help="the newest N lines (50); 0: all",
+        )
         parser.add_argument("--runs", action="store_true", help="list the runs instead")
-        parser.add_argument("--run", metavar="NAME", help="a run of that list instead of the newest")
+        parser.add_argument(
+            "--run", metavar="NAME", help="a run of that list instead of the newest"
+        )
         where = parser.add_mutually_exclusive_group()
         where.add_argument(
-            "--config", type=Path, metavar="FILE", help="a roboneuron.toml that names the state directory"
+            "--config",
+            type=Path,
+            metavar="FILE",
+            help="a roboneuron.toml that names the state directory",
         )
-        where.add_argument("--state", type=Path, metavar="DIRECTORY", help="the state directory itself")
+        where.add_argument(
+            "--state", type=Path, metavar="DIRECTORY", help="the state directory itself"
+        )
 
     def run(self, arguments: Namespace) -> int:
         """Run `roboneuron logs`."""

@@ -1,4 +1,6 @@
-"""Options of a pydantic model as text: for `roboneuron config show`, `config reference` and `plugins show`."""
+"""Options of a pydantic model as text: for `roboneuron config show`, `config reference` and
+`plugins show`.
+"""
 
 from __future__ import annotations
 
@@ -39,14 +41,19 @@ class Option:
 def describe_options(model: type[BaseModel]) -> Iterator[Option]:
     """The options of a model, in its order.
 
-    Those of a table follow it, as `table.key`; in a table of tables as `table.<name>.key`, in a list as `list[].key`.
+    Those of a table follow it, as `table.key`; in a table of tables as `table.<name>.key`, in a
+    list as `list[].key`.
     """
     for key, entry in model.model_json_schema().get("properties", {}).items():
         field = next(f for name, f in model.model_fields.items() if key in (name, f.alias))
-        default = None if field.is_required() else _literal(field.get_default(call_default_factory=True))
+        default = (
+            None if field.is_required() else _literal(field.get_default(call_default_factory=True))
+        )
         restricted = is_restricted(key, field)
         meaning = entry.get("description", "")
-        yield Option(key=key, type=_type(entry), default=default, meaning=meaning, restricted=restricted)
+        yield Option(
+            key=key, type=_type(entry), default=default, meaning=meaning, restricted=restricted
+        )
         for place, table in _tables(key, field.annotation):
             for option in describe_options(table):
                 yield replace(option, key=f"{place}.{option.key}")
@@ -78,7 +85,11 @@ def _literal(value: object) -> str:
     if hasattr(value, "model_dump"):
         value = value.model_dump(mode="json")
     if isinstance(value, Mapping):
-        entries = [f"{json.dumps(str(key))} = {_literal(item)}" for key, item in value.items() if item is not None]
+        entries = [
+            f"{json.dumps(str(key))} = {_literal(item)}"
+            for key, item in value.items()
+            if item is not None
+        ]
         return f"{{ {', '.join(entries)} }}" if entries else "{}"
     return f"[{', '.join(_literal(item) for item in value)}]"  # type: ignore[attr-defined]
 

@@ -1,4 +1,6 @@
-"""All commands of `roboneuron` as one argument parser: for completion and for the reference page."""
+"""All commands of `roboneuron` as one argument parser: for completion and for the reference
+page.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,14 @@ from pathlib import Path
 import shtab
 
 from roboneuron import RoboNeuronError
-from roboneuron.feature import COMMANDS, add_verbosity, discover, installed_commands, load_command, spoken
+from roboneuron.feature import (
+    COMMANDS,
+    add_verbosity,
+    discover,
+    installed_commands,
+    load_command,
+    spoken,
+)
 
 log = logging.getLogger(__name__)
 _FOLDERS = ("DIRECTORY", "FOLDER")
@@ -19,10 +28,14 @@ ONLY_ACTIONS = "see its actions"
 
 
 def whole_parser() -> ArgumentParser:
-    """Every command with its arguments; one of a plugin that cannot be loaded is logged and left out."""
+    """Every command with its arguments; one of a plugin that cannot be loaded is logged and
+    left out.
+    """
     registry = discover()
     parser = ArgumentParser(prog="roboneuron")
-    parser.add_argument("--version", action="store_true", help="show program's version number and exit")
+    parser.add_argument(
+        "--version", action="store_true", help="show program's version number and exit"
+    )
     commands = parser.add_subparsers(dest="command")
     groups: dict[str, _SubParsersAction[ArgumentParser]] = {}
     listed = {name: command.summary for name, command in COMMANDS.items()}
@@ -34,7 +47,9 @@ def whole_parser() -> ArgumentParser:
             continue
         group, _, word = spoken(name).rpartition(" ")
         if group and group not in groups:
-            groups[group] = commands.add_parser(group, help=ONLY_ACTIONS).add_subparsers(dest="action")
+            groups[group] = commands.add_parser(group, help=ONLY_ACTIONS).add_subparsers(
+                dest="action"
+            )
         holder = groups.get(group, commands)
         command = holder.add_parser(word, help=summary, description=module.__doc__)
         module.configure(command)

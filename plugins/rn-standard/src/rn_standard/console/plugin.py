@@ -27,7 +27,9 @@ CALL = CommandSpec(
     summary="call a tool as an agent would, on a spawned or a running server",
     target="rn_standard.console.call:Call",
 )
-TOOLS = CommandSpec(name="tools", summary="list the tools that agents get", target="rn_standard.console.tools:Tools")
+TOOLS = CommandSpec(
+    name="tools", summary="list the tools that agents get", target="rn_standard.console.tools:Tools"
+)
 CONFIG_SHOW = CommandSpec(
     name="config-show",
     summary="print the default configuration and the options of features",

@@ -1,4 +1,6 @@
-"""The flag `--option` of every command that makes plugins: options of any of them, in one notation."""
+"""The flag `--option` of every command that makes plugins: options of any of them, in one
+notation.
+"""
 
 from __future__ import annotations
 
@@ -14,13 +16,19 @@ FORM = "[PLUGIN.]NAME=VALUE"
 
 
 def add_option(parser: ArgumentParser, own: str) -> None:
-    """Add --option, for `read_options`; `own` says whose options need no plugin's name, such as "the backend"."""
-    told = f"an option of any plugin, VALUE as in TOML or JSON, else text; without PLUGIN one of {own}; repeatable"
+    """Add --option, for `read_options`; `own` says whose options need no plugin's name, such as
+    "the backend".
+    """
+    told = (
+        "an option of any plugin, VALUE as in TOML or JSON, else text; without PLUGIN one of "
+        f"{own}; repeatable"
+    )
     parser.add_argument("--option", action="append", default=[], metavar=FORM, help=told)
 
 
 def read_options(texts: Sequence[str], own: str) -> dict[str, dict[str, object]]:
-    """Options by plugin, of texts such as `oft.unnorm_key=tiny`; without a plugin's name they are those of `own`.
+    """Options by plugin, of texts such as `oft.unnorm_key=tiny`; without a plugin's name they are
+    those of `own`.
 
     Raises:
         ConfigurationError: a text is not of that form.

@@ -24,7 +24,9 @@ from roboneuron.feature import (
 )
 
 SCHEMA_VERSION = 1
-"""Raised when a key of the JSON document changes its meaning or goes; new keys may come at any time."""
+"""Raised when a key of the JSON document changes its meaning or goes; new keys may come at any
+time.
+"""
 STYLES = {
     Status.READY: "green",
     Status.DISABLED: "dim",
@@ -48,9 +50,15 @@ class PluginsList:
         add_config(parser)
         told = "show each thing that they offer, with a summary; log more to standard error"
         parser.add_argument("-v", "--verbose", action="count", default=0, help=told)
-        parser.add_argument("--json", action="store_true", help="machine-readable, see docs/reference/plugins-list.md")
         parser.add_argument(
-            "--strict", action="store_true", help="exit with 1 unless every plugin that is not disabled is ready"
+            "--json",
+            action="store_true",
+            help="machine-readable, see docs/reference/plugins-list.md",
+        )
+        parser.add_argument(
+            "--strict",
+            action="store_true",
+            help="exit with 1 unless every plugin that is not disabled is ready",
         )
 
     def run(self, arguments: Namespace) -> int:
@@ -107,7 +115,9 @@ def _offer_document(offer: Offer) -> dict[str, object]:
 
 
 def print_short(registry: Registry) -> None:
-    """Write what is ready by kind, then all that is not with what to do about it, then what is not installed."""
+    """Write what is ready by kind, then all that is not with what to do about it, then what is
+    not installed.
+    """
     if not registry.plugins:
         print(f"No plugins are installed. For a start: {install_command(WHOLE)}")
         return
@@ -128,7 +138,11 @@ def print_short(registry: Registry) -> None:
         print(_paint("\nNOT INSTALLED", "bold") + " (what they offer: README.md, Plugins)")
         print(_wrapped(", ".join(absent), 0))
         print(_wrapped(f"One of them: {install_command(absent[0])}", 2))
-    print(_paint(f"\n{len(registry.plugins)} plugins; details: roboneuron plugins list --verbose", "dim"))
+    print(
+        _paint(
+            f"\n{len(registry.plugins)} plugins; details: roboneuron plugins list --verbose", "dim"
+        )
+    )
 
 
 def _absent(registry: Registry) -> list[str]:
@@ -140,7 +154,8 @@ def _absent(registry: Registry) -> list[str]:
 def print_table(registry: Registry) -> None:
     """Write the table of all offers, and below it each plugin's trouble.
 
-    Drawn here rather than by rich, whose import and rendering take longer than everything else that listing does.
+    Drawn here rather than by rich, whose import and rendering take longer than everything else that
+    listing does.
     """
     rows = sorted(row for record in registry.plugins for row in _rows(record))
     widths = [max(len(row[i]) for row in (_HEADING, *rows)) for i in range(4)]
@@ -162,10 +177,14 @@ def print_table(registry: Registry) -> None:
 
 
 def _print_trouble(registry: Registry) -> None:
-    """Each plugin that is not ready, with its reasons, and what it has that is ready all the same."""
+    """Each plugin that is not ready, with its reasons, and what it has that is ready all the
+    same.
+    """
     for record in _troubled(registry):
         print(f"\n{record.name} is {_paint(record.status, STYLES[record.status])}")
-        reasons = dict.fromkeys(offer.reason for offer in record.offers if offer.reason) or (record.reason,)
+        reasons = dict.fromkeys(offer.reason for offer in record.offers if offer.reason) or (
+            record.reason,
+        )
         for reason in reasons:
             names = [f"{o.spec.kind} {o.spec.name}" for o in record.offers if o.reason == reason]
             print(_wrapped(f"  {', '.join(names)}: {reason}" if names else f"  {reason}", 2))
@@ -177,7 +196,11 @@ def _wrapped(text: str, indent: int) -> str:
     """The text within the terminal's width; a command in it is not broken within a word."""
     lead = " " * indent
     return textwrap.fill(
-        text, max(_NARROWEST, _columns()), subsequent_indent=lead, break_long_words=False, break_on_hyphens=False
+        text,
+        max(_NARROWEST, _columns()),
+        subsequent_indent=lead,
+        break_long_words=False,
+        break_on_hyphens=False,
     )
 
 

@@ -10,17 +10,31 @@ from rn_standard.console.chosen_plugins import add_config, find, read_disabled
 from rn_standard.console.options import describe_options
 from rn_standard.console.plugins_list import STYLES
 from roboneuron import DriverSpec, RobotSpec, Spec
-from roboneuron.feature import PLUGIN_KINDS, Offer, Registry, Status, discover, load_options_model, missing
+from roboneuron.feature import (
+    PLUGIN_KINDS,
+    Offer,
+    Registry,
+    Status,
+    discover,
+    load_options_model,
+    missing,
+)
 
 
 class PluginsShow:
-    """Show everything about one plugin, or about one thing it offers, and the traceback of what failed."""
+    """Show everything about one plugin, or about one thing it offers, and the traceback of what
+    failed.
+    """
 
     def configure(self, parser: ArgumentParser) -> None:
         """Add the arguments of `roboneuron plugins show`."""
         add_config(parser)
-        parser.add_argument("name", metavar="NAME", help="a plugin (rn-robot-fr3), a distribution or an offer (fr3)")
-        parser.add_argument("--kind", choices=sorted(PLUGIN_KINDS), help="look at offers of this kind only")
+        parser.add_argument(
+            "name", metavar="NAME", help="a plugin (rn-robot-fr3), a distribution or an offer (fr3)"
+        )
+        parser.add_argument(
+            "--kind", choices=sorted(PLUGIN_KINDS), help="look at offers of this kind only"
+        )
 
     def run(self, arguments: Namespace) -> int:
         """Run `roboneuron plugins show`."""
@@ -57,7 +71,9 @@ def show(registry: Registry, name: str, kind: str | None) -> int:
 
 
 def _options(offer: Offer) -> Iterator[str]:
-    """What may stand in `[plugins.<name>]`, of everything in the offer that takes options and can be imported."""
+    """What may stand in `[plugins.<name>]`, of everything in the offer that takes options and
+    can be imported.
+    """
     if offer.status is not Status.READY:
         return
     specs: list[Spec | DriverSpec] = [offer.spec]

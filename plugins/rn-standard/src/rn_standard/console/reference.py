@@ -1,6 +1,7 @@
 """The reference part of docs/command-line.md, from the commands' own parsers.
 
-`python -m rn_standard.console.reference docs/command-line.md` writes it anew, below the page's last line of prose.
+`python -m rn_standard.console.reference docs/command-line.md` writes it anew, below the page's last
+line of prose.
 """
 
 from __future__ import annotations
@@ -13,20 +14,31 @@ from pathlib import Path
 
 from rn_standard.console.parsers import ONLY_ACTIONS, whole_parser
 
-MARK = "<!-- What follows is generated: python -m rn_standard.console.reference docs/command-line.md -->"
+MARK = (
+    "<!-- What follows is generated: python -m rn_standard.console.reference "
+    "docs/command-line.md -->"
+)
 _EVERYWHERE = ("--help", "--verbose", "--quiet")
 _MANY = 3
 """Commands from which on an option that means the same in all is explained once."""
 
 
 def command_reference() -> str:
-    """A section for each command: what it does, its arguments and options; those of many commands come first."""
+    """A section for each command: what it does, its arguments and options; those of many
+    commands come first.
+    """
     parser = whole_parser()
     counts = Counter(row for command in _commands(parser) for row in _rows(command))
-    meanings = {_name(row): row for row, count in sorted(counts.items(), key=lambda item: item[1]) if count >= _MANY}
+    meanings = {
+        _name(row): row
+        for row, count in sorted(counts.items(), key=lambda item: item[1])
+        if count >= _MANY
+    }
     shared = [row for row in counts if row in meanings.values()]
     first = ["## Options of many commands\n", "\n".join(shared) + "\n"]
-    return "\n".join([*first, *(_section(command, shared) for command in _commands(parser) if _about(command))])
+    return "\n".join(
+        [*first, *(_section(command, shared) for command in _commands(parser) if _about(command))]
+    )
 
 
 def with_reference(page: str) -> str:
@@ -85,8 +97,14 @@ def _row(action: Action) -> Iterator[str]:
     if not action.option_strings:
         name = f"`{value}`"
     else:
-        name = ", ".join(f"`{option}{f' {value}' if value else ''}`" for option in action.option_strings)
-    choices = f" (one of: {', '.join(map(str, action.choices))})" if action.choices and action.option_strings else ""
+        name = ", ".join(
+            f"`{option}{f' {value}' if value else ''}`" for option in action.option_strings
+        )
+    choices = (
+        f" (one of: {', '.join(map(str, action.choices))})"
+        if action.choices and action.option_strings
+        else ""
+    )
     meaning = (action.help or "").replace("%(default)s", str(action.default))
     yield f"- {name}: {meaning}{choices}"
 

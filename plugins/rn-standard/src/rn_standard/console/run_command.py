@@ -6,9 +6,11 @@ from argparse import ArgumentParser, Namespace
 
 
 class Run:
-    """Start what the configuration names, carry out one instruction, report, and stop everything again.
+    """Start what the configuration names, carry out one instruction, report, and stop everything
+    again.
 
-    Exit status: 0 done, as reported by the simulator or the backend; 1 not done; 2 it could not be started; 3 time is
+    Exit status: 0 done, as reported by the simulator or the backend; 1 not done; 2 it could not be
+        started; 3 time is
     over and neither reports whether it is done; 130 interrupted.
     """
 
@@ -16,7 +18,9 @@ class Run:
         """Add the arguments of `roboneuron run`."""
         from rn_standard.console import connection
 
-        parser.add_argument("instruction", metavar="INSTRUCTION", help='what to do, such as "pick up the red cube"')
+        parser.add_argument(
+            "instruction", metavar="INSTRUCTION", help='what to do, such as "pick up the red cube"'
+        )
         connection.add_arguments(parser)
         parser.add_argument(
             "--timeout-s",
@@ -32,12 +36,17 @@ class Run:
         from roboneuron.feature import load_config
 
         if not arguments.instruction.strip():
-            raise ConfigurationError("The instruction is empty.", hint='Say what to do: "pick up the red cube".')
+            raise ConfigurationError(
+                "The instruction is empty.", hint='Say what to do: "pick up the red cube".'
+            )
         if not 0 < arguments.timeout_s <= 86400:
-            raise ConfigurationError(f"--timeout-s {arguments.timeout_s:g} is out of range: up to 86400 seconds.")
+            raise ConfigurationError(
+                f"--timeout-s {arguments.timeout_s:g} is out of range: up to 86400 seconds."
+            )
         where = f"with the server at {arguments.url}"
         if arguments.url is None:
-            config = load_config(arguments.config)  # its errors are ours to tell, before a server is started
+            # its errors are ours to tell, before a server is started
+            config = load_config(arguments.config)
             where = f"with {config.robot.name} ({config.robot.driver})"
         import anyio  # heavy
 

@@ -1,4 +1,6 @@
-"""What a person sees of a run: a line for each step; on a terminal, what goes on at the moment below them."""
+"""What a person sees of a run: a line for each step; on a terminal, what goes on at the moment
+below them.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,9 @@ class Screen:
 
     def end(self, is_done: bool, text: str) -> None:
         """How the run went."""
-        self._console.print(Text(text, style="bold green" if is_done else "bold red"), soft_wrap=True)
+        self._console.print(
+            Text(text, style="bold green" if is_done else "bold red"), soft_wrap=True
+        )
 
     @contextmanager
     def step(self, what: str) -> Iterator[Callable[[str], None]]:
@@ -52,11 +56,14 @@ class Screen:
 
     @contextmanager
     def live(self, text: str) -> Iterator[Callable[[str], None]]:
-        """A line that is written anew again and again, on a terminal; call what is given with its text."""
+        """A line that is written anew again and again, on a terminal; call what is given with
+        its text.
+        """
         if self._is_quiet or not self._console.is_terminal:
             yield lambda text: None
             return
-        with self._console.status(Text(text), spinner="line") as status:  # a spinner of ASCII letters
+        # a spinner of ASCII letters
+        with self._console.status(Text(text), spinner="line") as status:
             yield lambda text: status.update(Text(text))
 
     def _line(self, text: Text) -> None:

@@ -27,7 +27,10 @@ class Session:
         self._source = source
 
     async def call(
-        self, tool: str, arguments: Mapping[str, Any] | None = None, on_progress: Callable[[str], None] | None = None
+        self,
+        tool: str,
+        arguments: Mapping[str, Any] | None = None,
+        on_progress: Callable[[str], None] | None = None,
     ) -> dict[str, Any]:
         """Call a tool.
 
@@ -40,21 +43,30 @@ class Session:
                 on_progress(message)
 
         answer = await self._client.call_tool(
-            tool, dict(arguments or {}), read_timeout_seconds=_CALL_TIMEOUT_S, progress_callback=progress
+            tool,
+            dict(arguments or {}),
+            read_timeout_seconds=_CALL_TIMEOUT_S,
+            progress_callback=progress,
         )
         if answer.is_error:
-            raise NotReadyError(" ".join(part.text for part in answer.content if isinstance(part, TextContent)))
+            raise NotReadyError(
+                " ".join(part.text for part in answer.content if isinstance(part, TextContent))
+            )
         return dict(answer.structured_content or {})
 
     async def robots(self, tool: str) -> list[dict[str, str]]:
-        """What a tool has to be given, for each robot: `robot` where the server has several of them.
+        """What a tool has to be given, for each robot: `robot` where the server has several of
+        them.
 
         Raises:
             NotReadyError: the server has no such tool.
         """
         tools = {found.name: found for found in (await self._client.list_tools()).tools}
         if tool not in tools:
-            raise NotReadyError(f"The server has no tool {tool}.", hint="Install what brings it where the server runs.")
+            raise NotReadyError(
+                f"The server has no tool {tool}.",
+                hint="Install what brings it where the server runs.",
+            )
         if "robot" not in tools[tool].input_schema.get("required", ()):
             return [{}]
         return [{"robot": name} for name in tools[tool].input_schema["properties"]["robot"]["enum"]]

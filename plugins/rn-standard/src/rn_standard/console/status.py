@@ -1,4 +1,6 @@
-"""What is known of the modules at one moment, from `get_status` or from /diagnostics, as one model."""
+"""What is known of the modules at one moment, from `get_status` or from /diagnostics, as one
+model.
+"""
 
 from __future__ import annotations
 
@@ -52,7 +54,13 @@ class ModuleStatus(BaseModel):
     def from_report(cls, module: str, pid: int, health: Health, report: Report) -> ModuleStatus:
         """What a module says of itself on /diagnostics."""
         failure = ModuleError(code=report.error_code, message=report.error, hint=report.error_hint)
-        names = set(cls.model_fields) & {"uptime_s", "rate_hz", "latency_ms", "latency_p99_ms", "age_ms"}
+        names = set(cls.model_fields) & {
+            "uptime_s",
+            "rate_hz",
+            "latency_ms",
+            "latency_p99_ms",
+            "age_ms",
+        }
         return cls(
             module=module,
             health=health,
@@ -121,13 +129,16 @@ class SimulatedObject(BaseModel):
 def simulated_objects(robot: ModuleStatus | None) -> dict[str, SimulatedObject]:
     """Objects by name, of a robot whose driver reports them; empty for any other.
 
-    A driver reports them as JSON in one of its details: `{"red": {"lifted_m": 0.0, "held_s": 0.0, ...}, ...}`.
+    A driver reports them as JSON in one of its details:
+        `{"red": {"lifted_m": 0.0, "held_s": 0.0, ...}, ...}`.
     """
     found: dict[str, SimulatedObject] = {}
     for text in robot.detail.values() if robot is not None else ():
         try:
             table = json.loads(text) if text.startswith("{") else {}
-            found.update({name: SimulatedObject.model_validate(facts) for name, facts in table.items()})
+            found.update(
+                {name: SimulatedObject.model_validate(facts) for name, facts in table.items()}
+            )
         except ValueError:  # a detail about something else
             continue
     return found

@@ -21,8 +21,9 @@ LISTEN_S = 1.5
 class StatusCommand:
     """Show how the modules are: health, rates, latencies, ages, drops, and the emergency stop.
 
-    With --url it asks a running HTTP server. Without it, it shows what modules report on /diagnostics of this shell's
-    ROS domain. Exit status 0 when something runs and nothing is wrong, else 1.
+    With --url it asks a running HTTP server. Without it, it shows what modules report on
+    /diagnostics of this shell's ROS domain. Exit status 0 when something runs and nothing is wrong,
+    else 1.
     """
 
     def configure(self, parser: ArgumentParser) -> None:
@@ -38,14 +39,18 @@ class StatusCommand:
             metavar="SECONDS",
             help="show it again and again, every second by default, until Ctrl-C",
         )
-        parser.add_argument("--json", action="store_true", help="one JSON object a line, for programs")
+        parser.add_argument(
+            "--json", action="store_true", help="one JSON object a line, for programs"
+        )
 
     def run(self, arguments: Namespace) -> int:
         """Run `roboneuron status`."""
         from roboneuron import ConfigurationError
 
         if arguments.watch is not None and not 0.1 <= arguments.watch <= 3600:
-            raise ConfigurationError(f"--watch {arguments.watch:g} is out of range: 0.1 to 3600 seconds.")
+            raise ConfigurationError(
+                f"--watch {arguments.watch:g} is out of range: 0.1 to 3600 seconds."
+            )
         try:
             return _show(arguments)
         except KeyboardInterrupt:
@@ -61,7 +66,9 @@ def _show(arguments: Namespace) -> int:
         return anyio.run(_ask, arguments)
     from roboneuron.feature import load_config, state_directory
 
-    configured = load_config(arguments.config).supervisor.state_directory if arguments.config else None
+    configured = (
+        load_config(arguments.config).supervisor.state_directory if arguments.config else None
+    )
     return _listen(arguments, state_directory(configured))
 
 
@@ -147,5 +154,9 @@ class _Display:
         from rn_standard.console.table import status_view
 
         lines = [Text(line, style="yellow") for line in more]
-        hint = [Text(f"{time.strftime('%H:%M:%S')}  Ctrl-C ends", style="dim")] if self._is_watching else []
+        hint = (
+            [Text(f"{time.strftime('%H:%M:%S')}  Ctrl-C ends", style="dim")]
+            if self._is_watching
+            else []
+        )
         self.show_view(Group(status_view(statuses), *lines, *hint))

@@ -1,4 +1,6 @@
-"""One run: start what is missing, give the instruction, watch until it is over, stop what was started."""
+"""One run: start what is missing, give the instruction, watch until it is over, stop what was
+started.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,9 @@ _KINDS = ("robot", "perception", "control", "inference")
 
 
 async def run_instruction(arguments: Namespace, screen: Screen) -> int:
-    """Do it all; returns the exit status. Raises as `connection.connect`, and NotReadyError for a failed start."""
+    """Do it all; returns the exit status. Raises as `connection.connect`, and NotReadyError for
+    a failed start.
+    """
     async with connection.connect(arguments) as client:
         session = Session(client, arguments.url or "a server of its own")
         story = Story(session, arguments.instruction, arguments.timeout_s, screen)
@@ -39,11 +43,16 @@ async def run_instruction(arguments: Namespace, screen: Screen) -> int:
                 await story.stop()
     words = {Outcome.DONE: "done", Outcome.NOT_DONE: "not done", Outcome.UNKNOWN: "ended"}
     head = words.get(verdict.outcome)
-    screen.end(verdict.outcome is Outcome.DONE, f"{head}: {verdict.reason}" if head else f"{verdict.reason}, stopped")
+    screen.end(
+        verdict.outcome is Outcome.DONE,
+        f"{head}: {verdict.reason}" if head else f"{verdict.reason}, stopped",
+    )
     return int(verdict.outcome)
 
 
-async def _cancel_when_interrupted(scope: anyio.CancelScope, *, task_status: TaskStatus[None]) -> None:
+async def _cancel_when_interrupted(
+    scope: anyio.CancelScope, *, task_status: TaskStatus[None]
+) -> None:
     """Cancel the run on Ctrl-C or SIGTERM, so that everything is stopped in order."""
     with anyio.open_signal_receiver(signal.SIGINT, signal.SIGTERM) as signals:
         task_status.started()
@@ -55,7 +64,9 @@ async def _cancel_when_interrupted(scope: anyio.CancelScope, *, task_status: Tas
 class Story:
     """The parts of a run."""
 
-    def __init__(self, session: Session, instruction: str, timeout_s: float, screen: Screen) -> None:
+    def __init__(
+        self, session: Session, instruction: str, timeout_s: float, screen: Screen
+    ) -> None:
         self._session = session
         self._instruction = instruction
         self._screen = screen
@@ -73,7 +84,8 @@ class Story:
         if status.emergency_stop:
             cause = f" by {status.emergency_stop_cause}" if status.emergency_stop_cause else ""
             raise RefusedError(
-                f"The emergency stop is latched{cause}.", hint="Look at the robot, then `roboneuron estop --reset`."
+                f"The emergency stop is latched{cause}.",
+                hint="Look at the robot, then `roboneuron estop --reset`.",
             )
         for kind in _KINDS[:-1]:
             if status.module(kind) is None:
@@ -82,8 +94,11 @@ class Story:
                     await self._session.call(f"start_{kind}", on_progress=update)
         is_running = status.module("inference") is not None
         tool = "set_instruction" if is_running else "start_inference"
-        self._started.append("inference")  # stopped in any case: nobody is left to watch what it does
-        with self._screen.step("give the instruction" if is_running else "start inference") as update:
+        # stopped in any case: nobody is left to watch what it does
+        self._started.append("inference")
+        with self._screen.step(
+            "give the instruction" if is_running else "start inference"
+        ) as update:
             await self._session.call(tool, {"instruction": self._instruction}, on_progress=update)
         return await self._watch()
 
@@ -124,7 +139,9 @@ class Story:
         return " | ".join([*words, "Ctrl-C stops"])
 
     async def stop(self) -> None:
-        """Stop what this run has started, the newest first; a failure is shown and the rest is stopped all the same."""
+        """Stop what this run has started, the newest first; a failure is shown and the rest is
+        stopped all the same.
+        """
         try:
             there = {module.module for module in (await self._session.status()).running}
         except (NotReadyError, MCPError):  # the server is gone, and its modules with it

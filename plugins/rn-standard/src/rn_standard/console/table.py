@@ -12,7 +12,13 @@ from rich.text import Text
 from rn_standard.console.status import ModuleStatus, ServerStatus
 from roboneuron.feature import EXPLANATIONS
 
-_COLOURS = {"ok": "green", "waiting": "yellow", "starting": "yellow", "stopping": "yellow", "stopped": "dim"}
+_COLOURS = {
+    "ok": "green",
+    "waiting": "yellow",
+    "starting": "yellow",
+    "stopping": "yellow",
+    "stopped": "dim",
+}
 _PLAIN_WIDTH = 110
 _UNBOUNDED = 1000
 _COLUMNS = ("pid", "up", "Hz", "ms", "p99 ms", "age ms", "sent", "dropped")
@@ -21,7 +27,9 @@ _DISPENSABLE = ("sent", "p99 ms", "pid", "up", "dropped", "age ms", "ms", "Hz")
 
 
 def make_console(*, stderr: bool = False) -> Console:
-    """A console for this terminal; without one, no colours and lines that are wide enough for the table."""
+    """A console for this terminal; without one, no colours and lines that are wide enough for
+    the table.
+    """
     console = Console(highlight=False, stderr=stderr, emoji=False, markup=False)
     if not console.is_terminal:
         console.width = max(console.width, _PLAIN_WIDTH)
@@ -58,7 +66,9 @@ def _body(status: ServerStatus) -> list[RenderableType]:
 
 
 class _ModuleTable:
-    """One line for each module, with as many columns as there is room for: a number is shown whole or not at all."""
+    """One line for each module, with as many columns as there is room for: a number is shown
+    whole or not at all.
+    """
 
     def __init__(self, modules: Sequence[ModuleStatus]) -> None:
         self._modules = modules
@@ -68,14 +78,18 @@ class _ModuleTable:
         for name in ("", *_DISPENSABLE):
             left_out += [name] if name else []
             table = self._table([column for column in _COLUMNS if column not in left_out])
-            if Measurement.get(console, options.update(max_width=_UNBOUNDED), table).maximum <= options.max_width:
+            if (
+                Measurement.get(console, options.update(max_width=_UNBOUNDED), table).maximum
+                <= options.max_width
+            ):
                 break
         yield table
         if left_out:
             yield Text(f"no room for: {', '.join(left_out)} (--json has all)", style="dim")
 
     def _table(self, columns: Sequence[str]) -> Table:
-        table = Table(box=None, header_style="bold", pad_edge=False, padding=(0, 1, 0, 0))  # fits 80 columns
+        # fits 80 columns
+        table = Table(box=None, header_style="bold", pad_edge=False, padding=(0, 1, 0, 0))
         table.add_column("module", no_wrap=True, overflow="crop")
         table.add_column("health", no_wrap=True, overflow="crop")
         for column in columns:
@@ -114,7 +128,9 @@ def fault_text(module: ModuleStatus) -> str:
     """What is wrong with a module, in one line."""
     if module.error is not None and module.error.message:
         return " ".join(f"{module.error.message} {module.error.hint}".split())
-    return next((text for health, text in EXPLANATIONS.items() if health == module.health), module.health)
+    return next(
+        (text for health, text in EXPLANATIONS.items() if health == module.health), module.health
+    )
 
 
 def duration(seconds: float) -> str:

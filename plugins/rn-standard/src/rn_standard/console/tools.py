@@ -17,7 +17,9 @@ class Tools:
 
     def configure(self, parser: ArgumentParser) -> None:
         """Add the arguments of `roboneuron tools`."""
-        parser.add_argument("--json", action="store_true", help="the answer of tools/list, schemas included")
+        parser.add_argument(
+            "--json", action="store_true", help="the answer of tools/list, schemas included"
+        )
         connection.add_arguments(parser)
 
     def run(self, arguments: Namespace) -> int:
@@ -26,7 +28,11 @@ class Tools:
         if arguments.json:
             print(
                 json.dumps(
-                    [tool.model_dump(mode="json", by_alias=True, exclude_none=True) for tool in listing], indent=2
+                    [
+                        tool.model_dump(mode="json", by_alias=True, exclude_none=True)
+                        for tool in listing
+                    ],
+                    indent=2,
                 )
             )
             return 0

@@ -20,7 +20,8 @@ _LOOK_S = 0.1
 
 
 class Up:
-    """Start everything that is configured, side by side, and keep it until Ctrl-C or `roboneuron down`.
+    """Start everything that is configured, side by side, and keep it until Ctrl-C or
+    `roboneuron down`.
 
     With --url the server there starts it, keeps it, and the command ends.
     """
@@ -28,8 +29,14 @@ class Up:
     def configure(self, parser: ArgumentParser) -> None:
         """Add the arguments of `roboneuron up`."""
         connection.add_arguments(parser)
-        parser.add_argument("--instruction", metavar="TEXT", help="what to do at once, such as 'pick up the red cube'")
-        parser.add_argument("--model", metavar="NAME", help="a model of the configuration, [models.NAME]")
+        parser.add_argument(
+            "--instruction",
+            metavar="TEXT",
+            help="what to do at once, such as 'pick up the red cube'",
+        )
+        parser.add_argument(
+            "--model", metavar="NAME", help="a model of the configuration, [models.NAME]"
+        )
 
     def run(self, arguments: Namespace) -> int:
         """Run `roboneuron up`."""
@@ -46,7 +53,8 @@ class Up:
 
 
 class Down:
-    """Stop everything: of the server at --url, or what `roboneuron up` keeps, together with its server.
+    """Stop everything: of the server at --url, or what `roboneuron up` keeps, together with its
+    server.
 
     Exit status 0 when everything is gone, 1 when `roboneuron up` does not run.
     """
@@ -72,7 +80,9 @@ class Down:
             if time.monotonic() > deadline_s:
                 from roboneuron import NotReadyError
 
-                raise NotReadyError(f"`roboneuron up` (pid {pid}) has not ended within {_DOWN_S:g} s.")
+                raise NotReadyError(
+                    f"`roboneuron up` (pid {pid}) has not ended within {_DOWN_S:g} s."
+                )
             time.sleep(_LOOK_S)
         print(f"ended `roboneuron up` (pid {pid}), its server and its modules")
         return 0
@@ -96,7 +106,9 @@ def keeper(path: Path) -> int | None:
 
 @contextmanager
 def _kept(folder: Path) -> Iterator[None]:
-    """Let `roboneuron down` find this process. The lock ends with the process, so an old file misleads nobody."""
+    """Let `roboneuron down` find this process. The lock ends with the process, so an old file
+    misleads nobody.
+    """
     from roboneuron import StateError
     from roboneuron.feature import make_log_directory, opener
 
@@ -105,7 +117,9 @@ def _kept(folder: Path) -> Iterator[None]:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
-            raise StateError("`roboneuron up` runs already.", hint="End it with `roboneuron down`.") from error
+            raise StateError(
+                "`roboneuron up` runs already.", hint="End it with `roboneuron down`."
+            ) from error
         file.truncate(0)
         json.dump({"pid": os.getpid()}, file)
         file.flush()
@@ -146,7 +160,9 @@ async def _start(arguments: Namespace, screen: object) -> int:
                 for robot in robots:
                     whose = f"{robot['robot']}: " if robot else ""
                     with screen.step(f"{whose}start everything") as update:
-                        answer = await session.call("start_all", {**given, **robot}, on_progress=update)
+                        answer = await session.call(
+                            "start_all", {**given, **robot}, on_progress=update
+                        )
                     for name, after_s in answer["ready_after_s"].items():
                         screen.say(f"{whose}{name} works after {after_s:.1f} s")
                 if arguments.url is None:
@@ -154,7 +170,11 @@ async def _start(arguments: Namespace, screen: object) -> int:
                     await anyio.sleep_forever()
                 group.cancel_scope.cancel()
             if arguments.url is None and ended.is_set():
-                with anyio.CancelScope(shield=True), anyio.move_on_after(_DOWN_S), screen.step("stop everything"):
+                with (
+                    anyio.CancelScope(shield=True),
+                    anyio.move_on_after(_DOWN_S),
+                    screen.step("stop everything"),
+                ):
                     for robot in robots:
                         await session.call("stop_all", robot)
     return 0
@@ -168,7 +188,9 @@ async def _stop(arguments: Namespace) -> int:
         stopped = []
         for robot in await session.robots("stop_all"):
             answer = await session.call("stop_all", robot)
-            stopped += [" of ".join([module["module"], *robot.values()]) for module in answer["stopped"]]
+            stopped += [
+                " of ".join([module["module"], *robot.values()]) for module in answer["stopped"]
+            ]
         gone = ", ".join(stopped)
         print(f"stopped {gone}" if gone else "nothing ran")
     return 0

@@ -1,4 +1,6 @@
-"""The agent stand-in: a real MCP client that knows only what tools/list and the tools' answers tell it."""
+"""The agent stand-in: a real MCP client that knows only what tools/list and the tools' answers
+tell it.
+"""
 
 from __future__ import annotations
 
@@ -47,7 +49,9 @@ class Agent:
         Raises:
             NotReadyError: the tool answered with an error; holds its text.
         """
-        result = await self._client.call_tool(tool, dict(arguments or {}), read_timeout_seconds=_CALL_TIMEOUT_S)
+        result = await self._client.call_tool(
+            tool, dict(arguments or {}), read_timeout_seconds=_CALL_TIMEOUT_S
+        )
         if result.is_error:
             texts = [part.text for part in result.content if isinstance(part, TextContent)]
             raise NotReadyError(f"{tool}: {' '.join(texts)}")

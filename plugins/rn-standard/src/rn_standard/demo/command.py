@@ -12,22 +12,38 @@ POLICIES = ("servo", "learned")
 
 
 class Demo:
-    """An agent stand-in picks up an object with the simulated robot, over MCP only; status 0 means it was lifted."""
+    """An agent stand-in picks up an object with the simulated robot, over MCP only; status 0
+    means it was lifted.
+    """
 
     def configure(self, parser: ArgumentParser) -> None:
         """Add the arguments of `roboneuron demo`."""
-        parser.add_argument("--instruction", default=DEFAULT_INSTRUCTION, help=f"default: {DEFAULT_INSTRUCTION!r}")
+        parser.add_argument(
+            "--instruction", default=DEFAULT_INSTRUCTION, help=f"default: {DEFAULT_INSTRUCTION!r}"
+        )
         parser.add_argument(
             "--policy",
             choices=POLICIES,
-            help="servo: classical visual servoing, the default; learned: the small network of rn-policy-cubes",
+            help="servo: classical visual servoing, the default; learned: the small network of "
+            "rn-policy-cubes",
         )
-        parser.add_argument("--seed", type=int, help="scene to play in; default: a new one, or that of --config")
-        parser.add_argument("--gui", action="store_true", help="show the simulator's window (needs a display)")
-        parser.add_argument("--timeout-s", type=float, default=90.0, help="give up after this long (default 90)")
-        parser.add_argument("--output", type=Path, default=Path("out/demo"), help="where film and log go")
         parser.add_argument(
-            "--config", type=Path, default=None, help="a roboneuron.toml; the embedded default without it"
+            "--seed", type=int, help="scene to play in; default: a new one, or that of --config"
+        )
+        parser.add_argument(
+            "--gui", action="store_true", help="show the simulator's window (needs a display)"
+        )
+        parser.add_argument(
+            "--timeout-s", type=float, default=90.0, help="give up after this long (default 90)"
+        )
+        parser.add_argument(
+            "--output", type=Path, default=Path("out/demo"), help="where film and log go"
+        )
+        parser.add_argument(
+            "--config",
+            type=Path,
+            default=None,
+            help="a roboneuron.toml; the embedded default without it",
         )
 
     def run(self, arguments: Namespace) -> int:

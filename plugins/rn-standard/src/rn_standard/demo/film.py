@@ -1,4 +1,6 @@
-"""A film of the front camera: an animated GIF of everything, and a strip of the most telling frames."""
+"""A film of the front camera: an animated GIF of everything, and a strip of the most telling
+frames.
+"""
 
 from __future__ import annotations
 
@@ -32,12 +34,15 @@ class Film:
         self.frames.append((at_s, caption, image))
 
     def save(self, directory: Path) -> tuple[Path, Path]:
-        """Write `film-strip.png` and `film.gif`; returns their paths. There must be at least one frame."""
+        """Write `film-strip.png` and `film.gif`; returns their paths. There must be at least
+        one frame.
+        """
         directory.mkdir(parents=True, exist_ok=True)
         strip, gif = directory / "film-strip.png", directory / "film.gif"
         sheet = self._strip()
         sheet.save(strip)
-        # One palette for all frames, by coverage: palettes of each frame by frequency lose the small coloured cubes.
+        # One palette for all frames, by coverage: palettes of each frame by frequency lose the
+        # small coloured cubes.
         palette = sheet.quantize(256, method=Image.Quantize.MAXCOVERAGE)
         images = [
             image.resize((image.width * _SCALE, image.height * _SCALE)).quantize(
@@ -47,7 +52,14 @@ class Film:
         ]
         times = [at_s for at_s, _, _ in self.frames]
         gaps = [max(_SHORTEST_FRAME_MS, round(1000 * (b - a))) for a, b in pairwise(times)]
-        images[0].save(gif, save_all=True, append_images=images[1:], duration=[*gaps, 1500], loop=0, optimize=True)
+        images[0].save(
+            gif,
+            save_all=True,
+            append_images=images[1:],
+            duration=[*gaps, 1500],
+            loop=0,
+            optimize=True,
+        )
         return strip, gif
 
     def _strip(self) -> Image.Image:
@@ -64,5 +76,9 @@ class Film:
         for index, (at_s, caption, image) in enumerate(chosen):
             x = _MARGIN_PX + index * (width + _MARGIN_PX)
             sheet.paste(image.resize((width, height)), (x, _MARGIN_PX))
-            draw.text((x + 2, height + _MARGIN_PX + 3), f"{at_s:4.1f} s  {caption}"[: width // 6], fill="black")
+            draw.text(
+                (x + 2, height + _MARGIN_PX + 3),
+                f"{at_s:4.1f} s  {caption}"[: width // 6],
+                fill="black",
+            )
         return sheet

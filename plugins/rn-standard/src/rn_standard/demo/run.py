@@ -1,4 +1,6 @@
-"""The demo's story: connect, start, instruct, watch, stop; the simulator says whether it succeeded."""
+"""The demo's story: connect, start, instruct, watch, stop; the simulator says whether it
+succeeded.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,9 @@ from roboneuron.feature import default_text, load_config
 
 _LOOK_PERIOD_S = 0.25
 _PATIENCE_S = 3.0
-"""A late image on a busy machine is reported as an error and gone with the next one; what stays this long is not."""
+"""A late image on a busy machine is reported as an error and gone with the next one; what stays
+this long is not.
+"""
 _STOPS = ("stop_inference", "stop_control", "stop_perception", "stop_robot")
 
 
@@ -57,13 +61,21 @@ def write_configuration(options: DemoOptions, directory: Path) -> Path:
         chosen["gui"] = True
     name = config.robot.name
     if twice := chosen.keys() & config.plugins.get(name, {}).keys():
-        raise ConfigurationError(f"{options.config} has {' and '.join(sorted(twice))} for {name!r} too: leave one out.")
+        raise ConfigurationError(
+            f"{options.config} has {' and '.join(sorted(twice))} for {name!r} too: leave one out."
+        )
     header = f"[plugins.{name}]\n"
     if name not in config.plugins:
         text += f"\n{header}"
     if header not in text:
-        raise ConfigurationError(f"{options.config} has options for {name!r} in a form that cannot be added to.")
-    text = text.replace(header, header + "".join(f"{key} = {json.dumps(value)}\n" for key, value in chosen.items()), 1)
+        raise ConfigurationError(
+            f"{options.config} has options for {name!r} in a form that cannot be added to."
+        )
+    text = text.replace(
+        header,
+        header + "".join(f"{key} = {json.dumps(value)}\n" for key, value in chosen.items()),
+        1,
+    )
     path = directory / "roboneuron.toml"
     path.write_text(text, encoding="utf-8")
     return path
@@ -80,7 +92,8 @@ def named_object(objects: list[SimulatedObject], instruction: str) -> SimulatedO
     if len(named) != 1:
         choices = ", ".join(sorted(thing.name for thing in objects)) or "nothing"
         raise ConfigurationError(
-            f"The instruction {options_quote(instruction)} names {len(named)} objects of this scene, expected one.",
+            f"The instruction {options_quote(instruction)} names {len(named)} objects of this "
+            "scene, expected one.",
             hint=f"On the table: {choices}.",
         )
     return named[0]
@@ -107,7 +120,9 @@ async def run_demo(options: DemoOptions, console: Console) -> bool:
             await _stop_everything(agent, screen)
     if film.frames:
         strip, gif = film.save(options.output)
-        console.print(f"  film strip  {strip}\n  film        {gif}\n  server log  {log_path}", highlight=False)
+        console.print(
+            f"  film strip  {strip}\n  film        {gif}\n  server log  {log_path}", highlight=False
+        )
     return success
 
 
@@ -115,7 +130,11 @@ async def _play(agent: Agent, options: DemoOptions, screen: Screen, film: Film) 
     with screen.step("connect to the MCP server") as told:
         tools = await agent.tools()
         told.append(f"{len(tools)} typed tools")
-    for module, tool in (("robot", "start_robot"), ("perception", "start_perception"), ("control", "start_control")):
+    for module, tool in (
+        ("robot", "start_robot"),
+        ("perception", "start_perception"),
+        ("control", "start_control"),
+    ):
         with screen.step(f"start {module}") as told:
             started_s = time.monotonic()
             await agent.call(tool)
@@ -166,8 +185,10 @@ async def _watch(
     success = thing.held_s >= HOLD_GOAL_S
     verdict = "[bold green]lifted[/]" if success else "[bold red]not lifted[/]"
     screen.console.print(
-        f"  {'✓' if success else '✗'} the simulator says: {name} {verdict} by {thing.lifted_m * 100:.1f} cm,"
-        f" held for {thing.held_s:.1f} s (needed {LIFT_GOAL_M * 100:.0f} cm for {HOLD_GOAL_S:.0f} s)",
+        f"  {'✓' if success else '✗'} the simulator says: {name} {verdict} by "
+        f"{thing.lifted_m * 100:.1f} cm,"
+        f" held for {thing.held_s:.1f} s (needed {LIFT_GOAL_M * 100:.0f} cm for {HOLD_GOAL_S:.0f} "
+        "s)",
         highlight=False,
     )
     return success, status

@@ -30,7 +30,11 @@ class Screen:
         self.console.print()
         self.console.print(
             Panel(
-                Text.assemble(("An agent asks a simulated robot to ", ""), (f"{instruction}", "bold"), f"  ({scene})"),
+                Text.assemble(
+                    ("An agent asks a simulated robot to ", ""),
+                    (f"{instruction}", "bold"),
+                    f"  ({scene})",
+                ),
                 title="[bold]RoboNeuron[/bold]",
                 border_style="cyan",
                 expand=False,
@@ -39,7 +43,9 @@ class Screen:
 
     @contextmanager
     def step(self, what: str) -> Iterator[list[str]]:
-        """Show a spinner while the block runs, then a tick and what it appended to the list; a cross if it fails."""
+        """Show a spinner while the block runs, then a tick and what it appended to the list; a
+        cross if it fails.
+        """
         told: list[str] = []
         try:
             with self.console.status(f"{what} …", spinner="dots"):
@@ -48,7 +54,9 @@ class Screen:
             self.console.print(Text.assemble(("  ✗ ", "bold red"), what))
             raise
         note = f"  {told[0]}" if told else ""
-        self.console.print(Text.assemble(("  ✓ ", "bold green"), what, (note, "dim")), highlight=False)
+        self.console.print(
+            Text.assemble(("  ✓ ", "bold green"), what, (note, "dim")), highlight=False
+        )
 
     def say(self, text: str) -> None:
         """One indented line."""
@@ -60,17 +68,27 @@ class Screen:
         with Live(console=self.console, refresh_per_second=5, transient=True) as live:
             yield live
 
-    def progress(self, name: str, lifted_m: float, held_s: float, note: str, elapsed_s: float) -> Group:
+    def progress(
+        self, name: str, lifted_m: float, held_s: float, note: str, elapsed_s: float
+    ) -> Group:
         """How far the named object has come."""
         lift = Table.grid(padding=(0, 1))
-        lift.add_row("    lifted", _bar(lifted_m, LIFT_GOAL_M), f"{max(0.0, lifted_m) * 100:5.1f} cm")
+        lift.add_row(
+            "    lifted", _bar(lifted_m, LIFT_GOAL_M), f"{max(0.0, lifted_m) * 100:5.1f} cm"
+        )
         lift.add_row("    held", _bar(held_s, HOLD_GOAL_S), f"{held_s:5.1f} s")
-        head = Text.assemble((f"    {elapsed_s:4.0f} s  ", "dim"), (note or "…", "bold"), (f"   [{name} cube]", "dim"))
+        head = Text.assemble(
+            (f"    {elapsed_s:4.0f} s  ", "dim"),
+            (note or "…", "bold"),
+            (f"   [{name} cube]", "dim"),
+        )
         return Group(head, lift)
 
     def summary(self, modules: Sequence[Mapping[str, Any]]) -> None:
         """Rates and latencies of the modules while they worked."""
-        table = Table(title="While it worked", title_style="bold", title_justify="left", header_style="dim")
+        table = Table(
+            title="While it worked", title_style="bold", title_justify="left", header_style="dim"
+        )
         table.add_column("process", no_wrap=True)
         for column in ("pid", "rate", "median", "p99", "sent", "dropped"):
             table.add_column(column, justify="right", no_wrap=True)

@@ -1,4 +1,6 @@
-"""The allow list of direct motion: what the robot's profile and features expose, checked together, in force at once."""
+"""The allow list of direct motion: what the robot's profile and features expose, checked
+together, in force at once.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +43,10 @@ class ArmPaths:
     """Makes a judge of joint motions per arm when the first one comes; usable from any thread."""
 
     def __init__(
-        self, config: Config, registry: Callable[[], Registry], limits: Callable[[], LimitsConfig] | None = None
+        self,
+        config: Config,
+        registry: Callable[[], Registry],
+        limits: Callable[[], LimitsConfig] | None = None,
     ) -> None:
         """Args:
         config: of the server; other arms than its own have the limits' defaults and their profile.
@@ -67,18 +72,22 @@ class ArmPaths:
         """The judge of an arm; imports the controller's libraries the first time.
 
         Raises:
-            ConfigurationError, MissingDependencyError, PluginError: there is no controller for it; its joint motions
-                are refused then.
+            ConfigurationError, MissingDependencyError, PluginError: there is no controller for it;
+                its joint motions are refused then.
         """
         name = self._controller(robot)
         with self._lock:
             if (robot, name) not in self._made:
                 controller, limited = self.load(robot, profile)
-                self._made[robot, name] = PathLimiter(self.rules(robot, profile), limited, inspector_of(controller))
+                self._made[robot, name] = PathLimiter(
+                    self.rules(robot, profile), limited, inspector_of(controller)
+                )
             return self._made[robot, name]
 
     def load(self, robot: str, profile: RobotProfile) -> tuple[Controller, RobotProfile]:
-        """A controller of an arm for one user, and the profile with the collisions in force. Raises as `limiter`."""
+        """A controller of an arm for one user, and the profile with the collisions in force.
+        Raises as `limiter`.
+        """
         limited = replace(profile, collision=collision_of(self._limits(robot), profile))
         name = self._controller(robot)
         spec = self._registry().get("controller", name)
@@ -95,7 +104,8 @@ class ArmPaths:
         names = sorted(self._registry().specs("controller"))
         if len(names) != 1:
             raise ConfigurationError(
-                f"Nothing tells where the joints would bring {robot!r}: the configuration names no controller"
+                f"Nothing tells where the joints would bring {robot!r}: the configuration names "
+                "no controller"
                 + (f", installed are {', '.join(names)}." if names else " and none is installed."),
                 hint="Install one (rn-controller-urdf) and name it in [control].",
             )
@@ -105,8 +115,8 @@ class ArmPaths:
 class AllowList:
     """Endpoints by who exposes them; usable from any thread.
 
-    Until a feature exposes others instead, these are the endpoints of the robot's profile. Limits belong to topics:
-    two features that expose one topic share every limit of both.
+    Until a feature exposes others instead, these are the endpoints of the robot's profile. Limits
+    belong to topics: two features that expose one topic share every limit of both.
 
     Attributes:
         exposed: what is in force; the action topic of an arm is among it, hidden.
@@ -137,16 +147,20 @@ class AllowList:
         self._changed: Event[[]] = Event()
         self.on_change = self._changed.listen
 
-    def expose(self, owner: str, endpoints: Sequence[Exposed], *, instead_of_profile: bool = False) -> None:
+    def expose(
+        self, owner: str, endpoints: Sequence[Exposed], *, instead_of_profile: bool = False
+    ) -> None:
         """Have these endpoints of an owner and no others of it.
 
         Args:
             owner: name of the feature.
             endpoints: with names and limits.
-            instead_of_profile: the endpoints of the robot's profile are exposed only if they are among these.
+            instead_of_profile: the endpoints of the robot's profile are exposed only if they are
+                among these.
 
         Raises:
-            ConfigurationError: one may not be exposed, or two contradict each other; the old list stays.
+            ConfigurationError: one may not be exposed, or two contradict each other; the old list
+                stays.
             PluginError, MissingDependencyError: the robot's profile cannot be loaded.
         """
         with self._lock:
@@ -168,18 +182,26 @@ class AllowList:
             self._paths.forget()
 
     def refresh(self) -> None:
-        """Expose the present robot's profile, unless a feature exposes others instead. Raises as `expose`."""
+        """Expose the present robot's profile, unless a feature exposes others instead. Raises
+        as `expose`.
+        """
         with self._lock:
             if not self._instead:
                 self._apply()
         self._changed.tell()
 
     def _apply(self) -> None:
-        listed = [*self._profile(), *(e for endpoints in self._by_owner.values() for e in endpoints)]
+        listed = [
+            *self._profile(),
+            *(e for endpoints in self._by_owner.values() for e in endpoints),
+        ]
         if len(self._by_owner) > 1 or not self._instead:
             listed = same_for_each_topic(listed, {})
         config = self._config()
-        robots = {config.namespace: config.robot.name, **{e.namespace: e.robot for e in listed if not e.hidden}}
+        robots = {
+            config.namespace: config.robot.name,
+            **{e.namespace: e.robot for e in listed if not e.hidden},
+        }
         names: set[tuple[str, str]] = set()
         for exposed in listed:
             check_reserved(exposed, robots)
@@ -187,9 +209,13 @@ class AllowList:
             check_stop(exposed)
             name = exposed.robot, exposed.endpoint.name
             if name in names:
-                raise ConfigurationError(f"Two endpoints of {exposed.robot!r} are called {exposed.endpoint.name!r}.")
+                raise ConfigurationError(
+                    f"Two endpoints of {exposed.robot!r} are called {exposed.endpoint.name!r}."
+                )
             names.add(name)
-        arm = next((e for e in listed if e.robot == config.robot.name and e.profile is not None), None)
+        arm = next(
+            (e for e in listed if e.robot == config.robot.name and e.profile is not None), None
+        )
         action = action_endpoint(arm) if arm is not None else None
         made = (*listed, action) if action is not None else tuple(listed)
         self._gate.replace(map(self._allowed, made))
@@ -203,9 +229,13 @@ class AllowList:
         return profile_endpoints(name, config.namespace, load_profile(registry, name))
 
     def _allowed(self, exposed: Exposed) -> AllowedEndpoint:
-        """The entry of the gate; joint motions of an arm with a TCP get the limits that actions have."""
+        """The entry of the gate; joint motions of an arm with a TCP get the limits that actions
+        have.
+        """
         entry, profile = exposed.allowed(), exposed.profile
         if not exposed.endpoint.joint_limited or profile is None or not profile.tcp_link:
             return entry
         rules = self._paths.rules(exposed.robot, profile)
-        return replace(entry, rules=rules, path=partial(self._paths.limiter, exposed.robot, profile))
+        return replace(
+            entry, rules=rules, path=partial(self._paths.limiter, exposed.robot, profile)
+        )

@@ -1,4 +1,6 @@
-"""Motion that lasts: one owner per robot, ended by the emergency stop, a cancelled call, or a policy that starts."""
+"""Motion that lasts: one owner per robot, ended by the emergency stop, a cancelled call, or a
+policy that starts.
+"""
 
 from __future__ import annotations
 
@@ -16,9 +18,13 @@ from roboneuron import NotReadyError, RefusedError, RoboNeuronError, StateError
 from roboneuron.feature import MotionStarts
 
 _FROZEN_S = 2.0
-"""Modules hold the robot after such a silence of the server; a motion looks at its end every 10 ms."""
+"""Modules hold the robot after such a silence of the server; a motion looks at its end every 10
+ms.
+"""
 POLL_S = 0.01
-"""How often lasting motion looks at the latch; together with one publish it is well within 50 ms."""
+"""How often lasting motion looks at the latch; together with one publish it is well within 50
+ms.
+"""
 
 
 class Ending(StrEnum):
@@ -53,13 +59,16 @@ class MotionEnd:
     sent: int = 0
 
     def check(self) -> None:
-        """Raise an error of the cause's kind that tells how the motion ended, unless it came to its end."""
+        """Raise an error of the cause's kind that tells how the motion ended, unless it came to
+        its end.
+        """
         if self.cause is None:
             return
         total = "" if self.total_s is None else f" of {self.total_s:.2f}"
         details = f" ({self.details})" if self.details else ""
         raise type(self.cause)(
-            f"Ended after {self.after_s:.2f}{total} s, {self.ending}{details}: {self.cause.message}",
+            f"Ended after {self.after_s:.2f}{total} s, {self.ending}{details}: "
+            f"{self.cause.message}",
             hint=self.cause.hint,
         ) from self.cause
 
@@ -85,21 +94,25 @@ class Motion:
         self._policy = policy
         self._end_reason = ""
         self.stop_now: Callable[[], object] = lambda: None
-        """Sends the stop message; set while there is one to send. Whoever presses the emergency stop calls it, whether
-        or not the thread that plays this gets to run, and the thread sends it again when it does."""
+        """Sends the stop message; set while there is one to send. Whoever presses the emergency
+        stop calls it, whether or not the thread that plays this gets to run, and the thread sends
+        it again when it does."""
 
     def check(self) -> None:
         """Raise when it has to end.
 
         Raises:
             RefusedError: the emergency stop is latched, or the audit failed.
-            StateError: the call was cancelled, a policy took over, the robot was stopped or has lost a module since
+            StateError: the call was cancelled, a policy took over, the robot was stopped or has
+                lost a module since
                 this motion began, or this process was frozen: it is not resumed.
         """
         self._gate.check_running()
         frozen_s, self._looked_s = time.monotonic() - self._looked_s, time.monotonic()
         if frozen_s > _FROZEN_S:
-            raise StateError(f"The server was frozen for {frozen_s:.1f} s; the motion is not resumed.")
+            raise StateError(
+                f"The server was frozen for {frozen_s:.1f} s; the motion is not resumed."
+            )
         if self._halt.is_set():
             self._gate.check_running()  # the stop was pressed since the look above
             raise StateError(self._end_reason or "The call was cancelled.")
@@ -140,7 +153,8 @@ class MotionArbiter:
         gate: asked whether motion may go on.
         policy: says, in a sentence, which policy moves the endpoint's robot; empty when none does.
         starts: knows of stops.
-        is_followed: whether control still follows actions: it will hold, and a hold would end another motion.
+        is_followed: whether control still follows actions: it will hold, and a hold would end
+            another motion.
         hold_s: longest wait for that hold.
         """
         self._is_followed, self._hold_s = is_followed, hold_s
@@ -155,7 +169,8 @@ class MotionArbiter:
 
     def _stop_now(self) -> None:
         """The stop was pressed in this process: send what ends each motion."""
-        for motion in list(self._moving.values()):  # one step of the interpreter: no lock that somebody could hold
+        # one step of the interpreter: no lock that somebody could hold
+        for motion in list(self._moving.values()):
             motion.stop_now()
 
     def _wake(self) -> None:
@@ -169,17 +184,21 @@ class MotionArbiter:
         return any(motion.exposed.moves for motion in list(self._moving.values()))
 
     def check_free(self, exposed: Exposed) -> None:
-        """Raise RefusedError while a policy or another call moves the robot; endpoints that move nothing are free."""
+        """Raise RefusedError while a policy or another call moves the robot; endpoints that
+        move nothing are free.
+        """
         if not exposed.moves:
             return
         policy = self._policy(exposed)
         if policy:
-            self._gate.latch.check(" Nothing was sent.")  # this reason first: without the policy nothing moved either
+            # this reason first: without the policy nothing moved either
+            self._gate.latch.check(" Nothing was sent.")
             raise RefusedError(policy, hint="Call stop_inference first.")
         other = self._moving.get(exposed.robot)
         if other is not None:
             raise RefusedError(
-                f"{other.what} moves {exposed.robot!r} now.", hint="Wait for its end, or cancel that call."
+                f"{other.what} moves {exposed.robot!r} now.",
+                hint="Wait for its end, or cancel that call.",
             )
 
     @contextmanager
@@ -211,7 +230,9 @@ class MotionArbiter:
         with self._lock:
             self.check_free(exposed)
             if key in self._moving:
-                raise RefusedError(f"{self._moving[key].what} uses {exposed.topic} now.", hint="Wait for its end.")
+                raise RefusedError(
+                    f"{self._moving[key].what} uses {exposed.topic} now.", hint="Wait for its end."
+                )
             self._moving[key] = motion
         try:
             if exposed.moves and exposed.label != ACTION_LABEL:
@@ -233,10 +254,16 @@ class MotionArbiter:
                 )
             motion.sleep_until(time.monotonic() + POLL_S)
 
-    def end_all(self, reason: str, timeout_s: float, which: Callable[[Exposed], bool] = lambda exposed: True) -> bool:
-        """End every motion (through the endpoints that are meant) and wait; False when one did not end in time."""
+    def end_all(
+        self, reason: str, timeout_s: float, which: Callable[[Exposed], bool] = lambda exposed: True
+    ) -> bool:
+        """End every motion (through the endpoints that are meant) and wait; False when one did
+        not end in time.
+        """
         with self._idle:
             ended = [motion for motion in self._moving.values() if which(motion.exposed)]
             for motion in ended:
                 motion.end(reason)
-            return self._idle.wait_for(lambda: not any(m in ended for m in self._moving.values()), timeout_s)
+            return self._idle.wait_for(
+                lambda: not any(m in ended for m in self._moving.values()), timeout_s
+            )

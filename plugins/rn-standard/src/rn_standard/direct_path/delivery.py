@@ -1,4 +1,6 @@
-"""Truthful delivery: command by command, when each is due, and brought to an end whatever happens."""
+"""Truthful delivery: command by command, when each is due, and brought to an end whatever
+happens.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,15 @@ from rn_standard.direct_path.arbiter import Ending, Motion, MotionEnd
 from rn_standard.direct_path.exposed import ACTION_LABEL
 from rn_standard.direct_path.gate import Gate
 from rn_standard.direct_path.request import GateRequest, Verdict
-from roboneuron import JointCommand, JointSample, NotReadyError, RefusedError, RoboNeuronError, RobotProfile, StateError
+from roboneuron import (
+    JointCommand,
+    JointSample,
+    NotReadyError,
+    RefusedError,
+    RoboNeuronError,
+    RobotProfile,
+    StateError,
+)
 
 if TYPE_CHECKING:
     from rn_standard.direct_path.writer import TopicWriter
@@ -31,8 +41,8 @@ class Command:
     """What a motion does next.
 
     Attributes:
-        message: what is sent; None when only time passes. One that is not in the gate's request is judged by the
-            gate before it is sent.
+        message: what is sent; None when only time passes. One that is not in the gate's request is
+            judged by the gate before it is sent.
         due_s: monotonic time of the next command [s].
         stamped: its header is to carry the time of sending.
     """
@@ -62,10 +72,18 @@ class Sent:
 
 
 def run(
-    motion: Motion, writer: TopicWriter, gate: Gate, request: GateRequest, commands: Iterable[Command], *,
-    joints: Callable[[], JointSample | None], total_s: float, details: Callable[[], str],
-) -> MotionEnd:  # fmt: skip
-    """Send each command when it is due, and end the motion, whatever happens; see `MotionGate.play`.
+    motion: Motion,
+    writer: TopicWriter,
+    gate: Gate,
+    request: GateRequest,
+    commands: Iterable[Command],
+    *,
+    joints: Callable[[], JointSample | None],
+    total_s: float,
+    details: Callable[[], str],
+) -> MotionEnd:
+    """Send each command when it is due, and end the motion, whatever happens; see
+    `MotionGate.play`.
 
     Args:
         motion: owned by the caller.
@@ -90,7 +108,9 @@ def run(
             motion.check()
             if command.message is not None:
                 if sent and exposed.require_subscriber and not writer.matched():
-                    raise NotReadyError(f"The subscriber of {exposed.topic} is gone.", hint="Look at get_status.")
+                    raise NotReadyError(
+                        f"The subscriber of {exposed.topic} is gone.", hint="Look at get_status."
+                    )
                 if id(command.message) not in judged:
                     gate.check_next(replace(request, messages=(command.message,)))
                 send(writer, command.message, command.stamped)
@@ -125,12 +145,17 @@ def send(writer: TopicWriter, message: Any, stamped: bool) -> None:
 
 
 def _end(
-    motion: Motion, writer: TopicWriter, last: Any, joints: Callable[[], JointSample | None], moving: bool
+    motion: Motion,
+    writer: TopicWriter,
+    last: Any,
+    joints: Callable[[], JointSample | None],
+    moving: bool,
 ) -> Ending:
     """Send what ends the motion, where something has to be and can be sent.
 
-    The stop message was checked when the endpoint was exposed; no gate holds it or a hold back. Joints that have come
-    to the end of their command need none, unless it was one of velocities. Control holds the arm once actions stop.
+    The stop message was checked when the endpoint was exposed; no gate holds it or a hold back.
+    Joints that have come to the end of their command need none, unless it was one of velocities.
+    Control holds the arm once actions stop.
     """
     exposed = motion.exposed
     message = exposed.stop_message(time.time_ns())
@@ -149,14 +174,19 @@ def _end(
 
 
 def _is_velocity(message: Any) -> bool:
-    """Whether a joint command is a JointState of velocities only, which a robot follows until it gets another one."""
-    return hasattr(message, "velocity") and bool(len(message.velocity)) and not len(message.position)
+    """Whether a joint command is a JointState of velocities only, which a robot follows until
+    it gets another one.
+    """
+    return (
+        hasattr(message, "velocity") and bool(len(message.velocity)) and not len(message.position)
+    )
 
 
 def _hold(message: Any, joints: JointSample | None, profile: RobotProfile | None) -> Any:
     """What keeps the joints of a command where they were measured; None when one of them was not.
 
-    The gripper is left to its last command: fingers that are told to be where an object blocks them lose their force.
+    The gripper is left to its last command: fingers that are told to be where an object blocks them
+        lose their force.
     """
     if _is_velocity(message):
         return type(message)(name=list(message.name), velocity=[0.0] * len(message.name))

@@ -20,8 +20,8 @@ class Derived(Shape[M_co]):
 
     Attributes:
         model: what a call is parsed into, or what a tool returns.
-        properties: JSON schema of each field that is used, laid over the model's own; `enum` and `maximum` are checked.
-            Results leave out what their handler did not set.
+        properties: JSON schema of each field that is used, laid over the model's own; `enum` and
+            `maximum` are checked. Results leave out what their handler did not set.
         required: names of the fields that must be given.
     """
 
@@ -30,24 +30,35 @@ class Derived(Shape[M_co]):
     required: Sequence[str] = ()
 
     def schema(self, own: Schema) -> Schema:
-        """The strict JSON schema of the fields that are used, with the definitions that they use."""
+        """The strict JSON schema of the fields that are used, with the definitions that they
+        use.
+        """
         definitions: Schema = {}
         properties: dict[str, Schema] = {}
         for name, part in self.properties.items():
             entry = {**own["properties"].get(name, {}), **part}
             definitions |= entry.pop("$defs", {})
             properties[name] = entry
-        used = repr(properties) if "$defs" in own else ""  # made for each call: costs as much as a small message
-        definitions |= {name: entry for name, entry in own.get("$defs", {}).items() if f"#/$defs/{name}'" in used}
+        # made for each call: costs as much as a small message
+        used = repr(properties) if "$defs" in own else ""
+        definitions |= {
+            name: entry
+            for name, entry in own.get("$defs", {}).items()
+            if f"#/$defs/{name}'" in used
+        }
         schema: Schema = {"type": "object", "properties": properties, "additionalProperties": False}
         if self.required:
             schema["required"] = list(self.required)
         return {**schema, "$defs": definitions} if definitions else schema
 
     def check(self, name: str, value: object) -> None:
-        """Raise InvalidInputError for a value that is not in the field's `enum`, or above its `maximum`."""
+        """Raise InvalidInputError for a value that is not in the field's `enum`, or above its
+        `maximum`.
+        """
         schema = self.properties[name]
         if "enum" in schema and value not in schema["enum"]:
             raise no_choice(name, value, schema["enum"])
         if isinstance(value, int | float) and value > schema.get("maximum", value):
-            raise InvalidInputError(f"Argument {name!r} is {value:g}, expected up to {schema['maximum']:g}.", path=name)
+            raise InvalidInputError(
+                f"Argument {name!r} is {value:g}, expected up to {schema['maximum']:g}.", path=name
+            )

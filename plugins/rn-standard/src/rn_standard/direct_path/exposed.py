@@ -1,4 +1,6 @@
-"""Endpoints that agents may use, each with its limits, which belong to the topic; some topics are never exposed."""
+"""Endpoints that agents may use, each with its limits, which belong to the topic; some topics
+are never exposed.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,14 @@ from typing import Any
 
 from rn_standard.direct_path.fields import filled, load_type
 from rn_standard.direct_path.request import AllowedEndpoint, GateRequest
-from roboneuron import CallContext, ConfigurationError, Endpoint, InvalidInputError, JointSample, RobotProfile
+from roboneuron import (
+    CallContext,
+    ConfigurationError,
+    Endpoint,
+    InvalidInputError,
+    JointSample,
+    RobotProfile,
+)
 from roboneuron.feature import (
     ACTION,
     DIAGNOSTICS,
@@ -37,7 +46,9 @@ _OWN_TOPICS = re.compile(
     rf"{ACTION}|{JOINT_STATES}|{EE_POSE}|{PREDICTIONS}|{camera_image('[^/]+')}|{camera_info('[^/]+')}"
     rf"|({'|'.join(MODULE_KINDS)})(_b)?/transition_event"
 )
-"""Written by RoboNeuron's own modules below a robot's namespace; a second writer would pass for them."""
+"""Written by RoboNeuron's own modules below a robot's namespace; a second writer would pass for
+them.
+"""
 _SYSTEM_TOPICS = frozenset({DIAGNOSTICS, "/rosout", "/parameter_events"})
 """Health of the modules, and what ROS itself tells."""
 ACTION_LABEL = "ee_delta"
@@ -108,24 +119,41 @@ class Exposed:
 def profile_endpoints(robot: str, namespace: str, profile: RobotProfile | None) -> list[Exposed]:
     """The endpoints that a robot's profile offers; none without a profile."""
     return [
-        Exposed(robot=robot, namespace=namespace, label=endpoint.name, endpoint=endpoint, profile=profile)
+        Exposed(
+            robot=robot,
+            namespace=namespace,
+            label=endpoint.name,
+            endpoint=endpoint,
+            profile=profile,
+        )
         for endpoint in (profile.endpoints if profile is not None else ())
     ]
 
 
 def action_endpoint(exposed: Exposed) -> Exposed | None:
-    """The action topic of the robot of `exposed`, when that is an arm with a TCP: what control follows."""
+    """The action topic of the robot of `exposed`, when that is an arm with a TCP: what control
+    follows.
+    """
     profile = exposed.profile
     if profile is None or not (profile.arm_joints and profile.tcp_link):
         return None
     endpoint = Endpoint(
-        name=ACTION_LABEL, kind="publish", topic=ACTION, type=_ACTION_TYPE, summary="TCP deltas for control.",
-        bounds={"data": (-1.0, 1.0)}, rate_hz=20.0,
-    )  # fmt: skip
+        name=ACTION_LABEL,
+        kind="publish",
+        topic=ACTION,
+        type=_ACTION_TYPE,
+        summary="TCP deltas for control.",
+        bounds={"data": (-1.0, 1.0)},
+        rate_hz=20.0,
+    )
     return Exposed(
-        robot=exposed.robot, namespace=exposed.namespace, label=ACTION_LABEL, endpoint=endpoint,
-        profile=profile, hidden=True,
-    )  # fmt: skip
+        robot=exposed.robot,
+        namespace=exposed.namespace,
+        label=ACTION_LABEL,
+        endpoint=endpoint,
+        profile=profile,
+        hidden=True,
+    )
 
 
 def check_stop(exposed: Exposed) -> None:
@@ -139,7 +167,9 @@ def check_stop(exposed: Exposed) -> None:
         exposed.stop_message(0)
     except InvalidInputError as error:
         raise ConfigurationError(f"{where}: {error}") from error
-    outside = [path for path, (low, high) in exposed.endpoint.bounds.items() if not low <= 0.0 <= high]
+    outside = [
+        path for path, (low, high) in exposed.endpoint.bounds.items() if not low <= 0.0 <= high
+    ]
     if exposed.endpoint.stop_message == "zero" and outside:
         raise ConfigurationError(f"{where} is zero, which the bounds of {outside[0]} do not allow.")
 
@@ -155,18 +185,25 @@ def check_owner(topic: str, robot: str, namespaces: Mapping[str, str]) -> str:
     Raises:
         ConfigurationError: it is another robot's, whose limits and whose policy would not count.
     """
-    owner = max((space for space in namespaces if topic.startswith(f"/{space}/")), key=len, default="")
+    owner = max(
+        (space for space in namespaces if topic.startswith(f"/{space}/")), key=len, default=""
+    )
     if owner and namespaces[owner] != robot:
         raise ConfigurationError(
-            f"{topic} is of the robot {namespaces[owner]!r}, so it can only be exposed for that robot.",
+            f"{topic} is of the robot {namespaces[owner]!r}, so it can only be exposed for that "
+            "robot.",
             hint=f"Set robot = {namespaces[owner]!r}.",
         )
     return owner
 
 
 def is_module(node: str, owner: str) -> bool:
-    """Whether a node in a robot's namespace `owner` is a module of RoboNeuron, which the supervisor alone sets."""
-    return node.removeprefix(f"/{owner}/") in {f"{kind}{end}" for kind in MODULE_KINDS for end in ("", "_b")}
+    """Whether a node in a robot's namespace `owner` is a module of RoboNeuron, which the
+    supervisor alone sets.
+    """
+    return node.removeprefix(f"/{owner}/") in {
+        f"{kind}{end}" for kind in MODULE_KINDS for end in ("", "_b")
+    }
 
 
 def check_reserved(exposed: Exposed, namespaces: Mapping[str, str]) -> None:
@@ -176,15 +213,20 @@ def check_reserved(exposed: Exposed, namespaces: Mapping[str, str]) -> None:
     if kind == "read":
         return
     where = f"Endpoint {exposed.label!r}: {topic}"
-    own = topic in _SYSTEM_TOPICS or (bool(owner) and _is_own(topic.removeprefix(f"/{owner}/"), exposed.profile))
+    own = topic in _SYSTEM_TOPICS or (
+        bool(owner) and _is_own(topic.removeprefix(f"/{owner}/"), exposed.profile)
+    )
     if topic.rpartition("/")[2] == EMERGENCY_STOP_TOPIC or (own and kind == "publish"):
         raise ConfigurationError(
             f"{where} is written by RoboNeuron alone and cannot be exposed for kind = {kind!r}.",
             hint="Agents stop the robot with emergency_stop and move an arm with move_ee.",
         )
-    is_setting = exposed.hidden and exposed.endpoint.type == SET_PARAMETERS  # a tool that names the parameters
+    # a tool that names the parameters
+    is_setting = exposed.hidden and exposed.endpoint.type == SET_PARAMETERS
     if is_setting and owner and is_module(topic.rpartition("/")[0], owner):
-        raise ConfigurationError(f"{where} is of a module of RoboNeuron, which the supervisor alone sets.")
+        raise ConfigurationError(
+            f"{where} is of a module of RoboNeuron, which the supervisor alone sets."
+        )
     if kind == "service" and not is_setting and _SERVICE_OF_A_NODE.search(topic):
         raise ConfigurationError(
             f"{where} is a parameter or lifecycle service and cannot be exposed as such.",
@@ -193,12 +235,16 @@ def check_reserved(exposed: Exposed, namespaces: Mapping[str, str]) -> None:
 
 
 def _is_own(topic: str, profile: RobotProfile | None) -> bool:
-    """Whether a topic in a robot's namespace is written by a module, a driver or a simulation of RoboNeuron."""
+    """Whether a topic in a robot's namespace is written by a module, a driver or a simulation
+    of RoboNeuron.
+    """
     if _OWN_TOPICS.fullmatch(topic):
         return True
     if profile is None:
         return False
-    return topic in profile.own_topics or any(e.topic == topic for e in profile.endpoints if e.kind == "read")
+    return topic in profile.own_topics or any(
+        e.topic == topic for e in profile.endpoints if e.kind == "read"
+    )
 
 
 def by_topic(endpoints: Iterable[Exposed]) -> dict[Use, list[Exposed]]:
@@ -237,11 +283,14 @@ def tightened_by(endpoint: Endpoint, other: Endpoint) -> Endpoint:
     )
 
 
-def same_for_each_topic(drafts: Iterable[Exposed], sources: Mapping[Use, Iterable[Exposed]]) -> list[Exposed]:
+def same_for_each_topic(
+    drafts: Iterable[Exposed], sources: Mapping[Use, Iterable[Exposed]]
+) -> list[Exposed]:
     """Every name of a topic with the limits of all of them.
 
     Args:
-        drafts: what is exposed; it moves the robot if one of its names does, and takes only what all may hold.
+        drafts: what is exposed; it moves the robot if one of its names does, and takes only what
+            all may hold.
         sources: more that limits topics, exposed or not.
     """
     listed = list(drafts)
@@ -259,10 +308,17 @@ def same_for_each_topic(drafts: Iterable[Exposed], sources: Mapping[Use, Iterabl
 
 
 def gate_request(
-    context: CallContext, tool: str, exposed: Exposed, messages: Sequence[Any], arguments: Mapping[str, Any], *,
-    joints: JointSample | None = None, durations_s: Sequence[float] = (),
-    send_at_s: Sequence[float] = (), dry_run: bool = False,
-) -> GateRequest:  # fmt: skip
+    context: CallContext,
+    tool: str,
+    exposed: Exposed,
+    messages: Sequence[Any],
+    arguments: Mapping[str, Any],
+    *,
+    joints: JointSample | None = None,
+    durations_s: Sequence[float] = (),
+    send_at_s: Sequence[float] = (),
+    dry_run: bool = False,
+) -> GateRequest:
     """What the gate is asked for this call."""
     return GateRequest(
         who=context.who,

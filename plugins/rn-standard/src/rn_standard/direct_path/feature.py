@@ -1,4 +1,6 @@
-"""The feature: builds the one gate of a server, lends it as `host.gate`, and ends every motion that passed it."""
+"""The feature: builds the one gate of a server, lends it as `host.gate`, and ends every motion
+that passed it.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,8 @@ _REPORTED_S = 1.5
 
 
 class DirectPath(Feature[None]):
-    """The gate of the direct path. It adds no tool: features that do hand what is to be sent to `host.gate`.
+    """The gate of the direct path. It adds no tool: features that do hand what is to be sent to
+    `host.gate`.
 
     Attributes:
         judge: decides on every request.
@@ -52,13 +55,17 @@ class DirectPath(Feature[None]):
         """None; builds the gate, which allows nothing until something is exposed."""
         self._host = host
         stop, server = host.loop.emergency_stop, host.config.server
-        self.judge = Gate((), latch=stop.file, audit=host.audit, clock=time.monotonic, dry_run=server.dry_run)
+        self.judge = Gate(
+            (), latch=stop.file, audit=host.audit, clock=time.monotonic, dry_run=server.dry_run
+        )
         control = host.config.control
         self.arbiter = MotionArbiter(
             self.judge, self._policy, host.loop.starts,
             self._is_followed, _REPORTED_S + (0.0 if control is None else control.action_timeout_s),
         )  # fmt: skip
-        self.allow_list = AllowList(self.judge, lambda: host.config, lambda: host.registry, lambda: host.loop.limits)
+        self.allow_list = AllowList(
+            self.judge, lambda: host.config, lambda: host.registry, lambda: host.loop.limits
+        )
         traffic = Traffic(lambda: host.supervisor.link)
         self._gate = MotionGate(
             self.judge, self.arbiter, traffic, self.allow_list, server.max_duration_s,
@@ -69,11 +76,15 @@ class DirectPath(Feature[None]):
         return ()
 
     def complete(self, host: Host) -> None:
-        """Expose the robot's profile, unless a feature has exposed others instead. Raises as `AllowList.expose`."""
+        """Expose the robot's profile, unless a feature has exposed others instead. Raises as
+        `AllowList.expose`.
+        """
         self.allow_list.refresh()
 
     def end_motion(self, reason: str, timeout_s: float) -> bool:
-        """End every motion that passed the gate with its stop message; False when one did not end in time."""
+        """End every motion that passed the gate with its stop message; False when one did not
+        end in time.
+        """
         return self._gate is None or self.arbiter.end_all(reason, timeout_s)
 
     def close(self) -> None:
@@ -83,7 +94,9 @@ class DirectPath(Feature[None]):
             self.end_motion("The direct path is closed.", _CLOSE_S)
 
     def _permit(self, exposed: Exposed) -> None:
-        """Somebody asks for motion: robot and control obey again after a stop. Raises as `MotionStarts.permit`."""
+        """Somebody asks for motion: robot and control obey again after a stop. Raises as
+        `MotionStarts.permit`.
+        """
         if exposed.moves and exposed.namespace == self._host.config.namespace:
             self._host.loop.starts.permit()
 
@@ -97,11 +110,20 @@ class DirectPath(Feature[None]):
         return f"The policy {view.choice.names.get('backend', '')!r} moves {exposed.robot!r}."
 
     def _is_followed(self, exposed: Exposed) -> bool:
-        """Whether control has acted since it held last; one that is frozen tells nothing, and comes to no hold."""
+        """Whether control has acted since it held last; one that is frozen tells nothing, and
+        comes to no hold.
+        """
         view = self._host.supervisor.view("control")
-        if view.choice is None or view.choice.settings.config.namespace != exposed.namespace or view.report is None:
+        if (
+            view.choice is None
+            or view.choice.settings.config.namespace != exposed.namespace
+            or view.report is None
+        ):
             return False
-        is_turning = view.phase == "running" and assess(view, time.monotonic()) not in ("silent", "stuck")
+        is_turning = view.phase == "running" and assess(view, time.monotonic()) not in (
+            "silent",
+            "stuck",
+        )
         return is_turning and view.report.note == FOLLOWING_NOTE
 
     def _on_module(self, kind: str) -> None:
@@ -126,5 +148,7 @@ def gate_of(host: Host) -> MotionGate:
     """
     gate = host.gate
     if not isinstance(gate, MotionGate):
-        raise StateError(f"The gate of this server is a {type(gate).__name__}, not that of {FEATURE.name!r}.")
+        raise StateError(
+            f"The gate of this server is a {type(gate).__name__}, not that of {FEATURE.name!r}."
+        )
     return gate

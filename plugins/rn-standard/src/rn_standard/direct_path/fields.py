@@ -1,4 +1,6 @@
-"""Fields of rosidl messages: by dotted path through arrays, read, changed and filled without knowing the type."""
+"""Fields of rosidl messages: by dotted path through arrays, read, changed and filled without
+knowing the type.
+"""
 
 from __future__ import annotations
 
@@ -55,7 +57,9 @@ def load_type(name: str) -> Any:
     """
     parts = _TYPE_NAME.fullmatch(name)
     if parts is None:
-        raise ConfigurationError(f"{name[:120]!r}: write the type in full, package/msg/Name, srv or action.")
+        raise ConfigurationError(
+            f"{name[:120]!r}: write the type in full, package/msg/Name, srv or action."
+        )
     package, kind, word = parts.groups()
     spec = find_spec(package)  # nothing but packages of interfaces is imported
     folders = (spec.submodule_search_locations if spec is not None else None) or ()
@@ -63,12 +67,16 @@ def load_type(name: str) -> Any:
     if any((Path(folder) / kind / "__init__.py").is_file() for folder in folders):
         found = getattr(importlib.import_module(f"{package}.{kind}"), word, None)
     if found is None:
-        raise ConfigurationError(f"No installed interface is called {name!r}.", hint=f"Install the package {package}.")
+        raise ConfigurationError(
+            f"No installed interface is called {name!r}.", hint=f"Install the package {package}."
+        )
     return found
 
 
 def walk_fields(ros_type: Any, path: str = "") -> Iterator[tuple[str, str]]:
-    """Yield each field of a message class at every depth: dotted path without indices, type of it or its elements."""
+    """Yield each field of a message class at every depth: dotted path without indices, type of
+    it or its elements.
+    """
     for name, text in ros_type.get_fields_and_field_types().items():
         here = f"{path}.{name}" if path else name
         element = _element_of(text)
@@ -78,10 +86,12 @@ def walk_fields(ros_type: Any, path: str = "") -> Iterator[tuple[str, str]]:
 
 
 def check_path(ros_type: Any, path: str) -> None:
-    """Check a path that reads one value, such as "pose.position.z" or "effort[7]", by the fields of a message class.
+    """Check a path that reads one value, such as "pose.position.z" or "effort[7]", by the fields of
+    a message class.
 
     Raises:
-        InvalidInputError: it names what is no field of the interface, or it leads to no single value.
+        InvalidInputError: it names what is no field of the interface, or it leads to no single
+            value.
     """
     name, here = _name_of_class(ros_type), ros_type
     steps = path.split(".")
@@ -101,13 +111,18 @@ def check_path(ros_type: Any, path: str) -> None:
             raise InvalidInputError(f"{parts[1]} of {_name_of_class(here)} is {what}.")
         is_last = number == len(steps) - 1
         if is_last is ("/" in element):
-            what = f"a message of {element}: name one of its fields" if is_last else f"a {element}: it has no fields"
+            what = (
+                f"a message of {element}: name one of its fields"
+                if is_last
+                else f"a {element}: it has no fields"
+            )
             raise InvalidInputError(f"{parts[1]} of {_name_of_class(here)} is {what}.")
         here = _nested(element) if "/" in element else None
 
 
 def read_value(message: Any, path: str) -> bool | int | float | str | bytes:
-    """The value at a path that `check_path` has passed for the message's class; nothing but fields is read.
+    """The value at a path that `check_path` has passed for the message's class; nothing but fields
+    is read.
 
     Raises:
         LookupError: there is no such field, or an array is shorter.
@@ -115,7 +130,11 @@ def read_value(message: Any, path: str) -> bool | int | float | str | bytes:
     value = message
     for step in path.split("."):
         parts = _STEP.fullmatch(step)
-        if parts is None or not is_message(value) or parts[1] not in value.get_fields_and_field_types():
+        if (
+            parts is None
+            or not is_message(value)
+            or parts[1] not in value.get_fields_and_field_types()
+        ):
             raise LookupError(f"{type(message).__name__} has no field {path[:80]!r}")
         value = getattr(value, parts[1])
         if parts[2]:
@@ -154,15 +173,25 @@ def filled(ros_type: Any, values: Any) -> Any:
     message = ros_type(check_fields=True)
     types = message.get_fields_and_field_types()
     if not isinstance(values, Mapping) or not values.keys() <= types.keys():
-        raise InvalidInputError(f"{type_name_of(message)} takes an object with fields out of: {', '.join(types)}.")
+        raise InvalidInputError(
+            f"{type_name_of(message)} takes an object with fields out of: {', '.join(types)}."
+        )
     for name, value in values.items():
         element = _element_of(types[name])
         try:
-            is_array = types[name] != element and not types[name].startswith(("string<", "wstring<"))
-            made = [_converted(element, item) for item in value] if is_array else _converted(element, value)
+            is_array = types[name] != element and not types[name].startswith(
+                ("string<", "wstring<")
+            )
+            made = (
+                [_converted(element, item) for item in value]
+                if is_array
+                else _converted(element, value)
+            )
             setattr(message, name, made)
         except (AssertionError, TypeError, ValueError, OverflowError) as error:
-            raise InvalidInputError(f"{name} of {type_name_of(message)} cannot be {str(value)[:60]}.") from error
+            raise InvalidInputError(
+                f"{name} of {type_name_of(message)} cannot be {str(value)[:60]}."
+            ) from error
     return message
 
 
@@ -179,13 +208,17 @@ def read_number(message: Any, path: str) -> float:
     return float(functools.reduce(getattr, path.split("."), message))
 
 
-def find_outside(message: Any, path: str, low: float, high: float, prefix: str = "") -> Iterator[Place]:
-    """Yield every number outside of low .. high (NaN included) that `path`, written without indices, leads to.
+def find_outside(
+    message: Any, path: str, low: float, high: float, prefix: str = ""
+) -> Iterator[Place]:
+    """Yield every number outside of low .. high (NaN included) that `path`, written without
+    indices, leads to.
 
     `prefix` is the path of `message` itself.
 
     Raises:
-        AttributeError: there is no such field; `check_endpoint` finds that when the configuration is read.
+        AttributeError: there is no such field; `check_endpoint` finds that when the configuration
+            is read.
     """
     head, _, rest = path.partition(".")
     value = getattr(message, head)
@@ -211,7 +244,9 @@ def _item_writer(values: Any, index: int) -> Callable[[float], None]:
 
 
 def find_nonfinite(message: Any, allowed: frozenset[str], plain: str = "", path: str = "") -> str:
-    """Return the path of the first NaN or infinity that is not allowed there; empty when there is none."""
+    """Return the path of the first NaN or infinity that is not allowed there; empty when there
+    is none.
+    """
     for name in message.get_fields_and_field_types():
         value = getattr(message, name)
         bare = f"{plain}.{name}" if plain else name
@@ -237,7 +272,9 @@ def _first_nonfinite(values: Any, path: str) -> str:
         if values.typecode not in "fd":
             return ""
         if len(values) <= _FEW:  # numpy costs more than it saves here
-            return next((f"{path}[{i}]" for i, value in enumerate(values) if not math.isfinite(value)), "")
+            return next(
+                (f"{path}[{i}]" for i, value in enumerate(values) if not math.isfinite(value)), ""
+            )
     numbers = np.asarray(values)
     if numbers.dtype.kind != "f":
         return ""

@@ -1,7 +1,9 @@
 """The one gate: everything an agent sends passes it, and every decision is written down.
 
-Order: allow list, role, type, finiteness, bounds, steering, joint limits, path, emergency stop, rate, audit. The first
-rule that does not hold refuses and does not count against the rate. Refuse by default, clamp only where configured.
+Order: allow list, role, type, finiteness, bounds, steering, joint limits, path, emergency stop,
+    rate, audit. The first
+rule that does not hold refuses and does not count against the rate. Refuse by default, clamp only
+where configured.
 """
 
 from __future__ import annotations
@@ -12,10 +14,22 @@ from contextlib import contextmanager
 from dataclasses import replace
 
 from rn_standard.direct_path.joints import check_joints, joint_commands
-from rn_standard.direct_path.limits import apply_bounds, check_endpoint, check_finite, check_steering, check_type
+from rn_standard.direct_path.limits import (
+    apply_bounds,
+    check_endpoint,
+    check_finite,
+    check_steering,
+    check_type,
+)
 from rn_standard.direct_path.path_limits import Leg, LimitError
 from rn_standard.direct_path.rate import RateLimit
-from rn_standard.direct_path.request import ROLE_BY_KIND, AllowedEndpoint, Clamp, GateRequest, Verdict
+from rn_standard.direct_path.request import (
+    ROLE_BY_KIND,
+    AllowedEndpoint,
+    Clamp,
+    GateRequest,
+    Verdict,
+)
 from roboneuron import RefusedError, RoboNeuronError
 from roboneuron.feature import AuditLog, AuditRecord, EmergencyStopLatch, has_role, joint_limits
 
@@ -69,7 +83,11 @@ class Gate:
             endpoint = entry.endpoint
             check_endpoint(endpoint)
             # Two names of one topic are one stream of messages, whose rate the robot has to take.
-            place = (endpoint.kind, entry.topic) if entry.topic else (endpoint.kind, entry.robot, endpoint.name)
+            place = (
+                (endpoint.kind, entry.topic)
+                if entry.topic
+                else (endpoint.kind, entry.robot, endpoint.name)
+            )
             use = (*place, str(endpoint.rate_hz))
             if use not in rates:
                 rates[use] = self._rates.get(use) or RateLimit(endpoint.rate_hz, self._clock)
@@ -86,7 +104,8 @@ class Gate:
         The messages of an allowed request may have been clamped; the verdict says so.
 
         Raises:
-            RefusedError: refused. A dry run is answered instead, with `allowed` false and the reason.
+            RefusedError: refused. A dry run is answered instead, with `allowed` false and the
+                reason.
         """
         dry_run = request.dry_run or self._dry_run
         verdict, cause = self._judge(request, dry_run)
@@ -107,13 +126,16 @@ class Gate:
             raise cause
 
     def check_running(self) -> None:
-        """Raise RefusedError when motion that is under way has to end: latched, or the audit failed.
+        """Raise RefusedError when motion that is under way has to end: latched, or the audit
+        failed.
 
         Called before every step of a sequence and every repetition; about a microsecond.
         """
         self.latch.check()
         if self.audit.failed:
-            raise RefusedError("The audit cannot be written; motion ends.", hint="Mend the state directory.")
+            raise RefusedError(
+                "The audit cannot be written; motion ends.", hint="Mend the state directory."
+            )
 
     def slowdown(self, request: GateRequest) -> float:
         """How many times the request's time the TCP needs to keep to its speeds, at least 1.
@@ -128,7 +150,9 @@ class Gate:
             return found[0].path().slowdown(_legs(found[0], request), request.joints)
 
     def release(self, request: GateRequest) -> None:
-        """Messages of the request that were to be sent later will not be; they no longer count against the rate."""
+        """Messages of the request that were to be sent later will not be; they no longer count
+        against the rate.
+        """
         found = self._entries.get((request.robot, request.endpoint))
         if found is not None:
             found[1].release(request)
@@ -144,7 +168,9 @@ class Gate:
         return Verdict(allowed=True, dry_run=dry_run, clamped=tuple(clamped)), None
 
     def _rules(self, request: GateRequest, dry_run: bool, clamped: list[Clamp]) -> Iterator[str]:
-        """Apply one rule after the other: each is named before it is applied, and raises RefusedError."""
+        """Apply one rule after the other: each is named before it is applied, and raises
+        RefusedError.
+        """
         yield "allow_list"
         if (request.robot, request.endpoint) not in self._entries:
             raise _not_allowed(request, self._entries)
@@ -153,7 +179,10 @@ class Gate:
         yield "role"
         least = ROLE_BY_KIND[endpoint.kind]
         if not has_role(request.role, least):
-            text = f"{endpoint.name!r} needs the role {least!r}, {request.who[:60]!r} has {request.role[:20]!r}."
+            text = (
+                f"{endpoint.name!r} needs the role {least!r}, {request.who[:60]!r} has "
+                f"{request.role[:20]!r}."
+            )
             raise RefusedError(text)
         yield "type"
         if endpoint.kind != "read" and not request.messages:
@@ -194,7 +223,10 @@ class Gate:
             return
         name = request.endpoint
         if math.isinf(wait_s):
-            text = f"The messages for {name!r} follow each other faster than its {rate.rate_hz:g} per second."
+            text = (
+                f"The messages for {name!r} follow each other faster than its {rate.rate_hz:g} "
+                "per second."
+            )
             raise RefusedError(text, hint="Give the steps more time.")
         raise RefusedError(f"Too many messages for {name!r}.", hint=f"Wait {wait_s:.2f} s.")
 
@@ -224,9 +256,14 @@ def _legs(entry: AllowedEndpoint, request: GateRequest) -> list[Leg]:
     """The path of the joints that a request asks for; raises RefusedError as `check_joints`."""
     commands = [command for message in request.messages for command in joint_commands(message)]
     if entry.profile is None or not commands:
-        raise RefusedError(f"The joint limits of {entry.endpoint.name!r} cannot be checked for {entry.endpoint.type}.")
+        raise RefusedError(
+            f"The joint limits of {entry.endpoint.name!r} cannot be checked for "
+            f"{entry.endpoint.type}."
+        )
     durations_s = request.durations_s if len(request.durations_s) == len(commands) else ()
-    return check_joints(joint_limits(entry.profile, entry.rules), commands, request.joints, durations_s)
+    return check_joints(
+        joint_limits(entry.profile, entry.rules), commands, request.joints, durations_s
+    )
 
 
 @contextmanager
@@ -237,13 +274,21 @@ def _judging() -> Iterator[None]:
     except RefusedError:
         raise
     except RoboNeuronError as error:
-        raise RefusedError(f"The path of the arm cannot be judged: {error.message}", hint=error.hint) from error
+        raise RefusedError(
+            f"The path of the arm cannot be judged: {error.message}", hint=error.hint
+        ) from error
 
 
-def _not_allowed(request: GateRequest, entries: dict[_Key, tuple[AllowedEndpoint, RateLimit]]) -> RefusedError:
+def _not_allowed(
+    request: GateRequest, entries: dict[_Key, tuple[AllowedEndpoint, RateLimit]]
+) -> RefusedError:
     exposed = sorted({name for robot, name in entries if robot == request.robot})
     if not exposed:
         robots = ", ".join(sorted({robot for robot, _ in entries})) or "none"
-        return RefusedError(f"No endpoint of a robot called {request.robot[:60]!r} is exposed; robots: {robots}.")
+        return RefusedError(
+            f"No endpoint of a robot called {request.robot[:60]!r} is exposed; robots: {robots}."
+        )
     listed = ", ".join(exposed[:20]) + (" ..." if len(exposed) > 20 else "")
-    return RefusedError(f"{request.endpoint[:60]!r} of {request.robot!r} is not exposed; exposed are: {listed}.")
+    return RefusedError(
+        f"{request.endpoint[:60]!r} of {request.robot!r} is not exposed; exposed are: {listed}."
+    )

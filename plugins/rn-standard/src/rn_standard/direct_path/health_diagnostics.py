@@ -14,7 +14,9 @@ if TYPE_CHECKING:
 
 
 class HealthDiagnostics:
-    """Says on /diagnostics what a module cannot say itself when it is frozen or gone: every change of its health."""
+    """Says on /diagnostics what a module cannot say itself when it is frozen or gone: every
+    change of its health.
+    """
 
     def __init__(self, supervisor: Supervisor) -> None:
         self._supervisor = supervisor
@@ -32,7 +34,9 @@ class HealthDiagnostics:
             self._send = self._supervisor.link.advertise(DiagnosticArray, DIAGNOSTICS, STATUS)
         level: Any = DiagnosticStatus.OK
         if health in FAULTS:
-            level = DiagnosticStatus.STALE if health in ("silent", "stuck") else DiagnosticStatus.ERROR
+            level = (
+                DiagnosticStatus.STALE if health in ("silent", "stuck") else DiagnosticStatus.ERROR
+            )
         told = DiagnosticStatus(
             level=level,
             name=f"{view.choice.settings.config.namespace}/supervisor/{view.kind}",
@@ -41,5 +45,7 @@ class HealthDiagnostics:
             values=[KeyValue(key="health", value=health), KeyValue(key="before", value=before)],
         )
         message = DiagnosticArray(status=[told])
-        message.header.stamp.sec, message.header.stamp.nanosec = divmod(time.time_ns(), 1_000_000_000)
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(
+            time.time_ns(), 1_000_000_000
+        )
         self._send(message)

@@ -1,4 +1,6 @@
-"""Joint limits for JointTrajectory and JointState commands: names, positions, velocities, accelerations, times."""
+"""Joint limits for JointTrajectory and JointState commands: names, positions, velocities,
+accelerations, times.
+"""
 
 from __future__ import annotations
 
@@ -18,11 +20,15 @@ MAX_POINTS = 2000
 JOINT_TYPES = ("trajectory_msgs/msg/JointTrajectory", "sensor_msgs/msg/JointState")
 """Messages that can be checked."""
 _SAME = 1e-3
-"""A first point at time 0 may only repeat where the joints are, within a milliradian or millimetre."""
+"""A first point at time 0 may only repeat where the joints are, within a milliradian or
+millimetre.
+"""
 
 
 def joint_commands(message: Any) -> Iterator[Any]:
-    """The joint commands in a message, goal or request: itself, or those that it holds at any depth."""
+    """The joint commands in a message, goal or request: itself, or those that it holds at any
+    depth.
+    """
     if type_name_of(message) in JOINT_TYPES:
         yield message
         return
@@ -39,17 +45,19 @@ def check_joints(
     joints: JointSample | None,
     durations_s: Sequence[float] = (),
 ) -> list[Leg]:
-    """Raise unless the joints can follow the commands, one after the other, within their limits; return their way.
+    """Raise unless the joints can follow the commands, one after the other, within their limits;
+    return their way.
 
-    A trajectory must reach each point with the joints' own velocities and accelerations, and rest at the end of the
-    last command. The first step begins where the joints are measured, as fast as they are measured; that of each
-    further command where the one before ends.
+    A trajectory must reach each point with the joints' own velocities and accelerations, and rest
+    at the end of the last command. The first step begins where the joints are measured, as fast as
+    they are measured; that of each further command where the one before ends.
 
     Args:
         limits: by joint.
         messages: JointTrajectory or JointState.
         joints: newest measured joints.
-        durations_s: how long each command lasts [s]; without, JointState is not checked for how fast it is reached.
+        durations_s: how long each command lasts [s]; without, JointState is not checked for how
+            fast it is reached.
 
     Raises:
         RefusedError: says which joint, what was asked, what is allowed.
@@ -60,7 +68,9 @@ def check_joints(
         step = f"steps[{index}]: " if len(messages) > 1 else ""
         try:
             made = motion.follow(
-                message, durations_s[index] if durations_s else None, is_last=index + 1 == len(messages)
+                message,
+                durations_s[index] if durations_s else None,
+                is_last=index + 1 == len(messages),
             )
         except RefusedError as error:
             raise RefusedError(f"{step}{error.message}", hint=error.hint) from error
@@ -88,31 +98,47 @@ class _JointMotion:
         is_trajectory = hasattr(message, "points")
         is_velocity = not is_trajectory and not len(message.position)
         legs = []
-        for leg in self._trajectory(message, lasts_s) if is_trajectory else self._state(message, lasts_s):
+        for leg in (
+            self._trajectory(message, lasts_s) if is_trajectory else self._state(message, lasts_s)
+        ):
             if leg.duration_s is not None:
                 self._go(leg, is_velocity)
             self._position.update(zip(leg.names, leg.position.tolist(), strict=True))
             legs.append(leg)
-        is_followed_at_once = not is_last and (lasts_s or 0.0) <= sum(leg.duration_s or 0.0 for leg in legs)
-        if legs[-1].duration_s and legs[-1].velocity is None and not (is_velocity or is_followed_at_once):
+        is_followed_at_once = not is_last and (lasts_s or 0.0) <= sum(
+            leg.duration_s or 0.0 for leg in legs
+        )
+        if (
+            legs[-1].duration_s
+            and legs[-1].velocity is None
+            and not (is_velocity or is_followed_at_once)
+        ):
             self._rest(legs[-1])
         return legs
 
     def _trajectory(self, message: Any, lasts_s: float | None) -> Iterator[Leg]:
         names = self._names(message.joint_names)
         if not 1 <= len(message.points) <= MAX_POINTS:
-            raise RefusedError(f"The trajectory has {len(message.points)} points, allowed is 1 .. {MAX_POINTS}.")
+            raise RefusedError(
+                f"The trajectory has {len(message.points)} points, allowed is 1 .. {MAX_POINTS}."
+            )
         before_s = 0.0
         for index, point in enumerate(message.points):
             where = f"points[{index}]: "
             if len(point.positions) != len(names):
-                raise RefusedError(f"{where}{len(point.positions)} positions for {len(names)} joints.")
-            self._check(names, point.positions, point.velocities, point.accelerations, point.effort, where)
+                raise RefusedError(
+                    f"{where}{len(point.positions)} positions for {len(names)} joints."
+                )
+            self._check(
+                names, point.positions, point.velocities, point.accelerations, point.effort, where
+            )
             at_s = point.time_from_start.sec + point.time_from_start.nanosec * 1e-9
             starts = self._starts(names)
             is_start = index == 0 and np.allclose(starts, point.positions, rtol=0.0, atol=_SAME)
             if not (at_s > before_s or (at_s == 0.0 and is_start)):
-                raise RefusedError(f"{where}time_from_start is {at_s:g} s, expected more than {before_s:g} s.")
+                raise RefusedError(
+                    f"{where}time_from_start is {at_s:g} s, expected more than {before_s:g} s."
+                )
             yield Leg(
                 names=names,
                 position=np.array(point.positions),
@@ -125,7 +151,9 @@ class _JointMotion:
             raise RefusedError(f"The trajectory takes {before_s:g} s, its step only {lasts_s:g} s.")
 
     def _state(self, message: Any, lasts_s: float | None) -> Iterator[Leg]:
-        """A JointState: positions that are reached within the time, or velocities that are kept for it."""
+        """A JointState: positions that are reached within the time, or velocities that are kept
+        for it.
+        """
         names = self._names(message.name)
         if not (len(message.position) or len(message.velocity)):
             raise RefusedError("The joint command holds neither positions nor velocities.")
@@ -133,29 +161,40 @@ class _JointMotion:
         ends = np.array(message.position)
         if not len(ends):
             if lasts_s is None:
-                raise RefusedError("It is not known how long the velocities last, so that they cannot be checked.")
+                raise RefusedError(
+                    "It is not known how long the velocities last, so that they cannot be checked."
+                )
             ends = np.array(self._starts(names)) + np.array(message.velocity) * lasts_s
             for name, end in zip(names, ends.tolist(), strict=True):
                 limit = self._limits[name]
                 if not limit.allows("position", end):
                     allowed = f"{limit.lower:.4g} .. {limit.upper:.4g}"
-                    raise RefusedError(f"{name} would be at {end:.4g} after {lasts_s:g} s, allowed is {allowed}.")
+                    raise RefusedError(
+                        f"{name} would be at {end:.4g} after {lasts_s:g} s, allowed is {allowed}."
+                    )
         yield Leg(names=names, position=ends, duration_s=lasts_s)
 
     def _go(self, leg: Leg, is_velocity: bool) -> None:
-        """Whether the joints can follow a leg: their velocities, and the accelerations that these imply."""
+        """Whether the joints can follow a leg: their velocities, and the accelerations that
+        these imply.
+        """
         starts, duration_s = self._starts(leg.names), leg.duration_s
         if not duration_s:
             return
-        for index, (name, start, end) in enumerate(zip(leg.names, starts, leg.position.tolist(), strict=True)):
+        for index, (name, start, end) in enumerate(
+            zip(leg.names, starts, leg.position.tolist(), strict=True)
+        ):
             limit, distance = self._limits[name], end - start
             self._distance[name] = distance
             mean, allowed = distance / duration_s, limit.fastest(end, end > start)
             if abs(mean) > allowed * (1.0 + SLACK):
                 near = " so near to its limit" if allowed < limit.velocity else ""
                 raise RefusedError(
-                    f"{leg.where}{name} would move at {abs(mean):.4g} per second, allowed is {allowed:.4g}{near}.",
-                    hint="Give the step more time." if allowed > 0.0 else "Stay farther from the limit.",
+                    f"{leg.where}{name} would move at {abs(mean):.4g} per second, allowed is "
+                    f"{allowed:.4g}{near}.",
+                    hint="Give the step more time."
+                    if allowed > 0.0
+                    else "Stay farther from the limit.",
                 )
             old = self._speeds.get(name, Speeds(0.0, 0.0))
             if is_velocity:
@@ -179,7 +218,8 @@ class _JointMotion:
     def _too_hard(self, leg: Leg, name: str, distance: float, end: str = "") -> RefusedError:
         acceleration = self._limits[name].acceleration
         return RefusedError(
-            f"{leg.where}{name} cannot go {abs(distance):.4g} in that time{end}: its acceleration is at most "
+            f"{leg.where}{name} cannot go {abs(distance):.4g} in that time{end}: its acceleration "
+            "is at most "
             f"{acceleration:.4g} per second squared.",
             hint=f"From rest to rest it needs {shortest_s(distance, acceleration):.2f} s.",
         )
@@ -189,24 +229,40 @@ class _JointMotion:
             raise RefusedError("The joint command names no joints.")
         unknown = [name for name in names if name not in self._limits]
         if unknown:
-            raise RefusedError(f"Joint {unknown[0][:60]!r} is unknown, the robot has {', '.join(self._limits)}.")
+            raise RefusedError(
+                f"Joint {unknown[0][:60]!r} is unknown, the robot has {', '.join(self._limits)}."
+            )
         if len(set(names)) != len(names):
             raise RefusedError("The joint command names a joint twice.")
         return tuple(names)
 
     def _check(
-        self, names: Sequence[str], position: Any, velocity: Any, acceleration: Any, effort: Any, where: str
+        self,
+        names: Sequence[str],
+        position: Any,
+        velocity: Any,
+        acceleration: Any,
+        effort: Any,
+        where: str,
     ) -> None:
-        arrays = {"position": position, "velocity": velocity, "acceleration": acceleration, "effort": effort}
+        arrays = {
+            "position": position,
+            "velocity": velocity,
+            "acceleration": acceleration,
+            "effort": effort,
+        }
         for quantity, values in arrays.items():
             if len(values) not in (0, len(names)):
-                raise RefusedError(f"{where}{quantity} has {len(values)} values for {len(names)} joints.")
+                raise RefusedError(
+                    f"{where}{quantity} has {len(values)} values for {len(names)} joints."
+                )
             for name, value in zip(names, values, strict=False):
                 limit = self._limits[name]
                 if not limit.allows(quantity, value):
                     low, high = limit.range(quantity)
                     raise RefusedError(
-                        f"{where}{quantity} of {name} is {value:.4g}, allowed is {low:.4g} .. {high:.4g}."
+                        f"{where}{quantity} of {name} is {value:.4g}, allowed is {low:.4g} .. "
+                        f"{high:.4g}."
                     )
 
     def _starts(self, names: Sequence[str]) -> list[float]:
@@ -218,6 +274,7 @@ class _JointMotion:
         missing = [name for name in names if name not in self._position]
         if missing:
             raise RefusedError(
-                f"Joint {missing[0]!r} is not among the measured ones, so that the step cannot be checked."
+                f"Joint {missing[0]!r} is not among the measured ones, so that the step cannot be "
+                "checked."
             )
         return [self._position[name] for name in names]

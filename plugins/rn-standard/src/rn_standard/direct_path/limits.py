@@ -27,7 +27,9 @@ _NAME = re.compile(r"[a-z][a-z0-9_]{0,59}\Z")
 _TWISTS = {"geometry_msgs/msg/Twist": "", "geometry_msgs/msg/TwistStamped": "twist."}
 _PART = {"srv": "Request", "action": "Goal"}
 """What is sent of a type that is no message."""
-PARAMETER_QUERIES = frozenset(f"rcl_interfaces/srv/{verb}Parameters" for verb in ("Get", "List", "Describe"))
+PARAMETER_QUERIES = frozenset(
+    f"rcl_interfaces/srv/{verb}Parameters" for verb in ("Get", "List", "Describe")
+)
 """Services that change nothing: they may be endpoints of kind "read"."""
 
 
@@ -39,11 +41,17 @@ def check_endpoint(endpoint: Endpoint) -> None:
     """
     where = f"Endpoint {endpoint.name!r}"
     if not _NAME.match(endpoint.name):
-        raise ConfigurationError(f"{where}: the name must be lower-case letters, digits and underscores.")
+        raise ConfigurationError(
+            f"{where}: the name must be lower-case letters, digits and underscores."
+        )
     if endpoint.kind not in ROLE_BY_KIND:
-        raise ConfigurationError(f"{where}: kind {endpoint.kind!r} is none of {', '.join(ROLE_BY_KIND)}.")
+        raise ConfigurationError(
+            f"{where}: kind {endpoint.kind!r} is none of {', '.join(ROLE_BY_KIND)}."
+        )
     if len(endpoint.topic) > 200 or not _TOPIC.match(endpoint.topic):
-        raise ConfigurationError(f"{where}: {endpoint.topic[:80]!a} is not a topic name.", hint=TOPIC_RULE)
+        raise ConfigurationError(
+            f"{where}: {endpoint.topic[:80]!a} is not a topic name.", hint=TOPIC_RULE
+        )
     if not (math.isfinite(endpoint.rate_hz) and endpoint.rate_hz >= 0.0):
         raise ConfigurationError(f"{where}: rate_hz = {endpoint.rate_hz} must be 0 or more.")
     ros_type = sent_type(endpoint)
@@ -59,12 +67,16 @@ def check_endpoint(endpoint: Endpoint) -> None:
 
 
 def sent_type(endpoint: Endpoint) -> Any:
-    """The rosidl class of what an endpoint is sent: its message, request or goal. Raises ConfigurationError."""
+    """The rosidl class of what an endpoint is sent: its message, request or goal. Raises
+    ConfigurationError.
+    """
     ros_type = load_type(endpoint.type)
     kind = endpoint.type.split("/")[1]
     is_query = endpoint.kind == "read" and endpoint.type in PARAMETER_QUERIES
     if kind != {"service": "srv", "action": "action"}.get(endpoint.kind, "msg") and not is_query:
-        raise ConfigurationError(f"Endpoint {endpoint.name!r}: a {endpoint.kind} cannot be of {endpoint.type}.")
+        raise ConfigurationError(
+            f"Endpoint {endpoint.name!r}: a {endpoint.kind} cannot be of {endpoint.type}."
+        )
     return getattr(ros_type, _PART[kind]) if kind in _PART else ros_type
 
 
@@ -82,19 +94,25 @@ def check_type(endpoint: Endpoint, message: Any) -> None:
 
 
 def check_finite(allowed: AllowedEndpoint, message: Any) -> None:
-    """Raise RefusedError for a NaN or an infinity anywhere but in the fields configured for them."""
+    """Raise RefusedError for a NaN or an infinity anywhere but in the fields configured for
+    them.
+    """
     path = find_nonfinite(message, allowed.nonfinite)
     if path:
         raise RefusedError(f"{path} is not finite; nothing was sent to {allowed.endpoint.name!r}.")
 
 
 def apply_bounds(allowed: AllowedEndpoint, message: Any) -> tuple[Clamp, ...]:
-    """Raise RefusedError for a value out of bounds; clamp, in the message, where that is configured."""
+    """Raise RefusedError for a value out of bounds; clamp, in the message, where that is
+    configured.
+    """
     clamps = []
     for path, (low, high) in allowed.endpoint.bounds.items():
         for place in find_outside(message, path, low, high):
             if path not in allowed.clamp or math.isnan(place.value):
-                raise RefusedError(f"{place.path} is {place.value:g}, allowed is {low:g} .. {high:g}.")
+                raise RefusedError(
+                    f"{place.path} is {place.value:g}, allowed is {low:g} .. {high:g}."
+                )
             sent = low if place.value < low else high
             place.write(sent)
             clamps.append(Clamp(path=place.path, asked=place.value, sent=sent))

@@ -1,4 +1,6 @@
-"""The gate as features use it: they say what is to be sent, and it is judged and sent here; nobody gets a publisher."""
+"""The gate as features use it: they say what is to be sent, and it is judged and sent here;
+nobody gets a publisher.
+"""
 
 from __future__ import annotations
 
@@ -32,8 +34,9 @@ _LATE_S = 0.25
 class MotionGate:
     """What moves a robot, for features. Usable from any thread; what blocks says so.
 
-    Every message, request and goal passes the gate before it is sent. Motion that lasts has its robot to itself, and is
-    ended by its stop message or a hold when the call is cancelled, a policy starts, or the emergency stop is pressed.
+    Every message, request and goal passes the gate before it is sent. Motion that lasts has its
+    robot to itself, and is ended by its stop message or a hold when the call is cancelled, a policy
+    starts, or the emergency stop is pressed.
 
     Attributes:
         max_duration_s: longest motion, sequence or goal that a feature may ask for [s].
@@ -45,27 +48,45 @@ class MotionGate:
     """
 
     def __init__(
-        self, gate: Gate, arbiter: MotionArbiter, traffic: Traffic, allow_list: AllowList, max_duration_s: float,
-        permit: Callable[[Exposed], None] = lambda exposed: None, is_still: Callable[[], bool] = lambda: False,
-    ) -> None:  # fmt: skip
+        self,
+        gate: Gate,
+        arbiter: MotionArbiter,
+        traffic: Traffic,
+        allow_list: AllowList,
+        max_duration_s: float,
+        permit: Callable[[Exposed], None] = lambda exposed: None,
+        is_still: Callable[[], bool] = lambda: False,
+    ) -> None:
         self._permit, self._is_still = permit, is_still
         self._gate = gate
         self._traffic = traffic
         self._allow_list = allow_list
         self.max_duration_s = max_duration_s
-        self.expose, self.on_change, self.relimit = allow_list.expose, allow_list.on_change, allow_list.relimit
+        self.expose, self.on_change, self.relimit = (
+            allow_list.expose,
+            allow_list.on_change,
+            allow_list.relimit,
+        )
         self.check, self.slowdown = gate.check, gate.slowdown
-        self.check_free, self.claim, self.end_motions = arbiter.check_free, arbiter.claim, arbiter.end_all
+        self.check_free, self.claim, self.end_motions = (
+            arbiter.check_free,
+            arbiter.claim,
+            arbiter.end_all,
+        )
         self.newest_joints, self.joints = traffic.newest_joints, traffic.joints
         self.is_served, self.cancel_goal = traffic.is_served, traffic.cancel_goal
 
     @property
     def exposed(self) -> tuple[Exposed, ...]:
-        """What agents may use now, by any feature; the action topic of an arm is among it, hidden."""
+        """What agents may use now, by any feature; the action topic of an arm is among it,
+        hidden.
+        """
         return self._allow_list.exposed
 
     def ask(self, exposed: Exposed, request: GateRequest) -> Verdict:
-        """Whether a request could be carried out now, and if not, by which rule. `request` is a dry run."""
+        """Whether a request could be carried out now, and if not, by which rule. `request` is a
+        dry run.
+        """
         try:
             self.check_free(exposed)
         except RefusedError as error:
@@ -89,7 +110,8 @@ class MotionGate:
         Raises:
             RefusedError: the gate, or somebody else moves the robot.
         """
-        is_query = exposed.endpoint.kind == "read"  # it changes nothing, so it is answered in a dry run too
+        # it changes nothing, so it is answered in a dry run too
+        is_query = exposed.endpoint.kind == "read"
         if not is_query:
             self.check_free(exposed)
         verdict = self._gate.check(request)
@@ -97,13 +119,20 @@ class MotionGate:
             return verdict, None
         if not is_query:
             self._permit(exposed)
-        call = self._traffic.link().call(exposed.ros_type, exposed.topic, request.messages[0], on_answer)
+        call = self._traffic.link().call(
+            exposed.ros_type, exposed.topic, request.messages[0], on_answer
+        )
         return verdict, call
 
     def send_goal(
-        self, exposed: Exposed, request: GateRequest, motion: Motion, goal_id: UUID, server_s: float,
+        self,
+        exposed: Exposed,
+        request: GateRequest,
+        motion: Motion,
+        goal_id: UUID,
+        server_s: float,
         on_feedback: Callable[[Any], None],
-    ) -> tuple[Verdict, Any]:  # fmt: skip
+    ) -> tuple[Verdict, Any]:
         """Send the goal to an action as soon as that is served, if the gate allows it.
 
         Args:
@@ -115,7 +144,8 @@ class MotionGate:
             on_feedback: called with each feedback message, on the thread of the ROS node.
 
         Returns:
-            The answer of the gate, and rclpy's future of the goal handle; None when nothing was sent.
+            The answer of the gate, and rclpy's future of the goal handle; None when nothing was
+            sent.
 
         Raises:
             RefusedError: the gate; also when the emergency stop was pressed.
@@ -131,7 +161,8 @@ class MotionGate:
             while not self.is_served(exposed):
                 if time.monotonic() >= deadline_s:
                     raise NotReadyError(
-                        f"Nobody serves the action {exposed.topic}: nothing was sent.", hint="Start it."
+                        f"Nobody serves the action {exposed.topic}: nothing was sent.",
+                        hint="Start it.",
                     )
                 motion.sleep_until(min(deadline_s, time.monotonic() + _LOOK_S))
             joints = self.newest_joints(exposed) if exposed.endpoint.joint_limited else None
@@ -140,11 +171,17 @@ class MotionGate:
         motion.check()
         client = self._traffic.action_client(exposed)
         return verdict, client.send_goal_async(
-            request.messages[0], feedback_callback=lambda message: on_feedback(message.feedback), goal_uuid=goal_id
+            request.messages[0],
+            feedback_callback=lambda message: on_feedback(message.feedback),
+            goal_uuid=goal_id,
         )
 
-    def publish_now(self, exposed: Exposed, request: GateRequest, *, stamped: bool = False) -> Sent | None:
-        """As `publish`, without blocking; None when something has to be waited for first: then `publish` it."""
+    def publish_now(
+        self, exposed: Exposed, request: GateRequest, *, stamped: bool = False
+    ) -> Sent | None:
+        """As `publish`, without blocking; None when something has to be waited for first: then
+        `publish` it.
+        """
         writer = self._traffic.known_writer(exposed)
         if writer is None or request.dry_run or exposed.endpoint.joint_limited or self._is_still():
             return None
@@ -163,7 +200,9 @@ class MotionGate:
             duration_s=time.monotonic() - started_s,
         )
 
-    def publish(self, exposed: Exposed, request: GateRequest, *, timeout_s: float, stamped: bool = False) -> Sent:
+    def publish(
+        self, exposed: Exposed, request: GateRequest, *, timeout_s: float, stamped: bool = False
+    ) -> Sent:
         """Send one message; blocks.
 
         Args:
@@ -187,13 +226,26 @@ class MotionGate:
         self._permit(exposed)
         started_s = time.monotonic()
         delivery.send(writer, request.messages[0], stamped)
-        return Sent(verdict=verdict, messages=1, subscribers=matched, duration_s=time.monotonic() - started_s)
+        return Sent(
+            verdict=verdict,
+            messages=1,
+            subscribers=matched,
+            duration_s=time.monotonic() - started_s,
+        )
 
     def play(
-        self, exposed: Exposed, request: GateRequest, commands: Iterable[Command], *, total_s: float, timeout_s: float,
-        halt: threading.Event, details: Callable[[], str] = lambda: "",
-    ) -> Sent:  # fmt: skip
-        """Wait for a subscriber, own the robot's motion, send the commands, bring the motion to its end; blocks.
+        self,
+        exposed: Exposed,
+        request: GateRequest,
+        commands: Iterable[Command],
+        *,
+        total_s: float,
+        timeout_s: float,
+        halt: threading.Event,
+        details: Callable[[], str] = lambda: "",
+    ) -> Sent:
+        """Wait for a subscriber, own the robot's motion, send the commands, bring the motion to its
+        end; blocks.
 
         Args:
             exposed: through which endpoint.
@@ -205,7 +257,8 @@ class MotionGate:
             details: more to say of a motion that ended early.
 
         Raises:
-            RefusedError: the gate, or somebody else moves the robot; also when the emergency stop ended it.
+            RefusedError: the gate, or somebody else moves the robot; also when the emergency stop
+                ended it.
             NotReadyError: nobody subscribes.
             StateError: cancelled, or a policy took over.
             ConfigurationError: the topic carries another type.
@@ -222,9 +275,15 @@ class MotionGate:
             self._permit(exposed)
             try:
                 end = delivery.run(
-                    motion, writer, self._gate, request, commands,
-                    joints=lambda: self.newest_joints(exposed), total_s=total_s, details=details,
-                )  # fmt: skip
+                    motion,
+                    writer,
+                    self._gate,
+                    request,
+                    commands,
+                    joints=lambda: self.newest_joints(exposed),
+                    total_s=total_s,
+                    details=details,
+                )
             finally:
                 self._gate.release(request)
             end.check()
@@ -242,17 +301,27 @@ class MotionGate:
         return request
 
     def _asked(self, exposed: Exposed, request: GateRequest) -> Sent:
-        return Sent(verdict=self.ask(exposed, request), subscribers=self._traffic.writer(exposed).listening())
+        return Sent(
+            verdict=self.ask(exposed, request),
+            subscribers=self._traffic.writer(exposed).listening(),
+        )
 
     def _connect(
-        self, exposed: Exposed, writer: TopicWriter, request: GateRequest, timeout_s: float, *, owned: bool
+        self,
+        exposed: Exposed,
+        writer: TopicWriter,
+        request: GateRequest,
+        timeout_s: float,
+        *,
+        owned: bool,
     ) -> int:
         started_s = time.monotonic()
         needed = exposed.require_subscriber
         matched = writer.connect(timeout_s if needed or writer.listening() else 0.0)
         if needed and not matched:
             raise NotReadyError(
-                f"Nobody subscribes to {exposed.topic} ({exposed.endpoint.type}): nothing was sent.",
+                f"Nobody subscribes to {exposed.topic} ({exposed.endpoint.type}): nothing was "
+                "sent.",
                 hint="Start the robot, or look at list_topics.",
             )
         if time.monotonic() - started_s > _LATE_S:

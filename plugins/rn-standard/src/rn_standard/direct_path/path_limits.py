@@ -1,4 +1,6 @@
-"""Limits of place and speed on joint motions: forward kinematics along the path, by the rules of control."""
+"""Limits of place and speed on joint motions: forward kinematics along the path, by the rules
+of control.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +9,7 @@ import threading
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -35,7 +38,8 @@ class Leg:
         names: the joints that are commanded.
         position: where they go, float64 (n,) [rad or m].
         duration_s: time for it; None when nobody knows, then its speed is not judged.
-        velocity: float64 (n,), at the end of the leg, where the command states one: drivers may take a cubic then.
+        velocity: float64 (n,), at the end of the leg, where the command states one: drivers may
+            take a cubic then.
         where: place in the command, for messages.
     """
 
@@ -49,17 +53,22 @@ class Leg:
 class PathLimiter:
     """Checks paths in joint space for one arm; thread-safe.
 
-    `Reach` says how densely a path is sampled, and the TCP's path between two samples is tested as a line, so that
-    neither a zone nor a link is missed. Singularities are no limit here: joint motions do not depend on the
+    `Reach` says how densely a path is sampled, and the TCP's path between two samples is tested as
+    a line, so that
+    neither a zone nor a link is missed. Singularities are no limit here: joint motions do not
+        depend on the
     Jacobian's inverse.
 
     Args:
-        rules: the numbers of `[limits]`; a limit that is broken is refused, whatever its reaction is for actions.
+        rules: the numbers of `[limits]`; a limit that is broken is refused, whatever its reaction
+            is for actions.
         profile: of the robot, with the `collision` in force.
         inspect: tells a posture's TCP and distances; raises UnsafeError.
     """
 
-    def __init__(self, rules: MotionRules, profile: RobotProfile, inspect: Callable[[JointSample], Posture]) -> None:
+    def __init__(
+        self, rules: MotionRules, profile: RobotProfile, inspect: Callable[[JointSample], Posture]
+    ) -> None:
         self._task = TaskSpace(rules)
         self._needs_distances = profile.collision is not None
         self._inspect = inspect
@@ -76,9 +85,11 @@ class PathLimiter:
         ratio, reason = 1.0, ""
         with self._judging():
             for leg, before, there, duration_s in self._walk(legs, joints):
-                for name, told in self._task.places(before.pose, there, lambda before=before: before):  # type: ignore[misc]
+                for name, told in self._task.places(before.pose, there, partial(_given, before)):
                     if name != "singularity":
-                        raise LimitError(name, f"{leg.where}{told}", hint="Choose another way or another target.")
+                        raise LimitError(
+                            name, f"{leg.where}{told}", hint="Choose another way or another target."
+                        )
                 for times, told in self._speeds(before, there, duration_s):
                     if times > ratio:
                         ratio, reason = times, f"{leg.where}{told}"
@@ -87,10 +98,21 @@ class PathLimiter:
             raise LimitError("speed", reason, hint=f"Give it {times:g} times the time.")
 
     def slowdown(self, legs: Iterable[Leg], joints: JointSample) -> float:
-        """How many times the legs' durations the TCP needs to stay within its speeds, at least 1."""
+        """How many times the legs' durations the TCP needs to stay within its speeds, at least
+        1.
+        """
         with self._judging():
             steps = self._walk(legs, joints)
-            return max([1.0, *(times for _, a, b, duration_s in steps for times, _ in self._speeds(a, b, duration_s))])
+            return max(
+                [
+                    1.0,
+                    *(
+                        times
+                        for _, a, b, duration_s in steps
+                        for times, _ in self._speeds(a, b, duration_s)
+                    ),
+                ]
+            )
 
     @contextmanager
     def _judging(self) -> Iterator[None]:
@@ -99,18 +121,34 @@ class PathLimiter:
             try:
                 yield
             except UnsafeError as error:
-                raise LimitError("kinematics", f"The motion cannot be judged: {error.message}") from error
+                raise LimitError(
+                    "kinematics", f"The motion cannot be judged: {error.message}"
+                ) from error
 
-    def _speeds(self, before: Posture, there: Posture, duration_s: float) -> Iterator[tuple[float, str]]:
-        """How many times a limit of the TCP's speed is exceeded between two postures, and what is said of it."""
+    def _speeds(
+        self, before: Posture, there: Posture, duration_s: float
+    ) -> Iterator[tuple[float, str]]:
+        """How many times a limit of the TCP's speed is exceeded between two postures, and what
+        is said of it.
+        """
         if duration_s:
             motion = self._task.motion(before.pose, before.pose, there, duration_s, 0.0)
-            yield from ((times, reason) for name, times, reason in self._task.excess(motion) if name == "speed")
+            yield from (
+                (times, reason)
+                for name, times, reason in self._task.excess(motion)
+                if name == "speed"
+            )
 
-    def _walk(self, legs: Iterable[Leg], joints: JointSample) -> Iterator[tuple[Leg, Posture, Posture, float]]:
-        """Postures that follow each other on the legs, and the time between them [s], 0 when nobody knows."""
+    def _walk(
+        self, legs: Iterable[Leg], joints: JointSample
+    ) -> Iterator[tuple[Leg, Posture, Posture, float]]:
+        """Postures that follow each other on the legs, and the time between them [s], 0 when
+        nobody knows.
+        """
         finite = np.isfinite(joints.position)
-        names = tuple(name for name, good in zip(joints.names, finite.tolist(), strict=True) if good)
+        names = tuple(
+            name for name, good in zip(joints.names, finite.tolist(), strict=True) if good
+        )
         here = np.asarray(joints.position, dtype=np.float64)[finite]
         velocity, left, start = np.zeros_like(here), MAX_POSTURES, self._look(names, here)
         for leg in legs:
@@ -120,11 +158,19 @@ class PathLimiter:
             if leg.velocity is not None and duration_s:  # a driver may take the line or the cubic
                 bends.append((velocity * duration_s, end_velocity * duration_s))
             for bend in bends:
-                farthest = np.abs(change) if bend is None else np.abs([change, *np.multiply(bend, 1.5)]).max(axis=0)
+                farthest = (
+                    np.abs(change)
+                    if bend is None
+                    else np.abs([change, *np.multiply(bend, 1.5)]).max(axis=0)
+                )
                 count = self._reach.count(names, farthest)
                 left -= count
                 if left < 0:
-                    raise LimitError("length", "The way is too long to be judged.", hint="Send it in several calls.")
+                    raise LimitError(
+                        "length",
+                        "The way is too long to be judged.",
+                        hint="Send it in several calls.",
+                    )
                 before = start
                 for position in here + _shape(change, bend, count):
                     there = self._look(names, position)
@@ -135,7 +181,9 @@ class PathLimiter:
     def _look(self, names: tuple[str, ...], position: F64) -> Posture:
         posture = self._inspect(JointSample(names=names, position=position))
         if self._needs_distances and posture.near is None:
-            raise UnsafeError("the controller tells no distances between links; see limits.collision")
+            raise UnsafeError(
+                "the controller tells no distances between links; see limits.collision"
+            )
         return posture
 
 
@@ -152,10 +200,20 @@ def _target(leg: Leg, names: tuple[str, ...], here: F64) -> tuple[F64, F64]:
 
 
 def _shape(change: F64, bend: tuple[F64, F64] | None, count: int) -> F64:
-    """Postures after the start, relative to it, float64 (count, n): on a line, or on the cubic with these slopes."""
+    """Postures after the start, relative to it, float64 (count, n): on a line, or on the cubic
+    with these slopes.
+    """
     s = np.arange(1, count + 1)[:, np.newaxis] / count
     if bend is None:
         line: F64 = s * change
         return line
-    cubic: F64 = s * s * (3.0 - 2.0 * s) * change + s * (1.0 - s) ** 2 * bend[0] - s * s * (1.0 - s) * bend[1]
+    cubic: F64 = (
+        s * s * (3.0 - 2.0 * s) * change
+        + s * (1.0 - s) ** 2 * bend[0]
+        - s * s * (1.0 - s) * bend[1]
+    )
     return cubic
+
+
+def _given(posture: Posture) -> Posture:
+    return posture

@@ -4,7 +4,8 @@ from roboneuron import FeatureSpec, hookimpl
 
 FEATURE = FeatureSpec(
     name="direct-path",
-    summary="The gate of the direct path: judges, sends and ends every message, request and goal for an agent.",
+    summary="The gate of the direct path: judges, sends and ends every message, request and goal "
+    "for an agent.",
     target="rn_standard.direct_path.feature:DirectPath",
 )
 """Descriptor of the feature."""

@@ -8,11 +8,14 @@ from collections.abc import Callable, Sequence
 
 
 class RateLimit:
-    """A sliding window over accepted messages of one endpoint, sent or still to be sent; safe from any thread."""
+    """A sliding window over accepted messages of one endpoint, sent or still to be sent; safe
+    from any thread.
+    """
 
     def __init__(self, rate_hz: float, clock: Callable[[], float]) -> None:
         """Args:
-        rate_hz: most messages per second; 0 for no bound. Below 1 the window is as long as the time between two.
+        rate_hz: most messages per second; 0 for no bound. Below 1 the window is as long as the time
+            between two.
         clock: monotonic time [s].
         """
         self.rate_hz = rate_hz
@@ -58,8 +61,11 @@ class RateLimit:
         return 0.0 if late is None else max(1e-9, late - now)
 
     def _late(self, times: Sequence[float]) -> float | None:
-        """When the window of the last message that comes too early has passed; None when none does."""
+        """When the window of the last message that comes too early has passed; None when none
+        does.
+        """
         most, window_s = self._most, self._window_s
         pairs = zip(times, times[most:], strict=False)
-        late = [first + window_s for first, last in pairs if last - first < window_s - 1e-9]  # rounding of sums
+        # rounding of sums
+        late = [first + window_s for first, last in pairs if last - first < window_s - 1e-9]
         return late[-1] if late else None

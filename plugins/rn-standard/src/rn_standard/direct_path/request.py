@@ -24,10 +24,11 @@ class AllowedEndpoint:
         profile: the robot's facts; None for endpoints that belong to no robot.
         clamp: field paths whose values are moved to the nearest bound instead of refused.
         nonfinite: field paths (without indices) that may hold NaN and infinities.
-        topic: absolute name; entries of one topic and kind share its rate. Empty: the entry has a rate of its own.
+        topic: absolute name; entries of one topic and kind share its rate. Empty: the entry has a
+            rate of its own.
         rules: the numbers of `[limits]` for the robot; None for its profile's alone.
-        path: gives what judges joint motions of an arm in task space; None for robots without a TCP. Raises
-            RoboNeuronError when it cannot be had, and the motion is refused.
+        path: gives what judges joint motions of an arm in task space; None for robots without a
+            TCP. Raises RoboNeuronError when it cannot be had, and the motion is refused.
     """
 
     robot: str
@@ -52,10 +53,12 @@ class GateRequest:
         messages: the encoded message, or every step of a sequence; empty for a read.
         arguments: what the agent sent, for the audit.
         joints: newest measured joints; needed by endpoints that are `joint_limited`.
-        durations_s: how long each message lasts [s], where that is known; joints must get there within that time.
-        send_at_s: when each message is to be sent, in seconds from now; empty when `messages` go out at once.
-        predict: computes a motion that `messages` do not hold, for a dry run; raises RefusedError, best a LimitError,
-            when it would not come to its end.
+        durations_s: how long each message lasts [s], where that is known; joints must get there
+            within that time.
+        send_at_s: when each message is to be sent, in seconds from now; empty when `messages` go
+            out at once.
+        predict: computes a motion that `messages` do not hold, for a dry run; raises RefusedError,
+            best a LimitError, when it would not come to its end.
         dry_run: only answer what would happen.
         repeated: a repetition that belongs to an earlier request; does not count against the rate.
     """
@@ -92,8 +95,9 @@ class Verdict:
         allowed: nothing speaks against it.
         dry_run: it was only a question; nothing may be sent even if allowed.
         reason: why not; empty when allowed.
-        rule: the rule that refused ("allow_list", "role", "type", "finite", "bounds", "steering", "joints", the name
-            of a limit of `[limits]`, "path", "rate", "emergency_stop", "audit"); empty when allowed.
+        rule: the rule that refused ("allow_list", "role", "type", "finite", "bounds", "steering",
+            "joints", the name of a limit of `[limits]`, "path", "rate", "emergency_stop", "audit");
+            empty when allowed.
         clamped: values that were changed in the messages.
     """
 

@@ -1,4 +1,6 @@
-"""The ROS side of direct motion: writers, action clients and measured joints, made when they are first needed."""
+"""The ROS side of direct motion: writers, action clients and measured joints, made when they
+are first needed.
+"""
 
 from __future__ import annotations
 
@@ -21,14 +23,17 @@ JOINTS_AGE_S = 0.5
 """Older measurements are as good as none."""
 _POLL_S = 0.01
 _SETTLE_S = 0.1
-"""After the first sight of an action server: until it has matched our side too, its answer would be lost."""
+"""After the first sight of an action server: until it has matched our side too, its answer
+would be lost.
+"""
 
 
 class Traffic:
     """Keeps what was made; usable from any thread.
 
     Attributes:
-        link: the open link; may block for the second that joining the graph takes, and raises as `Connection.link`.
+        link: the open link; may block for the second that joining the graph takes, and raises as
+            `Connection.link`.
     """
 
     def __init__(self, link: Callable[[], RosLink]) -> None:
@@ -50,11 +55,15 @@ class Traffic:
         link, key = self.link(), (exposed.topic, exposed.endpoint.type)
         with self._lock:
             if key not in self._writers:
-                self._writers[key] = TopicWriter(link, exposed.ros_type, exposed.endpoint.type, exposed.topic)
+                self._writers[key] = TopicWriter(
+                    link, exposed.ros_type, exposed.endpoint.type, exposed.topic
+                )
             return self._writers[key]
 
     def is_served(self, exposed: Exposed) -> bool:
-        """Whether somebody serves the service or action; blocks for a moment when that is new of an action."""
+        """Whether somebody serves the service or action; blocks for a moment when that is new
+        of an action.
+        """
         link = self.link()
         if exposed.endpoint.kind != "action":
             return link.is_service_ready(exposed.ros_type, exposed.topic)
@@ -64,7 +73,8 @@ class Traffic:
             self._settled.discard(exposed.topic)
             return False
         if exposed.topic not in self._settled:
-            link.is_service_ready(CancelGoal, _cancel_name(exposed))  # so that it is known once it is needed
+            # so that it is known once it is needed
+            link.is_service_ready(CancelGoal, _cancel_name(exposed))
             time.sleep(_SETTLE_S)
             self._settled.add(exposed.topic)
         return True
@@ -76,11 +86,14 @@ class Traffic:
         link, key = self.link(), (exposed.topic, exposed.endpoint.type)
         with self._lock:
             if key not in self._actions:
-                self._actions[key] = link.on_executor(lambda: ActionClient(link.node, exposed.ros_type, exposed.topic))
+                self._actions[key] = link.on_executor(
+                    lambda: ActionClient(link.node, exposed.ros_type, exposed.topic)
+                )
             return self._actions[key]
 
     def cancel_goal(self, exposed: Exposed, goal_id: UUID) -> None:
-        """Ask the server of an action to end a goal, by its id: also when the answer to the goal was lost.
+        """Ask the server of an action to end a goal, by its id: also when the answer to the goal
+        was lost.
 
         Returns at once.
         """
@@ -91,7 +104,9 @@ class Traffic:
         self.link().call(CancelGoal, _cancel_name(exposed), request, lambda: None)
 
     def newest_joints(self, exposed: Exposed) -> JointSample | None:
-        """The measured joints of the endpoint's robot, None when there are no recent ones; never blocks."""
+        """The measured joints of the endpoint's robot, None when there are no recent ones;
+        never blocks.
+        """
         watch = self._joints.get(exposed.namespace)
         message = watch.newest(JOINTS_AGE_S) if watch is not None else None
         if message is None:
@@ -104,7 +119,9 @@ class Traffic:
             return None
 
     def joints(self, exposed: Exposed, timeout_s: float) -> JointSample | None:
-        """Like `newest_joints`, and waits for a recent measurement: on a busy machine states may come late."""
+        """Like `newest_joints`, and waits for a recent measurement: on a busy machine states
+        may come late.
+        """
         link, space = self.link(), exposed.namespace
         from sensor_msgs.msg import JointState  # heavy
 

@@ -1,4 +1,6 @@
-"""What a mobile base can be asked to do, told by its endpoint; the gate and the base's driver ask alike."""
+"""What a mobile base can be asked to do, told by its endpoint; the gate and the base's driver
+ask alike.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,9 @@ from collections.abc import Mapping
 from roboneuron import Endpoint, RefusedError
 
 TWIST_FIELDS = ("linear.x", "linear.y", "linear.z", "angular.x", "angular.y", "angular.z")
-"""Paths of a geometry_msgs/Twist, in the base frame: forward x, left y, up z [m/s], turning about them [rad/s]."""
+"""Paths of a geometry_msgs/Twist, in the base frame: forward x, left y, up z [m/s], turning
+about them [rad/s].
+"""
 _TOLERANCE = 1e-9
 
 
@@ -16,21 +20,32 @@ def check_twist(endpoint: Endpoint, twist: Mapping[str, float]) -> None:
     """Raise unless the base behind `endpoint` can move as `twist` says.
 
     Args:
-        endpoint: its `bounds` limit each field, its `min_turning_radius_m` how sharply the base turns.
+        endpoint: its `bounds` limit each field, its `min_turning_radius_m` how sharply the base
+            turns.
         twist: value by path, some of TWIST_FIELDS; absent ones are 0.
 
     Raises:
-        RefusedError: a value is not finite or out of bounds, or the turn is sharper than the steering allows.
+        RefusedError: a value is not finite or out of bounds, or the turn is sharper than the
+            steering allows.
     """
     for path, value in twist.items():
         if not math.isfinite(value):
-            raise RefusedError(f"{path} is {value}, expected a finite number; nothing was sent to {endpoint.name!r}.")
+            raise RefusedError(
+                f"{path} is {value}, expected a finite number; nothing was sent to "
+                f"{endpoint.name!r}."
+            )
         low, high = endpoint.bounds.get(path, (-math.inf, math.inf))
         if low == high == 0.0 and value != 0.0:
-            raise RefusedError(f"{path} is {value:g}, expected 0: the base cannot move along or about this axis.")
+            raise RefusedError(
+                f"{path} is {value:g}, expected 0: the base cannot move along or about this axis."
+            )
         if not low <= value <= high:
-            raise RefusedError(f"{path} is {value:g}, expected {low:g} .. {high:g}: beyond the limits of the base.")
-    _check_radius(endpoint.min_turning_radius_m, twist.get("linear.x", 0.0), twist.get("angular.z", 0.0))
+            raise RefusedError(
+                f"{path} is {value:g}, expected {low:g} .. {high:g}: beyond the limits of the base."
+            )
+    _check_radius(
+        endpoint.min_turning_radius_m, twist.get("linear.x", 0.0), twist.get("angular.z", 0.0)
+    )
 
 
 def _check_radius(radius_m: float, linear_m_s: float, angular_rad_s: float) -> None:
@@ -38,13 +53,16 @@ def _check_radius(radius_m: float, linear_m_s: float, angular_rad_s: float) -> N
         return
     if linear_m_s == 0.0:
         raise RefusedError(
-            f"angular.z is {angular_rad_s:g} with linear.x 0: the base steers like a car and cannot turn on the spot.",
-            hint=f"Drive while turning; |linear.x| must be at least {radius_m * abs(angular_rad_s):g} for this turn.",
+            f"angular.z is {angular_rad_s:g} with linear.x 0: the base steers like a car and "
+            "cannot turn on the spot.",
+            hint="Drive while turning; |linear.x| must be at least "
+            f"{radius_m * abs(angular_rad_s):g} for this turn.",
         )
     wanted_m = abs(linear_m_s / angular_rad_s)
     if wanted_m < radius_m * (1.0 - _TOLERANCE):
         raise RefusedError(
-            f"linear.x {linear_m_s:g} with angular.z {angular_rad_s:g} is a turn of radius {wanted_m:.3g} m, "
+            f"linear.x {linear_m_s:g} with angular.z {angular_rad_s:g} is a turn of radius "
+            f"{wanted_m:.3g} m, "
             f"expected at least {radius_m:g} m: the steering ends there.",
             hint=f"Turn at {abs(linear_m_s) / radius_m:.3g} rad/s or less, or drive faster.",
         )

@@ -1,4 +1,6 @@
-"""Publishing and hearing with the quality of service of whoever is at the other end of the topic."""
+"""Publishing and hearing with the quality of service of whoever is at the other end of the
+topic.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,13 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from rclpy.duration import Duration
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import (
+    DurabilityPolicy,
+    HistoryPolicy,
+    LivelinessPolicy,
+    QoSProfile,
+    ReliabilityPolicy,
+)
 
 from roboneuron import ConfigurationError
 from roboneuron.feature import UNSENT, requested_qos
@@ -20,13 +28,16 @@ if TYPE_CHECKING:
 _DEPTH = 10
 _POLL_S = 0.005
 _SETTLE_S = 0.03
-"""After the first match: until the other side has matched too, a volatile message would be lost there."""
+"""After the first match: until the other side has matched too, a volatile message would be lost
+there.
+"""
 
 
 def offered_qos(subscriptions: Sequence[Any]) -> QoSProfile:
     """The profile of a publisher that every given subscription (TopicEndpointInfo) matches.
 
-    Reliable always fits; durability, deadline and liveliness are the strictest that anybody asks for.
+    Reliable always fits; durability, deadline and liveliness are the strictest that anybody asks
+    for.
     """
     profile = QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
@@ -42,7 +53,11 @@ def offered_qos(subscriptions: Sequence[Any]) -> QoSProfile:
         profile.deadline = Duration(nanoseconds=min(deadlines))
     if any(qos.liveliness == LivelinessPolicy.MANUAL_BY_TOPIC for qos in asked):
         profile.liveliness = LivelinessPolicy.MANUAL_BY_TOPIC
-    leases = [q.liveliness_lease_duration.nanoseconds for q in asked if q.liveliness_lease_duration.nanoseconds > 0]
+    leases = [
+        q.liveliness_lease_duration.nanoseconds
+        for q in asked
+        if q.liveliness_lease_duration.nanoseconds > 0
+    ]
     if leases:
         profile.liveliness_lease_duration = Duration(nanoseconds=min(leases))
     return profile
@@ -119,11 +134,15 @@ class TopicWriter:
         found = list(self._link.node.get_subscriptions_info_by_topic(self.topic))
         foreign = [info.topic_type for info in found if info.topic_type != self._type_name]
         if foreign:
-            raise ConfigurationError(f"Topic {self.topic} carries {foreign[0]}, it is exposed as {self._type_name}.")
+            raise ConfigurationError(
+                f"Topic {self.topic} carries {foreign[0]}, it is exposed as {self._type_name}."
+            )
         return found
 
     def _offer(self, profile: Any) -> None:
-        """Have a publisher with this profile; one with another is replaced, because nobody has matched it."""
+        """Have a publisher with this profile; one with another is replaced, because nobody has
+        matched it.
+        """
         key = qos_key(profile)
         if self._publisher is not None and key == self._key:
             return
@@ -138,7 +157,9 @@ class TopicWriter:
 
 
 class NewestMessage:
-    """A subscription that is kept, for facts that are needed at once (measured joints). Usable from any thread."""
+    """A subscription that is kept, for facts that are needed at once (measured joints). Usable
+    from any thread.
+    """
 
     def __init__(self, link: RosLink, message_type: type, topic: str) -> None:
         self._link = link
@@ -150,16 +171,22 @@ class NewestMessage:
         self._is_open = False
 
     def newest(self, max_age_s: float) -> Any:
-        """The newest message if it is that young, else None; None as long as `open` was not called."""
+        """The newest message if it is that young, else None; None as long as `open` was not
+        called.
+        """
         newest = self._newest
-        return newest[1] if newest is not None and time.monotonic() - newest[0] <= max_age_s else None
+        return (
+            newest[1] if newest is not None and time.monotonic() - newest[0] <= max_age_s else None
+        )
 
     def open(self, timeout_s: float) -> None:
         """Subscribe, and wait for a first message for at most `timeout_s`."""
         with self._lock:
             if not self._is_open:
                 infos = self._link.node.get_publishers_info_by_topic(self.topic)
-                self._link.subscribe(self._message_type, self.topic, self._take, requested_qos(infos, 1))
+                self._link.subscribe(
+                    self._message_type, self.topic, self._take, requested_qos(infos, 1)
+                )
                 self._is_open = True
         self._arrived.wait(timeout_s)
 

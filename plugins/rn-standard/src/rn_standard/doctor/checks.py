@@ -32,7 +32,9 @@ from roboneuron.feature import (
 )
 
 MIN_SHARED_MEMORY_MIB = 256
-"""A segment of 32 MiB for each of the five processes, and as much again for a switch and for what others use."""
+"""A segment of 32 MiB for each of the five processes, and as much again for a switch and for
+what others use.
+"""
 MIN_DISK_MIB = 100
 LATE_MS = 20.0
 """A 640x480 image takes about 2 ms between processes on an idle laptop."""
@@ -45,7 +47,13 @@ def run_checks(config: Config) -> Iterator[tuple[Check, Finding]]:
     lost = set()
     for check in CHECKS:
         if check.needs in lost:
-            yield check, warning(f"{check.question} Not tried: the check {check.needs!r} failed.", "Mend that first.")
+            yield (
+                check,
+                warning(
+                    f"{check.question} Not tried: the check {check.needs!r} failed.",
+                    "Mend that first.",
+                ),
+            )
             continue
         finding = _answer(check, config)
         if finding.verdict is Verdict.FAILED:
@@ -60,13 +68,21 @@ def _answer(check: Check, config: Config) -> Finding:
         return failed(error.message, error.hint)
     except Exception as error:  # what is looked at may be broken in any way
         words = str(error).strip().splitlines() or ["no message"]
-        return failed(f"{check.question} {type(error).__name__}: {words[0]}", "Look at what this names.")
+        return failed(
+            f"{check.question} {type(error).__name__}: {words[0]}", "Look at what this names."
+        )
 
 
 def _interpreter(_: Config) -> Finding:
-    text = f"Python {platform.python_version()} on {platform.system()} {platform.machine()}, {os.cpu_count()} cores."
+    text = (
+        f"Python {platform.python_version()} on {platform.system()} {platform.machine()}, "
+        f"{os.cpu_count()} cores."
+    )
     if platform.system() != "Linux" or sys.version_info < (3, 11):
-        return failed(text, "The ROS wheels are for Linux (x86-64, glibc 2.28 or newer) and Python 3.11 or newer.")
+        return failed(
+            text,
+            "The ROS wheels are for Linux (x86-64, glibc 2.28 or newer) and Python 3.11 or newer.",
+        )
     return ok(text)
 
 
@@ -79,12 +95,16 @@ def _state(config: Config) -> Finding:
     except OSError as error:
         return failed(
             f"The state directory {directory} cannot be written: {error.strerror}.",
-            "Logs, audit and the emergency stop's latch live there: without it nothing may move. Set "
+            "Logs, audit and the emergency stop's latch live there: without it nothing may move. "
+            "Set "
             "supervisor.state_directory or XDG_STATE_HOME to a directory of yours.",
         )
     free_mib = shutil.disk_usage(directory).free // _MIB
     if free_mib < MIN_DISK_MIB:
-        return warning(f"{directory} has {free_mib} MiB left.", "A full disk stops motion: the audit must be written.")
+        return warning(
+            f"{directory} has {free_mib} MiB left.",
+            "A full disk stops motion: the audit must be written.",
+        )
     return ok(f"{directory} is writable, {free_mib} MiB free.")
 
 
@@ -93,21 +113,29 @@ def _emergency_stop(config: Config) -> Finding:
     state = EmergencyStopLatch(path, time.time_ns).read_state()
     if state.latched:
         cause = f" by {state.cause}" if state.cause else ""
-        return warning(f"The emergency stop is latched{cause}.", "Look at the robot, then: roboneuron estop --reset")
+        return warning(
+            f"The emergency stop is latched{cause}.",
+            "Look at the robot, then: roboneuron estop --reset",
+        )
     return ok("The emergency stop is not latched.")
 
 
 def _shared_memory(_: Config) -> Finding:
     path = Path("/dev/shm")
     if not path.is_dir():
-        return failed("There is no /dev/shm.", "Images travel in shared memory; in a container, mount a tmpfs there.")
+        return failed(
+            "There is no /dev/shm.",
+            "Images travel in shared memory; in a container, mount a tmpfs there.",
+        )
     usage = shutil.disk_usage(path)
     text = f"/dev/shm has {usage.free // _MIB} of {usage.total // _MIB} MiB free."
     if usage.free < MIN_SHARED_MEMORY_MIB * _MIB:
         return failed(
             text,
-            f"Each process takes a segment of 32 MiB; {MIN_SHARED_MEMORY_MIB} MiB are wanted. In a container: "
-            "--shm-size=1g. Left over from killed processes: files fastrtps_* that no process holds (fuser tells).",
+            f"Each process takes a segment of 32 MiB; {MIN_SHARED_MEMORY_MIB} MiB are wanted. In "
+            "a container: "
+            "--shm-size=1g. Left over from killed processes: files fastrtps_* that no process "
+            "holds (fuser tells).",
         )
     return ok(text)
 
@@ -115,26 +143,34 @@ def _shared_memory(_: Config) -> Finding:
 def _ros(_: Config) -> Finding:
     if importlib.util.find_spec("rclpy") is None:
         return failed(
-            "rclpy is not installed.", "It comes with roboneuron-core: is this the environment that it is installed in?"
+            "rclpy is not installed.",
+            "It comes with roboneuron-core: is this the environment that it is installed in?",
         )
     prepare_environment()
     problem = _try_ros()
     if problem:
         return failed(
             f"rclpy cannot be used: {problem}",
-            "Try it from a shell without PYTHONPATH, LD_LIBRARY_PATH, AMENT_PREFIX_PATH and RMW_IMPLEMENTATION; then "
+            "Try it from a shell without PYTHONPATH, LD_LIBRARY_PATH, AMENT_PREFIX_PATH and "
+            "RMW_IMPLEMENTATION; then "
             "install roboneuron-core again.",
         )
     domain = os.environ.get("ROS_DOMAIN_ID") or "0"
-    reach = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "as ROS_DISCOVERY_SERVER or ROS_STATIC_PEERS say")
+    reach = os.environ.get(
+        "ROS_AUTOMATIC_DISCOVERY_RANGE", "as ROS_DISCOVERY_SERVER or ROS_STATIC_PEERS say"
+    )
     return ok(f"rclpy from {Path(sys.prefix)}, domain {domain}, discovery range {reach}.")
 
 
 def _try_ros() -> str:
-    """Why rclpy cannot be started; empty when it can. In a process of its own: rcl may end the one it runs in."""
+    """Why rclpy cannot be started; empty when it can. In a process of its own: rcl may end the
+    one it runs in.
+    """
     command = [sys.executable, "-P", "-c", "import rclpy; rclpy.init(); rclpy.shutdown()"]
     try:
-        done = subprocess.run(command, capture_output=True, text=True, errors="replace", timeout=_ROS_S, check=False)
+        done = subprocess.run(
+            command, capture_output=True, text=True, errors="replace", timeout=_ROS_S, check=False
+        )
     except subprocess.TimeoutExpired:
         return f"it did not start within {_ROS_S:g} s."
     lines = [line.strip() for line in (done.stderr or done.stdout).splitlines() if line.strip()]
@@ -147,7 +183,8 @@ def _images(_: Config) -> Finding:
     if not seen.received:
         return failed(
             f"Of {seen.sent} images sent by another process, none arrived.",
-            "Discovery fails or shared memory cannot be used. Unset ROS_*, FASTDDS_* and FASTRTPS_* variables that "
+            "Discovery fails or shared memory cannot be used. Unset ROS_*, FASTDDS_* and "
+            "FASTRTPS_* variables that "
             "this shell has set, and look whether a firewall blocks UDP on the loopback interface.",
         )
     text = (
@@ -155,7 +192,11 @@ def _images(_: Config) -> Finding:
         f"{seen.median_ms:.1f} ms old (median), {seen.worst_ms:.1f} ms at worst."
     )
     if seen.median_ms > LATE_MS or seen.received < seen.sent // 2:
-        return warning(text, "Is the machine busy? Otherwise images go over UDP: see FASTRTPS_DEFAULT_PROFILES_FILE.")
+        return warning(
+            text,
+            "Is the machine busy? Otherwise images go over UDP: see "
+            "FASTRTPS_DEFAULT_PROFILES_FILE.",
+        )
     others = [name for name in seen.neighbours if not name.startswith("/roboneuron_doctor")]
     if others:
         shown = ", ".join(sorted(others)[:5])
@@ -174,7 +215,10 @@ def _plugins(config: Config) -> Finding:
     if not ready:
         return failed(text, f"For a start: {install_command(WHOLE)}")
     if bad:
-        return warning(f"{text} Not ready: {', '.join(bad)}.", "roboneuron plugins list says why and what to install.")
+        return warning(
+            f"{text} Not ready: {', '.join(bad)}.",
+            "roboneuron plugins list says why and what to install.",
+        )
     return ok(text)
 
 
@@ -191,27 +235,43 @@ def _configuration(config: Config) -> Finding:
 
 
 def _chosen(config: Config, registry: Registry) -> str:
-    """Which of the modules the robot's driver can choose from are installed; it takes the first unless told."""
+    """Which of the modules the robot's driver can choose from are installed; it takes the first
+    unless told.
+    """
     driver = registry.get(RobotSpec, config.robot.name).driver(config.robot.driver)
-    choices = [present(requirement) for requirement in driver.requires if requirement.alternatives] if driver else []
+    choices = (
+        [present(requirement) for requirement in driver.requires if requirement.alternatives]
+        if driver
+        else []
+    )
     return "".join(f" with {' or '.join(modules)}" for modules in choices)
 
 
 def _gpu(_: Config) -> Finding:
     if importlib.util.find_spec("torch") is None:
         return ok("torch is not installed: model backends cannot run, visual servoing needs none.")
-    torch = importlib.import_module("torch")  # heavy; an optional part of the machine, not of this package
+    # heavy; an optional part of the machine, not of this package
+    torch = importlib.import_module("torch")
 
     build = f"CUDA {torch.version.cuda} build" if torch.version.cuda else "CPU build"
     if not torch.cuda.is_available():
-        small = " Without a GPU the CPU build, which is smaller, does the same." if torch.version.cuda else ""
+        small = (
+            " Without a GPU the CPU build, which is smaller, does the same."
+            if torch.version.cuda
+            else ""
+        )
         return warning(
             f"torch {torch.__version__} ({build}) sees no CUDA device.",
-            "Models of billions of parameters take seconds for an action on a CPU. With an NVIDIA GPU: nvidia-smi "
-            f"must list it, and torch must be a CUDA build.{small} README.md, PyTorch, says how to choose.",
+            "Models of billions of parameters take seconds for an action on a CPU. With an NVIDIA "
+            "GPU: nvidia-smi "
+            f"must list it, and torch must be a CUDA build.{small} README.md, PyTorch, says how "
+            "to choose.",
         )
     properties = torch.cuda.get_device_properties(0)
-    return ok(f"torch {torch.__version__} ({build}) on {properties.name}, {properties.total_memory // _MIB} MiB.")
+    return ok(
+        f"torch {torch.__version__} ({build}) on {properties.name}, "
+        f"{properties.total_memory // _MIB} MiB."
+    )
 
 
 CHECKS = (
@@ -220,8 +280,12 @@ CHECKS = (
     Check(id="emergency-stop", question="May the robot move?", answer=_emergency_stop),
     Check(id="shared-memory", question="Is there room for images?", answer=_shared_memory),
     Check(id="ros", question="Is ROS 2 there?", answer=_ros),
-    Check(id="images", question="Do images get from process to process?", answer=_images, needs="ros"),
+    Check(
+        id="images", question="Do images get from process to process?", answer=_images, needs="ros"
+    ),
     Check(id="plugins", question="Are the plugins ready?", answer=_plugins),
-    Check(id="configuration", question="Does the configuration fit together?", answer=_configuration),
+    Check(
+        id="configuration", question="Does the configuration fit together?", answer=_configuration
+    ),
     Check(id="gpu", question="What do models run on?", answer=_gpu),
 )

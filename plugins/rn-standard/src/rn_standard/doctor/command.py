@@ -9,12 +9,17 @@ from pathlib import Path
 
 
 class Doctor:
-    """Check whether this machine and a configuration are ready: Python, ROS, shared memory, images, plugins, GPU."""
+    """Check whether this machine and a configuration are ready: Python, ROS, shared memory,
+    images, plugins, GPU.
+    """
 
     def configure(self, parser: ArgumentParser) -> None:
         """Add the arguments of `roboneuron doctor`."""
         parser.add_argument(
-            "--config", type=Path, metavar="FILE", help="a roboneuron.toml; the embedded default without it"
+            "--config",
+            type=Path,
+            metavar="FILE",
+            help="a roboneuron.toml; the embedded default without it",
         )
         parser.add_argument("--json", action="store_true", help="write the findings as JSON")
 
@@ -43,7 +48,13 @@ class Doctor:
                 show(finding)
         if arguments.json:
             rows = [
-                {"id": c.id, "question": c.question, "verdict": f.verdict.value, "text": f.text, "hint": f.hint}
+                {
+                    "id": c.id,
+                    "question": c.question,
+                    "verdict": f.verdict.value,
+                    "text": f.text,
+                    "hint": f.hint,
+                }
                 for c, f in found
             ]
             print(json.dumps({"findings": rows}, indent=2))

@@ -41,7 +41,8 @@ def measure_image_transport() -> ImageTransport:
     Raises:
         NotReadyError: the other process did not do its part.
     """
-    from sensor_msgs.msg import Image  # the message package must not be needed to import this module
+    # the message package must not be needed to import this module
+    from sensor_msgs.msg import Image
 
     from roboneuron.feature import NEWEST, RosLink, to_ns
 
@@ -50,7 +51,12 @@ def measure_image_transport() -> ImageTransport:
     link = RosLink(f"roboneuron_doctor_{os.getpid()}")
     link.open()
     try:
-        link.subscribe(Image, topic, lambda m: ages_ms.append((time.time_ns() - to_ns(m.header.stamp)) / 1e6), NEWEST)
+        link.subscribe(
+            Image,
+            topic,
+            lambda m: ages_ms.append((time.time_ns() - to_ns(m.header.stamp)) / 1e6),
+            NEWEST,
+        )
         try:
             sender = subprocess.run(
                 [sys.executable, "-P", "-m", "rn_standard.doctor.images", topic],
@@ -60,12 +66,18 @@ def measure_image_transport() -> ImageTransport:
                 check=False,
             )
         except subprocess.TimeoutExpired as error:
-            raise NotReadyError(f"The process that sends images hung for {_TIMEOUT_S:g} s.") from error
+            raise NotReadyError(
+                f"The process that sends images hung for {_TIMEOUT_S:g} s."
+            ) from error
         if sender.returncode != 0:
             words = sender.stderr.strip().splitlines()
-            raise NotReadyError(f"The process that sends images failed: {words[-1] if words else 'no output'}")
+            raise NotReadyError(
+                f"The process that sends images failed: {words[-1] if words else 'no output'}"
+            )
         node = link.node
-        names = [f"{space.rstrip('/')}/{name}" for name, space in node.get_node_names_and_namespaces()]
+        names = [
+            f"{space.rstrip('/')}/{name}" for name, space in node.get_node_names_and_namespaces()
+        ]
     finally:
         link.close()
     received = list(ages_ms)
@@ -79,7 +91,9 @@ def measure_image_transport() -> ImageTransport:
 
 
 def send_images(topic: str) -> int:
-    """Publish images once somebody subscribes to `topic`; returns how many (all of them, subscriber or not)."""
+    """Publish images once somebody subscribes to `topic`; returns how many (all of them,
+    subscriber or not).
+    """
     import numpy as np
 
     from roboneuron import Frame
@@ -101,7 +115,11 @@ def send_images(topic: str) -> int:
         width, height = _SIZE_PX
         pixels = np.random.default_rng(0).integers(0, 255, (height, width, 3), dtype=np.uint8)
         for _ in range(IMAGES):
-            publish(to_image(Frame(camera="doctor", image=pixels, stamp_ns=time.time_ns(), frame_id="doctor")))
+            publish(
+                to_image(
+                    Frame(camera="doctor", image=pixels, stamp_ns=time.time_ns(), frame_id="doctor")
+                )
+            )
             time.sleep(_PERIOD_S)
         return IMAGES
     finally:

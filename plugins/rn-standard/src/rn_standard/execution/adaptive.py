@@ -80,11 +80,14 @@ class AdaptiveExecutor(ChunkExecutor):
             delay_rows = self._delay_rows(self._step_s)
             if mode == "predicted-state":
                 return rows <= delay_rows + 1
-            # As late as the latency allows: what is predicted later has seen more. The fade needs old rows too.
+            # As late as the latency allows: what is predicted later has seen more. The fade needs
+            # old rows too.
             return rows <= delay_rows + 1 + fade_rows_of(self._horizon)
 
     def begin(self, observation: Observation, captured_ns: int) -> Prediction:
-        """As ChunkExecutor; the backend is told what is played meanwhile, if its mode is made for that."""
+        """As ChunkExecutor; the backend is told what is played meanwhile, if its mode is made
+        for that.
+        """
         with self.changed:
             mode = self._selector.current.mode
             step_s = self._step_s
@@ -174,6 +177,9 @@ class AdaptiveExecutor(ChunkExecutor):
             return observation
         rolled, gripper_open = roll_forward(pose, observation.gripper_open, rows, done_share)
         ahead = Ahead(
-            rows=rows, committed_rows=len(rows), step_s=step_s, state_ahead_s=(len(rows) - done_share) * step_s
+            rows=rows,
+            committed_rows=len(rows),
+            step_s=step_s,
+            state_ahead_s=(len(rows) - done_share) * step_s,
         )
         return replace(observation, ee_pose=rolled, gripper_open=gripper_open, ahead=ahead)

@@ -1,4 +1,6 @@
-"""The feature: nothing to do in the server, an executor for the process of every inference module."""
+"""The feature: nothing to do in the server, an executor for the process of every inference
+module.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,9 @@ class ExecutionFeature(Feature[None]):
 
 
 def join(host: ModuleHost) -> None:
-    """Give a module the executor of this package; called in every module process, see `FeatureSpec.on_join`."""
+    """Give a module the executor of this package; called in every module process, see
+    `FeatureSpec.on_join`.
+    """
     host.make_executor = make_executor
 
 

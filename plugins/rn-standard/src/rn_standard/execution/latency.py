@@ -8,14 +8,16 @@ from collections import deque
 import numpy as np
 
 WINDOW = 50
-"""Answers that are looked back on. Sliding: an old spike (a recording, a page fault) must not slow the arm for ever."""
+"""Answers that are looked back on. Sliding: an old spike (a recording, a page fault) must not
+slow the arm for ever.
+"""
 
 
 class LatencyWindow:
     """Latencies from capture to answer [s], the newest `WINDOW` of them. Used from one thread.
 
-    The first answer after a load, a reset or a handover is not typical (caches, allocations). `skip_next` leaves it
-    out, unless nothing else is known.
+    The first answer after a load, a reset or a handover is not typical (caches, allocations).
+    `skip_next` leaves it out, unless nothing else is known.
     """
 
     def __init__(self, size: int = WINDOW) -> None:
@@ -46,7 +48,9 @@ class LatencyWindow:
 
     @property
     def p99_s(self) -> float | None:
-        """99th percentile [s], which of so few values is the greatest; None before the first answer."""
+        """99th percentile [s], which of so few values is the greatest; None before the first
+        answer.
+        """
         return max(self._values) if self._values else self._first
 
 

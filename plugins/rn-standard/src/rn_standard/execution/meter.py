@@ -18,11 +18,12 @@ class Delivery:
     """How rows were sent.
 
     Attributes:
-        rate: rows sent to rows wanted, 0 .. 1, over the last rows; pauses without an instruction do not count.
+        rate: rows sent to rows wanted, 0 .. 1, over the last rows; pauses without an instruction do
+            not count.
         starved_periods: periods in which no row was there, since the start.
         longest_gap_s: between two rows [s], since the start.
-        border_jump_mm, inner_jump_mm: mean change of the translation from row to row [mm], at the first row of an
-            answer and elsewhere; None without data.
+        border_jump_mm, inner_jump_mm: mean change of the translation from row to row [mm], at the
+            first row of an answer and elsewhere; None without data.
     """
 
     rate: float | None
@@ -37,7 +38,10 @@ class DeliveryMeter:
 
     def __init__(self) -> None:
         self._gaps: deque[tuple[float, float]] = deque(maxlen=_WINDOW)
-        self._jumps: dict[bool, deque[float]] = {True: deque(maxlen=_WINDOW), False: deque(maxlen=_WINDOW)}
+        self._jumps: dict[bool, deque[float]] = {
+            True: deque(maxlen=_WINDOW),
+            False: deque(maxlen=_WINDOW),
+        }
         self._last: tuple[float, Row] | None = None
         self.starved_periods = 0
         self.longest_gap_s = 0.0
@@ -63,7 +67,9 @@ class DeliveryMeter:
         """Everything so far."""
         spent_s = sum(gap_s for gap_s, _ in self._gaps)
         wanted_s = sum(step_s for _, step_s in self._gaps)
-        border, inner = (float(np.mean(j)) if j else None for j in (self._jumps[True], self._jumps[False]))
+        border, inner = (
+            float(np.mean(j)) if j else None for j in (self._jumps[True], self._jumps[False])
+        )
         return Delivery(
             rate=min(1.0, wanted_s / spent_s) if spent_s > 0 else None,
             starved_periods=self.starved_periods,

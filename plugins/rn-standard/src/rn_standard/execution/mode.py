@@ -11,12 +11,15 @@ from roboneuron import BackendSpec, ConfigurationError
 Mode = Literal["sequential", "overlap", "rtc", "predicted-state"]
 """`sequential`: predict, play the chunk, predict again.
 `overlap`: predict while the last chunk plays; stale rows are skipped, the seam is cross-faded.
-`rtc` (real-time chunking): as overlap, and the backend continues the rows that are still to be played.
-`predicted-state`: the backend gets the state rolled forward to the end of the running chunk; chunks follow whole.
+`rtc` (real-time chunking): as overlap, and the backend continues the rows that are still to be
+played. `predicted-state`: the backend gets the state rolled forward to the end of the running
+chunk; chunks follow whole.
 """
 MODES: tuple[Mode, ...] = ("sequential", "overlap", "rtc", "predicted-state")
 _AGREEING = 10
-"""So many answers in a row must ask for another mode before it changes: no flapping at the border of two modes."""
+"""So many answers in a row must ask for another mode before it changes: no flapping at the
+border of two modes.
+"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -61,12 +64,13 @@ def choose(horizon: int, typical_rows: int, worst_rows: int, abilities: Abilitie
 
     Args:
         horizon: rows of a chunk.
-        typical_rows, worst_rows: rows played during one inference, by the median and by the 99th percentile.
+        typical_rows, worst_rows: rows played during one inference, by the median and by the 99th
+            percentile.
         abilities: of the backend.
 
-    An inference uses up d rows and brings H - d new ones, so overlap keeps the arm moving as long as 2 d + 1 <= H, the
-    1 being the row that is due when the answer arrives. Beyond that it pauses, yet less than sequential execution does,
-    as long as the typical answer brings any row in time.
+    An inference uses up d rows and brings H - d new ones, so overlap keeps the arm moving as long
+    as 2 d + 1 <= H, the 1 being the row that is due when the answer arrives. Beyond that it pauses,
+    yet less than sequential execution does, as long as the typical answer brings any row in time.
     """
     d, h = worst_rows, horizon
     overlapped: Mode = "rtc" if _can_condition(abilities, d) else "overlap"
@@ -75,10 +79,18 @@ def choose(horizon: int, typical_rows: int, worst_rows: int, abilities: Abilitie
     if 2 * d + 1 <= h:
         return Choice(overlapped, f"2 x {d} + 1 rows of latency fit into chunks of {h}")
     if typical_rows > h:
-        return Choice("sequential", f"{typical_rows} rows of latency, chunks of {h}: no row would be in time")
-    if abilities.takes_predicted_state:  # a late answer starves the arm, but still continues where the rows ended
-        return Choice("predicted-state", f"{d} rows of latency: whole chunks of {h}, the state rolled forward")
-    return Choice(overlapped, f"{d} rows of latency are much for chunks of {h}: the arm pauses; use longer chunks")
+        return Choice(
+            "sequential", f"{typical_rows} rows of latency, chunks of {h}: no row would be in time"
+        )
+    # a late answer starves the arm, but still continues where the rows ended
+    if abilities.takes_predicted_state:
+        return Choice(
+            "predicted-state", f"{d} rows of latency: whole chunks of {h}, the state rolled forward"
+        )
+    return Choice(
+        overlapped,
+        f"{d} rows of latency are much for chunks of {h}: the arm pauses; use longer chunks",
+    )
 
 
 def _can_condition(abilities: Abilities, delay_rows: int) -> bool:
@@ -87,7 +99,9 @@ def _can_condition(abilities: Abilities, delay_rows: int) -> bool:
 
 
 def check_mode(mode: Mode, abilities: Abilities, backend: str) -> None:
-    """Raise ConfigurationError when a backend cannot be executed in a mode that the configuration fixes."""
+    """Raise ConfigurationError when a backend cannot be executed in a mode that the
+    configuration fixes.
+    """
     lacks = (mode == "rtc" and not abilities.conditions_on_rows) or (
         mode == "predicted-state" and not abilities.takes_predicted_state
     )
@@ -101,14 +115,17 @@ def check_mode(mode: Mode, abilities: Abilities, backend: str) -> None:
 class ModeSelector:
     """The mode in force: a fixed one, or the chosen one after ten answers that agree on it.
 
-    Until a typical latency is known each answer decides at once, so that a fast backend does not play ten chunks one by
-    one.
+    Until a typical latency is known each answer decides at once, so that a fast backend does not
+    play ten chunks one by one.
     """
 
     def __init__(self, fixed: Mode | None, abilities: Abilities) -> None:
         self.abilities = abilities
         self._fixed = fixed
-        self.current = Choice(fixed or "sequential", "fixed by inference.execution" if fixed else "no latency is known")
+        self.current = Choice(
+            fixed or "sequential",
+            "fixed by inference.execution" if fixed else "no latency is known",
+        )
         self._wanted = self.current.mode
         self._agreeing = 0
         self._is_decided = False

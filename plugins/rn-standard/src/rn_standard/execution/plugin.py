@@ -4,7 +4,8 @@ from roboneuron import FeatureSpec, hookimpl
 
 FEATURE = FeatureSpec(
     name="execution",
-    summary="Executes chunks of actions without pauses: overlap, real-time chunking, predicted states.",
+    summary="Executes chunks of actions without pauses: overlap, real-time chunking, predicted "
+    "states.",
     target="rn_standard.execution.feature:ExecutionFeature",
     on_join="rn_standard.execution.feature:join",
 )

@@ -1,4 +1,6 @@
-"""Rows that are still to be sent, and what was sent: a chunk's rows are counted when they are sent, never timed."""
+"""Rows that are still to be sent, and what was sent: a chunk's rows are counted when they are
+sent, never timed.
+"""
 
 from __future__ import annotations
 
@@ -16,12 +18,16 @@ from roboneuron.feature import Row, rows_of
 
 F64 = NDArray[np.float64]
 FADE_ROWS = 4
-"""Rows over which old deltas are cross-faded into new ones; more make the seam hardly any smoother (simulated)."""
+"""Rows over which old deltas are cross-faded into new ones; more make the seam hardly any
+smoother (simulated).
+"""
 Outcome = Literal["accepted", "late", "unconditioned"]
-"""What became of an answer. `late`: more rows were sent since its image than it has. `unconditioned`: it continues rows
-that were not played as promised (trained prefixes)."""
+"""What became of an answer. `late`: more rows were sent since its image than it has.
+`unconditioned`: it continues rows that were not played as promised (trained prefixes)."""
 _MEMORY = 512
-"""Sent rows that are remembered; an answer that is older is dropped by its image's age long before."""
+"""Sent rows that are remembered; an answer that is older is dropped by its image's age long
+before.
+"""
 
 
 @dataclass(slots=True)
@@ -32,7 +38,8 @@ class _Sent:
 
 @dataclass
 class SentRowQueue:
-    """The rows to be sent, oldest first, and what was sent, so that a newer answer can take over in mid-chunk.
+    """The rows to be sent, oldest first, and what was sent, so that a newer answer can take over in
+    mid-chunk.
 
     Not thread-safe: its owner holds a lock.
 
@@ -64,7 +71,9 @@ class SentRowQueue:
         return row
 
     def note_sent(self, vector: F64, sent_ns: int) -> None:
-        """Another module (the predecessor in a handover) sent a row: it moved the arm in place of our next one."""
+        """Another module (the predecessor in a handover) sent a row: it moved the arm in place
+        of our next one.
+        """
         self._sent.append(_Sent(sent_ns, vector))
         if self.rows:
             self.rows.popleft()
@@ -85,7 +94,8 @@ class SentRowQueue:
         return len(self._sent_after(captured_ns))
 
     def ahead(self, captured_ns: int, committed_rows: int, step_s: float) -> Ahead | None:
-        """What a backend that conditions on rows is told: the rows since the capture; None when there are none.
+        """What a backend that conditions on rows is told: the rows since the capture; None when
+        there are none.
 
         Args:
             captured_ns: of the observation's image [ns].
@@ -96,8 +106,8 @@ class SentRowQueue:
         rows = [*sent, *(row.vector for row in self.rows)]
         if not rows:
             return None
-        # A chunk's row k is aligned with the k-th row sent since its capture, so the running chunk's context is aligned
-        # with what was sent before its border too.
+        # A chunk's row k is aligned with the k-th row sent since its capture, so the running
+        # chunk's context is aligned with what was sent before its border too.
         start = self.rows[0].index - len(sent) if self.rows else -1
         has_context = self._context is not None and start >= 0
         return Ahead(
@@ -116,7 +126,8 @@ class SentRowQueue:
             step_s: period of the rows [s].
 
         Returns:
-            float64 (N, 7), oldest first, and the share of the first that was carried out at the measurement, 0 .. 1.
+            float64 (N, 7), oldest first, and the share of the first that was carried out at the
+            measurement, 0 .. 1.
         """
         period_ns = step_s * 1e9
         under_way = [sent for sent in self._sent if sent.sent_ns > measured_ns - period_ns]
@@ -127,7 +138,12 @@ class SentRowQueue:
         return np.array(rows).reshape(-1, 7), share
 
     def replace(
-        self, chunk: ActionChunk, captured_ns: int, *, oldest_ns: int = 0, max_committed_rows: int = 0
+        self,
+        chunk: ActionChunk,
+        captured_ns: int,
+        *,
+        oldest_ns: int = 0,
+        max_committed_rows: int = 0,
     ) -> Outcome:
         """Let an answer take over from the row that is next.
 
@@ -161,7 +177,8 @@ class SentRowQueue:
 def fade_rows_of(horizon: int, most: int = FADE_ROWS) -> int:
     """Rows of a chunk that are faded: `most`, but the others are to be at least as many.
 
-    The motion of a faded row is older than its gripper, so a short chunk that is faded all along grasps too early.
+    The motion of a faded row is older than its gripper, so a short chunk that is faded all along
+    grasps too early.
     """
     return max(0, min(most, horizon - most))
 
@@ -169,8 +186,10 @@ def fade_rows_of(horizon: int, most: int = FADE_ROWS) -> int:
 def cross_fade(old: Sequence[F64], new: F64, rows: int) -> F64:
     """Return `new` with its first rows faded in from `old`.
 
-    Deltas are blended, not poses: both hands of a blend are rates of motion, so the arm neither jumps nor catches up.
-    The gripper's opening is a decision and is never taken half-way: the new value counts from the seam.
+    Deltas are blended, not poses: both hands of a blend are rates of motion, so the arm neither
+        jumps nor catches up.
+    The gripper's opening is a decision and is never taken half-way: the new value counts from the
+    seam.
 
     Args:
         old: float64 (7,) each: what would be played without the new chunk.

@@ -1,6 +1,8 @@
-"""Chunk execution by a virtual clock: a policy, a latency and an arm, without processes, ROS or waiting.
+"""Chunk execution by a virtual clock: a policy, a latency and an arm, without processes, ROS or
+waiting.
 
-It runs the executor that the inference module runs. The task: follow a target that circles in either sense while it
+It runs the executor that the inference module runs. The task: follow a target that circles in
+    either sense while it
 drifts, so that two chunks made from different images disagree.
 """
 
@@ -37,8 +39,8 @@ class Trial:
         latency_s: median of the time that one prediction takes [s]; lognormal.
         jitter: standard deviation of its logarithm.
         mode: fixed mode; None to choose.
-        abilities: of the policy. With `conditions_on_rows` it continues the committed rows exactly and bends from there
-            to its own plan, as a conditioned flow policy does.
+        abilities: of the policy. With `conditions_on_rows` it continues the committed rows exactly
+            and bends from there to its own plan, as a conditioned flow policy does.
         step_s: period of the rows [s].
         duration_s: of the run [s].
         seed: of latency and policy.
@@ -134,7 +136,9 @@ class _Cell:
 
 def run(trial: Trial) -> Outcomes:
     """Run one trial; the same trial gives the same outcome."""
-    executor = AdaptiveExecutor(trial.abilities, fixed=trial.mode, bounds=Bounds(first_s=60.0, tail_s=60.0))
+    executor = AdaptiveExecutor(
+        trial.abilities, fixed=trial.mode, bounds=Bounds(first_s=60.0, tail_s=60.0)
+    )
     random = np.random.default_rng(trial.seed)
     cell = _Cell(Follower(trial.horizon, trial.step_s, trial.abilities.conditions_on_rows, random))
     executor.begin_epoch()
@@ -158,7 +162,11 @@ def run(trial: Trial) -> Outcomes:
             used_s = captured_s
             captured_ns = round(captured_s * 1e9)
             observation = Observation(
-                frames={"primary": Frame(camera="front", image=image, stamp_ns=captured_ns, frame_id="front")},
+                frames={
+                    "primary": Frame(
+                        camera="front", image=image, stamp_ns=captured_ns, frame_id="front"
+                    )
+                },
                 instruction="follow",
                 ee_pose=Pose(position_m=cell.tcp_m, quaternion_xyzw=_DOWN, stamp_ns=captured_ns),
                 gripper_open=1.0,

@@ -1,4 +1,6 @@
-"""The feature: cleans up at the start, follows every module process, and looks after the server's own ports."""
+"""The feature: cleans up at the start, follows every module process, and looks after the
+server's own ports.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,12 @@ import os
 from rn_standard.fastdds.lost_ports import PortWatch
 from rn_standard.fastdds.processes import ProcessCleaner
 from rn_standard.fastdds.segments import owned_segments
-from rn_standard.fastdds.shared_memory import RECORD_NAME, SegmentRecord, clean_abandoned, clean_recorded
+from rn_standard.fastdds.shared_memory import (
+    RECORD_NAME,
+    SegmentRecord,
+    clean_abandoned,
+    clean_recorded,
+)
 from roboneuron import Feature, Host
 
 log = logging.getLogger(__name__)
@@ -27,7 +34,11 @@ class SharedMemoryRepair(Feature[None]):
         clean_recorded(directory.parent.glob(f"*/{RECORD_NAME}"))
         removed, size = clean_abandoned()
         if removed:
-            log.info("Removed %d shared-memory files (%.0f MB) of processes that were killed.", removed, size / 1e6)
+            log.info(
+                "Removed %d shared-memory files (%.0f MB) of processes that were killed.",
+                removed,
+                size / 1e6,
+            )
         self._record = SegmentRecord(directory / RECORD_NAME)
         self._record.add(owned_segments(os.getpid()))
         self._cleaner = ProcessCleaner(self._record)

@@ -1,10 +1,13 @@
-"""Shared-memory ports that a process listens to and nobody else can find any more: noticed, and given back.
+"""Shared-memory ports that a process listens to and nobody else can find any more: noticed, and
+given back.
 
-A process that is killed in the middle of a message leaves a lock in the port of the one it wrote to. After a second
-everybody makes that port anew, its owner too, and sometimes one of them removes what the owner has just made (Fast DDS
-2.14; seen once in about 300 kills). Who opens the port afterwards writes to another file of the same name: the owner
-hears nothing from there any more, while all else about it looks well. The owner's listener opens the port again when
-the file that it waits at is marked as broken; nobody marks a file that has no name, so that is done here.
+A process that is killed in the middle of a message leaves a lock in the port of the one it wrote
+to. After a second everybody makes that port anew, its owner too, and sometimes one of them removes
+what the owner has just made (Fast DDS 2.14; seen once in about 300 kills). Who opens the port
+afterwards writes to another file of the same name: the owner hears nothing from there any more,
+    while all else about it looks well. The owner's listener opens the port again when
+the file that it waits at is marked as broken; nobody marks a file that has no name, so that is done
+here.
 """
 
 from __future__ import annotations
@@ -27,7 +30,9 @@ LOOK_S = 0.5
 
 @dataclass(frozen=True, slots=True)
 class _Record:
-    """A port's record in this process's memory: the file's inode, the address of its flags, and what it says."""
+    """A port's record in this process's memory: the file's inode, the address of its flags, and
+    what it says.
+    """
 
     inode: int
     flags_at: int
@@ -50,7 +55,9 @@ def _records(port: int, memory: int) -> Iterator[_Record]:
         with suppress(OSError):
             found = find_record(os.pread(memory, end - start, start), port)
             if found is not None:
-                yield _Record(int(inode), start + found.offset + FLAGS, found.flags, found.listeners)
+                yield _Record(
+                    int(inode), start + found.offset + FLAGS, found.flags, found.listeners
+                )
 
 
 class LostPorts:
@@ -61,7 +68,8 @@ class LostPorts:
         self._doubtful: set[int] = set()
 
     def look(self) -> list[int]:
-        """Give back the ports that are lost for the second time in a row (the first may be a change under way).
+        """Give back the ports that are lost for the second time in a row (the first may be a change
+        under way).
 
         Locks in them that a killed neighbour held are released first.
 
@@ -92,7 +100,9 @@ class LostPorts:
         return bool(heard)
 
     def _give_back(self, port: int) -> bool:
-        """Mark as broken what is listened to without a name; its listener looks within a third of a second."""
+        """Mark as broken what is listened to without a name; its listener looks within a third
+        of a second.
+        """
         memory = os.open("/proc/self/mem", os.O_RDWR | os.O_CLOEXEC)
         marked = False
         try:

@@ -1,6 +1,7 @@
 """The record with which a shared-memory port of Fast DDS begins.
 
-Source: Fast DDS 2.14.5, SharedMemGlobal::PortNode ("port_node_abi5") and RobustInterprocessCondition; offsets measured
+Source: Fast DDS 2.14.5, SharedMemGlobal::PortNode ("port_node_abi5") and
+    RobustInterprocessCondition; offsets measured
 on its files. Locks are `pthread_mutex_t` of glibc, shared between processes and not robust.
 """
 
@@ -15,7 +16,9 @@ IS_OK = 1
 LOCKS = (20532, 20572)
 """Offsets of the lock of those who wait, and of the port's own."""
 LISTENER = 20612
-"""Offset of a word about the first listener, the only one of a port of one process: in use (1), waiting, processing."""
+"""Offset of a word about the first listener, the only one of a port of one process: in use (1),
+waiting, processing.
+"""
 IN_USE = 1
 _ABI = b"port_node_abi5"
 _HEAD = struct.Struct("<7I")
@@ -35,8 +38,8 @@ class PortRecord(NamedTuple):
 def find_record(content: bytes, port: int) -> PortRecord | None:
     """The record of the port with that number; None when the layout is not the known one.
 
-    It starts with the number, the listeners, two timeouts (the second a third of the first), the capacity, how many
-    wait, and the flags.
+    It starts with the number, the listeners, two timeouts (the second a third of the first), the
+    capacity, how many wait, and the flags.
     """
     offset = -1 if _ABI in content else len(content)
     while (offset := content.find(struct.pack("<I", port), offset + 1)) >= 0:
@@ -49,6 +52,8 @@ def find_record(content: bytes, port: int) -> PortRecord | None:
 
 
 def lock_owner(content: bytes, offset: int) -> int:
-    """Thread that holds the lock at `offset`; 0 when nobody does, or what is there is no such lock."""
+    """Thread that holds the lock at `offset`; 0 when nobody does, or what is there is no such
+    lock.
+    """
     locked, _, owner, _, kind = _LOCK.unpack_from(content, offset)
     return int(owner) if locked and kind == _PLAIN_SHARED else 0

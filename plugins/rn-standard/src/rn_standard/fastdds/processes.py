@@ -1,4 +1,6 @@
-"""Shared memory of module processes: noted while they live, repaired and removed when they have ended."""
+"""Shared memory of module processes: noted while they live, repaired and removed when they have
+ended.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,9 @@ from rn_standard.fastdds.shared_memory import SegmentRecord, remove_stale
 
 log = logging.getLogger(__name__)
 _RECENT = 10
-"""The ports of this many ended processes are kept silent until their lease ends: port numbers come again after 15."""
+"""The ports of this many ended processes are kept silent until their lease ends: port numbers
+come again after 15.
+"""
 
 
 class ProcessCleaner:
@@ -29,9 +33,11 @@ class ProcessCleaner:
         self._ended: list[tuple[float, SilentPorts]] = []
 
     def spawning(self) -> None:
-        """Close the ports of the dead before their numbers are used again, and release what strangers' dead hold.
+        """Close the ports of the dead before their numbers are used again, and release what
+        strangers' dead hold.
 
-        Those are not observed, and whoever opens such a port hangs there: a process that starts opens all it hears of.
+        Those are not observed, and whoever opens such a port hangs there: a process that starts
+            opens all it hears of.
         """
         release_dead_locks()
         now_s = time.monotonic()
@@ -46,7 +52,9 @@ class ProcessCleaner:
             self._ended = kept
 
     def observe(self, pid: int) -> None:
-        """Remember which shared-memory files the process owns, in case it has no time to remove them itself."""
+        """Remember which shared-memory files the process owns, in case it has no time to remove
+        them itself.
+        """
         names = owned_segments(pid)
         with self._lock:
             known = self._owned.get(pid, frozenset())
@@ -63,7 +71,9 @@ class ProcessCleaner:
             self._ended.append((time.monotonic(), ports))
         removed = remove_stale(names)
         if removed:
-            log.info("Removed %d shared-memory files that %s (pid %d) left behind.", removed, name, pid)
+            log.info(
+                "Removed %d shared-memory files that %s (pid %d) left behind.", removed, name, pid
+            )
 
     def close(self) -> None:
         """Close all ports of the dead; idempotent."""

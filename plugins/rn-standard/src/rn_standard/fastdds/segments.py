@@ -1,7 +1,8 @@
 """Which shared-memory files of Fast DDS belong to a living process.
 
-A participant holds an exclusive flock on `<name>_el` for each segment and port it owns (measured: /proc/locks shows one
-FLOCK WRITE for each; readers hold none). So the `_el` files that a process has open name what is its own.
+A participant holds an exclusive flock on `<name>_el` for each segment and port it owns (measured:
+/proc/locks shows one FLOCK WRITE for each; readers hold none). So the `_el` files that a process
+has open name what is its own.
 """
 
 from __future__ import annotations
@@ -22,7 +23,9 @@ def port_number(name: str) -> int | None:
 
 
 def owned_segments(pid: int) -> frozenset[str]:
-    """Names of the segments and ports that the living process `pid` owns; empty when it cannot be looked at."""
+    """Names of the segments and ports that the living process `pid` owns; empty when it cannot
+    be looked at.
+    """
     names = set()
     with suppress(OSError):
         for entry in os.scandir(f"/proc/{pid}/fd"):

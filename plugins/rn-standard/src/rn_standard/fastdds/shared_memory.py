@@ -1,7 +1,8 @@
-"""Shared-memory files that Fast DDS leaves behind when a process is killed: found while it lives, removed afterwards.
+"""Shared-memory files that Fast DDS leaves behind when a process is killed: found while it lives,
+removed afterwards.
 
-Its owner holds a lock on `<name>_el` (see `segments.py`): one that can be taken after the owner's death
-proves that nobody else has taken the name over.
+Its owner holds a lock on `<name>_el` (see `segments.py`): one that can be taken after the owner's
+death proves that nobody else has taken the name over.
 """
 
 from __future__ import annotations
@@ -33,10 +34,14 @@ def remove_stale(names: frozenset[str]) -> int:
     return sum(_remove_if_stale(name) for name in names)
 
 
-def clean_abandoned(directory: Path = SHARED_MEMORY, least_age_s: float = LEAST_AGE_S) -> tuple[int, int]:
-    """Remove files of this user whose owners were killed, of whatever program; returns how many, and their bytes.
+def clean_abandoned(
+    directory: Path = SHARED_MEMORY, least_age_s: float = LEAST_AGE_S
+) -> tuple[int, int]:
+    """Remove files of this user whose owners were killed, of whatever program; returns how many,
+    and their bytes.
 
-    Only what was made at least `least_age_s` ago, is locked by nobody and mapped by no living process. Ports matter
+    Only what was made at least `least_age_s` ago, is locked by nobody and mapped by no living
+    process. Ports matter
     most: their names are used again, and who opens a dead one waits for its listener.
     """
     mapped = _mapped(directory)
@@ -63,8 +68,14 @@ def _mapped(directory: Path) -> set[str]:
     for entry in os.scandir("/proc"):
         if entry.name.isdigit():
             with suppress(OSError):
-                text = Path(f"/proc/{entry.name}/maps").read_text(encoding="utf-8", errors="replace")
-                names |= {line.rpartition("/")[2] for line in text.splitlines() if f" {directory}/{PREFIX}" in line}
+                text = Path(f"/proc/{entry.name}/maps").read_text(
+                    encoding="utf-8", errors="replace"
+                )
+                names |= {
+                    line.rpartition("/")[2]
+                    for line in text.splitlines()
+                    if f" {directory}/{PREFIX}" in line
+                }
     return names
 
 
@@ -91,7 +102,8 @@ def _remove(name: str, directory: Path) -> bool:
 
 
 class SegmentRecord:
-    """A file that names the segments of a server and its modules, so that the next server can clean up after a kill.
+    """A file that names the segments of a server and its modules, so that the next server can clean
+    up after a kill.
 
     Args:
         path: one file for each server run; made with the first name, gone after `close`.
@@ -118,12 +130,15 @@ class SegmentRecord:
 
 
 def clean_recorded(records: Iterable[Path]) -> int:
-    """Remove the stale segments of servers that are gone, and their records; returns how many segments that were.
+    """Remove the stale segments of servers that are gone, and their records; returns how many
+    segments that were.
 
     Args:
         records: files of `SegmentRecord`, in folders whose names end in "-<pid>".
     """
-    return sum(_clean(record) for record in records if not _is_alive(record.parent.name.rpartition("-")[2]))
+    return sum(
+        _clean(record) for record in records if not _is_alive(record.parent.name.rpartition("-")[2])
+    )
 
 
 def _clean(record: Path) -> int:

@@ -1,4 +1,6 @@
-"""One ROS node for all robots of a server: a node of its own for each would use up the participants of a host."""
+"""One ROS node for all robots of a server: a node of its own for each would use up the
+participants of a host.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,9 @@ from typing import Any
 from roboneuron.feature import MODULE_KINDS, Config, Connection
 
 PARTICIPANTS = "ROBONEURON_PARTICIPANTS"
-"""Environment variable: how many participants of this host each looks for in the range LOCALHOST."""
+"""Environment variable: how many participants of this host each looks for in the range
+LOCALHOST.
+"""
 _MOST = 115
 """A domain has 250 ports, of which each participant takes two. Source: RTPS 2.2, 9.6.1.1."""
 _OTHERS = 8
@@ -17,7 +21,9 @@ _OTHERS = 8
 
 
 def participants_of(robots: Iterable[Config]) -> int:
-    """How many participants have to find each other: the modules of all robots, and a few others."""
+    """How many participants have to find each other: the modules of all robots, and a few
+    others.
+    """
     modules = sum(getattr(robot, kind) is not None for robot in robots for kind in MODULE_KINDS)
     return min(_MOST, modules + _OTHERS)
 
@@ -50,7 +56,9 @@ class SharedConnection(Connection):
         super().close()
 
     def _receive(self, message: Any) -> None:
-        """Take a DiagnosticArray; a module reports its own robot only, so the first entry tells whose it is."""
+        """Take a DiagnosticArray; a module reports its own robot only, so the first entry tells
+        whose it is.
+        """
         for status in message.status[:1]:
             receiver = self._receivers.get(status.name.strip("/").rpartition("/")[0])
             if receiver is not None:

@@ -1,4 +1,6 @@
-"""The feature as every server loads it: what it does begins with `[robots.<name>]`, see `rn_standard.fleet.fleet`."""
+"""The feature as every server loads it: what it does begins with `[robots.<name>]`, see
+`rn_standard.fleet.fleet`.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,9 @@
 """Several robots in one server process: an application for each, one MCP server in front of all.
 
-What belongs to a robot exists once for each: supervisor, gate, limits, leases, emergency stop, audit, incidents, all in
-a folder of its own. What belongs to the process exists once: the ROS node, the transport, SIGUSR1, the end.
+What belongs to a robot exists once for each: supervisor, gate, limits, leases, emergency stop,
+    audit, incidents, all in
+a folder of its own. What belongs to the process exists once: the ROS node, the transport, SIGUSR1,
+    the end.
 """
 
 from __future__ import annotations
@@ -51,7 +53,8 @@ _LOOK_S = 0.02
 
 
 class Fleet:
-    """Everything `roboneuron serve` consists of for several robots, a `roboneuron.server.surface.Served`.
+    """Everything `roboneuron serve` consists of for several robots, a
+    `roboneuron.server.surface.Served`.
 
     Args:
         config: with `robots`.
@@ -64,7 +67,12 @@ class Fleet:
     """
 
     def __init__(
-        self, config: Config, state: Path, *, plugins: PluginCatalogue | None = None, command: Command = module_command
+        self,
+        config: Config,
+        state: Path,
+        *,
+        plugins: PluginCatalogue | None = None,
+        command: Command = module_command,
     ) -> None:
         logs = state / "log" / f"{time.strftime('%Y%m%d-%H%M%S')}-{os.getpid()}"
         self._state = state
@@ -72,30 +80,39 @@ class Fleet:
         self._latch = EmergencyStopLatch(state / ESTOP_FILE, time.time_ns)
         self._was_latched = False
         self._watch = Periodic("fleet-latch", _LOOK_S, self._look)
-        self._threads = ThreadPoolExecutor(max_workers=len(config.robots), thread_name_prefix="fleet")
+        self._threads = ThreadPoolExecutor(
+            max_workers=len(config.robots), thread_name_prefix="fleet"
+        )
         self.robots: dict[str, Application] = {}
         self.events = Events()
         plugins = plugins or PluginCatalogue(config.disabled_plugins)
         try:
             for name, one in config.robots.items():
-                self.robots[name] = self._application(name, one, robot_folder(state, name), plugins, command)
+                self.robots[name] = self._application(
+                    name, one, robot_folder(state, name), plugins, command
+                )
         except BaseException:
             self.close()
             raise
         own = [list_fleet_tool(self.robots), emergency_stop_tool(self)]
         self.tools = FleetTools(self.robots, own, lambda who: self.events.client.tell(who, True))
         self.resources = FleetResources(self.robots)
-        named = ", ".join(f"{name} ({robot.loop.robot_facts})" for name, robot in self.robots.items())
+        named = ", ".join(
+            f"{name} ({robot.loop.robot_facts})" for name, robot in self.robots.items()
+        )
         tools = {name for robot in self.robots.values() for name in robot.tools.names()}
         instructions = (
-            f"RoboNeuron operates {len(self.robots)} robots: {named}. Every tool takes `robot`, the one it is about; "
+            f"RoboNeuron operates {len(self.robots)} robots: {named}. Every tool takes `robot`, "
+            "the one it is about; "
             "list_fleet shows how they are; emergency_stop without `robot` stops all. "
             f"{instructions_for(tools)}"
         )
         self.server = make_server(self, config.server.name, instructions)
         self.server.middleware.append(RobotMiddleware(self.tools, list(self.robots.values())))
         first = next(iter(self.robots.values()))
-        self._host = replace(first.host, server=self.server, events=self.events, check_resource=self.resources.check)
+        self._host = replace(
+            first.host, server=self.server, events=self.events, check_resource=self.resources.check
+        )
         first.features.attach(self._host)
 
     @property
@@ -113,7 +130,9 @@ class Fleet:
             try:
                 robot.check()
             except RoboNeuronError as error:
-                raise ConfigurationError(f"[robots.{name}]: {error.message}", hint=error.hint) from error
+                raise ConfigurationError(
+                    f"[robots.{name}]: {error.message}", hint=error.hint
+                ) from error
 
     def listen(self) -> Transport | None:
         """Begin to listen for the clients of all robots; None for stdio."""
@@ -124,9 +143,14 @@ class Fleet:
         press_on_signal(partial(self.latch, SIGNAL, ""))
 
     def open(self) -> None:
-        """Begin to join the ROS graph; stop all robots whenever the latch of the whole state directory is pressed."""
+        """Begin to join the ROS graph; stop all robots whenever the latch of the whole state
+        directory is pressed.
+        """
         self._note_namespaces()
-        wanted, given = participants_of(r.loop.config for r in self.robots.values()), os.environ.get(PARTICIPANTS, "")
+        wanted, given = (
+            participants_of(r.loop.config for r in self.robots.values()),
+            os.environ.get(PARTICIPANTS, ""),
+        )
         os.environ[PARTICIPANTS] = str(max(wanted, int(given) if given.isdecimal() else 0))
         for robot in self.robots.values():
             robot.open()
@@ -139,15 +163,22 @@ class Fleet:
             await robot.settle()
 
     def press(self, who: str, reason: str) -> None:
-        """Latch the emergency stop of all robots without waiting for anything; what fails is told by `latch`."""
-        press_together([robot.loop.emergency_stop.file for robot in self.robots.values()], who=who, reason=reason)
+        """Latch the emergency stop of all robots without waiting for anything; what fails is
+        told by `latch`.
+        """
+        press_together(
+            [robot.loop.emergency_stop.file for robot in self.robots.values()],
+            who=who,
+            reason=reason,
+        )
 
     def latch(self, who: str, reason: str) -> tuple[list[str], float]:
-        """Stop all motion of all robots; returns which modules confirmed it, and after how many seconds.
+        """Stop all motion of all robots; returns which modules confirmed it, and after how many
+        seconds.
 
         Raises:
-            UnsafeError: some robot's modules did not confirm it, or its latch cannot be written; all others were
-                stopped nevertheless.
+            UnsafeError: some robot's modules did not confirm it, or its latch cannot be written;
+                all others were stopped nevertheless.
         """
         started_s = time.monotonic()
         self.press(who, reason)
@@ -155,7 +186,9 @@ class Fleet:
         def latch_one(name: str) -> tuple[list[str], str]:
             robot = self.robots[name]
             try:
-                confirmed, _ = robot.loop.emergency_stop.latch(robot.loop.config.namespace, who=who, reason=reason)
+                confirmed, _ = robot.loop.emergency_stop.latch(
+                    robot.loop.config.namespace, who=who, reason=reason
+                )
             except RoboNeuronError as error:
                 return [], f"{name}: {error}"
             return [f"{name}/{kind}" for kind in confirmed], ""
@@ -164,13 +197,19 @@ class Fleet:
         failures = [failure for _, failure in done if failure]
         if failures:
             raise UnsafeError("\n".join(failures))
-        return [module for confirmed, _ in done for module in confirmed], time.monotonic() - started_s
+        return [
+            module for confirmed, _ in done for module in confirmed
+        ], time.monotonic() - started_s
 
     def close(self) -> None:
         """Stop all motion, modules and threads of all robots side by side; idempotent."""
         self._watch.close()
-        with ThreadPoolExecutor(max_workers=max(1, len(self.robots)), thread_name_prefix="close") as closing:
-            for name, closed in [(name, closing.submit(robot.close)) for name, robot in self.robots.items()]:
+        with ThreadPoolExecutor(
+            max_workers=max(1, len(self.robots)), thread_name_prefix="close"
+        ) as closing:
+            for name, closed in [
+                (name, closing.submit(robot.close)) for name, robot in self.robots.items()
+            ]:
                 try:
                     closed.result()
                 except Exception:  # one robot that cannot be closed keeps no other
@@ -201,7 +240,9 @@ class Fleet:
             (folder / NAMESPACE_FILE).write_text(robot.loop.config.namespace, encoding="utf-8")
 
     def _look(self) -> None:
-        """A stop of the whole, written by `roboneuron estop`: each robot is then stopped until it is reset itself."""
+        """A stop of the whole, written by `roboneuron estop`: each robot is then stopped until
+        it is reset itself.
+        """
         is_latched = self._latch.is_latched()
         if is_latched and not self._was_latched:
             state = self._latch.read_state()

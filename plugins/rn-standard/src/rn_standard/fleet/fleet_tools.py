@@ -36,19 +36,24 @@ class FleetList(Result):
 class FleetStop(EmergencyStopArguments):
     """Arguments of emergency_stop."""
 
-    robot: str | None = Field(default=None, description="Which robot; all of them when omitted or unknown.")
+    robot: str | None = Field(
+        default=None, description="Which robot; all of them when omitted or unknown."
+    )
 
 
 def list_fleet_tool(robots: Mapping[str, Application]) -> Tool[Any]:
     """list_fleet."""
 
     async def handler(_: NoArguments, context: CallContext) -> FleetList:
-        return await context.run(lambda _: FleetList(robots=[_told(name, robot) for name, robot in robots.items()]))
+        return await context.run(
+            lambda _: FleetList(robots=[_told(name, robot) for name, robot in robots.items()])
+        )
 
     return Tool(
         name="list_fleet",
         title="The robots of this server",
-        description="The robots, for the argument `robot` of all other tools; whether their emergency stop is latched, "
+        description="The robots, for the argument `robot` of all other tools; whether their "
+        "emergency stop is latched, "
         "and the health of their modules.",
         arguments=NoArguments,
         result=FleetList,
@@ -73,15 +78,23 @@ def emergency_stop_tool(fleet: Fleet) -> Tool[Any]:
                 hint=f"There are: {', '.join(fleet.robots)}.",
                 path="robot",
             )
-        note = "" if confirmed else "No module runs; those that are started later are stopped from the beginning."
-        return EmergencyStopResult(latched=True, confirmed_by=confirmed, took_s=round(took_s, 3), note=note)
+        note = (
+            ""
+            if confirmed
+            else "No module runs; those that are started later are stopped from the beginning."
+        )
+        return EmergencyStopResult(
+            latched=True, confirmed_by=confirmed, took_s=round(took_s, 3), note=note
+        )
 
     return Tool(
         name="emergency_stop",
         title="Emergency stop",
         description=(
-            "Stop all motion of all robots, or of one, now and keep it stopped until reset_emergency_stop of each, "
-            "across restarts of anything. Modules go on running. Returns when every running module has confirmed it; "
+            "Stop all motion of all robots, or of one, now and keep it stopped until "
+            "reset_emergency_stop of each, "
+            "across restarts of anything. Modules go on running. Returns when every running "
+            "module has confirmed it; "
             "an error names those that have not."
         ),
         arguments=FleetStop,
@@ -105,5 +118,9 @@ def _told(name: str, robot: Application) -> FleetRobot:
         driver=config.robot.driver,
         namespace=config.namespace,
         emergency_stop=robot.loop.emergency_stop.is_latched(),
-        modules={view.kind: assess(view, now_s) for view in robot.supervisor.views() if view.phase != "stopped"},
+        modules={
+            view.kind: assess(view, now_s)
+            for view in robot.supervisor.views()
+            if view.phase != "stopped"
+        },
     )

@@ -1,4 +1,6 @@
-"""Middleware of one robot's server, applied to the calls of that robot: what its features count and show."""
+"""Middleware of one robot's server, applied to the calls of that robot: what its features count
+and show.
+"""
 
 from __future__ import annotations
 
@@ -17,8 +19,9 @@ CallNext = Callable[[Any], Awaitable[Any]]
 class RobotMiddleware:
     """Middleware of the fleet's server (`mcp.server.context.ServerMiddleware`).
 
-    Each robot's features append to a server of their own, which no client reaches. What they have appended is applied
-    to a call that means their robot; they see it as in a server of one robot, without `robot`.
+    Each robot's features append to a server of their own, which no client reaches. What they have
+    appended is applied to a call that means their robot; they see it as in a server of one robot,
+    without `robot`.
 
     Args:
         tools: tells which robot a call means.

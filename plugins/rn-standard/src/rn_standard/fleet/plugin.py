@@ -4,7 +4,8 @@ from roboneuron import FeatureSpec, hookimpl
 
 FEATURE = FeatureSpec(
     name="fleet",
-    summary="Several robots behind one server, `[robots.<name>]`, each with its own gate and emergency stop.",
+    summary="Several robots behind one server, `[robots.<name>]`, each with its own gate and "
+    "emergency stop.",
     target="rn_standard.fleet.feature:FleetFeature",
     fleet="rn_standard.fleet.fleet:Fleet",
     fleet_config="rn_standard.fleet.reading:read_robots",

@@ -12,7 +12,8 @@ from roboneuron.feature import Config, Registry, parse_tables
 
 
 def read_robots(raw: Mapping[str, Any], source: str, registry: Registry) -> Config:
-    """Each `[robots.<name>]` with the tables that all share, as a configuration of its own; in `robots` of the whole.
+    """Each `[robots.<name>]` with the tables that all share, as a configuration of its own; in
+    `robots` of the whole.
 
     Args:
         raw: the tables of the file.
@@ -28,25 +29,47 @@ def read_robots(raw: Mapping[str, Any], source: str, registry: Registry) -> Conf
         raise ConfigurationError(f"{source}: either [robot] or [robots.<name>], not both.")
     if not isinstance(tables, dict) or not tables:
         raise ConfigurationError(f"{source}: robots = {tables!r}: expected tables [robots.<name>].")
-    served = {key for spec in registry.specs(FeatureSpec).values() if spec.transports for key in spec.keys}
+    served = {
+        key for spec in registry.specs(FeatureSpec).values() if spec.transports for key in spec.keys
+    }
     robots: dict[str, Config] = {}
     for name, table in tables.items():
         place = f"{source}, [robots.{name}]"
         if not re.fullmatch(r"[a-z][a-z0-9_-]{0,31}", name):
-            raise ConfigurationError(f"{place}: a robot's name is made of a-z, 0-9, - and _, at most 32.")
+            raise ConfigurationError(
+                f"{place}: a robot's name is made of a-z, 0-9, - and _, at most 32."
+            )
         if not isinstance(table, dict) or "robot" not in table:
-            raise ConfigurationError(f"{place}: 'robot' is missing.", hint='Write `robot = "husky"`, for instance.')
-        for key in sorted({"server", "disabled_plugins", "features", "robots", *served} & table.keys()):
-            raise ConfigurationError(f"{place}: {key!r} is shared by all robots: write it at the top level.")
-        robot = dict(table["robot"]) if isinstance(table["robot"], dict) else {"name": table["robot"]}
+            raise ConfigurationError(
+                f"{place}: 'robot' is missing.", hint='Write `robot = "husky"`, for instance.'
+            )
+        for key in sorted(
+            {"server", "disabled_plugins", "features", "robots", *served} & table.keys()
+        ):
+            raise ConfigurationError(
+                f"{place}: {key!r} is shared by all robots: write it at the top level."
+            )
+        robot = (
+            dict(table["robot"]) if isinstance(table["robot"], dict) else {"name": table["robot"]}
+        )
         robot.setdefault("namespace", name.replace("-", "_"))
         pairs = {key: (shared.get(key), table.get(key)) for key in ("plugins", "models")}
-        both = {key: {**a, **b} for key, (a, b) in pairs.items() if isinstance(a, dict) and isinstance(b, dict)}
-        robots[name] = one = parse_tables({**shared, **table, **both, "robot": robot}, place, registry)
+        both = {
+            key: {**a, **b}
+            for key, (a, b) in pairs.items()
+            if isinstance(a, dict) and isinstance(b, dict)
+        }
+        robots[name] = one = parse_tables(
+            {**shared, **table, **both, "robot": robot}, place, registry
+        )
         if "supervisor" in table and one.supervisor.state_directory is not None:
-            raise ConfigurationError(f"{place}: 'state_directory' is shared: each robot has a folder of its own in it.")
+            raise ConfigurationError(
+                f"{place}: 'state_directory' is shared: each robot has a folder of its own in it."
+            )
     namespaces = Counter(one.namespace for one in robots.values())
     for namespace in (namespace for namespace, count in namespaces.items() if count > 1):
         raise ConfigurationError(f"{source}: two robots have the namespace {namespace!r}.")
     first = next(iter(robots.values())).robot.model_dump(exclude_none=True)
-    return parse_tables({**shared, "robot": first}, source, registry).model_copy(update={"robots": robots})
+    return parse_tables({**shared, "robot": first}, source, registry).model_copy(
+        update={"robots": robots}
+    )

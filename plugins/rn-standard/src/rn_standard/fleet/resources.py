@@ -1,4 +1,6 @@
-"""The resources of all robots, each with the robot's name behind the scheme: roboneuron://left/status."""
+"""The resources of all robots, each with the robot's name behind the scheme:
+roboneuron://left/status.
+"""
 
 from __future__ import annotations
 
@@ -57,5 +59,7 @@ class FleetResources(Resources):
         if name not in self._robots:
             start = f"{scheme}://" if scheme.isalpha() else "roboneuron://"
             known = ", ".join(f"{start}{name}/..." for name in self._robots)
-            raise MCPError(types.INVALID_PARAMS, f"There is no resource {uri[:200]!r}; there are: {known}.")
+            raise MCPError(
+                types.INVALID_PARAMS, f"There is no resource {uri[:200]!r}; there are: {known}."
+            )
         return self._robots[name], f"{scheme}://{own}"

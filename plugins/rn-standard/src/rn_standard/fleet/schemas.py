@@ -1,6 +1,8 @@
-"""One listed tool for several robots: a schema that takes what any of them takes, and `robot` before all else.
+"""One listed tool for several robots: a schema that takes what any of them takes, and `robot`
+before all else.
 
-Every agent reads the whole list, so it holds what a call needs: what answers hold is the same as with one robot, and
+Every agent reads the whole list, so it holds what a call needs: what answers hold is the same as
+    with one robot, and
 in docs/tools.md.
 """
 
@@ -18,7 +20,9 @@ _MOST_VARIANTS = 4
 """Descriptions that differ are quoted for so many kinds of robots at most."""
 
 
-def merged_tool(shown: Mapping[str, types.Tool], namespaces: Mapping[str, str], *, required: bool) -> types.Tool:
+def merged_tool(
+    shown: Mapping[str, types.Tool], namespaces: Mapping[str, str], *, required: bool
+) -> types.Tool:
     """A tool as it is listed for several robots.
 
     Args:
@@ -31,19 +35,25 @@ def merged_tool(shown: Mapping[str, types.Tool], namespaces: Mapping[str, str], 
     robot = {"type": "string", "enum": list(shown)}
     own = schema.get("properties", {})
     properties = {name: without_summaries(entry) for name, entry in own.items() if name != "robot"}
-    needed = [*(["robot"] if required else []), *(name for name in schema.get("required", ()) if name != "robot")]
+    needed = [
+        *(["robot"] if required else []),
+        *(name for name in schema.get("required", ()) if name != "robot"),
+    ]
     schema = {**schema, "properties": {"robot": robot, **properties}, "required": needed}
     if not needed:
         del schema["required"]
     texts = {
-        name: (tool.description or "").replace(f"/{namespaces[name]}/", "/<robot>/") for name, tool in shown.items()
+        name: (tool.description or "").replace(f"/{namespaces[name]}/", "/<robot>/")
+        for name, tool in shown.items()
     }
     changed = {"description": merged_text(texts), "input_schema": schema, "output_schema": None}
     return first.model_copy(update=changed)
 
 
 def without_summaries(entry: Schema) -> Schema:
-    """An argument without the summaries of its choices: list_* has them, and every robot would add its own."""
+    """An argument without the summaries of its choices: list_* has them, and every robot would
+    add its own.
+    """
     items = entry.get("items")
     if "enum" not in entry and not (isinstance(items, dict) and "enum" in items):
         return entry
@@ -55,7 +65,9 @@ def without_summaries(entry: Schema) -> Schema:
 
 
 def widest(schemas: Sequence[Schema]) -> Schema:
-    """A JSON schema that accepts whatever one of them accepts; each robot checks exactly what it takes itself."""
+    """A JSON schema that accepts whatever one of them accepts; each robot checks exactly what
+    it takes itself.
+    """
     first, *others = schemas
     if all(other == first for other in others):
         return first
@@ -65,11 +77,19 @@ def widest(schemas: Sequence[Schema]) -> Schema:
         is_everywhere = len(values) == len(schemas)
         if key == "properties":
             named = dict.fromkeys(name for entry in values for name in entry)
-            merged[key] = {name: widest([entry[name] for entry in values if name in entry]) for name in named}
+            merged[key] = {
+                name: widest([entry[name] for entry in values if name in entry]) for name in named
+            }
         elif key == "required":
-            kept = [name for name in values[0] if all(name in other for other in values)] if is_everywhere else []
+            kept = (
+                [name for name in values[0] if all(name in other for other in values)]
+                if is_everywhere
+                else []
+            )
             merged.update({key: kept} if kept else {})
-        elif key == "description" or (is_everywhere and all(value == values[0] for value in values)):
+        elif key == "description" or (
+            is_everywhere and all(value == values[0] for value in values)
+        ):
             merged[key] = values[0]
         elif is_everywhere and key == "enum":
             merged[key] = list(dict.fromkeys(choice for value in values for choice in value))
@@ -88,7 +108,11 @@ def merged_text(texts: Mapping[str, str]) -> str:
     if len(variants) == 1:
         return next(iter(variants))
     sentences = {text: text.split(". ") for text in variants}
-    shared = [part for part in next(iter(sentences.values())) if all(part in parts for parts in sentences.values())]
+    shared = [
+        part
+        for part in next(iter(sentences.values()))
+        if all(part in parts for parts in sentences.values())
+    ]
     own = [
         f"{', '.join(names)}: {'. '.join(part for part in sentences[text] if part not in shared)}"
         for text, names in variants.items()

@@ -1,4 +1,6 @@
-"""Tools that few requests need: found by words and called by name, so that the list of several robots stays short."""
+"""Tools that few requests need: found by words and called by name, so that the list of several
+robots stays short.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,9 @@ class FoundRobotTool(Result):
     name: str
     description: str
     robots: list[str] = Field(description="robots that have it")
-    input_schema: dict[str, Any] = Field(default_factory=dict, description="of `arguments` of call_robot_tool")
+    input_schema: dict[str, Any] = Field(
+        default_factory=dict, description="of `arguments` of call_robot_tool"
+    )
 
 
 class FoundRobotTools(Result):
@@ -51,7 +55,9 @@ class CallRobotTool(Arguments):
 
     robot: str = Field(max_length=80, description="Which robot.")
     tool: str = Field(max_length=80, description="Name of a tool of find_robot_tools.")
-    arguments: dict[str, Any] = Field(default_factory=dict, description="As its input schema says, without `robot`.")
+    arguments: dict[str, Any] = Field(
+        default_factory=dict, description="As its input schema says, without `robot`."
+    )
 
 
 def search_tools(seldom: Callable[[str], Sequence[types.Tool]]) -> list[Tool[Any]]:
@@ -62,10 +68,14 @@ def search_tools(seldom: Callable[[str], Sequence[types.Tool]]) -> list[Tool[Any
         tools = seldom(context.role)
         if not words:
             return FoundRobotTools(tools=[_found(tool, whole=False) for tool in tools], more=0)
-        scored = [(sum(2 * (w in t.name) + (w in str(t.description).lower()) for w in words), t) for t in tools]
+        scored = [
+            (sum(2 * (w in t.name) + (w in str(t.description).lower()) for w in words), t)
+            for t in tools
+        ]
         fitting = [tool for score, tool in sorted(scored, key=lambda pair: -pair[0]) if score]
         return FoundRobotTools(
-            tools=[_found(tool, whole=True) for tool in fitting[:_MOST]], more=max(0, len(fitting) - _MOST)
+            tools=[_found(tool, whole=True) for tool in fitting[:_MOST]],
+            more=max(0, len(fitting) - _MOST),
         )
 
     async def call(arguments: CallRobotTool, context: CallContext) -> Result:
@@ -75,8 +85,10 @@ def search_tools(seldom: Callable[[str], Sequence[types.Tool]]) -> list[Tool[Any
         Tool(
             name=FIND,
             title="Find further tools of the robots",
-            description="Find tools that are not in this list, by words: what is installed and can be chosen (list_*), "
-            "ROS interfaces, topics and nodes, replacing a running policy, camera or controller (switch_*), sequences "
+            description="Find tools that are not in this list, by words: what is installed and "
+            "can be chosen (list_*), "
+            "ROS interfaces, topics and nodes, replacing a running policy, camera or controller "
+            "(switch_*), sequences "
             "of messages. Call what you find with call_robot_tool.",
             arguments=FindRobotTools,
             result=FoundRobotTools,
@@ -87,7 +99,8 @@ def search_tools(seldom: Callable[[str], Sequence[types.Tool]]) -> list[Tool[Any
         Tool(
             name=CALL,
             title="Call a tool that find_robot_tools found",
-            description="Call a tool of find_robot_tools for one robot; the robot checks the arguments as in a direct "
+            description="Call a tool of find_robot_tools for one robot; the robot checks the "
+            "arguments as in a direct "
             "call.",
             arguments=CallRobotTool,
             result=Result,
@@ -101,7 +114,11 @@ def search_tools(seldom: Callable[[str], Sequence[types.Tool]]) -> list[Tool[Any
 
 def _found(tool: types.Tool, *, whole: bool) -> FoundRobotTool:
     properties: Mapping[str, Any] = tool.input_schema["properties"]
-    facts = {"name": tool.name, "description": tool.description or "", "robots": properties["robot"]["enum"]}
+    facts = {
+        "name": tool.name,
+        "description": tool.description or "",
+        "robots": properties["robot"]["enum"],
+    }
     if not whole:
         return FoundRobotTool(**facts)
     rest = {name: entry for name, entry in properties.items() if name != "robot"}

@@ -1,4 +1,6 @@
-"""The tools of all robots under one list: a call names the robot, and goes to that robot's own registry."""
+"""The tools of all robots under one list: a call names the robot, and goes to that robot's own
+registry.
+"""
 
 from __future__ import annotations
 
@@ -61,27 +63,38 @@ class FleetTools(ToolRegistry):
 
     Args:
         robots: by name.
-        own: tools of the whole fleet. One of a robot's name is called when no robot of the fleet is named.
+        own: tools of the whole fleet. One of a robot's name is called when no robot of the fleet is
+            named.
         on_client: told of the client of each call.
     """
 
     def __init__(
-        self, robots: Mapping[str, Application], own: list[Tool[Any]], on_client: Callable[[str], object]
+        self,
+        robots: Mapping[str, Application],
+        own: list[Tool[Any]],
+        on_client: Callable[[str], object],
     ) -> None:
         super().__init__([*own, *(search_tools(self._seldom) if len(robots) > 1 else ())])
         self._robots = robots
         self._on_client = on_client
 
     def listing(self, role: str = ADMIN) -> list[types.Tool]:
-        """What `tools/list` answers to clients of a role; of several robots without what is seldom needed."""
+        """What `tools/list` answers to clients of a role; of several robots without what is
+        seldom needed.
+        """
         shared = self._shared(role)
-        return [*super().listing(role), *(tool for tool in shared if not self._is_seldom(tool.name))]
+        return [
+            *super().listing(role),
+            *(tool for tool in shared if not self._is_seldom(tool.name)),
+        ]
 
     def _seldom(self, role: str) -> list[types.Tool]:
         return [tool for tool in self._shared(role) if self._is_seldom(tool.name)]
 
     def _is_seldom(self, name: str) -> bool:
-        tools = [tool for robot in self._robots.values() if (tool := robot.tools.get(name)) is not None]
+        tools = [
+            tool for robot in self._robots.values() if (tool := robot.tools.get(name)) is not None
+        ]
         return len(self._robots) > 1 and all(tool.seldom for tool in tools)
 
     def _shared(self, role: str) -> list[types.Tool]:
@@ -97,7 +110,9 @@ class FleetTools(ToolRegistry):
             if self.get(name) is None
         ]
 
-    async def call(self, name: str, arguments: Mapping[str, Any], context: CallContext) -> types.CallToolResult:
+    async def call(
+        self, name: str, arguments: Mapping[str, Any], context: CallContext
+    ) -> types.CallToolResult:
         """Have the named robot do it; every failure is an MCP error result."""
         if name == CALL and self.get(CALL) is not None:
             try:
@@ -127,7 +142,9 @@ class FleetTools(ToolRegistry):
             return name, arguments
 
     def meant_robot(self, tool: str, arguments: Mapping[str, Any]) -> Application | None:
-        """The robot whose tool a call means; None for a call of the whole fleet, and for one that will be refused."""
+        """The robot whose tool a call means; None for a call of the whole fleet, and for one
+        that will be refused.
+        """
         robot = arguments.get("robot")
         if self.get(tool) is not None and not (isinstance(robot, str) and robot in self._robots):
             return None
@@ -140,19 +157,28 @@ class FleetTools(ToolRegistry):
         """The robot that a call means.
 
         Raises:
-            InvalidInputError: no robot has the tool, or none or another one is named; lists the choices.
+            InvalidInputError: no robot has the tool, or none or another one is named; lists the
+                choices.
         """
         having = [name for name, one in self._robots.items() if one.tools.get(tool) is not None]
         if not having:
-            raise InvalidInputError(f"There is no tool {tool[:80]!r}.", hint="See tools/list.", path="tool")
+            raise InvalidInputError(
+                f"There is no tool {tool[:80]!r}.", hint="See tools/list.", path="tool"
+            )
         choices = f"Choose one of: {', '.join(having)}."
         if robot is None:
             if len(self._robots) > 1:
-                raise InvalidInputError(f"{tool} needs `robot`, which robot is meant.", hint=choices, path="robot")
+                raise InvalidInputError(
+                    f"{tool} needs `robot`, which robot is meant.", hint=choices, path="robot"
+                )
             return having[0]
         if not isinstance(robot, str) or robot not in self._robots:
             meant = nearest(str(robot)[:80], having, choices)
-            raise InvalidInputError(f"There is no robot {str(robot)[:80]!r}.", hint=meant, path="robot")
+            raise InvalidInputError(
+                f"There is no robot {str(robot)[:80]!r}.", hint=meant, path="robot"
+            )
         if robot not in having:
-            raise InvalidInputError(f"The robot {robot!r} has no tool {tool}.", hint=choices, path="robot")
+            raise InvalidInputError(
+                f"The robot {robot!r} has no tool {tool}.", hint=choices, path="robot"
+            )
         return robot

@@ -1,4 +1,6 @@
-"""The address that a section names: this machine's, kept to this machine unless tokens guard it, and free."""
+"""The address that a section names: this machine's, kept to this machine unless tokens guard
+it, and free.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,9 @@ from rn_standard.http.tokens import TokenTable
 from roboneuron import ConfigurationError
 
 
-def check_address(section: str, host: str, port: int, tokens: TokenTable) -> tuple[int, int, int, tuple[object, ...]]:
+def check_address(
+    section: str, host: str, port: int, tokens: TokenTable
+) -> tuple[int, int, int, tuple[object, ...]]:
     """Check that the address may be listened on, whether or not somebody does so already.
 
     Args:
@@ -25,13 +29,17 @@ def check_address(section: str, host: str, port: int, tokens: TokenTable) -> tup
     try:
         found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
     except OSError as error:
-        raise ConfigurationError(f"[{section}] host = {host!r} is no address of this machine: {error}.") from error
+        raise ConfigurationError(
+            f"[{section}] host = {host!r} is no address of this machine: {error}."
+        ) from error
     family, kind, protocol, _, address = found[0]
     if not ipaddress.ip_address(str(address[0]).partition("%")[0]).is_loopback and not tokens:
         raise ConfigurationError(
-            f"[{section}] host = {host!r} can be reached from other machines, and there is no token: anybody could "
+            f"[{section}] host = {host!r} can be reached from other machines, and there is no "
+            "token: anybody could "
             "move the robot.",
-            hint="Add [[http.tokens]] with name, role and variable or file, or listen on 127.0.0.1.",
+            hint="Add [[http.tokens]] with name, role and variable or file, or listen on "
+            "127.0.0.1.",
         )
     return family, kind, protocol, address
 

@@ -1,4 +1,6 @@
-"""The HTTP server of uvicorn with bounds: on connections, and on the time in which a request arrives."""
+"""The HTTP server of uvicorn with bounds: on connections, and on the time in which a request
+arrives.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,8 @@ _LEAVE_S = 1
 class BoundedServer(uvicorn.Server):
     """Serve it with a BoundedListener.
 
-    It leaves signals to us: uvicorn would raise them again and end the process before the modules are stopped.
+    It leaves signals to us: uvicorn would raise them again and end the process before the modules
+        are stopped.
 
     Args:
         app: what is served.
@@ -29,7 +32,9 @@ class BoundedServer(uvicorn.Server):
         lifespan: "on" for an application that has to begin and end with the server.
     """
 
-    def __init__(self, app: ASGIApp, connections: ConnectionTable, *, lifespan: Literal["on", "off"] = "off") -> None:
+    def __init__(
+        self, app: ASGIApp, connections: ConnectionTable, *, lifespan: Literal["on", "off"] = "off"
+    ) -> None:
         config = uvicorn.Config(
             app,
             http=cast(Any, partial(BoundedProtocol, connections)),
@@ -53,5 +58,7 @@ class BoundedServer(uvicorn.Server):
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         """See uvicorn."""
-        self._connections.listeners += [one for one in sockets or () if isinstance(one, BoundedListener)]
+        self._connections.listeners += [
+            one for one in sockets or () if isinstance(one, BoundedListener)
+        ]
         await super().startup(sockets)

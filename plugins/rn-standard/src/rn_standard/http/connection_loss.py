@@ -20,7 +20,9 @@ class Connection:
         self._is_lost = False
 
     async def receive(self) -> Message:
-        """The ASGI channel that the application listens on; a response that is streamed always does."""
+        """The ASGI channel that the application listens on; a response that is streamed always
+        does.
+        """
         message = await self._receive()
         if message["type"] == "http.disconnect" and not self._is_lost:
             self._is_lost = True

@@ -19,10 +19,14 @@ log = logging.getLogger(__name__)
 PROTOCOL_KEY = "roboneuron.transport"
 """Where the ASGI scope's `state` has the BoundedProtocol of a request."""
 HEADERS_S = 5.0
-"""From the first byte of a request (of a connection: from its beginning) to the end of its headers."""
+"""From the first byte of a request (of a connection: from its beginning) to the end of its
+headers.
+"""
 BODY_S = 30.0
 MOST, MOST_OF_ONE = 512, 128
-"""Proven connections: of all holders, and of each; no more than a quarter and an eighth of the process' handles."""
+"""Proven connections: of all holders, and of each; no more than a quarter and an eighth of the
+process' handles.
+"""
 RESERVED = 8
 """So many each holder may have though all others together have the most."""
 
@@ -52,7 +56,8 @@ class ConnectionTable:
                 listener.prove(connection.client)
 
     def prove(self, connection: BoundedProtocol, who: str, *, is_stop: bool = False) -> bool:
-        """Whether a request of `who` is served: it came on a connection that is, or is now, one of its share.
+        """Whether a request of `who` is served: it came on a connection that is, or is now, one of
+        its share.
 
         Args:
             connection: where it came from.
@@ -84,7 +89,9 @@ class ConnectionTable:
 
 
 class BoundedProtocol(H11Protocol):
-    """HTTP/1.1 of uvicorn, known to a ConnectionTable, and closed when a request does not arrive in time."""
+    """HTTP/1.1 of uvicorn, known to a ConnectionTable, and closed when a request does not
+    arrive in time.
+    """
 
     def __init__(self, table: ConnectionTable, **arguments: Any) -> None:
         super().__init__(**arguments)
@@ -132,7 +139,9 @@ class BoundedProtocol(H11Protocol):
 
     def _look(self) -> None:
         state = self.conn.their_state
-        has_begun = state is h11.SEND_BODY or (state is h11.IDLE and bool(self.conn.trailing_data[0]))
+        has_begun = state is h11.SEND_BODY or (
+            state is h11.IDLE and bool(self.conn.trailing_data[0])
+        )
         self._wait_for(state if has_begun else None)
 
     def _wait_for(self, state: Any) -> None:
@@ -145,4 +154,6 @@ class BoundedProtocol(H11Protocol):
             self._timer = None
         if state is not None:
             limit_s = HEADERS_S if state is h11.IDLE else BODY_S
-            self._timer = self.loop.call_later(limit_s, self.drop, f"no whole request within {limit_s:g} s")
+            self._timer = self.loop.call_later(
+                limit_s, self.drop, f"no whole request within {limit_s:g} s"
+            )

@@ -22,7 +22,9 @@ _LAPSE_S = 2.0
 
 
 class HttpFeature(Feature[HttpOptions]):
-    """Serves HTTP when `[server] transport` asks for it; lets one client at a time operate the robot always."""
+    """Serves HTTP when `[server] transport` asks for it; lets one client at a time operate the
+    robot always.
+    """
 
     lease: OperatorLease | None = None
     listener: socket.socket | None = None

@@ -1,10 +1,13 @@
-"""A listening socket that keeps what says nothing away from the server behind it, whose handles it leaves free.
+"""A listening socket that keeps what says nothing away from the server behind it, whose handles it
+leaves free.
 
-A server of asyncio takes each connection at once, with a protocol and a handle for it, and writes a traceback for each
-one that finds no handle. This socket hands a connection over when its first bytes are there. Silent ones cost little,
-the oldest gives way to the newest, and some handles of the process are never used for any of them.
+A server of asyncio takes each connection at once, with a protocol and a handle for it, and writes a
+traceback for each one that finds no handle. This socket hands a connection over when its first
+bytes are there. Silent ones cost little, the oldest gives way to the newest, and some handles of
+the process are never used for any of them.
 
-It serves every server that takes a socket: asyncio, uvicorn, websockets. Their own bounds (`limit_concurrency`,
+It serves every server that takes a socket: asyncio, uvicorn, websockets. Their own bounds
+    (`limit_concurrency`,
 `open_timeout`) hold after a connection was taken, and refuse a stop like everything else.
 """
 
@@ -32,7 +35,9 @@ _PEEK_BYTES = 4096
 _MOST_AT_ONCE = 32
 """New connections in one turn of the event loop, about 1 ms: calls are served between two turns."""
 BACKLOG = 2048
-"""Connections that wait in the kernel; when it is full, a new client tries again after a second only."""
+"""Connections that wait in the kernel; when it is full, a new client tries again after a second
+only.
+"""
 _WINDOW_S = 1.0
 _LOG_S = 60.0
 _NO_HANDLES = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
@@ -50,7 +55,8 @@ class Bounds:
         unproven: that have said something, and were not proven.
         unproven_of_one: the same, from one address.
         new: of unknown ones in a second from one address; twice as many from all.
-        handle: from this number of a new handle on, the oldest silent connection goes, or else the new one.
+        handle: from this number of a new handle on, the oldest silent connection goes, or else the
+            new one.
         handle_known: from this number on, known connections are refused, too.
     """
 
@@ -63,7 +69,8 @@ class Bounds:
 
 
 def stop_bounds(limit: int | None = None) -> Bounds:
-    """Bounds of the port on which stops come: an eighth of the handles stays free, half of it for the known.
+    """Bounds of the port on which stops come: an eighth of the handles stays free, half of it for
+    the known.
 
     Args:
         limit: handles of the process; RLIMIT_NOFILE by default.
@@ -71,9 +78,13 @@ def stop_bounds(limit: int | None = None) -> Bounds:
     limit = handle_limit() if limit is None else limit
     quarter = min(1024, limit // 4)
     return Bounds(
-        silent=quarter, unproven=min(256, quarter), unproven_of_one=min(192, quarter), new=500,
-        handle=limit - limit // 8, handle_known=limit - limit // 16,
-    )  # fmt: skip
+        silent=quarter,
+        unproven=min(256, quarter),
+        unproven_of_one=min(192, quarter),
+        new=500,
+        handle=limit - limit // 8,
+        handle_known=limit - limit // 16,
+    )
 
 
 def other_bounds(most: int, limit: int | None = None) -> Bounds:
@@ -85,7 +96,14 @@ def other_bounds(most: int, limit: int | None = None) -> Bounds:
     """
     limit = handle_limit() if limit is None else limit
     most = min(most, limit // 8)
-    return Bounds(silent=most, unproven=most, unproven_of_one=most, new=250, handle=limit // 2, handle_known=limit // 2)
+    return Bounds(
+        silent=most,
+        unproven=most,
+        unproven_of_one=most,
+        new=250,
+        handle=limit // 2,
+        handle_known=limit // 2,
+    )
 
 
 def handle_limit() -> int:
@@ -96,17 +114,22 @@ def handle_limit() -> int:
 class BoundedListener(socket.socket):
     """Give it to an asyncio server in place of the socket; used on its event loop only.
 
-    The lowest free number is a new handle's, so the number tells how many are open in the whole process, whoever has
+    The lowest free number is a new handle's, so the number tells how many are open in the whole
+    process, whoever has
     them. Source: POSIX, "File Descriptor Allocation".
 
     Args:
         bound: a bound TCP socket; this one takes it over.
         bounds: how many connections.
-        is_known: whether the first bytes of a connection show a right, such as a token. Known ones are not counted.
+        is_known: whether the first bytes of a connection show a right, such as a token. Known ones
+            are not counted.
     """
 
     def __init__(
-        self, bound: socket.socket, bounds: Bounds, is_known: Callable[[bytes], bool] = lambda first: False
+        self,
+        bound: socket.socket,
+        bounds: Bounds,
+        is_known: Callable[[bytes], bool] = lambda first: False,
     ) -> None:
         super().__init__(fileno=bound.detach())
         self.setblocking(False)
@@ -126,11 +149,15 @@ class BoundedListener(socket.socket):
         self._told_s = -_LOG_S
 
     def fileno(self) -> int:
-        """Readable when `accept` has something to do: at the listening socket, or at a silent connection."""
+        """Readable when `accept` has something to do: at the listening socket, or at a silent
+        connection.
+        """
         return -1 if self._poll.closed else self._poll.fileno()
 
     def accept(self) -> tuple[socket.socket, Any]:
-        """A connection whose first bytes are there. Raises BlockingIOError when none is left in this turn."""
+        """A connection whose first bytes are there. Raises BlockingIOError when none is left in
+        this turn.
+        """
         if not self._ready and not self._has_looked:
             self._has_looked = True
             self._look()
@@ -156,7 +183,9 @@ class BoundedListener(socket.socket):
         super().close()
 
     def prove(self, peer: Peer) -> None:
-        """The connection from there has a right to be: it does not have to give way here any more."""
+        """The connection from there has a right to be: it does not have to give way here any
+        more.
+        """
         self._unproven.pop(peer, None)
 
     def _look(self) -> None:
@@ -183,7 +212,9 @@ class BoundedListener(socket.socket):
             self._hear(connection, address)
 
     def _hear(self, connection: socket.socket, address: Any) -> None:
-        """Hand over a connection that says something, keep one that does not, close one that is gone."""
+        """Hand over a connection that says something, keep one that does not, close one that is
+        gone.
+        """
         try:
             first = connection.recv(_PEEK_BYTES, socket.MSG_PEEK)
         except BlockingIOError:
@@ -235,7 +266,8 @@ class BoundedListener(socket.socket):
         return False
 
     def _drop_unproven(self, source: str) -> None:
-        """Have the oldest unproven connection closed if there is one too many: of `source`, or of the busiest address.
+        """Have the oldest unproven connection closed if there is one too many: of `source`, or of
+        the busiest address.
 
         Whoever took it over notices the end of the stream, and closes it.
         """
@@ -243,7 +275,9 @@ class BoundedListener(socket.socket):
         is_full = counts.total() >= self._bounds.unproven
         if not is_full and counts[source] < self._bounds.unproven_of_one:
             return
-        self._unproven = {peer: held for peer, held in self._unproven.items() if held[0].fileno() >= 0}
+        self._unproven = {
+            peer: held for peer, held in self._unproven.items() if held[0].fileno() >= 0
+        }
         counts = Counter(other for _, other in self._unproven.values())
         if counts[source] < self._bounds.unproven_of_one:
             if counts.total() < self._bounds.unproven:
@@ -255,14 +289,18 @@ class BoundedListener(socket.socket):
             connection.shutdown(socket.SHUT_RDWR)
 
     def _do_without(self, error: OSError) -> None:
-        """No handle is left: make room for the next one, and take this one from the queue, which would stay full."""
+        """No handle is left: make room for the next one, and take this one from the queue,
+        which would stay full.
+        """
         now_s = time.monotonic()
         if now_s - self._told_s >= _LOG_S:
             self._told_s = now_s
             log.error(
-                "A connection is refused, and others for up to %g s without a word: %s. Who has so many files open?",
-                _LOG_S, error.strerror,
-            )  # fmt: skip
+                "A connection is refused, and others for up to %g s without a word: %s. Who has "
+                "so many files open?",
+                _LOG_S,
+                error.strerror,
+            )
         if self._drop_silent():
             return
         self._close_spare()
@@ -289,7 +327,9 @@ class BoundedListener(socket.socket):
 
 
 def _open_spare() -> int:
-    """A handle that is given up when there is no other: a connection can be taken and refused with it."""
+    """A handle that is given up when there is no other: a connection can be taken and refused
+    with it.
+    """
     return os.open(os.devnull, os.O_RDONLY | os.O_CLOEXEC)
 
 

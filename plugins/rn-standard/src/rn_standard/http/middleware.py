@@ -32,11 +32,12 @@ _CLOSE = {"Connection": "close"}
 
 
 class AccessMiddleware:
-    """ASGI application around another: checks Host and Origin, then the token, and notes the Holder in the scope.
+    """ASGI application around another: checks Host and Origin, then the token, and notes the Holder
+    in the scope.
 
-    Without tokens everybody who gets here is a local process with every role, told apart by its session or, where the
-    protocol has none, by its process; `server.listen` sees to it that this is so on loopback only. Whoever has a
-    request or a stream open is `present`.
+    Without tokens everybody who gets here is a local process with every role, told apart by its
+    session or, where the protocol has none, by its process; `server.listen` sees to it that this is
+    so on loopback only. Whoever has a request or a stream open is `present`.
     """
 
     def __init__(
@@ -62,10 +63,14 @@ class AccessMiddleware:
         origins = headers.getlist("origin")
         if not self._rules.allows_host(headers.getlist("host")):
             log.warning("Refused a request for the host %r.", headers.get("host", "")[:100])
-            await Response("Invalid Host header", status_code=421, headers=_CLOSE)(scope, receive, send)
+            await Response("Invalid Host header", status_code=421, headers=_CLOSE)(
+                scope, receive, send
+            )
         elif origins and not (len(origins) == 1 and self._rules.allows_origin(origins[0])):
             log.warning("Refused a request of a page of %r.", origins[0][:100])
-            await Response("Invalid Origin header", status_code=403, headers=_CLOSE)(scope, receive, send)
+            await Response("Invalid Origin header", status_code=403, headers=_CLOSE)(
+                scope, receive, send
+            )
         else:
             await self._for_pages(scope, receive, send)
 
@@ -73,21 +78,28 @@ class AccessMiddleware:
         headers = Headers(scope=scope)
         transport = scope.get("state", {}).get(PROTOCOL_KEY)
         if isinstance(transport, BoundedProtocol) and not self._tokens:
-            self._connections.keep(transport)  # before its process is looked up, which takes milliseconds
+            # before its process is looked up, which takes milliseconds
+            self._connections.keep(transport)
         holder = await self._holder(headers, scope, transport)
         if holder is None:
             log.warning("Refused a request without a valid token.")
             await _unauthorized()(scope, receive, send)
             return
-        if isinstance(transport, BoundedProtocol) and not self._connections.prove(transport, account_of(holder)):
+        if isinstance(transport, BoundedProtocol) and not self._connections.prove(
+            transport, account_of(holder)
+        ):
             is_stop, receive = await _look_for_stop(receive)
             if not is_stop:
-                log.warning("Refused a request of %r: it has too many connections.", account_of(holder))
+                log.warning(
+                    "Refused a request of %r: it has too many connections.", account_of(holder)
+                )
                 await _too_many(holder)(scope, receive, send)
                 return
             self._connections.prove(transport, account_of(holder), is_stop=True)
         # The SDK binds a session to this user: a session of one token cannot be used with another.
-        user = AuthenticatedUser(AccessToken(token="", client_id=account_of(holder), scopes=[holder.role]))
+        user = AuthenticatedUser(
+            AccessToken(token="", client_id=account_of(holder), scopes=[holder.role])
+        )
         connection = Connection(receive)
         inner = {**scope, HOLDER_KEY: replace(holder, watched=connection.watched), "user": user}
         with self._present(holder.who):
@@ -107,7 +119,9 @@ class AccessMiddleware:
 
 
 class _Pages(CORSMiddleware):
-    """Answers preflights and adds the headers by which a browser lets an allowed page read the answer."""
+    """Answers preflights and adds the headers by which a browser lets an allowed page read the
+    answer.
+    """
 
     def __init__(self, app: ASGIApp, rules: HostRules) -> None:
         super().__init__(
@@ -131,7 +145,9 @@ def session_name(session: str) -> str:
 
 
 async def _process_of(scope: Scope, transport: object) -> str:
-    """ "pid 123" for the process at the other end of a loopback connection; empty where that is not known."""
+    """ "pid 123" for the process at the other end of a loopback connection; empty where that is
+    not known.
+    """
     client = scope.get("client")
     if not isinstance(transport, BoundedProtocol) or client is None:
         return ""

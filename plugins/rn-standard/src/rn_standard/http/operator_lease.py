@@ -25,15 +25,17 @@ class OperatorResult(Result):
 
     operator: str = Field(description="the client that may call what acts")
     before: str = Field(default="", description="who did before; empty when nobody else")
-    lease_s: float | None = Field(default=None, description="motion ends when the operator is silent for this long")
+    lease_s: float | None = Field(
+        default=None, description="motion ends when the operator is silent for this long"
+    )
 
 
 class OperatorLease:
     """Admits calls. The first client that calls what acts is the operator until another takes over.
 
-    With a lease, every call of the operator renews it, and so does what it holds open (`present`); when it lapses,
-    `on_lapse` is called once, on a thread of its own, and anybody may become the operator. Methods may be called from
-    any thread.
+    With a lease, every call of the operator renews it, and so does what it holds open (`present`);
+    when it lapses, `on_lapse` is called once, on a thread of its own, and anybody may become the
+    operator. Methods may be called from any thread.
 
     Args:
         lease_s: longest silence of the operator; None: no lease.
@@ -80,7 +82,8 @@ class OperatorLease:
                 self._renew()
             elif acts:
                 raise RefusedError(
-                    f"{self._operator!r} operates the robot, {context.who!r} may look on and stop it.",
+                    f"{self._operator!r} operates the robot, {context.who!r} may look on and stop "
+                    "it.",
                     hint=f"Call {TAKE_OVER} if that is agreed.",
                 )
 
@@ -94,7 +97,11 @@ class OperatorLease:
             before = "" if self._is_vacant else self._operator
             if before != who:
                 reason = f"took over from {before}" if before else "nobody operated"
-                self._audit.write(AuditRecord(who=who, role=role, tool=TAKE_OVER, verdict="allowed", reason=reason))
+                self._audit.write(
+                    AuditRecord(
+                        who=who, role=role, tool=TAKE_OVER, verdict="allowed", reason=reason
+                    )
+                )
                 log.warning("%s operates the robot now; %s.", who, reason)
             self._operator = who
             self._renew()
@@ -110,7 +117,9 @@ class OperatorLease:
                 self._renewed_s = self._clock()
 
     def release(self, who: str) -> None:
-        """A client has left; if it was the operator, the next one that acts is. A lease goes on until it lapses."""
+        """A client has left; if it was the operator, the next one that acts is. A lease goes on
+        until it lapses.
+        """
         with self._lock:
             if who == self._operator:
                 self._is_vacant = True
@@ -151,7 +160,10 @@ class OperatorLease:
             if silent_s <= self._lease_s:
                 return
             who, self._operator = self._operator, ""
-        reason = f"The lease of {who!r} has lapsed: silent for {silent_s:.2f} s, {self._lease_s:g} s are allowed."
+        reason = (
+            f"The lease of {who!r} has lapsed: silent for {silent_s:.2f} s, "
+            f"{self._lease_s:g} s are allowed."
+        )
         log.error("%s", reason)
         try:
             self._on_lapse(reason)
@@ -159,7 +171,9 @@ class OperatorLease:
             record = AuditRecord(who=who, role="", tool="lease", verdict="lapsed", reason=reason)
             try:
                 self._audit.write(record)
-            except RefusedError as error:  # motion has ended; a missing record changes nothing about that
+            except (
+                RefusedError
+            ) as error:  # motion has ended; a missing record changes nothing about that
                 log.error("The lapse is not in the audit: %s", error)
 
     def start(self) -> None:
@@ -186,7 +200,8 @@ class OperatorLease:
                 name=TAKE_OVER,
                 title="Operate the robot",
                 description=(
-                    "Become the operator: the one client that may call what acts; everybody may look on and stop. The "
+                    "Become the operator: the one client that may call what acts; everybody may "
+                    "look on and stop. The "
                     "first client that acts is the operator by itself. What runs goes on."
                 ),
                 arguments=NoArguments,
@@ -199,7 +214,8 @@ class OperatorLease:
                 name=HEARTBEAT,
                 title="Renew the lease",
                 description=(
-                    "Say that you are alive. Every call of the operator does; an operator silent for longer than "
+                    "Say that you are alive. Every call of the operator does; an operator silent "
+                    "for longer than "
                     "[http] lease_s loses the robot: the policy is stopped and the arm holds."
                 ),
                 arguments=NoArguments,

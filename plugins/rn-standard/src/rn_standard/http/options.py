@@ -14,38 +14,57 @@ class TokenConfig(Section):
     """One entry of `http.tokens`: where a bearer token is found, never the token itself."""
 
     name: Name = Field(description="who holds it; for the audit")
-    role: Literal["viewer", "operator", "admin"] = Field(description="read; also move; also expose and reset")
-    variable: str | None = Field(default=None, max_length=128, description="environment variable that holds it")
+    role: Literal["viewer", "operator", "admin"] = Field(
+        description="read; also move; also expose and reset"
+    )
+    variable: str | None = Field(
+        default=None, max_length=128, description="environment variable that holds it"
+    )
     file: str | None = Field(default=None, description="or a file that only its owner can read")
 
 
 DEFAULT_LEASE_S = 120.0
-"""Agents think for up to a minute or two between calls; the robot keeps its own limits meanwhile."""
+"""Agents think for up to a minute or two between calls; the robot keeps its own limits
+meanwhile.
+"""
 
 
 class HttpOptions(Section):
     """`[http]`: the server over HTTP, and who operates the robot."""
 
-    host: str = Field(default="127.0.0.1", min_length=1, max_length=253, description="address to listen on")
-    port: Annotated[int, Field(ge=0, le=65535)] = Field(default=8765, description="port; 0: any free one")
+    host: str = Field(
+        default="127.0.0.1", min_length=1, max_length=253, description="address to listen on"
+    )
+    port: Annotated[int, Field(ge=0, le=65535)] = Field(
+        default=8765, description="port; 0: any free one"
+    )
     allowed_hosts: tuple[str, ...] = Field(
-        default=(), strict=False, description="names that clients use for this machine, besides `host`"
+        default=(),
+        strict=False,
+        description="names that clients use for this machine, besides `host`",
     )
     allowed_origins: tuple[str, ...] = Field(
-        default=(), strict=False, description="web pages that may connect, such as https://panel.lan"
+        default=(),
+        strict=False,
+        description="web pages that may connect, such as https://panel.lan",
     )
     lease_s: Seconds | Literal["auto", "never"] = Field(
         default="auto",
-        description="motion ends when its operator is silent for this long; auto: 120 over HTTP, never over stdio",
+        description="motion ends when its operator is silent for this long; auto: 120 over HTTP, "
+        "never over stdio",
     )
     lease_streams: bool = Field(
-        default=True, description="an open request or stream of the operator renews the lease; false: only its calls"
+        default=True,
+        description="an open request or stream of the operator renews the lease; false: only its "
+        "calls",
     )
     max_request_bytes: Annotated[int, Field(ge=1024, le=1 << 28)] = Field(
         default=4 << 20, description="largest request"
     )
     tokens: tuple[TokenConfig, ...] = Field(
-        default=(), strict=False, description="who may connect: tables of `name`, `role`, `variable`, `file`"
+        default=(),
+        strict=False,
+        description="who may connect: tables of `name`, `role`, `variable`, `file`",
     )
 
     def lease_on(self, transport: str) -> float | None:

@@ -1,4 +1,6 @@
-"""Which Host and Origin headers a server answers to: both are parsed, never matched by how they begin."""
+"""Which Host and Origin headers a server answers to: both are parsed, never matched by how they
+begin.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,9 @@ T = TypeVar("T")
 _LOOPBACK_NAMES = ("127.0.0.1", "localhost", "[::1]")
 _ANY_ADDRESS = ("0.0.0.0", "::", "")
 _ANY_PORT = -1
-_AUTHORITY = re.compile(r"(\[[0-9A-Fa-f:.]{2,45}\]|[A-Za-z0-9][A-Za-z0-9._-]{0,252})(?::([0-9]{1,5}|\*))?")
+_AUTHORITY = re.compile(
+    r"(\[[0-9A-Fa-f:.]{2,45}\]|[A-Za-z0-9][A-Za-z0-9._-]{0,252})(?::([0-9]{1,5}|\*))?"
+)
 """A name or an address, and a port. Source: RFC 3986, section 3.2, without user information."""
 _PORTS = {"http": 80, "https": 443}
 
@@ -24,14 +28,15 @@ class HostRules:
     """What the configuration allows.
 
     Raises:
-        ConfigurationError: the server listens on every address and no name of this machine is given, or an entry of
-            allowed_hosts or allowed_origins is none.
+        ConfigurationError: the server listens on every address and no name of this machine is
+            given, or an entry of allowed_hosts or allowed_origins is none.
     """
 
     def __init__(self, options: HttpOptions) -> None:
         if options.host in _ANY_ADDRESS and not options.allowed_hosts:
             raise ConfigurationError(
-                f"host = {options.host!r} listens on every address, so [http] must name in allowed_hosts how clients "
+                f"host = {options.host!r} listens on every address, so [http] must name in "
+                "allowed_hosts how clients "
                 "call this machine.",
                 hint='Such as allowed_hosts = ["robot.lan", "192.168.1.20"].',
             )
@@ -47,7 +52,11 @@ class HostRules:
         found = _authority(headers[0]) if len(headers) == 1 else None
         if found is None or found[1] == _ANY_PORT:
             return False
-        return found in self._hosts or (found[0], None) in self._hosts or (found[0], _ANY_PORT) in self._hosts
+        return (
+            found in self._hosts
+            or (found[0], None) in self._hosts
+            or (found[0], _ANY_PORT) in self._hosts
+        )
 
     def allows_origin(self, text: str) -> bool:
         """Whether pages of this origin may connect."""
@@ -86,5 +95,7 @@ def _origin(text: str) -> tuple[str, str, int] | None:
 
 def _configured(found: T | None, key: str, text: str) -> T:
     if found is None:
-        raise ConfigurationError(f"{text!r} in [http] {key} is none.", hint='Such as "robot.lan", "https://panel.lan".')
+        raise ConfigurationError(
+            f"{text!r} in [http] {key} is none.", hint='Such as "robot.lan", "https://panel.lan".'
+        )
     return found

@@ -7,11 +7,14 @@ from contextlib import suppress
 from pathlib import Path
 
 _TABLES = (Path("/proc/net/tcp"), Path("/proc/net/tcp6"))
-"""Columns 2, 3 and 10: local and remote address as HEX:PORT, inode of the socket. Source: proc_pid_net(5)."""
+"""Columns 2, 3 and 10: local and remote address as HEX:PORT, inode of the socket. Source:
+proc_pid_net(5).
+"""
 
 
 def peer_process(peer_port: int, own_port: int) -> int | None:
-    """Process id of who holds the local socket from `peer_port` to `own_port`; None where that cannot be seen.
+    """Process id of who holds the local socket from `peer_port` to `own_port`; None where that
+    cannot be seen.
 
     Takes milliseconds: it looks through the descriptors of every process of this user.
     """
@@ -33,6 +36,10 @@ def _inodes(peer_port: int, own_port: int) -> list[str]:
         with suppress(OSError):
             for line in table.read_text(encoding="ascii").splitlines()[1:]:
                 columns = line.split()
-                if columns[1].endswith(wanted[0]) and columns[2].endswith(wanted[1]) and columns[9] != "0":
+                if (
+                    columns[1].endswith(wanted[0])
+                    and columns[2].endswith(wanted[1])
+                    and columns[9] != "0"
+                ):
                     found.append(f"socket:[{columns[9]}]")
     return found

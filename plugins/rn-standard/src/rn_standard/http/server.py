@@ -1,4 +1,6 @@
-"""The server over streamable HTTP: one MCP server for all clients, however many sessions there are."""
+"""The server over streamable HTTP: one MCP server for all clients, however many sessions there
+are.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,13 @@ from rn_standard.http.local_clients import local_client
 from rn_standard.http.middleware import AccessMiddleware, session_name
 from rn_standard.http.options import HttpOptions
 from rn_standard.http.origins import HostRules
-from rn_standard.http.sessions import IDLE_S, MOST_SESSIONS, MOST_SESSIONS_OF_ONE, Sessions, note_handled
+from rn_standard.http.sessions import (
+    IDLE_S,
+    MOST_SESSIONS,
+    MOST_SESSIONS_OF_ONE,
+    Sessions,
+    note_handled,
+)
 from rn_standard.http.tokens import TokenTable, shows_right
 from roboneuron import __version__
 from roboneuron.feature import Events
@@ -61,13 +69,16 @@ def make_server(
         max_request_body_size=options.max_request_bytes,
         session_idle_timeout=IDLE_S,
         max_sessions=MOST_SESSIONS,
-        transport_security=TransportSecuritySettings(enable_dns_rebinding_protection=False),  # AccessMiddleware does it
+        # AccessMiddleware does it
+        transport_security=TransportSecuritySettings(enable_dns_rebinding_protection=False),
     )
     server.middleware.append(note_handled)
     most = MOST_SESSIONS_OF_ONE if tokens else MOST_SESSIONS
     connections = ConnectionTable()
     sessions = Sessions(inner, options.max_request_bytes, most, release)
-    return _Server(AccessMiddleware(sessions, rules, tokens, connections, present), connections, lifespan="on")
+    return _Server(
+        AccessMiddleware(sessions, rules, tokens, connections, present), connections, lifespan="on"
+    )
 
 
 def listen(options: HttpOptions, tokens: TokenTable) -> BoundedListener:
@@ -82,7 +93,9 @@ def listen(options: HttpOptions, tokens: TokenTable) -> BoundedListener:
 
 
 def _keep_alive(listener: socket.socket) -> None:
-    """Notice within seconds that a client's machine or cable is gone; connections inherit it where that is known."""
+    """Notice within seconds that a client's machine or cable is gone; connections inherit it
+    where that is known.
+    """
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
     for name, value in _KEEP_ALIVE.items():
         if hasattr(socket, name):
@@ -96,4 +109,11 @@ class _Server(BoundedServer):
         for listener in sockets or ():
             host, port = listener.getsockname()[:2]
             shown = f"[{host}]" if ":" in host else host
-            log.info("RoboNeuron %s serves MCP on http://%s:%d%s, pid %d.", __version__, shown, port, PATH, os.getpid())
+            log.info(
+                "RoboNeuron %s serves MCP on http://%s:%d%s, pid %d.",
+                __version__,
+                shown,
+                port,
+                PATH,
+                os.getpid(),
+            )

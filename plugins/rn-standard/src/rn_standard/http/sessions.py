@@ -1,4 +1,6 @@
-"""Sessions of the 2025 protocols over HTTP: a share for each holder, and no request id twice at work."""
+"""Sessions of the 2025 protocols over HTTP: a share for each holder, and no request id twice at
+work.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +38,9 @@ class _Session:
 
 @dataclass(eq=False, slots=True)
 class _Request:
-    """A request of a session: at work until it was answered, or its handler and its HTTP exchange have both ended."""
+    """A request of a session: at work until it was answered, or its handler and its HTTP
+    exchange have both ended.
+    """
 
     free: Callable[[], object]
     is_handled: bool = False
@@ -64,7 +68,11 @@ class Sessions:
     """
 
     def __init__(
-        self, app: ASGIApp, most_bytes: int, most_of_one: int, on_end: Callable[[str], object] = lambda session: None
+        self,
+        app: ASGIApp,
+        most_bytes: int,
+        most_of_one: int,
+        on_end: Callable[[str], object] = lambda session: None,
     ) -> None:
         self._app = app
         self._with_body = RequestBodyLimitMiddleware(self._serve, most_bytes)
@@ -91,9 +99,13 @@ class Sessions:
             await self._serve_session(scope, receive, send, request_id)
         except EnvelopeError as error:
             status = 503 if error.error["code"] == BUSY else 400
-            await Response(error.answer, status_code=status, media_type="application/json")(scope, receive, send)
+            await Response(error.answer, status_code=status, media_type="application/json")(
+                scope, receive, send
+            )
 
-    async def _serve_session(self, scope: Scope, receive: Receive, send: Send, request_id: int | str | None) -> None:
+    async def _serve_session(
+        self, scope: Scope, receive: Receive, send: Send, request_id: int | str | None
+    ) -> None:
         holder: Holder = scope[HOLDER_KEY]
         name = Headers(scope=scope).get(SESSION_HEADER)
         session = self._sessions.get(name) if name is not None else None
@@ -129,7 +141,9 @@ class Sessions:
         version = Headers(scope=scope).get("mcp-protocol-version", "")
         count = sum(session.holder == holder for session in self._sessions.values())
         if count >= self._most_of_one and version < "2026":
-            raise EnvelopeError(BUSY, f"{holder!r} has {count} sessions open already; end one, or use those.")
+            raise EnvelopeError(
+                BUSY, f"{holder!r} has {count} sessions open already; end one, or use those."
+            )
 
     def _note(self, method: str, name: str | None, message: Message, holder: str) -> None:
         if message["status"] >= 400:
@@ -150,7 +164,9 @@ class Sessions:
 
 
 async def note_handled(ctx: Any, call_next: Callable[[Any], Any]) -> Any:
-    """Middleware of the SDK's server: tells the Sessions that the handler of a request has ended."""
+    """Middleware of the SDK's server: tells the Sessions that the handler of a request has
+    ended.
+    """
     try:
         return await call_next(ctx)
     finally:
@@ -171,7 +187,8 @@ def _begin(session: _Session, request_id: int | str) -> _Request:
 
 
 def _request_id(body: bytes) -> int | str | None:
-    """The id of a request; None for what is none, or for what the SDK will say that it is nothing at all.
+    """The id of a request; None for what is none, or for what the SDK will say that it is nothing
+    at all.
 
     Raises:
         EnvelopeError: it has one that cannot be.

@@ -44,7 +44,8 @@ class TokenTable:
 class TokenFiles(TokenTable):
     """The tokens of a running server: a file that changes is read again at the next request.
 
-    A file that is gone, or holds no good token any more, leaves its holder without one; the others keep theirs.
+    A file that is gone, or holds no good token any more, leaves its holder without one; the others
+    keep theirs.
     """
 
     def __init__(self, sections: Sequence[TokenConfig], environment: Mapping[str, str]) -> None:
@@ -70,7 +71,11 @@ class TokenFiles(TokenTable):
                 except ConfigurationError as error:
                     log.error("A token is not accepted any more: %s", error)
             self._entries = _digests(good)
-            log.info("The files of tokens have changed; %d of %d are good.", len(good), len(self._sections))
+            log.info(
+                "The files of tokens have changed; %d of %d are good.",
+                len(good),
+                len(self._sections),
+            )
         return super().find(token)
 
     def _look(self) -> list[tuple[int, ...] | None]:
@@ -87,7 +92,9 @@ def _mark(name: str) -> tuple[int, ...] | None:
 
 
 def shows_right(tokens: TokenTable, first: bytes) -> bool:
-    """Whether the first bytes of a connection hold a valid token, or where there are none, the name of the stop."""
+    """Whether the first bytes of a connection hold a valid token, or where there are none, the
+    name of the stop.
+    """
     if not tokens:
         return _STOP in first
     found = _BEARER.search(first)
@@ -98,26 +105,37 @@ def read_tokens(sections: Sequence[TokenConfig], environment: Mapping[str, str])
     """Read the tokens that the configuration points to.
 
     Raises:
-        ConfigurationError: one is absent, short, readable by others, or the same as another; never shows it.
+        ConfigurationError: one is absent, short, readable by others, or the same as another; never
+            shows it.
     """
     return TokenTable(_entries(sections, environment))
 
 
 def _entries(
-    sections: Sequence[TokenConfig], environment: Mapping[str, str], before: Sequence[tuple[str, Holder]] = ()
+    sections: Sequence[TokenConfig],
+    environment: Mapping[str, str],
+    before: Sequence[tuple[str, Holder]] = (),
 ) -> list[tuple[str, Holder]]:
     """Tokens and holders, after those before."""
     entries = list(before)
     for section in sections:
         token = _read(section, environment)
         where = f"The token of {section.name!r}"
-        if len(token) < _LEAST_CHARACTERS or not token.isascii() or not token.isprintable() or " " in token:
+        if (
+            len(token) < _LEAST_CHARACTERS
+            or not token.isascii()
+            or not token.isprintable()
+            or " " in token
+        ):
             raise ConfigurationError(
-                f"{where} must have at least {_LEAST_CHARACTERS} printable ASCII characters, none of them a space.",
+                f"{where} must have at least {_LEAST_CHARACTERS} printable ASCII characters, none "
+                "of them a space.",
                 hint=_NEW,
             )
         if any(token == other or section.name == holder.who for other, holder in entries):
-            raise ConfigurationError(f"{where} or its name is that of another entry of [[http.tokens]].", hint=_NEW)
+            raise ConfigurationError(
+                f"{where} or its name is that of another entry of [[http.tokens]].", hint=_NEW
+            )
         entries.append((token, Holder(who=section.name, role=section.role)))
     return entries
 
@@ -129,14 +147,18 @@ def _read(section: TokenConfig, environment: Mapping[str, str]) -> str:
     if section.variable is not None:
         token = environment.get(section.variable, "")
         if not token:
-            raise ConfigurationError(f"{where} is in {section.variable}, which is not set.", hint=_NEW)
+            raise ConfigurationError(
+                f"{where} is in {section.variable}, which is not set.", hint=_NEW
+            )
         return token
     assert section.file is not None
     path = Path(section.file).expanduser()
     try:
         with path.open(encoding="utf-8") as file:
             if os.fstat(file.fileno()).st_mode & (stat.S_IRWXG | stat.S_IRWXO):
-                raise ConfigurationError(f"{where}: others can read {path}.", hint=f"chmod 600 {path}")
+                raise ConfigurationError(
+                    f"{where}: others can read {path}.", hint=f"chmod 600 {path}"
+                )
             return file.read(4096).strip()
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigurationError(f"{where}: {path} cannot be read: {error}.") from error

@@ -1,4 +1,6 @@
-"""The command `roboneuron limits`: show tightened limits, and loosen them as a person in a terminal."""
+"""The command `roboneuron limits`: show tightened limits, and loosen them as a person in a
+terminal.
+"""
 
 from __future__ import annotations
 
@@ -16,11 +18,20 @@ class Limits:
     def configure(self, parser: ArgumentParser) -> None:
         """Add the arguments of `roboneuron limits`."""
         parser.add_argument(
-            "--config", type=Path, metavar="FILE", help="a roboneuron.toml that names the state directory"
+            "--config",
+            type=Path,
+            metavar="FILE",
+            help="a roboneuron.toml that names the state directory",
         )
-        parser.add_argument("--state", type=Path, metavar="DIRECTORY", help="the state directory itself")
-        parser.add_argument("--robot", metavar="NAME", help="one of several robots; all of them without it")
-        parser.add_argument("--loosen", action="store_true", help="return to the configured limits; asks for a yes")
+        parser.add_argument(
+            "--state", type=Path, metavar="DIRECTORY", help="the state directory itself"
+        )
+        parser.add_argument(
+            "--robot", metavar="NAME", help="one of several robots; all of them without it"
+        )
+        parser.add_argument(
+            "--loosen", action="store_true", help="return to the configured limits; asks for a yes"
+        )
 
     def run(self, arguments: Namespace) -> int:
         """Run `roboneuron limits`; exit status 1 when a person did not agree."""
@@ -31,7 +42,11 @@ class Limits:
         configured = read_state_directory(arguments.config) if arguments.config else None
         directory = state_directory(str(arguments.state) if arguments.state else configured)
         of_robots = robot_folder(directory).parent
-        folders = [of_robots / arguments.robot] if arguments.robot else [directory, *sorted(of_robots.glob("*"))]
+        folders = (
+            [of_robots / arguments.robot]
+            if arguments.robot
+            else [directory, *sorted(of_robots.glob("*"))]
+        )
         files = [file for folder in folders if (file := folder / FILE_NAME).exists()]
         status = 0
         for path in files:

@@ -1,7 +1,7 @@
 """Ask the person behind a client, by MCP elicitation.
 
-Up to revision 2025-11-25 the server sends the question while the call waits. From 2026-07-28 on the call is answered
-with the question, and the client makes it again with the person's answer.
+Up to revision 2025-11-25 the server sends the question while the call waits. From 2026-07-28 on the
+call is answered with the question, and the client makes it again with the person's answer.
 """
 
 from __future__ import annotations
@@ -22,7 +22,14 @@ _ASKED_IN_RESULT = "2026-07-28"
 _KEY, _FIELD, _TYPED = "confirm", "confirmed", "typed"
 _SCHEMA: dict[str, Any] = {
     "type": "object",
-    "properties": {_FIELD: {"type": "boolean", "title": "Yes", "description": "Tick this to agree.", "default": False}},
+    "properties": {
+        _FIELD: {
+            "type": "boolean",
+            "title": "Yes",
+            "description": "Tick this to agree.",
+            "default": False,
+        }
+    },
     "required": [_FIELD],
 }
 _ANSWER_S = 300.0
@@ -30,13 +37,19 @@ _MOST = 64
 
 
 class Questions:
-    """Asks, and remembers what was asked: an answer to a question that was not asked counts for nothing."""
+    """Asks, and remembers what was asked: an answer to a question that was not asked counts for
+    nothing.
+    """
 
     def __init__(self) -> None:
         self._open: deque[tuple[str, str]] = deque(maxlen=_MOST)
 
     async def ask(
-        self, request: ServerRequestContext[Any, Any], params: types.CallToolRequestParams, text: str, what: str = ""
+        self,
+        request: ServerRequestContext[Any, Any],
+        params: types.CallToolRequestParams,
+        text: str,
+        what: str = "",
     ) -> str | None:
         """See `roboneuron.server.surface.Ask`; None also when nobody answered in time.
 
@@ -51,7 +64,9 @@ class Questions:
             return self._answer(params, text, what)
         with anyio.move_on_after(_ANSWER_S):
             try:
-                return _told(await request.session.elicit_form(text, _schema(what), request.request_id), what)
+                return _told(
+                    await request.session.elicit_form(text, _schema(what), request.request_id), what
+                )
             except MCPError:  # such as no way back to the client
                 return None
         return None
@@ -65,14 +80,20 @@ class Questions:
         self._open.append((ticket, text))
         form = types.ElicitRequestFormParams(message=text, requested_schema=_schema(what))
         question = types.ElicitRequest(params=form)
-        raise UnfinishedCallError(types.InputRequiredResult(input_requests={_KEY: question}, request_state=ticket))
+        raise UnfinishedCallError(
+            types.InputRequiredResult(input_requests={_KEY: question}, request_state=ticket)
+        )
 
 
 def _schema(what: str) -> dict[str, Any]:
     """A box to tick, or what is to be typed in."""
     if not what:
         return _SCHEMA
-    return {"type": "object", "properties": {_TYPED: {"type": "string", "title": what}}, "required": [_TYPED]}
+    return {
+        "type": "object",
+        "properties": {_TYPED: {"type": "string", "title": what}},
+        "required": [_TYPED],
+    }
 
 
 def _told(answer: Any, what: str) -> str:

@@ -15,7 +15,9 @@ from roboneuron import Feature, Host
 
 
 class Clients(Feature[None]):
-    """Announces changes of tools and resources to the clients of one server, and asks their persons."""
+    """Announces changes of tools and resources to the clients of one server, and asks their
+    persons.
+    """
 
     def __init__(self, options: None) -> None:
         super().__init__(options)
@@ -28,24 +30,34 @@ class Clients(Feature[None]):
         host.events.resource.listen(self._notices.resource_updated)
         notices, server = self._notices, host.server
 
-        async def remember(ctx: ServerRequestContext[Any, Any], call_next: CallNext) -> HandlerResult:
+        async def remember(
+            ctx: ServerRequestContext[Any, Any], call_next: CallNext
+        ) -> HandlerResult:
             if ctx.method == "tools/list":
                 notices.remember(ctx)
             return await call_next(ctx)
 
-        async def subscribe(context: ServerRequestContext[Any, Any], params: types.SubscribeRequestParams) -> Any:
+        async def subscribe(
+            context: ServerRequestContext[Any, Any], params: types.SubscribeRequestParams
+        ) -> Any:
             host.check_resource(str(params.uri))
             notices.subscribe(context, str(params.uri))
             return types.EmptyResult()
 
-        async def unsubscribe(context: ServerRequestContext[Any, Any], params: types.UnsubscribeRequestParams) -> Any:
+        async def unsubscribe(
+            context: ServerRequestContext[Any, Any], params: types.UnsubscribeRequestParams
+        ) -> Any:
             notices.unsubscribe(context, str(params.uri))
             return types.EmptyResult()
 
         server.middleware.append(remember)
         server.add_request_handler("resources/subscribe", types.SubscribeRequestParams, subscribe)
-        server.add_request_handler("resources/unsubscribe", types.UnsubscribeRequestParams, unsubscribe)
+        server.add_request_handler(
+            "resources/unsubscribe", types.UnsubscribeRequestParams, unsubscribe
+        )
         listening = ListenHandler(notices.bus)
-        server.add_request_handler("subscriptions/listen", types.SubscriptionsListenRequestParams, listening)
+        server.add_request_handler(
+            "subscriptions/listen", types.SubscriptionsListenRequestParams, listening
+        )
         server.announced = NotificationOptions(tools_changed=True)
         server.ask = self._questions.ask

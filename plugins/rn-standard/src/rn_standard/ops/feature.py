@@ -23,7 +23,9 @@ _ORDINARY = frozenset({"ungrounded"})
 
 
 class Operations(Feature[OpsOptions]):
-    """Records what goes wrong in one server, and restarts and ends module processes as configured."""
+    """Records what goes wrong in one server, and restarts and ends module processes as
+    configured.
+    """
 
     _incidents: Incidents
     _restarts: Restarts | None = None
@@ -33,7 +35,9 @@ class Operations(Feature[OpsOptions]):
         """get_logs and list_incidents."""
         self._host = host
         self._incidents = Incidents(host.state_directory / FOLDER)
-        self._restarts = Restarts(host.supervisor, self.options, self._note_restart, self._before_restart)
+        self._restarts = Restarts(
+            host.supervisor, self.options, self._note_restart, self._before_restart
+        )
         self._memory = MemoryWatch(host.supervisor, self.options.memory_limit_mb, self._note_memory)
         self._log = ServerLog(host.supervisor.log_directory)
         host.events.open.listen(self._log.open)
@@ -54,8 +58,10 @@ class Operations(Feature[OpsOptions]):
     def _tell_of_other_servers(self) -> None:
         for pid in self._presence.open():
             log.warning(
-                "Another server (pid %d) uses the state directory %s too. They share its emergency stop, its audit and "
-                "its records, and a robot can be started in one of them only. If you did not mean that, end one of "
+                "Another server (pid %d) uses the state directory %s too. They share its "
+                "emergency stop, its audit and "
+                "its records, and a robot can be started in one of them only. If you did not mean "
+                "that, end one of "
                 "them, or give each a [supervisor] state_directory of its own.",
                 pid,
                 self._host.state_directory,
@@ -98,7 +104,9 @@ class Operations(Feature[OpsOptions]):
         return [{"sent_ns": at, "values": list(values)} for at, values in newest]
 
     def _before_restart(self, kind: ModuleKind) -> None:
-        self._host.loop.starts.stop(kind, f"{kind} is started again after a failure", is_asked=False)
+        self._host.loop.starts.stop(
+            kind, f"{kind} is started again after a failure", is_asked=False
+        )
 
     def _note_restart(self, kind: ModuleKind, what: str) -> None:
         log.warning("%s: %s.", kind, what)

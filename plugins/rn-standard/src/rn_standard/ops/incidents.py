@@ -1,4 +1,6 @@
-"""One JSON file for each fault: what, when, the module's last status and log, and the last actions."""
+"""One JSON file for each fault: what, when, the module's last status and log, and the last
+actions.
+"""
 
 from __future__ import annotations
 
@@ -45,7 +47,9 @@ class Incidents:
         self._count = 0
 
     def record(self, module: str, what: str, facts: Mapping[str, Any]) -> Path | None:
-        """Write one; None when it repeats a recent one, or cannot be written (that goes to the log)."""
+        """Write one; None when it repeats a recent one, or cannot be written (that goes to the
+        log).
+        """
         now_s, seen_s = self._clock(), self._monotonic()
         with self._lock:
             again = seen_s - self._newest.get((module, what), -math.inf) < _AGAIN_S
@@ -55,8 +59,15 @@ class Incidents:
             self._count += 1
             number = self._count
         at = datetime.fromtimestamp(now_s, UTC)
-        name = f"{at:%Y%m%dT%H%M%S}.{at.microsecond // 1000:03d}Z-{os.getpid()}-{number}-{module}-{what}.json"
-        record = {"id": name.removesuffix(".json"), "at": at.isoformat(), "module": module, "what": what, **facts}
+        when = f"{at:%Y%m%dT%H%M%S}.{at.microsecond // 1000:03d}Z"
+        name = f"{when}-{os.getpid()}-{number}-{module}-{what}.json"
+        record = {
+            "id": name.removesuffix(".json"),
+            "at": at.isoformat(),
+            "module": module,
+            "what": what,
+            **facts,
+        }
         path = self.directory / name
         try:
             make_log_directory(self.directory)

@@ -1,4 +1,6 @@
-"""How busy the machine is just now: to tell a module that is at fault from one that gets no processor time."""
+"""How busy the machine is just now: to tell a module that is at fault from one that gets no
+processor time.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +8,9 @@ import os
 from pathlib import Path
 
 OVERLOADED = 2.0
-"""Runnable tasks for each core from which on a module may be late through no fault of its own: it gets half a core."""
+"""Runnable tasks for each core from which on a module may be late through no fault of its own:
+it gets half a core.
+"""
 _LOADAVG = Path("/proc/loadavg")
 
 
@@ -16,9 +20,11 @@ def cores() -> int:
 
 
 def runnable_per_core(source: Path = _LOADAVG) -> float:
-    """Tasks that run or wait for a core at this moment, for each core; 0 where the system does not tell.
+    """Tasks that run or wait for a core at this moment, for each core; 0 where the system does not
+    tell.
 
-    Source: proc(5), the fourth field of /proc/loadavg. The averages before it are of a minute and more, too late here.
+    Source: proc(5), the fourth field of /proc/loadavg. The averages before it are of a minute and
+        more, too late here.
     """
     try:
         running = int(source.read_text(encoding="ascii").split()[3].partition("/")[0])

@@ -1,4 +1,6 @@
-"""Memory limits of module processes: a leaking plugin must not starve the processes that hold the arm."""
+"""Memory limits of module processes: a leaking plugin must not starve the processes that hold
+the arm.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,8 @@ Record = Callable[[ModuleKind, str], None]
 
 
 def own_memory_mb(pid: int) -> float | None:
-    """Memory of a process that nobody else uses [MB]: resident, without files and shared memory; None when it is gone.
+    """Memory of a process that nobody else uses [MB]: resident, without files and shared memory;
+    None when it is gone.
 
     Source: proc_pid_statm(5).
     """
@@ -33,7 +36,8 @@ def own_memory_mb(pid: int) -> float | None:
 
 
 class MemoryWatch(Periodic):
-    """Ends modules that hold more than `[ops.memory_limit_mb]` allows; looks every 50 ms, at starting ones too.
+    """Ends modules that hold more than `[ops.memory_limit_mb]` allows; looks every 50 ms, at
+    starting ones too.
 
     Memory of children of a module (a served engine) is not counted, nor is that of a GPU.
     """
@@ -48,7 +52,8 @@ class MemoryWatch(Periodic):
     def look(self) -> None:
         """Compare all modules with their limits."""
         for kind in MODULE_KINDS:
-            for slot in tuple(self._supervisor.slots[kind]):  # the one that works, and one that is to replace it
+            # the one that works, and one that is to replace it
+            for slot in tuple(self._supervisor.slots[kind]):
                 self._check(slot)
 
     def _check(self, slot: Slot) -> None:
@@ -59,7 +64,10 @@ class MemoryWatch(Periodic):
         used_mb = own_memory_mb(process.pid) if limit_mb is not None else None
         if limit_mb is None or used_mb is None or used_mb <= limit_mb:
             return
-        why = f"ended: it holds {used_mb:.0f} MB, [ops.memory_limit_mb] {slot.kind} = {limit_mb} are allowed"
+        why = (
+            f"ended: it holds {used_mb:.0f} MB, [ops.memory_limit_mb] {slot.kind} = {limit_mb} "
+            "are allowed"
+        )
         log.error("%s (pid %d) is %s.", slot.kind, process.pid, why)
         self._ended.add(process)
         process.note(f"supervisor: {slot.kind} is {why}.")

@@ -41,7 +41,9 @@ class ToolNotices:
                 del self._sessions[next(iter(self._sessions))]
 
     def subscribe(self, request: ServerRequestContext[Any, Any], uri: str) -> None:
-        """A client of an older revision wants to know when the resource `uri` changes; called on the event loop."""
+        """A client of an older revision wants to know when the resource `uri` changes; called
+        on the event loop.
+        """
         self._loop = asyncio.get_running_loop()
         self._subscribers.setdefault(uri, {})[id(request.session)] = request.session
 
@@ -52,13 +54,21 @@ class ToolNotices:
     def resource_updated(self, uri: str) -> None:
         """Tell those who want to know; callable from any thread."""
         subscribers = self._subscribers.setdefault(uri, {})
-        self._tell(ResourceUpdated(uri=uri), subscribers, lambda session: session.send_resource_updated(uri))
+        self._tell(
+            ResourceUpdated(uri=uri),
+            subscribers,
+            lambda session: session.send_resource_updated(uri),
+        )
 
     def tools_changed(self) -> None:
         """Tell everybody; callable from any thread, does nothing before the first client."""
-        self._tell(ToolsListChanged(), self._sessions, lambda session: session.send_tool_list_changed())
+        self._tell(
+            ToolsListChanged(), self._sessions, lambda session: session.send_tool_list_changed()
+        )
 
-    def _tell(self, event: Any, sessions: dict[int, Any], send: Callable[[Any], Awaitable[None]]) -> None:
+    def _tell(
+        self, event: Any, sessions: dict[int, Any], send: Callable[[Any], Awaitable[None]]
+    ) -> None:
         async def tell() -> None:
             await self.bus.publish(event)
             for key, session in list(sessions.items()):

@@ -20,7 +20,9 @@ class RestartOptions(Section):
 
     robot: Restart = Field(default="never", description="whether it is restarted; it holds then")
     perception: Restart = Field(default="on_failure", description="whether it is restarted")
-    inference: Restart = Field(default="never", description="whether it is restarted; without an instruction")
+    inference: Restart = Field(
+        default="never", description="whether it is restarted; without an instruction"
+    )
     control: Restart = Field(default="never", description="whether it is restarted; it holds then")
 
     def policy(self, kind: ModuleKind) -> Restart:
@@ -56,9 +58,15 @@ class MemoryOptions(Section):
 class OpsOptions(Section):
     """`[ops]`: restarts and memory limits of module processes."""
 
-    restart: RestartOptions = Field(default=RestartOptions(), description="by module: never, on_failure")
-    memory_limit_mb: MemoryOptions = Field(default=MemoryOptions(), description="by module; none: not limited")
-    unresponsive_s: Seconds = Field(default=2.0, description="frozen for this long, a module may be restarted")
+    restart: RestartOptions = Field(
+        default=RestartOptions(), description="by module: never, on_failure"
+    )
+    memory_limit_mb: MemoryOptions = Field(
+        default=MemoryOptions(), description="by module; none: not limited"
+    )
+    unresponsive_s: Seconds = Field(
+        default=2.0, description="frozen for this long, a module may be restarted"
+    )
     restart_backoff_s: Annotated[float, Field(ge=0, le=600)] = Field(
         default=0.5, description="wait before a restart; doubled by each one before it"
     )
@@ -67,5 +75,7 @@ class OpsOptions(Section):
     )
     restart_window_s: Seconds = Field(default=120.0, description="restarts longer ago do not count")
     overload_restart_limit: Annotated[int, Field(ge=0, le=100)] = Field(
-        default=10, description="most restarts in an hour while the machine is overloaded; these wait up to 60 s"
+        default=10,
+        description="most restarts in an hour while the machine is overloaded; these wait up to "
+        "60 s",
     )

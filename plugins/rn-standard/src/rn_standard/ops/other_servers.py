@@ -1,4 +1,6 @@
-"""Other servers that use the same state directory: known by a lock that ends with its process, whatever ends that."""
+"""Other servers that use the same state directory: known by a lock that ends with its process,
+whatever ends that.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,9 @@ from pathlib import Path
 from roboneuron.feature import make_log_directory, opener
 
 FOLDER = "servers"
-"""In the state directory: an empty file for each server, called as its process id and locked by it."""
+"""In the state directory: an empty file for each server, called as its process id and locked by
+it.
+"""
 
 
 class ServerPresence:
@@ -22,14 +26,17 @@ class ServerPresence:
         self._held: int | None = None
 
     def open(self) -> list[int]:
-        """Take the lock, and return the process ids of the servers that hold theirs; files of dead ones go.
+        """Take the lock, and return the process ids of the servers that hold theirs; files of dead
+        ones go.
 
         A directory that cannot be written costs the knowledge, nothing else.
         """
         with suppress(OSError):
             make_log_directory(self._folder)
             self._held = self._lock(self._path)
-        return sorted(int(path.name) for path in self._folder.glob("[0-9]*") if self._is_of_another(path))
+        return sorted(
+            int(path.name) for path in self._folder.glob("[0-9]*") if self._is_of_another(path)
+        )
 
     def close(self) -> None:
         """Give the lock back; idempotent."""

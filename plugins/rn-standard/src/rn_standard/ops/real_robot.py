@@ -17,11 +17,14 @@ Handler = Callable[[Any, CallContext], Awaitable[Any]]
 
 
 class RealRobotOptions(Section):
-    """`[real_robot]`: who agrees to the first start of a robot whose driver is not declared as simulated."""
+    """`[real_robot]`: who agrees to the first start of a robot whose driver is not declared as
+    simulated.
+    """
 
     confirm: Literal["ask", "require", "never"] = Field(
         default="ask",
-        description="ask: the person behind the client, if it can ask one; require: no start without a person's "
+        description="ask: the person behind the client, if it can ask one; require: no start "
+        "without a person's "
         "agreement; never: nobody is asked",
     )
 
@@ -45,26 +48,35 @@ class RealRobotFeature(Feature[RealRobotOptions]):
     def _asking(self, host: Host, tool: Tool[Any]) -> Handler:
         async def handler(arguments: Arguments, context: CallContext) -> Any:
             if host.supervisor.view("robot").phase in _DOWN:
-                await self._ask(host, tool.name, arguments if tool.name == _STARTS[0] else None, context)
+                await self._ask(
+                    host, tool.name, arguments if tool.name == _STARTS[0] else None, context
+                )
             return await tool.handler(arguments, context)
 
         return handler
 
-    async def _ask(self, host: Host, tool: str, request: Arguments | None, context: CallContext) -> None:
-        """Raises RefusedError unless the robot is simulated, or a person agrees or has agreed before."""
+    async def _ask(
+        self, host: Host, tool: str, request: Arguments | None, context: CallContext
+    ) -> None:
+        """Raises RefusedError unless the robot is simulated, or a person agrees or has agreed
+        before.
+        """
         selection = await context.run(lambda _: host.loop.select("robot", request, context.role))
         driver = selection.plan.driver
         which = selection.config.robot.name, driver.name
         if driver.simulated or which in self._agreed:
             return
         agreed = await context.ask(
-            f"Start the real robot {which[0]} (driver {which[1]})? It can move afterwards: look whether its "
+            f"Start the real robot {which[0]} (driver {which[1]})? It can move afterwards: look "
+            "whether its "
             "workspace is free and the stop button is at hand."
         )
         refused = agreed is False or (agreed is None and self.options.confirm == "require")
-        said = {True: "a person agreed", False: "a person did not agree", None: "this client cannot ask a person"}[
-            agreed
-        ]
+        said = {
+            True: "a person agreed",
+            False: "a person did not agree",
+            None: "this client cannot ask a person",
+        }[agreed]
         host.audit.write(
             AuditRecord(
                 who=context.who,
@@ -80,6 +92,7 @@ class RealRobotFeature(Feature[RealRobotOptions]):
                 f"The real robot {which[0]} (driver {which[1]}) is not started: {said}.",
                 hint="Ask the person at the robot."
                 if agreed is False
-                else 'Use a client that supports elicitation, or let a person set confirm = "ask" in [real_robot].',
+                else 'Use a client that supports elicitation, or let a person set confirm = "ask" '
+                "in [real_robot].",
             )
         self._agreed |= {which}

@@ -32,13 +32,17 @@ class GetLogs(Arguments):
     """Arguments of get_logs."""
 
     module: Source = Field(description="Whose log; server: the log of this server itself.")
-    entries: int = Field(default=50, ge=1, le=500, description="Most entries; the newest are given.")
+    entries: int = Field(
+        default=50, ge=1, le=500, description="Most entries; the newest are given."
+    )
     level: Level = Field(default="debug", description="Leave out entries below this level.")
     contains: str = Field(default="", max_length=200, description="Only entries with this text.")
 
 
 class LogEntry(Result):
-    """One entry; `level` is empty for what was not written by the logger (a plugin's or library's own output)."""
+    """One entry; `level` is empty for what was not written by the logger (a plugin's or
+    library's own output).
+    """
 
     at: str = Field(default="", description="local time")
     level: str = ""
@@ -52,7 +56,8 @@ class LogsResult(Result):
     module: Source
     entries: list[LogEntry]
     more: int = Field(
-        description="older entries of the end of the log that are left out; `contains` and `level` narrow it"
+        description="older entries of the end of the log that are left out; `contains` and "
+        "`level` narrow it"
     )
     path: str = Field(description="the whole log, on the server's host")
 
@@ -60,9 +65,13 @@ class LogsResult(Result):
 class ListIncidents(Arguments):
     """Arguments of list_incidents."""
 
-    entries: int = Field(default=10, ge=1, le=100, description="Most records; the newest are given.")
+    entries: int = Field(
+        default=10, ge=1, le=100, description="Most records; the newest are given."
+    )
     module: ModuleKind | None = Field(default=None, description="Only of this module.")
-    id: str | None = Field(default=None, max_length=200, description="This one alone, with status, log and actions.")
+    id: str | None = Field(
+        default=None, max_length=200, description="This one alone, with status, log and actions."
+    )
 
 
 class Incident(Result):
@@ -72,12 +81,17 @@ class Incident(Result):
     at: str = Field(description="ISO 8601")
     module: str
     what: str = Field(description="failing, stalled, stuck, silent, exited, restart ...")
-    explanation: str = Field(default="", description="what that means, and the module's error if it had one")
+    explanation: str = Field(
+        default="", description="what that means, and the module's error if it had one"
+    )
     before: str = Field(default="", description="how it was before")
-    status: dict[str, Any] = Field(default_factory=dict, description="the module's last status, as in get_status")
+    status: dict[str, Any] = Field(
+        default_factory=dict, description="the module's last status, as in get_status"
+    )
     log: list[str] = Field(default_factory=list, description="the end of its log")
     actions: list[dict[str, Any]] = Field(
-        default_factory=list, description="the last actions on the action topic: when they were sent, and their values"
+        default_factory=list,
+        description="the last actions on the action topic: when they were sent, and their values",
     )
 
 
@@ -97,7 +111,9 @@ def incident_line(record: Mapping[str, Any]) -> Incident:
     error = (record.get("status") or {}).get("error") or {}
     if error.get("message"):
         told = f"{told}: {error['message']}" if told else str(error["message"])
-    named: dict[str, Any] = {key: str(record.get(key, "")) for key in ("id", "at", "module", "what")}
+    named: dict[str, Any] = {
+        key: str(record.get(key, "")) for key in ("id", "at", "module", "what")
+    }
     return Incident(**named, explanation=told if len(told) <= _LINE else f"{told[:_LINE]} ...")
 
 
@@ -127,7 +143,9 @@ def newest_lines(lines: Sequence[str], most: int) -> list[str]:
 
 
 def newest_entries(entries: Sequence[LogEntry]) -> list[LogEntry]:
-    """The last entries, at least one, of at most so many characters together as an agent can read."""
+    """The last entries, at least one, of at most so many characters together as an agent can
+    read.
+    """
     kept: list[LogEntry] = []
     room = _MOST_ANSWER
     for entry in reversed(entries):
@@ -156,7 +174,9 @@ def parse_entries(lines: tuple[str, ...]) -> list[LogEntry]:
 
 def log_file(supervisor: Supervisor, source: Source) -> Path:
     """Where a module, or the server itself, logs."""
-    return supervisor.log_directory / FILE_NAME if source == "server" else supervisor.log_path(source)
+    return (
+        supervisor.log_directory / FILE_NAME if source == "server" else supervisor.log_path(source)
+    )
 
 
 def log_resource(supervisor: Supervisor, source: Source) -> Resource:
@@ -166,7 +186,9 @@ def log_resource(supervisor: Supervisor, source: Source) -> Resource:
         name=f"log of {source}",
         title=f"Log of {source}",
         description=f"The last {LOG_LINES} lines that {source} has written.",
-        read=lambda: "\n".join(newest_lines(read_tail(log_file(supervisor, source), lines=LOG_LINES), _MOST_RESOURCE)),
+        read=lambda: "\n".join(
+            newest_lines(read_tail(log_file(supervisor, source), lines=LOG_LINES), _MOST_RESOURCE)
+        ),
     )
 
 
@@ -178,11 +200,15 @@ def record_tools(supervisor: Supervisor, incidents: Incidents) -> list[Tool[Any]
         least = _LEVELS.index(arguments.level)
         entries = [
             entry
-            for entry in parse_entries(await context.run(lambda _: read_tail(path, lines=_MOST_LINES)))
+            for entry in parse_entries(
+                await context.run(lambda _: read_tail(path, lines=_MOST_LINES))
+            )
             if _RANK.get(entry.level.upper(), 1) >= least and arguments.contains in entry.text
         ]
         kept = newest_entries(entries[-arguments.entries :])
-        return LogsResult(module=arguments.module, entries=kept, more=len(entries) - len(kept), path=str(path))
+        return LogsResult(
+            module=arguments.module, entries=kept, more=len(entries) - len(kept), path=str(path)
+        )
 
     async def list_incidents(arguments: ListIncidents, context: CallContext) -> IncidentsResult:
         found = await context.run(lambda _: incidents.listing(200))
@@ -191,7 +217,9 @@ def record_tools(supervisor: Supervisor, incidents: Incidents) -> list[Tool[Any]
             one = next((record for record in found if record.get("id") == arguments.id), None)
             if one is None:
                 raise InvalidInputError(
-                    f"There is no incident {arguments.id!r}.", hint="Call list_incidents without `id`.", path="id"
+                    f"There is no incident {arguments.id!r}.",
+                    hint="Call list_incidents without `id`.",
+                    path="id",
                 )
             return IncidentsResult(incidents=[whole_incident(one)], more=0, directory=directory)
         fitting = [record for record in found if arguments.module in (None, record.get("module"))]
@@ -202,7 +230,8 @@ def record_tools(supervisor: Supervisor, incidents: Incidents) -> list[Tool[Any]
         Tool(
             name="get_logs",
             title="Log of a module or of the server",
-            description="The newest entries of a module's log, also after it has ended, or of the server's log.",
+            description="The newest entries of a module's log, also after it has ended, or of the "
+            "server's log.",
             arguments=GetLogs,
             result=LogsResult,
             handler=get_logs,
@@ -213,8 +242,10 @@ def record_tools(supervisor: Supervisor, incidents: Incidents) -> list[Tool[Any]
             name="list_incidents",
             title="What went wrong",
             description=(
-                "Faults, one line each, newest first: modules that ended, froze, stalled or failed, and restarts. With "
-                "`id` one of them in full: status, log and last actions. Kept across restarts of the server."
+                "Faults, one line each, newest first: modules that ended, froze, stalled or "
+                "failed, and restarts. With "
+                "`id` one of them in full: status, log and last actions. Kept across restarts of "
+                "the server."
             ),
             arguments=ListIncidents,
             result=IncidentsResult,

@@ -57,9 +57,12 @@ def _tool(host: Host) -> Tool[Any]:
         name="recover_robot",
         title="Recover the robot from a fault",
         description=(
-            "Clear the fault that has stopped the arm (reflex, user stop, lost connection ...; see detail.fault in "
-            "get_status). A person decides, after having looked at the arm: the client asks one, if it can. Refused "
-            "while the cause stands. Nothing moves by itself afterwards: the policy has forgotten its instruction; "
+            "Clear the fault that has stopped the arm (reflex, user stop, lost connection ...; "
+            "see detail.fault in "
+            "get_status). A person decides, after having looked at the arm: the client asks one, "
+            "if it can. Refused "
+            "while the cause stands. Nothing moves by itself afterwards: the policy has forgotten "
+            "its instruction; "
             "set_instruction or run_task starts it again."
         ),
         arguments=NoArguments,
@@ -73,7 +76,8 @@ def _tool(host: Host) -> Tool[Any]:
 
 async def _ask(context: CallContext) -> None:
     agreed = await context.ask(
-        "Recover the robot from its fault? Look at the arm first. Nothing moves before somebody asks for it anew."
+        "Recover the robot from its fault? Look at the arm first. Nothing moves before somebody "
+        "asks for it anew."
     )
     if agreed:
         return
@@ -88,7 +92,8 @@ def _recover(host: Host, who: str, role: str) -> RecoveryResult:
     """Ask the robot module, and write into the audit what it answers.
 
     Raises:
-        RefusedError: the cause stands, or the audit cannot be written; StateError: no fault, or no robot runs.
+        RefusedError: the cause stands, or the audit cannot be written; StateError: no fault, or no
+            robot runs.
         NotReadyError: no answer in time.
     """
     started_s = time.monotonic()
@@ -100,12 +105,18 @@ def _recover(host: Host, who: str, role: str) -> RecoveryResult:
     def write(verdict: str, reason: str) -> None:
         host.audit.write(
             AuditRecord(
-                who=who, role=role, tool="recover_robot", verdict=verdict, robot=host.config.robot.name, reason=reason
+                who=who,
+                role=role,
+                tool="recover_robot",
+                verdict=verdict,
+                robot=host.config.robot.name,
+                reason=reason,
             )
         )
 
     write("allowed", "asks the robot to recover")  # first: without an audit nothing is released
-    host.loop.starts.stop("robot", "a recovery from a fault", is_asked=False)  # also where no fault was noticed before
+    # also where no fault was noticed before
+    host.loop.starts.stop("robot", "a recovery from a fault", is_asked=False)
     number = time.time_ns() // 1_000_000
     node = f"/{view.choice.settings.status_name}"
     client = supervisor.parameters(node, view.process)
@@ -119,7 +130,10 @@ def _recover(host: Host, who: str, role: str) -> RecoveryResult:
 
     told = supervisor.changes.wait_for(answer, _DONE_S)
     if told is None:
-        raise NotReadyError(f"The robot did not say within {_DONE_S:g} s whether it recovered.", hint="See get_status.")
+        raise NotReadyError(
+            f"The robot did not say within {_DONE_S:g} s whether it recovered.",
+            hint="See get_status.",
+        )
     word, _, text = told.partition(" ")
     write("allowed" if word == "recovered" else "refused", told)
     if word == StateError.code:

@@ -1,4 +1,6 @@
-"""Recovery of a robot from a fault: a ROS parameter, so that only the server of this module may ask for it."""
+"""Recovery of a robot from a fault: a ROS parameter, so that only the server of this module may
+ask for it.
+"""
 
 from __future__ import annotations
 
@@ -13,13 +15,17 @@ if TYPE_CHECKING:
     from roboneuron.feature import Module, ModuleHost
 
 RECOVER_PARAMETER = "recover"
-"""ROS parameter of the robot node: a new number asks a driver that can to recover; `recovery` tells how it went."""
+"""ROS parameter of the robot node: a new number asks a driver that can to recover; `recovery`
+tells how it went.
+"""
 log = logging.getLogger(__name__)
 
 
 @runtime_checkable
 class RecoverableDriver(Protocol):
-    """What a driver may offer, without importing this: to clear a fault that has stopped the robot."""
+    """What a driver may offer, without importing this: to clear a fault that has stopped the
+    robot.
+    """
 
     def recover(self) -> str:
         """Clear the fault because a person said so; nothing moves. Returns what was cleared.
@@ -45,7 +51,9 @@ def _extend(host: ModuleHost, module: Module) -> None:
 
 
 class Recovery:
-    """Asks the driver in a thread of its own, for it may take seconds, and reports "<number> <word> <text>"."""
+    """Asks the driver in a thread of its own, for it may take seconds, and reports "<number>
+    <word> <text>".
+    """
 
     def __init__(self, host: ModuleHost, driver: RecoverableDriver) -> None:
         self._host = host
@@ -60,7 +68,8 @@ class Recovery:
 
     def _run(self, number: int) -> None:
         with self._busy:
-            self._host.require_start("a recovery from a fault")  # what was asked for before it is not carried out
+            # what was asked for before it is not carried out
+            self._host.require_start("a recovery from a fault")
             try:
                 told = f"recovered {self._driver.recover()}"
             except RoboNeuronError as error:

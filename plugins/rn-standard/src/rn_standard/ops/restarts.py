@@ -11,7 +11,15 @@ from collections.abc import Callable
 from rn_standard.ops.load import OVERLOADED, cores, runnable_per_core
 from rn_standard.ops.options import OpsOptions
 from roboneuron import RoboNeuronError
-from roboneuron.feature import MODULE_KINDS, Config, Health, ModuleKind, ModuleView, Supervisor, assess
+from roboneuron.feature import (
+    MODULE_KINDS,
+    Config,
+    Health,
+    ModuleKind,
+    ModuleView,
+    Supervisor,
+    assess,
+)
 
 log = logging.getLogger(__name__)
 _FROZEN: frozenset[Health] = frozenset({"silent", "stuck", "stalled"})
@@ -21,10 +29,14 @@ _SAMPLES = 5
 _FROZEN_SAMPLES = 20
 """Looks at the load while a module is frozen: the newest second."""
 _PATIENCE = 5.0
-"""How many times longer than `unresponsive_s` a module may be frozen while the machine is overloaded."""
+"""How many times longer than `unresponsive_s` a module may be frozen while the machine is
+overloaded.
+"""
 _HOUR_S = 3600.0
 _LONGEST_S = 60.0
-"""Longest wait before a restart on an overloaded machine, where starting a process makes it worse for all others."""
+"""Longest wait before a restart on an overloaded machine, where starting a process makes it
+worse for all others.
+"""
 _RELIEF = "stop other programs, or use fewer cameras, a lower rate or a smaller image"
 Record = Callable[[ModuleKind, str], None]
 """Told what was restarted, and how that went."""
@@ -33,12 +45,16 @@ Record = Callable[[ModuleKind, str], None]
 class Restarts:
     """Starts modules again that ended or froze, where `[ops.restart]` says "on_failure".
 
-    A module that is at fault itself has a limit within a window; the wait before a restart doubles with every restart
-    in that window. While the machine is overloaded nobody can say whose fault it is: a frozen module is given more
-    time, restarts wait longer, and another limit holds, in an hour. A module that is frozen is ended first, once it
-    has been so for `unresponsive_s`. A start that somebody asks for makes all counts begin anew.
+    A module that is at fault itself has a limit within a window; the wait before a restart doubles
+    with every restart
+    in that window. While the machine is overloaded nobody can say whose fault it is: a frozen
+        module is given more
+    time, restarts wait longer, and another limit holds, in an hour. A module that is frozen is
+    ended first, once it has been so for `unresponsive_s`. A start that somebody asks for makes all
+    counts begin anew.
 
-    A restart sets nothing in motion: the policy has no instruction afterwards, and robot and control obey nothing until
+    A restart sets nothing in motion: the policy has no instruction afterwards, and robot and
+        control obey nothing until
     somebody asks for motion.
     """
 
@@ -79,7 +95,9 @@ class Restarts:
             if self._closed or view.kind in self._pending:
                 return
             self._pending[view.kind] = threading.Event()
-        threading.Thread(target=self._restart, args=(view,), name=f"restart-{view.kind}", daemon=True).start()
+        threading.Thread(
+            target=self._restart, args=(view,), name=f"restart-{view.kind}", daemon=True
+        ).start()
 
     def _begin_anew(self, kind: ModuleKind) -> None:
         """Forget earlier restarts, unless the start is one of them."""
@@ -118,7 +136,9 @@ class Restarts:
     def _attempt(self, view: ModuleView, cancelled: threading.Event) -> None:
         assert view.choice is not None
         kind, config = view.kind, view.choice.settings.config
-        if view.phase == "running" and not self._is_still_frozen(view, cancelled, self._options.unresponsive_s):
+        if view.phase == "running" and not self._is_still_frozen(
+            view, cancelled, self._options.unresponsive_s
+        ):
             return
         while (load := self._measured_load(cancelled)) is not None:
             delay_s = self._delay_s(kind, load)
@@ -148,7 +168,9 @@ class Restarts:
             return
 
     def _delay_s(self, kind: ModuleKind, load: float) -> float | None:
-        """Count one more restart and return how long it waits; None, with a record, when there were too many."""
+        """Count one more restart and return how long it waits; None, with a record, when there
+        were too many.
+        """
         rules, now_s = self._options, time.monotonic()
         is_overloaded = load >= OVERLOADED
         history = self._overloads[kind] if is_overloaded else self._faults[kind]
@@ -157,7 +179,11 @@ class Restarts:
         while history and now_s - history[0] > window_s:
             history.popleft()
         if len(history) >= limit:
-            why = f"{_overload(load)}. First {_RELIEF}" if is_overloaded else "get_logs tells why. Mend the cause"
+            why = (
+                f"{_overload(load)}. First {_RELIEF}"
+                if is_overloaded
+                else "get_logs tells why. Mend the cause"
+            )
             count = f"{len(history)} restarts within {window_s:g} s"
             self._record(kind, f"not restarted: {count}; {why}, then call start_{kind}")
             return None
@@ -174,7 +200,9 @@ class Restarts:
                 return None
         return sum(samples) / len(samples)
 
-    def _is_still_frozen(self, view: ModuleView, cancelled: threading.Event, bound_s: float) -> bool:
+    def _is_still_frozen(
+        self, view: ModuleView, cancelled: threading.Event, bound_s: float
+    ) -> bool:
         """Whether it stays so for `bound_s`, or longer while the machine is overloaded."""
         began_s = time.monotonic()
         samples: deque[float] = deque(maxlen=_FROZEN_SAMPLES)
@@ -186,7 +214,10 @@ class Restarts:
             if cancelled.wait(_LOOK_S):
                 return False
             now = self._supervisor.view(view.kind)
-            if now.process is not view.process or assess(now, time.monotonic()) not in (*_FROZEN, "exited"):
+            if now.process is not view.process or assess(now, time.monotonic()) not in (
+                *_FROZEN,
+                "exited",
+            ):
                 return False
 
 
@@ -194,7 +225,9 @@ def without_instruction(config: Config) -> Config:
     """What is configured, for a policy that waits to be told what to do."""
     if config.inference is None:
         return config
-    return config.model_copy(update={"inference": config.inference.model_copy(update={"instruction": ""})})
+    return config.model_copy(
+        update={"inference": config.inference.model_copy(update={"instruction": ""})}
+    )
 
 
 def _overload(load: float) -> str:

@@ -21,7 +21,8 @@ class _PrivateFile(RotatingFileHandler):
 
 
 class ServerLog:
-    """Writes the records of this process's loggers to a file, at least from "info" on, from `open` to `close`.
+    """Writes the records of this process's loggers to a file, at least from "info" on, from `open`
+    to `close`.
 
     Other handlers receive the same records as before.
 
@@ -36,12 +37,16 @@ class ServerLog:
         self._quiet: list[logging.Handler] = []
 
     def open(self) -> None:
-        """Begin; does nothing the second time. A disk that cannot be written costs the log, nothing else."""
+        """Begin; does nothing the second time. A disk that cannot be written costs the log,
+        nothing else.
+        """
         if self._handler is not None:
             return
         with suppress(OSError):
             make_log_directory(self.path.parent)
-            self._handler = _PrivateFile(self.path, maxBytes=_BYTES, backupCount=1, encoding="utf-8")
+            self._handler = _PrivateFile(
+                self.path, maxBytes=_BYTES, backupCount=1, encoding="utf-8"
+            )
             self._handler.setFormatter(PlainFormatter())
             self._handler.handleError = lambda record: None  # type: ignore[method-assign]
             root = logging.getLogger()

@@ -1,4 +1,6 @@
-"""From a tool's arguments to the configuration a module is started with; what a client may not name is refused here."""
+"""From a tool's arguments to the configuration a module is started with; what a client may not
+name is refused here.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,11 @@ from roboneuron.feature import (
 
 
 def choose(
-    kind: ModuleKind, config: Config, registry: Registry, request: Arguments | None = None, role: str = ""
+    kind: ModuleKind,
+    config: Config,
+    registry: Registry,
+    request: Arguments | None = None,
+    role: str = "",
 ) -> Selection:
     """Check what a client asks for, or without a request what is configured.
 
@@ -38,11 +44,13 @@ def choose(
         role: of the client that made the request; "" may set nothing that is restricted.
 
     Raises:
-        InvalidInputError: something needed is not named, the robot has no such camera, or the instruction is blank.
+        InvalidInputError: something needed is not named, the robot has no such camera, or the
+            instruction is blank.
         CheckpointError: the checkpoint's path does not exist, or the backend takes none.
         ConfigurationError: unknown or unusable names or options.
         PlanningError: the parts do not fit together or the robot.
-        RefusedError: options that only the configuration may set, or a checkpoint outside of what it allows.
+        RefusedError: options that only the configuration may set, or a checkpoint outside of what
+            it allows.
     """
     chosen_by_agent = request is not None
     request = request or REQUESTS[kind]()
@@ -54,7 +62,11 @@ def choose(
     plan, spec, names = plan_of(kind, section, config, registry)
     config = _merge(config, next(iter(names.values())), spec, getattr(request, "options", {}), role)
     if chosen_by_agent:
-        of_backend = kind == "inference" and getattr(request, "runtime", None) is None and spec.name in configured
+        of_backend = (
+            kind == "inference"
+            and getattr(request, "runtime", None) is None
+            and spec.name in configured
+        )
         for part in (spec, None if of_backend else plan.runtime, plan.acceleration):
             if part is not None and part.name not in configured:
                 check_addresses(part, config.options(part.name))
@@ -62,7 +74,11 @@ def choose(
     if checkpoint is not None and plan.backend is not None and takes_checkpoint(plan.backend):
         check_may_load(config, checkpoint)
     selection = select(kind, config.model_copy(update={kind: section}), registry)
-    return selection if model is None else replace(selection, names={**selection.names, "model": model})
+    return (
+        selection
+        if model is None
+        else replace(selection, names={**selection.names, "model": model})
+    )
 
 
 def _configured_names(kind: ModuleKind, config: Config) -> set[str]:
@@ -70,12 +86,15 @@ def _configured_names(kind: ModuleKind, config: Config) -> set[str]:
     section: ModuleSection | None = getattr(config, kind)
     fields = ("driver", "source", "controller", "backend", "runtime", "acceleration")
     return (
-        set() if section is None else {getattr(section, name) for name in fields if name in type(section).model_fields}
+        set()
+        if section is None
+        else {getattr(section, name) for name in fields if name in type(section).model_fields}
     )
 
 
 def _with_model(config: Config, request: Arguments, name: str) -> tuple[Config, Arguments]:
-    """The configuration with `[models.<name>]` as what is configured for inference, and the rest of the request.
+    """The configuration with `[models.<name>]` as what is configured for inference, and the rest of
+    the request.
 
     Raises:
         InvalidInputError: there is no such model, or the request names a part of it too.
@@ -85,11 +104,15 @@ def _with_model(config: Config, request: Arguments, name: str) -> tuple[Config, 
     if model is None:
         listed = ", ".join(models) or "none; a person adds them as [models.<name>]"
         raise InvalidInputError(
-            f"There is no model {name[:80]!r}.", hint=f"The configuration has: {listed}.", path="model"
+            f"There is no model {name[:80]!r}.",
+            hint=f"The configuration has: {listed}.",
+            path="model",
         )
     for part in ("backend", "checkpoint", "runtime", "acceleration"):
         if getattr(request, part) is not None:
-            raise InvalidInputError(f"The model {name!r} names its {part} itself; leave it out.", path=part)
+            raise InvalidInputError(
+                f"The model {name!r} names its {part} itself; leave it out.", path=part
+            )
     parts = {"checkpoint": model.checkpoint, "runtime": model.runtime, "acceleration": model.preset}
     section = config.inference
     if section is None or section.backend != model.backend:
@@ -97,16 +120,26 @@ def _with_model(config: Config, request: Arguments, name: str) -> tuple[Config, 
     profile = {} if model.profile is None else {"profile": model.profile}
     options = {**config.options(model.backend), **profile, **model.options}
     plugins = {**config.plugins, model.backend: options}
-    config = config.model_copy(update={"inference": section.model_copy(update=parts), "plugins": plugins})
+    config = config.model_copy(
+        update={"inference": section.model_copy(update=parts), "plugins": plugins}
+    )
     return config, request.model_copy(update={"model": None})
 
 
-def _section(kind: ModuleKind, config: Config, registry: Registry, request: Arguments) -> ModuleSection:
-    """The configured section with what the request names; one of its own for another plugin than the configured."""
+def _section(
+    kind: ModuleKind, config: Config, registry: Registry, request: Arguments
+) -> ModuleSection:
+    """The configured section with what the request names; one of its own for another plugin
+    than the configured.
+    """
     entry = KIND_ENTRIES[kind]
     field = "name" if kind == "robot" else entry.noun
     section: ModuleSection | None = getattr(config, kind)
-    named = {key: getattr(request, key) for key in REQUESTS[kind].model_fields if key not in ("options", "model")}
+    named = {
+        key: getattr(request, key)
+        for key in REQUESTS[kind].model_fields
+        if key not in ("options", "model")
+    }
     wanted = named.pop(entry.noun)
     if wanted is None:
         section = configured_section(kind, config, registry)
@@ -116,11 +149,17 @@ def _section(kind: ModuleKind, config: Config, registry: Registry, request: Argu
         named["instruction"] = check_instruction(named["instruction"])
     if kind == "perception":
         named["cameras"] = tuple(named["cameras"]) or None
-    return section.model_copy(update={key: value for key, value in named.items() if value is not None})
+    return section.model_copy(
+        update={key: value for key, value in named.items() if value is not None}
+    )
 
 
-def _merge(config: Config, name: str, spec: Spec | DriverSpec, options: Mapping[str, Any], role: str) -> Config:
-    """The configuration with a client's `options` laid over `[plugins.<name>]`, where the client may set them."""
+def _merge(
+    config: Config, name: str, spec: Spec | DriverSpec, options: Mapping[str, Any], role: str
+) -> Config:
+    """The configuration with a client's `options` laid over `[plugins.<name>]`, where the
+    client may set them.
+    """
     if not options:
         return config
     before = config.options(name)

@@ -14,7 +14,9 @@ from roboneuron.feature import KIND_ENTRIES
 
 
 class SelectionFeature(Feature[SelectionSections]):
-    """Lets clients say what start_robot, start_perception, start_control and start_inference start."""
+    """Lets clients say what start_robot, start_perception, start_control and start_inference
+    start.
+    """
 
     def tools(self, host: Host) -> Sequence[Tool[Any]]:
         """None of its own: those of core get arguments. See `Feature.tools`."""
@@ -24,7 +26,9 @@ class SelectionFeature(Feature[SelectionSections]):
             if tool is None:
                 raise InternalError(f"There is no tool start_{kind}.")
             choices = {
-                argument: _installed(host, offer, with_summaries=argument == KIND_ENTRIES[kind].noun)
+                argument: _installed(
+                    host, offer, with_summaries=argument == KIND_ENTRIES[kind].noun
+                )
                 for argument, offer in choices_of(kind).items()
             }
             host.tools.replace(replace(tool, arguments=arguments, choices=choices))
@@ -32,7 +36,10 @@ class SelectionFeature(Feature[SelectionSections]):
 
 
 def _installed(host: Host, kind: str, *, with_summaries: bool) -> Callable[[], dict[str, str]]:
-    """Asks for the usable plugins of a kind: name -> summary, or nothing where list_* tells enough."""
+    """Asks for the usable plugins of a kind: name -> summary, or nothing where list_* tells
+    enough.
+    """
     return lambda: {
-        name: spec.summary.rstrip(".") if with_summaries else "" for name, spec in host.registry.specs(kind).items()
+        name: spec.summary.rstrip(".") if with_summaries else ""
+        for name, spec in host.registry.specs(kind).items()
     }

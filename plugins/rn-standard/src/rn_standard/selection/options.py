@@ -15,17 +15,29 @@ class ModelConfig(Section):
 
     backend: Name = Field(description="a backend offered by an installed plugin")
     checkpoint: str | None = Field(default=None, description="directory of the model's files")
-    profile: str | None = Field(default=None, description="the backend's option `profile`: what the checkpoint expects")
-    runtime: Name | None = Field(default=None, description="runtime; the backend's own default when not given")
-    preset: Name | None = Field(default=None, description="acceleration preset; none when not given")
-    options: dict[str, Any] = Field(default_factory=dict, description="laid over the backend's own in [plugins]")
-    summary: str = Field(default="", description="what it is good for; agents read it in list_models")
+    profile: str | None = Field(
+        default=None, description="the backend's option `profile`: what the checkpoint expects"
+    )
+    runtime: Name | None = Field(
+        default=None, description="runtime; the backend's own default when not given"
+    )
+    preset: Name | None = Field(
+        default=None, description="acceleration preset; none when not given"
+    )
+    options: dict[str, Any] = Field(
+        default_factory=dict, description="laid over the backend's own in [plugins]"
+    )
+    summary: str = Field(
+        default="", description="what it is good for; agents read it in list_models"
+    )
 
 
 class SelectionSections(Section):
     """The sections of the feature."""
 
-    models: dict[Name, ModelConfig] = Field(default_factory=dict, description="policies by the name agents choose by")
+    models: dict[Name, ModelConfig] = Field(
+        default_factory=dict, description="policies by the name agents choose by"
+    )
 
 
 def named_models(config: Config) -> dict[str, ModelConfig]:

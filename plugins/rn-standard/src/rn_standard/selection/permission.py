@@ -20,9 +20,11 @@ def check_may_set(
     listed: Collection[str],
     role: str,
 ) -> None:
-    """Refuse a change of options that only the configuration may set; those that are listed are for admins.
+    """Refuse a change of options that only the configuration may set; those that are listed are for
+    admins.
 
-    Whole tables are replaced by a client's, so a restricted option may be neither changed, added nor left out.
+    Whole tables are replaced by a client's, so a restricted option may be neither changed, added
+    nor left out.
 
     Args:
         spec: whose options these are.
@@ -38,17 +40,27 @@ def check_may_set(
         return  # there are no options; the one that was named is refused as unknown
     try:
         model = load_options_model(spec)
-    except MissingDependencyError:  # a plugin for an interpreter of its own: nobody here knows what its options name
+    except (
+        MissingDependencyError
+    ):  # a plugin for an interpreter of its own: nobody here knows what its options name
         model = None
     fixed, given = restricted_values(model, configured), restricted_values(model, wanted)
-    changed = [key for key in {**fixed, **given} if fixed.get(key, _ABSENT) != given.get(key, _ABSENT)]
+    changed = [
+        key for key in {**fixed, **given} if fixed.get(key, _ABSENT) != given.get(key, _ABSENT)
+    ]
     if model is not None:  # an unknown option is refused as such, with the nearest known one
         known = {field.alias or option for option, field in model.model_fields.items()}
         changed = [key for key in changed if "." in key or key in known]
     keys = [f"{name}.{key}" for key in changed]
-    barred = [key for key in keys if not any(key == entry or key.startswith(f"{entry}.") for entry in listed)]
+    barred = [
+        key
+        for key in keys
+        if not any(key == entry or key.startswith(f"{entry}.") for entry in listed)
+    ]
     if f"{name}.checkpoint" in barred:
-        raise RefusedError("A checkpoint is no option for clients.", hint="Name it in the argument `checkpoint`.")
+        raise RefusedError(
+            "A checkpoint is no option for clients.", hint="Name it in the argument `checkpoint`."
+        )
     if barred:
         raise RefusedError(
             f"Only the configuration may set {_list(barred)}.",
@@ -56,13 +68,14 @@ def check_may_set(
         )
     if keys and role != ADMIN:
         raise RefusedError(
-            f"Only a client with the role 'admin' may set {_list(keys)}.", hint="Ask a person who has it."
+            f"Only a client with the role 'admin' may set {_list(keys)}.",
+            hint="Ask a person who has it.",
         )
 
 
 def check_addresses(spec: Spec | DriverSpec, options: Mapping[str, object]) -> None:
-    """Refuse what an agent chose and would talk to an address that nobody wrote down: whoever listens there would get
-    images and instructions, and say how the robot moves.
+    """Refuse what an agent chose and would talk to an address that nobody wrote down: whoever
+    listens there would get images and instructions, and say how the robot moves.
 
     Args:
         spec: what the agent chose; the configuration does not choose it.
@@ -75,10 +88,15 @@ def check_addresses(spec: Spec | DriverSpec, options: Mapping[str, object]) -> N
         model = load_options_model(spec)
     except MissingDependencyError:
         return  # told when it is selected
-    absent = [] if model is None else [f"{spec.name}.{name}" for name in unnamed_addresses(model, options)]
+    absent = (
+        []
+        if model is None
+        else [f"{spec.name}.{name}" for name in unnamed_addresses(model, options)]
+    )
     if absent:
         raise RefusedError(
-            f"{spec.name!r} would connect to a default address that the configuration does not name: {_list(absent)}.",
+            f"{spec.name!r} would connect to a default address that the configuration does not "
+            f"name: {_list(absent)}.",
             hint="A person writes the address into the configuration.",
         )
 
@@ -88,7 +106,8 @@ def _list(keys: Collection[str]) -> str:
 
 
 def check_may_load(config: Config, checkpoint: str) -> None:
-    """Refuse a client's path that lies neither below what the configuration names nor below a checkpoint root.
+    """Refuse a client's path that lies neither below what the configuration names nor below a
+    checkpoint root.
 
     Raises:
         RefusedError: it is neither; checked before whether it exists.
@@ -96,16 +115,21 @@ def check_may_load(config: Config, checkpoint: str) -> None:
     """
     named = [config.inference.checkpoint if config.inference else None]
     named += [options.get("checkpoint") for options in config.plugins.values()]
-    allowed = [path for path in (*named, *config.server.checkpoint_roots) if isinstance(path, str) and path]
+    allowed = [
+        path for path in (*named, *config.server.checkpoint_roots) if isinstance(path, str) and path
+    ]
     try:
         wanted = _resolve(checkpoint)
         if any(wanted.is_relative_to(_resolve(path)) for path in allowed):
             return
     except (OSError, RuntimeError, ValueError) as error:  # a loop of links, an unknown user, a NUL
-        raise CheckpointError(f"The checkpoint {checkpoint!r} is no usable path: {error}.") from error
+        raise CheckpointError(
+            f"The checkpoint {checkpoint!r} is no usable path: {error}."
+        ) from error
     raise RefusedError(
         f"The configuration does not allow the checkpoint {checkpoint!r}.",
-        hint=f"Allowed is what lies in: {', '.join(allowed) or 'nothing yet'}. A person can add a folder of models to "
+        hint=f"Allowed is what lies in: {', '.join(allowed) or 'nothing yet'}. A person can add a "
+        "folder of models to "
         "checkpoint_roots in [server].",
     )
 

@@ -4,7 +4,8 @@ from roboneuron import FeatureSpec, hookimpl
 
 FEATURE = FeatureSpec(
     name="selection",
-    summary="Lets agents choose robot, cameras, controller, policy, checkpoint and options of what they start.",
+    summary="Lets agents choose robot, cameras, controller, policy, checkpoint and options of "
+    "what they start.",
     target="rn_standard.selection.feature:SelectionFeature",
     config="rn_standard.selection.options:SelectionSections",
     sections=("models",),

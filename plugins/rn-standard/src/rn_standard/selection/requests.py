@@ -14,7 +14,8 @@ Options = Annotated[
     dict[str, Any],
     Field(
         default_factory=dict,
-        description="Options of the plugin, over those in the configuration; addresses and files stand only there.",
+        description="Options of the plugin, over those in the configuration; addresses and files "
+        "stand only there.",
     ),
 ]
 
@@ -22,10 +23,13 @@ Options = Annotated[
 class StartRobot(Arguments):
     """Arguments of start_robot."""
 
-    robot: str | None = Field(default=None, description="Which robot; the configured one when omitted.")
+    robot: str | None = Field(
+        default=None, description="Which robot; the configured one when omitted."
+    )
     driver: str | None = Field(
         default=None,
-        description="Which driver moves it, real or simulated: see list_robots; the configured one when omitted.",
+        description="Which driver moves it, real or simulated: see list_robots; the configured "
+        "one when omitted.",
     )
     options: Options
 
@@ -33,7 +37,9 @@ class StartRobot(Arguments):
 class StartPerception(Arguments):
     """Arguments of start_perception."""
 
-    source: str | None = Field(default=None, description="Where images come from; the configured one when omitted.")
+    source: str | None = Field(
+        default=None, description="Where images come from; the configured one when omitted."
+    )
     cameras: list[str] = Field(
         default_factory=list, description="Cameras of the robot to serve; all of them when omitted."
     )
@@ -44,7 +50,8 @@ class StartControl(Arguments):
     """Arguments of start_control."""
 
     controller: str | None = Field(
-        default=None, description="What turns actions into joint commands; the configured one when omitted."
+        default=None,
+        description="What turns actions into joint commands; the configured one when omitted.",
     )
     options: Options
 
@@ -52,21 +59,30 @@ class StartControl(Arguments):
 class StartInference(Arguments):
     """Arguments of start_inference."""
 
-    backend: str | None = Field(default=None, description="Which policy; the configured one when omitted.")
+    backend: str | None = Field(
+        default=None, description="Which policy; the configured one when omitted."
+    )
     checkpoint: str | None = Field(
         default=None,
         min_length=1,
-        description="Directory of the model's files, where the backend needs one; the configuration says which may be "
+        description="Directory of the model's files, where the backend needs one; the "
+        "configuration says which may be "
         "used.",
     )
     runtime: str | None = Field(
-        default=None, description="Engine that executes the model; the backend's own default when omitted."
+        default=None,
+        description="Engine that executes the model; the backend's own default when omitted.",
     )
-    acceleration: str | None = Field(default=None, description="Acceleration preset; none when omitted.")
-    model: str | None = Field(default=None, description="Name of a model in the configuration, instead of these four.")
+    acceleration: str | None = Field(
+        default=None, description="Acceleration preset; none when omitted."
+    )
+    model: str | None = Field(
+        default=None, description="Name of a model in the configuration, instead of these four."
+    )
     instruction: Instruction = None
     cameras: dict[str, str] | None = Field(
-        default=None, description="Camera name by role of the backend; the robot's own roles when omitted."
+        default=None,
+        description="Camera name by role of the backend; the robot's own roles when omitted.",
     )
     options: Options
 
@@ -77,7 +93,9 @@ REQUESTS: Mapping[ModuleKind, type[Arguments]] = {
     "control": StartControl,
     "inference": StartInference,
 }
-"""Arguments of the start tool by kind of module; the argument that names what such a module runs is its `noun`."""
+"""Arguments of the start tool by kind of module; the argument that names what such a module
+runs is its `noun`.
+"""
 
 
 def choices_of(kind: ModuleKind) -> dict[str, str]:

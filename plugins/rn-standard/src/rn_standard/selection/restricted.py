@@ -1,7 +1,8 @@
-"""Which plugin options an agent may not set: those that name hosts, files, commands or environment variables.
+"""Which plugin options an agent may not set: those that name hosts, files, commands or environment
+variables.
 
-They are marked in the options model of the plugin, see `roboneuron.plugins.restricted`; an option without a mark is
-judged by its type and name.
+They are marked in the options model of the plugin, see `roboneuron.plugins.restricted`; an option
+without a mark is judged by its type and name.
 """
 
 from __future__ import annotations
@@ -26,31 +27,54 @@ _WORDS = re.compile(
     r"|environment|executable|file|folder|host(?:name)?|interpreter|key|password|path|program|python|script|secret"
     r"|server|shell|socket|token|ur[il]|variable)s?(?:$|[_\W])"
 )
-"""A word of an option's name that makes text in it the name of a host, a file, a command or a secret."""
-_ADDRESS = re.compile(r"(?:^|[_\W])(?:address|end_?point|host(?:name)?|server|socket|ur[il])s?(?:e?s)?(?:$|[_\W])")
-"""A word of an option's name that makes text in it an address; likewise a value with a scheme, such as ws://."""
+"""A word of an option's name that makes text in it the name of a host, a file, a command or a
+secret.
+"""
+_ADDRESS = re.compile(
+    r"(?:^|[_\W])(?:address|end_?point|host(?:name)?|server|socket|ur[il])s?(?:e?s)?(?:$|[_\W])"
+)
+"""A word of an option's name that makes text in it an address; likewise a value with a scheme,
+such as ws://.
+"""
 _PLAIN = (bool, int, float, str)
 
 
 def is_restricted(name: str, field: FieldInfo) -> bool:
-    """Whether an option is for the configuration only: by its mark, or without one by its type and name."""
+    """Whether an option is for the configuration only: by its mark, or without one by its type
+    and name.
+    """
     found = tuple(marks(field))
     if any(isinstance(mark, ConfigurationOnly) for mark in found):
         return True
-    return looks_restricted(name, field) and not any(isinstance(mark, AgentMaySet) for mark in found)
+    return looks_restricted(name, field) and not any(
+        isinstance(mark, AgentMaySet) for mark in found
+    )
 
 
-def restricted_values(model: type[BaseModel] | None, options: Mapping[str, object]) -> dict[str, object]:
-    """The values in `options` that only the configuration may set, by dotted name; all of them without a model."""
+def restricted_values(
+    model: type[BaseModel] | None, options: Mapping[str, object]
+) -> dict[str, object]:
+    """The values in `options` that only the configuration may set, by dotted name; all of them
+    without a model.
+    """
     return dict(options) if model is None else dict(_in_table([model], options, ""))
 
 
-def unnamed_addresses(model: type[BaseModel], options: Mapping[str, object], place: str = "") -> Iterator[str]:
+def unnamed_addresses(
+    model: type[BaseModel], options: Mapping[str, object], place: str = ""
+) -> Iterator[str]:
     """Options that hold an address by default, and that `options` does not name: dotted names."""
     for name, field in model.model_fields.items():
-        if not {name, field.alias} & options.keys() and not field.is_required() and is_restricted(name, field):
+        if (
+            not {name, field.alias} & options.keys()
+            and not field.is_required()
+            and is_restricted(name, field)
+        ):
             found = field.get_default(call_default_factory=True)
-            if any(_is_address(name, value) for value in (found if isinstance(found, list | tuple) else [found])):
+            if any(
+                _is_address(name, value)
+                for value in (found if isinstance(found, list | tuple) else [found])
+            ):
                 yield f"{place}{name}"
         for kind in _alternatives(field.annotation):
             given = options.get(name, options.get(field.alias or name, {}))
@@ -59,11 +83,17 @@ def unnamed_addresses(model: type[BaseModel], options: Mapping[str, object], pla
 
 
 def _is_address(name: str, value: object) -> bool:
-    return isinstance(value, str) and value != "" and (_ADDRESS.search(name.lower()) is not None or "://" in value)
+    return (
+        isinstance(value, str)
+        and value != ""
+        and (_ADDRESS.search(name.lower()) is not None or "://" in value)
+    )
 
 
 def looks_restricted(name: str, field: FieldInfo) -> bool:
-    """Whether text in an option may name a host, a file, a command or a secret, by its type and name."""
+    """Whether text in an option may name a host, a file, a command or a secret, by its type and
+    name.
+    """
     kinds = set(_kinds(field.annotation))
     if "place" in kinds or "opaque" in kinds:
         return True
@@ -85,7 +115,9 @@ def _inner_marks(annotation: object) -> Iterator[object]:
 
 
 def _kinds(annotation: object) -> Iterator[str]:
-    """What may stand in a value of that type: "place" (a path, an address), "text", or "opaque" (anything)."""
+    """What may stand in a value of that type: "place" (a path, an address), "text", or "opaque"
+    (anything).
+    """
     annotation = getattr(annotation, "__value__", annotation)  # a `type` statement of Python 3.12
     origin, parts = get_origin(annotation), get_args(annotation)
     if origin is Literal or annotation in (None, ...):
@@ -97,9 +129,14 @@ def _kinds(annotation: object) -> Iterator[str]:
             yield from _kinds(part)
     elif not isinstance(annotation, type):
         yield "opaque"
-    elif issubclass(annotation, PurePath) or annotation.__module__ in ("ipaddress", "pydantic.networks"):
+    elif issubclass(annotation, PurePath) or annotation.__module__ in (
+        "ipaddress",
+        "pydantic.networks",
+    ):
         yield "place"
-    elif issubclass(annotation, (bool, int, float, complex, Enum, type(None), date, clock_time, timedelta)):
+    elif issubclass(
+        annotation, (bool, int, float, complex, Enum, type(None), date, clock_time, timedelta)
+    ):
         return
     elif not _is_model(annotation):  # a table is looked into, option by option
         yield "text" if issubclass(annotation, (str, bytes)) else "opaque"
@@ -136,8 +173,12 @@ def _in_table(
             yield from _in_value([field.annotation for _, field in fields], value, f"{place}{key}")
 
 
-def _in_value(annotations: Sequence[object], value: object, place: str) -> Iterator[tuple[str, object]]:
-    """Of a value that has one of the types: a table, a table of tables, a list of tables, or none of these."""
+def _in_value(
+    annotations: Sequence[object], value: object, place: str
+) -> Iterator[tuple[str, object]]:
+    """Of a value that has one of the types: a table, a table of tables, a list of tables, or
+    none of these.
+    """
     kinds = [kind for annotation in annotations for kind in _alternatives(annotation)]
     models = [kind for kind in kinds if _is_model(kind)]
     parts = [part for kind in kinds for part in get_args(kind)]

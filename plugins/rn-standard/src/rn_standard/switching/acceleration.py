@@ -1,4 +1,6 @@
-"""The acceleration of an inference module: a ROS parameter, so that it changes without reading the model again."""
+"""The acceleration of an inference module: a ROS parameter, so that it changes without reading
+the model again.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,8 @@ log = logging.getLogger(__name__)
 
 @runtime_checkable
 class AccelerationChanger(Protocol):
-    """What a runtime may offer beside `Runtime`: another acceleration for the loaded model, without reading it again.
+    """What a runtime may offer beside `Runtime`: another acceleration for the loaded model, without
+    reading it again.
 
     A backend that executes its model itself may offer it likewise. It need not import this.
     """
@@ -23,9 +26,10 @@ class AccelerationChanger(Protocol):
     def set_acceleration(self, acceleration: AnyAcceleration | None) -> None:
         """Execute every later `run` with this preset, or with none.
 
-        Called on the thread that calls `run`, between two of them, while the robot moves: it takes milliseconds (on
-        CUDA the time of a few predictions, once for each preset, where it records), and answers are then those of a
-        model that was loaded with the preset.
+        Called on the thread that calls `run`, between two of them, while the robot moves: it takes
+            milliseconds (on
+        CUDA the time of a few predictions, once for each preset, where it records), and answers are
+        then those of a model that was loaded with the preset.
 
         Raises:
             RoboNeuronError: why it cannot be; the preset that was in force stays so.
@@ -37,8 +41,9 @@ class AccelerationChanger(Protocol):
 class AccelerationInForce:
     """The preset that is in force, and the one that was asked for.
 
-    The status tells whether it can be changed (`acceleration_in_place`), and after each request `acceleration`,
-    `acceleration_answers`, `acceleration_refused` (the reason, empty when done) and `acceleration_changed_ns`.
+    The status tells whether it can be changed (`acceleration_in_place`), and after each request
+    `acceleration`, `acceleration_answers`, `acceleration_refused` (the reason, empty when done) and
+    `acceleration_changed_ns`.
     """
 
     def __init__(self, host: ModuleHost, module: InferenceModule) -> None:
@@ -57,11 +62,15 @@ class AccelerationInForce:
         self._request = (0, self._name)
         self._answered = 0
         self._status.set_value("acceleration_in_place", self._changer is not None)
-        host.resources.callback(host.add_parameter(ACCELERATION_PARAMETER, self._name, self._take, self._refusal))
+        host.resources.callback(
+            host.add_parameter(ACCELERATION_PARAMETER, self._name, self._take, self._refusal)
+        )
         module.before_prediction.append(self._change_if_asked)
 
     def _change_if_asked(self) -> None:
-        """Put what was asked for into force; between two predictions, on the thread that predicts."""
+        """Put what was asked for into force; between two predictions, on the thread that
+        predicts.
+        """
         count, name = self._request
         if count == self._answered or self._changer is None:
             return
@@ -88,7 +97,11 @@ class AccelerationInForce:
         return cast("AnyAcceleration", build(spec, self._module.config.options(name)))
 
     def _refusal(self, _: str) -> str:
-        return "" if self._changer is not None else "the acceleration cannot be changed while the model is loaded"
+        return (
+            ""
+            if self._changer is not None
+            else "the acceleration cannot be changed while the model is loaded"
+        )
 
     def _take(self, name: str) -> None:
         self._request = (self._request[0] + 1, name)

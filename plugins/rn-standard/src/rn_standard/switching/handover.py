@@ -1,13 +1,17 @@
 """Handover between two modules of one kind at a moment in the time of their inputs.
 
-Both modules are active on the same topics. Inputs stamped before the moment belong to the old module, later ones to the
-new module, so nothing is acted on twice and nothing is left out, however long the messages about it take. Before the
-handover, the new module works in shadow: it processes live inputs and publishes nothing. Inference compares the capture
-time of images, perception the capture time of its own images, control the times at which actions were sent and joints
-measured.
+Both modules are active on the same topics. Inputs stamped before the moment belong to the old
+module, later ones to the new module, so nothing is acted on twice and nothing is left out, however
+long the messages about it take. Before the
+handover, the new module works in shadow: it processes live inputs and publishes nothing. Inference
+    compares the capture
+time of images, perception the capture time of its own images, control the times at which actions
+were sent and joints measured.
 
-A moment is a ROS time only for as long as messages from before it may still be on their way. After that it is past for
-good, by the monotonic clock: otherwise a clock that is set back would put a module into shadow again.
+A moment is a ROS time only for as long as messages from before it may still be on their way. After
+that it is past for
+good, by the monotonic clock: otherwise a clock that is set back would put a module into shadow
+    again.
 """
 
 from __future__ import annotations
@@ -22,9 +26,13 @@ from roboneuron import ACTION_FIELDS, ActionChunk, Hold, JointCommand, Pose
 from roboneuron.feature import Handover, StatusWriter
 
 _SETTLE_S = 5.0
-"""A moment is past for good so long after it: whatever was stamped before it has arrived or is too old to act on."""
+"""A moment is past for good so long after it: whatever was stamped before it has arrived or is
+too old to act on.
+"""
 _PREDECESSOR_S, _PREDECESSOR_PERIODS = 0.1, 1.5
-"""Until the handover the predecessor plays what it has; when it was not heard for so long, it has nothing left."""
+"""Until the handover the predecessor plays what it has; when it was not heard for so long, it
+has nothing left.
+"""
 _FARTHEST_S = 10.0
 """A moment farther ahead than this was made before the clock was set."""
 
@@ -51,7 +59,12 @@ class TimedHandover(Handover):
         now_s: Callable[[], float] = time.monotonic,
     ) -> None:
         super().__init__(status)
-        self.moments = {ACT_FROM: NEVER_NS if shadow else 0, ACT_UNTIL: 0, PLAY_UNTIL: 0, PLAY_FROM: 0}
+        self.moments = {
+            ACT_FROM: NEVER_NS if shadow else 0,
+            ACT_UNTIL: 0,
+            PLAY_UNTIL: 0,
+            PLAY_FROM: 0,
+        }
         self._now_ns = now_ns
         self._now_s = now_s
         self._moments_ns = dict(self.moments)
@@ -83,17 +96,22 @@ class TimedHandover(Handover):
         from_ns = self._moments_ns[PLAY_FROM]
         now_s = self._now_s()
         silent_s = max(_PREDECESSOR_S, _PREDECESSOR_PERIODS * self.period_s())
-        return now_ns >= from_ns or now_s >= self._past_s[PLAY_FROM] or now_s - self._heard_s >= silent_s
+        return (
+            now_ns >= from_ns
+            or now_s >= self._past_s[PLAY_FROM]
+            or now_s - self._heard_s >= silent_s
+        )
 
     def must_fall_silent(self, now_ns: int) -> bool:
         """See `Handover.must_fall_silent`."""
         return self._has_come(PLAY_UNTIL, now_ns)
 
     def rest(self) -> None:
-        """Called before each prediction: one in shadow that would still run at the moment of the handover is not begun.
+        """Called before each prediction: one in shadow that would still run at the moment of the
+        handover is not begun.
 
-        The successor is free for the first image after the moment then, so that its first action is not late. What was
-        captured before is left out from now on.
+        The successor is free for the first image after the moment then, so that its first action is
+        not late. What was captured before is left out from now on.
         """
         now_s, moment_ns = self._now_s(), self._moments_ns[ACT_FROM]
         ahead_s = (moment_ns - self._now_ns()) / 1e9
@@ -129,7 +147,9 @@ class TimedHandover(Handover):
         return what in self._sent
 
     def note_sent(self, what: str) -> None:
-        """Tell when the first and the newest of its kind went out: a handover is confirmed and measured by that."""
+        """Tell when the first and the newest of its kind went out: a handover is confirmed and
+        measured by that.
+        """
         now_ns = time.time_ns()
         self.status.set_value(f"last_sent_ns.{what}", now_ns)
         if what not in self._sent:

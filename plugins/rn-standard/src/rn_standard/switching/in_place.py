@@ -1,4 +1,6 @@
-"""Change of the acceleration in the running inference process, where nothing else is to change and the runtime can."""
+"""Change of the acceleration in the running inference process, where nothing else is to change
+and the runtime can.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,16 @@ from rn_standard.switching.gap import Gap, action_gap
 from rn_standard.switching.standby import ACCELERATION_PARAMETER
 from rn_standard.switching.warm_switch import ARRIVAL_S, Change
 from roboneuron import NotReadyError, RefusedError, RoboNeuronError, StateError
-from roboneuron.feature import ClosedLoop, Config, ModuleView, NodeClient, Report, Selection, Slot, Stage
+from roboneuron.feature import (
+    ClosedLoop,
+    Config,
+    ModuleView,
+    NodeClient,
+    Report,
+    Selection,
+    Slot,
+    Stage,
+)
 
 _TOLD_S = 5.0
 _DONE_S = 20.0
@@ -18,15 +29,22 @@ _DONE_S = 20.0
 
 def differs_in_acceleration_only(old: ModuleView, selection: Selection) -> bool:
     """Whether the running backend needs no more than another acceleration, and can take it."""
-    if selection.kind != "inference" or old.choice is None or old.choice.plan is None or old.report is None:
+    if (
+        selection.kind != "inference"
+        or old.choice is None
+        or old.choice.plan is None
+        or old.report is None
+    ):
         return False
     before, after = old.choice.plan, selection.plan
     section = selection.config.inference
     return (
         old.report.metrics.get("acceleration_in_place") == "true"
         and before.acceleration != after.acceleration
-        and (before.backend, before.runtime, before.cameras) == (after.backend, after.runtime, after.cameras)
-        and _without_acceleration(old.choice.settings.config) == _without_acceleration(selection.config)
+        and (before.backend, before.runtime, before.cameras)
+        == (after.backend, after.runtime, after.cameras)
+        and _without_acceleration(old.choice.settings.config)
+        == _without_acceleration(selection.config)
         and section is not None
         and section.instruction == old.report.instruction
     )
@@ -46,11 +64,14 @@ class AccelerationSwitch:
         self._loop = loop
         self._supervisor = loop.supervisor
         self._selection = selection
-        self._name = selection.plan.acceleration.name if selection.plan.acceleration is not None else ""
+        self._name = (
+            selection.plan.acceleration.name if selection.plan.acceleration is not None else ""
+        )
         self._on_stage = on_stage
 
     def run(self) -> Change:
-        """Ask the module, and wait until it has changed it; from then on a restart uses the new one too.
+        """Ask the module, and wait until it has changed it; from then on a restart uses the new one
+        too.
 
         Raises:
             RefusedError: what the runtime says against it; the former acceleration stays in force.
@@ -61,7 +82,9 @@ class AccelerationSwitch:
         slot = supervisor.slot("inference")
         view = supervisor.require_running("inference")
         if len(supervisor.slots["inference"]) > 1:
-            raise StateError("inference is already being replaced.", hint="Wait for the end of that call.")
+            raise StateError(
+                "inference is already being replaced.", hint="Wait for the end of that call."
+            )
         assert view.choice is not None
         assert view.process is not None
         assert view.report is not None
@@ -69,24 +92,31 @@ class AccelerationSwitch:
         answers = _answers(view.report)
         self._on_stage(f"inference: changing the acceleration to {self._name or 'none'}")
         parameters = supervisor.parameters(f"/{view.choice.settings.status_name}", view.process)
-        refused = parameters.set({ACCELERATION_PARAMETER: self._name}, _TOLD_S, lambda: self._check(slot))
+        refused = parameters.set(
+            {ACCELERATION_PARAMETER: self._name}, _TOLD_S, lambda: self._check(slot)
+        )
         if refused:
             raise RefusedError(f"The running backend keeps its acceleration: {refused}.")
         report = self._await_answer(slot, parameters, answers, former)
         if reason := report.metrics.get("acceleration_refused"):
             raise RefusedError(
-                f"Acceleration {self._name or 'none'!r} was refused: {reason} {former or 'none'!r} stays in force."
+                f"Acceleration {self._name or 'none'!r} was refused: {reason} "
+                f"{former or 'none'!r} stays in force."
             )
         with supervisor.changes.lock:
             slot.check_running()
             choice = slot.choice
             assert choice is not None
             settings = choice.settings.model_copy(update={"config": self._selection.config})
-            slot.choice = replace(choice, settings=settings, names=self._selection.names, plan=self._selection.plan)
+            slot.choice = replace(
+                choice, settings=settings, names=self._selection.names, plan=self._selection.plan
+            )
         supervisor.on_change("inference")
         return Change(gap=self._gap(report), difference=None)
 
-    def _await_answer(self, slot: Slot, parameters: NodeClient, answers: int, former: str) -> Report:
+    def _await_answer(
+        self, slot: Slot, parameters: NodeClient, answers: int, former: str
+    ) -> Report:
         def answer() -> Report | None:
             report = self._supervisor.report_of(slot)
             return report if report is not None and _answers(report) > answers else None
@@ -96,7 +126,8 @@ class AccelerationSwitch:
             with suppress(RoboNeuronError):
                 parameters.set({ACCELERATION_PARAMETER: former}, _TOLD_S)
             raise NotReadyError(
-                f"The backend ended no prediction within {_DONE_S:g} s, so its acceleration was not changed.",
+                f"The backend ended no prediction within {_DONE_S:g} s, so its acceleration was "
+                "not changed.",
                 hint="It may hang: see work_age_s in get_status.",
             )
         return report

@@ -12,7 +12,9 @@ from roboneuron.feature import InferenceModule, Module, ModuleHost
 
 
 def join(host: ModuleHost) -> None:
-    """Let the server tell the moments of a handover, and another acceleration; see `FeatureSpec.on_join`."""
+    """Let the server tell the moments of a handover, and another acceleration; see
+    `FeatureSpec.on_join`.
+    """
     handover = host.handover = TimedHandover(host.settings.shadow, host.status)
     for name, moment_ns in handover.moments.items():
         host.add_parameter(name, moment_ns, partial(handover.set, name), _refusal)

@@ -1,4 +1,6 @@
-"""What a module in shadow hears of its predecessor: what moves the arm, and where to, until the handover."""
+"""What a module in shadow hears of its predecessor: what moves the arm, and where to, until the
+handover.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,12 @@ from rn_standard.switching.handover import TimedHandover
 from roboneuron import ACTION_SIZE, InvalidInputError, Pose
 from roboneuron.feature import ControlModule, InferenceModule, Module
 
-ACTION, EE_POSE, JOINT_COMMAND, JOINT_TRAJECTORY = "action", "ee_pose", "joint_command", "joint_trajectory"
+ACTION, EE_POSE, JOINT_COMMAND, JOINT_TRAJECTORY = (
+    "action",
+    "ee_pose",
+    "joint_command",
+    "joint_trajectory",
+)
 """Topics of the contract, relative to the robot's namespace."""
 
 
@@ -27,13 +34,17 @@ def follow_predecessor(module: Module, handover: TimedHandover) -> None:
         handover.period_s = lambda: module.executor.step_s
         node.subscribe(Float64MultiArray, ACTION, partial(_on_action, module, handover))
     elif isinstance(module, ControlModule):
-        is_state = module.config.control is not None and module.config.control.command == "joint_state"
+        is_state = (
+            module.config.control is not None and module.config.control.command == "joint_state"
+        )
         commands = (JointState, JOINT_COMMAND) if is_state else (JointTrajectory, JOINT_TRAJECTORY)
         node.subscribe(PoseStamped, EE_POSE, partial(_on_pose, handover))
         node.subscribe(*commands, partial(_on_command, module, handover))
 
 
-def _on_action(module: InferenceModule, handover: TimedHandover, message: Float64MultiArray) -> None:
+def _on_action(
+    module: InferenceModule, handover: TimedHandover, message: Float64MultiArray
+) -> None:
     """Count what moves the arm until this module does."""
     if not handover.has_sent("action") and len(message.data) == ACTION_SIZE:
         handover.hear_action()
@@ -51,7 +62,10 @@ def _on_pose(handover: TimedHandover, message: PoseStamped) -> None:
 
 
 def _on_command(
-    module: ControlModule, handover: TimedHandover, message: JointTrajectory | JointState, info: dict[str, Any]
+    module: ControlModule,
+    handover: TimedHandover,
+    message: JointTrajectory | JointState,
+    info: dict[str, Any],
 ) -> None:
     """Go on from where the control before this one has sent the arm."""
     sent_s = time.monotonic() - max(0.0, (time.time_ns() - int(info["source_timestamp"])) / 1e9)

@@ -28,7 +28,9 @@ from roboneuron.feature import (
 SwitchMode = Literal["warm", "cold"]
 """What a caller asks for."""
 SwitchWay = Literal["warm", "cold", "in place"]
-"""How it was done: a change that needs no other process is made in the running one, unless "cold" was asked for."""
+"""How it was done: a change that needs no other process is made in the running one, unless
+"cold" was asked for.
+"""
 _FIRST_S = 3.0
 """A newcomer hears of the next input within this time, on a busy machine too."""
 
@@ -54,7 +56,8 @@ class Switched:
 class Switching:
     """Replaces modules and remembers what was there before; usable from any thread.
 
-    Modules that are started before this is made can only be replaced cold: they know of no `TimedHandover`.
+    Modules that are started before this is made can only be replaced cold: they know of no
+        `TimedHandover`.
     """
 
     def __init__(self, loop: ClosedLoop) -> None:
@@ -75,9 +78,9 @@ class Switching:
     ) -> Switched:
         """Replace the running module of a kind, on the same topics.
 
-        The instruction of a backend and the cameras of a source are kept unless the request names others. What can be
-        refused beforehand is refused while the old module works; a warm switch that fails at any time leaves it at
-        work.
+        The instruction of a backend and the cameras of a source are kept unless the request names
+        others. What can be refused beforehand is refused while the old module works; a warm switch
+        that fails at any time leaves it at work.
 
         Raises:
             StateError: none is running.
@@ -95,7 +98,9 @@ class Switching:
             check_same_commands(old, selection)
         return self._replace(old, selection, mode, on_stage, ticket)
 
-    def roll_back(self, kind: ModuleKind, mode: SwitchMode = "warm", on_stage: Stage = lambda stage: None) -> Switched:
+    def roll_back(
+        self, kind: ModuleKind, mode: SwitchMode = "warm", on_stage: Stage = lambda stage: None
+    ) -> Switched:
         """Go back to what ran before the last switch; a backend keeps the present instruction.
 
         Raises:
@@ -105,7 +110,9 @@ class Switching:
         old = self._supervisor.require_running(kind)
         selection = self._before.get(kind)
         if selection is None:
-            raise StateError(f"There is no {KIND_ENTRIES[kind].noun} to go back to: none was replaced yet.")
+            raise StateError(
+                f"There is no {KIND_ENTRIES[kind].noun} to go back to: none was replaced yet."
+            )
         ticket = self.loop.starts.ticket
         if kind == "inference":
             selection = with_instruction(selection, self.loop.starts.instruction)
@@ -117,7 +124,9 @@ class Switching:
     ) -> Switched:
         started_s = time.monotonic()
         if not self._busy[old.kind].acquire(blocking=False):
-            raise StateError(f"{old.kind} is already being replaced.", hint="Wait for the end of that call.")
+            raise StateError(
+                f"{old.kind} is already being replaced.", hint="Wait for the end of that call."
+            )
         try:
             replaced = running_selection(old)
             way, change = self._change(old, replaced, selection, mode, on_stage, ticket)
@@ -149,26 +158,39 @@ class Switching:
         return mode, self._cold(replaced, selection, check, on_stage, ticket)
 
     def _cold(
-        self, replaced: Selection, selection: Selection, check: SwitchCheck, on_stage: Stage, ticket: int
+        self,
+        replaced: Selection,
+        selection: Selection,
+        check: SwitchCheck,
+        on_stage: Stage,
+        ticket: int,
     ) -> Change:
-        """Stop the old one, then start the new one: for a machine, or a device, that has no room for two."""
+        """Stop the old one, then start the new one: for a machine, or a device, that has no
+        room for two.
+        """
         kind = check.kind
         due = check.is_due()
         on_stage(f"{kind}: stopping the old {check.noun}")
         stopped = self._supervisor.stop(kind)
         last = stopped.report if stopped is not None else None
-        if kind == "inference" and self.loop.starts.ticket != ticket:  # a stop, or the end of a task
+        # a stop, or the end of a task
+        if kind == "inference" and self.loop.starts.ticket != ticket:
             selection = with_instruction(selection, self.loop.starts.instruction)
             due = due and bool(self.loop.starts.instruction)
         try:
             self.loop.start_selected(selection, on_stage)
         except RoboNeuronError as error:
             before = ", ".join(f"{key} {name!r}" for key, name in replaced.names.items())
-            error.hint = f"{error.hint} No {check.noun} is running now; before there was {before}.".strip()
+            error.hint = (
+                f"{error.hint} No {check.noun} is running now; before there was {before}.".strip()
+            )
             raise
         changes = self._supervisor.changes
         if due:  # a start is complete before the first output where that waits for somebody else's
-            changes.wait_for(lambda: (new := self._newest(kind)) is not None and check.has_taken_over(new), _FIRST_S)
+            changes.wait_for(
+                lambda: (new := self._newest(kind)) is not None and check.has_taken_over(new),
+                _FIRST_S,
+            )
         gap = changes.wait_for(lambda: check.measure(last, self._newest(kind)), ARRIVAL_S)
         return Change(gap=gap, difference=None)
 
@@ -186,16 +208,21 @@ def check_same_commands(old: ModuleView, selection: Selection) -> None:
     before, after = old.choice.settings.config.control, selection.config.control
     if before is not None and after is not None and before.command != after.command:
         raise InvalidInputError(
-            f"The running controller sends {before.command}, the new one would send {after.command}.",
+            f"The running controller sends {before.command}, the new one would send "
+            f"{after.command}.",
             hint="Call stop_control and start_control instead.",
         )
 
 
 def with_instruction(selection: Selection, text: str) -> Selection:
-    """The same with that instruction; the configured one counts only for whoever asks for a start of the policy."""
+    """The same with that instruction; the configured one counts only for whoever asks for a
+    start of the policy.
+    """
     section = selection.config.inference
     assert section is not None
-    config = selection.config.model_copy(update={"inference": section.model_copy(update={"instruction": text.strip()})})
+    config = selection.config.model_copy(
+        update={"inference": section.model_copy(update={"instruction": text.strip()})}
+    )
     return replace(selection, config=config)
 
 
@@ -204,5 +231,7 @@ def _keep(old: ModuleView, request: Arguments) -> Arguments:
     assert old.choice is not None
     if isinstance(request, StartPerception) and not request.cameras:
         section = old.choice.settings.config.perception
-        return request.model_copy(update={"cameras": list(section.cameras) if section is not None else []})
+        return request.model_copy(
+            update={"cameras": list(section.cameras) if section is not None else []}
+        )
     return request

@@ -1,4 +1,6 @@
-"""Comparison of a controller in shadow with its predecessor: both answer the same actions and joint states."""
+"""Comparison of a controller in shadow with its predecessor: both answer the same actions and
+joint states.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,9 @@ from roboneuron import Hold, JointCommand, Pose
 from roboneuron.feature import StatusWriter, angle_rad, distance_m
 
 _POSES = 64
-"""Own poses remembered until the predecessor's for the same joint state arrives: half a second of them."""
+"""Own poses remembered until the predecessor's for the same joint state arrives: half a second
+of them.
+"""
 _PAIR_S = 0.08
 """The two answers to one action come within this time; actions are farther apart."""
 _RECENT = 5
@@ -20,9 +24,10 @@ _RECENT = 5
 class ControllerComparison:
     """Everything happens on the executor's thread.
 
-    The status tells `shadow_tcp_difference` (of the two TCP poses for one joint state [m or rad]), `shadow_count`
-    (answers to actions), `shadow_difference` (median of the largest difference of a joint between the two answers to
-    an action [rad or m]) and `shadow_hold`, why the newest answer is to hold.
+    The status tells `shadow_tcp_difference` (of the two TCP poses for one joint state [m or rad]),
+    `shadow_count` (answers to actions), `shadow_difference` (median of the largest difference of a
+    joint between the two answers to an action [rad or m]) and `shadow_hold`, why the newest answer
+    is to hold.
     """
 
     def __init__(self, status: StatusWriter) -> None:

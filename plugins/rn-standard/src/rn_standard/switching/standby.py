@@ -1,8 +1,12 @@
-"""What the server and a module process agree on when modules are switched: parameters, and priorities.
+"""What the server and a module process agree on when modules are switched: parameters, and
+priorities.
 
-A module that is loaded beside a working one gives way to it until it is loaded itself. Scheduling is a matter of
-threads: what a process starts inherits it, and restoring goes through all threads. An unprivileged process can make
-itself less urgent but not undo that, so without the right to do so only the batch policy is used: it never interrupts a
+A module that is loaded beside a working one gives way to it until it is loaded itself. Scheduling
+is a matter of
+threads: what a process starts inherits it, and restoring goes through all threads. An unprivileged
+    process can make
+itself less urgent but not undo that, so without the right to do so only the batch policy is used:
+    it never interrupts a
 thread that wakes up for its next image, and can always be left.
 """
 
@@ -20,11 +24,15 @@ ACCELERATION_PARAMETER = "acceleration"
 ACT_FROM = "act_from_ns"
 """ROS parameter: what is stamped before this ROS time [ns] is only worked on in shadow. 0: none."""
 ACT_UNTIL = "act_until_ns"
-"""ROS parameter: what is stamped at or after this ROS time [ns] is left to the successor. 0: none."""
+"""ROS parameter: what is stamped at or after this ROS time [ns] is left to the successor. 0:
+none.
+"""
 PLAY_UNTIL = "play_until_ns"
 """ROS parameter: a chunk that is being played out ends at this ROS time [ns]. 0: at its own end."""
 PLAY_FROM = "play_from_ns"
-"""ROS parameter: nothing is sent before this ROS time [ns]; the predecessor plays what it has until then. 0: none."""
+"""ROS parameter: nothing is sent before this ROS time [ns]; the predecessor plays what it has
+until then. 0: none.
+"""
 NEVER_NS = 2**62
 """As ACT_FROM: in shadow until told otherwise."""
 log = logging.getLogger(__name__)
@@ -38,7 +46,9 @@ def lower(pid: int) -> None:
     """Let a child process give way; what the system does not allow is left out."""
     with suppress(OSError):
         if _may_restore():
-            os.setpriority(os.PRIO_PROCESS, pid, min(_MOST, os.getpriority(os.PRIO_PROCESS, 0) + _NICENESS))
+            os.setpriority(
+                os.PRIO_PROCESS, pid, min(_MOST, os.getpriority(os.PRIO_PROCESS, 0) + _NICENESS)
+            )
         else:
             os.sched_setscheduler(pid, os.SCHED_BATCH, os.sched_param(0))
 

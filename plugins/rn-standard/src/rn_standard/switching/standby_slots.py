@@ -1,4 +1,6 @@
-"""A second process of a kind, beside the one that works: started in shadow, then adopted or discarded."""
+"""A second process of a kind, beside the one that works: started in shadow, then adopted or
+discarded.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,9 @@ def start_standby(supervisor: Supervisor, selection: Selection, on_stage: Stage)
         working, *others = supervisor.slots[kind]
         working.check_running(f"Call start_{kind} first.")
         if others:
-            raise StateError(f"{kind} is already being replaced.", hint="Wait for the end of that call.")
+            raise StateError(
+                f"{kind} is already being replaced.", hint="Wait for the end of that call."
+            )
         supervisor.slots[kind].append(standby)
     try:
         supervisor.start(

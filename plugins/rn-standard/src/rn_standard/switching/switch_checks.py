@@ -1,4 +1,6 @@
-"""What a new module has to show in shadow before the handover, and what its first output is; one class per kind."""
+"""What a new module has to show in shadow before the handover, and what its first output is;
+one class per kind.
+"""
 
 from __future__ import annotations
 
@@ -13,12 +15,16 @@ from roboneuron import ACTION_FIELDS, NotReadyError, RefusedError
 from roboneuron.feature import KIND_ENTRIES, ClosedLoop, ModuleKind, Report, Selection
 
 _LOOKS = 3
-"""So many shadow actions are compared: reports come every 0.2 s. Control compares in its own process."""
+"""So many shadow actions are compared: reports come every 0.2 s. Control compares in its own
+process.
+"""
 _SHADOW_S = 5.0
 _RECENT_NS = 1_000_000_000
 """What was sent longer ago has ended."""
 _WITHOUT_INPUT = ("no_action", "stale_joint_state")
-"""Reasons to hold that are not the controller's: the policy or the robot pauses. In shadow control tells none."""
+"""Reasons to hold that are not the controller's: the policy or the robot pauses. In shadow
+control tells none.
+"""
 Shadow = Callable[[], Report]
 """The newest report of the new module; raises what is wrong with it or with the old one."""
 
@@ -57,7 +63,9 @@ class SwitchCheck(ABC):
 
     @abstractmethod
     def measure(self, old: Report | None, new: Report | None) -> Gap | None:
-        """The gap between the last output of the old one and the first of the new one; None while unknown."""
+        """The gap between the last output of the old one and the first of the new one; None
+        while unknown.
+        """
 
     def is_due(self) -> bool:
         """Whether an output must follow the moment; asked once, right before it."""
@@ -99,22 +107,27 @@ class InferenceCheck(SwitchCheck):
         def enough() -> bool:
             report = shadow()
             if "shadow_count" in report.metrics:
-                values = tuple(float(report.metrics[f"shadow_action.{name}"]) for name in ACTION_FIELDS)
+                values = tuple(
+                    float(report.metrics[f"shadow_action.{name}"]) for name in ACTION_FIELDS
+                )
                 seen[report.metrics["shadow_count"]] = values
             return len(seen) >= _LOOKS
 
         if not self._supervisor.changes.wait_for(enough, _SHADOW_S) and not seen:
             raise NotReadyError(
-                f"The new backend predicted nothing within {_SHADOW_S:g} s in shadow; nothing was replaced.",
+                f"The new backend predicted nothing within {_SHADOW_S:g} s in shadow; nothing was "
+                "replaced.",
                 hint="Do images come? See get_status.",
             )
         sent = [values for sent_ns, values in self._stream.copy() if sent_ns >= started_ns]
         difference = _difference(list(seen.values()), sent)
         if difference is not None and difference > self._bound:
             raise RefusedError(
-                f"In shadow the new backend's actions differ by {difference:.3g} m or rad from those of the running "
+                f"In shadow the new backend's actions differ by {difference:.3g} m or rad from "
+                "those of the running "
                 f"one, at most {self._bound:g} is allowed; nothing was replaced.",
-                hint="Check that both were made for this robot, or raise switch_max_difference in [inference].",
+                hint="Check that both were made for this robot, or raise switch_max_difference in "
+                "[inference].",
             )
         return difference
 
@@ -153,8 +166,10 @@ class PerceptionCheck(SwitchCheck):
         for camera in sizes.keys() & before.keys():
             if sizes[camera] != before[camera]:
                 raise RefusedError(
-                    f"The new source's images of camera {camera!r} are {sizes[camera]} pixels large, those of the "
-                    f"running one {before[camera]}; the backend would not act on them. Nothing was replaced.",
+                    f"The new source's images of camera {camera!r} are {sizes[camera]} pixels "
+                    "large, those of the "
+                    f"running one {before[camera]}; the backend would not act on them. Nothing "
+                    "was replaced.",
                     hint="Configure the new source for that size, or stop_inference first.",
                 )
         return None
@@ -169,13 +184,21 @@ class PerceptionCheck(SwitchCheck):
 
     def measure(self, old: Report | None, new: Report | None) -> Gap | None:
         """Of the camera with the longest gap."""
-        first, last, period_s = _by_camera(new, "first_sent_ns."), _by_camera(old, "last_sent_ns."), _period_s(old)
-        gaps = [(int(first[camera]) - int(last[camera])) / 1e9 for camera in first.keys() & last.keys()]
+        first, last, period_s = (
+            _by_camera(new, "first_sent_ns."),
+            _by_camera(old, "last_sent_ns."),
+            _period_s(old),
+        )
+        gaps = [
+            (int(first[camera]) - int(last[camera])) / 1e9 for camera in first.keys() & last.keys()
+        ]
         return Gap(gap_s=max(gaps), period_s=period_s) if gaps and period_s else None
 
 
 class ControlCheck(SwitchCheck):
-    """Poses and commands lie near those of the old controller; the first command proves the handover, or a pose."""
+    """Poses and commands lie near those of the old controller; the first command proves the
+    handover, or a pose.
+    """
 
     kind = "control"
 
@@ -200,7 +223,8 @@ class ControlCheck(SwitchCheck):
         metrics = shadow().metrics
         if "shadow_tcp_difference" not in metrics:
             raise NotReadyError(
-                f"The new controller and the running one were not seen to tell the pose of one joint state within "
+                "The new controller and the running one were not seen to tell the pose of one "
+                "joint state within "
                 f"{_SHADOW_S:g} s; nothing was replaced.",
                 hint="Do joint states come, and does control publish ee_pose? See get_status.",
             )
@@ -208,11 +232,13 @@ class ControlCheck(SwitchCheck):
         if commanding and not complete and self._commands():
             if metrics.get("shadow_hold"):
                 raise RefusedError(
-                    f"The new controller would hold where the running one moves the arm: {metrics['shadow_hold']}. "
+                    "The new controller would hold where the running one moves the arm: "
+                    f"{metrics['shadow_hold']}. "
                     "Nothing was replaced."
                 )
             raise NotReadyError(
-                f"The new controller answered too few actions within {_SHADOW_S:g} s in shadow; nothing was replaced.",
+                f"The new controller answered too few actions within {_SHADOW_S:g} s in shadow; "
+                "nothing was replaced.",
                 hint="See its log.",
             )
         if not commanding or "shadow_difference" not in metrics:
@@ -227,7 +253,9 @@ class ControlCheck(SwitchCheck):
         return True
 
     def has_taken_over(self, new: Report) -> bool:
-        """See `SwitchCheck.has_taken_over`; one that no action has come to since holds the arm, and that proves it."""
+        """See `SwitchCheck.has_taken_over`; one that no action has come to since holds the arm,
+        and that proves it.
+        """
         told = new.metrics
         holds = told.get("hold_code") in _WITHOUT_INPUT and "compute_ms" not in told
         rests = not self._is_commanding and "first_sent_ns.pose" in told
@@ -235,7 +263,10 @@ class ControlCheck(SwitchCheck):
 
     def measure(self, old: Report | None, new: Report | None) -> Gap | None:
         """Of the commands; None while the arm rests."""
-        first_ns, last_ns = _number(new, "first_sent_ns.command"), _number(old, "last_sent_ns.command")
+        first_ns, last_ns = (
+            _number(new, "first_sent_ns.command"),
+            _number(old, "last_sent_ns.command"),
+        )
         if not (first_ns and last_ns and old is not None and old.rate_hz):
             return None
         return Gap(gap_s=(first_ns - last_ns) / 1e9, period_s=1.0 / old.rate_hz)
@@ -243,9 +274,11 @@ class ControlCheck(SwitchCheck):
     def _check(self, what: str, difference: float, unit: str) -> None:
         if difference > self._bound:
             raise RefusedError(
-                f"The new controller's {what} differ by {difference:.3g} {unit} from those of the running one, at most "
+                f"The new controller's {what} differ by {difference:.3g} {unit} from those of the "
+                "running one, at most "
                 f"{self._bound:g} is allowed; nothing was replaced.",
-                hint="Check that both are set up for this arm, or raise switch_max_difference in [control].",
+                hint="Check that both are set up for this arm, or raise switch_max_difference in "
+                "[control].",
             )
 
     def _commands(self) -> bool:
@@ -259,8 +292,12 @@ CHECKS: Mapping[ModuleKind, type[SwitchCheck]] = {
 """The kinds of modules that can be replaced."""
 
 
-def _difference(shadow: Sequence[tuple[float, ...]], acting: Sequence[tuple[float, ...]]) -> float | None:
-    """Largest difference of the medians over translation [m] and rotation [rad]; the gripper may differ."""
+def _difference(
+    shadow: Sequence[tuple[float, ...]], acting: Sequence[tuple[float, ...]]
+) -> float | None:
+    """Largest difference of the medians over translation [m] and rotation [rad]; the gripper
+    may differ.
+    """
     if not shadow or not acting:
         return None
     return max(
@@ -276,7 +313,11 @@ def _number(report: Report | None, key: str) -> int:
 def _by_camera(report: Report | None, prefix: str) -> dict[str, str]:
     if report is None:
         return {}
-    return {key.removeprefix(prefix): value for key, value in report.metrics.items() if key.startswith(prefix)}
+    return {
+        key.removeprefix(prefix): value
+        for key, value in report.metrics.items()
+        if key.startswith(prefix)
+    }
 
 
 def _period_s(report: Report | None) -> float | None:

@@ -32,7 +32,9 @@ class Switch(Arguments):
         default="warm",
         description="warm: try the new one beside the old one first; cold: stop the old one first.",
     )
-    rollback: bool = Field(default=False, description="Back to what ran before; then nothing else may be named.")
+    rollback: bool = Field(
+        default=False, description="Back to what ran before; then nothing else may be named."
+    )
 
     @model_validator(mode="after")
     def _check_rollback(self: S) -> S:
@@ -46,7 +48,9 @@ class SwitchInference(Switch, StartInference):
     """Arguments of switch_inference."""
 
     instruction: str | None = Field(
-        default=None, max_length=MAX_INSTRUCTION_LENGTH, description="What to do; the present one when omitted."
+        default=None,
+        max_length=MAX_INSTRUCTION_LENGTH,
+        description="What to do; the present one when omitted.",
     )
 
 
@@ -54,7 +58,8 @@ class SwitchPerception(Switch, StartPerception):
     """Arguments of switch_perception."""
 
     cameras: list[str] = Field(
-        default_factory=list, description="Cameras of the robot to serve; those served now when omitted."
+        default_factory=list,
+        description="Cameras of the robot to serve; those served now when omitted.",
     )
 
 
@@ -67,18 +72,23 @@ class SwitchResult(ModuleSummary):
 
     replaced: dict[str, str] = Field(description="what ran before")
     mode: Literal["warm", "cold", "in place"] = Field(
-        description="how it was done; in place: the running process went on with another acceleration"
+        description="how it was done; in place: the running process went on with another "
+        "acceleration"
     )
     gap_s: float | None = Field(
         default=None,
-        description="from the last output of the old one to the first of the new one, by the times at which they were "
-        "sent (actions of a backend, commands of a controller, images of a source, of the camera with the longest "
+        description="from the last output of the old one to the first of the new one, by the "
+        "times at which they were "
+        "sent (actions of a backend, commands of a controller, images of a source, of the camera "
+        "with the longest "
         "gap); none when one of them sent nothing",
     )
     period_s: float | None = Field(default=None, description="time between the old one's outputs")
     missed: int | None = Field(default=None, description="outputs left out in the old one's rhythm")
     difference: float | None = Field(
-        default=None, description="how far the new actions, or commands, lay from the old ones in shadow [m or rad]"
+        default=None,
+        description="how far the new actions, or commands, lay from the old ones in shadow [m or "
+        "rad]",
     )
     took_s: float = Field(description="the whole call, loading included")
 
@@ -96,23 +106,30 @@ _TEXTS: Mapping[ModuleKind, _Text] = {
     "inference": _Text(
         arguments=SwitchInference,
         title="Replace the policy",
-        description="Replace the running policy; robot, cameras and controller go on. What is not named comes from the "
-        "configuration; the instruction is kept. warm: the new policy is loaded beside the old one, tried without "
-        "moving anything, and takes over between two actions; if it fails, or would move very differently, the old one "
+        description="Replace the running policy; robot, cameras and controller go on. What is not "
+        "named comes from the "
+        "configuration; the instruction is kept. warm: the new policy is loaded beside the old "
+        "one, tried without "
+        "moving anything, and takes over between two actions; if it fails, or would move very "
+        "differently, the old one "
         "goes on. cold: the arm holds meanwhile; after a failure no policy runs.",
     ),
     "perception": _Text(
         arguments=SwitchPerception,
         title="Replace the cameras' source",
-        description="Replace the running source of images; everything else goes on. warm: the new one must deliver "
-        "images of the same size before it takes over; otherwise the old one goes on. cold (for a device that only one "
+        description="Replace the running source of images; everything else goes on. warm: the new "
+        "one must deliver "
+        "images of the same size before it takes over; otherwise the old one goes on. cold (for a "
+        "device that only one "
         "process can open): there are no images meanwhile; after a failure no source runs.",
     ),
     "control": _Text(
         arguments=SwitchControl,
         title="Replace the controller",
-        description="Replace the running controller, or change its options. warm: the new one answers the same actions "
-        "without moving anything before it takes over; if it fails, or its commands differ too much, the old one goes "
+        description="Replace the running controller, or change its options. warm: the new one "
+        "answers the same actions "
+        "without moving anything before it takes over; if it fails, or its commands differ too "
+        "much, the old one goes "
         "on. cold: the arm holds meanwhile; after a failure no controller runs.",
     ),
 }
@@ -121,10 +138,14 @@ _TEXTS: Mapping[ModuleKind, _Text] = {
 def switch_tools(loop: ClosedLoop) -> list[Tool[Any]]:
     """One for each kind of module that can be replaced."""
     switching = Switching(loop)
-    return [_switch_tool(loop, switching, KIND_ENTRIES[kind], text) for kind, text in _TEXTS.items()]
+    return [
+        _switch_tool(loop, switching, KIND_ENTRIES[kind], text) for kind, text in _TEXTS.items()
+    ]
 
 
-def _switch_tool(loop: ClosedLoop, switching: Switching, entry: KindEntry, text: _Text) -> Tool[Any]:
+def _switch_tool(
+    loop: ClosedLoop, switching: Switching, entry: KindEntry, text: _Text
+) -> Tool[Any]:
     kind = entry.kind
 
     async def handler(request: Switch, context: CallContext) -> SwitchResult:

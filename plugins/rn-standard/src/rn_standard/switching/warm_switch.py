@@ -1,8 +1,10 @@
-"""Replacement of a running module between two of its outputs: the new one works in shadow until the handover.
+"""Replacement of a running module between two of its outputs: the new one works in shadow until the
+handover.
 
-The handover is a moment in the time of the inputs of both (see `rn_standard.switching.handover`). It lies so far ahead
-that both processes know it beforehand, so neither acts on the other's inputs. Until then nothing changes; if the new
-module does not act in time afterwards, the old one acts again.
+The handover is a moment in the time of the inputs of both (see `rn_standard.switching.handover`).
+It lies so far ahead that both processes know it beforehand, so neither acts on the other's inputs.
+Until then nothing changes; if the new module does not act in time afterwards, the old one acts
+again.
 """
 
 from __future__ import annotations
@@ -14,7 +16,14 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 from rn_standard.switching.gap import Gap
-from rn_standard.switching.standby import ACT_FROM, ACT_UNTIL, NEVER_NS, PLAY_FROM, PLAY_UNTIL, lower
+from rn_standard.switching.standby import (
+    ACT_FROM,
+    ACT_UNTIL,
+    NEVER_NS,
+    PLAY_FROM,
+    PLAY_UNTIL,
+    lower,
+)
 from rn_standard.switching.standby_slots import adopt, discard, start_standby
 from rn_standard.switching.switch_checks import SwitchCheck
 from roboneuron import NotReadyError, RoboNeuronError, StateError
@@ -22,22 +31,30 @@ from roboneuron.feature import ClosedLoop, Lasting, NodeClient, Report, Selectio
 
 log = logging.getLogger(__name__)
 _MARGIN_S, _MOST_MARGIN_S, _MARGIN_RATIO = 0.5, 5.0, 5.0
-"""Both processes are told the moment this long before it comes: at least 0.5 s, or five times what telling them takes
-now (2 to 50 ms, hundreds on an overloaded machine)."""
+"""Both processes are told the moment this long before it comes: at least 0.5 s, or five times what
+telling them takes now (2 to 50 ms, hundreds on an overloaded machine)."""
 _MARGIN_LATENCIES = 3.0
 _HEARD_S = 0.005
-"""A row that the old one sends in the last instant is heard within this time; else two rows could come at once."""
+"""A row that the old one sends in the last instant is heard within this time; else two rows
+could come at once.
+"""
 _LATEST_S = 0.05
 _MOMENTS = 3
-"""So many moments, each twice as far ahead as the one before, are proposed to a new one that answers too late."""
+"""So many moments, each twice as far ahead as the one before, are proposed to a new one that
+answers too late.
+"""
 _FIRST_S = 1.0
 _TOLD_S = 4.0
-"""Whether the new one has acted by then is read from a report made after that, which may come so much later: a process
-that is not given the processor acts, and has not told it yet."""
+"""Whether the new one has acted by then is read from a report made after that, which may come so
+much later: a process that is not given the processor acts, and has not told it yet."""
 _FIND_S = 25.0
-"""A listener that was killed is taken for alive until its lease on the ROS graph ends, after up to 20 s."""
+"""A listener that was killed is taken for alive until its lease on the ROS graph ends, after up
+to 20 s.
+"""
 _LATE_S = 3.0
-"""A newcomer that is late for this long in shadow is too slow; now and then a busy machine makes anything late."""
+"""A newcomer that is late for this long in shadow is too slow; now and then a busy machine
+makes anything late.
+"""
 LISTENERS = "listeners."
 ARRIVAL_S = 0.5
 """A status may arrive before the action that it tells of."""
@@ -49,7 +66,8 @@ class Change:
 
     Attributes:
         gap: None when nothing was sent before or after it.
-        difference: largest difference between what the two wanted [m or rad]; None when the old one did not act.
+        difference: largest difference between what the two wanted [m or rad]; None when the old one
+            did not act.
     """
 
     gap: Gap | None
@@ -68,7 +86,12 @@ class WarmSwitch:
     """
 
     def __init__(
-        self, loop: ClosedLoop, selection: Selection, check: SwitchCheck, on_stage: Stage, ticket: int = 0
+        self,
+        loop: ClosedLoop,
+        selection: Selection,
+        check: SwitchCheck,
+        on_stage: Stage,
+        ticket: int = 0,
     ) -> None:
         self._starts = loop.starts
         self._ticket = ticket
@@ -105,10 +128,17 @@ class WarmSwitch:
         return Change(gap=gap, difference=difference)
 
     def _check_instruction(self) -> None:
-        """Raise StateError when a stop, or whoever had given the instruction, has ended it since the caller asked."""
-        if self._kind == "inference" and self._starts.ticket != self._ticket and not self._starts.instruction:
+        """Raise StateError when a stop, or whoever had given the instruction, has ended it
+        since the caller asked.
+        """
+        if (
+            self._kind == "inference"
+            and self._starts.ticket != self._ticket
+            and not self._starts.instruction
+        ):
             raise StateError(
-                "The instruction was taken back meanwhile, by a stop or at the end of its task; nothing was replaced."
+                "The instruction was taken back meanwhile, by a stop or at the end of its task; "
+                "nothing was replaced."
             )
 
     def _follow_instruction(self, standby: Slot) -> None:
@@ -128,7 +158,9 @@ class WarmSwitch:
             self._starts.begin(section.instruction)
 
     def _on_start(self, stage: str) -> None:
-        """Right after its process was started, the new one is made to give way to the old one while it loads."""
+        """Right after its process was started, the new one is made to give way to the old one
+        while it loads.
+        """
         if not self._is_lowered:
             self._is_lowered = True
             _, *standbys = self._supervisor.slots[self._kind]
@@ -138,7 +170,9 @@ class WarmSwitch:
         self._on_stage(f"new {stage}")
 
     def _await_listeners(self, standby: Slot) -> None:
-        """Whoever hears the old one has to have found the new one too: what is sent to nobody is lost."""
+        """Whoever hears the old one has to have found the new one too: what is sent to nobody
+        is lost.
+        """
 
         def lacking() -> dict[str, str]:
             old = self._supervisor.report_of(self._supervisor.slot(self._kind))
@@ -168,16 +202,21 @@ class WarmSwitch:
         return supervisor.changes.wait_for(gap, ARRIVAL_S)
 
     def _hand_over(self, standby: Slot) -> Slot:
-        """Agree on the moment, wait for the first output after it, and make the new one the module of its kind."""
+        """Agree on the moment, wait for the first output after it, and make the new one the
+        module of its kind.
+        """
         old = self._supervisor.slot(self._kind)
         clients = [self._client(old), self._client(standby)]
         latency_s = self._check.latency_s(self._healthy(standby))
         # A prediction that the new one has begun when it is told of the moment ends before it.
-        margin_s = min(_MOST_MARGIN_S, max(self._probe(clients, standby), _MARGIN_LATENCIES * latency_s))
+        margin_s = min(
+            _MOST_MARGIN_S, max(self._probe(clients, standby), _MARGIN_LATENCIES * latency_s)
+        )
         self._on_stage(f"{self._kind}: changing over")
         try:
             # The old one is told only when the new one knows: one that dies now disturbs nobody.
-            # Until the old one's chunk would end, or the new one's first output is due: no hole between the two.
+            # Until the old one's chunk would end, or the new one's first output is due: no hole
+            # between the two.
             bridged_ns = self._bridged_ns(latency_s)
             moment_ns, due_s = self._agree(clients[1], standby, margin_s, bridged_ns)
             leave = {ACT_UNTIL: moment_ns, PLAY_UNTIL: moment_ns + int(latency_s * 1e9)}
@@ -190,11 +229,17 @@ class WarmSwitch:
             raise
 
     def _bridged_ns(self, latency_s: float) -> int:
-        """How long after the moment the old one's rows are played, and the last of them is heard by the new one."""
+        """How long after the moment the old one's rows are played, and the last of them is
+        heard by the new one.
+        """
         return int((latency_s + _HEARD_S) * 1e9) if self._check.has_rows() else 0
 
-    def _agree(self, new: NodeClient, standby: Slot, margin_s: float, bridged_ns: int) -> tuple[int, float]:
-        """The moment [ns] that the new one knows, in time to tell the old one too, and when it comes [monotonic s]."""
+    def _agree(
+        self, new: NodeClient, standby: Slot, margin_s: float, bridged_ns: int
+    ) -> tuple[int, float]:
+        """The moment [ns] that the new one knows, in time to tell the old one too, and when it
+        comes [monotonic s].
+        """
         for proposal in range(_MOMENTS):
             moment_ns, due_s = time.time_ns() + int(margin_s * 1e9), time.monotonic() + margin_s
             try:
@@ -208,20 +253,27 @@ class WarmSwitch:
                 margin_s = min(2 * margin_s, _MOST_MARGIN_S)
         return moment_ns, due_s
 
-    def _tell(self, client: NodeClient, values: Mapping[str, int], within_s: float, standby: Slot) -> None:
-        refused = client.finish(client.send(values), max(0.0, within_s), lambda: self._healthy(standby))
+    def _tell(
+        self, client: NodeClient, values: Mapping[str, int], within_s: float, standby: Slot
+    ) -> None:
+        refused = client.finish(
+            client.send(values), max(0.0, within_s), lambda: self._healthy(standby)
+        )
         if refused:
             raise StateError(f"The handover was refused: {refused}.")
 
     def _probe(self, clients: Sequence[NodeClient], standby: Slot) -> float:
         """Tell both what they know already, and return the margin [s] that this needs."""
         started_s = time.monotonic()
-        for client, values in zip(clients, ({ACT_UNTIL: 0, PLAY_UNTIL: 0}, {ACT_FROM: NEVER_NS}), strict=True):
+        for client, values in zip(
+            clients, ({ACT_UNTIL: 0, PLAY_UNTIL: 0}, {ACT_FROM: NEVER_NS}), strict=True
+        ):
             refused = client.set(values, _FIND_S, lambda: self._healthy(standby))
             if refused:
                 raise StateError(
                     f"The handover was refused: {refused}.",
-                    hint="To replace a module under another interpreter warm, install rn-switching there too.",
+                    hint="To replace a module under another interpreter warm, install "
+                    "rn-switching there too.",
                 )
         return min(_MOST_MARGIN_S, max(_MARGIN_S, _MARGIN_RATIO * (time.monotonic() - started_s)))
 
@@ -230,23 +282,29 @@ class WarmSwitch:
 
         def told() -> Report | None:
             report = self._healthy(standby)
-            return report if self._check.has_taken_over(report) or report.received_s > end_s else None
+            return (
+                report if self._check.has_taken_over(report) or report.received_s > end_s else None
+            )
 
         report = self._supervisor.changes.wait_for(told, end_s + _TOLD_S - time.monotonic())
         if report is None or not self._check.has_taken_over(report):
             raise NotReadyError(
-                f"The new {self._check.noun} did not act after the handover; the old one acts again.",
+                f"The new {self._check.noun} did not act after the handover; the old one acts "
+                "again.",
                 hint=f"It was measured to need {latency_s * 1e3:.0f} ms; see its log.",
             )
 
     def _roll_back(self, clients: Sequence[NodeClient], slot: Slot, cause: BaseException) -> None:
-        """The old one acts again; the new one is told not to, and ended by the caller in any case."""
+        """The old one acts again; the new one is told not to, and ended by the caller in any
+        case.
+        """
         log.warning("The handover is undone: %s", cause)
         old, new = clients
         with suppress(RoboNeuronError):
             new.send({ACT_FROM: NEVER_NS})
         try:
-            # Sent in any case: one that is frozen reads it, after what it was told before, when it continues.
+            # Sent in any case: one that is frozen reads it, after what it was told before, when it
+            # continues.
             call = old.send({ACT_UNTIL: 0, PLAY_UNTIL: 0})
             refused = old.finish(call, _FIND_S, lambda: slot.check_alive("told to go on"))
         except RoboNeuronError as error:
@@ -254,21 +312,30 @@ class WarmSwitch:
         if refused:
             log.error("The old %s could not be told to go on: %s", self._check.noun, refused)
             if isinstance(cause, RoboNeuronError):
-                cause.hint = f"{cause.hint} The old one could not be told to go on either: {refused}".strip()
+                cause.hint = (
+                    f"{cause.hint} The old one could not be told to go on either: {refused}".strip()
+                )
 
     def _healthy(self, slot: Slot) -> Report:
-        """The newest report of a process that works; raises what is wrong with it, or with the old one."""
+        """The newest report of a process that works; raises what is wrong with it, or with the
+        old one.
+        """
         slot.check_alive("working in shadow")
         self._supervisor.slot(self._kind).check_alive("being replaced")
         report = self._supervisor.report_of(slot)
         if report is None:
-            raise NotReadyError(f"The new {self._check.noun} has fallen silent; nothing was replaced.")
+            raise NotReadyError(
+                f"The new {self._check.noun} has fallen silent; nothing was replaced."
+            )
         failure = report.failure()
-        late_s = self._late.held_s(isinstance(failure, NotReadyError))  # it may still be in time for the next input
+        # it may still be in time for the next input
+        late_s = self._late.held_s(isinstance(failure, NotReadyError))
         if failure is not None and (not isinstance(failure, NotReadyError) or late_s > _LATE_S):
             raise failure
         if self._supervisor.slot(self._kind).phase != "running":
-            raise StateError(f"The running {self._check.noun} has ended meanwhile; nothing was replaced.")
+            raise StateError(
+                f"The running {self._check.noun} has ended meanwhile; nothing was replaced."
+            )
         return report
 
     def _client(self, slot: Slot) -> NodeClient:
@@ -281,4 +348,8 @@ class WarmSwitch:
 def _listeners(report: Report | None) -> dict[str, int]:
     """Number of subscriptions that a module's outputs have found, by topic."""
     metrics = {} if report is None else report.metrics
-    return {key.removeprefix(LISTENERS): int(value) for key, value in metrics.items() if key.startswith(LISTENERS)}
+    return {
+        key.removeprefix(LISTENERS): int(value)
+        for key, value in metrics.items()
+        if key.startswith(LISTENERS)
+    }

@@ -13,7 +13,8 @@ class Approval:
         self._options = options
 
     async def ask(self, tool: str, question: str, context: CallContext) -> None:
-        """Return when nobody needs to be asked, or a person agreed; called before anything has an effect.
+        """Return when nobody needs to be asked, or a person agreed; called before anything has an
+        effect.
 
         Raises:
             RefusedError: the person said no, did not answer, or the client cannot ask one.
@@ -23,8 +24,10 @@ class Approval:
         agreed = await context.ask(question)
         if agreed is None:
             raise RefusedError(
-                f"A person must approve {tool} for the role {context.role!r}, and this client cannot ask one.",
-                hint="Use a client that supports elicitation, or a role that is not in approval_roles of [tasks].",
+                f"A person must approve {tool} for the role {context.role!r}, and this client "
+                "cannot ask one.",
+                hint="Use a client that supports elicitation, or a role that is not in "
+                "approval_roles of [tasks].",
             )
         if not agreed:
             raise RefusedError(f"A person did not approve {tool}.")

@@ -1,4 +1,6 @@
-"""Who carries out a task now: one at a time, ended by whoever stops the robot, and waited for when the server ends."""
+"""Who carries out a task now: one at a time, ended by whoever stops the robot, and waited for
+when the server ends.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,9 @@ class TaskArbiter:
 
     @property
     def reason(self) -> str:
-        """Why the task that runs, or has just ended, was told to end; empty when nobody has told it."""
+        """Why the task that runs, or has just ended, was told to end; empty when nobody has
+        told it.
+        """
         return self._reason
 
     @property
@@ -46,7 +50,10 @@ class TaskArbiter:
         """
         with self._lock:
             if self._halt is not None:
-                raise StateError(f"A task runs already: {self._owner}.", hint="Wait for its end, or cancel that call.")
+                raise StateError(
+                    f"A task runs already: {self._owner}.",
+                    hint="Wait for its end, or cancel that call.",
+                )
             self._halt, self._owner, self._reason = halt, owner, ""
         try:
             yield

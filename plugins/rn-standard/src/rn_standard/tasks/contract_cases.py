@@ -1,6 +1,8 @@
-"""The contract of monitors, and the cases of those shipped here; loaded by the contract kit and by tests only.
+"""The contract of monitors, and the cases of those shipped here; loaded by the contract kit and by
+tests only.
 
-A third party tries its monitors with `contract_of(MonitorSpec)` and a `MonitorCase`, as this package's tests do.
+A third party tries its monitors with `contract_of(MonitorSpec)` and a `MonitorCase`, as this
+package's tests do.
 """
 
 from __future__ import annotations
@@ -30,7 +32,9 @@ F64 = NDArray[np.float64]
 _SURE = 0.9
 """The default of `at_least`: from here on a predicate takes a score as true."""
 SCORE_LIMIT_S = 0.05
-"""Bound on the quickest of some scores, as `Monitor.score` says: a busy machine slows one, not all."""
+"""Bound on the quickest of some scores, as `Monitor.score` says: a busy machine slows one, not
+all.
+"""
 LONGEST_REASON = 300
 """Characters of a reason, which agents read with every answer."""
 _SIDE_PX = 224
@@ -64,7 +68,9 @@ class MonitorCase(Case[MonitorSpec]):
         return observe(_LIES) if self.before is None else self.before
 
     def scores(self, monitor: Monitor | None = None) -> tuple[Score, Score]:
-        """Of `achieved` and of `missed`, after `before`. Raises NotApplicable when the case has none of these."""
+        """Of `achieved` and of `missed`, after `before`. Raises NotApplicable when the case has
+        none of these.
+        """
         if self.achieved is None or self.missed is None:
             raise NotApplicable("the case shows no observations")
         monitor = monitor or self.build()
@@ -76,13 +82,19 @@ class MonitorCase(Case[MonitorSpec]):
 
 def _check_achieved(case: MonitorCase) -> None:
     score = case.scores()[0]
-    require(score.value is not None and score.value >= _SURE, f"scored {score.value} ({score.reason}), expected 0.9")
+    require(
+        score.value is not None and score.value >= _SURE,
+        f"scored {score.value} ({score.reason}), expected 0.9",
+    )
 
 
 def _check_missed(case: MonitorCase) -> None:
     score = case.scores()[1]
     require(score.value is not None, f"what has not come about cannot be judged: {score.reason}")
-    require((score.value or 0.0) < _SURE / 2, f"scored {score.value} ({score.reason}), expected well below 0.9")
+    require(
+        (score.value or 0.0) < _SURE / 2,
+        f"scored {score.value} ({score.reason}), expected well below 0.9",
+    )
 
 
 def _check_undone(case: MonitorCase) -> None:
@@ -128,11 +140,17 @@ def _all_scores(case: MonitorCase) -> list[Score]:
 def _check_form(case: MonitorCase) -> None:
     for score in _all_scores(case):
         require(isinstance(score, Score), f"returned {score!r}, expected a Score")
-        require(score.value is None or 0.0 <= score.value <= 1.0, f"scored {score.value}, expected 0 .. 1 or None")
+        require(
+            score.value is None or 0.0 <= score.value <= 1.0,
+            f"scored {score.value}, expected 0 .. 1 or None",
+        )
         reason = score.reason
         require(bool(reason) and not reason.endswith("."), f"the reason is {reason!r}")
         is_short = len(reason) <= LONGEST_REASON and "\n" not in reason
-        require(is_short, f"the reason has {len(reason)} characters: {reason[:60]!r}; expected a short sentence")
+        require(
+            is_short,
+            f"the reason has {len(reason)} characters: {reason[:60]!r}; expected a short sentence",
+        )
 
 
 def _check_repeatable(case: MonitorCase) -> None:
@@ -192,17 +210,36 @@ _OWN: tuple[Rule[MonitorCase], ...] = tuple(
         ("process-left-alone", ALONE, _check_process),
         ("input-kept", "It writes into no part of an observation.", _check_input_kept),
         ("score-quick", "One observation is judged within 50 ms.", _check_quick),
-        ("undone-is-not-achieved", "What had come about and is undone does not score 0.9.", _check_undone),
+        (
+            "undone-is-not-achieved",
+            "What had come about and is undone does not score 0.9.",
+            _check_undone,
+        ),
         ("achieved-scores-high", "What has come about scores 0.9 or more.", _check_achieved),
-        ("missed-scores-low", "What has not come about is judged, and scores less than 0.45.", _check_missed),
+        (
+            "missed-scores-low",
+            "What has not come about is judged, and scores less than 0.45.",
+            _check_missed,
+        ),
         ("blind-is-not-judged", "Without any image the score is None, not a guess.", _check_blind),
         ("blind-start-is-no-error", "A task may begin without images.", _check_never_reset),
-        ("score-has-its-form", "Scores are 0 .. 1 or None, each with a short reason without full stop.", _check_form),
+        (
+            "score-has-its-form",
+            "Scores are 0 .. 1 or None, each with a short reason without full stop.",
+            _check_form,
+        ),
         ("repeatable", "The same observations give the same scores.", _check_repeatable),
-        ("reset-forgets", "After `reset` with the same observation it judges as before.", _check_reset),
+        (
+            "reset-forgets",
+            "After `reset` with the same observation it judges as before.",
+            _check_reset,
+        ),
     )
 )
-RULES: tuple[Rule[MonitorCase], ...] = (*cast("tuple[Rule[MonitorCase], ...]", OF_EVERY_DESCRIPTOR), *_OWN)
+RULES: tuple[Rule[MonitorCase], ...] = (
+    *cast("tuple[Rule[MonitorCase], ...]", OF_EVERY_DESCRIPTOR),
+    *_OWN,
+)
 """Rules of a monitor: those of every descriptor, and its own."""
 KIND = Kind(case=MonitorCase, rules=RULES)
 """What the kit needs to try monitors."""
@@ -223,16 +260,30 @@ FRONT = calibration(np.array([1.2, 0.4, 0.8]), np.array([0.45, 0.0, 0.1]), "base
 SIDE = calibration(np.array([0.4, -0.9, 0.6]), np.array([0.45, 0.0, 0.1]), "base")
 
 
-def observe(objects: Mapping[str, tuple[float, float, float]], *, tcp: Pose = _TCP, stamp_ns: int = 1) -> Observation:
-    """Two calibrated cameras beside a grey table with balls: colour -> place in the base frame [m]."""
+def observe(
+    objects: Mapping[str, tuple[float, float, float]], *, tcp: Pose = _TCP, stamp_ns: int = 1
+) -> Observation:
+    """Two calibrated cameras beside a grey table with balls: colour -> place in the base frame
+    [m].
+    """
     frames = {
-        role: Frame(camera=role, image=_painted(camera, objects), stamp_ns=stamp_ns, frame_id=role, calibration=camera)
+        role: Frame(
+            camera=role,
+            image=_painted(camera, objects),
+            stamp_ns=stamp_ns,
+            frame_id=role,
+            calibration=camera,
+        )
         for role, camera in (("primary", FRONT), ("wrist", SIDE))
     }
-    return Observation(frames=frames, instruction="try", ee_pose=tcp, gripper_open=0.5, stamp_ns=stamp_ns)
+    return Observation(
+        frames=frames, instruction="try", ee_pose=tcp, gripper_open=0.5, stamp_ns=stamp_ns
+    )
 
 
-def _painted(camera: CameraCalibration, objects: Mapping[str, tuple[float, float, float]]) -> NDArray[np.uint8]:
+def _painted(
+    camera: CameraCalibration, objects: Mapping[str, tuple[float, float, float]]
+) -> NDArray[np.uint8]:
     image = np.full((_SIDE_PX, _SIDE_PX, 3), 180, dtype=np.uint8)
     rows, columns = np.mgrid[:_SIDE_PX, :_SIDE_PX] + 0.5
     base = np.linalg.inv(camera.T_mount_camera)
@@ -244,7 +295,9 @@ def _painted(camera: CameraCalibration, objects: Mapping[str, tuple[float, float
     return image
 
 
-def _case(name: str, before: Observation, achieved: Observation, missed: Observation) -> MonitorCase:
+def _case(
+    name: str, before: Observation, achieved: Observation, missed: Observation
+) -> MonitorCase:
     spec = next(spec for spec in MONITORS if spec.name == name)
     return MonitorCase(spec=spec, before=before, achieved=achieved, missed=missed)
 
@@ -275,7 +328,10 @@ def region_case() -> MonitorCase:
 def changed_case() -> MonitorCase:
     """A ball is gone; nothing has changed."""
     return _case(
-        "scene-changed", before=observe(_LIES), achieved=observe({"blue": (0.4, 0.1, 0.02)}), missed=observe(_LIES)
+        "scene-changed",
+        before=observe(_LIES),
+        achieved=observe({"blue": (0.4, 0.1, 0.02)}),
+        missed=observe(_LIES),
     )
 
 

@@ -1,4 +1,6 @@
-"""The monitors of this package: a coloured object lifted, an object in a region, the scene changed."""
+"""The monitors of this package: a coloured object lifted, an object in a region, the scene
+changed.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,9 @@ _Point = Annotated[tuple[float, float, float], Field(strict=False)]
 _BESIDE_M = 0.03
 """Two views whose rays pass each other farther apart do not see the same thing."""
 _COARSE_M = 0.06
-"""Likewise when one of them sees it only in part, as a camera at the wrist sees what the gripper holds."""
+"""Likewise when one of them sees it only in part, as a camera at the wrist sees what the
+gripper holds.
+"""
 _FADE_M = 0.05
 _HELD_M, _HOLDS = 0.06, (0.05, 0.9)
 """So near to the TCP, and with such an opening, an object is held."""
@@ -30,14 +34,24 @@ class _Options(BaseModel):
 
 
 def locate(observation: Observation, colour: str) -> F64 | str:
-    """Centre (3,) of the coloured object in the base frame [m] from two views, or why it cannot be told."""
+    """Centre (3,) of the coloured object in the base frame [m] from two views, or why it cannot
+    be told.
+    """
     rays = rays_of(observation.frames, observation.ee_pose, colour)
     if len(rays) < 2 or all(ray.is_coarse for ray in rays.values()):
-        seen = " and ".join(f"{role}{' (cut)' if ray.is_coarse else ''}" for role, ray in rays.items())
+        seen = " and ".join(
+            f"{role}{' (cut)' if ray.is_coarse else ''}" for role, ray in rays.items()
+        )
         who = f"only {seen} sees it" if rays else "no calibrated camera sees it"
         return f"{who}, two views are needed to tell where the {colour} object is"
-    pairs = [pair for pair in combinations(rays.values(), 2) if not all(ray.is_coarse for ray in pair)]
-    found = [(*meeting, any(r.is_coarse for r in pair)) for pair in pairs if (meeting := crossing(*pair)) is not None]
+    pairs = [
+        pair for pair in combinations(rays.values(), 2) if not all(ray.is_coarse for ray in pair)
+    ]
+    found = [
+        (*meeting, any(r.is_coarse for r in pair))
+        for pair in pairs
+        if (meeting := crossing(*pair)) is not None
+    ]
     if not found:
         return "the views are too alike to tell a place"
     place, apart_m, is_coarse = min(found, key=lambda meeting: meeting[1])
@@ -50,13 +64,16 @@ class LiftedOptions(_Options):
     """Options of the monitor `colour-lifted`."""
 
     colour: Colour = Field(default="red", description="of the object; no other may have it")
-    height_m: float = Field(default=0.10, gt=0, le=2, description="how far above where it lay it must be [m]")
+    height_m: float = Field(
+        default=0.10, gt=0, le=2, description="how far above where it lay it must be [m]"
+    )
 
 
 class ColourLifted:
     """Whether an object of a colour was lifted: its height by two views, against its height before.
 
-    The height of what rests counts from the first look at it; 0.9 of `height_m` scores 0.9. What the gripper holds
+    The height of what rests counts from the first look at it; 0.9 of `height_m` scores 0.9. What
+    the gripper holds
     already does not rest: then it counts where the task before saw it lie.
     """
 
@@ -70,7 +87,9 @@ class ColourLifted:
         self._rest_m, self._is_of_before = previous._rest_m, True
 
     def reset(self, observation: Observation) -> None:
-        """Remember where it lies; what was seen at rest before is kept when it is hidden or held now."""
+        """Remember where it lies; what was seen at rest before is kept when it is hidden or
+        held now.
+        """
         place = locate(observation, self._options.colour)
         if isinstance(place, str) or _is_held(place, observation):
             return
@@ -85,14 +104,22 @@ class ColourLifted:
             return Score(value=None, reason=place)
         if self._rest_m is None:
             held = "the gripper holds it already, and " if _is_held(place, observation) else ""
-            return Score(value=None, reason=f"{held}it was not seen where the {options.colour} object lay before")
+            return Score(
+                value=None,
+                reason=f"{held}it was not seen where the {options.colour} object lay before",
+            )
         lifted_m = float(place[2]) - self._rest_m
         value = min(1.0, max(0.0, lifted_m / options.height_m))
-        return Score(value=value, reason=f"the {options.colour} object is {lifted_m * 100:.0f} cm above where it lay")
+        return Score(
+            value=value,
+            reason=f"the {options.colour} object is {lifted_m * 100:.0f} cm above where it lay",
+        )
 
 
 def _is_held(place: F64, observation: Observation) -> bool:
-    """Whether an object at that place is between the fingers: near the TCP, which stands neither open nor closed."""
+    """Whether an object at that place is between the fingers: near the TCP, which stands
+    neither open nor closed.
+    """
     pose, opening = observation.ee_pose, observation.gripper_open
     if pose is None or opening is None or not _HOLDS[0] < opening < _HOLDS[1]:
         return False
@@ -103,10 +130,13 @@ class RegionOptions(_Options):
     """Options of the monitor `object-in-region`."""
 
     colour: Colour = Field(default="red", description="of the object; no other may have it")
-    lower_m: _Point = Field(default=(0.3, -0.3, 0.0), description="corner of the box in the base frame")
+    lower_m: _Point = Field(
+        default=(0.3, -0.3, 0.0), description="corner of the box in the base frame"
+    )
     upper_m: _Point = Field(default=(0.7, 0.3, 0.1), description="opposite corner")
     rests_at_m: float | None = Field(
-        default=None, description="height of its centre when it rests; then one camera beside the robot suffices"
+        default=None,
+        description="height of its centre when it rests; then one camera beside the robot suffices",
     )
 
 
@@ -125,10 +155,15 @@ class ObjectInRegion:
         place = self._place(observation)
         if isinstance(place, str):
             return Score(value=None, reason=place)
-        outside = np.maximum(np.maximum(options.lower_m - place, place - np.array(options.upper_m)), 0.0)
+        outside = np.maximum(
+            np.maximum(options.lower_m - place, place - np.array(options.upper_m)), 0.0
+        )
         distance_m = float(np.linalg.norm(outside))
         told = ", ".join(f"{value:.2f}" for value in place)
-        return Score(value=max(0.0, 1.0 - distance_m / _FADE_M), reason=f"the {options.colour} object is at [{told}] m")
+        return Score(
+            value=max(0.0, 1.0 - distance_m / _FADE_M),
+            reason=f"the {options.colour} object is at [{told}] m",
+        )
 
     def _place(self, observation: Observation) -> F64 | str:
         options = self._options
@@ -143,7 +178,10 @@ class ObjectInRegion:
         if not points:
             return f"no calibrated camera sees the {options.colour} object whole"
         if any(np.linalg.norm(point - points[0]) > 2 * _BESIDE_M for point in points):
-            return f"the views disagree about the {options.colour} object: it may not rest at that height"
+            return (
+                f"the views disagree about the {options.colour} object: it may not rest at "
+                "that height"
+            )
         return points[0]
 
 
@@ -151,15 +189,24 @@ class ChangedOptions(_Options):
     """Options of the monitor `scene-changed`."""
 
     camera: str = Field(default="primary", description="role of the camera")
-    share: float = Field(default=0.003, gt=0, le=1, description="share of the image that must have changed")
-    level: float = Field(default=0.12, gt=0, lt=1, description="change of a pixel that counts, 0 .. 1")
+    share: float = Field(
+        default=0.003, gt=0, le=1, description="share of the image that must have changed"
+    )
+    level: float = Field(
+        default=0.12, gt=0, lt=1, description="change of a pixel that counts, 0 .. 1"
+    )
     arm_back_m: float = Field(
-        default=0.03, gt=0, le=1, description="the TCP must be so near to where it was before: an arm is a change too"
+        default=0.03,
+        gt=0,
+        le=1,
+        description="the TCP must be so near to where it was before: an arm is a change too",
     )
 
 
 class SceneChanged:
-    """Whether the picture has changed since the begin of the attempt, with the arm back where it was."""
+    """Whether the picture has changed since the begin of the attempt, with the arm back where
+    it was.
+    """
 
     def __init__(self, config: ChangedOptions | None) -> None:
         self._options = config or ChangedOptions()
@@ -168,16 +215,32 @@ class SceneChanged:
     def reset(self, observation: Observation) -> None:
         """Remember the picture, and where the arm is."""
         frame, pose = observation.frames.get(self._options.camera), observation.ee_pose
-        self._before = None if frame is None else (frame.image.copy(), None if pose is None else pose.position_m)
+        self._before = (
+            None
+            if frame is None
+            else (frame.image.copy(), None if pose is None else pose.position_m)
+        )
 
     def score(self, observation: Observation) -> Score:
         """Share of the changed pixels, as a share of `share`."""
-        options, frame, pose = self._options, observation.frames.get(self._options.camera), observation.ee_pose
+        options, frame, pose = (
+            self._options,
+            observation.frames.get(self._options.camera),
+            observation.ee_pose,
+        )
         if frame is None or self._before is None or frame.image.shape != self._before[0].shape:
-            return Score(value=None, reason=f"there is no image of {options.camera!r} from before and now")
+            return Score(
+                value=None, reason=f"there is no image of {options.camera!r} from before and now"
+            )
         image, place = self._before
-        if place is not None and (pose is None or np.linalg.norm(pose.position_m - place) > options.arm_back_m):
-            return Score(value=None, reason="the arm is elsewhere than before, and hides what it wants")
+        if place is not None and (
+            pose is None or np.linalg.norm(pose.position_m - place) > options.arm_back_m
+        ):
+            return Score(
+                value=None, reason="the arm is elsewhere than before, and hides what it wants"
+            )
         changed = np.abs(frame.image.astype(np.int16) - image).max(axis=2) > options.level * 255
         share = float(changed.mean())
-        return Score(value=min(1.0, share / options.share), reason=f"{share:.1%} of the image has changed")
+        return Score(
+            value=min(1.0, share / options.share), reason=f"{share:.1%} of the image has changed"
+        )

@@ -1,4 +1,6 @@
-"""Events that clients can subscribe to, as resources: incidents, ends of tasks, a low battery, thresholds crossed."""
+"""Events that clients can subscribe to, as resources: incidents, ends of tasks, a low battery,
+thresholds crossed.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,8 @@ log = logging.getLogger(__name__)
 URI = "roboneuron://events/"
 INCIDENTS, TASKS, BATTERY, THRESHOLDS = "incidents", "tasks", "battery", "thresholds"
 KINDS: Mapping[str, str] = {
-    INCIDENTS: "New incidents: a module that fails, stalls, falls silent or ends; restarts; lapsed leases.",
+    INCIDENTS: "New incidents: a module that fails, stalls, falls silent or ends; restarts; "
+    "lapsed leases.",
     TASKS: "Tasks of run_task that have ended, with their outcomes.",
     BATTERY: "A battery that became low, or is charged again.",
     THRESHOLDS: "Crossings of the thresholds in [events.thresholds] of the configuration.",
@@ -46,11 +49,14 @@ def check_thresholds(options: EventOptions) -> None:
             check_topic(threshold.topic)
             check_path(load_type(threshold.type), threshold.field)
         except (ConfigurationError, InvalidInputError) as error:
-            raise InvalidInputError(f"[events.thresholds.{name}]: {error.message}", hint=error.hint) from error
+            raise InvalidInputError(
+                f"[events.thresholds.{name}]: {error.message}", hint=error.hint
+            ) from error
 
 
 class Crossing:
-    """Tells when a value crosses a limit; after that, not before it has come back by the hysteresis.
+    """Tells when a value crosses a limit; after that, not before it has come back by the
+    hysteresis.
 
     Args:
         above, below: it happens above the one, and below the other; None for no such limit.
@@ -134,17 +140,23 @@ class Watching:
         host.events.fault.listen(self._on_fault)
 
     def start(self) -> None:
-        """Subscribe to the topics. Raises RoboNeuronError when ROS cannot be joined or a type is not installed."""
+        """Subscribe to the topics. Raises RoboNeuronError when ROS cannot be joined or a type
+        is not installed.
+        """
         if self._options.battery_low > 0:
             low = Crossing(None, self._options.battery_low, _CHARGED)
             kind = load_type("sensor_msgs/msg/BatteryState")
             self._ends.append(
-                self._host.subscribe(kind, self._options.battery_topic, partial(self._on_battery, low), latched=True)
+                self._host.subscribe(
+                    kind, self._options.battery_topic, partial(self._on_battery, low), latched=True
+                )
             )
         for name, threshold in self._options.thresholds.items():
             crossing = Crossing(threshold.above, threshold.below, threshold.hysteresis)
             take = partial(self._on_message, name, threshold, crossing)
-            self._ends.append(self._host.subscribe(load_type(threshold.type), threshold.topic, take))
+            self._ends.append(
+                self._host.subscribe(load_type(threshold.type), threshold.topic, take)
+            )
 
     def close(self) -> None:
         """Subscribe no more; idempotent."""
@@ -167,14 +179,20 @@ class Watching:
         again = now_s - self._seen.get((module, what), -math.inf) < _AGAIN_S
         self._seen[module, what] = now_s
         if not again:
-            self._events.add(INCIDENTS, module=module, what=what, explanation=explanation, error=error)
+            self._events.add(
+                INCIDENTS, module=module, what=what, explanation=explanation, error=error
+            )
 
     def _on_battery(self, low: Crossing, message: Any) -> None:
         share = float(message.percentage)
         if low.observe(share):
-            self._events.add(BATTERY, low=low.is_beyond, charge=round(share, 3), limit=self._options.battery_low)
+            self._events.add(
+                BATTERY, low=low.is_beyond, charge=round(share, 3), limit=self._options.battery_low
+            )
 
-    def _on_message(self, name: str, threshold: ThresholdOptions, crossing: Crossing, message: Any) -> None:
+    def _on_message(
+        self, name: str, threshold: ThresholdOptions, crossing: Crossing, message: Any
+    ) -> None:
         try:
             value = float(read_value(message, threshold.field))
         except (LookupError, TypeError, ValueError) as error:
@@ -183,4 +201,6 @@ class Watching:
                 log.error("The threshold %r cannot be watched: %s", name, error)
             return
         if crossing.observe(value):
-            self._events.add(THRESHOLDS, name=name, beyond=crossing.is_beyond, value=value, topic=threshold.topic)
+            self._events.add(
+                THRESHOLDS, name=name, beyond=crossing.is_beyond, value=value, topic=threshold.topic
+            )

@@ -12,7 +12,11 @@ EXAMPLES: dict[str, dict[str, Any]] = {
             "kind": "all",
             "of": [
                 {"kind": "gripper_holds", "least_open": 0.15, "most_open": 0.85},
-                {"kind": "monitor", "name": "colour-lifted", "options": {"colour": "red", "height_m": 0.1}},
+                {
+                    "kind": "monitor",
+                    "name": "colour-lifted",
+                    "options": {"colour": "red", "height_m": 0.1},
+                },
             ],
         },
     },

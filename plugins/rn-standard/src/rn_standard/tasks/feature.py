@@ -67,7 +67,9 @@ class TasksFeature(Feature[TasksSections]):
         approval = Approval(self.options.tasks)
         places = Places(host, self.options)
         mover = Mover(host, places, self._pose_now)
-        task = TaskTool(host, self.options.tasks, arbiter, approval, mover, places.choices, self._note_end)
+        task = TaskTool(
+            host, self.options.tasks, arbiter, approval, mover, places.choices, self._note_end
+        )
         return [
             start_all_tool(host),
             run_task_tool(task),
@@ -82,7 +84,8 @@ class TasksFeature(Feature[TasksSections]):
                 uri=PREDICATES_URI,
                 name="predicates",
                 title="Predicates for run_task",
-                description="Examples, installed monitors with their options, and the JSON schema of `until`.",
+                description="Examples, installed monitors with their options, and the JSON schema "
+                "of `until`.",
                 read=self._predicates,
                 mime_type="application/json",
             ),
@@ -92,7 +95,8 @@ class TasksFeature(Feature[TasksSections]):
     def attach(self, host: Host) -> None:
         """See `Feature.attach`."""
         offer_prompts(host.server)
-        host.server.middleware.insert(1, TaskCalls())  # around those of other features: they see the call itself
+        # around those of other features: they see the call itself
+        host.server.middleware.insert(1, TaskCalls())
 
     def start(self, host: Host) -> None:
         """See `Feature.start`."""
@@ -117,8 +121,12 @@ class TasksFeature(Feature[TasksSections]):
         )
 
     def _predicates(self) -> str:
-        monitors = {name: spec.summary for name, spec in self._host.registry.specs("monitor").items()}
-        return json.dumps({"examples": EXAMPLES, "monitors": monitors, "schema": ADAPTER.json_schema()}, indent=1)
+        monitors = {
+            name: spec.summary for name, spec in self._host.registry.specs("monitor").items()
+        }
+        return json.dumps(
+            {"examples": EXAMPLES, "monitors": monitors, "schema": ADAPTER.json_schema()}, indent=1
+        )
 
     def _pose_now(self) -> tuple[F64, F64]:
         self._host.supervisor.require_running("control")

@@ -29,7 +29,8 @@ class MonitorSpec(Spec):
 def roboneuron_monitors() -> Sequence[MonitorSpec]:  # type: ignore[empty-body]
     """Offer detectors for the predicates of tasks.
 
-    `target` follows the protocol `rn_standard.tasks.monitor.Monitor`; it is built as `target(config)` for each task.
+    `target` follows the protocol `rn_standard.tasks.monitor.Monitor`; it is built as
+    `target(config)` for each task.
     """
 
 

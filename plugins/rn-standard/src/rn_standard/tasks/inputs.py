@@ -11,7 +11,15 @@ from typing import Any
 import numpy as np
 
 from rn_standard.direct_path.fields import load_type
-from roboneuron import Frame, Host, InvalidInputError, Pose, RoboNeuronError, RobotProfile, frame_from_buffer
+from roboneuron import (
+    Frame,
+    Host,
+    InvalidInputError,
+    Pose,
+    RoboNeuronError,
+    RobotProfile,
+    frame_from_buffer,
+)
 
 log = logging.getLogger(__name__)
 _AGE_S, _IMAGE_AGE_S = 0.5, 2.0
@@ -19,7 +27,9 @@ _AGE_S, _IMAGE_AGE_S = 0.5, 2.0
 
 
 class Inputs:
-    """Newest messages of topics, from the first time on that they are asked for until it is closed."""
+    """Newest messages of topics, from the first time on that they are asked for until it is
+    closed.
+    """
 
     def __init__(self, host: Host) -> None:
         self._host = host
@@ -28,7 +38,9 @@ class Inputs:
         self._decoded: dict[str, tuple[Any, Frame]] = {}
 
     def open(self, topic: str, type_name: str) -> None:
-        """Begin to listen. Raises RoboNeuronError for an unknown type, or when ROS cannot be joined."""
+        """Begin to listen. Raises RoboNeuronError for an unknown type, or when ROS cannot be
+        joined.
+        """
         _ = self._host.graph  # first: two threads must not import rclpy at the same time
         ros_type = load_type(type_name)
 
@@ -48,7 +60,9 @@ class Inputs:
         return None if found is None else found[1]
 
     def frame(self, topic: str, camera: str, profile: RobotProfile | None) -> Frame | None:
-        """The newest image of a camera, with the calibration that the profile has; None when it is too old."""
+        """The newest image of a camera, with the calibration that the profile has; None when it
+        is too old.
+        """
         message = self.newest(topic, _IMAGE_AGE_S)
         if message is None:
             return None
@@ -57,7 +71,11 @@ class Inputs:
             return decoded[1]
         try:
             pixels = frame_from_buffer(
-                message.data, width=message.width, height=message.height, step=message.step, encoding=message.encoding
+                message.data,
+                width=message.width,
+                height=message.height,
+                step=message.step,
+                encoding=message.encoding,
             )
         except InvalidInputError as error:
             log.warning("An image of %s cannot be read: %s", camera, error)
@@ -68,7 +86,9 @@ class Inputs:
             image=pixels,
             stamp_ns=_stamp_ns(message.header.stamp),
             frame_id=message.header.frame_id or camera,
-            calibration=None if known is None else known.calibration_at(message.width, message.height),
+            calibration=None
+            if known is None
+            else known.calibration_at(message.width, message.height),
         )
         self._decoded[camera] = (message, frame)
         return frame

@@ -28,7 +28,9 @@ from rn_standard.tasks.snapshot import Snapshot
 MonitorFor = Callable[[MonitorSays], Monitor]
 """Builds the monitor that a predicate names."""
 GRIPPER_STILL_S, _GRIPPER_MOVED = 0.2, 0.04
-"""A gripper on its way passes every opening; what it holds, it holds still, but for what measurements waver."""
+"""A gripper on its way passes every opening; what it holds, it holds still, but for what
+measurements waver.
+"""
 _MOST_TEXT = 120
 """Characters of a value that a reason quotes."""
 
@@ -47,7 +49,8 @@ class Judgement:
 
 
 class Judge:
-    """Judges one predicate over the course of a task; remembers what predicates over time need. Used from one thread.
+    """Judges one predicate over the course of a task; remembers what predicates over time need.
+    Used from one thread.
 
     Args:
         predicate: what is judged.
@@ -60,7 +63,11 @@ class Judge:
     """
 
     def __init__(
-        self, predicate: Predicate, instruction: str, monitor_for: MonitorFor, gripper_joint: str = ""
+        self,
+        predicate: Predicate,
+        instruction: str,
+        monitor_for: MonitorFor,
+        gripper_joint: str = "",
     ) -> None:
         self._root = predicate
         self._instruction = instruction
@@ -70,7 +77,9 @@ class Judge:
         self._true_since_s: dict[int, float] = {}
         self._opening: tuple[float, float] = (-1.0, 0.0)
         self._is_lenient = False
-        self.lasts_s = max((part.for_s for part in flat(predicate) if isinstance(part, Held | Still)), default=0.0)
+        self.lasts_s = max(
+            (part.for_s for part in flat(predicate) if isinstance(part, Held | Still)), default=0.0
+        )
         self._collect(predicate, monitor_for)
 
     def reset(self, snapshot: Snapshot) -> None:
@@ -84,7 +93,10 @@ class Judge:
 
     def look(self, snapshot: Snapshot) -> Judgement:
         """Judge now; to be called in the order of time."""
-        if snapshot.gripper_open is not None and abs(snapshot.gripper_open - self._opening[0]) > _GRIPPER_MOVED:
+        if (
+            snapshot.gripper_open is not None
+            and abs(snapshot.gripper_open - self._opening[0]) > _GRIPPER_MOVED
+        ):
             self._opening = (snapshot.gripper_open, snapshot.now_s)
         return self._judge(self._root, snapshot)
 
@@ -107,7 +119,9 @@ class Judge:
             case All():
                 return _all([self._judge(part, snapshot) for part in predicate.of])
             case AnyOf():
-                return _negated(_all([_negated(self._judge(part, snapshot)) for part in predicate.of]))
+                return _negated(
+                    _all([_negated(self._judge(part, snapshot)) for part in predicate.of])
+                )
             case Not():
                 return _negated(self._judge(predicate.of, snapshot))
             case Held():
@@ -124,12 +138,18 @@ class Judge:
                 if snapshot.still_s is None:
                     return Judgement(value=None, reason="the joints are not measured")
                 reason = f"no joint has moved for {snapshot.still_s:.1f} s"
-                return Judgement(value=self._is_lenient or snapshot.still_s >= predicate.for_s, reason=reason)
+                return Judgement(
+                    value=self._is_lenient or snapshot.still_s >= predicate.for_s, reason=reason
+                )
             case PolicyDone():
                 if snapshot.policy_done is None:
-                    return Judgement(value=None, reason="the policy does not say whether it has finished")
+                    return Judgement(
+                        value=None, reason="the policy does not say whether it has finished"
+                    )
                 said = "has" if snapshot.policy_done else "has not"
-                return Judgement(value=snapshot.policy_done, reason=f"the policy says that it {said} finished")
+                return Judgement(
+                    value=snapshot.policy_done, reason=f"the policy says that it {said} finished"
+                )
             case MonitorSays():
                 return self._monitor(predicate, snapshot)
 
@@ -141,7 +161,9 @@ class Judge:
             self._true_since_s.pop(id(predicate), None)
             return inner
         held_s = snapshot.now_s - self._true_since_s.setdefault(id(predicate), snapshot.now_s)
-        return Judgement(value=held_s >= predicate.for_s, reason=f"{inner.reason}, for {held_s:.1f} s")
+        return Judgement(
+            value=held_s >= predicate.for_s, reason=f"{inner.reason}, for {held_s:.1f} s"
+        )
 
     def _gripper(self, predicate: GripperHolds, snapshot: Snapshot) -> Judgement:
         opening = snapshot.gripper_open
@@ -165,7 +187,8 @@ class Judge:
         stamps = {role: frame.stamp_ns for role, frame in snapshot.frames.items()}
         known = self._scores.get(id(predicate))
         if known is None or not stamps or known[0] != stamps:
-            # Once for each set of images: the pose measured when they came fits them better than a later one.
+            # Once for each set of images: the pose measured when they came fits them better than a
+            # later one.
             score = self._monitors[id(predicate)].score(snapshot.observation(self._instruction))
             known = self._scores[id(predicate)] = (stamps, score)
         score = known[1]
@@ -193,7 +216,8 @@ def _tcp(predicate: TcpIn, snapshot: Snapshot) -> Judgement:
         return Judgement(value=None, reason="the pose of the TCP is not measured")
     place = snapshot.tcp.position_m.tolist()
     inside = all(
-        low <= value <= high for low, value, high in zip(predicate.lower_m, place, predicate.upper_m, strict=True)
+        low <= value <= high
+        for low, value, high in zip(predicate.lower_m, place, predicate.upper_m, strict=True)
     )
     told = ", ".join(f"{value:.3f}" for value in place)
     return Judgement(value=inside, reason=f"the TCP is at [{told}] m")
@@ -203,9 +227,13 @@ def _joints(predicate: JointsIn, joints: Mapping[str, float] | None) -> Judgemen
     missing = [name for name in predicate.joints if joints is None or name not in joints]
     if joints is None or missing:
         return Judgement(value=None, reason=f"{', '.join(missing)} is not measured")
-    outside = [name for name, (low, high) in predicate.joints.items() if not low <= joints[name] <= high]
+    outside = [
+        name for name, (low, high) in predicate.joints.items() if not low <= joints[name] <= high
+    ]
     told = ", ".join(f"{name} {joints[name]:.3f}" for name in outside or predicate.joints)
-    return Judgement(value=not outside, reason=f"{told} {'outside' if outside else 'inside'} the range")
+    return Judgement(
+        value=not outside, reason=f"{told} {'outside' if outside else 'inside'} the range"
+    )
 
 
 def _field(predicate: FieldIs, message: Any) -> Judgement:
@@ -217,7 +245,9 @@ def _field(predicate: FieldIs, message: Any) -> Judgement:
     except LookupError as error:
         return Judgement(value=None, reason=str(error))
     if predicate.equals is not None:
-        return Judgement(value=bool(value == predicate.equals), reason=f"{place} is {_quoted(value)}")
+        return Judgement(
+            value=bool(value == predicate.equals), reason=f"{place} is {_quoted(value)}"
+        )
     if isinstance(value, bool) or not isinstance(value, int | float):
         return Judgement(value=None, reason=f"{place} is {_quoted(value)}, no number")
     low, high = predicate.at_least, predicate.at_most

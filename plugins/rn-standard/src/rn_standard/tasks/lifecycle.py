@@ -12,7 +12,13 @@ from rn_standard.selection.options import ModelConfig, named_models
 from rn_standard.selection.requests import StartInference
 from rn_standard.tasks.starting import ParallelStart, requests_for
 from roboneuron import Arguments, CallContext, Host, NoArguments, Result, RoboNeuronError, Tool
-from roboneuron.feature import MAX_INSTRUCTION_LENGTH, ModuleKind, ModuleSummary, Registry, module_summary
+from roboneuron.feature import (
+    MAX_INSTRUCTION_LENGTH,
+    ModuleKind,
+    ModuleSummary,
+    Registry,
+    module_summary,
+)
 
 
 class StartAll(Arguments):
@@ -21,10 +27,12 @@ class StartAll(Arguments):
     instruction: str | None = Field(
         default=None,
         max_length=MAX_INSTRUCTION_LENGTH,
-        description='What to do at once, such as "pick up the red cube"; without it nothing moves yet.',
+        description='What to do at once, such as "pick up the red cube"; without it nothing moves '
+        "yet.",
     )
     model: str | None = Field(
-        default=None, description="Name of a model in the configuration; the configured policy when omitted."
+        default=None,
+        description="Name of a model in the configuration; the configured policy when omitted.",
     )
 
 
@@ -61,7 +69,9 @@ def start_all_tool(host: Host) -> Tool[Any]:
     """start_all."""
 
     async def handler(arguments: StartAll, context: CallContext) -> StartAllResult:
-        model = None if arguments.model is None else StartInference(model=arguments.model, options={})
+        model = (
+            None if arguments.model is None else StartInference(model=arguments.model, options={})
+        )
         start = ParallelStart(host.loop, requests_for(arguments.instruction, model), context.role)
         done = await context.run(start.run, on_cancel=start.cancel)
         return StartAllResult(
@@ -74,8 +84,10 @@ def start_all_tool(host: Host) -> Tool[Any]:
     return Tool(
         name="start_all",
         title="Start everything",
-        description="Start everything that is configured and does not run yet: robot, cameras, controller and policy, "
-        f"side by side. The robot is the {host.loop.robot_facts}. Returns when everything works; if something fails, "
+        description="Start everything that is configured and does not run yet: robot, cameras, "
+        "controller and policy, "
+        f"side by side. The robot is the {host.loop.robot_facts}. Returns when everything works; "
+        "if something fails, "
         "what this call started is stopped again. Then call run_task.",
         arguments=StartAll,
         result=StartAllResult,
@@ -89,17 +101,25 @@ def list_models_tool(host: Host) -> Tool[Any]:
 
     async def handler(_: NoArguments, context: CallContext) -> Models:
         view = host.supervisor.view("inference")
-        running = view.choice.names.get("model") if view.choice is not None and view.phase == "running" else None
+        running = (
+            view.choice.names.get("model")
+            if view.choice is not None and view.phase == "running"
+            else None
+        )
         return await context.run(
             lambda _: Models(
-                models=[_info(name, model, host, name == running) for name, model in named_models(host.config).items()]
+                models=[
+                    _info(name, model, host, name == running)
+                    for name, model in named_models(host.config).items()
+                ]
             )
         )
 
     return Tool(
         name="list_models",
         title="Models by name",
-        description="Policies that the configuration names, for `model` of start_inference, switch_inference and "
+        description="Policies that the configuration names, for `model` of start_inference, "
+        "switch_inference and "
         "start_all.",
         arguments=NoArguments,
         result=Models,

@@ -12,7 +12,15 @@ from rn_standard.selection.requests import StartInference
 from rn_standard.tasks.inputs import Inputs, pose_of
 from rn_standard.tasks.runner import PolicyState
 from rn_standard.tasks.snapshot import Snapshot, StillClock
-from roboneuron import Frame, Host, InvalidInputError, NotReadyError, Picture, RefusedError, RobotProfile
+from roboneuron import (
+    Frame,
+    Host,
+    InvalidInputError,
+    NotReadyError,
+    Picture,
+    RefusedError,
+    RobotProfile,
+)
 from roboneuron.feature import ModuleKind, ModuleView, Report, Stage
 
 _TOLD_S = 5.0
@@ -79,7 +87,9 @@ class LiveCell:
             self._inputs.open(self._image_topic(camera), "sensor_msgs/msg/Image")
         wanted = [self._image_topic(camera) for camera in self._cameras]
         deadline_s = time.monotonic() + _IMAGES_S
-        while time.monotonic() < deadline_s and any(self._inputs.last(topic) is None for topic in wanted):
+        while time.monotonic() < deadline_s and any(
+            self._inputs.last(topic) is None for topic in wanted
+        ):
             if self._halt.wait(0.02):
                 return
 
@@ -112,13 +122,17 @@ class LiveCell:
         self._count = report.instruction_count if report is not None else 0
         self._errors = report.error_count if report is not None else 0
         self._pid = view.process.pid if view.process is not None else None
-        self._needed = tuple(view.kind for view in self._host.supervisor.views() if view.phase == "running")
+        self._needed = tuple(
+            view.kind for view in self._host.supervisor.views() if view.phase == "running"
+        )
         if self._halt.is_set():
             return
         self._instruction = instruction
         self._ticket, refused = self._starts.give(instruction, _TOLD_S)
         if refused:
-            raise InvalidInputError(f"The backend refused the instruction: {refused}.", path="instruction")
+            raise InvalidInputError(
+                f"The backend refused the instruction: {refused}.", path="instruction"
+            )
 
     def _start_policy(self) -> None:
         """Without the instruction of the configuration, which nobody has asked for."""
@@ -129,13 +143,17 @@ class LiveCell:
             section = selection.config.inference
             assert section is not None
             section = section.model_copy(update={"instruction": ""})
-            selection = replace(selection, config=selection.config.model_copy(update={"inference": section}))
+            selection = replace(
+                selection, config=selection.config.model_copy(update={"inference": section})
+            )
             loop.start_selected(selection, self._stage)
         finally:
             self._starting = False
 
     def cancel(self) -> None:
-        """End a start of the policy that `begin` waits for; callable from any thread, returns at once."""
+        """End a start of the policy that `begin` waits for; callable from any thread, returns
+        at once.
+        """
         if self._starting:
             self._host.loop.cancel("inference")
 
@@ -143,7 +161,10 @@ class LiveCell:
         """See `Cell`."""
         if self._host.loop.emergency_stop.is_latched():
             cause = self._host.loop.emergency_stop.cause()
-            return PolicyState(has_acted=False, taken=f"the emergency stop is latched{f' ({cause})' if cause else ''}")
+            return PolicyState(
+                has_acted=False,
+                taken=f"the emergency stop is latched{f' ({cause})' if cause else ''}",
+            )
         if taken := self._why() or self._lost():
             return PolicyState(has_acted=False, taken=taken)
         view = self._host.supervisor.view("inference")
@@ -156,14 +177,19 @@ class LiveCell:
         return PolicyState(has_acted=report.actions_for_instruction > 0, failure=told)
 
     def _lost(self) -> str:
-        """Which module the task has lost, or what has ended its instruction; empty while it has all it needs."""
+        """Which module the task has lost, or what has ended its instruction; empty while it has
+        all it needs.
+        """
         if self._stops is None:
             return ""
         for kind in self._needed:
             slot = self._host.supervisor.slot(kind)
             if slot.phase == "exited" and slot.exit is not None:
                 code = slot.exit.code
-                return f"{kind} has ended by itself ({f'signal {-code}' if code < 0 else f'exit code {code}'})"
+                return (
+                    f"{kind} has ended by itself "
+                    f"({f'signal {-code}' if code < 0 else f'exit code {code}'})"
+                )
             if slot.phase != "running":
                 return f"{kind} was stopped (it is {slot.phase})"
         if self._starts.stops != self._stops:
@@ -179,8 +205,14 @@ class LiveCell:
         joints: dict[str, float] | None = None
         effort: dict[str, float] = {}
         if message is not None:
-            joints = {str(name): float(value) for name, value in zip(message.name, message.position, strict=False)}
-            effort = {str(name): float(value) for name, value in zip(message.name, message.effort, strict=False)}
+            joints = {
+                str(name): float(value)
+                for name, value in zip(message.name, message.position, strict=False)
+            }
+            effort = {
+                str(name): float(value)
+                for name, value in zip(message.name, message.effort, strict=False)
+            }
         gripper = self._profile.gripper if self._profile is not None else None
         opening = None
         if gripper is not None and joints is not None and gripper.joint in joints:
@@ -198,7 +230,9 @@ class LiveCell:
         )
 
     def end(self) -> None:
-        """See `Cell`: the instruction is taken back from whoever holds it; a process that keeps it is ended."""
+        """See `Cell`: the instruction is taken back from whoever holds it; a process that keeps
+        it is ended.
+        """
         if self._instruction:
             self._instruction = ""
             self._starts.withdraw(self._ticket)
@@ -209,7 +243,9 @@ class LiveCell:
         return tuple(_jpeg(frame) for frame in frames)
 
     def _report_of_this(self, view: ModuleView) -> Report | None:
-        """The newest report, once it is of the instruction that was given last; also of a policy switched to since."""
+        """The newest report, once it is of the instruction that was given last; also of a
+        policy switched to since.
+        """
         report = view.report
         if report is None or report.instruction != self._instruction:
             return None

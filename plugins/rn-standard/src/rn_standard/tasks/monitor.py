@@ -22,14 +22,18 @@ class Score:
 
 
 class Monitor(Protocol):
-    """Judges observations of one task. Built as `target(config)`, used from one thread, loads nothing heavy late.
+    """Judges observations of one task. Built as `target(config)`, used from one thread, loads
+    nothing heavy late.
 
-    The same observations in the same order give the same scores. What it cannot judge (a missing image, a hidden
-    object, an uncalibrated camera) is a score of None, not an exception and never a guess.
+    The same observations in the same order give the same scores. What it cannot judge (a missing
+    image, a hidden object, an uncalibrated camera) is a score of None, not an exception and never a
+    guess.
     """
 
     def reset(self, observation: Observation) -> None:
-        """Begin with how things are before the robot acts; called before `score`, and again before each attempt."""
+        """Begin with how things are before the robot acts; called before `score`, and again
+        before each attempt.
+        """
         ...
 
     def score(self, observation: Observation) -> Score:
@@ -39,7 +43,9 @@ class Monitor(Protocol):
 
 @runtime_checkable
 class RememberingMonitor(Protocol):
-    """What a monitor may offer besides: to know what one of the same name and options saw in the task before."""
+    """What a monitor may offer besides: to know what one of the same name and options saw in
+    the task before.
+    """
 
     def follow(self, previous: Any) -> None:
         """Take over what stays true between two tasks; called before `reset`."""

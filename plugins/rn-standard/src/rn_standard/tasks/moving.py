@@ -49,7 +49,9 @@ class MovedTo(Result):
 
     name: str
     kind: str = Field(description="posture or place")
-    error: float = Field(description="largest distance from a joint's target [rad or m], or of the TCP [m]")
+    error: float = Field(
+        description="largest distance from a joint's target [rad or m], or of the TCP [m]"
+    )
     took_s: float
 
 
@@ -97,11 +99,18 @@ class Mover:
         """
         postures, places = self._places.postures(), self._places.places()
         if name in postures:
-            answer = await self._call("move_joints", {"positions": dict(postures[name].joints)}, context)
-            return MovedTo(name=name, kind="posture", error=answer["error"], took_s=answer["duration_s"])
+            answer = await self._call(
+                "move_joints", {"positions": dict(postures[name].joints)}, context
+            )
+            return MovedTo(
+                name=name, kind="posture", error=answer["error"], took_s=answer["duration_s"]
+            )
         if name in places:
             return await self._to_place(name, places[name], context)
-        known = ", ".join({**postures, **places}) or "none; a person adds them as [postures.<name>] or [places.<name>]"
+        known = (
+            ", ".join({**postures, **places})
+            or "none; a person adds them as [postures.<name>] or [places.<name>]"
+        )
         raise InvalidInputError(
             f"There is no posture or place {name[:64]!r}.", hint=f"There are: {known}.", path="name"
         )
@@ -113,33 +122,47 @@ class Mover:
         for _ in range(_PARTS):
             position, rotation = await context.run(lambda _: self._pose_now())
             if self._host.loop.starts.arm_stops != stops:
-                raise StateError(f"It was stopped on its way to {name!r}: {self._host.loop.starts.reason}.")
+                raise StateError(
+                    f"It was stopped on its way to {name!r}: {self._host.loop.starts.reason}."
+                )
             delta, turn = self._left(place, position, rotation)
             far_m, far_rad = float(np.linalg.norm(delta)), float(np.linalg.norm(turn))
             share = min(1.0, _MOST_M / max(far_m, 1e-9), _MOST_RAD / max(far_rad, 1e-9))
             if far_m < _THERE_M and far_rad < _THERE_RAD:
                 if gripper:
                     took_s += (await self._call("move_ee", gripper, context))["duration_s"]
-                return MovedTo(name=name, kind="place", error=round(far_m, 5), took_s=round(took_s, 3))
+                return MovedTo(
+                    name=name, kind="place", error=round(far_m, 5), took_s=round(took_s, 3)
+                )
             axes = ("dx_m", "dy_m", "dz_m", "rx_rad", "ry_rad", "rz_rad")
             part = dict(zip(axes, (share * np.concatenate([delta, turn])).tolist(), strict=True))
             took_s += (await self._call("move_ee", part, context))["duration_s"]
-        raise NotReadyError(f"The TCP does not come to {name!r}; it stands {far_m * 1000:.0f} mm off.")
+        raise NotReadyError(
+            f"The TCP does not come to {name!r}; it stands {far_m * 1000:.0f} mm off."
+        )
 
     def _left(self, place: PlaceOptions, position: F64, rotation: F64) -> tuple[F64, F64]:
         delta: F64 = np.array(place.position_m) - position
         if place.quaternion_xyzw is None:
             return delta, np.zeros(3)
         wanted = np.array(place.quaternion_xyzw)
-        return delta, rotvec_from_matrix(matrix_from_quaternion(wanted / np.linalg.norm(wanted)) @ rotation.T)
+        return delta, rotvec_from_matrix(
+            matrix_from_quaternion(wanted / np.linalg.norm(wanted)) @ rotation.T
+        )
 
-    async def _call(self, tool_name: str, arguments: dict[str, Any], context: CallContext) -> dict[str, Any]:
+    async def _call(
+        self, tool_name: str, arguments: dict[str, Any], context: CallContext
+    ) -> dict[str, Any]:
         tool = self._host.tools.get(tool_name)
         if tool is None:
-            raise NotReadyError(f"There is no tool {tool_name} now.", hint="It comes with rn-tools-arm and an arm.")
+            raise NotReadyError(
+                f"There is no tool {tool_name} now.", hint="It comes with rn-tools-arm and an arm."
+            )
         answer = await tool.call(arguments, context)
         if not answer.structured.get("allowed", True) or answer.structured.get("dry_run"):
-            raise RefusedError(f"The arm was not moved: {answer.structured.get('reason') or 'dry run'}.")
+            raise RefusedError(
+                f"The arm was not moved: {answer.structured.get('reason') or 'dry run'}."
+            )
         return dict(answer.structured)
 
 
@@ -154,7 +177,10 @@ def check_places(options: TasksSections) -> None:
     for name in {*options.postures, *options.places} & {"hold", "stop"}:
         raise InvalidInputError(f"{name!r} cannot be a name: run_task uses it for on_end.")
     for name, place in options.places.items():
-        if place.quaternion_xyzw is not None and not 0.5 < math.dist((0, 0, 0, 0), place.quaternion_xyzw) < 2.0:
+        if (
+            place.quaternion_xyzw is not None
+            and not 0.5 < math.dist((0, 0, 0, 0), place.quaternion_xyzw) < 2.0
+        ):
             raise InvalidInputError(f"The quaternion of the place {name!r} is not of unit length.")
 
 
@@ -169,7 +195,8 @@ def move_to_tool(mover: Mover, places: Places, approval: Approval) -> Tool[Any]:
     return Tool(
         name="move_to",
         title="Move to a named posture or place",
-        description="Move the arm to a named posture, or in straight lines to a named place (needs start_control). "
+        description="Move the arm to a named posture, or in straight lines to a named place "
+        "(needs start_control). "
         "Refused while a policy runs: stop_inference first. Returns when it is measured there.",
         arguments=MoveToArguments,
         result=MovedTo,

@@ -1,4 +1,6 @@
-"""Sections of roboneuron.toml that belong to the feature: [tasks], [postures], [places] and [events]."""
+"""Sections of roboneuron.toml that belong to the feature: [tasks], [postures], [places] and
+[events].
+"""
 
 from __future__ import annotations
 
@@ -24,22 +26,29 @@ class TaskOptions(_Section):
         default=0.05, description="time between two looks at whether a task is done [s]"
     )
     max_s: Annotated[float, Field(gt=0, le=86400)] = Field(
-        default=120.0, description="longest attempt that a caller may ask for without naming a time [s]"
+        default=120.0,
+        description="longest attempt that a caller may ask for without naming a time [s]",
     )
     max_attempts: Annotated[int, Field(ge=1, le=20)] = Field(
         default=3, description="attempts when the caller names no number"
     )
     end_wait_s: Annotated[float, Field(ge=0, le=30)] = Field(
-        default=2.0, description="after the policy's own end, how long the world may take to show success [s]"
+        default=2.0,
+        description="after the policy's own end, how long the world may take to show success [s]",
     )
     give_up_s: Annotated[float, Field(ge=0, le=60)] = Field(
-        default=3.0, description="a policy that reports errors for so long without a break has given up [s]"
+        default=3.0,
+        description="a policy that reports errors for so long without a break has given up [s]",
     )
     evidence_cameras: tuple[str, ...] = Field(
-        default=(), strict=False, description="cameras that evidence images come from; the first two when empty"
+        default=(),
+        strict=False,
+        description="cameras that evidence images come from; the first two when empty",
     )
     approval: tuple[str, ...] = Field(
-        default=(), strict=False, description='tools that a person must approve each call of: "run_task", "move_to"'
+        default=(),
+        strict=False,
+        description='tools that a person must approve each call of: "run_task", "move_to"',
     )
     approval_roles: tuple[RoleName, ...] = Field(
         default=("operator",), strict=False, description="roles whose calls need that approval"
@@ -49,17 +58,21 @@ class TaskOptions(_Section):
 class PostureOptions(_Section):
     """`[postures.<name>]`: joint positions that move_to knows by name."""
 
-    joints: dict[str, Finite] = Field(min_length=1, description="position by joint [rad, m]; others stay")
+    joints: dict[str, Finite] = Field(
+        min_length=1, description="position by joint [rad, m]; others stay"
+    )
     summary: str = Field(default="", description="one line for agents")
 
 
 class PlaceOptions(_Section):
     """`[places.<name>]`: a pose of the TCP in the base frame that move_to knows by name."""
 
-    position_m: Annotated[tuple[Finite, Finite, Finite], Field(strict=False)] = Field(description="[x, y, z]")
-    quaternion_xyzw: Annotated[tuple[Finite, Finite, Finite, Finite] | None, Field(strict=False)] = Field(
-        default=None, description="orientation; the present one when not given"
+    position_m: Annotated[tuple[Finite, Finite, Finite], Field(strict=False)] = Field(
+        description="[x, y, z]"
     )
+    quaternion_xyzw: Annotated[
+        tuple[Finite, Finite, Finite, Finite] | None, Field(strict=False)
+    ] = Field(default=None, description="orientation; the present one when not given")
     gripper_open: Annotated[float, Field(ge=0, le=1)] | None = Field(
         default=None, description="opening, 0 closed .. 1 open; kept when not given"
     )
@@ -71,9 +84,15 @@ class ThresholdOptions(_Section):
 
     topic: str = Field(min_length=1, description="under the robot's namespace, or absolute")
     type: str = Field(pattern=r"^\w+/msg/\w+$", description='such as "std_msgs/msg/Float64"')
-    field: str = Field(min_length=1, description='path of the field, such as "pose.position.z" or "effort[7]"')
-    above: Finite | None = Field(default=None, description="it happens when the value rises above this")
-    below: Finite | None = Field(default=None, description="it happens when the value falls below this")
+    field: str = Field(
+        min_length=1, description='path of the field, such as "pose.position.z" or "effort[7]"'
+    )
+    above: Finite | None = Field(
+        default=None, description="it happens when the value rises above this"
+    )
+    below: Finite | None = Field(
+        default=None, description="it happens when the value falls below this"
+    )
     hysteresis: Annotated[float, Field(ge=0)] = Field(
         default=0.0, description="how far the value must come back before it can happen again"
     )
@@ -82,20 +101,32 @@ class ThresholdOptions(_Section):
 class EventOptions(_Section):
     """`[events]`: what clients may subscribe to as resources."""
 
-    kept: Annotated[int, Field(ge=1, le=10000)] = Field(default=100, description="events kept of each kind")
+    kept: Annotated[int, Field(ge=1, le=10000)] = Field(
+        default=100, description="events kept of each kind"
+    )
     battery_topic: str = Field(
-        default="battery_state", description="topic of sensor_msgs/BatteryState, under the robot's namespace"
+        default="battery_state",
+        description="topic of sensor_msgs/BatteryState, under the robot's namespace",
     )
     battery_low: Annotated[float, Field(ge=0, le=1)] = Field(
-        default=0.2, description="share of the charge below which the battery is low; 0: not watched"
+        default=0.2,
+        description="share of the charge below which the battery is low; 0: not watched",
     )
-    thresholds: dict[PlaceName, ThresholdOptions] = Field(default_factory=dict, description="thresholds by name")
+    thresholds: dict[PlaceName, ThresholdOptions] = Field(
+        default_factory=dict, description="thresholds by name"
+    )
 
 
 class TasksSections(_Section):
     """All sections of the feature."""
 
     tasks: TaskOptions = Field(default=TaskOptions(), description="how run_task works")
-    postures: dict[PlaceName, PostureOptions] = Field(default_factory=dict, description="postures by name")
-    places: dict[PlaceName, PlaceOptions] = Field(default_factory=dict, description="places by name")
-    events: EventOptions = Field(default=EventOptions(), description="what clients may subscribe to")
+    postures: dict[PlaceName, PostureOptions] = Field(
+        default_factory=dict, description="postures by name"
+    )
+    places: dict[PlaceName, PlaceOptions] = Field(
+        default_factory=dict, description="places by name"
+    )
+    events: EventOptions = Field(
+        default=EventOptions(), description="what clients may subscribe to"
+    )

@@ -7,7 +7,8 @@ from roboneuron import FeatureSpec, hookimpl
 
 FEATURE = FeatureSpec(
     name="tasks",
-    summary="Tasks with outcomes, start and stop in one call, named postures and places, events to subscribe to.",
+    summary="Tasks with outcomes, start and stop in one call, named postures and places, events "
+    "to subscribe to.",
     target="rn_standard.tasks.feature:TasksFeature",
     config="rn_standard.tasks.options:TasksSections",
     sections=("tasks", "postures", "places", "events"),

@@ -10,12 +10,17 @@ from roboneuron import InvalidInputError
 
 MOST_PARTS = 32
 UNTIL = (
-    '{"kind": K, ...} by K with its fields: monitor (name: colour-lifted, with options: {"colour": "red"}; '
-    "object-in-region; scene-changed), tcp_in (lower_m, upper_m: [x, y, z]), joints_in (joints: {name: [low, high]}), "
-    "gripper_holds, still (for_s), policy_done, field (topic, type, field; at_least, at_most or equals), "
+    '{"kind": K, ...} by K with its fields: monitor (name: colour-lifted, with options: '
+    '{"colour": "red"}; '
+    "object-in-region; scene-changed), tcp_in (lower_m, upper_m: [x, y, z]), joints_in (joints: "
+    "{name: [low, high]}), "
+    "gripper_holds, still (for_s), policy_done, field (topic, type, field; at_least, at_most or "
+    "equals), "
     "held (for_s, of: P), not (of: P), all or any (of: [P, ...])"
 )
-"""All kinds in the words of an agent; monitors of other packages, and the schema, are in the resource of predicates."""
+"""All kinds in the words of an agent; monitors of other packages, and the schema, are in the
+resource of predicates.
+"""
 _Finite = Annotated[float, Field(allow_inf_nan=False)]
 _Point = Annotated[tuple[_Finite, _Finite, _Finite], Field(strict=False)]
 _Seconds = Annotated[float, Field(gt=0, le=600)]
@@ -78,9 +83,15 @@ class FieldIs(_Predicate):
     """A field of a ROS message has a value; bounds are inclusive."""
 
     kind: Literal["field"]
-    topic: Annotated[str, Field(min_length=1, description="under the robot's namespace, or absolute")]
-    type: Annotated[str, Field(pattern=r"^\w+/msg/\w+$", description='such as "std_msgs/msg/Float64"')]
-    field: Annotated[str, Field(min_length=1, description='path, such as "pose.position.z" or "effort[7]"')]
+    topic: Annotated[
+        str, Field(min_length=1, description="under the robot's namespace, or absolute")
+    ]
+    type: Annotated[
+        str, Field(pattern=r"^\w+/msg/\w+$", description='such as "std_msgs/msg/Float64"')
+    ]
+    field: Annotated[
+        str, Field(min_length=1, description='path, such as "pose.position.z" or "effort[7]"')
+    ]
     at_least: _Finite | None = None
     at_most: _Finite | None = None
     equals: str | int | float | bool | None = None
@@ -111,7 +122,9 @@ class JointsIn(_Predicate):
 
 
 class GripperHolds(_Predicate):
-    """The gripper is closed on something: its opening stands within a range, and its effort is high enough."""
+    """The gripper is closed on something: its opening stands within a range, and its effort is
+    high enough.
+    """
 
     kind: Literal["gripper_holds"]
     least_open: Annotated[float, Field(ge=0, le=1)] = 0.1
@@ -144,7 +157,17 @@ class MonitorSays(_Predicate):
 
 
 Predicate = Annotated[
-    All | AnyOf | Not | Held | FieldIs | TcpIn | JointsIn | GripperHolds | Still | PolicyDone | MonitorSays,
+    All
+    | AnyOf
+    | Not
+    | Held
+    | FieldIs
+    | TcpIn
+    | JointsIn
+    | GripperHolds
+    | Still
+    | PolicyDone
+    | MonitorSays,
     Field(discriminator="kind"),
 ]
 for _model in (All, AnyOf, Not, Held):

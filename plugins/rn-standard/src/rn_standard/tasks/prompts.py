@@ -32,40 +32,54 @@ PROMPTS: Mapping[str, Prompt] = {
     "bring_up": Prompt(
         title="Bring the robot up",
         description="Start everything and check that it works.",
-        text="Call get_status. If the emergency stop is latched, tell me why and stop there. Otherwise call start_all, "
-        "look through the cameras with get_camera_image, and tell me what you see and whether every module is ok.",
+        text="Call get_status. If the emergency stop is latched, tell me why and stop there. "
+        "Otherwise call start_all, "
+        "look through the cameras with get_camera_image, and tell me what you see and whether "
+        "every module is ok.",
     ),
     "pick_up": Prompt(
         title="Pick something up",
         description="Pick up an object of a colour and say whether it worked.",
         arguments={"colour": "red, orange, yellow, green, blue or purple"},
         text="Make sure that everything runs (start_all). Then call run_task with the instruction "
-        '"pick up the {colour} cube", max_attempts 3, and as until: {{"kind": "held", "for_s": 1, "of": {{"kind": '
-        '"all", "of": [{{"kind": "gripper_holds"}}, {{"kind": "monitor", "name": "colour-lifted", "options": '
+        '"pick up the {colour} cube", max_attempts 3, and as until: {{"kind": "held", "for_s": 1, '
+        '"of": {{"kind": '
+        '"all", "of": [{{"kind": "gripper_holds"}}, {{"kind": "monitor", "name": "colour-lifted", '
+        '"options": '
         '{{"colour": "{colour}"}}}}]}}}}. '
-        "Tell me the outcome and the reason. If the outcome is unclear, judge by the images from before and after, and "
+        "Tell me the outcome and the reason. If the outcome is unclear, judge by the images from "
+        "before and after, and "
         "say that it is your judgement.",
     ),
     "put_away": Prompt(
         title="Put the robot away",
         description="End what runs, go to a safe posture, stop everything.",
-        text="Call stop_inference if a policy runs. If move_to knows home, go there; make sure before, by a camera "
+        text="Call stop_inference if a policy runs. If move_to knows home, go there; make sure "
+        "before, by a camera "
         "image, that nothing is in the way. Then call stop_all and tell me what was stopped.",
     ),
     "what_is_wrong": Prompt(
         title="Find out what is wrong",
         description="Look at status, incidents and logs, and explain.",
-        text="Call get_status and read roboneuron://events/incidents. For each module that is not ok call get_logs. "
-        "Tell me the most likely cause in two sentences, what you are sure of and what not, and what a person should "
+        text="Call get_status and read roboneuron://events/incidents. For each module that is not "
+        "ok call get_logs. "
+        "Tell me the most likely cause in two sentences, what you are sure of and what not, and "
+        "what a person should "
         "do. Start, stop or move nothing.",
     ),
     "compare_models": Prompt(
         title="Compare models",
         description="Let each configured model try the same task.",
-        arguments={"instruction": "what each model is to do", "until": "predicate of run_task, as JSON"},
-        text="Call list_models. For each installed one: switch_inference to it (or start_inference, if none runs), "
-        "then run_task with the instruction {instruction!r}, max_attempts 1 and until {until}. Between two models let "
-        "me put the scene back, and wait for my word. Tell me outcome, reason and time of each in a table.",
+        arguments={
+            "instruction": "what each model is to do",
+            "until": "predicate of run_task, as JSON",
+        },
+        text="Call list_models. For each installed one: switch_inference to it (or "
+        "start_inference, if none runs), "
+        "then run_task with the instruction {instruction!r}, max_attempts 1 and until {until}. "
+        "Between two models let "
+        "me put the scene back, and wait for my word. Tell me outcome, reason and time of each in "
+        "a table.",
     ),
 }
 """Prompt by name."""
@@ -98,10 +112,15 @@ def offer_prompts(server: Server[Any]) -> None:
 
 
 def filled(name: str, arguments: Mapping[str, str]) -> types.GetPromptResult:
-    """A prompt with its arguments. Raises MCPError for an unknown prompt or other arguments than it takes."""
+    """A prompt with its arguments. Raises MCPError for an unknown prompt or other arguments
+    than it takes.
+    """
     prompt = PROMPTS.get(name)
     if prompt is None:
-        raise MCPError(types.INVALID_PARAMS, f"There is no prompt {name[:80]!r}; there are: {', '.join(PROMPTS)}.")
+        raise MCPError(
+            types.INVALID_PARAMS,
+            f"There is no prompt {name[:80]!r}; there are: {', '.join(PROMPTS)}.",
+        )
     if set(arguments) != set(prompt.arguments):
         wanted = ", ".join(prompt.arguments) or "no arguments"
         raise MCPError(types.INVALID_PARAMS, f"The prompt {name!r} takes {wanted}.")

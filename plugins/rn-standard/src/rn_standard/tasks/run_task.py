@@ -18,7 +18,14 @@ from rn_standard.tasks.judging import Judge
 from rn_standard.tasks.live import LiveCell
 from rn_standard.tasks.monitor import Monitor, RememberingMonitor
 from rn_standard.tasks.options import TaskOptions
-from rn_standard.tasks.predicates import UNTIL, FieldIs, MonitorSays, Predicate, flat, parse_predicate
+from rn_standard.tasks.predicates import (
+    UNTIL,
+    FieldIs,
+    MonitorSays,
+    Predicate,
+    flat,
+    parse_predicate,
+)
 from rn_standard.tasks.runner import Outcome, Task, TaskEnd, TaskPlan
 from rn_standard.tasks.snapshot import Snapshot
 from roboneuron import (
@@ -52,12 +59,17 @@ class RunTask(Arguments):
     )
     until: dict[str, Any] | None = Field(
         default=None,
-        description=f"What is true when it is done, a predicate P: {UNTIL}. Without it nothing is judged.",
+        description=f"What is true when it is done, a predicate P: {UNTIL}. Without it nothing is "
+        "judged.",
     )
-    max_s: float | None = Field(default=None, gt=0, le=86400, description="Longest time of one attempt [s].")
+    max_s: float | None = Field(
+        default=None, gt=0, le=86400, description="Longest time of one attempt [s]."
+    )
     max_attempts: int | None = Field(default=None, ge=1, le=20, description="Most attempts.")
     on_end: str = Field(
-        default=HOLD, max_length=64, description="Then: hold, stop (the policy), or go to a name of move_to."
+        default=HOLD,
+        max_length=64,
+        description="Then: hold, stop (the policy), or go to a name of move_to.",
     )
 
 
@@ -75,15 +87,19 @@ class TaskResult(Result):
     """How a task ended; images from before and after come beside it, in this order."""
 
     outcome: Literal["succeeded", "failed", "timed_out", "stopped", "unclear"] = Field(
-        description="succeeded: the predicate was true, also with the arm at rest; failed: all attempts ended without; "
-        "timed_out: the last one for want of time; stopped: by somebody; unclear: it cannot be judged, see the images"
+        description="succeeded: the predicate was true, also with the arm at rest; failed: all "
+        "attempts ended without; "
+        "timed_out: the last one for want of time; stopped: by somebody; unclear: it cannot be "
+        "judged, see the images"
     )
     attempts: int = Field(description="0: it was done before anything moved")
     reason: str
     images_before: int = Field(description="the first so many images are from before")
     images_after: int
     state: FinalState
-    ended_with: str = Field(description="what was done at the end: on_end, or why that was not possible")
+    ended_with: str = Field(
+        description="what was done at the end: on_end, or why that was not possible"
+    )
     took_s: float
 
 
@@ -91,9 +107,15 @@ class TaskTool:
     """The handler of run_task."""
 
     def __init__(
-        self, host: Host, options: TaskOptions, arbiter: TaskArbiter, approval: Approval, move_to: MoveTo,
-        names: Callable[[], Iterable[str]], ended: Callable[[str, TaskEnd], object],
-    ) -> None:  # fmt: skip
+        self,
+        host: Host,
+        options: TaskOptions,
+        arbiter: TaskArbiter,
+        approval: Approval,
+        move_to: MoveTo,
+        names: Callable[[], Iterable[str]],
+        ended: Callable[[str, TaskEnd], object],
+    ) -> None:
         """Args:
         host, options, arbiter, approval: of the feature.
         move_to: goes to a posture or place, for `on_end`.
@@ -120,7 +142,9 @@ class TaskTool:
         known = [HOLD, STOP, *self._names()]
         if arguments.on_end not in known:
             raise InvalidInputError(
-                f"on_end is {arguments.on_end[:64]!r}.", hint=f"Choose one of: {', '.join(known)}.", path="on_end"
+                f"on_end is {arguments.on_end[:64]!r}.",
+                hint=f"Choose one of: {', '.join(known)}.",
+                path="on_end",
             )
         profile = profile_of(self._host)
         topics = {} if predicate is None else topics_of(predicate)
@@ -175,7 +199,9 @@ class TaskTool:
 
     def _judge(self, predicate: Predicate, instruction: str, profile: RobotProfile | None) -> Judge:
         gripper = profile.gripper if profile is not None else None
-        return Judge(predicate, instruction, self._monitor, "" if gripper is None else gripper.joint)
+        return Judge(
+            predicate, instruction, self._monitor, "" if gripper is None else gripper.joint
+        )
 
     def _monitor(self, predicate: MonitorSays) -> Monitor:
         spec = self._host.registry.get("monitor", predicate.name)
@@ -198,14 +224,21 @@ class TaskTool:
                 assert isinstance(spec, MonitorSpec)
                 absent = [role for role in spec.cameras if role not in roles.values()]
                 if absent:
-                    raise NotReadyError(f"Monitor {part.name!r} needs a camera of role {absent[0]!r}; there is none.")
+                    raise NotReadyError(
+                        f"Monitor {part.name!r} needs a camera of role {absent[0]!r}; there is "
+                        "none."
+                    )
                 wanted = (*spec.cameras, *spec.optional_cameras)
-                names += [name for name, role in roles.items() if role in wanted and name not in names]
+                names += [
+                    name for name, role in roles.items() if role in wanted and name not in names
+                ]
         return names
 
 
 def profile_of(host: Host) -> RobotProfile | None:
-    """Facts of the present robot; None for one that no plugin describes, and without the direct path."""
+    """Facts of the present robot; None for one that no plugin describes, and without the direct
+    path.
+    """
     name = host.config.robot.name
     try:
         exposed = gate_of(host).exposed
@@ -253,9 +286,13 @@ def _result(end: TaskEnd, ended_with: str) -> TaskResult:
 def _state(snapshot: Snapshot) -> FinalState:
     tcp = snapshot.tcp
     return FinalState(
-        joints=None if snapshot.joints is None else {name: round(v, 4) for name, v in snapshot.joints.items()},
+        joints=None
+        if snapshot.joints is None
+        else {name: round(v, 4) for name, v in snapshot.joints.items()},
         tcp_position_m=None if tcp is None else [round(float(v), 4) for v in tcp.position_m],
-        tcp_quaternion_xyzw=None if tcp is None else [round(float(v), 4) for v in tcp.quaternion_xyzw],
+        tcp_quaternion_xyzw=None
+        if tcp is None
+        else [round(float(v), 4) for v in tcp.quaternion_xyzw],
         gripper_open=None if snapshot.gripper_open is None else round(snapshot.gripper_open, 3),
         still_s=None if snapshot.still_s is None else round(snapshot.still_s, 2),
     )
@@ -266,8 +303,10 @@ def run_task_tool(handler: TaskTool) -> Tool[Any]:
     return Tool(
         name="run_task",
         title="Carry out a task",
-        description="Have the robot carry out an instruction; returns when that has ended and the policy moves nothing "
-        "any more. The outcome is succeeded, failed, timed_out, stopped (by somebody) or unclear (judge by the "
+        description="Have the robot carry out an instruction; returns when that has ended and the "
+        "policy moves nothing "
+        "any more. The outcome is succeeded, failed, timed_out, stopped (by somebody) or unclear "
+        "(judge by the "
         "images). Needs start_all. Cancelling the call, or losing the connection, stops the arm.",
         arguments=RunTask,
         result=TaskResult,

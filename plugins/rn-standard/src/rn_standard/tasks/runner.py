@@ -1,4 +1,5 @@
-"""A task: bounded attempts of a policy, each watched until its predicate is true, and ended whatever happens.
+"""A task: bounded attempts of a policy, each watched until its predicate is true, and ended
+whatever happens.
 
 Nothing here knows of ROS or of threads: the robot is a `Cell`, time is the cell's.
 """
@@ -41,7 +42,8 @@ class PolicyState:
     Attributes:
         has_acted: it has published an action for this attempt.
         failure: why it gave up; empty while it works.
-        taken: why it does not work for this task any more (stopped, another instruction); empty while it does.
+        taken: why it does not work for this task any more (stopped, another instruction); empty
+            while it does.
     """
 
     has_acted: bool
@@ -77,7 +79,9 @@ class Cell(Protocol):
         ...
 
     def end(self) -> None:
-        """Have the policy act no more; the arm comes to rest. Never raises, and may be called twice."""
+        """Have the policy act no more; the arm comes to rest. Never raises, and may be called
+        twice.
+        """
         ...
 
     def evidence(self) -> tuple[Picture, ...]:
@@ -95,7 +99,8 @@ class TaskEnd:
         before, after: evidence.
         state: at the end.
         took_s: all of it.
-        stop_s: from the look that found the predicate true until the policy was told to end; None without success.
+        stop_s: from the look that found the predicate true until the policy was told to end; None
+            without success.
     """
 
     outcome: Outcome
@@ -118,7 +123,8 @@ class TaskPlan:
         max_attempts: most attempts.
         period_s: between two looks [s].
         end_wait_s: after the policy's own end, how long the world may take to show success [s].
-        give_up_s: a policy that reports errors without a break for so long has given up; shorter ones heal [s].
+        give_up_s: a policy that reports errors without a break for so long has given up; shorter
+            ones heal [s].
     """
 
     instruction: str
@@ -156,12 +162,15 @@ class Task:
 
     Args:
         cell: the robot.
-        judge: of the predicate; None when the caller gave none, then nothing is ever judged a success.
+        judge: of the predicate; None when the caller gave none, then nothing is ever judged a
+            success.
         plan: what is to be done.
         tell: given a phrase whenever there is something to say.
     """
 
-    def __init__(self, cell: Cell, judge: Judge | None, plan: TaskPlan, tell: Callable[[str], None]) -> None:
+    def __init__(
+        self, cell: Cell, judge: Judge | None, plan: TaskPlan, tell: Callable[[str], None]
+    ) -> None:
         self._cell = cell
         self._judge = judge
         self._plan = plan
@@ -193,12 +202,19 @@ class Task:
         )
 
     def _already(self) -> _Attempt | None:
-        """True before anything moved: nothing is to be done. Looks for as long as it has to last."""
+        """True before anything moved: nothing is to be done. Looks for as long as it has to
+        last.
+        """
         snapshot, judge = self._cell.look(), self._judge
         if judge is None:
             return None
         judge.reset(snapshot)
-        deadline_s = snapshot.now_s + min(judge.lasts_s, self._plan.max_s) + _STANDS_S + 2 * self._plan.period_s
+        deadline_s = (
+            snapshot.now_s
+            + min(judge.lasts_s, self._plan.max_s)
+            + _STANDS_S
+            + 2 * self._plan.period_s
+        )
         while True:
             judgement = judge.look(snapshot)
             if judgement.value is True:
@@ -224,7 +240,9 @@ class Task:
             except RoboNeuronError as error:
                 if self._attempt == 1:
                     raise
-                return _Attempt(outcome=Outcome.STOPPED, reason=f"it could not begin again: {error}")
+                return _Attempt(
+                    outcome=Outcome.STOPPED, reason=f"it could not begin again: {error}"
+                )
             end = self._watch()
             self._cell.end()
             if not end.again or self._attempt >= plan.max_attempts:
@@ -246,13 +264,20 @@ class Task:
             if state.taken:
                 return _Attempt(outcome=Outcome.STOPPED, reason=state.taken)
             if failing.held_s(snapshot.now_s, bool(state.failure)) >= plan.give_up_s:
-                if not state.has_acted:  # nothing has moved: whatever cannot be seen, the policy has not done it
-                    return _Attempt(outcome=Outcome.FAILED, reason=f"the policy refuses: {state.failure}")
-                return self._unfulfilled(judgement, Outcome.FAILED, f"the policy gave up: {state.failure}")
+                # nothing has moved: whatever cannot be seen, the policy has not done it
+                if not state.has_acted:
+                    return _Attempt(
+                        outcome=Outcome.FAILED, reason=f"the policy refuses: {state.failure}"
+                    )
+                return self._unfulfilled(
+                    judgement, Outcome.FAILED, f"the policy gave up: {state.failure}"
+                )
             says_done = bool(snapshot.policy_done) and state.has_acted
             patience_s = 0.0 if self._judge is None else plan.end_wait_s
             if done.held_s(snapshot.now_s, says_done) >= patience_s:
-                return self._unfulfilled(judgement, Outcome.FAILED, "the policy says that it has finished")
+                return self._unfulfilled(
+                    judgement, Outcome.FAILED, "the policy says that it has finished"
+                )
             if snapshot.now_s >= deadline_s:
                 return self._unfulfilled(judgement, Outcome.TIMED_OUT, f"{plan.max_s:g} s are over")
             if snapshot.now_s - told_s >= _TOLD_S:
@@ -278,12 +303,15 @@ class Task:
         return _Attempt(outcome=outcome, reason=reason, again=True)
 
     def _confirm(self, first: Judgement, found_s: float) -> _Attempt:
-        """Stop the arm, and look whether it is still so once it stands: a cube may fall, an arm may coast."""
+        """Stop the arm, and look whether it is still so once it stands: a cube may fall, an arm
+        may coast.
+        """
         cell = self._cell
         self._say(f"stopping: {first.reason}")
         cell.end()
         stop_s = cell.now_s() - found_s
-        # What has to last begins anew when one look could not tell, for instance while the arm still moved.
+        # What has to last begins anew when one look could not tell, for instance while the arm
+        # still moved.
         lasts_s = 0.0 if self._judge is None else min(self._judge.lasts_s, _MOST_AGAIN_S)
         deadline_s = cell.now_s() + _CONFIRM_S + lasts_s
         while True:
@@ -297,8 +325,14 @@ class Task:
             if cell.wait(self._plan.period_s):
                 return self._ended(stop_s)
         if judgement.value is True:
-            return _Attempt(outcome=Outcome.UNCLEAR, reason=f"{judgement.reason}; but the arm does not come to rest")
-        why = f"it was true for a moment ({first.reason}), and is not any more once the arm was stopped"
+            return _Attempt(
+                outcome=Outcome.UNCLEAR,
+                reason=f"{judgement.reason}; but the arm does not come to rest",
+            )
+        why = (
+            f"it was true for a moment ({first.reason}), and is not any more once the arm was "
+            "stopped"
+        )
         return self._unfulfilled(judgement, Outcome.FAILED, why)
 
     def _say(self, text: str) -> None:

@@ -33,8 +33,10 @@ class Started:
 class ParallelStart:
     """One start of everything that is configured and does not run; used once.
 
-    All modules are checked before the first is spawned. Then each is started by a thread of its own: a module waits
-    itself for what it needs of the others. The first failure cancels the other starts, and stops what had started.
+    All modules are checked before the first is spawned. Then each is started by a thread of its
+        own: a module waits
+    itself for what it needs of the others. The first failure cancels the other starts, and stops
+    what had started.
     """
 
     def __init__(self, loop: ClosedLoop, requests: dict[ModuleKind, Arguments], role: str) -> None:
@@ -55,19 +57,33 @@ class ParallelStart:
         """Start; returns when everything has proved that it works.
 
         Raises:
-            StateError: everything runs already, a module is being started or stopped, or the start was cancelled.
-            RoboNeuronError: as `ClosedLoop.start`, of the module that failed first; nothing of this call is left.
+            StateError: everything runs already, a module is being started or stopped, or the start
+                was cancelled.
+            RoboNeuronError: as `ClosedLoop.start`, of the module that failed first; nothing of this
+                call is left.
         """
         began_s = time.monotonic()
         phases = {kind: self._loop.supervisor.view(kind).phase for kind in MODULE_KINDS}
-        if busy := [f"{kind} is {phase}" for kind, phase in phases.items() if phase in ("starting", "stopping")]:
-            raise StateError(f"Somebody else is at work: {', '.join(busy)}.", hint="Wait for the end of that call.")
+        if busy := [
+            f"{kind} is {phase}"
+            for kind, phase in phases.items()
+            if phase in ("starting", "stopping")
+        ]:
+            raise StateError(
+                f"Somebody else is at work: {', '.join(busy)}.",
+                hint="Wait for the end of that call.",
+            )
         already = tuple(kind for kind in MODULE_KINDS if phases[kind] == "running")
-        wanted = [kind for kind in MODULE_KINDS if kind not in already and self._is_configured(kind)]
+        wanted = [
+            kind for kind in MODULE_KINDS if kind not in already and self._is_configured(kind)
+        ]
         if not wanted:
             raise StateError("Everything that is configured runs already.", hint="See get_status.")
-        selections = [self._loop.select(kind, self._requests.get(kind), self._role) for kind in wanted]
-        # What each start would wait for alone is done first: a module gives up when what it needs is not even starting.
+        selections = [
+            self._loop.select(kind, self._requests.get(kind), self._role) for kind in wanted
+        ]
+        # What each start would wait for alone is done first: a module gives up when what it needs
+        # is not even starting.
         self._loop.emergency_stop.prepare(self._loop.config.namespace)
         if "inference" in wanted:
             self._loop.stream(self._loop.config.namespace)
@@ -75,7 +91,11 @@ class ParallelStart:
             self._check()
             self._kinds = tuple(wanted)
         threads = [
-            threading.Thread(target=self._start, args=(selection, on_stage, began_s), name=f"start-{selection.kind}")
+            threading.Thread(
+                target=self._start,
+                args=(selection, on_stage, began_s),
+                name=f"start-{selection.kind}",
+            )
             for selection in selections
         ]
         for thread in threads:
@@ -86,11 +106,18 @@ class ParallelStart:
             self._undo(on_stage)
             raise self._failure
         views = tuple(self._loop.supervisor.view(kind) for kind in wanted)
-        return Started(views=views, took_s=self._took_s, already=already, total_s=time.monotonic() - began_s)
+        return Started(
+            views=views, took_s=self._took_s, already=already, total_s=time.monotonic() - began_s
+        )
 
     def cancel(self) -> None:
-        """End the starts in progress; callable from any thread. `run` then stops what had started, and raises."""
-        self._fail(StateError("The start was cancelled: the client cancelled the call."), "the client cancelled.")
+        """End the starts in progress; callable from any thread. `run` then stops what had
+        started, and raises.
+        """
+        self._fail(
+            StateError("The start was cancelled: the client cancelled the call."),
+            "the client cancelled.",
+        )
 
     def _is_configured(self, kind: ModuleKind) -> bool:
         return kind in self._requests or getattr(self._loop.config, kind) is not None
@@ -107,7 +134,10 @@ class ParallelStart:
         except RoboNeuronError as error:
             self._fail(error, f"{selection.kind} could not be started.")
         except BaseException as error:  # a thread's border; the others must end too
-            self._fail(NotReadyError(f"{selection.kind} failed to start: {error!r}."), f"{selection.kind} failed.")
+            self._fail(
+                NotReadyError(f"{selection.kind} failed to start: {error!r}."),
+                f"{selection.kind} failed.",
+            )
             raise
         else:
             self._took_s[selection.kind] = time.monotonic() - began_s
@@ -135,7 +165,9 @@ class ParallelStart:
             self._loop.stop(kind)
 
 
-def requests_for(instruction: str | None, model: StartInference | None = None) -> dict[ModuleKind, Arguments]:
+def requests_for(
+    instruction: str | None, model: StartInference | None = None
+) -> dict[ModuleKind, Arguments]:
     """What start_all asks of inference: a model, and an instruction for it."""
     if instruction is None and model is None:
         return {}

@@ -1,7 +1,9 @@
-"""MCP Tasks for run_task: the call returns at once with an id, by which it is looked at, waited for and cancelled.
+"""MCP Tasks for run_task: the call returns at once with an id, by which it is looked at, waited for
+and cancelled.
 
-For clients that speak 2025-11-25 over stdio, where the server ends with its client; over HTTP a task could outlive the
-connection that it must end with. The SDK has the types of MCP Tasks only. Everybody else makes the plain call.
+For clients that speak 2025-11-25 over stdio, where the server ends with its client; over HTTP a
+task could outlive the connection that it must end with. The SDK has the types of MCP Tasks only.
+Everybody else makes the plain call.
 
 Source: Model Context Protocol, revision 2025-11-25, basic/utilities/tasks.
 """
@@ -32,9 +34,13 @@ CallNext = Callable[[Any], Awaitable[Any]]
 
 
 class _Session:
-    """A request's session after the request was answered: progress goes to the connection, and into the status."""
+    """A request's session after the request was answered: progress goes to the connection, and
+    into the status.
+    """
 
-    def __init__(self, session: Any, token: str | int | None, note: Callable[[str], object]) -> None:
+    def __init__(
+        self, session: Any, token: str | int | None, note: Callable[[str], object]
+    ) -> None:
         self._session = session
         self._token = token
         self._note = note
@@ -42,7 +48,9 @@ class _Session:
     def __getattr__(self, name: str) -> Any:
         return getattr(self._session, name)
 
-    async def report_progress(self, progress: float, total: float | None = None, message: str | None = None) -> None:
+    async def report_progress(
+        self, progress: float, total: float | None = None, message: str | None = None
+    ) -> None:
         self._note(message or "")
         if self._token is not None:
             await self._session.send_progress_notification(self._token, progress, total, message)
@@ -78,14 +86,20 @@ class _TaskCall:
     def told(self) -> dict[str, Any]:
         """As it goes to the client."""
         task = types.Task(
-            task_id=self.number, status=self.status, status_message=self.message or None, created_at=self.created,
-            last_updated_at=self.updated, ttl=self.ttl_ms, poll_interval=_POLL_MS,
-        )  # fmt: skip
+            task_id=self.number,
+            status=self.status,
+            status_message=self.message or None,
+            created_at=self.created,
+            last_updated_at=self.updated,
+            ttl=self.ttl_ms,
+            poll_interval=_POLL_MS,
+        )
         return task.model_dump(by_alias=True, mode="json", exclude_none=True)
 
 
 class TaskCalls:
-    """Middleware of the server (`mcp.server.context.ServerMiddleware`); used on the event loop only.
+    """Middleware of the server (`mcp.server.context.ServerMiddleware`); used on the event loop
+    only.
 
     Args:
         clock: monotonic time [s].
@@ -109,7 +123,10 @@ class TaskCalls:
             result = await call_next(ctx)
             if result.get("protocolVersion") != VERSION:
                 return result
-            return {**result, "capabilities": {**result.get("capabilities", {}), "tasks": _CAPABILITY}}
+            return {
+                **result,
+                "capabilities": {**result.get("capabilities", {}), "tasks": _CAPABILITY},
+            }
         if ctx.protocol_version != VERSION or ctx.session.client_params is None:
             return await call_next(ctx)
         params: Mapping[str, Any] = ctx.params or {}
@@ -121,13 +138,17 @@ class TaskCalls:
         result = await call_next(ctx)
         if ctx.method == "tools/list":
             optional = {"execution": {"taskSupport": "optional"}}
-            tools = [{**tool, **optional} if tool["name"] in TOOLS else tool for tool in result["tools"]]
+            tools = [
+                {**tool, **optional} if tool["name"] in TOOLS else tool for tool in result["tools"]
+            ]
             return {**result, "tools": tools}
         return result
 
     def _begin(self, ctx: Any, params: Mapping[str, Any], call_next: CallNext) -> dict[str, Any]:
         if params.get("name") not in TOOLS:
-            raise MCPError(types.METHOD_NOT_FOUND, f"{str(params.get('name'))[:80]} does not run as a task.")
+            raise MCPError(
+                types.METHOD_NOT_FOUND, f"{str(params.get('name'))[:80]} does not run as a task."
+            )
         asked = types.CallToolRequestParams.model_validate(params, by_name=False).task
         assert asked is not None
         ttl_ms = min(max(asked.ttl if asked.ttl is not None else _TTL_MS, 0), _LONGEST_TTL_MS)
@@ -149,10 +170,15 @@ class TaskCalls:
 
         now = _now()
         call = _TaskCall(
-            number=uuid.uuid4().hex, ttl_ms=ttl_ms, began_s=self._clock(), work=asyncio.create_task(work()),
-            created=now, updated=now,
-        )  # fmt: skip
-        call.work.add_done_callback(lambda done: done.cancelled() or done.exception())  # taken by `tasks/result`
+            number=uuid.uuid4().hex,
+            ttl_ms=ttl_ms,
+            began_s=self._clock(),
+            work=asyncio.create_task(work()),
+            created=now,
+            updated=now,
+        )
+        # taken by `tasks/result`
+        call.work.add_done_callback(lambda done: done.cancelled() or done.exception())
         self._calls[call.number] = call
         return {"task": call.told()}
 
@@ -189,7 +215,9 @@ class TaskCalls:
         return call
 
     def _forget(self) -> None:
-        """Results are kept for as long as was said, and not too many; a task that is at work always is."""
+        """Results are kept for as long as was said, and not too many; a task that is at work
+        always is.
+        """
         over = [call for call in self._calls.values() if call.is_over]
         for index, call in enumerate(over):
             if self._clock() - call.began_s > call.ttl_ms / 1e3 or index < len(over) - _MOST:

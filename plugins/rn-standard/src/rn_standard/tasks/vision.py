@@ -52,7 +52,8 @@ class Ray:
 
 
 def centre_of(image: NDArray[np.uint8], colour: str) -> tuple[F64, bool] | None:
-    """Centre (2,) [px] of the largest cluster of a colour in an image (H, W, 3) RGB; None when there is none.
+    """Centre (2,) [px] of the largest cluster of a colour in an image (H, W, 3) RGB; None when
+    there is none.
 
     Args:
         image: as it was taken; large ones are looked at in steps of several pixels.
@@ -89,7 +90,9 @@ def _mask(image: NDArray[np.uint8], colour: str) -> NDArray[np.bool_]:
     red, green, blue = image[vivid].astype(np.float64).T
     top, width = high[vivid], spread[vivid]
     sector = np.select(
-        [top == red, top == green], [(green - blue) / width, 2.0 + (blue - red) / width], 4.0 + (red - green) / width
+        [top == red, top == green],
+        [(green - blue) / width, 2.0 + (blue - red) / width],
+        4.0 + (red - green) / width,
     )
     first, last = HUES_DEG[colour]
     mask[vivid] = (60.0 * sector - first) % 360.0 <= last - first
@@ -110,15 +113,22 @@ def rays_of(frames: Mapping[str, Frame], tcp: Pose | None, colour: str) -> dict[
         pose = calibration.T_mount_camera
         if calibration.mount == "tcp" and tcp is not None:
             mount = np.eye(4)
-            mount[:3, :3], mount[:3, 3] = matrix_from_quaternion(tcp.quaternion_xyzw), tcp.position_m
+            mount[:3, :3], mount[:3, 3] = (
+                matrix_from_quaternion(tcp.quaternion_xyzw),
+                tcp.position_m,
+            )
             pose = mount @ pose
         direction = pose[:3, :3] @ np.linalg.solve(calibration.intrinsics, np.append(centre, 1.0))
-        rays[role] = Ray(origin=pose[:3, 3], direction=direction / np.linalg.norm(direction), is_coarse=is_cut)
+        rays[role] = Ray(
+            origin=pose[:3, 3], direction=direction / np.linalg.norm(direction), is_coarse=is_cut
+        )
     return rays
 
 
 def crossing(one: Ray, other: Ray) -> tuple[F64, float] | None:
-    """The point (3,) nearest to two rays and their distance there [m]; None when they are nearly parallel."""
+    """The point (3,) nearest to two rays and their distance there [m]; None when they are
+    nearly parallel.
+    """
     normal = np.cross(one.direction, other.direction)
     if np.linalg.norm(normal) < _PARALLEL:
         return None

@@ -1,4 +1,6 @@
-"""A straight move of the end effector: where it should be, how far it is from there, what one step may ask for."""
+"""A straight move of the end effector: where it should be, how far it is from there, what one
+step may ask for.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,9 @@ F64 = NDArray[np.float64]
 STEP_S = 0.1
 """Time between two actions."""
 _RESERVE = 0.97
-"""Share of a speed limit in use: an arm that starts from rest is a little faster later in the same step."""
+"""Share of a speed limit in use: an arm that starts from rest is a little faster later in the
+same step.
+"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -22,7 +26,8 @@ class Order:
     """A move as it was asked for.
 
     Attributes:
-        translation_m, rotation_rad: float64 (3,), in the base frame; the rotation as a rotation vector.
+        translation_m, rotation_rad: float64 (3,), in the base frame; the rotation as a rotation
+            vector.
         gripper_open: 0 closed .. 1 open; None: as it is.
         duration_s: time for the whole line.
     """
@@ -34,21 +39,31 @@ class Order:
 
 
 def remaining(start: Pose, order: Order, fraction: float, measured: Pose) -> F64:
-    """From `measured` to the point at `fraction` of the move: translation [m] and rotation vector [rad], (6,)."""
+    """From `measured` to the point at `fraction` of the move: translation [m] and rotation
+    vector [rad], (6,).
+    """
     position = start.position_m + fraction * order.translation_m - measured.position_m
-    rotation = matrix_from_rotvec(fraction * order.rotation_rad) @ matrix_from_quaternion(start.quaternion_xyzw)
+    rotation = matrix_from_rotvec(fraction * order.rotation_rad) @ matrix_from_quaternion(
+        start.quaternion_xyzw
+    )
     turn = rotvec_from_matrix(rotation @ matrix_from_quaternion(measured.quaternion_xyzw).T)
     return np.concatenate([position, turn])
 
 
 def difference(start: Pose, end: Pose) -> F64:
-    """The move from one pose to another in the base frame: translation [m] and rotation vector [rad], (6,)."""
-    turn = matrix_from_quaternion(end.quaternion_xyzw) @ matrix_from_quaternion(start.quaternion_xyzw).T
+    """The move from one pose to another in the base frame: translation [m] and rotation vector
+    [rad], (6,).
+    """
+    turn = (
+        matrix_from_quaternion(end.quaternion_xyzw)
+        @ matrix_from_quaternion(start.quaternion_xyzw).T
+    )
     return np.concatenate([end.position_m - start.position_m, rotvec_from_matrix(turn)])
 
 
 def limit_step(delta: F64, speed_m_s: float, turn_rad_s: float) -> F64:
-    """`delta` (6,), from where the arm is measured, shortened to what the speed limits allow in one step.
+    """`delta` (6,), from where the arm is measured, shortened to what the speed limits allow in one
+    step.
 
     An arm that was held up goes on at its speed: it catches up nothing.
     """

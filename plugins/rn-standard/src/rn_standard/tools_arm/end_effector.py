@@ -1,4 +1,6 @@
-"""move_ee: incremental moves of an arm's end effector, through the control module that also follows policies."""
+"""move_ee: incremental moves of an arm's end effector, through the control module that also
+follows policies.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,15 @@ from rn_standard.direct_path.delivery import Command
 from rn_standard.direct_path.exposed import Exposed, gate_request
 from rn_standard.direct_path.feature import gate_of
 from rn_standard.direct_path.request import GateRequest
-from rn_standard.tools_arm.ee_line import F64, STEP_S, Order, difference, limit_step, remaining, rounded
+from rn_standard.tools_arm.ee_line import (
+    F64,
+    STEP_S,
+    Order,
+    difference,
+    limit_step,
+    remaining,
+    rounded,
+)
 from rn_standard.tools_arm.grip import Grip, is_lost
 from rn_standard.tools_arm.measured import MeasuredPose
 from rn_standard.tools_arm.options import ArmToolsOptions
@@ -65,12 +75,17 @@ class MoveEndEffector(Arguments):
     ry_rad: _Turn = Field(default=0.0, description="Likewise [rad].")
     rz_rad: _Turn = Field(default=0.0, description="Likewise [rad].")
     gripper_open: float | None = Field(
-        default=None, ge=0, le=1, description="Opening, 0 closed .. 1 open; as last commanded when omitted."
+        default=None,
+        ge=0,
+        le=1,
+        description="Opening, 0 closed .. 1 open; as last commanded when omitted.",
     )
     duration_s: float | None = Field(
         default=None, gt=0, description="Time for the move; as fast as allowed when omitted [s]."
     )
-    dry_run: bool = Field(default=False, description="Only answer what would happen; nothing is sent.")
+    dry_run: bool = Field(
+        default=False, description="Only answer what would happen; nothing is sent."
+    )
 
 
 class EndEffectorMove(Result):
@@ -79,7 +94,9 @@ class EndEffectorMove(Result):
     robot: str
     asked: dict[str, float] = Field(description="the move that was asked for")
     moved: dict[str, float] = Field(description="the move that was measured, in the base frame")
-    position_m: list[float] = Field(description="measured TCP position at the end (a dry run: now), base frame")
+    position_m: list[float] = Field(
+        description="measured TCP position at the end (a dry run: now), base frame"
+    )
     error_m: float = Field(description="distance from where it should be")
     error_rad: float
     sent: int = Field(description="actions")
@@ -88,13 +105,17 @@ class EndEffectorMove(Result):
     allowed: bool
     reason: str
     target_m: list[float] = Field(description="where the TCP is to be, base frame")
-    holding: bool | None = Field(default=None, description="the hand holds something; null: unknown")
+    holding: bool | None = Field(
+        default=None, description="the hand holds something; null: unknown"
+    )
     lost_on_the_way: bool = False
 
 
 @dataclass(kw_only=True, slots=True)
 class _Line:
-    """A move that is under way; `start`, and whether the hand `held` something, are measured when it begins."""
+    """A move that is under way; `start`, and whether the hand `held` something, are measured
+    when it begins.
+    """
 
     order: Order
     start: Pose | None = None
@@ -113,7 +134,12 @@ class EndEffectorMover:
     """The handler of move_ee."""
 
     def __init__(
-        self, exposed: Exposed, profile: RobotProfile, host: Host, options: ArmToolsOptions, tcp: MeasuredPose
+        self,
+        exposed: Exposed,
+        profile: RobotProfile,
+        host: Host,
+        options: ArmToolsOptions,
+        tcp: MeasuredPose,
     ) -> None:
         self._exposed = exposed
         self._profile = profile
@@ -127,12 +153,18 @@ class EndEffectorMover:
         """Raises InvalidInputError, RefusedError, NotReadyError, StateError."""
         order = self._order(arguments)
         request = gate_request(
-            context, "move_ee", self._exposed, [self._message(np.zeros(6), order.gripper_open or 0.0)],
-            arguments.given(), dry_run=arguments.dry_run,
-        )  # fmt: skip
+            context,
+            "move_ee",
+            self._exposed,
+            [self._message(np.zeros(6), order.gripper_open or 0.0)],
+            arguments.given(),
+            dry_run=arguments.dry_run,
+        )
         halt = threading.Event()
         return await context.run(
-            lambda stage: self._move(order, request, stage, halt), on_cancel=halt.set, on_leave=halt.set
+            lambda stage: self._move(order, request, stage, halt),
+            on_cancel=halt.set,
+            on_leave=halt.set,
         )
 
     def check(self) -> None:
@@ -148,25 +180,35 @@ class EndEffectorMover:
         values = np.array([getattr(arguments, name) for name in _AXES])
         gripper = arguments.gripper_open
         if gripper is None and not values.any():
-            raise InvalidInputError("The call asks for no move.", hint="Give one of the deltas, or gripper_open.")
+            raise InvalidInputError(
+                "The call asks for no move.", hint="Give one of the deltas, or gripper_open."
+            )
         speed_m_s, turn_rad_s = self._speeds()
         distance_m, turn_rad = float(np.linalg.norm(values[:3])), float(np.linalg.norm(values[3:]))
         shortest_s = max(distance_m / speed_m_s, turn_rad / turn_rad_s, STEP_S)
         asked_s = arguments.duration_s
         if asked_s is not None and asked_s < shortest_s * 0.999:
             raise RefusedError(
-                f"A move of {distance_m:.3f} m and {turn_rad:.2f} rad in {asked_s:g} s is too fast: at least "
+                f"A move of {distance_m:.3f} m and {turn_rad:.2f} rad in {asked_s:g} s is too "
+                "fast: at least "
                 f"{shortest_s:.2f} s are needed.",
                 hint="Give it more time, or leave duration_s away.",
             )
         return Order(
-            translation_m=values[:3], rotation_rad=values[3:], gripper_open=gripper, duration_s=asked_s or shortest_s
+            translation_m=values[:3],
+            rotation_rad=values[3:],
+            gripper_open=gripper,
+            duration_s=asked_s or shortest_s,
         )
 
     def _speeds(self) -> tuple[float, float]:
-        """Fastest move [m/s] and turn [rad/s]: of the options, or of the limits in force where these are lower."""
+        """Fastest move [m/s] and turn [rad/s]: of the options, or of the limits in force where
+        these are lower.
+        """
         options, limits = self._options, self._host.loop.limits
-        return min(options.ee_speed_m_s, limits.max_speed_m_s), min(options.ee_turn_rad_s, limits.max_turn_rad_s)
+        return min(options.ee_speed_m_s, limits.max_speed_m_s), min(
+            options.ee_turn_rad_s, limits.max_turn_rad_s
+        )
 
     def _message(self, delta: F64, gripper_open: float) -> Any:
         """An action of the contract: deltas of the TCP in the base frame, and the gripper."""
@@ -176,34 +218,59 @@ class EndEffectorMover:
         dimension = MultiArrayDimension(label=ACTION_LABEL, size=ACTION_SIZE, stride=ACTION_SIZE)
         return Float64MultiArray(layout=MultiArrayLayout(dim=[dimension]), data=values)
 
-    def _move(self, order: Order, request: GateRequest, stage: Stage, halt: threading.Event) -> EndEffectorMove:
+    def _move(
+        self, order: Order, request: GateRequest, stage: Stage, halt: threading.Event
+    ) -> EndEffectorMove:
         gate, exposed = self._gate, self._exposed
         if request.dry_run:
             return self._judge(order, request)
         self.check()
         line = _Line(order=order)
         sent = gate.play(
-            exposed, request, self._actions(line, stage), total_s=order.duration_s, timeout_s=_MEASURED_S, halt=halt,
+            exposed,
+            request,
+            self._actions(line, stage),
+            total_s=order.duration_s,
+            timeout_s=_MEASURED_S,
+            halt=halt,
             details=lambda: self._where(line),
-        )  # fmt: skip
+        )
         if not sent.verdict.may_send:
             verdict = sent.verdict
-            return self._answer(order, 0, 0.0, None, None, allowed=verdict.allowed, reason=verdict.reason, dry_run=True)
-        answer = self._answer(order, sent.messages, sent.duration_s, line.start, self._tcp.wait(1.0))
+            return self._answer(
+                order,
+                0,
+                0.0,
+                None,
+                None,
+                allowed=verdict.allowed,
+                reason=verdict.reason,
+                dry_run=True,
+            )
+        answer = self._answer(
+            order, sent.messages, sent.duration_s, line.start, self._tcp.wait(1.0)
+        )
         return answer.model_copy(update=self._grip_at_the_end(line))
 
     def _judge(self, order: Order, request: GateRequest) -> EndEffectorMove:
         """Answer a dry run: where the TCP would be, after how long, and what stands in the way."""
         reason = self._why_not()
         forecast = _Forecast(took_s=order.duration_s)
-        request = replace(request, predict=None if reason else lambda: self._predict(order, forecast))
+        request = replace(
+            request, predict=None if reason else lambda: self._predict(order, forecast)
+        )
         verdict = self._gate.check(request)
         is_latched = verdict.rule == "emergency_stop"
         answer = self._answer(
-            order, 0, forecast.took_s, self._known_pose(), None,
-            allowed=verdict.allowed and not reason, reason=verdict.reason if is_latched else reason or verdict.reason,
+            order,
+            0,
+            forecast.took_s,
+            self._known_pose(),
+            None,
+            allowed=verdict.allowed and not reason,
+            reason=verdict.reason if is_latched else reason or verdict.reason,
             dry_run=True,
-        )  # fmt: skip
+        )
         return answer.model_copy(update={"holding": self._grip.holding()})
 
     def _known_pose(self) -> Pose | None:
@@ -232,7 +299,11 @@ class EndEffectorMover:
         gripper = line.kept if order.gripper_open is None else order.gripper_open
         began_s = time.monotonic()
         deltas = self._deltas(
-            order, start, lambda: self._tcp.wait(_POSE_S), lambda: time.monotonic() - began_s, self._note
+            order,
+            start,
+            lambda: self._tcp.wait(_POSE_S),
+            lambda: time.monotonic() - began_s,
+            self._note,
         )
         for sent, (fraction, distance_m, delta) in enumerate(deltas):
             if sent % 5 == 0:
@@ -240,7 +311,9 @@ class EndEffectorMover:
             yield Command(message=self._message(delta, gripper), due_s=time.monotonic() + STEP_S)
 
     def _predict(self, order: Order, forecast: _Forecast) -> None:
-        """Raise RefusedError unless control would bring the arm there; its path is that of `_actions`."""
+        """Raise RefusedError unless control would bring the arm there; its path is that of
+        `_actions`.
+        """
         joints = self._gate.joints(self._exposed, _MEASURED_S)
         if joints is None:
             raise RefusedError("The joints are not measured, so that the path cannot be judged.")
@@ -253,17 +326,26 @@ class EndEffectorMover:
 
             forecast.took_s = 0.0
             try:
-                for _, _, delta in self._deltas(order, arm.pose(), arm.pose, lambda: next(steps) * STEP_S, note):
-                    arm.follow(Action.from_vector(np.append(delta, min(1.0, max(0.0, gripper)))), STEP_S)
+                for _, _, delta in self._deltas(
+                    order, arm.pose(), arm.pose, lambda: next(steps) * STEP_S, note
+                ):
+                    arm.follow(
+                        Action.from_vector(np.append(delta, min(1.0, max(0.0, gripper)))), STEP_S
+                    )
                     forecast.took_s += STEP_S
             except StateError as error:
                 raise RefusedError(error.message) from error
 
     def _deltas(
-        self, order: Order, start: Pose, pose: Callable[[], Pose], elapsed_s: Callable[[], float],
+        self,
+        order: Order,
+        start: Pose,
+        pose: Callable[[], Pose],
+        elapsed_s: Callable[[], float],
         note: Callable[[], str],
-    ) -> Iterator[tuple[float, float, F64]]:  # fmt: skip
-        """Steps towards the end of the line by the present pose: share of the line, distance left [m], delta (6,).
+    ) -> Iterator[tuple[float, float, F64]]:
+        """Steps towards the end of the line by the present pose: share of the line, distance left
+        [m], delta (6,).
 
         Raises:
             RefusedError, StateError: the arm does not get there; `note` says what control does.
@@ -276,7 +358,10 @@ class EndEffectorMover:
             error = remaining(start, order, 1.0, here)
             left_m, left_rad = float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
             way, before = difference(before, here), here
-            is_still = float(np.linalg.norm(way[:3])) < _STILL_M and float(np.linalg.norm(way[3:])) < _STILL_RAD
+            is_still = (
+                float(np.linalg.norm(way[:3])) < _STILL_M
+                and float(np.linalg.norm(way[3:])) < _STILL_RAD
+            )
             if left_m < _REACHED_M and left_rad < _REACHED_RAD and now_s >= least_s and is_still:
                 return
             if left_m + left_rad < nearest - _NEARER:
@@ -312,15 +397,25 @@ class EndEffectorMover:
         return ""
 
     def _answer(
-        self, order: Order, sent: int, duration_s: float, start: Pose | None, end: Pose | None, *,
-        allowed: bool = True, reason: str = "", dry_run: bool = False,
-    ) -> EndEffectorMove:  # fmt: skip
+        self,
+        order: Order,
+        sent: int,
+        duration_s: float,
+        start: Pose | None,
+        end: Pose | None,
+        *,
+        allowed: bool = True,
+        reason: str = "",
+        dry_run: bool = False,
+    ) -> EndEffectorMove:
         moved, error = np.zeros(6), np.zeros(6)
         if start is not None and end is not None:
             moved = difference(start, end)
             error = remaining(start, order, 1.0, end)
         here = start if end is None else end
-        asked = dict(zip(_AXES, [*order.translation_m.tolist(), *order.rotation_rad.tolist()], strict=True))
+        asked = dict(
+            zip(_AXES, [*order.translation_m.tolist(), *order.rotation_rad.tolist()], strict=True)
+        )
         if order.gripper_open is not None:
             asked["gripper_open"] = order.gripper_open
         return EndEffectorMove(

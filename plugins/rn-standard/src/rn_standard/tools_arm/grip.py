@@ -1,4 +1,6 @@
-"""The gripper of an arm: the opening that was last commanded, by whomever, and whether the hand holds something."""
+"""The gripper of an arm: the opening that was last commanded, by whomever, and whether the hand
+holds something.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,9 @@ from roboneuron.feature import GRIPPER_COMMANDED, Report
 
 _MEASURED_S = 2.0
 _BLOCKED = 0.03
-"""Share of the travel: fingers that rest this much wider than commanded are blocked by something."""
+"""Share of the travel: fingers that rest this much wider than commanded are blocked by
+something.
+"""
 _STILL, _STILL_S = 0.005, 0.06
 """Fingers that move by less than this share of their travel in this time are at rest."""
 _SETTLE_S = 1.0
@@ -22,7 +26,8 @@ _POLL_S = 0.02
 class Grip:
     """What a gripper was told and what came of it; usable from any thread.
 
-    The robot module reports the opening that was last commanded, whether a policy, a task or a direct call did it.
+    The robot module reports the opening that was last commanded, whether a policy, a task or a
+    direct call did it.
     """
 
     def __init__(self, host: Host, gate: MotionGate, exposed: Exposed) -> None:
@@ -36,7 +41,9 @@ class Grip:
         return None if self._exposed.profile is None else self._exposed.profile.gripper
 
     def commanded(self) -> float | None:
-        """The opening that was last commanded, 0 closed .. 1 open; None when none was since the robot started."""
+        """The opening that was last commanded, 0 closed .. 1 open; None when none was since the
+        robot started.
+        """
         report = self._report()
         text = "" if report is None else report.metrics.get(GRIPPER_COMMANDED, "")
         try:
@@ -46,7 +53,8 @@ class Grip:
         return opening if math.isfinite(opening) else None
 
     def kept(self) -> float:
-        """The opening that keeps what the hand holds: as last commanded, else as measured; 1 without a gripper.
+        """The opening that keeps what the hand holds: as last commanded, else as measured; 1
+        without a gripper.
 
         Raises:
             NotReadyError: the gripper is not measured.
@@ -61,13 +69,16 @@ class Grip:
         gripper = self.profile
         joints = self._gate.joints(self._exposed, _MEASURED_S)
         if gripper is None or joints is None or gripper.joint not in joints.names:
-            raise NotReadyError("The gripper was not measured.", hint="Is the robot running? See get_status.")
+            raise NotReadyError(
+                "The gripper was not measured.", hint="Is the robot running? See get_status."
+            )
         return gripper.to_opening(float(joints.position[joints.names.index(gripper.joint)]))
 
     def holding(self) -> bool | None:
         """Whether the hand holds something; None when that is unknown.
 
-        The driver says so itself, or fingers rest wider than they were told. Waits up to a second for their rest.
+        The driver says so itself, or fingers rest wider than they were told. Waits up to a second
+        for their rest.
         """
         report = self._report()
         told = "" if report is None else report.detail.get("holding", "")
@@ -104,7 +115,11 @@ class Grip:
         return self._host.supervisor.view("robot").report
 
 
-def is_lost(before: bool | None, after: bool | None, asked: float | None, kept: float | None) -> bool:
-    """Whether a motion lost what the hand held: held before, not after, and nobody asked for a wider opening."""
+def is_lost(
+    before: bool | None, after: bool | None, asked: float | None, kept: float | None
+) -> bool:
+    """Whether a motion lost what the hand held: held before, not after, and nobody asked for a
+    wider opening.
+    """
     is_opened = asked is not None and (kept is None or asked > kept)
     return bool(before) and after is False and not is_opened

@@ -1,4 +1,6 @@
-"""move_joints: joint targets of an arm, as one trajectory point within the limits, followed until the arm is there."""
+"""move_joints: joint targets of an arm, as one trajectory point within the limits, followed
+until the arm is there.
+"""
 
 from __future__ import annotations
 
@@ -49,7 +51,9 @@ class MoveJoints(Arguments):
     duration_s: float | None = Field(
         default=None, gt=0, description="Time for the move [s]; an easy pace when omitted."
     )
-    dry_run: bool = Field(default=False, description="Only answer what would happen; nothing is sent.")
+    dry_run: bool = Field(
+        default=False, description="Only answer what would happen; nothing is sent."
+    )
 
 
 class JointMove(Result):
@@ -62,20 +66,25 @@ class JointMove(Result):
     dry_run: bool
     allowed: bool
     reason: str
-    holding: bool | None = Field(default=None, description="the hand holds something; null: unknown")
+    holding: bool | None = Field(
+        default=None, description="the hand holds something; null: unknown"
+    )
     lost_on_the_way: bool = False
 
 
 def joint_tools(host: Host, endpoints: Iterable[Exposed], gate: MotionGate) -> list[Tool[Any]]:
     """move_joints for the first endpoint that takes trajectories of a robot with known limits."""
-    found = next((e for e in endpoints if e.endpoint.joint_limited and e.endpoint.type == TRAJECTORY), None)
+    found = next(
+        (e for e in endpoints if e.endpoint.joint_limited and e.endpoint.type == TRAJECTORY), None
+    )
     if found is None or found.profile is None:
         return []
     limits = joint_limits(found.profile)
     mover = _JointMover(found, limits, gate, host)
     joints: Schema = {
         "properties": {
-            name: {"type": "number", "minimum": limit.lower, "maximum": limit.upper} for name, limit in limits.items()
+            name: {"type": "number", "minimum": limit.lower, "maximum": limit.upper}
+            for name, limit in limits.items()
         },
         "additionalProperties": False,
     }
@@ -84,12 +93,18 @@ def joint_tools(host: Host, endpoints: Iterable[Exposed], gate: MotionGate) -> l
             name="move_joints",
             title="Move joints",
             description=(
-                f"Move joints of {found.robot!r} to positions [rad, m], within their position and velocity limits. "
-                "Needs start_robot; refused while a policy runs. Returns when they are measured there, at rest."
+                f"Move joints of {found.robot!r} to positions [rad, m], within their position and "
+                "velocity limits. "
+                "Needs start_robot; refused while a policy runs. Returns when they are measured "
+                "there, at rest."
             ),
             arguments=Derived(
                 model=MoveJoints,
-                properties={"positions": joints, "duration_s": {"maximum": gate.max_duration_s}, "dry_run": {}},
+                properties={
+                    "positions": joints,
+                    "duration_s": {"maximum": gate.max_duration_s},
+                    "dry_run": {},
+                },
                 required=["positions"],
             ),
             result=JointMove,
@@ -102,7 +117,9 @@ def joint_tools(host: Host, endpoints: Iterable[Exposed], gate: MotionGate) -> l
 class _JointMover:
     """The handler of move_joints."""
 
-    def __init__(self, exposed: Exposed, limits: Mapping[str, JointLimit], gate: MotionGate, host: Host) -> None:
+    def __init__(
+        self, exposed: Exposed, limits: Mapping[str, JointLimit], gate: MotionGate, host: Host
+    ) -> None:
         self._exposed = exposed
         self._limits = limits
         self._gate = gate
@@ -117,7 +134,8 @@ class _JointMover:
             limit = self._limits[name]
             if not limit.lower <= value <= limit.upper:
                 raise InvalidInputError(
-                    f"positions.{name} is {value:g}, expected from {limit.lower:g} to {limit.upper:g}.",
+                    f"positions.{name} is {value:g}, expected from {limit.lower:g} to "
+                    f"{limit.upper:g}.",
                     path=f"positions.{name}",
                 )
         halt = threading.Event()
@@ -127,7 +145,9 @@ class _JointMover:
             on_leave=halt.set,
         )
 
-    def _move(self, arguments: MoveJoints, context: CallContext, stage: Stage, halt: threading.Event) -> JointMove:
+    def _move(
+        self, arguments: MoveJoints, context: CallContext, stage: Stage, halt: threading.Event
+    ) -> JointMove:
         exposed, gate = self._exposed, self._gate
         target, asked_s, dry_run = arguments.positions, arguments.duration_s, arguments.dry_run
         joints = gate.joints(exposed, _MEASURED_S)
@@ -151,12 +171,22 @@ class _JointMover:
             return self._answer(target, joints, duration_s, verdict.allowed, verdict.reason, True)
         kept, held = self._grip.commanded(), self._grip.holding()
         commands = self._commands(target, request.messages[0], duration_s, stage)
-        sent = gate.play(exposed, request, commands, total_s=duration_s, timeout_s=_MEASURED_S, halt=halt)
+        sent = gate.play(
+            exposed, request, commands, total_s=duration_s, timeout_s=_MEASURED_S, halt=halt
+        )
         if not sent.verdict.may_send:
-            return self._answer(target, joints, 0.0, sent.verdict.allowed, sent.verdict.reason, True)
-        answer = self._answer(target, gate.newest_joints(exposed) or joints, sent.duration_s, True, "", False)
+            return self._answer(
+                target, joints, 0.0, sent.verdict.allowed, sent.verdict.reason, True
+            )
+        answer = self._answer(
+            target, gate.newest_joints(exposed) or joints, sent.duration_s, True, "", False
+        )
         holding, gripper = self._grip.holding(), self._grip.profile
-        asked = None if gripper is None or gripper.joint not in target else gripper.to_opening(target[gripper.joint])
+        asked = (
+            None
+            if gripper is None or gripper.joint not in target
+            else gripper.to_opening(target[gripper.joint])
+        )
         lost = is_lost(held, holding, asked, kept)
         return answer.model_copy(update={"holding": holding, "lost_on_the_way": lost})
 
@@ -176,7 +206,9 @@ class _JointMover:
         for name, value in target.items():
             limit, start = self._limits[name], _position(joints, name)
             distance, fastest = abs(value - start), limit.fastest(value, value > start)
-            needed.append(distance / min(_EASY * limit.velocity, _NEARLY * fastest or limit.velocity))
+            needed.append(
+                distance / min(_EASY * limit.velocity, _NEARLY * fastest or limit.velocity)
+            )
             needed.append(shortest_s(distance, _EASY_ACCELERATION * limit.acceleration))
         return max(needed)
 
@@ -184,7 +216,10 @@ class _JointMover:
         profile = self._exposed.profile
         assert profile is not None
         left = self._left(target, joints)
-        return all(abs(value - _position(joints, name)) < profile.tolerance(name) for name, value in left.items())
+        return all(
+            abs(value - _position(joints, name)) < profile.tolerance(name)
+            for name, value in left.items()
+        )
 
     def _left(self, target: Mapping[str, float], joints: JointSample) -> Mapping[str, float]:
         """The targets, without that of a gripper which something keeps from closing: it grasps."""
@@ -219,17 +254,30 @@ class _JointMover:
             if now_s - began_s > duration_s + _SETTLE_S:
                 if is_there:  # within the tolerance, but it never rests: a joint that trembles
                     return
-                off = ", ".join(f"{n} {abs(v - _position(joints, n)):.4f}" for n, v in target.items())
-                raise StateError(f"The joints do not come nearer to the target; they are off by {off} [rad or m].")
+                off = ", ".join(
+                    f"{n} {abs(v - _position(joints, n)):.4f}" for n, v in target.items()
+                )
+                raise StateError(
+                    f"The joints do not come nearer to the target; they are off by {off} [rad or "
+                    "m]."
+                )
             if now_s - told_s >= 0.5:
                 told_s = now_s
-                stage(f"{now_s - began_s:.1f} of {duration_s:.1f} s, {_error(target, joints):.3f} to go")
+                stage(
+                    f"{now_s - began_s:.1f} of {duration_s:.1f} s, {_error(target, joints):.3f} "
+                    "to go"
+                )
             yield Command(message=None, due_s=now_s + 0.02)
 
     def _answer(
-        self, target: Mapping[str, float], joints: JointSample, duration_s: float, allowed: bool, reason: str,
+        self,
+        target: Mapping[str, float],
+        joints: JointSample,
+        duration_s: float,
+        allowed: bool,
+        reason: str,
         dry_run: bool,
-    ) -> JointMove:  # fmt: skip
+    ) -> JointMove:
         return JointMove(
             robot=self._exposed.robot,
             position={name: round(_position(joints, name), 5) for name in target},
@@ -261,7 +309,9 @@ def _position(joints: JointSample, name: str) -> float:
 
 
 def _error(target: Mapping[str, float], joints: JointSample) -> float:
-    return max((abs(value - _position(joints, name)) for name, value in target.items()), default=0.0)
+    return max(
+        (abs(value - _position(joints, name)) for name, value in target.items()), default=0.0
+    )
 
 
 class _Rest:
@@ -275,7 +325,10 @@ class _Rest:
     def note(self, joints: JointSample, now_s: float) -> bool:
         """Take a measurement; whether none of the joints has moved for a tenth of a second."""
         here = [_position(joints, name) for name in self._names]
-        has_moved = not self._there or max(abs(a - b) for a, b in zip(here, self._there, strict=True)) > _REST
+        has_moved = (
+            not self._there
+            or max(abs(a - b) for a, b in zip(here, self._there, strict=True)) > _REST
+        )
         if self._since_s is None or has_moved:
             self._since_s, self._there = now_s, here
             return False

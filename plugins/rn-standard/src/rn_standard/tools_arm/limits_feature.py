@@ -1,4 +1,6 @@
-"""The feature: limits that a client tightens while it is connected, and that only a person loosens."""
+"""The feature: limits that a client tightens while it is connected, and that only a person
+loosens.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,9 @@ _END_S = 2.0
 
 
 class LimitsFeature(Feature[None]):
-    """tighten_limits and loosen_limits: for policies, by control; for direct motion, by the gate of the direct path."""
+    """tighten_limits and loosen_limits: for policies, by control; for direct motion, by the
+    gate of the direct path.
+    """
 
     _host: Host
     _file: TighteningFile
@@ -37,7 +41,9 @@ class LimitsFeature(Feature[None]):
         self._lock = threading.Lock()
         self._stop = threading.Event()
         self._record = Record(tightening=Tightening(), who="", at_ns=0)
-        if host.config.control is None or host.config.robot.name not in host.registry.specs("robot"):
+        if host.config.control is None or host.config.robot.name not in host.registry.specs(
+            "robot"
+        ):
             return ()
         self._profile = load_profile(host.registry, host.config.robot.name)
         host.events.change.listen(self._on_change)
@@ -62,7 +68,8 @@ class LimitsFeature(Feature[None]):
             self._thread.join(_END_S)
 
     def tighten(self, more: Tightening, who: str, role: str) -> None:
-        """Let these limits hold as well, for everything that moves the robot, until a person loosens them.
+        """Let these limits hold as well, for everything that moves the robot, until a person
+        loosens them.
 
         Raises:
             InvalidInputError: nothing would be left.
@@ -80,7 +87,9 @@ class LimitsFeature(Feature[None]):
             self._audit("tighten_limits", who, role, "tightened", more)
 
     def loosen(self, who: str, role: str) -> None:
-        """Let the configured limits hold again; called because a person said so. Raises as `tighten`."""
+        """Let the configured limits hold again; called because a person said so. Raises as
+        `tighten`.
+        """
         with self._lock:
             self._audit("loosen_limits", who, role, "loosened", self._record.tightening)
             record = Record(tightening=Tightening(), who=who, at_ns=time.time_ns())
@@ -89,7 +98,9 @@ class LimitsFeature(Feature[None]):
             self._tell_control()
 
     def _use(self, record: Record) -> None:
-        """From now on modules are started with these limits, and the gate judges by them; direct motion ends."""
+        """From now on modules are started with these limits, and the gate judges by them;
+        direct motion ends.
+        """
         assert self._profile is not None
         supervisor, loop = self._host.supervisor, self._host.loop
         limits = record.tightening.applied(loop.base.limits, self._profile)
@@ -97,7 +108,9 @@ class LimitsFeature(Feature[None]):
         self._record = record
         gate = gate_of(self._host)
         gate.relimit()
-        gate.end_motions("The limits have changed.", _END_S, lambda exposed: exposed.endpoint.joint_limited)
+        gate.end_motions(
+            "The limits have changed.", _END_S, lambda exposed: exposed.endpoint.joint_limited
+        )
 
     def _tell_control(self) -> None:
         """Have every control that runs, or is about to, move within the limits.
@@ -120,7 +133,8 @@ class LimitsFeature(Feature[None]):
             if refused:
                 raise NotReadyError(
                     f"The running control did not take the limits: {refused}.",
-                    hint="They hold for direct motion and from the next start of control on: call stop_control.",
+                    hint="They hold for direct motion and from the next start of control on: call "
+                    "stop_control.",
                 )
 
     def _on_change(self, kind: ModuleKind) -> None:
@@ -140,7 +154,9 @@ class LimitsFeature(Feature[None]):
             self._host.events.fault.tell("control", "limits", {"explanation": error.message})
 
     def _watch(self) -> None:
-        """Notice what a person did in a terminal; a file that vanished or was changed otherwise is written again."""
+        """Notice what a person did in a terminal; a file that vanished or was changed otherwise
+        is written again.
+        """
         while not self._stop.wait(_LOOK_S):
             with self._lock, suppress(RoboNeuronError):
                 self._look()
@@ -154,15 +170,22 @@ class LimitsFeature(Feature[None]):
             log.warning("The limits were loosened by %s.", found.who)
             self._use(found)
             self._tell_control()
-        elif (found is None or found.tightening != self._record.tightening) and not self._record.tightening.is_empty:
-            log.error("The tightened limits in %s were changed or removed; they are written again.", self._file.path)
+        elif (
+            found is None or found.tightening != self._record.tightening
+        ) and not self._record.tightening.is_empty:
+            log.error(
+                "The tightened limits in %s were changed or removed; they are written again.",
+                self._file.path,
+            )
             self._file.write(self._record)
 
     def _audit(self, tool: str, who: str, role: str, verdict: str, what: Tightening) -> None:
         arguments = what.model_dump(exclude_defaults=True)
         robot = self._host.config.robot.name
         self._host.audit.write(
-            AuditRecord(who=who, role=role, tool=tool, verdict=verdict, robot=robot, arguments=arguments)
+            AuditRecord(
+                who=who, role=role, tool=tool, verdict=verdict, robot=robot, arguments=arguments
+            )
         )
 
 

@@ -8,7 +8,16 @@ from typing import Any
 from pydantic import Field, ValidationError
 
 from rn_standard.tools_arm.tightening import Tightening
-from roboneuron import Arguments, CallContext, Host, InvalidInputError, NoArguments, RefusedError, Result, Tool
+from roboneuron import (
+    Arguments,
+    CallContext,
+    Host,
+    InvalidInputError,
+    NoArguments,
+    RefusedError,
+    Result,
+    Tool,
+)
 from roboneuron.feature import ADMIN
 
 
@@ -16,25 +25,37 @@ class TightenLimits(Arguments):
     """Arguments of tighten_limits."""
 
     max_speed_m_s: float | None = Field(default=None, gt=0, le=3, description="Of the TCP.")
-    acceleration: float | None = Field(default=None, gt=0, le=1, description="Share of the joints' own.")
-    x_min_m: float | None = Field(default=None, description="The TCP stays in this box; y is left, z up.")
+    acceleration: float | None = Field(
+        default=None, gt=0, le=1, description="Share of the joints' own."
+    )
+    x_min_m: float | None = Field(
+        default=None, description="The TCP stays in this box; y is left, z up."
+    )
     x_max_m: float | None = None
     y_min_m: float | None = None
     y_max_m: float | None = None
     z_min_m: float | None = None
     z_max_m: float | None = None
     keep_out: list[float] | None = Field(
-        default=None, min_length=6, max_length=6, description="Box that the TCP stays out of: x, y, z of two corners."
+        default=None,
+        min_length=6,
+        max_length=6,
+        description="Box that the TCP stays out of: x, y, z of two corners.",
     )
 
     def tightening(self) -> Tightening:
         """The same as limits; raises InvalidInputError when nothing is asked for."""
         given = self.model_dump(exclude_none=True)
         if not given:
-            raise InvalidInputError("The call tightens nothing.", hint="Give a speed, an edge of the box, or keep_out.")
+            raise InvalidInputError(
+                "The call tightens nothing.", hint="Give a speed, an edge of the box, or keep_out."
+            )
         if self.keep_out is not None:
             first, second = self.keep_out[:3], self.keep_out[3:]
-            corners = {"lower_m": list(map(min, first, second)), "upper_m": list(map(max, first, second))}
+            corners = {
+                "lower_m": list(map(min, first, second)),
+                "upper_m": list(map(max, first, second)),
+            }
             given["keep_out"] = [corners]
         try:
             return Tightening.model_validate(given)
@@ -77,7 +98,10 @@ def limits_tools(
 
     async def loosen_limits(_: NoArguments, context: CallContext) -> LimitsResult:
         who = context.who
-        if host.config.server.reset_emergency_stop == "person" and host.supervisor.tightened is not None:
+        if (
+            host.config.server.reset_emergency_stop == "person"
+            and host.supervisor.tightened is not None
+        ):
             await _ask(host, context)
             who = f"a person asked by {who}"
         if host.supervisor.tightened is not None:
@@ -88,7 +112,8 @@ def limits_tools(
         Tool(
             name="tighten_limits",
             title="Tighten the limits",
-            description="Slower, or out of a place, from now on: for policies and direct motion, after restarts too. "
+            description="Slower, or out of a place, from now on: for policies and direct motion, "
+            "after restarts too. "
             "Limits only become tighter; a person loosens them (tool loosen_limits).",
             arguments=TightenLimits,
             result=LimitsResult,
@@ -99,7 +124,8 @@ def limits_tools(
         Tool(
             name="loosen_limits",
             title="Loosen the limits",
-            description="Return to the configured limits. A person decides, as for reset_emergency_stop.",
+            description="Return to the configured limits. A person decides, as for "
+            "reset_emergency_stop.",
             arguments=NoArguments,
             result=LimitsResult,
             handler=loosen_limits,
@@ -114,14 +140,19 @@ def limits_tools(
 
 async def _ask(host: Host, context: CallContext) -> None:
     """Raises RefusedError unless a person agreed to loosen these very limits."""
-    base, now = (limits.model_dump(mode="json") for limits in (host.loop.base.limits, host.loop.limits))
+    base, now = (
+        limits.model_dump(mode="json") for limits in (host.loop.base.limits, host.loop.limits)
+    )
     tighter = ", ".join(f"{key} = {value}" for key, value in now.items() if value != base[key])
-    agreed = await context.ask(f"The robot's limits were tightened: {tighter}. Return to the configured ones?")
+    agreed = await context.ask(
+        f"The robot's limits were tightened: {tighter}. Return to the configured ones?"
+    )
     if agreed:
         return
     why = "this client cannot ask one" if agreed is None else "nobody agreed"
     raise RefusedError(
         f"Only a person loosens the limits, and {why}. They stay.",
-        hint=f"Ask a person to run, in a terminal on this machine: roboneuron limits --loosen --state "
+        hint="Ask a person to run, in a terminal on this machine: roboneuron limits --loosen "
+        "--state "
         f"{host.state_directory}",
     )

@@ -17,7 +17,9 @@ _POLL_S = 0.01
 
 
 class MeasuredPose:
-    """Listens to `ee_pose` of one robot from the first time on that it is asked for; usable from any thread."""
+    """Listens to `ee_pose` of one robot from the first time on that it is asked for; usable
+    from any thread.
+    """
 
     def __init__(self, host: Host, namespace: str) -> None:
         self._host = host
@@ -42,11 +44,15 @@ class MeasuredPose:
             if newest is not None and time.monotonic() - newest[0] <= _AGE_S:
                 return _pose(newest[1])
             if time.monotonic() > deadline_s:
-                raise NotReadyError("Control publishes no pose of the end effector.", hint="See get_status.")
+                raise NotReadyError(
+                    "Control publishes no pose of the end effector.", hint="See get_status."
+                )
             time.sleep(_POLL_S)
 
     def open(self) -> None:
-        """Begin to listen; does nothing the second time. Raises RoboNeuronError when ROS cannot be joined."""
+        """Begin to listen; does nothing the second time. Raises RoboNeuronError when ROS cannot
+        be joined.
+        """
         _ = self._host.graph  # first: two threads must not import rclpy at the same time
         from geometry_msgs.msg import PoseStamped  # heavy
 

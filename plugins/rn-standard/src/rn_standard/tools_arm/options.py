@@ -12,5 +12,9 @@ class ArmToolsOptions(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
-    ee_speed_m_s: Annotated[float, Field(gt=0, le=1)] = Field(default=0.25, description="fastest end-effector move")
-    ee_turn_rad_s: Annotated[float, Field(gt=0, le=3)] = Field(default=1.0, description="fastest end-effector turn")
+    ee_speed_m_s: Annotated[float, Field(gt=0, le=1)] = Field(
+        default=0.25, description="fastest end-effector move"
+    )
+    ee_turn_rad_s: Annotated[float, Field(gt=0, le=3)] = Field(
+        default=1.0, description="fastest end-effector turn"
+    )

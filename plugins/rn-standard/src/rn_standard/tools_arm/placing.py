@@ -29,7 +29,9 @@ log = logging.getLogger(__name__)
 _CLEAR_M = 0.08
 """How far what is carried is lifted above where it stood, to pass over what stands on the table."""
 _GAP_M = 0.002
-"""It is let go so much above the height at which it was grasped: rather dropped than pressed into the table."""
+"""It is let go so much above the height at which it was grasped: rather dropped than pressed
+into the table.
+"""
 _CLOSES = 0.05
 """Share of the travel: a smaller change of the commanded opening is no grasp."""
 _NEAR_M = 0.003
@@ -39,10 +41,15 @@ _LONGEST_M = 0.5
 class PlaceArguments(Arguments):
     """Arguments of place."""
 
-    dx_m: float = Field(default=0.0, ge=-0.5, le=0.5, description="Forwards from where the hand is [m].")
+    dx_m: float = Field(
+        default=0.0, ge=-0.5, le=0.5, description="Forwards from where the hand is [m]."
+    )
     dy_m: float = Field(default=0.0, ge=-0.5, le=0.5, description="To the left [m].")
     height_m: float | None = Field(
-        default=None, ge=-1, le=2, description="TCP height at release; where the hand closed when omitted [m]."
+        default=None,
+        ge=-1,
+        le=2,
+        description="TCP height at release; where the hand closed when omitted [m].",
     )
 
 
@@ -101,7 +108,9 @@ class _Placer:
         began_s = time.monotonic()
         self._mover.check()
         if await context.run(lambda _: self._grip.holding()) is False:
-            raise RefusedError("The hand holds nothing that could be put down.", hint="See get_status, robot.")
+            raise RefusedError(
+                "The hand holds nothing that could be put down.", hint="See get_status, robot."
+            )
         height_m = self._grip.closed_at_m if arguments.height_m is None else arguments.height_m
         if height_m is None:
             raise InvalidInputError(
@@ -138,7 +147,9 @@ class _Placer:
 
 
 def _check(moved: EndEffectorMove) -> None:
-    """Raise RefusedError when nothing was moved, and StateError when the hand has lost what it held."""
+    """Raise RefusedError when nothing was moved, and StateError when the hand has lost what it
+    held.
+    """
     if moved.dry_run or not moved.allowed:
         raise RefusedError(f"The arm was not moved: {moved.reason or 'dry run'}.")
     if moved.lost_on_the_way:
@@ -150,7 +161,8 @@ def place_tool(mover: EndEffectorMover, grip: GripHeight, robot: str) -> Tool[An
     return Tool(
         name="place",
         title="Put down what the hand holds",
-        description=f"Carry what {robot!r} holds by dx_m, dy_m, lower it to where it was grasped, let go, leave "
+        description=f"Carry what {robot!r} holds by dx_m, dy_m, lower it to where it was grasped, "
+        "let go, leave "
         "upwards. Stop the policy first; needs control.",
         arguments=PlaceArguments,
         result=Placed,

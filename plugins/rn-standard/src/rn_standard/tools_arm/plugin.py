@@ -4,7 +4,8 @@ from roboneuron import CommandSpec, FeatureSpec, hookimpl
 
 FEATURE = FeatureSpec(
     name="tools-arm",
-    summary="move_joints and move_ee: joint targets and end-effector deltas of an arm, within the limits.",
+    summary="move_joints and move_ee: joint targets and end-effector deltas of an arm, within the "
+    "limits.",
     target="rn_standard.tools_arm.feature:ArmTools",
     config="rn_standard.tools_arm.options:ArmToolsOptions",
     needs=("direct-path",),

@@ -1,4 +1,6 @@
-"""Prediction of what an arm does with actions: controller and limits of control, on joints that follow at once."""
+"""Prediction of what an arm does with actions: controller and limits of control, on joints that
+follow at once.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,8 @@ def control_of(host: Host, exposed: Exposed) -> tuple[Controller, MotionLimiter]
     """Controller and limits as control has them, for one user, who closes the controller.
 
     Raises:
-        ConfigurationError, MissingDependencyError, PluginError: there is no controller for the arm of that endpoint.
+        ConfigurationError, MissingDependencyError, PluginError: there is no controller for the arm
+            of that endpoint.
     """
     assert exposed.profile is not None
     config = host.loop.base
@@ -51,7 +54,9 @@ class PredictedArm:
         return self._controller.forward(self._joints)
 
     def follow(self, action: Action, step_s: float) -> None:
-        """Carry out an action for `step_s`, as far as the limits allow; the arm stays where one holds it."""
+        """Carry out an action for `step_s`, as far as the limits allow; the arm stays where one
+        holds it.
+        """
         self._now_s += step_s
         outcome: JointCommand | Hold | None = self._controller.compute(action, self._joints, step_s)
         self.held = outcome.reason if isinstance(outcome, Hold) else ""
@@ -68,7 +73,9 @@ class PredictedArm:
         position = self._joints.position.copy()
         for index, name in enumerate(self._joints.names):
             position[index] += share * (ends.get(name, position[index]) - position[index])
-        self._joints = JointSample(names=self._joints.names, position=position, stamp_ns=self._joints.stamp_ns)
+        self._joints = JointSample(
+            names=self._joints.names, position=position, stamp_ns=self._joints.stamp_ns
+        )
 
     def close(self) -> None:
         """Release the controller; may be called twice."""

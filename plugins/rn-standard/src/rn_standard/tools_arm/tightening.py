@@ -1,4 +1,6 @@
-"""Limits that a client has tightened: their values, what they make of the configured ones, and their file."""
+"""Limits that a client has tightened: their values, what they make of the configured ones, and
+their file.
+"""
 
 from __future__ import annotations
 
@@ -59,7 +61,9 @@ class Tightening(BaseModel):
             raise InvalidInputError(
                 f"There would be {len(boxes)} boxes to keep out of, at most {_MOST_ZONES} are kept."
             )
-        made: dict[str, Any] = {"keep_out": [{"lower_m": lower, "upper_m": upper} for lower, upper in boxes]}
+        made: dict[str, Any] = {
+            "keep_out": [{"lower_m": lower, "upper_m": upper} for lower, upper in boxes]
+        }
         for name in type(self).model_fields:
             if name != "keep_out":
                 values = [v for v in (getattr(self, name), getattr(more, name)) if v is not None]
@@ -86,7 +90,9 @@ class Tightening(BaseModel):
             "workspace_upper_m": upper,
             "zones": (*configured.zones, *boxes),
             "max_speed_m_s": min(configured.max_speed_m_s, self.max_speed_m_s or np.inf),
-            "acceleration_fraction": min(configured.acceleration_fraction, self.acceleration or 1.0),
+            "acceleration_fraction": min(
+                configured.acceleration_fraction, self.acceleration or 1.0
+            ),
         }
         made = configured.model_copy(update=changes)
         try:
@@ -111,7 +117,9 @@ class Record:
 
 
 class TighteningFile:
-    """Keeps them in the state directory, so that neither a module nor a server that starts again loosens them."""
+    """Keeps them in the state directory, so that neither a module nor a server that starts
+    again loosens them.
+    """
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -126,7 +134,9 @@ class TighteningFile:
             with self.path.open(encoding="utf-8") as file:
                 told = json.loads(file.read(_MAX_BYTES))
             tightening = Tightening.model_validate(told["tightened"])
-            return Record(tightening=tightening, who=str(told["who"])[:200], at_ns=int(told["at_ns"]))
+            return Record(
+                tightening=tightening, who=str(told["who"])[:200], at_ns=int(told["at_ns"])
+            )
         except FileNotFoundError:
             return None
         except (OSError, ValueError, KeyError, TypeError, ValidationError) as error:
@@ -141,7 +151,11 @@ class TighteningFile:
         Raises:
             RefusedError: it cannot be written.
         """
-        text = {"tightened": record.tightening.model_dump(), "who": record.who, "at_ns": record.at_ns}
+        text = {
+            "tightened": record.tightening.model_dump(),
+            "who": record.who,
+            "at_ns": record.at_ns,
+        }
         part = self.path.with_suffix(f".{os.getpid()}.part")
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
@@ -151,7 +165,8 @@ class TighteningFile:
             with suppress(OSError):
                 part.unlink(missing_ok=True)
             raise RefusedError(
-                f"The limits cannot be kept in {self.path}: {error.strerror}.", hint="Mend the state directory."
+                f"The limits cannot be kept in {self.path}: {error.strerror}.",
+                hint="Mend the state directory.",
             ) from error
 
 

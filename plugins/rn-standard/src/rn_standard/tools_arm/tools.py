@@ -17,7 +17,10 @@ from roboneuron.feature import Schema
 
 
 def arm_tools(
-    host: Host, options: ArmToolsOptions, poses: dict[str, MeasuredPose], grips: dict[str, GripHeight]
+    host: Host,
+    options: ArmToolsOptions,
+    poses: dict[str, MeasuredPose],
+    grips: dict[str, GripHeight],
 ) -> list[Tool[Any]]:
     """move_ee, move_joints and place, for the arm among the exposed endpoints.
 
@@ -40,10 +43,14 @@ def arm_tools(
         name="move_ee",
         title="Move the end effector",
         description=(
-            f"Move the TCP of {action.robot!r} by a delta in the base frame in a straight line, at up to "
-            f"{options.ee_speed_m_s:g} m/s and {options.ee_turn_rad_s:g} rad/s, and set the gripper. Without "
-            "gripper_open the hand holds its last commanded grip. Needs start_robot and start_control; refused while "
-            "a policy runs. Returns what was measured when the arm is there; an error says where it stopped and why."
+            f"Move the TCP of {action.robot!r} by a delta in the base frame in a straight line, "
+            "at up to "
+            f"{options.ee_speed_m_s:g} m/s and {options.ee_turn_rad_s:g} rad/s, and set the "
+            "gripper. Without "
+            "gripper_open the hand holds its last commanded grip. Needs start_robot and "
+            "start_control; refused while "
+            "a policy runs. Returns what was measured when the arm is there; an error says where "
+            "it stopped and why."
         ),
         arguments=Derived(model=MoveEndEffector, properties=properties),
         result=EndEffectorMove,

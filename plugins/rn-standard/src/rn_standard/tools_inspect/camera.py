@@ -36,7 +36,9 @@ _JPEG_QUALITY = 90
 class GetCameraImage(Arguments):
     """Arguments of get_camera_image."""
 
-    camera: str | None = Field(default=None, description="Which camera of the robot; the first one when omitted.")
+    camera: str | None = Field(
+        default=None, description="Which camera of the robot; the first one when omitted."
+    )
     format: Format = Field(default="jpeg", description="jpeg is small, png is exact.")
     timeout_s: float = Field(default=5.0, gt=0, le=60, description="How long to wait for it [s].")
 
@@ -92,7 +94,8 @@ def read_frame(host: Host, camera: str, timeout_s: float) -> Frame:
 
     Raises:
         ConfigurationError: the topic carries another type.
-        InvalidInputError: the robot has no such camera, or the image is damaged or of an unknown encoding.
+        InvalidInputError: the robot has no such camera, or the image is damaged or of an unknown
+            encoding.
         NotReadyError: nobody publishes, or nothing came in time.
     """
     check_camera(host, camera)
@@ -101,9 +104,13 @@ def read_frame(host: Host, camera: str, timeout_s: float) -> Frame:
 
     topic = f"/{host.config.namespace}/camera/{camera}/image"
     changes, deadline_s = Changes(), time.monotonic() + timeout_s
-    publishers = changes.wait_for(lambda: graph.get_publishers_info_by_topic(topic) or None, timeout_s)
+    publishers = changes.wait_for(
+        lambda: graph.get_publishers_info_by_topic(topic) or None, timeout_s
+    )
     if not publishers:
-        raise NotReadyError(f"Nobody publishes images of camera {camera!r} on {topic}.", hint=_hint(host))
+        raise NotReadyError(
+            f"Nobody publishes images of camera {camera!r} on {topic}.", hint=_hint(host)
+        )
     foreign = [info.topic_type for info in publishers if info.topic_type != IMAGE_TYPE]
     if foreign:
         raise ConfigurationError(f"Topic {topic} carries {foreign[0]}, expected {IMAGE_TYPE}.")
@@ -120,7 +127,8 @@ def read_frame(host: Host, camera: str, timeout_s: float) -> Frame:
         unsubscribe()
     if not arrived:
         raise NotReadyError(
-            f"Camera {camera!r} delivered no image on {topic} within {timeout_s:g} s.", hint=_hint(host)
+            f"Camera {camera!r} delivered no image on {topic} within {timeout_s:g} s.",
+            hint=_hint(host),
         )
     return _frame(received[0], camera)
 
@@ -157,15 +165,26 @@ def _hint(host: Host) -> str:
     if view.phase in ("starting", "stopping"):
         return f"Perception is {view.phase}: wait for that, then try again."
     if view.phase == "exited":
-        return "Perception ended by itself: see get_logs. Unless it is restarted by itself, call start_perception."
+        return (
+            "Perception ended by itself: see get_logs. Unless it is restarted by itself, call "
+            "start_perception."
+        )
     return "Call start_perception first."
 
 
 def _frame(message: Image, camera: str) -> Frame:
     stamp_ns = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
     if stamp_ns <= 0:
-        raise InvalidInputError(f"An image of camera {camera!r} carries no capture time in header.stamp.")
+        raise InvalidInputError(
+            f"An image of camera {camera!r} carries no capture time in header.stamp."
+        )
     pixels = frame_from_buffer(
-        message.data, width=message.width, height=message.height, step=message.step, encoding=message.encoding
+        message.data,
+        width=message.width,
+        height=message.height,
+        step=message.step,
+        encoding=message.encoding,
     )
-    return Frame(camera=camera, image=pixels, stamp_ns=stamp_ns, frame_id=message.header.frame_id or camera)
+    return Frame(
+        camera=camera, image=pixels, stamp_ns=stamp_ns, frame_id=message.header.frame_id or camera
+    )

@@ -1,4 +1,6 @@
-"""The tools that list what is installed: backends, runtimes, accelerations, sources, controllers, robots."""
+"""The tools that list what is installed: backends, runtimes, accelerations, sources,
+controllers, robots.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,9 @@ class Entry(Result):
     name: str
     summary: str
     package: str = Field(description="the distribution it comes from")
-    status: str = Field(description="ready, or why it cannot be used: disabled, unavailable, incompatible ...")
+    status: str = Field(
+        description="ready, or why it cannot be used: disabled, unavailable, incompatible ..."
+    )
     reason: str = Field(default="", description="why it is not ready, and what to do")
 
 
@@ -36,10 +40,14 @@ class Backend(Entry):
     """A policy."""
 
     needs_checkpoint: bool = Field(description="start_inference must name a checkpoint directory")
-    needs_state: bool = Field(description="it reads joints and end-effector pose, so control must run")
+    needs_state: bool = Field(
+        description="it reads joints and end-effector pose, so control must run"
+    )
     cameras: list[str] = Field(description="camera roles it needs")
     optional_cameras: list[str]
-    family: str = Field(description="model family; empty when it takes neither runtime nor acceleration")
+    family: str = Field(
+        description="model family; empty when it takes neither runtime nor acceleration"
+    )
     default_runtime: str
     runtimes: list[str] = Field(description="installed runtimes that fit")
     accelerations: list[str] = Field(description="installed accelerations that know its family")
@@ -78,7 +86,9 @@ class Driver(Result):
 
     name: str
     summary: str
-    kind: Literal["real", "simulated"] = Field(description="real unless the driver declares that it is simulated")
+    kind: Literal["real", "simulated"] = Field(
+        description="real unless the driver declares that it is simulated"
+    )
     configured: bool = Field(description="start_robot uses it when nothing else is named")
 
 
@@ -157,8 +167,14 @@ def backends(registry: Registry) -> Backends:
                 optional_cameras=list(spec.optional_cameras),
                 family=spec.family,
                 default_runtime=spec.default_runtime,
-                runtimes=[r.name for r in runtimes.values() if spec.family and spec.family in r.families],
-                accelerations=[a.name for a in accelerations.values() if spec.family and spec.family in a.families],
+                runtimes=[
+                    r.name for r in runtimes.values() if spec.family and spec.family in r.families
+                ],
+                accelerations=[
+                    a.name
+                    for a in accelerations.values()
+                    if spec.family and spec.family in a.families
+                ],
             )
             for offer in registry.offers("backend")
             if isinstance(spec := offer.spec, BackendSpec)
@@ -249,7 +265,12 @@ _LISTS: tuple[tuple[str, str, type[Result], Any], ...] = (
     ),
     ("list_perception_sources", "sources of camera images", PerceptionSources, perception_sources),
     ("list_controllers", "controllers", Controllers, controllers),
-    ("list_backends", "backends (policies), with the runtimes and accelerations that fit each", Backends, backends),
+    (
+        "list_backends",
+        "backends (policies), with the runtimes and accelerations that fit each",
+        Backends,
+        backends,
+    ),
     ("list_runtimes", "runtimes that execute models for backends", Runtimes, runtimes),
     ("list_accelerations", "acceleration presets", Accelerations, accelerations),
 )

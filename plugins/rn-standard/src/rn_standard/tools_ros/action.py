@@ -1,4 +1,6 @@
-"""send_<name>_goal: a ROS action as a tool; feedback is progress, and no goal outlives the call that sent it."""
+"""send_<name>_goal: a ROS action as a tool; feedback is progress, and no goal outlives the call
+that sent it.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +32,9 @@ class SendGoal(SendingCall):
 
     goal: Value = Field(default_factory=dict)
     timeout_s: float | None = Field(
-        default=None, gt=0, description="How long the goal may take, in seconds; then it is cancelled."
+        default=None,
+        gt=0,
+        description="How long the goal may take, in seconds; then it is cancelled.",
     )
     server_timeout_s: float = Field(
         default=2.0, ge=0, le=60, description="How long to wait for the action server, in seconds."
@@ -54,7 +58,11 @@ def goal_model(targets: Targets) -> Derived[GoalResult]:
     interface = action_of(targets.first)
     own: dict[str, dict[str, Any]] = {name: {} for name in GoalResult.model_fields}
     required = [name for name in own if name != "result"]
-    return Derived(model=GoalResult, properties=own | {"result": decoded_schema(interface.result)}, required=required)
+    return Derived(
+        model=GoalResult,
+        properties=own | {"result": decoded_schema(interface.result)},
+        required=required,
+    )
 
 
 class GoalSending:
@@ -73,21 +81,33 @@ class GoalSending:
         timeout_s = arguments.timeout_s or self.timeout_s
         message = encode_argument(interface.goal, arguments.goal, "goal")
         request = gate_request(
-            context, self._tool, exposed, [message], arguments.given(), dry_run=arguments.dry_run,
+            context,
+            self._tool,
+            exposed,
+            [message],
+            arguments.given(),
+            dry_run=arguments.dry_run,
             joints=self._gate.newest_joints(exposed) if exposed.endpoint.joint_limited else None,
-        )  # fmt: skip
+        )
         halt = threading.Event()
 
         def work(stage: Stage) -> tuple[GoalEnd, _Progress]:
             progress = _Progress(interface, stage)
             end = send_goal(
-                self._gate, exposed, request,
-                timeout_s=timeout_s, server_s=arguments.server_timeout_s, halt=halt, on_feedback=progress.take,
-            )  # fmt: skip
+                self._gate,
+                exposed,
+                request,
+                timeout_s=timeout_s,
+                server_s=arguments.server_timeout_s,
+                halt=halt,
+                on_feedback=progress.take,
+            )
             return end, progress
 
         end, progress = await context.run(work, on_cancel=halt.set, on_leave=halt.set)
-        decoded: dict[str, Any] = {"result": interface.result.decode(end.result)} if end.status else {}
+        decoded: dict[str, Any] = (
+            {"result": interface.result.decode(end.result)} if end.status else {}
+        )
         if end.status not in ("succeeded", ""):
             raise StateError(
                 f"The goal of {exposed.topic} was {end.status} after {end.took_s:.2f} s; "

@@ -1,4 +1,6 @@
-"""What the handlers of derived tools share: arguments, results, encoding messages, telling the gate's verdict."""
+"""What the handlers of derived tools share: arguments, results, encoding messages, telling the
+gate's verdict.
+"""
 
 from __future__ import annotations
 
@@ -25,13 +27,17 @@ class RobotCall(Arguments):
 class SendingCall(RobotCall):
     """Arguments of a call that sends something."""
 
-    dry_run: bool = Field(default=False, description="Only answer what would happen; nothing is sent.")
+    dry_run: bool = Field(
+        default=False, description="Only answer what would happen; nothing is sent."
+    )
 
 
 class PublishingCall(SendingCall):
     """Arguments of a call that publishes."""
 
-    timeout_s: float = Field(default=5.0, ge=0, le=60, description="How long to wait for a subscriber, in seconds.")
+    timeout_s: float = Field(
+        default=5.0, ge=0, le=60, description="How long to wait for a subscriber, in seconds."
+    )
 
 
 class Judged(Result):
@@ -54,7 +60,9 @@ def verdict_fields(verdict: Verdict) -> dict[str, Any]:
 
 
 def encode_argument(part: MessageInterface, value: Mapping[str, Any], name: str) -> Any:
-    """The value of argument `name` as a message; raises InvalidInputError with the path inside the arguments."""
+    """The value of argument `name` as a message; raises InvalidInputError with the path inside
+    the arguments.
+    """
     try:
         return part.encode(value, now_ns=time.time_ns())
     except InvalidInputError as error:

@@ -23,8 +23,11 @@ from roboneuron.feature import Schema
 _SENT = "Fails when nobody subscribes."
 
 
-def derive_tools(endpoints: Iterable[Exposed], host: Host, taken: Collection[str]) -> list[Tool[Any]]:
-    """The tools of the endpoints, in their order; those of one label, kind and type are one tool for all robots.
+def derive_tools(
+    endpoints: Iterable[Exposed], host: Host, taken: Collection[str]
+) -> list[Tool[Any]]:
+    """The tools of the endpoints, in their order; those of one label, kind and type are one tool
+    for all robots.
 
     Args:
         endpoints: what is exposed.
@@ -33,7 +36,9 @@ def derive_tools(endpoints: Iterable[Exposed], host: Host, taken: Collection[str
     """
     groups: dict[tuple[str, str, str], list[Exposed]] = {}
     for exposed in endpoints:
-        groups.setdefault((exposed.endpoint.kind, exposed.label, exposed.endpoint.type), []).append(exposed)
+        groups.setdefault((exposed.endpoint.kind, exposed.label, exposed.endpoint.type), []).append(
+            exposed
+        )
     names = set(taken)
     tools: list[Tool[Any]] = []
     for (kind, label, _), members in groups.items():
@@ -47,19 +52,29 @@ def derive_tools(endpoints: Iterable[Exposed], host: Host, taken: Collection[str
 
 
 def _make(use: str, name: str, noun: str, targets: Targets, host: Host) -> Tool[Any]:
-    makers = {"publish": _publish, "sequence": _sequence, "read": _read, "service": _service, "action": _action}
+    makers = {
+        "publish": _publish,
+        "sequence": _sequence,
+        "read": _read,
+        "service": _service,
+        "action": _action,
+    }
     return makers[use](name, noun, targets, host)
 
 
 def _publish(name: str, noun: str, targets: Targets, host: Host) -> Tool[Any]:
     gate = gate_of(host)
-    message = message_schema(message_of(targets.first), hull([e.endpoint for e in targets.endpoints]))
+    message = message_schema(
+        message_of(targets.first), hull([e.endpoint for e in targets.endpoints])
+    )
     properties = {**targets.schema(), "message": message}
     lasts = ""
     if targets.lasting:
         properties["duration_s"] = {"maximum": gate.max_duration_s}
         stops = any(e.endpoint.stop_message for e in targets.endpoints)
-        lasts = "Lasts for duration_s" + (", then the stop message is sent; returns after that. " if stops else ". ")
+        lasts = "Lasts for duration_s" + (
+            ", then the stop message is sent; returns after that. " if stops else ". "
+        )
     elif targets.trajectory:
         lasts = "Returns when its time is over; cancelling the call ends it, the joints hold then. "
     properties |= {"timeout_s": {}, "dry_run": {}}
@@ -87,30 +102,50 @@ def _sequence(name: str, noun: str, targets: Targets, host: Host) -> Tool[Any]:
     step: Schema = {
         "type": "object",
         "properties": {
-            "message": {"type": "object", "description": f"As `message` of {name.removesuffix('_sequence')}."},
+            "message": {
+                "type": "object",
+                "description": f"As `message` of {name.removesuffix('_sequence')}.",
+            },
             "duration_s": {
-                "type": "number", "exclusiveMinimum": 0, "maximum": gate.max_duration_s,
+                "type": "number",
+                "exclusiveMinimum": 0,
+                "maximum": gate.max_duration_s,
                 "description": "How long this step lasts, in seconds.",
             },
         },
         "additionalProperties": False,
         "required": needed,
-    }  # fmt: skip
+    }
     if not needed:
         del step["required"]
-    steps: Schema = {"items": step, "description": "Messages in order, each with the time it lasts."}
+    steps: Schema = {
+        "items": step,
+        "description": "Messages in order, each with the time it lasts.",
+    }
     stops = any(e.endpoint.stop_message for e in targets.endpoints)
-    end = "It always ends with the stop message, also when it is cancelled or fails. " if stops else ""
+    end = (
+        "It always ends with the stop message, also when it is cancelled or fails. "
+        if stops
+        else ""
+    )
     return Tool(
         name=name,
         title=f"Publish {noun}, step by step",
         description=(
-            f"{targets.describe()} Plays the steps one after the other, at most {gate.max_duration_s:g} s, and "
-            f"returns at the end; cancelling the call or emergency_stop ends it at once. {end}{_SENT}"
+            f"{targets.describe()} Plays the steps one after the other, at most "
+            f"{gate.max_duration_s:g} s, and "
+            "returns at the end; cancelling the call or emergency_stop ends it at once. "
+            f"{end}{_SENT}"
         ),
         arguments=Derived(
             model=PublishSequence,
-            properties={**targets.schema(), "steps": steps, "times": {}, "timeout_s": {}, "dry_run": {}},
+            properties={
+                **targets.schema(),
+                "steps": steps,
+                "times": {},
+                "timeout_s": {},
+                "dry_run": {},
+            },
             required=[*targets.arguments, "steps"],
         ),
         result=Delivery,
@@ -124,9 +159,12 @@ def _read(name: str, noun: str, targets: Targets, host: Host) -> Tool[Any]:
     return Tool(
         name=name,
         title=f"Read {noun}",
-        description=f"{targets.describe()} The latched message, or the next one that comes; with `count` the next n.",
+        description=f"{targets.describe()} The latched message, or the next one that comes; with "
+        "`count` the next n.",
         arguments=Derived(
-            model=Read, properties={**targets.schema(), "count": {}, "timeout_s": {}}, required=targets.arguments
+            model=Read,
+            properties={**targets.schema(), "count": {}, "timeout_s": {}},
+            required=targets.arguments,
         ),
         result=messages_model(targets),
         handler=Reading(host, targets, name),
@@ -169,11 +207,15 @@ def _action(name: str, noun: str, targets: Targets, host: Host) -> Tool[Any]:
         name=name,
         title=f"Send a goal: {noun}",
         description=(
-            f"{targets.describe()} Sends the goal, reports feedback as progress and returns the result; cancelling the "
-            "call, its timeout or emergency_stop cancels the goal. A goal that does not succeed is an error."
+            f"{targets.describe()} Sends the goal, reports feedback as progress and returns the "
+            "result; cancelling the "
+            "call, its timeout or emergency_stop cancels the goal. A goal that does not succeed "
+            "is an error."
         ),
         arguments=Derived(
-            model=SendGoal, properties=properties, required=_required(targets, "goal", interface.goal.fields)
+            model=SendGoal,
+            properties=properties,
+            required=_required(targets, "goal", interface.goal.fields),
         ),
         result=goal_model(targets),
         handler=sending,

@@ -12,7 +12,9 @@ if TYPE_CHECKING:
 
 
 class Describe:
-    """A ROS interface as agents see it: fields, types, bounds, defaults, choices; or its JSON schema."""
+    """A ROS interface as agents see it: fields, types, bounds, defaults, choices; or its JSON
+    schema.
+    """
 
     def configure(self, parser: ArgumentParser) -> None:
         """Arguments of `roboneuron describe`."""
@@ -24,12 +26,17 @@ class Describe:
         )
         parser.add_argument("--json", action="store_true", help="the JSON schema of each part")
         parser.add_argument(
-            "--list", metavar="PACKAGE", nargs="?", const="", help="list the installed interfaces instead"
+            "--list",
+            metavar="PACKAGE",
+            nargs="?",
+            const="",
+            help="list the installed interfaces instead",
         )
 
     def run(self, arguments: Namespace) -> int:
         """Print the description, or the names."""
-        from rn_standard.tools_ros.interfaces import list_interfaces, load_interface  # heavy: pydantic, numpy
+        # heavy: pydantic, numpy
+        from rn_standard.tools_ros.interfaces import list_interfaces, load_interface
         from roboneuron import ConfigurationError
 
         if arguments.list is not None:
@@ -39,11 +46,16 @@ class Describe:
             sys.stdout.write("".join(f"{name}\n" for name in names))
             return 0
         if arguments.type is None:
-            raise ConfigurationError("No type was given.", hint="Try `roboneuron describe geometry_msgs/msg/Twist`.")
+            raise ConfigurationError(
+                "No type was given.", hint="Try `roboneuron describe geometry_msgs/msg/Twist`."
+            )
         parts = parts_of(load_interface(arguments.type))
         if arguments.json:
             schemas = {word: part.json_schema() for word, part in parts.items()}
-            sys.stdout.write(json.dumps(schemas if len(schemas) > 1 else next(iter(schemas.values())), indent=2) + "\n")
+            sys.stdout.write(
+                json.dumps(schemas if len(schemas) > 1 else next(iter(schemas.values())), indent=2)
+                + "\n"
+            )
             return 0
         for word, part in parts.items():
             sys.stdout.write(to_text(part, word) + "\n")
@@ -90,9 +102,19 @@ def _type_text(field_type: object) -> str:
     from rn_standard.tools_ros.interfaces import Array, Nested, Scalar
 
     if isinstance(field_type, Array):
-        bound = field_type.size if field_type.fixed else "" if field_type.size is None else f"<={field_type.size}"
+        bound = (
+            field_type.size
+            if field_type.fixed
+            else ""
+            if field_type.size is None
+            else f"<={field_type.size}"
+        )
         return f"{_type_text(field_type.element)}[{bound}]"
     if isinstance(field_type, Nested):
         return field_type.message.type_name
     assert isinstance(field_type, Scalar)
-    return field_type.ros if field_type.max_length is None else f"{field_type.ros}<={field_type.max_length}"
+    return (
+        field_type.ros
+        if field_type.max_length is None
+        else f"{field_type.ros}<={field_type.max_length}"
+    )

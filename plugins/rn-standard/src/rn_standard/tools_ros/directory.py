@@ -1,4 +1,6 @@
-"""find_tools and call_endpoint: the way to derived tools when there are too many of them to be listed."""
+"""find_tools and call_endpoint: the way to derived tools when there are too many of them to be
+listed.
+"""
 
 from __future__ import annotations
 
@@ -71,14 +73,18 @@ def directory_tools(tools: Callable[[], Mapping[str, Tool[Any]]]) -> list[Tool[A
             raise InvalidInputError(f"There is no endpoint tool {name!r}.", hint=hint, path="tool")
         check_role(found, context)
         answer = await found.call(arguments.arguments, context)
-        return Reply(result=EndpointResult(tool=name, result=dict(answer.structured)), pictures=answer.pictures)
+        return Reply(
+            result=EndpointResult(tool=name, result=dict(answer.structured)),
+            pictures=answer.pictures,
+        )
 
     return [
         Tool(
             name="find_tools",
             title="Find tools of the robot's interfaces",
             description=(
-                "Search the tools for topics, services and actions by words (robot, noun, verb, type); they are too "
+                "Search the tools for topics, services and actions by words (robot, noun, verb, "
+                "type); they are too "
                 "many to be listed. Call what you find with call_endpoint."
             ),
             arguments=FindTools,
@@ -90,7 +96,8 @@ def directory_tools(tools: Callable[[], Mapping[str, Tool[Any]]]) -> list[Tool[A
         Tool(
             name="call_endpoint",
             title="Call a tool that find_tools found",
-            description="Call a tool of find_tools by name, with the arguments of its input schema.",
+            description="Call a tool of find_tools by name, with the arguments of its input "
+            "schema.",
             arguments=CallEndpoint,
             result=EndpointResult,
             handler=call,
@@ -105,13 +112,17 @@ def _words(text: str) -> list[str]:
 
 
 def _rank(tools: Sequence[Tool[Any]], words: Sequence[str]) -> list[Tool[Any]]:
-    """Tools by how many words they hold, in the name before the description; all of them without words."""
+    """Tools by how many words they hold, in the name before the description; all of them
+    without words.
+    """
     if not words:
         return list(tools)
     scored = []
     for index, tool in enumerate(tools):
         name, text = tool.name, f"{tool.title} {tool.description}".lower()
-        score = sum(3 * (word in name.split("_")) + 2 * (word in name) + (word in text) for word in words)
+        score = sum(
+            3 * (word in name.split("_")) + 2 * (word in name) + (word in text) for word in words
+        )
         if score:
             scored.append((-score, len(name), index, tool))
     return [tool for *_, tool in sorted(scored, key=lambda entry: entry[:3])]

@@ -1,4 +1,6 @@
-"""Limits of discovered endpoints: what carries numbers is exposed only when something bounds all of them."""
+"""Limits of discovered endpoints: what carries numbers is exposed only when something bounds
+all of them.
+"""
 
 from __future__ import annotations
 
@@ -27,12 +29,15 @@ def check_patterns(discover: Iterable[DiscoverConfig]) -> None:
         for name in (*entry.limits, *entry.unlimited):
             full = load_interface(name).name
             if name != full:
-                raise ConfigurationError(f"[[discover]] {entry.pattern!r}: write the type in full, {full}.")
+                raise ConfigurationError(
+                    f"[[discover]] {entry.pattern!r}: write the type in full, {full}."
+                )
         for name, limits in entry.limits.items():
             for path, (low, high) in limits.items():
                 if not low <= high or not (math.isfinite(low) and math.isfinite(high)):
                     raise ConfigurationError(
-                        f"[[discover]] {entry.pattern!r}: {path} of {name} = [{low:g}, {high:g}] is no range."
+                        f"[[discover]] {entry.pattern!r}: {path} of {name} = [{low:g}, {high:g}] "
+                        "is no range."
                     )
 
 
@@ -42,10 +47,12 @@ def limit(discovered: Exposed, entry: DiscoverConfig, known: Iterable[Exposed]) 
     Args:
         discovered: without limits, and with its robot's profile.
         entry: the pattern.
-        known: what is exposed by name; an endpoint of the same robot, kind and type lends its limits.
+        known: what is exposed by name; an endpoint of the same robot, kind and type lends its
+            limits.
 
     Raises:
-        ConfigurationError: a number that may be sent is bounded by nothing, or a limit does not fit the type.
+        ConfigurationError: a number that may be sent is bounded by nothing, or a limit does not fit
+            the type.
     """
     bare = discovered.endpoint
     if bare.kind == "read":
@@ -62,20 +69,26 @@ def limit(discovered: Exposed, entry: DiscoverConfig, known: Iterable[Exposed]) 
     named = {path: (low, high) for path, (low, high) in own.items() if path != OTHERS}
     if OTHERS in own:
         low, high = own[OTHERS]
-        named |= {path: (low, high) for path in number_fields(bare) if path not in {*named, *bare.bounds}}
+        named |= {
+            path: (low, high) for path in number_fields(bare) if path not in {*named, *bare.bounds}
+        }
     limited = tighten(bare, ConfiguredLimits(bounds=named))
     check_endpoint(limited)
     free = [path for path in number_fields(limited) if path not in limited.bounds]
-    is_bounded = limited.joint_limited and bare.type in JOINT_TYPES  # what lies beside a nested command is not
+    # what lies beside a nested command is not
+    is_bounded = limited.joint_limited and bare.type in JOINT_TYPES
     if free and lender is None and not is_bounded and bare.type not in entry.unlimited:
         listed = ", ".join(free[:6]) + (" ..." if len(free) > 6 else "")
         raise ConfigurationError(
             f"nothing limits {listed} of {bare.type}.",
-            hint=f'Give [discover.limits."{bare.type}"] a range for each or for "{OTHERS}", or list it in `unlimited`.',
+            hint=f'Give [discover.limits."{bare.type}"] a range for each or for "{OTHERS}", or '
+            "list it in `unlimited`.",
         )
     if is_velocity_type(limited.kind, limited.type) and not limited.stop_message:
         limited = replace(limited, stop_message="zero")
-    return replace(discovered, endpoint=limited, clamp=lender.clamp if lender is not None else frozenset())
+    return replace(
+        discovered, endpoint=limited, clamp=lender.clamp if lender is not None else frozenset()
+    )
 
 
 def _lends(known: Exposed, discovered: Exposed) -> bool:

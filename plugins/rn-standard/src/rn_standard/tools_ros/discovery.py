@@ -21,9 +21,15 @@ Kinds = Mapping[str, Mapping[str, str]]
 """Type by absolute name, by kind."""
 _MEASURED = re.compile(r"(^|/)(joint_states|ee_pose|tf|tf_static|clock|camera/[^/]+/image)$")
 """Read, but never written by a pattern: what the robot is believed to have measured."""
-_SILENT = re.compile(r"(^|/)_|^/(rosout|parameter_events|diagnostics)$|/emergency_stop$|/transition_event$")
-"""Never exposed by a pattern: hidden names, the graph's own, and what the control plane needs for itself."""
-_PARAMETER_SERVICE = re.compile(r"/(set|get|list|describe)_parameters?(_types|_atomically)?$|/get_type_description$")
+_SILENT = re.compile(
+    r"(^|/)_|^/(rosout|parameter_events|diagnostics)$|/emergency_stop$|/transition_event$"
+)
+"""Never exposed by a pattern: hidden names, the graph's own, and what the control plane needs
+for itself.
+"""
+_PARAMETER_SERVICE = re.compile(
+    r"/(set|get|list|describe)_parameters?(_types|_atomically)?$|/get_type_description$"
+)
 
 
 class LiveGraph:
@@ -92,19 +98,38 @@ class LiveGraph:
                         count += 1
         return tuple(found.values())
 
-    def _expose(self, entry: DiscoverConfig, kind: str, name: str, type_name: str) -> Exposed | None:
+    def _expose(
+        self, entry: DiscoverConfig, kind: str, name: str, type_name: str
+    ) -> Exposed | None:
         robot = entry.robot or self._config.robot.name
-        namespace = self._config.namespace if robot == self._config.robot.name else robot.replace("-", "_")
+        namespace = (
+            self._config.namespace if robot == self._config.robot.name else robot.replace("-", "_")
+        )
         label = to_label(name.removeprefix(f"/{namespace}/"))[:48].rstrip("_")
-        endpoint = Endpoint(name=label, kind=kind, topic=name, type=type_name, summary="", rate_hz=entry.rate_hz or 0.0)
+        endpoint = Endpoint(
+            name=label,
+            kind=kind,
+            topic=name,
+            type=type_name,
+            summary="",
+            rate_hz=entry.rate_hz or 0.0,
+        )
         try:
             check_endpoint(endpoint)
             bare = Exposed(
-                robot=robot, namespace=namespace, label=label, endpoint=endpoint, profile=self._profile(robot),
-            )  # fmt: skip
+                robot=robot,
+                namespace=namespace,
+                label=label,
+                endpoint=endpoint,
+                profile=self._profile(robot),
+            )
             known = self._known()
             check_reserved(
-                bare, {self._config.namespace: self._config.robot.name, **{e.namespace: e.robot for e in known}}
+                bare,
+                {
+                    self._config.namespace: self._config.robot.name,
+                    **{e.namespace: e.robot for e in known},
+                },
             )
             exposed = limit(bare, entry, known)
             check_stop(exposed)
@@ -117,6 +142,10 @@ class LiveGraph:
 
 
 def _fits(entry: DiscoverConfig, kind: str, name: str) -> bool:
-    if not fnmatch.fnmatchcase(name, entry.pattern) or _SILENT.search(name) or _PARAMETER_SERVICE.search(name):
+    if (
+        not fnmatch.fnmatchcase(name, entry.pattern)
+        or _SILENT.search(name)
+        or _PARAMETER_SERVICE.search(name)
+    ):
         return False
     return kind != "publish" or not _MEASURED.search(name)

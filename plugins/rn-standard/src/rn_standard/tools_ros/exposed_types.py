@@ -48,7 +48,9 @@ def action_of(exposed: Exposed) -> ActionInterface:
 
 
 def number_fields(endpoint: Endpoint) -> list[str]:
-    """Paths of all numbers that may be sent to an endpoint, but for times and headers, which move nothing."""
+    """Paths of all numbers that may be sent to an endpoint, but for times and headers, which
+    move nothing.
+    """
     numbers: list[str] = []
     times: list[str] = []
     for path, element in walk_fields(sent_type(endpoint)):
@@ -66,15 +68,21 @@ def sent_types(kind: str, type_name: str) -> set[str]:
 
 
 def is_velocity_type(kind: str, type_name: str) -> bool:
-    """Whether a robot goes on at what it was told until it is told something else, so that it has to end in zero."""
+    """Whether a robot goes on at what it was told until it is told something else, so that it
+    has to end in zero.
+    """
     return kind == "publish" and type_name in _VELOCITIES
 
 
 def is_joint_limited(kind: str, type_name: str, profile: RobotProfile | None) -> bool:
-    """Whether a new endpoint takes joint commands, alone or in a goal or request, of a robot with joint limits."""
+    """Whether a new endpoint takes joint commands, alone or in a goal or request, of a robot
+    with joint limits.
+    """
     if kind == "read" or profile is None or profile.limits is None:
         return False
-    return type_name in JOINT_TYPES or any(name in JOINT_TYPES for name in sent_types(kind, type_name))
+    return type_name in JOINT_TYPES or any(
+        name in JOINT_TYPES for name in sent_types(kind, type_name)
+    )
 
 
 def renamed(exposed: Exposed, name: str) -> Exposed:

@@ -1,4 +1,6 @@
-"""expose_endpoint and unexpose_endpoint: an admin changes what agents may reach while the server runs."""
+"""expose_endpoint and unexpose_endpoint: an admin changes what agents may reach while the
+server runs.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,9 @@ class UnexposeEndpoint(Arguments):
     """Arguments of unexpose_endpoint."""
 
     name: str = Field(max_length=64, description="the endpoint, as list_topics calls it")
-    robot: str | None = Field(default=None, max_length=64, description="whose it is; the configured robot when omitted")
+    robot: str | None = Field(
+        default=None, max_length=64, description="whose it is; the configured robot when omitted"
+    )
     kind: Literal["publish", "read", "service", "action", "parameters"] | None = Field(
         default=None, description="which use of that name; all of them when omitted"
     )
@@ -32,7 +36,9 @@ class ExposureChange(Result):
 
     added: list[str] = Field(description="tools that are new")
     removed: list[str] = Field(description="tools that are gone")
-    changed: list[str] = Field(description="tools that are there with other limits, robots or texts")
+    changed: list[str] = Field(
+        description="tools that are there with other limits, robots or texts"
+    )
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -50,7 +56,9 @@ class Exposing(Protocol):
 
     def expose(self, entry: ExposeConfig, admin: Admin) -> ExposureChange: ...
 
-    def unexpose(self, robot: str | None, name: str, kind: str | None, admin: Admin) -> ExposureChange: ...
+    def unexpose(
+        self, robot: str | None, name: str, kind: str | None, admin: Admin
+    ) -> ExposureChange: ...
 
 
 def exposing_tools(path: Exposing, local_may: bool) -> list[Tool[Any]]:
@@ -58,15 +66,17 @@ def exposing_tools(path: Exposing, local_may: bool) -> list[Tool[Any]]:
 
     Args:
         path: does it.
-        local_may: clients without a token (stdio, loopback) may too; otherwise an agent that was merely started on
-            this machine could reach whatever it wants, and the allow list would be none.
+        local_may: clients without a token (stdio, loopback) may too; otherwise an agent that was
+            merely started on this machine could reach whatever it wants, and the allow list would
+            be none.
     """
 
     def admin_of(context: CallContext, tool: str, arguments: Arguments) -> Admin:
         if is_local(context.who) and not local_may:
             raise RefusedError(
                 f"{tool} needs a token with the role {ADMIN!r}; {context.who} has none.",
-                hint="Connect over HTTP with such a token, or set expose_without_token in [direct].",
+                hint="Connect over HTTP with such a token, or set expose_without_token in "
+                "[direct].",
             )
         given = arguments.model_dump(mode="json", exclude_unset=True)
         return Admin(who=context.who, role=context.role, tool=tool, arguments=given)
@@ -77,28 +87,54 @@ def exposing_tools(path: Exposing, local_may: bool) -> list[Tool[Any]]:
 
     async def unexpose(arguments: UnexposeEndpoint, context: CallContext) -> ExposureChange:
         admin = admin_of(context, "unexpose_endpoint", arguments)
-        return await context.run(lambda _: path.unexpose(arguments.robot, arguments.name, arguments.kind, admin))
+        return await context.run(
+            lambda _: path.unexpose(arguments.robot, arguments.name, arguments.kind, admin)
+        )
 
     return [
         _tool(
-            "expose_endpoint", "Expose an endpoint", "Let agents use a ROS topic, service, action or a node's "
-            "parameters, or tighten the limits of one that they may use: an [[expose]] entry of the configuration, "
-            "checked in the same way, that lasts until the server ends. Clients are told that the tools changed.",
-            ExposeEndpoint, expose,
+            "expose_endpoint",
+            "Expose an endpoint",
+            "Let agents use a ROS topic, service, action "
+            "or a node's "
+            "parameters, or tighten the limits of one that they may use: an [[expose]] entry of "
+            "the configuration, "
+            "checked in the same way, that lasts until the server ends. Clients are told that the "
+            "tools changed.",
+            ExposeEndpoint,
+            expose,
         ),
         _tool(
-            "unexpose_endpoint", "Withdraw an endpoint", "Take an endpoint away from agents until the server ends or "
-            "it is exposed again, whether it was exposed at run time, by the configuration, by a profile or found by a "
+            "unexpose_endpoint",
+            "Withdraw an endpoint",
+            "Take an endpoint away from agents until "
+            "the server ends or "
+            "it is exposed again, whether it was exposed at run time, by the configuration, by a "
+            "profile or found by a "
             "pattern. Motion through it is ended first.",
-            UnexposeEndpoint, unexpose, destructive=True,
+            UnexposeEndpoint,
+            unexpose,
+            destructive=True,
         ),
-    ]  # fmt: skip
+    ]
 
 
 def _tool(
-    name: str, title: str, text: str, arguments: type[Arguments], handler: Callable[..., Any], destructive: bool = False
+    name: str,
+    title: str,
+    text: str,
+    arguments: type[Arguments],
+    handler: Callable[..., Any],
+    destructive: bool = False,
 ) -> Tool[Any]:
     return Tool(
-        name=name, title=title, description=text, arguments=arguments, result=ExposureChange, handler=handler,
-        destructive=destructive, idempotent=True, role=ADMIN,
-    )  # fmt: skip
+        name=name,
+        title=title,
+        description=text,
+        arguments=arguments,
+        result=ExposureChange,
+        handler=handler,
+        destructive=destructive,
+        idempotent=True,
+        role=ADMIN,
+    )

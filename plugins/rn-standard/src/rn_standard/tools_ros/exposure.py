@@ -1,4 +1,6 @@
-"""What is exposed: the endpoints of robot profiles and of the configuration, checked, with limits tightened."""
+"""What is exposed: the endpoints of robot profiles and of the configuration, checked, with
+limits tightened.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,12 @@ from rn_standard.direct_path.exposed import (
 from rn_standard.direct_path.joints import JOINT_TYPES
 from rn_standard.direct_path.limits import check_endpoint
 from rn_standard.tools_ros.exposed_types import is_joint_limited, is_velocity_type, renamed
-from rn_standard.tools_ros.interfaces import LOSSLESS, MessageInterface, load_interface, load_message
+from rn_standard.tools_ros.interfaces import (
+    LOSSLESS,
+    MessageInterface,
+    load_interface,
+    load_message,
+)
 from rn_standard.tools_ros.options import DiscoverConfig, ExposeConfig, RosToolsOptions
 from rn_standard.tools_ros.parameter_nodes import ParameterNode, parameter_node, same_for_each_node
 from rn_standard.tools_ros.pattern_limits import pattern_limits
@@ -58,12 +65,15 @@ def exposure(
         added: entries of run time, which can only tighten what the others say about a topic.
 
     Raises:
-        ConfigurationError: an entry names what does not exist, is incomplete, widens a limit, or comes twice.
+        ConfigurationError: an entry names what does not exist, is incomplete, widens a limit, or
+            comes twice.
         PluginError, MissingDependencyError: a profile cannot be loaded.
     """
     robots: dict[str, _Robot] = {}
     known: dict[Use, list[Exposed]] = {}
-    """All that was said about topics, also by profiles and under a name that was given to another topic since."""
+    """All that was said about topics, also by profiles and under a name that was given to
+    another topic since.
+    """
 
     def find(name: str, namespace: str | None) -> _Robot:
         if name not in robots:
@@ -71,13 +81,17 @@ def exposure(
             profile = load_profile(registry, name) if name in registry.specs("robot") else None
             space = namespace or own
             if any(robot.namespace == space for robot in robots.values()):
-                raise ConfigurationError(f"Robot {name!r} cannot have the namespace {space!r}: another robot has it.")
+                raise ConfigurationError(
+                    f"Robot {name!r} cannot have the namespace {space!r}: another robot has it."
+                )
             robots[name] = _Robot(name=name, namespace=space, profile=profile)
             for exposed in robots[name].endpoints():
                 known.setdefault((exposed.topic, exposed.endpoint.kind), []).append(exposed)
         found = robots[name]
         if namespace is not None and namespace != found.namespace:
-            raise ConfigurationError(f"Robot {name!r} is given two namespaces, {found.namespace!r} and {namespace!r}.")
+            raise ConfigurationError(
+                f"Robot {name!r} is given two namespaces, {found.namespace!r} and {namespace!r}."
+            )
         return found
 
     drafts: dict[tuple[str, str, str], Exposed] = {}
@@ -111,7 +125,9 @@ def exposure(
 
 
 def unique(drafts: Iterable[Exposed]) -> Iterator[Exposed]:
-    """Give the endpoints of a robot names of their own where a label is used for two kinds; check each."""
+    """Give the endpoints of a robot names of their own where a label is used for two kinds;
+    check each.
+    """
     listed = list(drafts)
     labels: dict[tuple[str, str], int] = {}
     for draft in listed:
@@ -132,7 +148,8 @@ def _key(exposed: Exposed) -> tuple[str, str, str]:
 def _whole_profile(entry: ExposeConfig, robot: _Robot) -> list[Exposed]:
     if robot.profile is None:
         raise ConfigurationError(
-            f"[[expose]] for robot {robot.name!r} names no endpoint, and no installed plugin offers such a robot."
+            f"[[expose]] for robot {robot.name!r} names no endpoint, and no installed plugin "
+            "offers such a robot."
         )
     return [replace(e, moves=entry.moves, require_subscriber=entry.require_subscriber)
             for e in robot.endpoints()]  # fmt: skip
@@ -145,12 +162,19 @@ def _merge(
     known: Mapping[Use, Iterable[Exposed]],
     patterns: Iterable[DiscoverConfig],
 ) -> Exposed:
-    """The endpoint of an entry: limits on one of the profile, or a new one, within what is known about the topic."""
+    """The endpoint of an entry: limits on one of the profile, or a new one, within what is
+    known about the topic.
+    """
     assert entry.name is not None
     mine = [e for key, e in drafts.items() if key[:2] == (robot.name, entry.name)]
     own = [*mine, *(e for e in robot.endpoints() if e.label == entry.name)]
     base = next(
-        (e for e in own if entry.kind in (None, e.endpoint.kind) and entry.type in (None, e.endpoint.type)), None
+        (
+            e
+            for e in own
+            if entry.kind in (None, e.endpoint.kind) and entry.type in (None, e.endpoint.type)
+        ),
+        None,
     )
     limits = ConfiguredLimits(
         bounds={path: (low, high) for path, (low, high) in entry.bounds.items()},
@@ -194,7 +218,9 @@ def _merge(
     nonfinite = frozenset(entry.nonfinite)
     interface = load_interface(bare.type, nonfinite=nonfinite)  # raises for a path that is no float
     if (bare.kind in ("publish", "read")) is not isinstance(interface, MessageInterface):
-        raise ConfigurationError(f"Endpoint {entry.name!r}: a {bare.kind} cannot be of {bare.type}.")
+        raise ConfigurationError(
+            f"Endpoint {entry.name!r}: a {bare.kind} cannot be of {bare.type}."
+        )
     return Exposed(
         robot=robot.name,
         namespace=robot.namespace,
@@ -209,7 +235,9 @@ def _merge(
 
 
 def _stop_text(entry: ExposeConfig, type_name: str) -> str:
-    """The stop message as an `Endpoint` holds it: what agents may write in several ways is written out."""
+    """The stop message as an `Endpoint` holds it: what agents may write in several ways is
+    written out.
+    """
     given = entry.stop_message
     if isinstance(given, str):
         return given
@@ -220,8 +248,12 @@ def _stop_text(entry: ExposeConfig, type_name: str) -> str:
         raise ConfigurationError(f"The stop message of {entry.name!r}: {error}") from error
 
 
-def _not_looser(drafts: Iterable[Exposed], before: Mapping[Use, Sequence[Exposed]]) -> Iterator[Exposed]:
-    """Run time may neither free a topic of the configuration of the policy, nor let it hold more than it did."""
+def _not_looser(
+    drafts: Iterable[Exposed], before: Mapping[Use, Sequence[Exposed]]
+) -> Iterator[Exposed]:
+    """Run time may neither free a topic of the configuration of the policy, nor let it hold
+    more than it did.
+    """
     for draft in drafts:
         same = before.get((draft.topic, draft.endpoint.kind), ())
         yield same_for_each_topic([draft, *same], {})[0] if same else draft

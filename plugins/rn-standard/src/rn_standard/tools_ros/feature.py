@@ -23,7 +23,15 @@ from rn_standard.tools_ros.options import ExposeConfig, RosToolsOptions
 from rn_standard.tools_ros.parameter_calls import parameter_endpoints
 from rn_standard.tools_ros.parameters import parameter_tools
 from rn_standard.tools_ros.plugin import FEATURE
-from roboneuron import Feature, Host, InvalidInputError, RefusedError, RoboNeuronError, RobotProfile, Tool
+from roboneuron import (
+    Feature,
+    Host,
+    InvalidInputError,
+    RefusedError,
+    RoboNeuronError,
+    RobotProfile,
+    Tool,
+)
 from roboneuron.feature import AuditRecord, Config, load_profile
 
 log = logging.getLogger(__name__)
@@ -34,7 +42,8 @@ Use = tuple[str, str, str]
 
 
 class RosTools(Feature[RosToolsOptions]):
-    """Derives tools, and again when the robot, the graph or an admin changes what is exposed. Usable from any thread.
+    """Derives tools, and again when the robot, the graph or an admin changes what is exposed.
+    Usable from any thread.
 
     Attributes:
         exposed: what is exposed now.
@@ -71,7 +80,12 @@ class RosTools(Feature[RosToolsOptions]):
     def start(self, host: Host) -> None:
         """Begin to watch the graph, where the configuration wants that."""
         self._graph = LiveGraph(
-            self.options.discover, host.config, RosGraph(host), lambda: self._named, self._profile, self._on_discovered
+            self.options.discover,
+            host.config,
+            RosGraph(host),
+            lambda: self._named,
+            self._profile,
+            self._on_discovered,
         )
         self._graph.start()
 
@@ -81,7 +95,9 @@ class RosTools(Feature[RosToolsOptions]):
             self._graph.stop()
 
     def refresh(self) -> None:
-        """The robot may have changed: derive again; a failure is logged and leaves the tools as they are."""
+        """The robot may have changed: derive again; a failure is logged and leaves the tools as
+        they are.
+        """
         try:
             self._derive(self._configured())
         except RoboNeuronError as error:
@@ -100,7 +116,9 @@ class RosTools(Feature[RosToolsOptions]):
                      and entry.kind in (None, u[2])}  # fmt: skip
             return self._change((*self._added, entry), self._hidden - shown, admin)
 
-    def unexpose(self, robot: str | None, name: str, kind: str | None, admin: Admin) -> ExposureChange:
+    def unexpose(
+        self, robot: str | None, name: str, kind: str | None, admin: Admin
+    ) -> ExposureChange:
         """Withdraw an endpoint, and end motion through it; blocks.
 
         Raises:
@@ -113,24 +131,38 @@ class RosTools(Feature[RosToolsOptions]):
                     for n in self.exposed.nodes)]  # fmt: skip
             meant = {use for use in uses if use[:2] == (whose, name) and kind in (None, use[2])}
             if not meant:
-                listed = ", ".join(sorted({use[1] for use in uses if use[0] == whose})[:20]) or "none"
-                raise InvalidInputError(
-                    f"No such endpoint {name!r} of {whose!r} is exposed; exposed are: {listed}.", path="name"
+                listed = (
+                    ", ".join(sorted({use[1] for use in uses if use[0] == whose})[:20]) or "none"
                 )
-            kept = tuple(e for e in self._added if not _is_about(e, whose, name, kind, self._host.config))
+                raise InvalidInputError(
+                    f"No such endpoint {name!r} of {whose!r} is exposed; exposed are: {listed}.",
+                    path="name",
+                )
+            kept = tuple(
+                e for e in self._added if not _is_about(e, whose, name, kind, self._host.config)
+            )
             change = self._change(kept, self._hidden | meant, admin)
             gate_of(self._host).end_motions(
                 f"{name!r} was withdrawn.", _END_S, lambda exposed: use_of(exposed) in meant
             )
             return change
 
-    def _change(self, added: tuple[ExposeConfig, ...], hidden: frozenset[Use], admin: Admin) -> ExposureChange:
+    def _change(
+        self, added: tuple[ExposeConfig, ...], hidden: frozenset[Use], admin: Admin
+    ) -> ExposureChange:
         """Have another exposure: checked first, written down, then in force."""
         record = AuditRecord(
-            who=admin.who, role=admin.role, tool=admin.tool, arguments=admin.arguments, verdict="allowed"
+            who=admin.who,
+            role=admin.role,
+            tool=admin.tool,
+            arguments=admin.arguments,
+            verdict="allowed",
         )
         before = (self._added, self._hidden)
-        tools = {tool.name: (tool.input_schema(), tool.description) for tool in self._host.tools.derived(FEATURE.name)}
+        tools = {
+            tool.name: (tool.input_schema(), tool.description)
+            for tool in self._host.tools.derived(FEATURE.name)
+        }
         self._added, self._hidden = added, hidden
         try:
             configured = self._configured()
@@ -139,9 +171,14 @@ class RosTools(Feature[RosToolsOptions]):
         except RoboNeuronError as error:
             self._added, self._hidden = before
             with suppress(RefusedError):
-                self._host.audit.write(replace(record, verdict="refused", reason=error.message[:500]))
+                self._host.audit.write(
+                    replace(record, verdict="refused", reason=error.message[:500])
+                )
             raise
-        now = {tool.name: (tool.input_schema(), tool.description) for tool in self._host.tools.derived(FEATURE.name)}
+        now = {
+            tool.name: (tool.input_schema(), tool.description)
+            for tool in self._host.tools.derived(FEATURE.name)
+        }
         return ExposureChange(
             added=sorted(now.keys() - tools.keys()),
             removed=sorted(tools.keys() - now.keys()),
@@ -151,10 +188,14 @@ class RosTools(Feature[RosToolsOptions]):
     def _configured(self) -> Exposure:
         config: Config = self._host.config
         made = exposure(config, self.options, self._host.registry, self._added)
-        self._withdrawn = frozenset((e.topic, e.endpoint.kind) for e in made.endpoints if use_of(e) in self._hidden)
+        self._withdrawn = frozenset(
+            (e.topic, e.endpoint.kind) for e in made.endpoints if use_of(e) in self._hidden
+        )
         return Exposure(
             endpoints=tuple(e for e in made.endpoints if use_of(e) not in self._hidden),
-            nodes=tuple(n for n in made.nodes if (n.robot, n.name, "parameters") not in self._hidden),
+            nodes=tuple(
+                n for n in made.nodes if (n.robot, n.name, "parameters") not in self._hidden
+            ),
         )
 
     def _derive(self, configured: Exposure, taken: Iterable[str] = ()) -> None:
@@ -164,16 +205,26 @@ class RosTools(Feature[RosToolsOptions]):
             known = {*map(use_of, configured.endpoints), *self._hidden}
             # A pattern is no way around their limits, nor around an admin who withdrew a topic.
             used = {*self._withdrawn, *((e.topic, e.endpoint.kind) for e in configured.endpoints)}
-            new = [e for e in self._discovered if use_of(e) not in known and (e.topic, e.endpoint.kind) not in used]
+            new = [
+                e
+                for e in self._discovered
+                if use_of(e) not in known and (e.topic, e.endpoint.kind) not in used
+            ]
             endpoints = tuple(unique([*configured.endpoints, *new]))
             nodes = parameter_endpoints(configured.nodes)
             gate_of(self._host).expose(FEATURE.name, [*endpoints, *nodes], instead_of_profile=True)
             self.exposed = Exposure(endpoints=endpoints, nodes=configured.nodes)
             self._host.tools.replace_derived(FEATURE.name, self._make(endpoints, configured, taken))
 
-    def _make(self, endpoints: Iterable[Exposed], configured: Exposure, taken: Iterable[str]) -> list[Tool[Any]]:
+    def _make(
+        self, endpoints: Iterable[Exposed], configured: Exposure, taken: Iterable[str]
+    ) -> list[Tool[Any]]:
         settings = parameter_tools(configured.nodes, gate_of(self._host))
-        names = {*self._host.tools.names(besides=FEATURE.name), *taken, *(tool.name for tool in settings)}
+        names = {
+            *self._host.tools.names(besides=FEATURE.name),
+            *taken,
+            *(tool.name for tool in settings),
+        }
         derived = derive_tools(endpoints, self._host, names | _DIRECTORY)
         if len(derived) <= self.options.direct.listed_tools:
             return [*settings, *derived]
@@ -181,7 +232,9 @@ class RosTools(Feature[RosToolsOptions]):
         return [*settings, *directory_tools(self._searched), *unlisted]
 
     def _searched(self) -> dict[str, Tool[Any]]:
-        return {tool.name: tool for tool in self._host.tools.derived() if tool.name not in _DIRECTORY}
+        return {
+            tool.name: tool for tool in self._host.tools.derived() if tool.name not in _DIRECTORY
+        }
 
     def _profile(self, robot: str) -> RobotProfile | None:
         registry = self._host.registry
@@ -203,4 +256,7 @@ def use_of(exposed: Exposed) -> Use:
 
 
 def _is_about(entry: ExposeConfig, robot: str, name: str, kind: str | None, config: Config) -> bool:
-    return (entry.robot or config.robot.name, entry.name) == (robot, name) and kind in (None, entry.kind)
+    return (entry.robot or config.robot.name, entry.name) == (robot, name) and kind in (
+        None,
+        entry.kind,
+    )

@@ -1,4 +1,6 @@
-"""list_interfaces, describe_interface, list_topics, list_nodes: what exists, within what is exposed."""
+"""list_interfaces, describe_interface, list_topics, list_nodes: what exists, within what is
+exposed.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,9 @@ _MOST_NAMES = 300
 class ListInterfaces(Arguments):
     """Arguments of list_interfaces."""
 
-    package: str = Field(default="", max_length=100, description="Only those of this package, such as geometry_msgs.")
+    package: str = Field(
+        default="", max_length=100, description="Only those of this package, such as geometry_msgs."
+    )
 
 
 class InterfaceNames(Result):
@@ -38,7 +42,9 @@ class InterfaceNames(Result):
 class DescribeInterface(Arguments):
     """Arguments of describe_interface."""
 
-    type: str = Field(max_length=200, description="Such as geometry_msgs/msg/Twist or std_srvs/srv/SetBool.")
+    type: str = Field(
+        max_length=200, description="Such as geometry_msgs/msg/Twist or std_srvs/srv/SetBool."
+    )
 
 
 class InterfaceDescription(Result):
@@ -68,7 +74,9 @@ class TopicStatus(Result):
 class ListNames(Arguments):
     """Arguments of list_topics and list_nodes."""
 
-    contains: str = Field(default="", max_length=200, description="Only those whose name holds this text.")
+    contains: str = Field(
+        default="", max_length=200, description="Only those whose name holds this text."
+    )
     entries: int = Field(default=50, ge=1, le=200, description="Most entries.")
 
 
@@ -76,14 +84,18 @@ class TopicList(Result):
     """What is exposed."""
 
     topics: list[TopicStatus]
-    more: int = Field(description="entries that fit the call and are left out; `contains` narrows it")
+    more: int = Field(
+        description="entries that fit the call and are left out; `contains` narrows it"
+    )
 
 
 class NodeList(Result):
     """Nodes of the exposed robots."""
 
     nodes: list[str]
-    more: int = Field(description="entries that fit the call and are left out; `contains` narrows it")
+    more: int = Field(
+        description="entries that fit the call and are left out; `contains` narrows it"
+    )
 
 
 def generic_tools(exposure: Callable[[], Exposure], graph: RosGraph) -> list[Tool[Any]]:
@@ -92,7 +104,9 @@ def generic_tools(exposure: Callable[[], Exposure], graph: RosGraph) -> list[Too
     async def interfaces(arguments: ListInterfaces, context: CallContext) -> InterfaceNames:
         found = list_interfaces(arguments.package or None)
         if not found:
-            raise InvalidInputError(f"No installed package {arguments.package!r} holds interfaces.", path="package")
+            raise InvalidInputError(
+                f"No installed package {arguments.package!r} holds interfaces.", path="package"
+            )
         names = [str(name) for name in found]
         return InterfaceNames(interfaces=names[:_MOST_NAMES], more=max(0, len(names) - _MOST_NAMES))
 
@@ -103,29 +117,74 @@ def generic_tools(exposure: Callable[[], Exposure], graph: RosGraph) -> list[Too
             raise InvalidInputError(error.message, hint=error.hint, path="type") from error
 
     async def topics(arguments: ListNames, context: CallContext) -> TopicList:
-        found = [e for e in exposure().endpoints if arguments.contains in e.topic or arguments.contains in e.label]
+        found = [
+            e
+            for e in exposure().endpoints
+            if arguments.contains in e.topic or arguments.contains in e.label
+        ]
         kept = found[: arguments.entries]
         listed = await context.run(lambda _: _topics(kept, graph))
         return TopicList(topics=listed, more=len(found) - len(kept))
 
     async def nodes(arguments: ListNames, context: CallContext) -> NodeList:
-        found = [n for n in await context.run(lambda _: _nodes(exposure(), graph)) if arguments.contains in n]
-        return NodeList(nodes=found[: arguments.entries], more=max(0, len(found) - arguments.entries))
+        found = [
+            n
+            for n in await context.run(lambda _: _nodes(exposure(), graph))
+            if arguments.contains in n
+        ]
+        return NodeList(
+            nodes=found[: arguments.entries], more=max(0, len(found) - arguments.entries)
+        )
 
     return [
-        _reading("list_interfaces", "List ROS interfaces", "Names of the installed ROS messages, services and "
-                 "actions.", ListInterfaces, InterfaceNames, interfaces),
-        _reading("describe_interface", "Describe a ROS interface", "Fields, types, limits, defaults and constants of a "
-                 "ROS message, service or action, as JSON schema.", DescribeInterface, InterfaceDescription, describe),
-        _reading("list_topics", "List exposed topics", "Topics, services and actions that may be used, each with what "
-                 "the ROS graph shows of it now: type, publishers, subscribers.", ListNames, TopicList, topics),
-        _reading("list_nodes", "List nodes", "ROS nodes in the namespaces of the exposed robots, and those whose "
-                 "parameters are exposed, that are running now.", ListNames, NodeList, nodes),
-    ]  # fmt: skip
+        _reading(
+            "list_interfaces",
+            "List ROS interfaces",
+            "Names of the installed ROS messages, services and actions.",
+            ListInterfaces,
+            InterfaceNames,
+            interfaces,
+        ),
+        _reading(
+            "describe_interface",
+            "Describe a ROS interface",
+            "Fields, types, limits, "
+            "defaults and constants of a "
+            "ROS message, service or action, as JSON schema.",
+            DescribeInterface,
+            InterfaceDescription,
+            describe,
+        ),
+        _reading(
+            "list_topics",
+            "List exposed topics",
+            "Topics, services and actions that may be "
+            "used, each with what "
+            "the ROS graph shows of it now: type, publishers, subscribers.",
+            ListNames,
+            TopicList,
+            topics,
+        ),
+        _reading(
+            "list_nodes",
+            "List nodes",
+            "ROS nodes in the namespaces of the exposed robots, "
+            "and those whose "
+            "parameters are exposed, that are running now.",
+            ListNames,
+            NodeList,
+            nodes,
+        ),
+    ]
 
 
 def _reading(
-    name: str, title: str, description: str, arguments: type[Any], result: type[Result], handler: Any
+    name: str,
+    title: str,
+    description: str,
+    arguments: type[Any],
+    result: type[Result],
+    handler: Any,
 ) -> Tool[Any]:
     return Tool(
         name=name,

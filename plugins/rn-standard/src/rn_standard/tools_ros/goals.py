@@ -39,7 +39,9 @@ class _Goal:
         return "" if self.outcome is None else _STATUS_WORDS.get(self.outcome.status, "unknown")
 
     def wait(self, done: Callable[[], bool], timeout_s: float, check: Callable[[], None]) -> bool:
-        """Wait until `done`; `check` is called at least every 10 ms and may raise. False after `timeout_s`."""
+        """Wait until `done`; `check` is called at least every 10 ms and may raise. False after
+        `timeout_s`.
+        """
         deadline_s = time.monotonic() + timeout_s
         while not done():
             check()
@@ -51,7 +53,9 @@ class _Goal:
         return True
 
     def cancel(self) -> None:
-        """Ask the server to end it, by its id: also when the answer to the goal was lost. Returns at once."""
+        """Ask the server to end it, by its id: also when the answer to the goal was lost.
+        Returns at once.
+        """
         self._cancel_wanted = True
         self._cancel()
 
@@ -88,9 +92,15 @@ class GoalEnd:
 
 
 def send_goal(
-    gate: MotionGate, exposed: Exposed, request: GateRequest, *, timeout_s: float, server_s: float,
-    halt: threading.Event, on_feedback: Callable[[Any], None],
-) -> GoalEnd:  # fmt: skip
+    gate: MotionGate,
+    exposed: Exposed,
+    request: GateRequest,
+    *,
+    timeout_s: float,
+    server_s: float,
+    halt: threading.Event,
+    on_feedback: Callable[[Any], None],
+) -> GoalEnd:
     """Own the robot's motion, send the goal and wait for its result; blocks.
 
     Args:
@@ -103,7 +113,8 @@ def send_goal(
         on_feedback: called with each feedback message, on the executor's thread.
 
     Raises:
-        RefusedError: the gate, or somebody else moves the robot; also when the emergency stop ended it.
+        RefusedError: the gate, or somebody else moves the robot; also when the emergency stop ended
+            it.
         NotReadyError: nobody serves the action, or it did not end in time.
         StateError: rejected, cancelled, or a policy took over.
     """
@@ -116,9 +127,14 @@ def send_goal(
 
 
 def _follow(
-    gate: MotionGate, exposed: Exposed, request: GateRequest, motion: Motion, timeout_s: float, server_s: float,
+    gate: MotionGate,
+    exposed: Exposed,
+    request: GateRequest,
+    motion: Motion,
+    timeout_s: float,
+    server_s: float,
     on_feedback: Callable[[Any], None],
-) -> GoalEnd:  # fmt: skip
+) -> GoalEnd:
     from unique_identifier_msgs.msg import UUID  # heavy
 
     goal_id = UUID(uuid=list(uuid.uuid4().bytes))
@@ -132,7 +148,9 @@ def _follow(
         if not goal.wait(lambda: goal.accepted is not None, _ANSWER_S, motion.check):
             raise NotReadyError(f"{exposed.topic} did not answer the goal within {_ANSWER_S:g} s.")
         if not goal.accepted:
-            raise StateError(f"{exposed.topic} rejected the goal.", hint="Look at the values of the goal.")
+            raise StateError(
+                f"{exposed.topic} rejected the goal.", hint="Look at the values of the goal."
+            )
         if not goal.wait(lambda: goal.outcome is not None, timeout_s, motion.check):
             raise NotReadyError(f"The goal of {exposed.topic} did not end within {timeout_s:g} s.")
     except RoboNeuronError as error:

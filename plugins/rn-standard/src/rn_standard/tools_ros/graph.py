@@ -13,7 +13,9 @@ _FEEDBACK = "/_action/feedback"
 
 
 class RosGraph:
-    """Names, types and counts, as far as the server's node has discovered; every method raises as `Host.graph`."""
+    """Names, types and counts, as far as the server's node has discovered; every method raises
+    as `Host.graph`.
+    """
 
     def __init__(self, host: Host) -> None:
         self._host = host
@@ -36,20 +38,31 @@ class RosGraph:
         }
 
     def nodes(self) -> list[str]:
-        """Absolute names of all nodes, each once: ROS lets several nodes, and for a while dead ones, share a name."""
+        """Absolute names of all nodes, each once: ROS lets several nodes, and for a while dead
+        ones, share a name.
+        """
         found = self._host.graph.get_node_names_and_namespaces()
         return sorted({f"{space.rstrip('/')}/{name}" for name, space in found})
 
     def used(self) -> dict[str, dict[str, str]]:
-        """Type by absolute name for each kind of use: "publish" where others subscribe, "read" where they publish, ...
+        """Type by absolute name for each kind of use: "publish" where others subscribe, "read"
+        where they publish, ...
 
         Names that carry several types are left out.
         """
         node = self._host.graph
         topics = _with_one_type(self.topics())
         return {
-            "publish": {n: t for n, t in topics.items() if _others(node.get_subscriptions_info_by_topic(n), node)},
-            "read": {n: t for n, t in topics.items() if _others(node.get_publishers_info_by_topic(n), node)},
+            "publish": {
+                n: t
+                for n, t in topics.items()
+                if _others(node.get_subscriptions_info_by_topic(n), node)
+            },
+            "read": {
+                n: t
+                for n, t in topics.items()
+                if _others(node.get_publishers_info_by_topic(n), node)
+            },
             "service": _with_one_type(self.services()),
             "action": _with_one_type(self.actions()),
         }

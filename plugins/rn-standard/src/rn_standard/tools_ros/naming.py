@@ -1,4 +1,6 @@
-"""Names of derived tools: readable, at most 64 characters, unique, and the same for the same endpoints."""
+"""Names of derived tools: readable, at most 64 characters, unique, and the same for the same
+endpoints.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,8 @@ PATTERNS = {
 
 
 def tool_name(use: str, label: str, robot: str, taken: Collection[str]) -> str:
-    """The name for `label`, told apart by the robot's name, then by a digest, when another tool has it.
+    """The name for `label`, told apart by the robot's name, then by a digest, when another tool has
+    it.
 
     Args:
         use: a key of PATTERNS.
@@ -49,5 +52,7 @@ def shorten(pattern: str, label: str, *, digest: bool = False) -> str:
 
 def to_label(name: str) -> str:
     """Any ROS name as a label: lower case, underscores. "/Arm/cmd_vel" -> "arm_cmd_vel"."""
-    text = re.sub(r"[^a-z0-9]+", "_", re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()).strip("_")
+    text = re.sub(r"[^a-z0-9]+", "_", re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()).strip(
+        "_"
+    )
     return text if text[:1].isalpha() else f"x_{text}"

@@ -12,7 +12,13 @@ from rn_standard.direct_path.exposed import SET_PARAMETERS, Exposed, gate_reques
 from rn_standard.direct_path.motion_gate import MotionGate
 from rn_standard.tools_ros.interfaces import Plain, load_message
 from rn_standard.tools_ros.parameter_nodes import ParameterNode
-from rn_standard.tools_ros.parameter_values import TYPE_WORDS, check_bounds, check_exposed, to_plain, to_value
+from rn_standard.tools_ros.parameter_values import (
+    TYPE_WORDS,
+    check_bounds,
+    check_exposed,
+    to_plain,
+    to_value,
+)
 from rn_standard.tools_ros.service_calls import Response, call
 from roboneuron import Arguments, CallContext, Endpoint, InvalidInputError, RefusedError, Result
 from roboneuron.feature import Stage
@@ -25,7 +31,9 @@ class ListParameters(Arguments):
     """Arguments of list_parameters."""
 
     node: str = Field(description="Which node.")
-    timeout_s: float = Field(default=10.0, gt=0, le=300, description="How long to wait for the answer, in seconds.")
+    timeout_s: float = Field(
+        default=10.0, gt=0, le=300, description="How long to wait for the answer, in seconds."
+    )
 
 
 class NamedParameters(ListParameters):
@@ -83,10 +91,14 @@ def parameter_endpoints(nodes: Sequence[ParameterNode]) -> list[Exposed]:
             )
             made.append(
                 Exposed(
-                    robot=node.robot, namespace=node.namespace, label=endpoint.name, endpoint=endpoint,
-                    moves=node.moves, hidden=True,
+                    robot=node.robot,
+                    namespace=node.namespace,
+                    label=endpoint.name,
+                    endpoint=endpoint,
+                    moves=node.moves,
+                    hidden=True,
                 )
-            )  # fmt: skip
+            )
     return made
 
 
@@ -103,7 +115,9 @@ class ParameterCalls:
         from rcl_interfaces.srv import ListParameters as Listing  # heavy
 
         node = self._nodes[arguments.node]
-        response = await self._ask(context, "list_parameters", node, "list_parameters", Listing.Request(), arguments)
+        response = await self._ask(
+            context, "list_parameters", node, "list_parameters", Listing.Request(), arguments
+        )
         return ParameterNames(node=node.name, names=sorted(node.names & {*response.result.names}))
 
     async def describe(self, arguments: NamedParameters, context: CallContext) -> Parameters:
@@ -113,10 +127,15 @@ class ParameterCalls:
         node = self._nodes[arguments.node]
         names = _names(node, arguments)
         request = DescribeParameters.Request(names=names)
-        response = await self._ask(context, "describe_parameters", node, "describe_parameters", request, arguments)
+        response = await self._ask(
+            context, "describe_parameters", node, "describe_parameters", request, arguments
+        )
         part = load_message("rcl_interfaces/msg/ParameterDescriptor")
         found: dict[str, Plain] = {
-            d.name: {**part.decode(d), "type": TYPE_WORDS[d.type] if d.type < len(TYPE_WORDS) else "unknown"}
+            d.name: {
+                **part.decode(d),
+                "type": TYPE_WORDS[d.type] if d.type < len(TYPE_WORDS) else "unknown",
+            }
             for d in response.descriptors
         }
         return Parameters(node=node.name, parameters=found)
@@ -137,11 +156,18 @@ class ParameterCalls:
         for name, value in wanted.items():
             check_bounds(node, name, value)
         present = await self._values(context, "set_parameters", node, list(wanted), arguments)
-        entries = [Parameter(name=n, value=to_value(n, present[n][0], v)) for n, v in wanted.items()]
+        entries = [
+            Parameter(name=n, value=to_value(n, present[n][0], v)) for n, v in wanted.items()
+        ]
         request = Setter.Request(parameters=entries)
         gate_entry = self._entries[f"{node.name}_set_parameters"]
         asked = gate_request(
-            context, "set_parameters", gate_entry, [request], arguments.given(), dry_run=arguments.dry_run
+            context,
+            "set_parameters",
+            gate_entry,
+            [request],
+            arguments.given(),
+            dry_run=arguments.dry_run,
         )
         halt = threading.Event()
 
@@ -153,44 +179,69 @@ class ParameterCalls:
 
         def setting(values: dict[str, tuple[int, Plain]]) -> Setting:
             return Setting(
-                node=node.name, dry_run=verdict.dry_run, allowed=verdict.allowed, reason=verdict.reason,
+                node=node.name,
+                dry_run=verdict.dry_run,
+                allowed=verdict.allowed,
+                reason=verdict.reason,
                 parameters={n: v for n, (_, v) in values.items()},
-            )  # fmt: skip
+            )
 
         if not verdict.may_send:
             return setting(present)
-        refused = [f"{e.name}: {r.reason or 'no reason given'}"
-                   for e, r in zip(entries, response.results, strict=False) if not r.successful]  # fmt: skip
+        refused = [
+            f"{e.name}: {r.reason or 'no reason given'}"
+            for e, r in zip(entries, response.results, strict=False)
+            if not r.successful
+        ]
         if refused or len(response.results) != len(entries):
-            raise RefusedError(f"{node.node} did not accept {'; '.join(refused)[:500] or 'the parameters'}.")
+            raise RefusedError(
+                f"{node.node} did not accept {'; '.join(refused)[:500] or 'the parameters'}."
+            )
         return setting(await self._values(context, "set_parameters", node, list(wanted), arguments))
 
     async def _values(
-        self, context: CallContext, tool: str, node: ParameterNode, names: Sequence[str], arguments: ListParameters
+        self,
+        context: CallContext,
+        tool: str,
+        node: ParameterNode,
+        names: Sequence[str],
+        arguments: ListParameters,
     ) -> dict[str, tuple[int, Plain]]:
-        """Type and value of each. Raises InvalidInputError for a parameter that the node does not have."""
+        """Type and value of each. Raises InvalidInputError for a parameter that the node does
+        not have.
+        """
         from rcl_interfaces.srv import GetParameters  # heavy
 
         request = GetParameters.Request(names=names)
         response = await self._ask(context, tool, node, "get_parameters", request, arguments)
         if len(response.values) != len(names):
             unknown = ", ".join(names[:5])
-            raise InvalidInputError(f"{node.node} does not have all of: {unknown}.", hint="See list_parameters.")
+            raise InvalidInputError(
+                f"{node.node} does not have all of: {unknown}.", hint="See list_parameters."
+            )
         for name, value in zip(names, response.values, strict=True):
             if value.type == 0:
-                raise InvalidInputError(f"{node.node} has no parameter {name!r}.", hint="See list_parameters.")
+                raise InvalidInputError(
+                    f"{node.node} has no parameter {name!r}.", hint="See list_parameters."
+                )
         return {n: (int(v.type), to_plain(v)) for n, v in zip(names, response.values, strict=True)}
 
     async def _ask(
-        self, context: CallContext, tool: str, node: ParameterNode, service: str, message: Any,
+        self,
+        context: CallContext,
+        tool: str,
+        node: ParameterNode,
+        service: str,
+        message: Any,
         arguments: ListParameters,
-    ) -> Any:  # fmt: skip
+    ) -> Any:
         """The response of a service that only reads."""
         entry = self._entries[f"{node.name}_{service}"]
         request = gate_request(context, tool, entry, [message], arguments.given())
         halt = threading.Event()
         done = await context.run(
-            lambda _: call(self._gate, entry, request, arguments.timeout_s, halt), on_cancel=halt.set
+            lambda _: call(self._gate, entry, request, arguments.timeout_s, halt),
+            on_cancel=halt.set,
         )
         if done.message is None:
             raise RefusedError(done.verdict.reason)

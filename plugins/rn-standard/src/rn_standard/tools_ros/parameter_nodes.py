@@ -45,7 +45,9 @@ def parameter_node(entry: ExposeConfig, robot: str, namespace: str) -> Parameter
         ConfigurationError: it names no node, or no parameter.
     """
     if entry.name is None or entry.topic is None:
-        raise ConfigurationError("[[expose]] with kind = 'parameters' needs `name` and `topic` (the node).")
+        raise ConfigurationError(
+            "[[expose]] with kind = 'parameters' needs `name` and `topic` (the node)."
+        )
     names = frozenset((*entry.parameters, *entry.bounds))
     if not names:
         raise ConfigurationError(
@@ -67,23 +69,33 @@ def parameter_node(entry: ExposeConfig, robot: str, namespace: str) -> Parameter
 
 
 def check_parameter_name(name: str) -> None:
-    """Raise unless this is a name that means the same to everybody: ROS ends it at a NUL, others normalise it.
+    """Raise unless this is a name that means the same to everybody: ROS ends it at a NUL, others
+    normalise it.
 
     Raises:
-        ConfigurationError: it holds anything but printable ASCII without spaces, or is longer than 200 characters.
+        ConfigurationError: it holds anything but printable ASCII without spaces, or is longer than
+            200 characters.
     """
     if not _NAME.fullmatch(name):
-        raise ConfigurationError(f"{name[:60]!a} is no name of a parameter: printable ASCII without spaces.")
+        raise ConfigurationError(
+            f"{name[:60]!a} is no name of a parameter: printable ASCII without spaces."
+        )
 
 
 def check_parameter_node(node: ParameterNode, namespaces: Mapping[str, str]) -> None:
-    """Raise ConfigurationError for another robot's node, and for a module, which the supervisor alone sets."""
+    """Raise ConfigurationError for another robot's node, and for a module, which the supervisor
+    alone sets.
+    """
     owner = check_owner(node.node, node.robot, namespaces)
     if owner and is_module(node.node, owner):
-        raise ConfigurationError(f"The parameters of {node.node}, a module of RoboNeuron, cannot be exposed.")
+        raise ConfigurationError(
+            f"The parameters of {node.node}, a module of RoboNeuron, cannot be exposed."
+        )
 
 
-def same_for_each_node(nodes: Sequence[ParameterNode], namespaces: Mapping[str, str]) -> list[ParameterNode]:
+def same_for_each_node(
+    nodes: Sequence[ParameterNode], namespaces: Mapping[str, str]
+) -> list[ParameterNode]:
     """Every name of a node with the bounds, the rate and the motion of all of them.
 
     Args:
@@ -91,19 +103,23 @@ def same_for_each_node(nodes: Sequence[ParameterNode], namespaces: Mapping[str, 
         namespaces: robot by ROS namespace.
 
     Raises:
-        ConfigurationError: two bounds of one parameter have nothing in common, or the node is a module or another
-            robot's.
+        ConfigurationError: two bounds of one parameter have nothing in common, or the node is a
+            module or another robot's.
     """
     made = []
     for node in nodes:
         check_parameter_node(node, namespaces)
         names = [other for other in nodes if other.node == node.node]
         bounds = dict(node.bounds)
-        for path, (low, high) in ((path, span) for other in names for path, span in other.bounds.items()):
+        for path, (low, high) in (
+            (path, span) for other in names for path, span in other.bounds.items()
+        ):
             lowest, highest = bounds.get(path, (-math.inf, math.inf))
             bounds[path] = (max(low, lowest), min(high, highest))
             if bounds[path][0] > bounds[path][1]:
-                raise ConfigurationError(f"No value of {path!r} of {node.node} is within both of its bounds.")
+                raise ConfigurationError(
+                    f"No value of {path!r} of {node.node} is within both of its bounds."
+                )
         rates = [other.rate_hz for other in names if other.rate_hz]
         moves = any(other.moves for other in names)
         made.append(replace(node, bounds=bounds, rate_hz=min(rates, default=0.0), moves=moves))

@@ -10,11 +10,29 @@ from rn_standard.tools_ros.parameter_nodes import ParameterNode, check_parameter
 from roboneuron import ConfigurationError, InvalidInputError, RefusedError
 
 _FIELDS = {
-    1: "bool_value", 2: "integer_value", 3: "double_value", 4: "string_value", 5: "byte_array_value",
-    6: "bool_array_value", 7: "integer_array_value", 8: "double_array_value", 9: "string_array_value",
-}  # fmt: skip
+    1: "bool_value",
+    2: "integer_value",
+    3: "double_value",
+    4: "string_value",
+    5: "byte_array_value",
+    6: "bool_array_value",
+    7: "integer_array_value",
+    8: "double_array_value",
+    9: "string_array_value",
+}
 """Field of a ParameterValue by its type. Source: rcl_interfaces/msg/ParameterType."""
-TYPE_WORDS = ("not set", "bool", "integer", "double", "string", "byte[]", "bool[]", "integer[]", "double[]", "string[]")
+TYPE_WORDS = (
+    "not set",
+    "bool",
+    "integer",
+    "double",
+    "string",
+    "byte[]",
+    "bool[]",
+    "integer[]",
+    "double[]",
+    "string[]",
+)
 """What types of parameters are called."""
 
 
@@ -31,14 +49,20 @@ def check_exposed(node: ParameterNode, text: str) -> None:
         raise InvalidInputError(error.message, path="parameters") from error
     if text not in node.names:
         listed = ", ".join(sorted(node.names)[:20])
-        raise RefusedError(f"{text!r} of {node.node} is not exposed.", hint=f"Exposed are: {listed}.")
+        raise RefusedError(
+            f"{text!r} of {node.node} is not exposed.", hint=f"Exposed are: {listed}."
+        )
 
 
 def check_bounds(node: ParameterNode, name: str, value: Any) -> None:
-    """Raise InvalidInputError for what no parameter can hold, RefusedError for what is not exposed or out of bounds."""
+    """Raise InvalidInputError for what no parameter can hold, RefusedError for what is not
+    exposed or out of bounds.
+    """
     check_exposed(node, name)
     if not isinstance(value, bool | int | float | str | list):
-        raise InvalidInputError(f"Parameter {name!r} is {describe_value(value)}, expected a value or a list of values.")
+        raise InvalidInputError(
+            f"Parameter {name!r} is {describe_value(value)}, expected a value or a list of values."
+        )
     if name not in node.bounds:
         return
     low, high = node.bounds[name]
@@ -58,7 +82,9 @@ def to_plain(value: Any) -> Plain:
 
 
 def to_value(name: str, kind: int, given: Any) -> Any:
-    """A ParameterValue of the parameter's own type. Raises InvalidInputError when the value is of another."""
+    """A ParameterValue of the parameter's own type. Raises InvalidInputError when the value is
+    of another.
+    """
     from rcl_interfaces.msg import ParameterValue  # heavy
 
     try:
@@ -66,7 +92,8 @@ def to_value(name: str, kind: int, given: Any) -> Any:
         message = part.encode({_FIELDS[kind]: given}, now_ns=None)
     except InvalidInputError as error:
         raise InvalidInputError(
-            f"Parameter {name!r} is {describe_value(given)}, expected {TYPE_WORDS[kind]}.", path=f"parameters.{name}"
+            f"Parameter {name!r} is {describe_value(given)}, expected {TYPE_WORDS[kind]}.",
+            path=f"parameters.{name}",
         ) from error
     assert isinstance(message, ParameterValue)
     message.type = kind

@@ -33,42 +33,74 @@ def parameter_tools(nodes: Sequence[ParameterNode], gate: MotionGate) -> list[To
         "items": {"type": ["boolean", "number", "string"]},
     }
     named = Derived(
-        model=NamedParameters, properties={"node": node, "names": {}, "timeout_s": {}}, required=["node", "names"]
+        model=NamedParameters,
+        properties={"node": node, "names": {}, "timeout_s": {}},
+        required=["node", "names"],
     )
     limits = "; ".join(
-        f"{each.name}: " + ", ".join(f"{name} {low:g} .. {high:g}" for name, (low, high) in each.bounds.items())
+        f"{each.name}: "
+        + ", ".join(f"{name} {low:g} .. {high:g}" for name, (low, high) in each.bounds.items())
         for each in nodes
         if each.bounds
     )
     return [
         Tool(
-            name="list_parameters", title="List parameters", description="Names of the exposed parameters of a node.",
-            arguments=Derived(model=ListParameters, properties={"node": node, "timeout_s": {}}, required=["node"]),
-            result=ParameterNames, handler=calls.list, read_only=True, idempotent=True, open_world=True,
-        ),
-        Tool(
-            name="describe_parameters", title="Describe parameters",
-            description="Type, description, range and constraints of parameters of an exposed node.",
-            arguments=named, result=Parameters, handler=calls.describe, read_only=True, idempotent=True,
+            name="list_parameters",
+            title="List parameters",
+            description="Names of the exposed parameters of a node.",
+            arguments=Derived(
+                model=ListParameters, properties={"node": node, "timeout_s": {}}, required=["node"]
+            ),
+            result=ParameterNames,
+            handler=calls.list,
+            read_only=True,
+            idempotent=True,
             open_world=True,
         ),
         Tool(
-            name="get_parameters", title="Get parameters", description="Present values of parameters of a node.",
-            arguments=named, result=Parameters, handler=calls.get, read_only=True, idempotent=True, open_world=True,
+            name="describe_parameters",
+            title="Describe parameters",
+            description="Type, description, range and constraints of parameters of an exposed "
+            "node.",
+            arguments=named,
+            result=Parameters,
+            handler=calls.describe,
+            read_only=True,
+            idempotent=True,
+            open_world=True,
         ),
         Tool(
-            name="set_parameters", title="Set parameters",
+            name="get_parameters",
+            title="Get parameters",
+            description="Present values of parameters of a node.",
+            arguments=named,
+            result=Parameters,
+            handler=calls.get,
+            read_only=True,
+            idempotent=True,
+            open_world=True,
+        ),
+        Tool(
+            name="set_parameters",
+            title="Set parameters",
             description=(
-                "Set parameters of an exposed node; a value is converted to the parameter's own type. All must be "
+                "Set parameters of an exposed node; a value is converted to the parameter's own "
+                "type. All must be "
                 f"accepted.{f' Limits: {limits}.' if limits else ''}"
             ),
             arguments=Derived(
                 model=SetParameters,
                 properties={
-                    "node": node, "parameters": {"additionalProperties": value}, "timeout_s": {}, "dry_run": {},
+                    "node": node,
+                    "parameters": {"additionalProperties": value},
+                    "timeout_s": {},
+                    "dry_run": {},
                 },
                 required=["node", "parameters"],
             ),
-            result=Setting, handler=calls.set, idempotent=True, open_world=True,
+            result=Setting,
+            handler=calls.set,
+            idempotent=True,
+            open_world=True,
         ),
-    ]  # fmt: skip
+    ]

@@ -16,14 +16,22 @@ OTHERS = "*"
 
 
 def pattern_limits(endpoint: Endpoint, topic: str, patterns: Iterable[DiscoverConfig]) -> Endpoint:
-    """The endpoint with what patterns of the configuration say about numbers of its type on topics like this one."""
+    """The endpoint with what patterns of the configuration say about numbers of its type on
+    topics like this one.
+    """
     for entry in patterns:
         own = entry.limits.get(endpoint.type, {})
-        if not own or endpoint.kind not in entry.kinds or not fnmatch.fnmatchcase(topic, entry.pattern):
+        if (
+            not own
+            or endpoint.kind not in entry.kinds
+            or not fnmatch.fnmatchcase(topic, entry.pattern)
+        ):
             continue
         spans = {path: (low, high) for path, (low, high) in own.items() if path != OTHERS}
         if OTHERS in own:
             low, high = own[OTHERS]
             spans |= {path: (low, high) for path in number_fields(endpoint) if path not in spans}
-        endpoint = tightened_by(endpoint, replace(endpoint, bounds=spans, rate_hz=entry.rate_hz or 0.0))
+        endpoint = tightened_by(
+            endpoint, replace(endpoint, bounds=spans, rate_hz=entry.rate_hz or 0.0)
+        )
     return endpoint

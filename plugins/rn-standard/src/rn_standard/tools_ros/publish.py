@@ -1,4 +1,6 @@
-"""publish_<name>: one message to whoever listens, or a value that lasts and ends in the stop message."""
+"""publish_<name>: one message to whoever listens, or a value that lasts and ends in the stop
+message.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,13 @@ from pydantic import Field
 from rn_standard.direct_path.delivery import Sent
 from rn_standard.direct_path.exposed import Exposed, gate_request
 from rn_standard.direct_path.motion_gate import MotionGate
-from rn_standard.tools_ros.calls import Judged, PublishingCall, Value, encode_argument, verdict_fields
+from rn_standard.tools_ros.calls import (
+    Judged,
+    PublishingCall,
+    Value,
+    encode_argument,
+    verdict_fields,
+)
 from rn_standard.tools_ros.calls import duration_s as trajectory_s
 from rn_standard.tools_ros.exposed_types import message_of
 from rn_standard.tools_ros.steps import Step, publish_steps
@@ -46,7 +54,10 @@ class Publish(PublishingCall):
 
     message: Value = Field(default_factory=dict)
     duration_s: float = Field(
-        default=1.0, gt=0, description="How long it lasts, in seconds; then it is stopped. Joints get there within it."
+        default=1.0,
+        gt=0,
+        description="How long it lasts, in seconds; then it is stopped. Joints get there within "
+        "it.",
     )
 
 
@@ -61,19 +72,27 @@ class Publishing:
     async def __call__(self, arguments: Publish, context: CallContext) -> Delivery:
         """Raises InvalidInputError, RefusedError, NotReadyError, StateError, ConfigurationError."""
         exposed = self._targets.of(arguments.robot)
-        step = encode_step(exposed, arguments.message, arguments.duration_s if self._targets.lasting else 0.0)
+        step = encode_step(
+            exposed, arguments.message, arguments.duration_s if self._targets.lasting else 0.0
+        )
         if self._targets.trajectory:
             step.duration_s = trajectory_s(step.message)
             if step.duration_s > self._gate.max_duration_s:
                 raise InvalidInputError(
-                    f"The trajectory would last {step.duration_s:g} s, allowed is {self._gate.max_duration_s:g} s.",
+                    f"The trajectory would last {step.duration_s:g} s, allowed is "
+                    f"{self._gate.max_duration_s:g} s.",
                     path="message.points",
                 )
         request = gate_request(
-            context, self._tool, exposed, [step.message], arguments.given(),
+            context,
+            self._tool,
+            exposed,
+            [step.message],
+            arguments.given(),
             joints=self._gate.newest_joints(exposed) if exposed.endpoint.joint_limited else None,
-            durations_s=[step.duration_s] if exposed.endpoint.joint_limited else [], dry_run=arguments.dry_run,
-        )  # fmt: skip
+            durations_s=[step.duration_s] if exposed.endpoint.joint_limited else [],
+            dry_run=arguments.dry_run,
+        )
         if not step.duration_s:
             sent = self._gate.publish_now(exposed, request, stamped=step.stamped)
             if sent is not None:
@@ -82,14 +101,22 @@ class Publishing:
 
         def work(stage: Stage) -> Sent:
             return publish_steps(
-                self._gate, exposed, request, [step], timeout_s=arguments.timeout_s, stage=stage, halt=halt
+                self._gate,
+                exposed,
+                request,
+                [step],
+                timeout_s=arguments.timeout_s,
+                stage=stage,
+                halt=halt,
             )
 
         return to_delivery(exposed, await context.run(work, on_cancel=halt.set, on_leave=halt.set))
 
 
 def encode_step(exposed: Exposed, value: Mapping[str, Any], duration_s: float) -> Step:
-    """The message of a call, encoded. Raises InvalidInputError with the path inside the arguments."""
+    """The message of a call, encoded. Raises InvalidInputError with the path inside the
+    arguments.
+    """
     message = encode_argument(message_of(exposed), value, "message")
     return Step(message=message, duration_s=duration_s, stamped=is_stamp_omitted(exposed, value))
 
@@ -112,6 +139,8 @@ def to_delivery(exposed: Exposed, sent: Sent) -> Delivery:
         subscribers=sent.subscribers,
         duration_s=round(sent.duration_s, 6),
         stopped=sent.stopped,
-        clamped=[ClampedValue(path=c.path, asked=c.asked, sent=c.sent) for c in sent.verdict.clamped],
+        clamped=[
+            ClampedValue(path=c.path, asked=c.asked, sent=c.sent) for c in sent.verdict.clamped
+        ],
         **verdict_fields(sent.verdict),
     )

@@ -47,9 +47,10 @@ def messages_model(targets: Targets) -> Derived[Messages]:
     """The result, with the schema of the decoded messages."""
     own: dict[str, dict[str, Any]] = {name: {} for name in Messages.model_fields}
     return Derived(
-        model=Messages, properties=own | {"messages": {"items": decoded_schema(message_of(targets.first))}},
+        model=Messages,
+        properties=own | {"messages": {"items": decoded_schema(message_of(targets.first))}},
         required=list(own),
-    )  # fmt: skip
+    )
 
 
 class Reading:
@@ -66,14 +67,19 @@ class Reading:
         gate_of(self._host).check(gate_request(context, self._tool, exposed, (), arguments.given()))
         halt = threading.Event()
         return await context.run(
-            lambda _: self._read(exposed, arguments.count, arguments.timeout_s, halt), on_cancel=halt.set
+            lambda _: self._read(exposed, arguments.count, arguments.timeout_s, halt),
+            on_cancel=halt.set,
         )
 
     def _read(self, exposed: Exposed, count: int, timeout_s: float, halt: threading.Event) -> Reply:
         part = message_of(exposed)
         got = read_messages(self._host, exposed, count=count, timeout_s=timeout_s, halt=halt)
         if not got.messages:
-            who = "Nobody publishes" if not got.publishers else f"{got.publishers} publish, but nothing came on"
+            who = (
+                "Nobody publishes"
+                if not got.publishers
+                else f"{got.publishers} publish, but nothing came on"
+            )
             raise NotReadyError(
                 f"{who} {exposed.topic} ({exposed.endpoint.type}) within {timeout_s:g} s.",
                 hint="Start what publishes it, or look at list_topics.",
@@ -83,7 +89,10 @@ class Reading:
         pictures, note = _pictures(exposed, messages[-_PICTURES:])
         shown = newest([part.decode(message) for message in messages])
         if len(shown) < len(messages):
-            cut = f"{len(messages) - len(shown)} older messages are left out: the answer would be too long"
+            cut = (
+                f"{len(messages) - len(shown)} older messages are left out: the answer would be "
+                "too long"
+            )
             note = f"{note}; {cut}" if note else cut
         told = Messages(
             robot=exposed.robot,
@@ -99,7 +108,9 @@ class Reading:
 
 
 def newest(messages: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The last messages, at least one, of at most so many characters together as an agent can read."""
+    """The last messages, at least one, of at most so many characters together as an agent can
+    read.
+    """
     kept: list[dict[str, Any]] = []
     room = _MOST_TEXT
     for message in reversed(messages):

@@ -27,10 +27,14 @@ class Heard:
     messages: list[tuple[float, Any]] = field(default_factory=list)
 
 
-def read_messages(host: Host, exposed: Exposed, *, count: int, timeout_s: float, halt: threading.Event) -> Heard:
-    """Subscribe, take the latched message or the next `count` that come in time, and unsubscribe; blocks.
+def read_messages(
+    host: Host, exposed: Exposed, *, count: int, timeout_s: float, halt: threading.Event
+) -> Heard:
+    """Subscribe, take the latched message or the next `count` that come in time, and unsubscribe;
+    blocks.
 
-    As long as nothing has come, the subscription follows who publishes: one that left a moment ago, and is still on the
+    As long as nothing has come, the subscription follows who publishes: one that left a moment ago,
+        and is still on the
     graph, does not decide for its successor.
 
     Raises:
@@ -52,18 +56,25 @@ def read_messages(host: Host, exposed: Exposed, *, count: int, timeout_s: float,
     try:
         while True:
             infos = [] if heard.messages else host.graph.get_publishers_info_by_topic(exposed.topic)
-            foreign = [info.topic_type for info in infos if info.topic_type != exposed.endpoint.type]
+            foreign = [
+                info.topic_type for info in infos if info.topic_type != exposed.endpoint.type
+            ]
             if foreign:
                 raise ConfigurationError(
-                    f"Topic {exposed.topic} carries {foreign[0]}, it is exposed as {exposed.endpoint.type}."
+                    f"Topic {exposed.topic} carries {foreign[0]}, it is exposed as "
+                    f"{exposed.endpoint.type}."
                 )
             if infos:
                 heard.publishers = len(infos)
-                offered = {(info.qos_profile.reliability, info.qos_profile.durability) for info in infos}
+                offered = {
+                    (info.qos_profile.reliability, info.qos_profile.durability) for info in infos
+                }
                 if offered != subscribed:
                     if unsubscribe is not None:
                         unsubscribe()
-                    unsubscribe = host.subscribe(exposed.ros_type, exposed.topic, take, depth=count, latched=True)
+                    unsubscribe = host.subscribe(
+                        exposed.ros_type, exposed.topic, take, depth=count, latched=True
+                    )
                     subscribed = offered
             remaining_s = deadline_s - time.monotonic()
             if complete.wait(max(0.0, min(_POLL_S, remaining_s))) or remaining_s <= 0:

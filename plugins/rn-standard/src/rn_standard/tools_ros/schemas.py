@@ -1,4 +1,6 @@
-"""Schemas of derived tools: messages with the endpoint's limits, and what decoded messages look like."""
+"""Schemas of derived tools: messages with the endpoint's limits, and what decoded messages look
+like.
+"""
 
 from __future__ import annotations
 
@@ -6,12 +8,21 @@ import copy
 from collections.abc import Mapping
 from typing import Any
 
-from rn_standard.tools_ros.interfaces import Array, FieldType, Message, MessageInterface, Nested, Scalar
+from rn_standard.tools_ros.interfaces import (
+    Array,
+    FieldType,
+    Message,
+    MessageInterface,
+    Nested,
+    Scalar,
+)
 from rn_standard.tools_ros.interfaces.summary import SUMMARIES
 from roboneuron import Endpoint
 
 Schema = dict[str, Any]
-_OF_TYPES = frozenset({*(-(2**bits) for bits in (7, 15, 31, 63)), *(2**b - 1 for b in (7, 8, 15, 16, 31, 32, 63, 64))})
+_OF_TYPES = frozenset(
+    {*(-(2**bits) for bits in (7, 15, 31, 63)), *(2**b - 1 for b in (7, 8, 15, 16, 31, 32, 63, 64))}
+)
 """Least and greatest values of the integers of ROS."""
 _DEPTH = 4
 """Deeper messages are described as objects: the schema would be longer than what it describes."""
@@ -26,16 +37,23 @@ def message_schema(part: MessageInterface, bounds: Mapping[str, tuple[float, flo
 
 
 def _short(node: Any) -> Any:
-    """A schema that says as much in fewer words: times in seconds only, and no bounds that a type has by itself."""
+    """A schema that says as much in fewer words: times in seconds only, and no bounds that a
+    type has by itself.
+    """
     if isinstance(node, list):
         return [_short(item) for item in node]
     if not isinstance(node, dict):
         return node
     times = node.get("anyOf", ())
     if any(set(option.get("properties", ())) == {"sec", "nanosec"} for option in times):
-        return {"type": "number", "description": f"{node.get('description', 'Time').rstrip('.')} [s]."}
+        return {
+            "type": "number",
+            "description": f"{node.get('description', 'Time').rstrip('.')} [s].",
+        }
     return {
-        key: _short(value) for key, value in node.items() if not (key in ("minimum", "maximum") and value in _OF_TYPES)
+        key: _short(value)
+        for key, value in node.items()
+        if not (key in ("minimum", "maximum") and value in _OF_TYPES)
     }
 
 
@@ -74,7 +92,12 @@ def _object(message: Message, depth: int) -> Schema:
             properties[field.name] = {"type": "object", "description": "summary"}
         else:
             properties[field.name] = _type(field.type, depth, bool(field.choices))
-    return {"type": "object", "properties": properties, "required": list(properties), "additionalProperties": False}
+    return {
+        "type": "object",
+        "properties": properties,
+        "required": list(properties),
+        "additionalProperties": False,
+    }
 
 
 def _type(field_type: FieldType, depth: int, named: bool) -> Schema:

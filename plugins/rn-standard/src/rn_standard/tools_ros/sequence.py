@@ -26,14 +26,18 @@ class SequenceStep(Arguments):
     """One message, and how long it lasts."""
 
     message: Value = Field(default_factory=dict)
-    duration_s: float | None = Field(default=None, gt=0, description="How long this step lasts, in seconds.")
+    duration_s: float | None = Field(
+        default=None, gt=0, description="How long this step lasts, in seconds."
+    )
 
 
 class PublishSequence(PublishingCall):
     """Arguments of a sequence tool."""
 
     steps: Annotated[list[SequenceStep], Field(min_length=1, max_length=MAX_STEPS)]
-    times: int = Field(default=1, ge=1, le=1000, description="How often the whole sequence is played.")
+    times: int = Field(
+        default=1, ge=1, le=1000, description="How often the whole sequence is played."
+    )
 
 
 class Sequencing:
@@ -52,25 +56,39 @@ class Sequencing:
         total_s = times * sum(step.duration_s for step in steps)
         if total_s > self._gate.max_duration_s:
             raise InvalidInputError(
-                f"The sequence would last {total_s:g} s, allowed is {self._gate.max_duration_s:g} s.", path="steps"
+                f"The sequence would last {total_s:g} s, allowed is {self._gate.max_duration_s:g} "
+                "s.",
+                path="steps",
             )
         if times * len(steps) > MAX_STEPS:
-            raise InvalidInputError(f"{times} x {len(steps)} steps are more than {MAX_STEPS}.", path="times")
+            raise InvalidInputError(
+                f"{times} x {len(steps)} steps are more than {MAX_STEPS}.", path="times"
+            )
         played = steps * times
         starts_s = [0.0, *itertools.accumulate(step.duration_s for step in played)][:-1]
         joint_limited = exposed.endpoint.joint_limited  # then it matters where the step before ends
         request = gate_request(
-            context, self._tool, exposed, [step.message for step in (played if joint_limited else steps)],
+            context,
+            self._tool,
+            exposed,
+            [step.message for step in (played if joint_limited else steps)],
             arguments.given(),
             joints=self._gate.newest_joints(exposed) if joint_limited else None,
-            durations_s=[step.duration_s for step in played] if joint_limited else [], send_at_s=starts_s,
+            durations_s=[step.duration_s for step in played] if joint_limited else [],
+            send_at_s=starts_s,
             dry_run=arguments.dry_run,
-        )  # fmt: skip
+        )
         halt = threading.Event()
 
         def work(stage: Stage) -> Sent:
             return publish_steps(
-                self._gate, exposed, request, played, timeout_s=arguments.timeout_s, stage=stage, halt=halt
+                self._gate,
+                exposed,
+                request,
+                played,
+                timeout_s=arguments.timeout_s,
+                stage=stage,
+                halt=halt,
             )
 
         return to_delivery(exposed, await context.run(work, on_cancel=halt.set, on_leave=halt.set))
@@ -88,11 +106,14 @@ class Sequencing:
             most_s = self._gate.max_duration_s
             if entry.duration_s > most_s:
                 raise InvalidInputError(
-                    f"Argument 'duration_s' is {entry.duration_s:g}, expected up to {most_s:g}.", path="duration_s"
+                    f"Argument 'duration_s' is {entry.duration_s:g}, expected up to {most_s:g}.",
+                    path="duration_s",
                 )
             return encode_step(exposed, entry.message, entry.duration_s)
         except InvalidInputError as error:
             where = f"steps[{index}]"
             raise InvalidInputError(
-                f"{where}: {error.message}", hint=error.hint, path=f"{where}.{error.path}" if error.path else where
+                f"{where}: {error.message}",
+                hint=error.hint,
+                path=f"{where}.{error.path}" if error.path else where,
             ) from error

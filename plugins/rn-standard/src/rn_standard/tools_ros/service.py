@@ -23,7 +23,9 @@ class CallService(SendingCall):
     """Arguments of a service tool."""
 
     request: Value = Field(default_factory=dict)
-    timeout_s: float = Field(default=10.0, gt=0, le=300, description="How long to wait for the answer, in seconds.")
+    timeout_s: float = Field(
+        default=10.0, gt=0, le=300, description="How long to wait for the answer, in seconds."
+    )
 
 
 class Served(Judged):
@@ -41,7 +43,11 @@ def served_model(targets: Targets) -> Derived[Served]:
     interface = service_of(targets.first)
     own: dict[str, dict[str, Any]] = {name: {} for name in Served.model_fields}
     required = [name for name in own if name != "response"]
-    return Derived(model=Served, properties=own | {"response": decoded_schema(interface.response)}, required=required)
+    return Derived(
+        model=Served,
+        properties=own | {"response": decoded_schema(interface.response)},
+        required=required,
+    )
 
 
 class Calling:
@@ -67,7 +73,9 @@ class Calling:
 
         response = await context.run(work, on_cancel=halt.set)
         decoded: dict[str, Any] = (
-            {} if response.message is None else {"response": interface.response.decode(response.message)}
+            {}
+            if response.message is None
+            else {"response": interface.response.decode(response.message)}
         )
         return Served(
             robot=exposed.robot,

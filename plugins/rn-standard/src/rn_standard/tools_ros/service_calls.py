@@ -1,4 +1,6 @@
-"""Requests to the services of endpoints: wait until somebody serves it, send through the gate, wait for the answer."""
+"""Requests to the services of endpoints: wait until somebody serves it, send through the gate,
+wait for the answer.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,13 @@ class Response:
     took_s: float = 0.0
 
 
-def call(gate: MotionGate, exposed: Exposed, request: GateRequest, timeout_s: float, halt: threading.Event) -> Response:
+def call(
+    gate: MotionGate,
+    exposed: Exposed,
+    request: GateRequest,
+    timeout_s: float,
+    halt: threading.Event,
+) -> Response:
     """Send the request to the service of an endpoint and wait for the answer; blocks.
 
     Raises:
@@ -46,7 +54,8 @@ def call(gate: MotionGate, exposed: Exposed, request: GateRequest, timeout_s: fl
 
     if not changes.wait_for(is_served, timeout_s):
         raise NotReadyError(
-            f"Nobody serves {exposed.topic} within {timeout_s:g} s: nothing was sent.", hint="Start what serves it."
+            f"Nobody serves {exposed.topic} within {timeout_s:g} s: nothing was sent.",
+            hint="Start what serves it.",
         )
     verdict, pending = gate.send_request(exposed, request, changes.notify)
     if pending is None:
@@ -65,7 +74,8 @@ def call(gate: MotionGate, exposed: Exposed, request: GateRequest, timeout_s: fl
     if not answered or pending.response is None:
         pending.abandon()
         raise NotReadyError(
-            f"{exposed.topic} did not answer within {remaining_s:g} s; the request was sent and may still be carried "
+            f"{exposed.topic} did not answer within {remaining_s:g} s; the request was sent and "
+            "may still be carried "
             "out."
         )
     return Response(verdict=verdict, message=pending.response, took_s=time.monotonic() - started_s)

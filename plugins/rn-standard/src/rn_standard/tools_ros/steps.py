@@ -17,7 +17,9 @@ from roboneuron.feature import Stage
 
 @dataclass(kw_only=True, slots=True)
 class Step:
-    """A message and how long it lasts [s]; `stamped` when its header is to carry the time of sending."""
+    """A message and how long it lasts [s]; `stamped` when its header is to carry the time of
+    sending.
+    """
 
     message: Any
     duration_s: float
@@ -25,9 +27,15 @@ class Step:
 
 
 def publish_steps(
-    gate: MotionGate, exposed: Exposed, request: GateRequest, steps: Sequence[Step], *, timeout_s: float, stage: Stage,
+    gate: MotionGate,
+    exposed: Exposed,
+    request: GateRequest,
+    steps: Sequence[Step],
+    *,
+    timeout_s: float,
+    stage: Stage,
     halt: threading.Event,
-) -> Sent:  # fmt: skip
+) -> Sent:
     """Send one message, or steps that last and follow each other; blocks.
 
     Args:
@@ -58,7 +66,11 @@ def commands_of(steps: Sequence[Step], repeat_hz: float, stage: Stage) -> Iterat
         stage(f"step {number} of {len(steps)}, {due_s - began_s:.1f} of {total_s:.1f} s")
         end_s = due_s + step.duration_s
         while True:
-            yield Command(message=step.message, due_s=min(end_s, time.monotonic() + period_s), stamped=step.stamped)
+            yield Command(
+                message=step.message,
+                due_s=min(end_s, time.monotonic() + period_s),
+                stamped=step.stamped,
+            )
             if time.monotonic() >= end_s:
                 break
         due_s = end_s

@@ -28,10 +28,15 @@ class Targets:
 
     @property
     def lasting(self) -> bool:
-        """Whether a published value is given a duration: it is stopped after it, repeated, or to be reached within."""
+        """Whether a published value is given a duration: it is stopped after it, repeated, or
+        to be reached within.
+        """
         if self.trajectory:
             return False
-        return any(e.endpoint.stop_message or e.endpoint.repeat_hz or e.endpoint.joint_limited for e in self.endpoints)
+        return any(
+            e.endpoint.stop_message or e.endpoint.repeat_hz or e.endpoint.joint_limited
+            for e in self.endpoints
+        )
 
     @property
     def trajectory(self) -> bool:
@@ -55,11 +60,20 @@ class Targets:
 
 def _describe(exposed: Exposed, named: bool) -> str:
     endpoint = exposed.endpoint
-    parts = [f"{exposed.robot}: {endpoint.summary}" if named else endpoint.summary, f"On {exposed.topic}."]
+    parts = [
+        f"{exposed.robot}: {endpoint.summary}" if named else endpoint.summary,
+        f"On {exposed.topic}.",
+    ]
     if endpoint.bounds:
-        limits = [f"{path} {low:g} .. {high:g}" for path, (low, high) in endpoint.bounds.items() if low != high]
+        limits = [
+            f"{path} {low:g} .. {high:g}"
+            for path, (low, high) in endpoint.bounds.items()
+            if low != high
+        ]
         zeros = [path for path, (low, high) in endpoint.bounds.items() if low == high == 0]
-        fixed = [f"{path} = {low:g}" for path, (low, high) in endpoint.bounds.items() if low == high != 0]
+        fixed = [
+            f"{path} = {low:g}" for path, (low, high) in endpoint.bounds.items() if low == high != 0
+        ]
         if limits or fixed:
             parts.append(f"Limits: {', '.join([*limits, *fixed])}.")
         if zeros:

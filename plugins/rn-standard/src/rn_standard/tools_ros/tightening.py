@@ -35,15 +35,19 @@ def tighten(endpoint: Endpoint, limits: ConfiguredLimits) -> Endpoint:
         lowest, highest = endpoint.bounds.get(path, (-math.inf, math.inf))
         if not lowest <= low <= high <= highest:
             raise ConfigurationError(
-                f"Endpoint {endpoint.name!r}: {path} = [{low:g}, {high:g}] is not a range within the robot's "
+                f"Endpoint {endpoint.name!r}: {path} = [{low:g}, {high:g}] is not a range within "
+                "the robot's "
                 f"[{lowest:g}, {highest:g}]; limits can only be tightened."
             )
         bounds[path] = (low, high)
     for path in sorted(limits.clamp - set(bounds)):
-        raise ConfigurationError(f"Endpoint {endpoint.name!r}: {path} is to be clamped, but nothing bounds it.")
+        raise ConfigurationError(
+            f"Endpoint {endpoint.name!r}: {path} is to be clamped, but nothing bounds it."
+        )
     rate_hz = endpoint.rate_hz if limits.rate_hz is None else limits.rate_hz
     if endpoint.rate_hz and not 0.0 < rate_hz <= endpoint.rate_hz:
         raise ConfigurationError(
-            f"Endpoint {endpoint.name!r}: rate_hz = {rate_hz:g} is above the robot's {endpoint.rate_hz:g}."
+            f"Endpoint {endpoint.name!r}: rate_hz = {rate_hz:g} is above the robot's "
+            f"{endpoint.rate_hz:g}."
         )
     return replace(endpoint, bounds=bounds, rate_hz=rate_hz)

@@ -1,4 +1,5 @@
-"""Random valid values for any interface, and an independent check that a decoded message holds them.
+"""Random valid values for any interface, and an independent check that a decoded message holds
+them.
 
 Not a test file: loaded by conftest.py and by the child processes of the two-process tests.
 """
@@ -48,7 +49,9 @@ class ValueGenerator:
         self._portable = portable
 
     def value(self, message: Message) -> dict[str, Any]:
-        chosen = [f for f in message.fields if f.name in message.required or self._random.random() < 0.85]
+        chosen = [
+            f for f in message.fields if f.name in message.required or self._random.random() < 0.85
+        ]
         return {f.name: self._field(f) for f in chosen}
 
     def _field(self, field: Field) -> Any:
@@ -67,7 +70,11 @@ class ValueGenerator:
 
     def _array(self, shape: Array) -> Any:
         longest = 3 if isinstance(shape.element, Nested) else 9
-        size = shape.size if shape.fixed else self._random.randint(0, min(longest, shape.size or longest))
+        size = (
+            shape.size
+            if shape.fixed
+            else self._random.randint(0, min(longest, shape.size or longest))
+        )
         if shape.is_bytes and self._random.random() < 0.3:
             return base64.b64encode(self._random.randbytes(size or 0)).decode()
         return [self._one(shape.element) for _ in range(size or 0)]
@@ -88,8 +95,12 @@ class ValueGenerator:
         return "".join(rng.choice(letters) for _ in range(rng.randint(0, limit)))
 
 
-def differences(message: Message, given: Mapping[str, Any], decoded: Mapping[str, Any], path: str = "") -> list[str]:
-    """Where the decoded message does not hold the given value; written without the encoder's code."""
+def differences(
+    message: Message, given: Mapping[str, Any], decoded: Mapping[str, Any], path: str = ""
+) -> list[str]:
+    """Where the decoded message does not hold the given value; written without the encoder's
+    code.
+    """
     found: list[str] = []
     for field in message.fields:
         here = f"{path}.{field.name}" if path else field.name
@@ -112,7 +123,11 @@ def _compare(field: Field, kind: Any, given: Any, decoded: Any, path: str) -> li
         ]
     if isinstance(kind, Nested):
         if kind.message.is_time and not isinstance(given, Mapping):
-            return [] if decoded["sec"] + decoded["nanosec"] * 1e-9 == given else [f"{path}: {given} != {decoded}"]
+            return (
+                []
+                if decoded["sec"] + decoded["nanosec"] * 1e-9 == given
+                else [f"{path}: {given} != {decoded}"]
+            )
         return differences(kind.message, given, decoded, path)
     expected = next((c.value for c in field.choices if c.name == given), given)
     if kind.ros == "float":
@@ -125,4 +140,6 @@ def _compare(field: Field, kind: Any, given: Any, decoded: Any, path: str) -> li
 
 
 def _as_list(kind: Array, value: Any) -> list[Any]:
-    return list(base64.b64decode(value)) if kind.is_bytes and isinstance(value, str) else list(value)
+    return (
+        list(base64.b64decode(value)) if kind.is_bytes and isinstance(value, str) else list(value)
+    )

@@ -1,7 +1,8 @@
 """One end of a two-process round trip; started by the ROS tests, not a test file.
 
-`serve`: subscribes to every message type, offers every service and action; prints one JSON line per thing received.
-`send`: publishes, calls and sends goals with values drawn from the seed; prints one JSON line per answer received.
+`serve`: subscribes to every message type, offers every service and action; prints one JSON line per
+thing received. `send`: publishes, calls and sends goals with values drawn from the seed; prints one
+    JSON line per answer received.
 Both derive everything at run time and share nothing but names and the seed.
 """
 
@@ -31,7 +32,10 @@ def topic(name: str) -> str:
 
 
 def report(name: str, part: str, message: Any, interface: MessageInterface) -> None:
-    print(json.dumps({"name": name, "part": part, "value": interface.decode(message, LOSSLESS)}), flush=True)
+    print(
+        json.dumps({"name": name, "part": part, "value": interface.decode(message, LOSSLESS)}),
+        flush=True,
+    )
 
 
 def make(part: MessageInterface, seed: int) -> Any:
@@ -43,12 +47,22 @@ def serve(node: Node, names: list[str], seed: int) -> None:
         interface, parts = load_interface(name), parts_of(name)
         if interface.kind == "msg":
             node.create_subscription(
-                interface.ros_type, topic(name), lambda m, n=name, p=parts: report(n, "msg", m, p[0]), QOS
+                interface.ros_type,
+                topic(name),
+                lambda m, n=name, p=parts: report(n, "msg", m, p[0]),
+                QOS,
             )
         elif interface.kind == "srv":
-            node.create_service(interface.ros_type, topic(name), lambda q, r, n=name, p=parts: answer(n, q, p, seed))
+            node.create_service(
+                interface.ros_type, topic(name), lambda q, r, n=name, p=parts: answer(n, q, p, seed)
+            )
         else:
-            ActionServer(node, interface.ros_type, topic(name), lambda g, n=name, p=parts: execute(n, g, p, seed))
+            ActionServer(
+                node,
+                interface.ros_type,
+                topic(name),
+                lambda g, n=name, p=parts: execute(n, g, p, seed),
+            )
 
 
 def answer(name: str, request: Any, parts: Any, seed: int) -> Any:
@@ -63,7 +77,9 @@ def execute(name: str, goal: Any, parts: Any, seed: int) -> Any:
     return make(parts[1], seed)
 
 
-def send(node: Node, names: list[str], seed: int, spin: Callable[[Callable[[], bool]], None]) -> None:
+def send(
+    node: Node, names: list[str], seed: int, spin: Callable[[Callable[[], bool]], None]
+) -> None:
     for name in names:
         interface, parts = load_interface(name), parts_of(name)
         if interface.kind == "msg":
@@ -84,7 +100,9 @@ def send_goal(node: Node, name: str, interface: Any, parts: Any, seed: int, spin
     client = ActionClient(node, interface.ros_type, topic(name))
     spin(client.server_is_ready)
     seen: list[Any] = []
-    accepted = client.send_goal_async(make(parts[0], seed), feedback_callback=lambda f: seen.append(f.feedback))
+    accepted = client.send_goal_async(
+        make(parts[0], seed), feedback_callback=lambda f: seen.append(f.feedback)
+    )
     spin(accepted.done)
     result = accepted.result().get_result_async()
     spin(lambda: result.done() and bool(seen))

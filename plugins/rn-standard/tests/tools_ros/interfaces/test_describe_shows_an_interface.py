@@ -9,7 +9,9 @@ import pytest
 from roboneuron.cli.main import main
 
 
-def test_a_message_is_shown_with_types_bounds_and_choices(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_message_is_shown_with_types_bounds_and_choices(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     assert main(["describe", "sensor_msgs/NavSatFix"]) == 0
     text = capsys.readouterr().out
     assert "sensor_msgs/msg/NavSatFix (message)" in text
@@ -26,7 +28,11 @@ def test_a_service_is_shown_in_both_halves(capsys: pytest.CaptureFixture[str]) -
 
 def test_the_installed_interfaces_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["describe", "--list", "std_srvs"]) == 0
-    assert capsys.readouterr().out.split() == ["std_srvs/srv/Empty", "std_srvs/srv/SetBool", "std_srvs/srv/Trigger"]
+    assert capsys.readouterr().out.split() == [
+        "std_srvs/srv/Empty",
+        "std_srvs/srv/SetBool",
+        "std_srvs/srv/Trigger",
+    ]
 
 
 @pytest.mark.parametrize("words", [["geometry_msgs/Twits"], [], ["--list", "nothing"], ["../etc"]])

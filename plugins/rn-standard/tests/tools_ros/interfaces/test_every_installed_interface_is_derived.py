@@ -48,18 +48,33 @@ def test_a_name_without_kind_finds_the_message_first() -> None:
 
 @pytest.mark.parametrize(
     ("name", "nearest"),
-    [("geometry_msgs/msg/Twits", "geometry_msgs/msg/Twist"), ("geometry_msg/Twist", "geometry_msgs/msg/Twist"),
-     ("other_msgs/msg/Image", "sensor_msgs/msg/Image")],
-)  # fmt: skip
+    [
+        ("geometry_msgs/msg/Twits", "geometry_msgs/msg/Twist"),
+        ("geometry_msg/Twist", "geometry_msgs/msg/Twist"),
+        ("other_msgs/msg/Image", "sensor_msgs/msg/Image"),
+    ],
+)
 def test_an_unknown_name_is_answered_with_the_nearest(name: str, nearest: str) -> None:
     with pytest.raises(ConfigurationError, match=nearest):
         load_interface(name)
 
 
 @pytest.mark.parametrize(
-    "name", ["", "x", "a/b/c/d", "../msg/X", "os/msg/path", "std_msgs/msg/__init__", "std_msgs/msg/string",
-             "std_msgs.msg/X", "std_msgs/msg/String\n", "/std_msgs/String", "std_msgs//String"]
-)  # fmt: skip
+    "name",
+    [
+        "",
+        "x",
+        "a/b/c/d",
+        "../msg/X",
+        "os/msg/path",
+        "std_msgs/msg/__init__",
+        "std_msgs/msg/string",
+        "std_msgs.msg/X",
+        "std_msgs/msg/String\n",
+        "/std_msgs/String",
+        "std_msgs//String",
+    ],
+)
 def test_what_is_not_written_like_a_name_is_refused(name: str) -> None:
     with pytest.raises(ConfigurationError):
         load_interface(name)
@@ -126,9 +141,18 @@ def test_constants_go_to_the_field_they_clearly_belong_to() -> None:
     assert battery["power_supply_status"][-1] == "POWER_SUPPLY_STATUS_FULL"
     assert set(_choices("sensor_msgs/msg/NavSatStatus")) == {"status", "service"}
     assert list(_choices("rcl_interfaces/msg/Log")) == ["level"]
-    assert _choices("visualization_msgs/msg/Marker")["action"] == ["ADD", "MODIFY", "DELETE", "DELETEALL"]
-    assert _choices("shape_msgs/msg/SolidPrimitive") == {"type": ["BOX", "SPHERE", "CYLINDER", "CONE", "PRISM"]}
-    assert _choices("diagnostic_msgs/msg/DiagnosticStatus") == {"level": ["OK", "WARN", "ERROR", "STALE"]}
+    assert _choices("visualization_msgs/msg/Marker")["action"] == [
+        "ADD",
+        "MODIFY",
+        "DELETE",
+        "DELETEALL",
+    ]
+    assert _choices("shape_msgs/msg/SolidPrimitive") == {
+        "type": ["BOX", "SPHERE", "CYLINDER", "CONE", "PRISM"]
+    }
+    assert _choices("diagnostic_msgs/msg/DiagnosticStatus") == {
+        "level": ["OK", "WARN", "ERROR", "STALE"]
+    }
     assert list(_choices("nav_msgs/srv/LoadMap")) == ["result"]
 
 
@@ -170,13 +194,19 @@ def test_comments_survive_odd_idl() -> None:
 
 
 def _fake_class(fields: dict[str, str]) -> type:
-    """A class shaped like rosidl's generated ones, with names that no generator of today would allow."""
+    """A class shaped like rosidl's generated ones, with names that no generator of today would
+    allow.
+    """
 
     def init(self, **kwargs) -> None:
         for name in fields:
             setattr(self, name, 0.0)
 
-    meta = type("Metaclass_Odd", (type,), {"__prepare__": classmethod(lambda cls, name, bases, **kwargs: {})})
+    meta = type(
+        "Metaclass_Odd",
+        (type,),
+        {"__prepare__": classmethod(lambda cls, name, bases, **kwargs: {})},
+    )
     body = {
         "__module__": "odd_msgs.msg._odd",
         "__init__": init,

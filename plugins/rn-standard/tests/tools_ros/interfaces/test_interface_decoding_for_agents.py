@@ -1,4 +1,6 @@
-"""What an agent sees of large messages: summaries, pictures, names of constants; always valid JSON."""
+"""What an agent sees of large messages: summaries, pictures, names of constants; always valid
+JSON.
+"""
 
 from __future__ import annotations
 
@@ -24,14 +26,24 @@ def build(name: str, value: Any, **kwargs: Any) -> tuple[Any, Any]:
 
 
 def test_long_arrays_become_a_summary() -> None:
-    part, message = build("std_msgs/msg/Float64MultiArray", {"data": [float(i) for i in range(1000)]})
+    part, message = build(
+        "std_msgs/msg/Float64MultiArray", {"data": [float(i) for i in range(1000)]}
+    )
     summary = part.decode(message)["data"]
-    assert summary == {"length": 1000, "min": 0.0, "max": 999.0, "mean": 499.5, "first": [float(i) for i in range(8)]}
+    assert summary == {
+        "length": 1000,
+        "min": 0.0,
+        "max": 999.0,
+        "mean": 499.5,
+        "first": [float(i) for i in range(8)],
+    }
     assert part.decode(message, DecodeLimits(items=1000))["data"] == [float(i) for i in range(1000)]
 
 
 def test_summaries_count_what_is_not_finite() -> None:
-    part, message = build("std_msgs/msg/Float64MultiArray", {"data": [1.0] * 80 + ["NaN"]}, nonfinite=frozenset({"*"}))
+    part, message = build(
+        "std_msgs/msg/Float64MultiArray", {"data": [1.0] * 80 + ["NaN"]}, nonfinite=frozenset({"*"})
+    )
     summary = part.decode(message)["data"]
     assert summary["nonfinite"] == 1
     assert summary["max"] == 1.0
@@ -86,10 +98,19 @@ def test_a_scan_says_where_the_nearest_obstacle_is() -> None:
 
 
 def cloud(points: list[tuple[float, float, float]], **changes: Any) -> dict[str, Any]:
-    fields = [{"name": n, "offset": 4 * i, "datatype": "FLOAT32", "count": 1} for i, n in enumerate("xyz")]
+    fields = [
+        {"name": n, "offset": 4 * i, "datatype": "FLOAT32", "count": 1} for i, n in enumerate("xyz")
+    ]
     data = list(b"".join(struct.pack("<fff", *p) for p in points))
-    return {"height": 1, "width": len(points), "fields": fields, "point_step": 12, "row_step": 12 * len(points),
-            "data": data, **changes}  # fmt: skip
+    return {
+        "height": 1,
+        "width": len(points),
+        "fields": fields,
+        "point_step": 12,
+        "row_step": 12 * len(points),
+        "data": data,
+        **changes,
+    }
 
 
 def test_a_point_cloud_says_its_extent() -> None:
@@ -101,10 +122,18 @@ def test_a_point_cloud_says_its_extent() -> None:
 
 
 @pytest.mark.parametrize(
-    "changes", [{"point_step": 0}, {"point_step": 11}, {"width": 100}, {"width": 2**32 - 1, "height": 2**32 - 1},
-                {"row_step": 1}, {"data": []}, {"fields": [{"name": "x", "offset": 2**32 - 1, "datatype": 8}]},
-                {"fields": [{"name": "y", "datatype": 99}]}]
-)  # fmt: skip
+    "changes",
+    [
+        {"point_step": 0},
+        {"point_step": 11},
+        {"width": 100},
+        {"width": 2**32 - 1, "height": 2**32 - 1},
+        {"row_step": 1},
+        {"data": []},
+        {"fields": [{"name": "x", "offset": 2**32 - 1, "datatype": 8}]},
+        {"fields": [{"name": "y", "datatype": 99}]},
+    ],
+)
 def test_a_damaged_cloud_is_said_to_be_damaged(changes: dict[str, Any]) -> None:
     part, message = build("sensor_msgs/msg/PointCloud2", cloud([(0, 1, 2), (4, -1, 3)], **changes))
     assert "damaged" in json.dumps(part.decode(message))
@@ -144,7 +173,12 @@ def test_colour_images_come_as_pictures(encoding: str, pixels: np.ndarray) -> No
     part, message = build("sensor_msgs/msg/Image", image(encoding, pixels))
     assert part.decode(message)["data"] == {"length": pixels.nbytes, "shown_as": "image"}
     (picture,) = part.pictures(message)
-    assert (picture.mime_type, picture.width, picture.height, picture.path) == ("image/jpeg", 24, 16, "")
+    assert (picture.mime_type, picture.width, picture.height, picture.path) == (
+        "image/jpeg",
+        24,
+        16,
+        "",
+    )
     mean = opened(picture).reshape(-1, 3).mean(axis=0)
     assert mean[0] > 240
     assert mean[1:].max() < 20
@@ -174,16 +208,27 @@ def test_large_images_are_scaled_down_and_say_so() -> None:
 def test_compressed_images_are_shown_and_damaged_ones_refused() -> None:
     buffer = io.BytesIO()
     PillowImage.fromarray(RED).save(buffer, "PNG")
-    part, message = build("sensor_msgs/msg/CompressedImage", {"format": "png", "data": list(buffer.getvalue())})
+    part, message = build(
+        "sensor_msgs/msg/CompressedImage", {"format": "png", "data": list(buffer.getvalue())}
+    )
     assert part.pictures(message)[0].width == 24
-    part, broken = build("sensor_msgs/msg/CompressedImage", {"format": "png", "data": list(buffer.getvalue()[:60])})
+    part, broken = build(
+        "sensor_msgs/msg/CompressedImage", {"format": "png", "data": list(buffer.getvalue()[:60])}
+    )
     with pytest.raises(InvalidInputError, match="cannot be read"):
         part.pictures(broken)
 
 
 @pytest.mark.parametrize(
     "changes",
-    [{"encoding": "yuv422"}, {"data": [0]}, {"step": 1}, {"width": 0}, {"height": 2**32 - 1}, {"encoding": "32FC1"}],
+    [
+        {"encoding": "yuv422"},
+        {"data": [0]},
+        {"step": 1},
+        {"width": 0},
+        {"height": 2**32 - 1},
+        {"encoding": "32FC1"},
+    ],
 )
 def test_images_that_cannot_be_shown_are_refused_but_still_decoded(changes: dict[str, Any]) -> None:
     part, message = build("sensor_msgs/msg/Image", {**image("rgb8", RED), **changes})
@@ -193,7 +238,9 @@ def test_images_that_cannot_be_shown_are_refused_but_still_decoded(changes: dict
 
 
 def test_nested_images_are_found_with_their_path() -> None:
-    part, message = build("stereo_msgs/msg/DisparityImage", {"image": image("mono8", np.zeros((4, 4), np.uint8))})
+    part, message = build(
+        "stereo_msgs/msg/DisparityImage", {"image": image("mono8", np.zeros((4, 4), np.uint8))}
+    )
     assert [p.path for p in part.pictures(message)] == ["image"]
     assert part.decode(message)["image"]["data"]["shown_as"] == "image"
 
@@ -205,8 +252,13 @@ def test_another_message_type_is_refused() -> None:
 
 
 @settings(max_examples=300, deadline=None, derandomize=True, database=None)
-@given(seed=st.integers(0, 2**32 - 1), name=st.sampled_from([str(n) for n in list_interfaces() if n.kind == "msg"]))
-def test_what_was_decoded_is_json_and_can_be_encoded_again(interface_values, seed: int, name: str) -> None:
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    name=st.sampled_from([str(n) for n in list_interfaces() if n.kind == "msg"]),
+)
+def test_what_was_decoded_is_json_and_can_be_encoded_again(
+    interface_values, seed: int, name: str
+) -> None:
     part = load_message(name)
     message = part.encode(interface_values.ValueGenerator(seed).value(part.message), now_ns=seed)
     decoded = part.decode(message)

@@ -39,7 +39,9 @@ def test_a_model_encodes_to_the_same_message(name: str, interface_values) -> Non
     for seed in range(3):
         value = interface_values.ValueGenerator(seed).value(part.message)
         direct = part.decode(part.encode(value, now_ns=5), LOSSLESS)
-        assert part.decode(part.encode(part.model.model_validate(value), now_ns=5), LOSSLESS) == direct
+        assert (
+            part.decode(part.encode(part.model.model_validate(value), now_ns=5), LOSSLESS) == direct
+        )
 
 
 @pytest.mark.parametrize(

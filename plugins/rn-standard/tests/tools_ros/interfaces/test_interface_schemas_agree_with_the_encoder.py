@@ -1,6 +1,7 @@
 """JSON schemas: portable keywords only, small, and the same verdict as the encoder.
 
-What a portable schema cannot say is left out of the agreement: NUL and half surrogates in text, bytes of non-ASCII
+What a portable schema cannot say is left out of the agreement: NUL and half surrogates in text,
+    bytes of non-ASCII
 text, whether base64 is valid, integers beyond the float64 range, and the input limits.
 """
 
@@ -20,11 +21,48 @@ from roboneuron.errors import InvalidInputError
 
 NAMES = [str(name) for name in list_interfaces()]
 KEYWORDS = {
-    "type", "properties", "required", "additionalProperties", "items", "minItems", "maxItems", "minimum", "maximum",
-    "maxLength", "enum", "anyOf", "default", "description", "$defs", "$ref",
-}  # fmt: skip
-JUNK = (None, True, False, 0, 1, -1, 1.5, 2.0, -0.0, 10**20, -(10**20), 1e308, "", "a", "ADD", [], [0], [""], [[]], {},
-        {"x": 0}, {"sec": 1}, {"sec": 1.5})  # fmt: skip
+    "type",
+    "properties",
+    "required",
+    "additionalProperties",
+    "items",
+    "minItems",
+    "maxItems",
+    "minimum",
+    "maximum",
+    "maxLength",
+    "enum",
+    "anyOf",
+    "default",
+    "description",
+    "$defs",
+    "$ref",
+}
+JUNK = (
+    None,
+    True,
+    False,
+    0,
+    1,
+    -1,
+    1.5,
+    2.0,
+    -0.0,
+    10**20,
+    -(10**20),
+    1e308,
+    "",
+    "a",
+    "ADD",
+    [],
+    [0],
+    [""],
+    [[]],
+    {},
+    {"x": 0},
+    {"sec": 1},
+    {"sec": 1.5},
+)
 
 
 def check_portable(schema: Any, where: str) -> None:
@@ -59,7 +97,10 @@ def test_every_schema_is_valid_strict_and_small(interface_values) -> None:
 def test_schemas_are_inline_unless_they_grow_too_large() -> None:
     assert "$ref" not in json.dumps(load_message("nav_msgs/msg/Odometry").json_schema())
     large = load_message("test_msgs/msg/MultiNested")
-    assert len(json.dumps(large.json_schema())) < len(json.dumps(large.json_schema(inline_bytes=10**9))) / 3
+    assert (
+        len(json.dumps(large.json_schema()))
+        < len(json.dumps(large.json_schema(inline_bytes=10**9))) / 3
+    )
     assert "$ref" not in json.dumps(large.json_schema(inline_bytes=10**9))
 
 
@@ -80,14 +121,20 @@ def damage(value: Any, rng: random.Random) -> Any:
     if isinstance(value, list) and rng.random() < 0.5:
         return value[:-1] if rng.random() < 0.5 else [*value, *value, 0]
     if isinstance(value, dict) and rng.random() < 0.5:
-        return {**value, "unknown": 1} if rng.random() < 0.5 or not value else dict(list(value.items())[1:])
+        return (
+            {**value, "unknown": 1}
+            if rng.random() < 0.5 or not value
+            else dict(list(value.items())[1:])
+        )
     if isinstance(value, str) and rng.random() < 0.3:
         return value + "x" * 30
     return rng.choice(JUNK)
 
 
 def says_base64(message: Message, value: Any) -> bool:
-    """Whether some bytes field holds a text: the schema cannot tell valid base64 from other text."""
+    """Whether some bytes field holds a text: the schema cannot tell valid base64 from other
+    text.
+    """
     if not isinstance(value, dict):
         return False
     for field in message.fields:
@@ -106,7 +153,9 @@ def says_base64(message: Message, value: Any) -> bool:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_schema_and_encoder_give_the_same_verdict(name: str, interface_values) -> None:
-    validators = [(part, Draft202012Validator(part.json_schema())) for part in interface_values.parts_of(name)]
+    validators = [
+        (part, Draft202012Validator(part.json_schema())) for part in interface_values.parts_of(name)
+    ]
 
     @settings(max_examples=25, deadline=None, derandomize=True, database=None)
     @given(seed=st.integers(0, 2**32 - 1), damages=st.integers(0, 2))

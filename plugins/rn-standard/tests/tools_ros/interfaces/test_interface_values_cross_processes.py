@@ -22,12 +22,24 @@ pytest.importorskip("test_msgs", reason="pip install ros-jazzy-test-msgs")
 
 NODE = Path(__file__).parent / "round_trip_node.py"
 REPRESENTATIVE = (
-    "std_msgs/msg/Empty", "std_msgs/msg/Float64", "std_msgs/msg/ByteMultiArray", "geometry_msgs/msg/TwistStamped",
-    "geometry_msgs/msg/PoseWithCovarianceStamped", "trajectory_msgs/msg/JointTrajectory", "sensor_msgs/msg/PointCloud2",
-    "diagnostic_msgs/msg/DiagnosticArray", "visualization_msgs/msg/Marker", "test_msgs/msg/Arrays",
-    "test_msgs/msg/BoundedSequences", "test_msgs/msg/WStrings", "test_msgs/msg/MultiNested", "std_srvs/srv/SetBool",
-    "test_msgs/srv/Arrays", "rcl_interfaces/srv/SetParameters", "test_msgs/action/Fibonacci",
-)  # fmt: skip
+    "std_msgs/msg/Empty",
+    "std_msgs/msg/Float64",
+    "std_msgs/msg/ByteMultiArray",
+    "geometry_msgs/msg/TwistStamped",
+    "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "trajectory_msgs/msg/JointTrajectory",
+    "sensor_msgs/msg/PointCloud2",
+    "diagnostic_msgs/msg/DiagnosticArray",
+    "visualization_msgs/msg/Marker",
+    "test_msgs/msg/Arrays",
+    "test_msgs/msg/BoundedSequences",
+    "test_msgs/msg/WStrings",
+    "test_msgs/msg/MultiNested",
+    "std_srvs/srv/SetBool",
+    "test_msgs/srv/Arrays",
+    "rcl_interfaces/srv/SetParameters",
+    "test_msgs/action/Fibonacci",
+)
 
 
 class Child:
@@ -52,7 +64,9 @@ class Child:
         try:
             return self._lines.get(timeout=timeout_s)
         except Empty:
-            raise AssertionError(f"nothing within {timeout_s} s, exit code {self._process.poll()}") from None
+            raise AssertionError(
+                f"nothing within {timeout_s} s, exit code {self._process.poll()}"
+            ) from None
 
 
 @contextmanager
@@ -64,7 +78,9 @@ def started(role: str, seed: int, names: list[str], domain: int) -> Iterator[Chi
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
     }
     command = [sys.executable, str(NODE), role, str(seed)]
-    process = subprocess.Popen(command, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        command, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
     assert process.stdin is not None
     assert process.stdout is not None
     child = Child(process)
@@ -85,11 +101,15 @@ def started(role: str, seed: int, names: list[str], domain: int) -> Iterator[Chi
 
 
 def round_trip(names: list[str], seed: int, interface_values: Any, timeout_s: float) -> int:
-    """Send everything once and compare all that was received at both ends; returns how many messages that were."""
+    """Send everything once and compare all that was received at both ends; returns how many
+    messages that were.
+    """
     expected = {}
     for name in names:
         parts = interface_values.parts_of(name)
-        words = {1: ("msg",), 2: ("request", "response"), 3: ("goal", "result", "feedback")}[len(parts)]
+        words = {1: ("msg",), 2: ("request", "response"), 3: ("goal", "result", "feedback")}[
+            len(parts)
+        ]
         expected.update({(name, word): part for word, part in zip(words, parts, strict=True)})
     domain = free_ros_domain()
     with started("serve", seed, names, domain) as server:

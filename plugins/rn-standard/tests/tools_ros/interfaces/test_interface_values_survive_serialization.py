@@ -1,4 +1,6 @@
-"""Random valid values of every installed interface: encoded, serialised, deserialised, decoded, equal."""
+"""Random valid values of every installed interface: encoded, serialised, deserialised, decoded,
+equal.
+"""
 
 from __future__ import annotations
 
@@ -38,18 +40,25 @@ def test_a_float64_arrives_as_the_nearest_double(value: float) -> None:
 
 
 @settings(deadline=None, max_examples=200)
-@given(value=st.text(st.characters(exclude_characters="\0", exclude_categories=("Cs",)), max_size=50))
+@given(
+    value=st.text(st.characters(exclude_characters="\0", exclude_categories=("Cs",)), max_size=50)
+)
 def test_text_arrives_unchanged(value: str) -> None:
     for name in ("std_msgs/msg/String", "test_msgs/msg/WStrings"):
         part = load_message(name)
         field = part.fields[0].name
         message = part.encode({field: value}, now_ns=None)
-        assert getattr(deserialize_message(serialize_message(message), part.ros_type), field) == value
+        assert (
+            getattr(deserialize_message(serialize_message(message), part.ros_type), field) == value
+        )
 
 
 @settings(deadline=None, max_examples=100)
 @given(
-    values=st.lists(st.floats(width=32, allow_nan=False, allow_infinity=False) | st.integers(-1000, 1000), max_size=200)
+    values=st.lists(
+        st.floats(width=32, allow_nan=False, allow_infinity=False) | st.integers(-1000, 1000),
+        max_size=200,
+    )
 )
 def test_float32_lists_arrive_exactly(values: list[float]) -> None:
     part = load_message("std_msgs/msg/Float32MultiArray")
@@ -65,9 +74,13 @@ def test_defaults_are_the_definitions_own() -> None:
 
 
 def test_not_a_number_passes_only_where_it_is_configured() -> None:
-    part = load_message("sensor_msgs/msg/BatteryState", nonfinite=frozenset({"temperature", "cell_voltage"}))
+    part = load_message(
+        "sensor_msgs/msg/BatteryState", nonfinite=frozenset({"temperature", "cell_voltage"})
+    )
     value = {"temperature": "NaN", "cell_voltage": ["Infinity", 1, "-Infinity", float("nan")]}
-    received = deserialize_message(serialize_message(part.encode(value, now_ns=None)), part.ros_type)
+    received = deserialize_message(
+        serialize_message(part.encode(value, now_ns=None)), part.ros_type
+    )
     decoded = part.decode(received)
     assert decoded["temperature"] == "NaN"
     assert decoded["cell_voltage"] == ["Infinity", 1.0, "-Infinity", "NaN"]
@@ -78,9 +91,13 @@ def test_an_omitted_stamp_becomes_now_at_every_depth_and_a_given_one_stays() -> 
     now_ns = 1_700_000_000_123_456_789
     pose = load_message("geometry_msgs/msg/PoseStamped").encode({"pose": {}}, now_ns=now_ns)
     assert (pose.header.stamp.sec, pose.header.stamp.nanosec) == (1_700_000_000, 123_456_789)
-    path = load_message("nav_msgs/msg/Path").encode({"poses": [{}, {"header": {"frame_id": "map"}}]}, now_ns=now_ns)
+    path = load_message("nav_msgs/msg/Path").encode(
+        {"poses": [{}, {"header": {"frame_id": "map"}}]}, now_ns=now_ns
+    )
     assert [p.header.stamp.nanosec for p in path.poses] == [123_456_789] * 2
-    given = load_message("geometry_msgs/msg/PoseStamped").encode({"header": {"stamp": 2.5}}, now_ns=now_ns)
+    given = load_message("geometry_msgs/msg/PoseStamped").encode(
+        {"header": {"stamp": 2.5}}, now_ns=now_ns
+    )
     assert (given.header.stamp.sec, given.header.stamp.nanosec) == (2, 500_000_000)
     assert load_message("std_msgs/msg/Header").encode({}, now_ns=None).stamp.sec == 0
 
@@ -103,6 +120,8 @@ def test_only_headers_are_stamped() -> None:
 )
 def test_seconds_become_sec_and_nanosec(seconds: float, expected: tuple[int, int]) -> None:
     duration = load_message("builtin_interfaces/msg/Duration").encode({}, now_ns=None)
-    point = load_message("trajectory_msgs/msg/JointTrajectoryPoint").encode({"time_from_start": seconds}, now_ns=None)
+    point = load_message("trajectory_msgs/msg/JointTrajectoryPoint").encode(
+        {"time_from_start": seconds}, now_ns=None
+    )
     duration = point.time_from_start
     assert (duration.sec, duration.nanosec) == expected

@@ -1,4 +1,6 @@
-"""What does not fit is refused with the path, what came, and what is allowed; nothing large is echoed."""
+"""What does not fit is refused with the path, what came, and what is allowed; nothing large is
+echoed.
+"""
 
 from __future__ import annotations
 
@@ -13,8 +15,11 @@ from hypothesis import strategies as st
 from rn_standard.tools_ros.interfaces import InputLimits, list_interfaces, load_message
 from roboneuron.errors import ConfigurationError, InvalidInputError
 
-INTEGER_TYPES = {f"{sign}int{bits}": (0 if sign else -(2 ** (bits - 1)), 2 ** (bits if sign else bits - 1) - 1)
-                 for sign in ("", "u") for bits in (8, 16, 32, 64)}  # fmt: skip
+INTEGER_TYPES = {
+    f"{sign}int{bits}": (0 if sign else -(2 ** (bits - 1)), 2 ** (bits if sign else bits - 1) - 1)
+    for sign in ("", "u")
+    for bits in (8, 16, 32, 64)
+}
 
 
 def refuse(name: str, value: Any, path: str = "", **kwargs: Any) -> str:
@@ -33,7 +38,9 @@ def field_of(ros: str) -> str:
 
 
 @settings(deadline=None, max_examples=150)
-@given(ros=st.sampled_from(sorted(INTEGER_TYPES)), offset=st.integers(1, 10**30), below=st.booleans())
+@given(
+    ros=st.sampled_from(sorted(INTEGER_TYPES)), offset=st.integers(1, 10**30), below=st.booleans()
+)
 def test_integers_out_of_range(ros: str, offset: int, below: bool) -> None:
     low, high = INTEGER_TYPES[ros]
     wrong = low - offset if below else high + offset
@@ -53,7 +60,9 @@ WRONG = {
 }
 
 
-@pytest.mark.parametrize(("ros", "wrong"), [(ros, wrong) for ros, all_wrong in WRONG.items() for wrong in all_wrong])
+@pytest.mark.parametrize(
+    ("ros", "wrong"), [(ros, wrong) for ros, all_wrong in WRONG.items() for wrong in all_wrong]
+)
 def test_wrong_types_and_numbers(ros: str, wrong: Any) -> None:
     refuse("test_msgs/msg/BasicTypes", {f"{ros}_value": wrong}, f"{ros}_value")
     if not (ros in ("byte", "char") and isinstance(wrong, list)):
@@ -119,7 +128,9 @@ def test_a_wrapper_needs_its_only_field() -> None:
     load_message("std_msgs/msg/Empty").encode({}, now_ns=0)
 
 
-@pytest.mark.parametrize("wrong", ["now", True, math.nan, math.inf, 2**31, -(2**31) - 1, 1e300, None, [1, 2]])
+@pytest.mark.parametrize(
+    "wrong", ["now", True, math.nan, math.inf, 2**31, -(2**31) - 1, 1e300, None, [1, 2]]
+)
 def test_times_that_cannot_be(wrong: Any) -> None:
     refuse("std_msgs/msg/Header", {"stamp": wrong}, "stamp")
     refuse("std_msgs/msg/Header", {"stamp": {"sec": 0, "nanosec": 1_000_000_000}}, "stamp.nanosec")
@@ -144,7 +155,9 @@ def test_deep_and_large_values() -> None:
     for _ in range(100_000):
         deep = {"linear": deep}
     refuse("geometry_msgs/msg/Twist", {"linear": deep}, "linear")
-    refuse("std_msgs/msg/Float64MultiArray", {"data": [0.0] * 11}, "data", limits=InputLimits(items=10))
+    refuse(
+        "std_msgs/msg/Float64MultiArray", {"data": [0.0] * 11}, "data", limits=InputLimits(items=10)
+    )
     refuse("nav_msgs/msg/Path", {"poses": [{}] * 300_000}, "poses")
 
 
@@ -155,13 +168,19 @@ def test_a_path_that_is_no_float_cannot_be_nonfinite() -> None:
 
 JUNK = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8),
-    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=6), inner, max_size=3),
+    lambda inner: (
+        st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=6), inner, max_size=3)
+    ),
     max_leaves=8,
 )
 
 
 @settings(deadline=None, max_examples=400)
-@given(name=st.sampled_from([str(n) for n in list_interfaces() if n.kind == "msg"]), junk=JUNK, data=st.data())
+@given(
+    name=st.sampled_from([str(n) for n in list_interfaces() if n.kind == "msg"]),
+    junk=JUNK,
+    data=st.data(),
+)
 def test_junk_never_raises_anything_else(name: str, junk: Any, data: st.DataObject) -> None:
     part = load_message(name)
     field = data.draw(st.sampled_from([f.name for f in part.fields] or ["data"]))

@@ -1,4 +1,5 @@
-"""Working stand-ins for every kind of plugin and for the ROS graph, without ROS, models or hardware.
+"""Working stand-ins for every kind of plugin and for the ROS graph, without ROS, models or
+hardware.
 
 They keep the contract themselves: the kit's own tests run every rule on them.
 """
@@ -32,7 +33,10 @@ FAKE_SPECS: tuple[Spec, ...] = (
 def fake_registry(*more: Spec) -> Registry:
     """A registry that holds the fakes and `more`, all ready, as if one plugin had offered them."""
     specs = (*FAKE_SPECS, *more)
-    offers = tuple(Offer(spec=s, plugin="rn-fakes", distribution="rn-fakes", status=Status.READY) for s in specs)
+    offers = tuple(
+        Offer(spec=s, plugin="rn-fakes", distribution="rn-fakes", status=Status.READY)
+        for s in specs
+    )
     record = PluginRecord(
         name="rn-fakes",
         distribution="rn-fakes",

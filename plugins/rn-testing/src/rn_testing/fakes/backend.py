@@ -50,17 +50,23 @@ class InstantBackend:
         self._loaded = True
 
     def predict(self, observation: Observation) -> ActionChunk:
-        """The same chunk for every observation that holds a primary frame and finite proprioception."""
+        """The same chunk for every observation that holds a primary frame and finite
+        proprioception.
+        """
         if not self._loaded:
             raise StateError("The backend is not loaded; call load() first.")
         if "primary" not in observation.frames:
-            raise InvalidInputError("The observation has no frame of role 'primary'.", path="frames")
+            raise InvalidInputError(
+                "The observation has no frame of role 'primary'.", path="frames"
+            )
         if observation.joints is None:
             raise InvalidInputError("The observation has no joints.", path="joints")
         if not np.isfinite(observation.joints.position).all():
             raise UnsafeError("The observation holds a joint position that is not finite.")
         action = np.array([self._options.delta_m, 0, 0, 0, 0, 0, 1.0])
-        return ActionChunk(actions=np.tile(action, (self._options.horizon, 1)), step_s=self._options.step_s)
+        return ActionChunk(
+            actions=np.tile(action, (self._options.horizon, 1)), step_s=self._options.step_s
+        )
 
     def reset(self) -> None:
         """Nothing to forget."""
@@ -71,9 +77,16 @@ class InstantBackend:
 
 
 def make_observation(spec: BackendSpec, instruction: str = "pick up the red cube") -> Observation:
-    """An observation with exactly what `spec` declares: gradients as images, the gantry at home as state."""
+    """An observation with exactly what `spec` declares: gradients as images, the gantry at home
+    as state.
+    """
     frames = {
-        role: Frame(camera=role, image=gradient_image(320, 240, 40 * i), stamp_ns=1_000_000, frame_id=f"{role}_optical")
+        role: Frame(
+            camera=role,
+            image=gradient_image(320, 240, 40 * i),
+            stamp_ns=1_000_000,
+            frame_id=f"{role}_optical",
+        )
         for i, role in enumerate(spec.cameras)
     }
     if not spec.needs_state:
@@ -84,7 +97,9 @@ def make_observation(spec: BackendSpec, instruction: str = "pick up the red cube
         frames=frames,
         instruction=instruction,
         joints=JointSample(names=profile.arm_joints, position=profile.home_rad, stamp_ns=1_000_000),
-        ee_pose=Pose(position_m=np.array([0.4, 0.0, 0.4]), quaternion_xyzw=np.array([1.0, 0.0, 0.0, 0.0])),
+        ee_pose=Pose(
+            position_m=np.array([0.4, 0.0, 0.4]), quaternion_xyzw=np.array([1.0, 0.0, 0.0, 0.0])
+        ),
         gripper_open=1.0,
         stamp_ns=1_000_000,
     )

@@ -40,8 +40,12 @@ class GantryController:
 
     def load(self) -> None:
         """Raises ConfigurationError for robots that are no gantry."""
-        links = tuple(f'<link name="{name}"' for name in (self._profile.base_link, self._profile.tcp_link))
-        if self._profile.arm_joints != (*SLIDES, *HINGES) or any(link not in self._profile.urdf for link in links):
+        links = tuple(
+            f'<link name="{name}"' for name in (self._profile.base_link, self._profile.tcp_link)
+        )
+        if self._profile.arm_joints != (*SLIDES, *HINGES) or any(
+            link not in self._profile.urdf for link in links
+        ):
             raise ConfigurationError(f"Robot {self._profile.name!r} is no gantry.")
         self._loaded = True
 
@@ -55,14 +59,19 @@ class GantryController:
         return np.array([values[n] for n in self._profile.arm_joints])
 
     def forward(self, joints: JointSample) -> Pose:
-        """The slides are the position, the hinges yaw, pitch and roll; raises UnsafeError for joints it lacks."""
+        """The slides are the position, the hinges yaw, pitch and roll; raises UnsafeError for
+        joints it lacks.
+        """
         q = self._measured(joints)
-        yaw, pitch, roll = (matrix_from_rotvec(axis * q[3 + i]) for i, axis in enumerate(np.eye(3)[::-1]))
+        yaw, pitch, roll = (
+            matrix_from_rotvec(axis * q[3 + i]) for i, axis in enumerate(np.eye(3)[::-1])
+        )
         rotation = quaternion_from_matrix(yaw @ pitch @ roll)
         return Pose(position_m=q[:3].copy(), quaternion_xyzw=rotation, stamp_ns=joints.stamp_ns)
 
     def compute(self, action: Action, joints: JointSample, step_s: float) -> JointCommand | Hold:
-        """The joints of the target pose; holds for bad numbers, large steps and positions outside the limits.
+        """The joints of the target pose; holds for bad numbers, large steps and positions outside
+        the limits.
 
         A step that needs more than a joint's velocity limit is given more time.
         """
@@ -71,16 +80,26 @@ class GantryController:
         except UnsafeError as error:
             return Hold(code="bad_state", reason=str(error))
         if not np.isfinite(action.to_vector()).all() or not (math.isfinite(step_s) and step_s > 0):
-            return Hold(code="bad_action", reason=f"Action or step_s ({step_s}) is not finite, or there is no time.")
+            return Hold(
+                code="bad_action",
+                reason=f"Action or step_s ({step_s}) is not finite, or there is no time.",
+            )
         target = apply_delta(self.forward(joints), action)
         m = matrix_from_quaternion(target.quaternion_xyzw)
-        hinges = (math.atan2(m[1, 0], m[0, 0]), math.asin(np.clip(-m[2, 0], -1, 1)), math.atan2(m[2, 1], m[2, 2]))
+        hinges = (
+            math.atan2(m[1, 0], m[0, 0]),
+            math.asin(np.clip(-m[2, 0], -1, 1)),
+            math.atan2(m[2, 1], m[2, 2]),
+        )
         q = np.concatenate([target.position_m, hinges])
         step = float(np.abs(q - measured).max())
         limits, gripper = self._profile.limits, self._profile.gripper
         assert limits is not None
         if step > MAX_STEP:
-            return Hold(code="joint_jump", reason=f"A joint would move by {step:.3f}, the limit is {MAX_STEP}.")
+            return Hold(
+                code="joint_jump",
+                reason=f"A joint would move by {step:.3f}, the limit is {MAX_STEP}.",
+            )
         if (q < limits.lower).any() or (q > limits.upper).any():
             return Hold(code="joint_limit", reason="The target is outside the joint limits.")
         duration_s = max(step_s, float((np.abs(q - measured) / limits.velocity).max()))

@@ -1,4 +1,6 @@
-"""A runtime and an acceleration of the family "fake": decoding is counting, and pruning is counting less."""
+"""A runtime and an acceleration of the family "fake": decoding is counting, and pruning is
+counting less.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,9 @@ class FakeDecoder:
 
 
 class CountingRuntime:
-    """Follows the protocol `Runtime`: `load` takes any text as model, `run` counts the tokens of a request."""
+    """Follows the protocol `Runtime`: `load` takes any text as model, `run` counts the tokens
+    of a request.
+    """
 
     def __init__(self, config: None) -> None:
         self._decoder: FakeDecoder | None = None
@@ -35,7 +39,9 @@ class CountingRuntime:
         self._decoder = decoder
 
     def run(self, request: object) -> object:
-        """The number of words kept; raises StateError unless loaded, InvalidInputError for what is no text."""
+        """The number of words kept; raises StateError unless loaded, InvalidInputError for what
+        is no text.
+        """
         if self._decoder is None:
             raise StateError("The runtime is not loaded; call load() first.")
         if not isinstance(request, str):
@@ -59,7 +65,9 @@ class HalvingAcceleration:
     def apply(self, decoder: object) -> None:
         """Raises InvalidInputError unless `decoder` is a FakeDecoder."""
         if not isinstance(decoder, FakeDecoder):
-            raise InvalidInputError(f"The decoder is {type(decoder).__name__}, expected FakeDecoder.")
+            raise InvalidInputError(
+                f"The decoder is {type(decoder).__name__}, expected FakeDecoder."
+            )
         decoder.kept_fraction = self._kept_fraction
 
 

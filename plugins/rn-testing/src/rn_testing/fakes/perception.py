@@ -9,7 +9,15 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from roboneuron import CameraProfile, ConfigurationError, Frame, NotReadyError, PerceptionSpec, StateError, Topics
+from roboneuron import (
+    CameraProfile,
+    ConfigurationError,
+    Frame,
+    NotReadyError,
+    PerceptionSpec,
+    StateError,
+    Topics,
+)
 
 
 def gradient_image(width: int = 64, height: int = 48, shade: int = 0) -> NDArray[np.uint8]:
@@ -37,7 +45,9 @@ class ControlledSource:
             raise ConfigurationError("The source has no camera to serve.")
         self._is_open = True
 
-    def show(self, camera: str, image: NDArray[np.uint8] | None = None, stamp_ns: int | None = None) -> None:
+    def show(
+        self, camera: str, image: NDArray[np.uint8] | None = None, stamp_ns: int | None = None
+    ) -> None:
         """Make a frame arrive (a gradient when `image` is None); may be called from any thread."""
         profile = self._cameras[camera]
         frame = Frame(
@@ -52,7 +62,9 @@ class ControlledSource:
             self._changed.notify_all()
 
     def read(self, timeout_s: float) -> Frame:
-        """The oldest frame not read yet; raises NotReadyError when none comes in time, StateError unless open."""
+        """The oldest frame not read yet; raises NotReadyError when none comes in time,
+        StateError unless open.
+        """
         with self._changed:
             if not self._is_open:
                 raise StateError("The source is not open; call open() first.")

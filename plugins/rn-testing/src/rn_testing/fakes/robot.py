@@ -1,4 +1,6 @@
-"""A robot that exists in memory: a gantry of three slides that carries a wrist of three hinges, and its driver."""
+"""A robot that exists in memory: a gantry of three slides that carries a wrist of three hinges,
+and its driver.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +38,14 @@ FINGER = "finger"
 FINGER_BOUNDS = (0.0, 0.04, 0.1)
 """Its lower and upper position [m] and its velocity limit [m/s]."""
 
-_AXES = {"slide_x": "1 0 0", "slide_y": "0 1 0", "slide_z": "0 0 1", "yaw": "0 0 1", "pitch": "0 1 0", "roll": "1 0 0"}
+_AXES = {
+    "slide_x": "1 0 0",
+    "slide_y": "0 1 0",
+    "slide_z": "0 0 1",
+    "yaw": "0 0 1",
+    "pitch": "0 1 0",
+    "roll": "1 0 0",
+}
 _LOWER = np.array([-1.0, -1.0, -1.0, -3.0, -1.4, -3.0])
 _HOME = np.array([0.1, -0.2, 0.3, 0.2, 0.1, -0.1])
 
@@ -73,7 +82,9 @@ def _urdf() -> str:
 
 
 def gantry_profile() -> RobotProfile:
-    """The fake robot's profile: six joints whose TCP pose is their position, a gripper, two cameras."""
+    """The fake robot's profile: six joints whose TCP pose is their position, a gripper, two
+    cameras.
+    """
     return RobotProfile(
         name="gantry",
         urdf=_urdf(),
@@ -90,7 +101,9 @@ def gantry_profile() -> RobotProfile:
         home_rad=_HOME.copy(),
         gripper=GripperProfile(joint=FINGER, closed_position=0.0, open_position=0.04),
         cameras=(
-            CameraProfile(name="front", role="primary", frame_id="front_optical", width=64, height=48),
+            CameraProfile(
+                name="front", role="primary", frame_id="front_optical", width=64, height=48
+            ),
             CameraProfile(name="hand", role="wrist", frame_id="hand_optical", width=64, height=48),
         ),
         workspace=Workspace(lower_m=np.full(3, -0.9), upper_m=np.full(3, 0.9)),
@@ -107,9 +120,13 @@ def gantry_profile() -> RobotProfile:
 
 
 class FakeDriver:
-    """Follows the protocol `RobotDriver`; joints go straight to where they are sent, by the clock."""
+    """Follows the protocol `RobotDriver`; joints go straight to where they are sent, by the
+    clock.
+    """
 
-    def __init__(self, config: FakeDriverOptions | None, profile: RobotProfile, topics: Topics) -> None:
+    def __init__(
+        self, config: FakeDriverOptions | None, profile: RobotProfile, topics: Topics
+    ) -> None:
         self._options = config or FakeDriverOptions()
         self._profile = profile
         self._topics = topics
@@ -128,14 +145,21 @@ class FakeDriver:
         self._move(here, here, 0.0)
 
     def _move(self, start: dict[str, float], goal: dict[str, float], duration_s: float) -> None:
-        self._start, self._goal, self._begun_s, self._duration_s = start, goal, time.monotonic(), duration_s
+        self._start, self._goal, self._begun_s, self._duration_s = (
+            start,
+            goal,
+            time.monotonic(),
+            duration_s,
+        )
 
     def _positions(self) -> dict[str, float]:
         if self._start is None:
             raise StateError("The fake robot is not open; call open() first.")
         passed_s = time.monotonic() - self._begun_s
         share = 1.0 if passed_s >= self._duration_s else passed_s / self._duration_s
-        return {name: start + share * (self._goal[name] - start) for name, start in self._start.items()}
+        return {
+            name: start + share * (self._goal[name] - start) for name, start in self._start.items()
+        }
 
     def _velocity(self, name: str) -> float:
         assert self._start is not None
@@ -160,24 +184,35 @@ class FakeDriver:
         """Start moving, for longer than asked where the velocity limits demand it.
 
         Raises:
-            InvalidInputError: an unknown joint, a position that is not finite or outside the limits, no duration.
+            InvalidInputError: an unknown joint, a position that is not finite or outside the
+                limits, no duration.
         """
         here = self._positions()
         limits = self._profile.limits
         assert limits is not None
         if command.position.shape != (len(command.names),):
-            raise InvalidInputError(f"A command names {len(command.names)} joints, got {command.position.shape}.")
+            raise InvalidInputError(
+                f"A command names {len(command.names)} joints, got {command.position.shape}."
+            )
         if not (math.isfinite(command.duration_s) and command.duration_s > 0):
-            raise InvalidInputError(f"A command lasts {command.duration_s} s, expected more than 0.")
-        rows = zip(limits.lower.tolist(), limits.upper.tolist(), limits.velocity.tolist(), strict=True)
+            raise InvalidInputError(
+                f"A command lasts {command.duration_s} s, expected more than 0."
+            )
+        rows = zip(
+            limits.lower.tolist(), limits.upper.tolist(), limits.velocity.tolist(), strict=True
+        )
         bounds = dict(zip(self._profile.arm_joints, rows, strict=True))
         duration_s = command.duration_s
         for name, position in zip(command.names, command.position.tolist(), strict=True):
             if name not in here:
-                raise InvalidInputError(f"The robot has no joint {name!r}, expected some of {', '.join(here)}.")
+                raise InvalidInputError(
+                    f"The robot has no joint {name!r}, expected some of {', '.join(here)}."
+                )
             low, high, velocity = bounds.get(name, FINGER_BOUNDS)
             if not low <= position <= high:
-                raise InvalidInputError(f"Joint {name!r} is sent to {position}, expected {low:g} .. {high:g}.")
+                raise InvalidInputError(
+                    f"Joint {name!r} is sent to {position}, expected {low:g} .. {high:g}."
+                )
             duration_s = max(duration_s, abs(position - here[name]) / velocity)
         goal = {**here, **dict(zip(command.names, command.position.tolist(), strict=True))}
         self._move(here, goal, duration_s)

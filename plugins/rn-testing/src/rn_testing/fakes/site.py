@@ -26,7 +26,13 @@ class PluginSite:
     path: Path
 
     def install(
-        self, distribution: str, source: str, *, version: str = "1.0", value: str | None = None, header: str = HEADER
+        self,
+        distribution: str,
+        source: str,
+        *,
+        version: str = "1.0",
+        value: str | None = None,
+        header: str = HEADER,
     ) -> None:
         """Write a distribution with one plugin module that holds `source`."""
         self.path.mkdir(exist_ok=True)
@@ -34,18 +40,29 @@ class PluginSite:
         (self.path / f"{module}.py").write_text(header + source)
         info = self.path / f"{distribution.replace('-', '_')}-{version}.dist-info"
         info.mkdir()
-        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {distribution}\nVersion: {version}\n")
-        (info / "entry_points.txt").write_text(f"[roboneuron]\n{distribution} = {value or module}\n")
+        (info / "METADATA").write_text(
+            f"Metadata-Version: 2.1\nName: {distribution}\nVersion: {version}\n"
+        )
+        (info / "entry_points.txt").write_text(
+            f"[roboneuron]\n{distribution} = {value or module}\n"
+        )
 
     def discover(self, disabled: Collection[str] = ()) -> Registry:
         """Discover the plugins of this site only."""
-        points = [p for d in distributions(path=[str(self.path)]) for p in d.entry_points if p.group == "roboneuron"]
+        points = [
+            p
+            for d in distributions(path=[str(self.path)])
+            for p in d.entry_points
+            if p.group == "roboneuron"
+        ]
         return discover_from(points, disabled)
 
 
 @contextmanager
 def plugin_site(path: Path) -> Iterator[PluginSite]:
-    """A new site in `path`, first on `sys.path`; in the end modules that were imported from it are forgotten."""
+    """A new site in `path`, first on `sys.path`; in the end modules that were imported from it
+    are forgotten.
+    """
     path.mkdir()
     sys.path.insert(0, str(path))
     before = set(sys.modules)

@@ -26,7 +26,12 @@ class TickingSource:
         self._index += 1
         camera = self._cameras[self._index % len(self._cameras)]
         image = gradient_image(camera.width, camera.height)
-        return Frame(camera=camera.name, image=image, stamp_ns=self._topics.now_ns(), frame_id=camera.frame_id)
+        return Frame(
+            camera=camera.name,
+            image=image,
+            stamp_ns=self._topics.now_ns(),
+            frame_id=camera.frame_id,
+        )
 
     def close(self) -> None:
         """Nothing to close."""
@@ -57,4 +62,8 @@ def roboneuron_backends() -> tuple[Spec, ...]:
 @hookimpl
 def roboneuron_perceptions() -> tuple[Spec, ...]:
     """The ticking camera."""
-    return (PerceptionSpec(name="ticking", summary="20 frames per second.", target=f"{__name__}:TickingSource"),)
+    return (
+        PerceptionSpec(
+            name="ticking", summary="20 frames per second.", target=f"{__name__}:TickingSource"
+        ),
+    )

@@ -12,7 +12,8 @@ M = TypeVar("M")
 
 
 class MemoryTopics:
-    """Follows the protocol `Topics`; messages are handed to subscribers at once, in the publisher's thread.
+    """Follows the protocol `Topics`; messages are handed to subscribers at once, in the publisher's
+    thread.
 
     Args:
         now_ns: clock for stamps; the system's wall clock when None.
@@ -23,11 +24,18 @@ class MemoryTopics:
         self._now_ns = now_ns or time.time_ns
         self._subscribers: defaultdict[str, list[Callable[[Any], None]]] = defaultdict(list)
         self._advertised: list[tuple[str, type]] = []
-        self._published: defaultdict[str, deque[object]] = defaultdict(lambda: deque(maxlen=history))
+        self._published: defaultdict[str, deque[object]] = defaultdict(
+            lambda: deque(maxlen=history)
+        )
         self._lock = threading.Lock()
 
     def subscribe(
-        self, topic: str, message_type: type[M], callback: Callable[[M], None], *, best_effort: bool = False
+        self,
+        topic: str,
+        message_type: type[M],
+        callback: Callable[[M], None],
+        *,
+        best_effort: bool = False,
     ) -> None:
         """Call `callback` with every message published or delivered on `topic`."""
         with self._lock:
@@ -40,7 +48,9 @@ class MemoryTopics:
 
         def publish(message: M) -> None:
             if not isinstance(message, message_type):
-                raise TypeError(f"{topic} carries {message_type.__name__}, got {type(message).__name__}")
+                raise TypeError(
+                    f"{topic} carries {message_type.__name__}, got {type(message).__name__}"
+                )
             with self._lock:
                 self._published[topic].append(message)
             self.deliver(topic, message)
@@ -48,7 +58,9 @@ class MemoryTopics:
         return publish
 
     def publisher_types(self, topic: str) -> tuple[str, ...]:
-        """Type of each publisher that `advertise` returned for `topic`; messages of `deliver` have none."""
+        """Type of each publisher that `advertise` returned for `topic`; messages of `deliver`
+        have none.
+        """
         with self._lock:
             types = [message_type for name, message_type in self._advertised if name == topic]
         return tuple(f"{t.__module__.partition('.')[0]}/msg/{t.__name__}" for t in types)
@@ -58,7 +70,9 @@ class MemoryTopics:
         return self._now_ns()
 
     def deliver(self, topic: str, message: object) -> None:
-        """Hand `message` to the subscribers of `topic`, as another process would by publishing it."""
+        """Hand `message` to the subscribers of `topic`, as another process would by publishing
+        it.
+        """
         with self._lock:
             subscribers = tuple(self._subscribers[topic])
         for callback in subscribers:
@@ -73,4 +87,7 @@ class MemoryTopics:
     def used(self) -> tuple[str, ...]:
         """Names of topics that were subscribed to or advertised."""
         with self._lock:
-            return (*(t for t, callbacks in self._subscribers.items() if callbacks), *(t for t, _ in self._advertised))
+            return (
+                *(t for t, callbacks in self._subscribers.items() if callbacks),
+                *(t for t, _ in self._advertised),
+            )

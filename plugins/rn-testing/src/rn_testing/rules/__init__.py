@@ -29,8 +29,19 @@ RULES: dict[str, tuple[Rule[Any], ...]] = {
     "runtime": (*descriptor.RULES, *restricted.RULES, *runtime.RULES),
     "acceleration": (*descriptor.RULES, *restricted.RULES, *acceleration.RULES),
     "perception": (*descriptor.RULES, *restricted.RULES, *perception.RULES),
-    "controller": (*descriptor.RULES, *restricted.RULES, *controller.RULES, *controller_bounds.RULES),
-    "robot": (*descriptor.RULES, *restricted.RULES, *robot.RULES, *driver.RULES, *driver_motion.RULES),
+    "controller": (
+        *descriptor.RULES,
+        *restricted.RULES,
+        *controller.RULES,
+        *controller_bounds.RULES,
+    ),
+    "robot": (
+        *descriptor.RULES,
+        *restricted.RULES,
+        *robot.RULES,
+        *driver.RULES,
+        *driver_motion.RULES,
+    ),
     "feature": (*descriptor.RULES, *feature.RULES),
     "command": (*descriptor.RULES, *command.RULES),
     "package": package.RULES,
@@ -39,7 +50,9 @@ RULES: dict[str, tuple[Rule[Any], ...]] = {
 
 
 def rules_of(kind: str) -> tuple[Rule[Any], ...]:
-    """Rules by kind of descriptor; of a kind that another plugin has brought those it names, of every one at least."""
+    """Rules by kind of descriptor; of a kind that another plugin has brought those it names, of
+    every one at least.
+    """
     if kind in RULES:
         return RULES[kind]
     brought = brought_kind(kind)

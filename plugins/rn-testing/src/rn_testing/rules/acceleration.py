@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import weakref
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from rn_testing.attempts import attempt
@@ -39,7 +40,9 @@ def _decoder(case: AccelerationCase) -> Callable[[], Any]:
 
 def _check_declared(case: AccelerationCase) -> None:
     require(bool(case.spec.families), "the descriptor declares no model family")
-    require(bool(case.spec.capability), "the descriptor declares no capability it needs of a runtime")
+    require(
+        bool(case.spec.capability), "the descriptor declares no capability it needs of a runtime"
+    )
 
 
 def _check_options(case: AccelerationCase) -> None:
@@ -52,7 +55,10 @@ def _check_apply(case: AccelerationCase) -> None:
     preset = _built(case)
     before = snapshot(decoder)
     result: object = preset.apply(decoder)  # type: ignore[func-returns-value]
-    require(result is None, f"apply returned {type(result).__name__}; it changes the decoder that it is given")
+    require(
+        result is None,
+        f"apply returned {type(result).__name__}; it changes the decoder that it is given",
+    )
     require(snapshot(decoder) != before, "apply changed nothing in the decoder")
     if case.expected is not None:
         require(case.expected(decoder), "apply did not change the decoder as the case expects")
@@ -67,7 +73,9 @@ def _check_again(case: AccelerationCase) -> None:
     preset.apply(second)
     require(snapshot(second) != before, "apply to a second decoder changed nothing in it")
     if case.expected is not None:
-        require(case.expected(second), "apply did not change the second decoder as the case expects")
+        require(
+            case.expected(second), "apply did not change the second decoder as the case expects"
+        )
 
 
 def _check_twice(case: AccelerationCase) -> None:
@@ -78,20 +86,34 @@ def _check_twice(case: AccelerationCase) -> None:
     for again in (preset, _built(case)):
         again.apply(decoder)
         if case.expected is not None:
-            require(case.expected(decoder), "apply to a decoder that has the preset is not what the case expects")
+            require(
+                case.expected(decoder),
+                "apply to a decoder that has the preset is not what the case expects",
+            )
         else:
-            require(snapshot(decoder) == once, "apply to a decoder that has the preset changes it further")
+            require(
+                snapshot(decoder) == once,
+                "apply to a decoder that has the preset changes it further",
+            )
 
 
 def _check_contained(case: AccelerationCase) -> None:
     decoder = _decoder(case)
     bystander, kind = decoder(), snapshot(vars(type(decoder())))
     before, fresh = snapshot(bystander), snapshot(decoder())
-    differ = snapshot(decoder()) != fresh  # random weights: then a new decoder cannot be compared with an older one
+    # random weights: then a new decoder cannot be compared with an older one
+    differ = snapshot(decoder()) != fresh
     _built(case).apply(decoder())
-    require(snapshot(bystander) == before, "apply changed another decoder than the one it was given")
-    require(differ or snapshot(decoder()) == fresh, "a decoder made after apply is not as it was before")
-    require(snapshot(vars(type(decoder()))) == kind, "apply changed the class of the decoder, thus all of them")
+    require(
+        snapshot(bystander) == before, "apply changed another decoder than the one it was given"
+    )
+    require(
+        differ or snapshot(decoder()) == fresh, "a decoder made after apply is not as it was before"
+    )
+    require(
+        snapshot(vars(type(decoder()))) == kind,
+        "apply changed the class of the decoder, thus all of them",
+    )
 
 
 def _check_foreign(case: AccelerationCase) -> None:
@@ -99,7 +121,7 @@ def _check_foreign(case: AccelerationCase) -> None:
     for foreign in (object(), None, "decoder", _Foreign()):
         before = snapshot(foreign)
         what = f"apply to an unknown decoder ({type(foreign).__name__})"
-        expect_refusal(lambda d=foreign: preset.apply(d), what, InvalidInputError, ConfigurationError)  # type: ignore[misc]
+        expect_refusal(partial(preset.apply, foreign), what, InvalidInputError, ConfigurationError)
         require(snapshot(foreign) == before, f"{what} was refused and yet changed it")
 
 
@@ -128,7 +150,10 @@ def _check_memory(case: AccelerationCase) -> None:
     seen.clear()
     gc.collect()
     kept = sum(reference() is not None for reference in held)
-    require(kept < len(held), f"{kept} of {len(held)} decoders are still held after `apply`, by preset or module")
+    require(
+        kept < len(held),
+        f"{kept} of {len(held)} decoders are still held after `apply`, by preset or module",
+    )
 
 
 def _check_process(case: AccelerationCase) -> None:
@@ -140,35 +165,71 @@ def _check_process(case: AccelerationCase) -> None:
 _SOURCE = "roboneuron.contract.protocols.Acceleration"
 
 
-def _rule(name: str, text: str, source: str, check: Callable[[AccelerationCase], None]) -> Rule[AccelerationCase]:
+def _rule(
+    name: str, text: str, source: str, check: Callable[[AccelerationCase], None]
+) -> Rule[AccelerationCase]:
     return Rule(id=f"acceleration/{name}", text=text, source=source, check=check)
 
 
 RULES: tuple[Rule[AccelerationCase], ...] = (
-    _rule("protocol", "It has the methods of Acceleration.", _SOURCE, lambda case: check_protocol(case, Acceleration)),
+    _rule(
+        "protocol",
+        "It has the methods of Acceleration.",
+        _SOURCE,
+        lambda case: check_protocol(case, Acceleration),
+    ),
     _rule(
         "needs-declared",
         "The descriptor names model families and the capability it needs.",
         "roboneuron.plugins.specs.AccelerationSpec",
         _check_declared,
     ),
-    # the first that applies a preset: what is done to a class is done once, and then looks as if it had always been so
+    # the first that applies a preset: what is done to a class is done once, and then looks as if it
+    # had always been so
     _rule(
-        "contained", "`apply` changes the decoder it is given and nothing else.", f"{_SOURCE}.apply", _check_contained
+        "contained",
+        "`apply` changes the decoder it is given and nothing else.",
+        f"{_SOURCE}.apply",
+        _check_contained,
     ),
     _rule("constructor-pure", PURE, "roboneuron.contract.protocols", check_pure_constructor),
     _rule("options-read", OPTIONS_READ, _SOURCE, _check_options),
-    _rule("applies", "`apply` changes a decoder that has the capability.", f"{_SOURCE}.apply", _check_apply),
-    _rule("applies-again", "One preset can be applied to a second decoder.", f"{_SOURCE}.apply", _check_again),
-    _rule("applies-once", "A second `apply` to one decoder adds nothing.", f"{_SOURCE}.apply", _check_twice),
+    _rule(
+        "applies",
+        "`apply` changes a decoder that has the capability.",
+        f"{_SOURCE}.apply",
+        _check_apply,
+    ),
+    _rule(
+        "applies-again",
+        "One preset can be applied to a second decoder.",
+        f"{_SOURCE}.apply",
+        _check_again,
+    ),
+    _rule(
+        "applies-once",
+        "A second `apply` to one decoder adds nothing.",
+        f"{_SOURCE}.apply",
+        _check_twice,
+    ),
     _rule(
         "foreign-decoder-refused",
         "A decoder that the preset does not know is refused and is left as it is.",
         f"{_SOURCE}.apply",
         _check_foreign,
     ),
-    _rule("works-after-refusal", "After a refusal `apply` works.", f"{_SOURCE}.apply", _check_after_refusal),
-    _rule("memory-bounded", "The preset does not keep the decoders.", f"{_SOURCE}.apply", _check_memory),
+    _rule(
+        "works-after-refusal",
+        "After a refusal `apply` works.",
+        f"{_SOURCE}.apply",
+        _check_after_refusal,
+    ),
+    _rule(
+        "memory-bounded",
+        "The preset does not keep the decoders.",
+        f"{_SOURCE}.apply",
+        _check_memory,
+    ),
     _rule("process-left-alone", ALONE, f"{_SOURCE}.apply", _check_process),
 )
 """Rules of accelerations."""

@@ -1,10 +1,13 @@
-"""Rules of backends: predict within what the descriptor declares, in time, repeatably; refuse what cannot be used."""
+"""Rules of backends: predict within what the descriptor declares, in time, repeatably; refuse
+what cannot be used.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -18,10 +21,21 @@ from roboneuron import ActionChunk, Backend, Frame, Observation, RoboNeuronError
 from roboneuron.feature import U8
 
 MAX_TRANSLATION_M, MAX_ROTATION_RAD = 0.25, 1.0
-"""Largest single action that is no mistake of unit: policies act at 5 Hz and more, arms move below 1 m/s."""
+"""Largest single action that is no mistake of unit: policies act at 5 Hz and more, arms move
+below 1 m/s.
+"""
 LONGEST_NOTE, MOST_METRICS = 300, 100
-"""Characters of a note and metrics of a chunk: all are shown in every status, to people and agents."""
-ROW_OPTIONS = ("horizon", "rows", "chunk_size", "chunk_length", "action_horizon", "actions_per_chunk")
+"""Characters of a note and metrics of a chunk: all are shown in every status, to people and
+agents.
+"""
+ROW_OPTIONS = (
+    "horizon",
+    "rows",
+    "chunk_size",
+    "chunk_length",
+    "action_horizon",
+    "actions_per_chunk",
+)
 """Options by which backends let the user choose how many rows a chunk has."""
 INSTRUCTIONS = {
     "no instruction": "",
@@ -32,14 +46,18 @@ INSTRUCTIONS = {
 }
 """What people type, beside what a policy was trained on."""
 REPEATED = 1e-3
-"""How far a repeated prediction may differ: what parallel sums on a GPU round differently [m, rad, opening]."""
+"""How far a repeated prediction may differ: what parallel sums on a GPU round differently [m,
+rad, opening].
+"""
 
 
 def _load(case: BackendCase, backend: Backend) -> None:
     backend.load()
 
 
-def predict(case: BackendCase, backend: Backend, observation: Observation | None = None) -> ActionChunk:
+def predict(
+    case: BackendCase, backend: Backend, observation: Observation | None = None
+) -> ActionChunk:
     """A chunk; an automatic case that cannot be grounded is not applicable."""
     try:
         chunk = backend.predict(case.observation() if observation is None else observation)
@@ -47,7 +65,10 @@ def predict(case: BackendCase, backend: Backend, observation: Observation | None
         if case.is_automatic and case.observe is None:
             raise NotApplicable(f"it cannot act on a synthetic image: {error}") from error
         raise
-    require(isinstance(chunk, ActionChunk), f"predict returned {type(chunk).__name__}, expected an ActionChunk")
+    require(
+        isinstance(chunk, ActionChunk),
+        f"predict returned {type(chunk).__name__}, expected an ActionChunk",
+    )
     return chunk
 
 
@@ -71,7 +92,9 @@ loaded = LIFECYCLE.running
 
 def with_images(observation: Observation, change: Callable[[Frame], U8]) -> Observation:
     """The observation with other pictures."""
-    frames = {role: replace(frame, image=change(frame)) for role, frame in observation.frames.items()}
+    frames = {
+        role: replace(frame, image=change(frame)) for role, frame in observation.frames.items()
+    }
     return replace(observation, frames=frames)
 
 
@@ -80,37 +103,52 @@ def _check_predict(case: BackendCase) -> None:
         chunk = predict(case, backend)
     horizon = case.spec.action_space.horizon
     count = chunk.actions.shape[0]
-    require(count <= horizon, f"a chunk holds {count} actions, the descriptor declares a horizon of {horizon}")
+    require(
+        count <= horizon,
+        f"a chunk holds {count} actions, the descriptor declares a horizon of {horizon}",
+    )
 
 
 def _check_metrics(case: BackendCase) -> None:
     with loaded(case) as backend:
         chunk = predict(case, backend)
-    odd = [n for n, v in chunk.metrics.items() if not isinstance(v, (int, float)) or not math.isfinite(v)]
+    odd = [
+        n
+        for n, v in chunk.metrics.items()
+        if not isinstance(v, (int, float)) or not math.isfinite(v)
+    ]
     require(not odd, f"metrics that are no finite numbers: {', '.join(odd)}")
     count = len(chunk.metrics)
     require(count <= MOST_METRICS, f"a chunk has {count} metrics, at most {MOST_METRICS} are shown")
     require("\n" not in chunk.note, "the note has more than one line")
     length = len(chunk.note)
-    require(length <= LONGEST_NOTE, f"the note has {length} characters, expected one short sentence")
+    require(
+        length <= LONGEST_NOTE, f"the note has {length} characters, expected one short sentence"
+    )
 
 
 def _rows_wanted(case: BackendCase) -> int | None:
-    """How many rows a chunk has: as an option says that the case sets, or as the descriptor does; None for any."""
+    """How many rows a chunk has: as an option says that the case sets, or as the descriptor
+    does; None for any.
+    """
     names = [name for name in ROW_OPTIONS if name in case.option_names()]
     if names:
         value = case.options[names[0]]
         return value if isinstance(value, int) else None
     model = case.option_model()
     regulated = model is not None and any(name in model.model_fields for name in ROW_OPTIONS)
-    is_fixed = case.spec.action_space.step_s > 0  # else checkpoint or server decide on rows as on the step
+    # else checkpoint or server decide on rows as on the step
+    is_fixed = case.spec.action_space.step_s > 0
     return case.spec.action_space.horizon if is_fixed and not regulated else None
 
 
 def _check_rows(case: BackendCase) -> None:
     wanted = _rows_wanted(case) if case.rows is None else case.rows
     if wanted is None:
-        raise NotApplicable("options or checkpoint decide how many rows a chunk has; name them as `rows` in the case")
+        raise NotApplicable(
+            "options or checkpoint decide how many rows a chunk has; name them as `rows` in the "
+            "case"
+        )
     with loaded(case) as backend:
         count = len(predict(case, backend).actions)
     require(count == wanted, f"a chunk holds {count} actions, declared are {wanted}")
@@ -125,7 +163,9 @@ def _check_instructions(case: BackendCase) -> None:
             except RoboNeuronError:
                 continue
             except Exception as error:
-                raise Violation(f"predict with {what} raised {type(error).__name__}: {error}") from error
+                raise Violation(
+                    f"predict with {what} raised {type(error).__name__}: {error}"
+                ) from error
 
 
 def _check_units(case: BackendCase) -> None:
@@ -133,8 +173,14 @@ def _check_units(case: BackendCase) -> None:
         actions = predict(case, backend).actions
     far_m = float(np.linalg.norm(actions[:, :3], axis=1).max())
     far_rad = float(np.linalg.norm(actions[:, 3:6], axis=1).max())
-    require(far_m <= MAX_TRANSLATION_M, f"one action moves the TCP by {far_m:.3g} m; are those millimetres?")
-    require(far_rad <= MAX_ROTATION_RAD, f"one action turns the TCP by {far_rad:.3g} rad; are those degrees?")
+    require(
+        far_m <= MAX_TRANSLATION_M,
+        f"one action moves the TCP by {far_m:.3g} m; are those millimetres?",
+    )
+    require(
+        far_rad <= MAX_ROTATION_RAD,
+        f"one action turns the TCP by {far_rad:.3g} rad; are those degrees?",
+    )
 
 
 def _check_step(case: BackendCase) -> None:
@@ -165,7 +211,10 @@ def _check_reset(case: BackendCase) -> None:
 def _compare(first: ActionChunk, again: ActionChunk, when: str) -> None:
     require(first.actions.shape == again.actions.shape, f"{when} the number of actions differs")
     drift = float(np.abs(first.actions - again.actions).max())
-    require(drift <= REPEATED and first.step_s == again.step_s, f"{when} the chunk differs by {drift:.3g}")
+    require(
+        drift <= REPEATED and first.step_s == again.step_s,
+        f"{when} the chunk differs by {drift:.3g}",
+    )
 
 
 def _check_forgets(case: BackendCase) -> None:
@@ -191,7 +240,13 @@ def _check_repeats(case: BackendCase) -> None:
         with loaded(case) as backend:
             backend.reset()
             chunks.append(predict(case, backend, observation))
-    _compare(chunks[0], chunks[1], "for the same observation, of two backends with the same options,")
+    _compare(
+        chunks[0], chunks[1], "for the same observation, of two backends with the same options,"
+    )
+
+
+def _shaded(frame: Frame, shade: int) -> U8:
+    return np.full_like(frame.image, shade)
 
 
 def _check_chunk_kept(case: BackendCase) -> None:
@@ -201,7 +256,7 @@ def _check_chunk_kept(case: BackendCase) -> None:
         before = snapshot(first)
         for shade in (0, 255):
             try:
-                backend.predict(with_images(observation, lambda frame, s=shade: np.full_like(frame.image, s)))  # type: ignore[misc]
+                backend.predict(with_images(observation, partial(_shaded, shade=shade)))
             except RoboNeuronError:
                 continue
     require(snapshot(first) == before, "a chunk changes when the next one is predicted")
@@ -210,7 +265,9 @@ def _check_chunk_kept(case: BackendCase) -> None:
 _SOURCE = "roboneuron.contract.protocols.Backend"
 
 
-def backend_rule(name: str, text: str, source: str, check: Callable[[BackendCase], None]) -> Rule[BackendCase]:
+def backend_rule(
+    name: str, text: str, source: str, check: Callable[[BackendCase], None]
+) -> Rule[BackendCase]:
     """A rule of backends."""
     return Rule(id=f"backend/{name}", text=text, source=source, check=check)
 
@@ -219,7 +276,8 @@ RULES: tuple[Rule[BackendCase], ...] = (
     *LIFECYCLE.rules(),
     backend_rule(
         "predict-within-horizon",
-        "After `load`, `predict` returns a chunk of at most the declared horizon, from the declared inputs alone.",
+        "After `load`, `predict` returns a chunk of at most the declared horizon, from the "
+        "declared inputs alone.",
         f"{_SOURCE}.predict",
         _check_predict,
     ),
@@ -243,7 +301,8 @@ RULES: tuple[Rule[BackendCase], ...] = (
     ),
     backend_rule(
         "units",
-        f"No action moves the TCP by over {MAX_TRANSLATION_M:g} m or turns it by over {MAX_ROTATION_RAD:g} rad.",
+        f"No action moves the TCP by over {MAX_TRANSLATION_M:g} m or turns it by over "
+        f"{MAX_ROTATION_RAD:g} rad.",
         "roboneuron.contract.action",
         _check_units,
     ),
@@ -254,7 +313,10 @@ RULES: tuple[Rule[BackendCase], ...] = (
         _check_step,
     ),
     backend_rule(
-        "predict-quick", "`predict` answers within the case's `predict_limit_s`.", f"{_SOURCE}.predict", _check_quick
+        "predict-quick",
+        "`predict` answers within the case's `predict_limit_s`.",
+        f"{_SOURCE}.predict",
+        _check_quick,
     ),
     backend_rule(
         "reset-safe",
@@ -264,7 +326,8 @@ RULES: tuple[Rule[BackendCase], ...] = (
     ),
     backend_rule(
         "reset-forgets",
-        "After `reset` an observation yields the same chunk, whatever was seen before; samplers are seeded there.",
+        "After `reset` an observation yields the same chunk, whatever was seen before; samplers "
+        "are seeded there.",
         f"{_SOURCE}.reset",
         _check_forgets,
     ),

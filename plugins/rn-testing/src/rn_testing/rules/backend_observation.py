@@ -1,9 +1,12 @@
-"""Rules of backends on what they see: inputs that are missing, not finite, of another size, or not theirs to write."""
+"""Rules of backends on what they see: inputs that are missing, not finite, of another size, or
+not theirs to write.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -20,7 +23,12 @@ _SOURCE = "roboneuron.contract.protocols.Backend"
 
 def _without_each_frame(case: BackendCase, whole: Observation) -> Iterator[tuple[str, Observation]]:
     for role in case.spec.cameras:
-        yield role, replace(whole, frames={name: frame for name, frame in whole.frames.items() if name != role})
+        yield (
+            role,
+            replace(
+                whole, frames={name: frame for name, frame in whole.frames.items() if name != role}
+            ),
+        )
 
 
 def _check_missing_frame(case: BackendCase) -> None:
@@ -29,7 +37,9 @@ def _check_missing_frame(case: BackendCase) -> None:
     with loaded(case) as backend:
         for role, blind in _without_each_frame(case, case.observation()):
             what = f"predict without the frame {role!r}"
-            expect_refusal(lambda o=blind: backend.predict(o), what, InvalidInputError, UngroundedError)  # type: ignore[misc]
+            expect_refusal(
+                partial(backend.predict, blind), what, InvalidInputError, UngroundedError
+            )
 
 
 def _check_missing_state(case: BackendCase) -> None:
@@ -56,7 +66,11 @@ def _check_nan_state(case: BackendCase) -> None:
             "gripper opening": replace(whole, gripper_open=float(number)),
         }
         with loaded(case) as backend:
-            expect_refusal(lambda o=all_bad: backend.predict(o), f"predict with a state of {number}", RoboNeuronError)  # type: ignore[misc]
+            expect_refusal(
+                partial(backend.predict, all_bad),
+                f"predict with a state of {number}",
+                RoboNeuronError,
+            )
             backend.reset()
             good = predict(case, backend, whole)
             for name, bad in parts.items():
@@ -113,7 +127,8 @@ def _check_optional(case: BackendCase) -> None:
 RULES: tuple[Rule[BackendCase], ...] = (
     backend_rule(
         "missing-frame-refused",
-        "An observation that lacks a declared camera role is an InvalidInputError or an UngroundedError.",
+        "An observation that lacks a declared camera role is an InvalidInputError or an "
+        "UngroundedError.",
         f"{_SOURCE}.predict",
         _check_missing_frame,
     ),
@@ -137,7 +152,8 @@ RULES: tuple[Rule[BackendCase], ...] = (
     ),
     backend_rule(
         "any-image-size",
-        "`predict` acts on images of any size and memory layout, or refuses them with an error of roboneuron.errors.",
+        "`predict` acts on images of any size and memory layout, or refuses them with an error of "
+        "roboneuron.errors.",
         "roboneuron.contract.observation.Frame",
         _check_any_size,
     ),

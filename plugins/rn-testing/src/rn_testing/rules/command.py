@@ -44,16 +44,25 @@ def _check_configure(case: CommandCase) -> None:
 def _check_light(case: CommandCase) -> None:
     module = case.spec.target.partition(":")[0]
     script = f"import sys, {module}; print(*[m for m in {_HEAVY!r} if m in sys.modules])"
-    command = [sys.executable, "-P", "-c", script]  # no file of the working directory stands for a module
+    # no file of the working directory stands for a module
+    command = [sys.executable, "-P", "-c", script]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
     require(done.returncode == 0, f"importing {module} fails: {done.stderr.strip()[-300:]}")
-    require(not done.stdout.strip(), f"importing {module} imports {done.stdout.strip()}; do that in `run`")
+    require(
+        not done.stdout.strip(),
+        f"importing {module} imports {done.stdout.strip()}; do that in `run`",
+    )
 
 
 _SOURCE = "roboneuron.cli.commands.CommandModule"
 
 RULES: tuple[Rule[CommandCase], ...] = (
-    Rule(id="command/protocol", text="It has `configure` and `run`.", source=_SOURCE, check=_check_protocol),
+    Rule(
+        id="command/protocol",
+        text="It has `configure` and `run`.",
+        source=_SOURCE,
+        check=_check_protocol,
+    ),
     Rule(id="command/constructor-pure", text=PURE, source=_SOURCE, check=check_pure_constructor),
     Rule(
         id="command/configure-pure",
@@ -61,7 +70,12 @@ RULES: tuple[Rule[CommandCase], ...] = (
         source=_SOURCE,
         check=_check_configure,
     ),
-    Rule(id="command/help", text="Class and arguments say what they do.", source=_SOURCE, check=_check_help),
+    Rule(
+        id="command/help",
+        text="Class and arguments say what they do.",
+        source=_SOURCE,
+        check=_check_help,
+    ),
     Rule(
         id="command/light",
         text="Importing it imports nothing heavy: `--help` answers at once.",

@@ -1,4 +1,6 @@
-"""Rules of backends about rows that are played while they compute, and about states that are predicted."""
+"""Rules of backends about rows that are played while they compute, and about states that are
+predicted.
+"""
 
 from __future__ import annotations
 
@@ -49,28 +51,33 @@ class ContinuingRules:
         return (
             self.rule(
                 "rows-kept",
-                "A backend that declares `conditions_on_rows` keeps the committed rows within its case's "
+                "A backend that declares `conditions_on_rows` keeps the committed rows within its "
+                "case's "
                 "`row_tolerance`, and says so in `conditioned_rows`.",
                 "roboneuron.contract.observation.Ahead",
                 self._check_rows_kept,
             ),
             self.rule(
                 "ahead-optional",
-                "A backend that declares `conditions_on_rows` answers without rows ahead, without their context and "
-                "with none committed, and then says that it conditioned on none where it was given none.",
+                "A backend that declares `conditions_on_rows` answers without rows ahead, without "
+                "their context and "
+                "with none committed, and then says that it conditioned on none where it was "
+                "given none.",
                 "roboneuron.contract.observation.Observation",
                 self._check_ahead_optional,
             ),
             self.rule(
                 "ahead-ignored",
-                "A backend that declares neither `conditions_on_rows` nor `takes_predicted_state` answers the same "
+                "A backend that declares neither `conditions_on_rows` nor `takes_predicted_state` "
+                "answers the same "
                 "with `Observation.ahead` as without.",
                 "roboneuron.plugins.specs.BackendSpec",
                 self._check_ahead_ignored,
             ),
             self.rule(
                 "predicted-state-used",
-                "A backend that declares `takes_predicted_state` answers another TCP pose by other actions, and reads "
+                "A backend that declares `takes_predicted_state` answers another TCP pose by "
+                "other actions, and reads "
                 "no joints: those cannot be predicted.",
                 "roboneuron.plugins.specs.BackendSpec",
                 self._check_predicted_state,
@@ -95,9 +102,13 @@ class ContinuingRules:
         tolerance = case.row_tolerance
         if tolerance is None and case.is_automatic:
             raise NotApplicable("only its own case can name a row_tolerance")
-        require(tolerance is not None, "the descriptor declares conditions_on_rows, the case names no row_tolerance")
+        require(
+            tolerance is not None,
+            "the descriptor declares conditions_on_rows, the case names no row_tolerance",
+        )
         assert tolerance is not None
-        with self.running(case) as backend:  # observed anew each time: some backends refuse a picture that stands still
+        # observed anew each time: some backends refuse a picture that stands still
+        with self.running(case) as backend:
             first = self._running(case, backend)
             free = self.predict(case, backend, case.next_observation())
             again = self._running(case, backend)
@@ -106,13 +117,20 @@ class ContinuingRules:
         count = ahead.committed_rows
         said = bound.conditioned_rows
         require(said >= count, f"{count} rows were committed, conditioned_rows says {said}")
-        require(len(bound.actions) >= count, f"{count} rows were committed, the chunk has {len(bound.actions)}")
+        require(
+            len(bound.actions) >= count,
+            f"{count} rows were committed, the chunk has {len(bound.actions)}",
+        )
         far = _distance(bound.actions[:count], ahead.rows[:count])
-        require(far <= tolerance, f"the committed rows are {far:.3g} off, the case's row_tolerance is {tolerance:g}")
+        require(
+            far <= tolerance,
+            f"the committed rows are {far:.3g} off, the case's row_tolerance is {tolerance:g}",
+        )
         without = _distance(free.actions[:count], first.actions[1 : 1 + count])
         require(
             tolerance < without,
-            f"a row_tolerance of {tolerance:g} tells nothing: without rows ahead they are {without:.3g} off",
+            f"a row_tolerance of {tolerance:g} tells nothing: without rows ahead they are "
+            f"{without:.3g} off",
         )
 
     def _check_ahead_optional(self, case: BackendCase) -> None:
@@ -124,7 +142,10 @@ class ContinuingRules:
             none = Ahead(rows=np.zeros((0, 7)), committed_rows=0, step_s=first.step_s)
             for what, given in (
                 ("without rows ahead", None),
-                ("without the context of the running chunk", replace(ahead, context=None, context_row=0)),
+                (
+                    "without the context of the running chunk",
+                    replace(ahead, context=None, context_row=0),
+                ),
                 ("with none committed", replace(ahead, committed_rows=0)),
                 ("with no rows left", none),
                 ("without rows ahead again", None),
@@ -143,38 +164,66 @@ class ContinuingRules:
             rows = np.tile([0.01, 0, 0, 0, 0, 0.01, 0.0], (4, 1))
             for context in (alone.context, None, {"of": "another"}):
                 backend.reset()
-                ahead = Ahead(rows=rows, committed_rows=2, step_s=alone.step_s, context=context, state_ahead_s=0.1)
+                ahead = Ahead(
+                    rows=rows,
+                    committed_rows=2,
+                    step_s=alone.step_s,
+                    context=context,
+                    state_ahead_s=0.1,
+                )
                 told = self.predict(case, backend, replace(observation, ahead=ahead))
                 far = _distance(told.actions, alone.actions)
-                require(far <= SAME, f"with rows ahead the chunk differs by {far:.3g}, and the descriptor says nothing")
+                require(
+                    far <= SAME,
+                    f"with rows ahead the chunk differs by {far:.3g}, and the descriptor says "
+                    "nothing",
+                )
                 said = told.conditioned_rows
-                require(said == 0, f"conditioned_rows is {said}, the descriptor declares no conditions_on_rows")
+                require(
+                    said == 0,
+                    f"conditioned_rows is {said}, the descriptor declares no conditions_on_rows",
+                )
 
     def _check_predicted_state(self, case: BackendCase) -> None:
         if not case.spec.takes_predicted_state:
             raise NotApplicable("it does not declare takes_predicted_state")
-        require(case.spec.needs_state, "the descriptor declares takes_predicted_state and not needs_state")
+        require(
+            case.spec.needs_state,
+            "the descriptor declares takes_predicted_state and not needs_state",
+        )
         whole = case.observation()
         pose, joints = whole.ee_pose, whole.joints
         if pose is None:
             raise NotApplicable("the case's observation has no pose")
         with self.running(case) as backend:
             measured = self._first(case, backend, whole)
-            ahead = Ahead(rows=np.zeros((0, 7)), committed_rows=0, step_s=measured.step_s, state_ahead_s=0.1)
+            ahead = Ahead(
+                rows=np.zeros((0, 7)), committed_rows=0, step_s=measured.step_s, state_ahead_s=0.1
+            )
             moved = replace(pose, position_m=pose.position_m + MOVED_M)
             rolled = self._first(case, backend, replace(whole, ee_pose=moved, ahead=ahead))
             far = _distance(rolled.actions, measured.actions)
-            require(far > REACTS, f"for a TCP {MOVED_M:g} m away the chunk differs by {far:.3g} only")
+            require(
+                far > REACTS, f"for a TCP {MOVED_M:g} m away the chunk differs by {far:.3g} only"
+            )
             if joints is not None:
                 turned = replace(joints, position=joints.position + 0.1)
                 same = self._first(case, backend, replace(whole, joints=turned))
                 far = _distance(same.actions, measured.actions)
-                require(far <= SAME, f"for other joints and the same TCP pose the chunk differs by {far:.3g}")
+                require(
+                    far <= SAME,
+                    f"for other joints and the same TCP pose the chunk differs by {far:.3g}",
+                )
 
 
 def _ahead_of(chunk: ActionChunk, most: int) -> Ahead:
     """The rows of a running chunk after its first one, the next of them committed."""
     left = chunk.actions[1:]
     count = min(COMMITTED, len(left), most or COMMITTED)
-    require(count > 0, "a chunk of one row cannot be continued, and the descriptor declares conditions_on_rows")
-    return Ahead(rows=left, committed_rows=count, step_s=chunk.step_s, context=chunk.context, context_row=1)
+    require(
+        count > 0,
+        "a chunk of one row cannot be continued, and the descriptor declares conditions_on_rows",
+    )
+    return Ahead(
+        rows=left, committed_rows=count, step_s=chunk.step_s, context=chunk.context, context_row=1
+    )

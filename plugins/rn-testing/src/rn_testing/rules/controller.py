@@ -1,4 +1,6 @@
-"""Rules of controllers: small actions arrive or are refused, by the URDF's own account; limits and speeds are kept."""
+"""Rules of controllers: small actions arrive or are refused, by the URDF's own account; limits
+and speeds are kept.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,15 @@ from rn_testing.effects import expect_refusal
 from rn_testing.kinematics import place_tcp
 from rn_testing.lifecycle import Lifecycle
 from rn_testing.rule import NotApplicable, Rule, Violation, require
-from roboneuron import Action, Controller, Hold, JointCommand, JointSample, RoboNeuronError, UnsafeError
+from roboneuron import (
+    Action,
+    Controller,
+    Hold,
+    JointCommand,
+    JointSample,
+    RoboNeuronError,
+    UnsafeError,
+)
 
 STEP_S = 0.1
 """Time the rules give an action."""
@@ -57,7 +67,9 @@ LIFECYCLE: Lifecycle[ControllerCase, Controller] = Lifecycle(
     begin="load",
     start=_load,
     uses={
-        "compute": lambda case, controller: controller.compute(make_action(0.001), home_sample(case.robot()), STEP_S),
+        "compute": lambda case, controller: controller.compute(
+            make_action(0.001), home_sample(case.robot()), STEP_S
+        ),
         "forward": lambda case, controller: controller.forward(home_sample(case.robot())),
     },
     abuses=(_forward_nothing, _compute_nothing),
@@ -66,7 +78,9 @@ LIFECYCLE: Lifecycle[ControllerCase, Controller] = Lifecycle(
 loaded = LIFECYCLE.running
 
 
-def compute(controller: Controller, action: Action, joints: JointSample, step_s: float = STEP_S) -> JointCommand | Hold:
+def compute(
+    controller: Controller, action: Action, joints: JointSample, step_s: float = STEP_S
+) -> JointCommand | Hold:
     """What `compute` returns; a refusal says why."""
     result = controller.compute(action, joints, step_s)
     require(isinstance(result, (JointCommand, Hold)), f"compute returned {type(result).__name__}")
@@ -85,23 +99,36 @@ def _check_forward(case: ControllerCase) -> None:
                 f"forward: {pose.position_m}",
             )
             norm = float(np.linalg.norm(pose.quaternion_xyzw))
-            require(abs(norm - 1) < 1e-6, f"forward returned a quaternion of length {norm:g}, expected 1")
-            require(pose.stamp_ns == 123, f"forward stamped the pose {pose.stamp_ns}, the joints are stamped 123")
+            require(
+                abs(norm - 1) < 1e-6,
+                f"forward returned a quaternion of length {norm:g}, expected 1",
+            )
+            require(
+                pose.stamp_ns == 123,
+                f"forward stamped the pose {pose.stamp_ns}, the joints are stamped 123",
+            )
             off_m, off_rad = distance(pose, place_tcp(profile, by_name(posture)))
             require(
                 off_m <= TRUTH_M and off_rad <= TRUTH_RAD,
-                f"forward is {off_m:.4f} m and {off_rad:.4f} rad from where the URDF puts {profile.tcp_link!r} "
+                f"forward is {off_m:.4f} m and {off_rad:.4f} rad from where the URDF puts "
+                f"{profile.tcp_link!r} "
                 f"in {profile.base_link!r}",
             )
 
 
 def _damaged(joints: JointSample) -> dict[str, JointSample]:
-    damaged = {"a joint missing": replace(joints, names=joints.names[1:], position=joints.position[1:], velocity=None)}
+    damaged = {
+        "a joint missing": replace(
+            joints, names=joints.names[1:], position=joints.position[1:], velocity=None
+        )
+    }
     for index in (0, 1):
         for number in (np.nan, np.inf):
             position = joints.position.copy()
             position[index] = number
-            damaged[f"joint {joints.names[index]!r} of {number}"] = replace(joints, position=position)
+            damaged[f"joint {joints.names[index]!r} of {number}"] = replace(
+                joints, position=position
+            )
     return damaged
 
 
@@ -122,11 +149,17 @@ def _check_small_step(case: ControllerCase) -> None:
                     action = make_action(*(sizes * np.eye(6)[axis]))
                     command = compute(controller, action, joints, step_s)
                     if isinstance(command, Hold):
-                        raise Violation(f"a step of {action.to_vector()[:6]} was refused: {command.reason}")
+                        raise Violation(
+                            f"a step of {action.to_vector()[:6]} was refused: {command.reason}"
+                        )
                     check_command(command, joints, profile, step_s)
                     check_arrives(command, action, joints, profile)
                     far = command.residual_m > RESIDUAL_M or command.residual_rad > RESIDUAL_RAD
-                    require(not far, f"a small step leaves {command.residual_m:g} m and {command.residual_rad:g} rad")
+                    require(
+                        not far,
+                        f"a small step leaves {command.residual_m:g} m and "
+                        f"{command.residual_rad:g} rad",
+                    )
 
 
 def _check_still(case: ControllerCase) -> None:
@@ -147,10 +180,29 @@ def _check_bad_numbers(case: ControllerCase) -> None:
     bad = [(name, make_action(0.001), sample, STEP_S) for name, sample in _damaged(joints).items()]
     for number in (np.nan, np.inf):
         wrong = np.full(3, number)
-        bad.append((f"a translation of {number}", replace(make_action(), translation_m=wrong), joints, STEP_S))
-        bad.append((f"a rotation of {number}", replace(make_action(), rotation_rad=wrong), joints, STEP_S))
-        bad.append((f"an opening of {number}", replace(make_action(), gripper_open=float(number)), joints, STEP_S))
-    bad += [(f"step_s {step_s:g}", make_action(0.001), joints, step_s) for step_s in (0.0, -0.1, float("nan"))]
+        bad.append(
+            (
+                f"a translation of {number}",
+                replace(make_action(), translation_m=wrong),
+                joints,
+                STEP_S,
+            )
+        )
+        bad.append(
+            (f"a rotation of {number}", replace(make_action(), rotation_rad=wrong), joints, STEP_S)
+        )
+        bad.append(
+            (
+                f"an opening of {number}",
+                replace(make_action(), gripper_open=float(number)),
+                joints,
+                STEP_S,
+            )
+        )
+    bad += [
+        (f"step_s {step_s:g}", make_action(0.001), joints, step_s)
+        for step_s in (0.0, -0.1, float("nan"))
+    ]
     with loaded(case) as controller:
         for name, action, sample, step_s in bad:
             try:
@@ -158,8 +210,12 @@ def _check_bad_numbers(case: ControllerCase) -> None:
             except Violation:
                 raise
             except Exception as error:
-                raise Violation(f"compute with {name} raised {type(error).__name__}: {error}") from error
-            require(isinstance(result, Hold), f"{name} led to {type(result).__name__}, expected Hold")
+                raise Violation(
+                    f"compute with {name} raised {type(error).__name__}: {error}"
+                ) from error
+            require(
+                isinstance(result, Hold), f"{name} led to {type(result).__name__}, expected Hold"
+            )
         numb = replace(joints, velocity=np.full(len(joints.names), np.nan))
         result = compute(controller, make_action(0.001), numb)
     if isinstance(result, JointCommand):
@@ -175,13 +231,19 @@ def _check_gripper(case: ControllerCase) -> None:
         for opening in (0.0, 0.3, 1.0):
             result = compute(controller, make_action(opening=opening), home_sample(profile))
             if isinstance(result, Hold):
-                raise Violation(f"an action that only sets the gripper to {opening:g} was refused: {result.reason}")
+                raise Violation(
+                    f"an action that only sets the gripper to {opening:g} was refused: "
+                    f"{result.reason}"
+                )
             sent = by_name(result).get(gripper.joint)
             wanted = gripper.to_position(opening)
             good = sent is not None and abs(sent - wanted) <= 0.01 * abs(
                 gripper.open_position - gripper.closed_position
             )
-            require(good, f"an opening of {opening:g} sends {gripper.joint!r} to {sent}, expected {wanted:g}")
+            require(
+                good,
+                f"an opening of {opening:g} sends {gripper.joint!r} to {sent}, expected {wanted:g}",
+            )
 
 
 def _check_by_name(case: ControllerCase) -> None:
@@ -199,8 +261,13 @@ def _check_by_name(case: ControllerCase) -> None:
     with loaded(case) as controller:
         straight, turned = controller.forward(joints), controller.forward(mixed)
         results = [compute(controller, action, sample) for sample in (joints, mixed)]
-    require(max(distance(straight, turned)) <= 1e-6, "forward depends on the order of the measured joints")
-    require(type(results[0]) is type(results[1]), "compute depends on the order of the measured joints")
+    require(
+        max(distance(straight, turned)) <= 1e-6,
+        "forward depends on the order of the measured joints",
+    )
+    require(
+        type(results[0]) is type(results[1]), "compute depends on the order of the measured joints"
+    )
     first, second = ({} if isinstance(r, Hold) else by_name(r) for r in results)
     same = first.keys() == second.keys() and all(abs(first[n] - second[n]) <= 1e-9 for n in first)
     require(same, "compute depends on the order of the measured joints")
@@ -231,7 +298,9 @@ def _check_bad_profile(case: ControllerCase) -> None:
     profile = case.robot()
     for what, bad in {
         "a TCP link that the URDF lacks": replace(profile, tcp_link="no_such_link"),
-        "joints that the URDF lacks": replace(profile, arm_joints=("no_such_joint", *profile.arm_joints[1:])),
+        "joints that the URDF lacks": replace(
+            profile, arm_joints=("no_such_joint", *profile.arm_joints[1:])
+        ),
         "a URDF that is no XML": replace(profile, urdf="<robot"),
     }.items():
         odd = replace(case, profile=lambda p=bad: p)  # type: ignore[misc]
@@ -250,7 +319,10 @@ _SOURCE = "roboneuron.contract.protocols.Controller"
 
 
 def controller_rule(
-    name: str, text: str, check: Callable[[ControllerCase], None], source: str = f"{_SOURCE}.compute"
+    name: str,
+    text: str,
+    check: Callable[[ControllerCase], None],
+    source: str = f"{_SOURCE}.compute",
 ) -> Rule[ControllerCase]:
     """A rule of controllers."""
     return Rule(id=f"controller/{name}", text=text, source=source, check=check)
@@ -260,7 +332,8 @@ RULES: tuple[Rule[ControllerCase], ...] = (
     *LIFECYCLE.rules(),
     controller_rule(
         "forward-is-a-pose",
-        "`forward` returns the pose that the URDF gives, a unit quaternion and the stamp of the joints.",
+        "`forward` returns the pose that the URDF gives, a unit quaternion and the stamp of the "
+        "joints.",
         _check_forward,
         f"{_SOURCE}.forward",
     ),
@@ -272,15 +345,20 @@ RULES: tuple[Rule[ControllerCase], ...] = (
     ),
     controller_rule(
         "small-steps-arrive",
-        "A slow step from home or nearby yields a command within limits that ends where its residual says.",
+        "A slow step from home or nearby yields a command within limits that ends where its "
+        "residual says.",
         _check_small_step,
     ),
     controller_rule(
-        "zero-stands-still", "An action of zero moves no joint.", _check_still, "roboneuron.contract.action"
+        "zero-stands-still",
+        "An action of zero moves no joint.",
+        _check_still,
+        "roboneuron.contract.action",
     ),
     controller_rule(
         "bad-numbers-hold",
-        "`compute` holds, and says why, for numbers that are missing, not finite or no time; it never raises.",
+        "`compute` holds, and says why, for numbers that are missing, not finite or no time; it "
+        "never raises.",
         _check_bad_numbers,
     ),
     controller_rule(
@@ -290,15 +368,21 @@ RULES: tuple[Rule[ControllerCase], ...] = (
         "roboneuron.contract.profile.GripperProfile",
     ),
     controller_rule(
-        "joints-by-name", "Measured joints are taken by name, in any order, others left out.", _check_by_name
+        "joints-by-name",
+        "Measured joints are taken by name, in any order, others left out.",
+        _check_by_name,
     ),
     controller_rule(
         "memoryless",
-        "The same action and joints yield the same command, from any instance, and the input is not written to.",
+        "The same action and joints yield the same command, from any instance, and the input is "
+        "not written to.",
         _check_memoryless,
     ),
     controller_rule(
-        "bad-profile-refused", "A profile that makes no arm is refused.", _check_bad_profile, f"{_SOURCE}.load"
+        "bad-profile-refused",
+        "A profile that makes no arm is refused.",
+        _check_bad_profile,
+        f"{_SOURCE}.load",
     ),
 )
 """Rules of controllers, but for those of `controller_bounds`."""

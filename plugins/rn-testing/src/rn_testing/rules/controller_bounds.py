@@ -1,19 +1,37 @@
-"""Rules of controllers on bounds: targets out of reach, joint and velocity limits, and the time that a step takes."""
+"""Rules of controllers on bounds: targets out of reach, joint and velocity limits, and the time
+that a step takes.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
 from rn_testing.cases import ControllerCase
-from rn_testing.commands import arm_sample, by_name, check_arrives, check_command, home_sample, make_action
+from rn_testing.commands import (
+    arm_sample,
+    by_name,
+    check_arrives,
+    check_command,
+    home_sample,
+    make_action,
+)
 from rn_testing.effects import check_quick
 from rn_testing.kinematics import read_chain
 from rn_testing.rule import Rule, require
-from rn_testing.rules.controller import RESIDUAL_M, RESIDUAL_RAD, STEP_S, compute, controller_rule, loaded
+from rn_testing.rules.controller import (
+    RESIDUAL_M,
+    RESIDUAL_RAD,
+    STEP_S,
+    compute,
+    controller_rule,
+    loaded,
+)
 from roboneuron import Hold, JointCommand, RobotProfile
 
 MAX_STEP = 0.3
-"""Largest change of a joint by one action [rad or m]. Source: the project's rule that no step jumps configuration."""
+"""Largest change of a joint by one action [rad or m]. Source: the project's rule that no step
+jumps configuration.
+"""
 WALK_M, WALK_S = 0.05, 0.5
 """Steps towards the end of the reach, and the time for one."""
 COMPUTE_LIMIT_S = 0.05
@@ -31,12 +49,20 @@ def _check_far(case: ControllerCase) -> None:
             require(not any(values[:3]), f"a target {values} m away was not refused")
             check_command(result, joints, profile, STEP_S)
             check_arrives(result, action, joints, profile)
-            step = max(abs(p - by_name(joints)[n]) for n, p in by_name(result).items() if n in profile.arm_joints)
-            require(step <= MAX_STEP, f"an action of {values} moves a joint by {step:.2f} in {STEP_S} s")
+            step = max(
+                abs(p - by_name(joints)[n])
+                for n, p in by_name(result).items()
+                if n in profile.arm_joints
+            )
+            require(
+                step <= MAX_STEP, f"an action of {values} moves a joint by {step:.2f} in {STEP_S} s"
+            )
 
 
 def _check_limits(case: ControllerCase) -> None:
-    """From postures with one joint at its limit, steps in every direction leave no limit and tell no lie."""
+    """From postures with one joint at its limit, steps in every direction leave no limit and
+    tell no lie.
+    """
     profile = case.robot()
     home = home_sample(profile)
     limits, count = profile.limits, len(profile.arm_joints)
@@ -49,7 +75,9 @@ def _check_limits(case: ControllerCase) -> None:
                 joints = arm_sample(profile, arm)
                 for axis in range(6):
                     for sign in (1, -1):
-                        action = make_action(*(sign * (0.01 if axis < 3 else 0.03) * np.eye(6)[axis]))
+                        action = make_action(
+                            *(sign * (0.01 if axis < 3 else 0.03) * np.eye(6)[axis])
+                        )
                         result = compute(controller, action, joints)
                         if isinstance(result, JointCommand):
                             check_command(result, joints, profile, STEP_S)
@@ -64,7 +92,9 @@ def _reach_m(profile: RobotProfile) -> float:
 
 
 def _check_reach(case: ControllerCase) -> None:
-    """Step by step to the end of the reach and beyond: the way may end early, but not with a false word."""
+    """Step by step to the end of the reach and beyond: the way may end early, but not with a
+    false word.
+    """
     profile = case.robot()
     names, far_m = profile.arm_joints, 2 * _reach_m(profile)
     with loaded(case) as controller:
@@ -78,13 +108,19 @@ def _check_reach(case: ControllerCase) -> None:
                         break
                     check_command(result, joints, profile, WALK_S)
                     check_arrives(result, action, joints, profile)
-                    short = f"a target is missed by {result.residual_m:.4f} m, {result.residual_rad:.4f} rad"
+                    short = (
+                        f"a target is missed by {result.residual_m:.4f} m, "
+                        f"{result.residual_rad:.4f} rad"
+                    )
                     good = result.residual_m <= RESIDUAL_M and result.residual_rad <= RESIDUAL_RAD
                     require(good, f"{short} and not refused")
                     reached = {**by_name(joints), **by_name(result)}
                     joints = arm_sample(profile, np.array([reached[name] for name in names]))
                     walked_m += WALK_M
-                require(walked_m <= far_m, f"a target {walked_m:.1f} m away, beyond the reach, was not refused")
+                require(
+                    walked_m <= far_m,
+                    f"a target {walked_m:.1f} m away, beyond the reach, was not refused",
+                )
 
 
 def _check_fast(case: ControllerCase) -> None:
@@ -101,28 +137,41 @@ def _check_fast(case: ControllerCase) -> None:
 def _check_quick(case: ControllerCase) -> None:
     joints = home_sample(case.robot())
     with loaded(case) as controller:
-        check_quick(COMPUTE_LIMIT_S, lambda: controller.compute(make_action(0.002), joints, STEP_S), "compute", tries=7)
+        check_quick(
+            COMPUTE_LIMIT_S,
+            lambda: controller.compute(make_action(0.002), joints, STEP_S),
+            "compute",
+            tries=7,
+        )
         check_quick(COMPUTE_LIMIT_S, lambda: controller.forward(joints), "forward", tries=7)
 
 
 RULES: tuple[Rule[ControllerCase], ...] = (
     controller_rule(
         "far-targets-harmless",
-        "A target metres away is refused; a large turn is, or stays within the limits and 0.3 rad per joint.",
+        "A target metres away is refused; a large turn is, or stays within the limits and 0.3 rad "
+        "per joint.",
         _check_far,
     ),
     controller_rule(
         "reach-kept",
-        "On the way out of reach every command ends where its residual says, and what cannot be reached is refused.",
+        "On the way out of reach every command ends where its residual says, and what cannot be "
+        "reached is refused.",
         _check_reach,
     ),
-    controller_rule("limits-kept", "Near a joint limit no command leaves it, and its residual is true.", _check_limits),
+    controller_rule(
+        "limits-kept",
+        "Near a joint limit no command leaves it, and its residual is true.",
+        _check_limits,
+    ),
     controller_rule(
         "velocity-kept",
         "A step too fast for the joints' velocity limits is refused or given more time.",
         _check_fast,
         "roboneuron.contract.profile.JointLimits",
     ),
-    controller_rule("compute-quick", "`compute` and `forward` take a fraction of a step.", _check_quick),
+    controller_rule(
+        "compute-quick", "`compute` and `forward` take a fraction of a step.", _check_quick
+    ),
 )
 """Rules of controllers on bounds."""

@@ -25,30 +25,47 @@ def _check_well_formed(case: AnyCase) -> None:
 
 def _check_compatible(case: AnyCase) -> None:
     written = case.spec.contract
-    require(written == CONTRACT_VERSION, f"written for contract {written}, this core has {CONTRACT_VERSION}")
+    require(
+        written == CONTRACT_VERSION,
+        f"written for contract {written}, this core has {CONTRACT_VERSION}",
+    )
 
 
 def _check_summary(case: AnyCase) -> None:
     summary = case.spec.summary
-    require(len(summary) <= SUMMARY_LENGTH, f"the summary has {len(summary)} characters, at most {SUMMARY_LENGTH}")
+    require(
+        len(summary) <= SUMMARY_LENGTH,
+        f"the summary has {len(summary)} characters, at most {SUMMARY_LENGTH}",
+    )
 
 
 def _described(case: AnyCase) -> tuple[Spec | DriverSpec, ...]:
-    """The descriptor and, of a robot, its drivers whose requirements are met or that the case tries."""
+    """The descriptor and, of a robot, its drivers whose requirements are met or that the case
+    tries.
+    """
     spec = case.spec
     return (spec, *spec.drivers) if isinstance(spec, RobotSpec) else (spec,)
 
 
 def _check_target(case: AnyCase) -> None:
     target = load_target(case.spec)
-    require(callable(target), f"`target` {case.spec.target!r} names {target!r}, expected a class or function")
+    require(
+        callable(target),
+        f"`target` {case.spec.target!r} names {target!r}, expected a class or function",
+    )
     positional, named = case.arguments()
     try:
         inspect.signature(target).bind(*positional, **named)  # type: ignore[arg-type]
     except TypeError as error:
-        words = [*(["config"] if positional else []), *("..." for _ in positional[1:]), *(f"{n}=..." for n in named)]
+        words = [
+            *(["config"] if positional else []),
+            *("..." for _ in positional[1:]),
+            *(f"{n}=..." for n in named),
+        ]
         call = f"target({', '.join(words)})"
-        raise Violation(f"`target` {case.spec.target!r} cannot be called as {call}: {error}") from error
+        raise Violation(
+            f"`target` {case.spec.target!r} cannot be called as {call}: {error}"
+        ) from error
 
 
 def _check_config(case: AnyCase) -> None:
@@ -58,7 +75,10 @@ def _check_config(case: AnyCase) -> None:
     for model in models:
         if model is not None:
             extra = model.model_config.get("extra")
-            require(extra == "forbid", f'{model.__name__} has extra={extra!r}, expected ConfigDict(extra="forbid")')
+            require(
+                extra == "forbid",
+                f'{model.__name__} has extra={extra!r}, expected ConfigDict(extra="forbid")',
+            )
 
 
 def _check_option_descriptions(case: AnyCase) -> None:
@@ -77,11 +97,15 @@ def _check_defaults(case: AnyCase) -> None:
     for model in models:
         if any(option.is_required() for option in model.model_fields.values()):
             continue  # there is nothing to try without the user's own values
-        defaults = {name: option.get_default(call_default_factory=True) for name, option in model.model_fields.items()}
+        defaults = {
+            name: option.get_default(call_default_factory=True)
+            for name, option in model.model_fields.items()
+        }
         try:
             model.model_validate(defaults)
         except ValidationError as error:
-            # A problem without a place is one of options that belong together: then the user must set some.
+            # A problem without a place is one of options that belong together: then the user must
+            # set some.
             wrong = [f"{p['loc'][0]}: {p['msg']}" for p in error.errors() if p["loc"]]
             require(not wrong, f"{model.__name__} refuses its own defaults: {'; '.join(wrong)}")
 
@@ -90,7 +114,9 @@ def _check_case(case: AnyCase) -> None:
     if case.spec.case is None:
         raise NotApplicable("it names no case")
     function = load_attribute(case.spec.case, f"`case` of {case.spec.name!r}")
-    require(callable(function), f"`case` {case.spec.case!r} names {function!r}, expected a function")
+    require(
+        callable(function), f"`case` {case.spec.case!r} names {function!r}, expected a function"
+    )
 
 
 RULES: tuple[Rule[AnyCase], ...] = (
@@ -114,7 +140,8 @@ RULES: tuple[Rule[AnyCase], ...] = (
     ),
     Rule(
         id="descriptor/target-callable",
-        text="`target` can be imported and called with the arguments that the protocol of its kind names.",
+        text="`target` can be imported and called with the arguments that the protocol of its "
+        "kind names.",
         source="roboneuron.contract.protocols",
         check=_check_target,
     ),

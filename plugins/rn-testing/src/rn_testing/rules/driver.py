@@ -1,4 +1,6 @@
-"""Rules of robot drivers: state that can be relied on, and commands that are refused. `driver_motion` has the rest."""
+"""Rules of robot drivers: state that can be relied on, and commands that are refused.
+`driver_motion` has the rest.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,14 @@ from rn_testing.fakes import MemoryTopics
 from rn_testing.lifecycle import Lifecycle, started
 from rn_testing.rule import NotApplicable, Rule, Violation, require
 from rn_testing.rules.perception import FUTURE_S, PAST_S, ros_clock
-from roboneuron import InvalidInputError, JointCommand, JointLimits, RoboNeuronError, RobotDriver, RobotState
+from roboneuron import (
+    InvalidInputError,
+    JointCommand,
+    JointLimits,
+    RoboNeuronError,
+    RobotDriver,
+    RobotState,
+)
 from roboneuron.feature import F64, load_options_model, load_target
 
 READ_LIMIT_S = 0.02
@@ -45,11 +54,16 @@ def read_state(case: RobotCase, driver: RobotDriver) -> RobotState:
 
     def has_state() -> bool:
         state = driver.read()
-        require(isinstance(state, RobotState), f"read returned {type(state).__name__}, expected a RobotState")
+        require(
+            isinstance(state, RobotState),
+            f"read returned {type(state).__name__}, expected a RobotState",
+        )
         found[:] = [state]
         return len(state.joints.names) > 0
 
-    require(wait_until(has_state, case.settle_s), f"no joint state within {case.settle_s:g} s of open()")
+    require(
+        wait_until(has_state, case.settle_s), f"no joint state within {case.settle_s:g} s of open()"
+    )
     return found[0]
 
 
@@ -98,7 +112,11 @@ LIFECYCLE: Lifecycle[RobotCase, RobotDriver] = Lifecycle(
     protocol=RobotDriver,
     begin="open",
     start=_open,
-    uses={"read": lambda case, driver: driver.read(), "send": _send_home, "hold": lambda case, driver: driver.hold()},
+    uses={
+        "read": lambda case, driver: driver.read(),
+        "send": _send_home,
+        "hold": lambda case, driver: driver.hold(),
+    },
     abuses=(_send_nonsense,),
 )
 """How a driver is started and used."""
@@ -113,7 +131,10 @@ def _check_target(case: RobotCase) -> None:
 def _check_topics_untouched(case: RobotCase) -> None:
     topics = MemoryTopics()
     attempt(case, lambda: case.build(topics))
-    require(not topics.used, f"the constructor uses the topics {', '.join(topics.used)}; that belongs into open()")
+    require(
+        not topics.used,
+        f"the constructor uses the topics {', '.join(topics.used)}; that belongs into open()",
+    )
 
 
 def _check_state(case: RobotCase) -> None:
@@ -123,21 +144,33 @@ def _check_state(case: RobotCase) -> None:
         arm = arm_position(case, driver)
     joints = state.joints
     require(len(set(joints.names)) == len(joints.names), "read names a joint twice")
-    require(joints.position.shape == (len(joints.names),), f"read has {joints.position.shape} positions for its names")
+    require(
+        joints.position.shape == (len(joints.names),),
+        f"read has {joints.position.shape} positions for its names",
+    )
     require(bool(np.isfinite(joints.position).all()), "read holds a position that is not finite")
     if joints.velocity is not None:
-        require(joints.velocity.shape == joints.position.shape, "read has not one velocity for each position")
         require(
-            bool(np.isfinite(joints.velocity).all()), "read holds a velocity that is not finite; None means unknown"
+            joints.velocity.shape == joints.position.shape,
+            "read has not one velocity for each position",
+        )
+        require(
+            bool(np.isfinite(joints.velocity).all()),
+            "read holds a velocity that is not finite; None means unknown",
         )
     limits = profile.limits
     if limits is not None:
         outside = (arm < limits.lower - OUTSIDE) | (arm > limits.upper + OUTSIDE)
         astray = [n for n, out in zip(profile.arm_joints, outside.tolist(), strict=True) if out]
-        require(not astray, f"read is outside of the limits for {', '.join(astray)}; are those degrees?")
+        require(
+            not astray, f"read is outside of the limits for {', '.join(astray)}; are those degrees?"
+        )
     if profile.gripper is not None:
         opening = state.gripper_open
-        require(opening is not None and 0 <= opening <= 1, f"gripper_open is {opening}, expected 0 closed .. 1 open")
+        require(
+            opening is not None and 0 <= opening <= 1,
+            f"gripper_open is {opening}, expected 0 closed .. 1 open",
+        )
 
 
 def _check_stamps(case: RobotCase) -> None:
@@ -149,10 +182,16 @@ def _check_stamps(case: RobotCase) -> None:
             looks += 1
             stamp_ns = read_state(case, driver).joints.stamp_ns
             early_s, late_s = (opened_ns - stamp_ns) / 1e9, (stamp_ns - ros_clock()) / 1e9
-            require(late_s <= FUTURE_S, f"a state is stamped {late_s:.3g} s in the future of ROS time")
-            require(early_s <= PAST_S, f"a state is stamped {early_s:.3g} s before open() in ROS time, in nanoseconds")
             require(
-                stamp_ns >= newest_ns, f"a state is stamped {(newest_ns - stamp_ns) / 1e9:.3g} s before the last one"
+                late_s <= FUTURE_S, f"a state is stamped {late_s:.3g} s in the future of ROS time"
+            )
+            require(
+                early_s <= PAST_S,
+                f"a state is stamped {early_s:.3g} s before open() in ROS time, in nanoseconds",
+            )
+            require(
+                stamp_ns >= newest_ns,
+                f"a state is stamped {(newest_ns - stamp_ns) / 1e9:.3g} s before the last one",
             )
             newest_ns = stamp_ns
             time.sleep(0.005)
@@ -221,7 +260,9 @@ def _check_limits(case: RobotCase) -> None:
 SOURCE = "roboneuron.contract.protocols.RobotDriver"
 
 
-def driver_rule(name: str, text: str, method: str, check: Callable[[RobotCase], None]) -> Rule[RobotCase]:
+def driver_rule(
+    name: str, text: str, method: str, check: Callable[[RobotCase], None]
+) -> Rule[RobotCase]:
     """A rule that a method of RobotDriver states."""
     return Rule(id=f"driver/{name}", text=text, source=f"{SOURCE}.{method}", check=check)
 
@@ -242,7 +283,8 @@ RULES: tuple[Rule[RobotCase], ...] = (
     ),
     driver_rule(
         "reads-state",
-        "After `open`, `read` returns finite numbers within the limits, of every arm joint, and the gripper's opening.",
+        "After `open`, `read` returns finite numbers within the limits, of every arm joint, and "
+        "the gripper's opening.",
         "read",
         _check_state,
     ),
@@ -253,10 +295,16 @@ RULES: tuple[Rule[RobotCase], ...] = (
         _check_stamps,
     ),
     driver_rule("read-quick", "`read` does not wait.", "read", _check_read_quick),
-    driver_rule("send-quick", "`send` starts a motion and does not wait for its end.", "send", _check_send_quick),
+    driver_rule(
+        "send-quick",
+        "`send` starts a motion and does not wait for its end.",
+        "send",
+        _check_send_quick,
+    ),
     driver_rule(
         "bad-command-refused",
-        "A command of unknown joints, unequal lengths, no duration or of NaN is refused and moves nothing.",
+        "A command of unknown joints, unequal lengths, no duration or of NaN is refused and moves "
+        "nothing.",
         "send",
         _check_bad_command,
     ),

@@ -1,4 +1,6 @@
-"""Rules of robot drivers on motion: it arrives, takes the time it says, follows the newest command, and stops."""
+"""Rules of robot drivers on motion: it arrives, takes the time it says, follows the newest
+command, and stops.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,14 @@ import numpy as np
 from rn_testing.cases import RobotCase
 from rn_testing.effects import wait_until
 from rn_testing.rule import NotApplicable, Rule, Violation, require
-from rn_testing.rules.driver import arm_command, arm_limits, arm_position, driver_rule, opened, read_state
+from rn_testing.rules.driver import (
+    arm_command,
+    arm_limits,
+    arm_position,
+    driver_rule,
+    opened,
+    read_state,
+)
 from rn_testing.rules.perception import ros_clock
 from roboneuron import JointCommand, RoboNeuronError, RobotDriver
 from roboneuron.feature import F64
@@ -19,19 +28,24 @@ from roboneuron.feature import F64
 HOLD_S = 0.3
 """How long the robot is watched after `hold`."""
 AHEAD = 0.35
-"""How far a motion may be ahead of an even one, as a share of its way: smooth ones are, jumps are at 1."""
+"""How far a motion may be ahead of an even one, as a share of its way: smooth ones are, jumps
+are at 1.
+"""
 FAR = 20
 """Steps of the case in a motion that is watched."""
 CREEP = 0.1
 """How far a held joint may go on evenly in one direction, as a share of the case's tolerance."""
 MOTION_S, LOOKS, MOST_GAPS = 0.6, 4, 3
-"""Least duration of a motion whose velocities are added up, how often it is tried, and into how many parts at least the
-states divide it."""
+"""Least duration of a motion whose velocities are added up, how often it is tried, and into how
+many parts at least the states divide it."""
 SLOWEST, FASTEST = 0.1, 10.0
-"""Sum of the velocities over the way: degrees are 57, another sign is negative; a simulation that runs behind the clock
-on a busy machine tells velocities of its own time, so that this is no narrow bound."""
+"""Sum of the velocities over the way: degrees are 57, another sign is negative; a simulation that
+runs behind the clock on a busy machine tells velocities of its own time, so that this is no narrow
+bound."""
 STARTS, STALE_S = 5, 0.3
-"""Motions of which the quickest start is judged, and how late it may show: a busy machine delays one, not all."""
+"""Motions of which the quickest start is judged, and how late it may show: a busy machine
+delays one, not all.
+"""
 OPENINGS = (0.5, 0.0, 1.0)
 """Openings that the gripper is sent to."""
 OPENING_TOLERANCE = 0.15
@@ -39,7 +53,9 @@ OPENING_TOLERANCE = 0.15
 
 
 def _shifted(case: RobotCase, start: F64, steps: float, joint: int = -1) -> F64:
-    """`start` with one joint moved by so many of the case's steps, towards the side with more room."""
+    """`start` with one joint moved by so many of the case's steps, towards the side with more
+    room.
+    """
     limits = arm_limits(case)
     goal = start.copy()
     room = limits.upper[joint] - goal[joint] > goal[joint] - limits.lower[joint]
@@ -50,7 +66,10 @@ def _shifted(case: RobotCase, start: F64, steps: float, joint: int = -1) -> F64:
 def _send(case: RobotCase, driver: RobotDriver, command: JointCommand) -> JointCommand:
     """Send a command that is within every limit; it must be sent as it is."""
     sent = driver.send(command)
-    require(isinstance(sent, JointCommand), f"send returned {type(sent).__name__}, expected what was really sent")
+    require(
+        isinstance(sent, JointCommand),
+        f"send returned {type(sent).__name__}, expected what was really sent",
+    )
     require(sent.duration_s > 0, f"what was sent lasts {sent.duration_s} s")
     positions = dict(zip(sent.names, sent.position.tolist(), strict=True))
     for name, wanted in zip(command.names, command.position.tolist(), strict=True):
@@ -58,14 +77,19 @@ def _send(case: RobotCase, driver: RobotDriver, command: JointCommand) -> JointC
             raise Violation(f"what was sent lacks the joint {name!r}")
         off = abs(positions[name] - wanted)
         require(
-            off <= case.tolerance, f"send of {name!r} to {wanted:.4f}, within its limits, says {positions[name]:.4f}"
+            off <= case.tolerance,
+            f"send of {name!r} to {wanted:.4f}, within its limits, says {positions[name]:.4f}",
         )
     return sent
 
 
-def _check_arrival(case: RobotCase, driver: RobotDriver, goal: F64, sent: JointCommand, what: str) -> None:
+def _check_arrival(
+    case: RobotCase, driver: RobotDriver, goal: F64, sent: JointCommand, what: str
+) -> None:
     limit_s = case.settle_s + sent.duration_s
-    arrived = wait_until(lambda: bool(np.abs(arm_position(case, driver) - goal).max() <= case.tolerance), limit_s)
+    arrived = wait_until(
+        lambda: bool(np.abs(arm_position(case, driver) - goal).max() <= case.tolerance), limit_s
+    )
     error = float(np.abs(arm_position(case, driver) - goal).max())
     require(arrived, f"{limit_s:g} s after {what} a joint is still {error:.4f} away")
 
@@ -88,7 +112,9 @@ def _check_by_name(case: RobotCase) -> None:
         _check_arrival(case, driver, goal, sent, "a command with its joints in another order")
 
 
-def _check_pace(case: RobotCase, driver: RobotDriver, start: F64, goal: F64, duration_s: float) -> None:
+def _check_pace(
+    case: RobotCase, driver: RobotDriver, start: F64, goal: F64, duration_s: float
+) -> None:
     """The motion that was just sent is nowhere far ahead of its duration."""
     way = float(np.abs(goal - start).max())
     begun_s = time.monotonic()
@@ -97,7 +123,10 @@ def _check_pace(case: RobotCase, driver: RobotDriver, start: F64, goal: F64, dur
         passed = (time.monotonic() - begun_s) / duration_s
         if passed >= 1.0 - AHEAD:
             return
-        require(done <= passed + AHEAD, f"after {passed:.0%} of {duration_s:.3g} s a joint is {done:.0%} of its way")
+        require(
+            done <= passed + AHEAD,
+            f"after {passed:.0%} of {duration_s:.3g} s a joint is {done:.0%} of its way",
+        )
         time.sleep(0.005)
 
 
@@ -108,7 +137,10 @@ def _check_duration(case: RobotCase) -> None:
         start = arm_position(case, driver)
         goal = _shifted(case, start, 5)
         sent = _send(case, driver, arm_command(case, goal, duration_s))
-        require(sent.duration_s >= 0.99 * duration_s, f"a motion of {duration_s:g} s was sent as {sent.duration_s:g} s")
+        require(
+            sent.duration_s >= 0.99 * duration_s,
+            f"a motion of {duration_s:g} s was sent as {sent.duration_s:g} s",
+        )
         _check_pace(case, driver, start, goal, sent.duration_s)
         _check_arrival(case, driver, goal, sent, "a slow motion")
 
@@ -123,7 +155,10 @@ def _check_speed(case: RobotCase) -> None:
             sent = driver.send(arm_command(case, goal, needed_s / 20))
         except RoboNeuronError:
             return
-        told = f"a motion that needs {needed_s:.3g} s by the velocity limit was sent as {sent.duration_s:.3g} s"
+        told = (
+            f"a motion that needs {needed_s:.3g} s by the velocity limit was sent as "
+            f"{sent.duration_s:.3g} s"
+        )
         require(sent.duration_s >= 0.95 * needed_s, told)
         _check_pace(case, driver, start, goal, sent.duration_s)
         _check_arrival(case, driver, goal, sent, "a motion faster than the limits")
@@ -166,9 +201,11 @@ def _check_hold(case: RobotCase) -> None:
         start = arm_position(case, driver)
         goal = _shifted(case, start, FAR)
         duration_s = max(5.0, 4 * FAR * case.step / float(limits.velocity[-1]))
-        with suppress(RoboNeuronError):  # a driver may refuse a step as large as this; then it is held where it is
+        # a driver may refuse a step as large as this; then it is held where it is
+        with suppress(RoboNeuronError):
             driver.send(arm_command(case, goal, duration_s))
-            wait_until(lambda: _moved(case, driver, start) >= case.step, case.settle_s)  # away from where it stood
+            # away from where it stood
+            wait_until(lambda: _moved(case, driver, start) >= case.step, case.settle_s)
         before, opening = arm_position(case, driver), read_state(case, driver).gripper_open
         driver.hold()
         wait_until(lambda: False, HOLD_S)  # braking takes a moment
@@ -179,16 +216,29 @@ def _check_hold(case: RobotCase) -> None:
         held_opening = read_state(case, driver).gripper_open
     if opening is not None and held_opening is not None:
         kept = abs(held_opening - opening) <= OPENING_TOLERANCE
-        require(kept, f"hold() moved the gripper from {opening:.2f} to {held_opening:.2f}; it may hold something")
+        require(
+            kept,
+            f"hold() moved the gripper from {opening:.2f} to {held_opening:.2f}; it may hold "
+            "something",
+        )
     moved = float(np.abs(held[-1] - held[0]).max())
     jumped = float(np.abs(held[0] - before).max())
-    require(moved <= case.tolerance, f"after hold() a joint moved on by {moved:.4f} in {1.5 * HOLD_S:g} s")
+    require(
+        moved <= case.tolerance,
+        f"after hold() a joint moved on by {moved:.4f} in {1.5 * HOLD_S:g} s",
+    )
     allowed = 0.25 * FAR * case.step + case.tolerance
     require(jumped <= allowed, f"hold() moved a joint by {jumped:.4f}")
     steps = np.diff(np.array(held), axis=0)
-    one_way = (np.abs(np.sign(steps).sum(axis=0)) == 3) & (np.abs(steps[-1]) >= 0.5 * np.abs(steps[0]))
-    creeps = float((np.abs(steps.sum(axis=0)) * one_way).max())  # what settles slows down, and what is noise turns
-    require(creeps <= CREEP * case.tolerance, f"after hold() a joint creeps on, {creeps:.5f} in {1.5 * HOLD_S:g} s")
+    one_way = (np.abs(np.sign(steps).sum(axis=0)) == 3) & (
+        np.abs(steps[-1]) >= 0.5 * np.abs(steps[0])
+    )
+    # what settles slows down, and what is noise turns
+    creeps = float((np.abs(steps.sum(axis=0)) * one_way).max())
+    require(
+        creeps <= CREEP * case.tolerance,
+        f"after hold() a joint creeps on, {creeps:.5f} in {1.5 * HOLD_S:g} s",
+    )
 
 
 def _moved(case: RobotCase, driver: RobotDriver, start: F64) -> float:
@@ -201,11 +251,16 @@ def _check_open_still(case: RobotCase) -> None:
         start = arm_position(case, driver)
         wait_until(lambda: False, HOLD_S)
         moved = _moved(case, driver, start)
-    require(moved <= case.tolerance, f"nobody sent anything, and after open() a joint moved by {moved:.4f}")
+    require(
+        moved <= case.tolerance,
+        f"nobody sent anything, and after open() a joint moved by {moved:.4f}",
+    )
 
 
 def _velocity_samples(case: RobotCase, driver: RobotDriver, duration_s: float) -> F64:
-    """Stamp [s], position and velocity (n, 3) of the last arm joint while it moves, each stamp once."""
+    """Stamp [s], position and velocity (n, 3) of the last arm joint while it moves, each stamp
+    once.
+    """
     name = case.profile().arm_joints[-1]
     found: dict[int, tuple[float, float, float]] = {}
 
@@ -213,8 +268,13 @@ def _velocity_samples(case: RobotCase, driver: RobotDriver, duration_s: float) -
         joints = read_state(case, driver).joints
         index = joints.names.index(name)
         if joints.velocity is not None:
-            stamp_s = joints.stamp_ns / 1e9 % 1e6  # of the whole clock a float keeps no microseconds
-            found[joints.stamp_ns] = (stamp_s, float(joints.position[index]), float(joints.velocity[index]))
+            # of the whole clock a float keeps no microseconds
+            stamp_s = joints.stamp_ns / 1e9 % 1e6
+            found[joints.stamp_ns] = (
+                stamp_s,
+                float(joints.position[index]),
+                float(joints.velocity[index]),
+            )
         return False
 
     wait_until(look, duration_s)
@@ -261,7 +321,9 @@ def _check_fresh(case: RobotCase) -> None:
             begun_ns = ros_clock()
             sent = driver.send(arm_command(case, goal, 0.2))
             wait_until(lambda s=start: _moved(case, driver, s) > 0.2 * case.step, case.settle_s)  # type: ignore[misc]
-            late_s = (read_state(case, driver).joints.stamp_ns - begun_ns) / 1e9 - 0.5 * sent.duration_s
+            late_s = (
+                read_state(case, driver).joints.stamp_ns - begun_ns
+            ) / 1e9 - 0.5 * sent.duration_s
             delays_s.append(late_s)
             if late_s <= STALE_S:
                 return
@@ -280,18 +342,45 @@ def _check_after_hold(case: RobotCase) -> None:
 
 
 RULES: tuple[Rule[RobotCase], ...] = (
-    driver_rule("send-arrives", "`send` returns what was really sent, and the robot gets there.", "send", _check_send),
-    driver_rule("joints-by-name", "Commanded joints are taken by name, in any order.", "send", _check_by_name),
-    driver_rule("duration-kept", "A motion takes the duration that it was sent with.", "send", _check_duration),
+    driver_rule(
+        "send-arrives",
+        "`send` returns what was really sent, and the robot gets there.",
+        "send",
+        _check_send,
+    ),
+    driver_rule(
+        "joints-by-name",
+        "Commanded joints are taken by name, in any order.",
+        "send",
+        _check_by_name,
+    ),
+    driver_rule(
+        "duration-kept",
+        "A motion takes the duration that it was sent with.",
+        "send",
+        _check_duration,
+    ),
     driver_rule(
         "velocity-kept",
         "A motion too fast for the velocity limits is refused, or takes longer and `send` says so.",
         "send",
         _check_speed,
     ),
-    driver_rule("gripper-follows", "The gripper goes to the opening of its joint's position.", "send", _check_gripper),
-    driver_rule("newest-command-wins", "A command replaces the one before at once.", "send", _check_newest),
-    driver_rule("hold-stops", "After `hold` arm and gripper stand still, also on their way.", "hold", _check_hold),
+    driver_rule(
+        "gripper-follows",
+        "The gripper goes to the opening of its joint's position.",
+        "send",
+        _check_gripper,
+    ),
+    driver_rule(
+        "newest-command-wins", "A command replaces the one before at once.", "send", _check_newest
+    ),
+    driver_rule(
+        "hold-stops",
+        "After `hold` arm and gripper stand still, also on their way.",
+        "hold",
+        _check_hold,
+    ),
     driver_rule("open-stands-still", "`open` moves nothing.", "open", _check_open_still),
     driver_rule(
         "velocity-measured",
@@ -299,7 +388,14 @@ RULES: tuple[Rule[RobotCase], ...] = (
         "read",
         _check_velocity,
     ),
-    driver_rule("state-fresh", "A state is stamped when it was measured, not when it is read.", "read", _check_fresh),
-    driver_rule("moves-after-hold", "After `hold` the next command is followed.", "hold", _check_after_hold),
+    driver_rule(
+        "state-fresh",
+        "A state is stamped when it was measured, not when it is read.",
+        "read",
+        _check_fresh,
+    ),
+    driver_rule(
+        "moves-after-hold", "After `hold` the next command is followed.", "hold", _check_after_hold
+    ),
 )
 """Rules of robot drivers on motion."""

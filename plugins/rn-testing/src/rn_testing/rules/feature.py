@@ -1,4 +1,6 @@
-"""Rules of features: built without effect, well described, started and closed, and no way round the gate."""
+"""Rules of features: built without effect, well described, started and closed, and no way round
+the gate.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +32,12 @@ if TYPE_CHECKING:
 
 _NAME = re.compile(r"[a-z][a-z0-9]*(_[a-z0-9]+)*")
 _LEAVE_S = 5.0
-_FORBIDDEN = ("rclpy", f"roboneuron.feature.{SENDING_NAME}", f"{SENDER_PACKAGE}.writer", f"{SENDER_PACKAGE}.traffic")
+_FORBIDDEN = (
+    "rclpy",
+    f"roboneuron.feature.{SENDING_NAME}",
+    f"{SENDER_PACKAGE}.writer",
+    f"{SENDER_PACKAGE}.traffic",
+)
 """What could publish without the gate."""
 
 
@@ -47,7 +54,9 @@ def _server(case: FeatureCase, with_feature: bool = True) -> Iterator[Applicatio
     def refuse(python: str | None) -> NoReturn:
         raise AssertionError("a feature starts no module by itself")
 
-    config = Config.model_validate({"robot": {"name": "gantry"}, "sections": case.sections() if with_feature else {}})
+    config = Config.model_validate(
+        {"robot": {"name": "gantry"}, "sections": case.sections() if with_feature else {}}
+    )
     registry = fake_registry(*((case.spec, *case.needs) if with_feature else ()))
     with tempfile.TemporaryDirectory() as folder:
         application = Application(
@@ -65,7 +74,10 @@ def _check_class(case: FeatureCase) -> None:
     from roboneuron import Feature  # heavy
 
     made = attempt(case, case.build)
-    require(isinstance(made, Feature), f"`target` makes a {type(made).__name__}, not a roboneuron.Feature")
+    require(
+        isinstance(made, Feature),
+        f"`target` makes a {type(made).__name__}, not a roboneuron.Feature",
+    )
 
 
 def _check_defaults(case: FeatureCase) -> None:
@@ -76,7 +88,10 @@ def _check_defaults(case: FeatureCase) -> None:
 
 def _check_loads(case: FeatureCase) -> None:
     with _server(case) as application:
-        require(not application.features.failed, f"it was left out: {application.features.failed.get(case.spec.name)}")
+        require(
+            not application.features.failed,
+            f"it was left out: {application.features.failed.get(case.spec.name)}",
+        )
 
 
 def _new_tools(case: FeatureCase) -> list[Tool]:
@@ -90,12 +105,19 @@ def _check_described(case: FeatureCase) -> None:
     for tool in _new_tools(case):
         who = f"the tool {tool.name!r}"
         require(_NAME.fullmatch(tool.name) is not None, f"{who} is no snake_case name")
-        require(tool.title != "", f"{who} has no title")  # none: it says what the name says, and is not listed
-        require(len(tool.description or "") >= 20, f"the description of {who} says too little: {tool.description!r}")
+        # none: it says what the name says, and is not listed
+        require(tool.title != "", f"{who} has no title")
+        require(
+            len(tool.description or "") >= 20,
+            f"the description of {who} says too little: {tool.description!r}",
+        )
         properties: dict[str, Any] = tool.input_schema.get("properties", {})
         bare = [name for name, entry in properties.items() if not entry.get("description")]
         require(not bare, f"{who} has arguments without description: {', '.join(bare)}")
-        require(tool.input_schema.get("additionalProperties") is False, f"{who} takes arguments that it does not name")
+        require(
+            tool.input_schema.get("additionalProperties") is False,
+            f"{who} takes arguments that it does not name",
+        )
 
 
 def _check_closes(case: FeatureCase) -> None:
@@ -113,7 +135,9 @@ def _check_closes(case: FeatureCase) -> None:
         feature.close()
         feature.close()
         took_s = time.monotonic() - started_s
-        require(took_s < _LEAVE_S, f"`close` took {took_s:.1f} s, at most {_LEAVE_S:g} s are allowed")
+        require(
+            took_s < _LEAVE_S, f"`close` took {took_s:.1f} s, at most {_LEAVE_S:g} s are allowed"
+        )
     check_released(before, "close()")
 
 
@@ -137,7 +161,10 @@ def _check_gate(case: FeatureCase) -> None:
                 names = [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
             for name in names:
                 breach = any(name == word or name.startswith(f"{word}.") for word in _FORBIDDEN)
-                require(not breach, f"{path.name} imports {name}: what moves a robot goes through host.gate")
+                require(
+                    not breach,
+                    f"{path.name} imports {name}: what moves a robot goes through host.gate",
+                )
 
 
 def _sources(package: str) -> list[Path]:
@@ -149,7 +176,12 @@ def _sources(package: str) -> list[Path]:
 _SOURCE = "roboneuron.server.feature.Feature"
 
 RULES: tuple[Rule[FeatureCase], ...] = (
-    Rule(id="feature/class", text="`target` makes a roboneuron.Feature.", source=_SOURCE, check=_check_class),
+    Rule(
+        id="feature/class",
+        text="`target` makes a roboneuron.Feature.",
+        source=_SOURCE,
+        check=_check_class,
+    ),
     Rule(id="feature/constructor-pure", text=PURE, source=_SOURCE, check=check_pure_constructor),
     Rule(
         id="feature/defaults",
@@ -166,7 +198,8 @@ RULES: tuple[Rule[FeatureCase], ...] = (
     ),
     Rule(
         id="feature/closes",
-        text="`start`, `close` are quick; `close` may be called twice and before `start` and leaves nothing running.",
+        text="`start`, `close` are quick; `close` may be called twice and before `start` and "
+        "leaves nothing running.",
         source=f"{_SOURCE}.close",
         check=_check_closes,
     ),

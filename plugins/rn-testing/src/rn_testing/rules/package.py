@@ -6,7 +6,12 @@ import functools
 import re
 import sys
 from collections.abc import Collection, Iterator, Mapping
-from importlib.metadata import PackageNotFoundError, distribution, distributions, packages_distributions
+from importlib.metadata import (
+    PackageNotFoundError,
+    distribution,
+    distributions,
+    packages_distributions,
+)
 
 import roboneuron
 from rn_testing.cases import PackageCase
@@ -30,10 +35,12 @@ from roboneuron import CommandSpec, DriverSpec, FeatureSpec, RobotSpec, Spec
 from roboneuron.feature import PROJECT, discover
 
 SENDING_NAME = "RosLink"
-"""What joins the ROS graph and could send past the gate: for commands, which are processes of their own, and for the
-plugin of the direct path."""
+"""What joins the ROS graph and could send past the gate: for commands, which are processes of their
+own, and for the plugin of the direct path."""
 SENDER = ("rn-standard", "rn-direct-path")
-"""Distribution and plugin of the gate: the one feature that sends, since all others send through it."""
+"""Distribution and plugin of the gate: the one feature that sends, since all others send
+through it.
+"""
 SENDER_PACKAGE = "rn_standard.direct_path"
 """The package of that plugin."""
 CORE = "roboneuron-core"
@@ -48,8 +55,13 @@ def _check_entry_point(case: PackageCase) -> None:
         inner = point.module.split(".")[1:]
         place = directory.joinpath(*inner)
         exists = place.with_suffix(".py").is_file() or (place / "__init__.py").is_file()
-        require(exists, f"the entry point names {point.module!r}, which {directory.name} does not hold")
-        require(not point.attr, f"the entry point is {point.value!r}, expected a module without attribute")
+        require(
+            exists, f"the entry point names {point.module!r}, which {directory.name} does not hold"
+        )
+        require(
+            not point.attr,
+            f"the entry point is {point.value!r}, expected a module without attribute",
+        )
 
 
 def _check_hooks(case: PackageCase) -> None:
@@ -59,7 +71,8 @@ def _check_hooks(case: PackageCase) -> None:
 
 
 def _check_light(case: PackageCase) -> None:
-    brought = {spec.__module__.rpartition(".")[0] for spec in discover().kinds.values()}  # a suite's descriptor
+    # a suite's descriptor
+    brought = {spec.__module__.rpartition(".")[0] for spec in discover().kinds.values()}
     for point in find_entry_points(case):
         packages = brought | {find_package(case, point.module)}
         heavy = {_foreign(name, packages) for name in probe(case, point.module).loaded} - {""}
@@ -67,7 +80,8 @@ def _check_light(case: PackageCase) -> None:
 
 
 def _foreign(module: str, packages: Collection[str]) -> str:
-    """What a plugin module should not load with itself: another package, or a plugin beside it; empty when it may.
+    """What a plugin module should not load with itself: another package, or a plugin beside it;
+    empty when it may.
 
     Args:
         module: name of a module that was loaded.
@@ -76,7 +90,10 @@ def _foreign(module: str, packages: Collection[str]) -> str:
     top = module.partition(".")[0]
     if top in sys.stdlib_module_names | {PROJECT, "pluggy"} or top.startswith("__"):
         return ""
-    if any(f"{module}.".startswith(f"{package}.") or package.startswith(f"{module}.") for package in packages):
+    if any(
+        f"{module}.".startswith(f"{package}.") or package.startswith(f"{module}.")
+        for package in packages
+    ):
         return ""
     beside = any(package.partition(".")[0] == top for package in packages)
     return ".".join(module.split(".")[:2]) if beside else top
@@ -110,7 +127,10 @@ def _check_licence(case: PackageCase) -> None:
     files = [str(name) for name in found.metadata.get_all("License-File") or ()]
     require(bool(files), "the distribution holds no licence file")
     texts = [found.read_text(f"licenses/{name}") or found.read_text(name) for name in files]
-    require(all(text and text.strip() for text in texts), f"the distribution lacks the text of {', '.join(files)}")
+    require(
+        all(text and text.strip() for text in texts),
+        f"the distribution lacks the text of {', '.join(files)}",
+    )
 
 
 def _check_python(case: PackageCase) -> None:
@@ -121,14 +141,20 @@ def _check_python(case: PackageCase) -> None:
 
 def _check_core(case: PackageCase) -> None:
     require(CORE in requirements(case), f"the distribution does not require {CORE}")
-    lines = [line for line in find_distribution(case).requires or () if normalise(line).startswith(CORE)]
+    lines = [
+        line for line in find_distribution(case).requires or () if normalise(line).startswith(CORE)
+    ]
     plain = [line for line in lines if "extra ==" not in line]
     require(bool(plain), f"the distribution requires {CORE} only in an extra")
-    require(any(">" in line and "<" in line for line in plain), f"{plain[0]!r} has no lower or no upper bound")
+    require(
+        any(">" in line and "<" in line for line in plain),
+        f"{plain[0]!r} has no lower or no upper bound",
+    )
 
 
 def is_public(name: str, *, for_features: bool, sends: bool = False) -> bool:
-    """Whether a plugin may import what `name` means: `roboneuron.<name>`, and `roboneuron.feature.<name>` for some.
+    """Whether a plugin may import what `name` means: `roboneuron.<name>`, and
+    `roboneuron.feature.<name>` for some.
 
     Args:
         name: as `imported_modules` gives it.
@@ -169,28 +195,43 @@ def _check_siblings(case: PackageCase) -> None:
     for path in source_files(case):
         for name, line in imported_modules(path):
             owner = owners.get(name.partition(".")[0])
-            require(owner is None or owner in declared, f"{path.name}:{line} imports {name} of {owner}, not declared")
+            require(
+                owner is None or owner in declared,
+                f"{path.name}:{line} imports {name} of {owner}, not declared",
+            )
 
 
 def _check_kit(case: PackageCase) -> None:
     """The kit is not there when users run a plugin that names it in an extra only."""
-    needed = {normalise(line) for line in find_distribution(case).requires or () if "extra ==" not in line}
+    needed = {
+        normalise(line) for line in find_distribution(case).requires or () if "extra ==" not in line
+    }
     if normalise(case.distribution) == KIT or any(line.startswith(KIT) for line in needed):
         return
     cases = {str(spec.case).partition(":")[0] for spec in _specs(case) if isinstance(spec, Spec)}
     cases |= {named_by(kind).partition(":")[0] for kind in discover().kinds.values()}
     roots = [find_package_directory(case, point.module).parent for point in find_entry_points(case)]
     for path in source_files(case):
-        module = next(".".join(path.relative_to(r).with_suffix("").parts) for r in roots if path.is_relative_to(r))
+        module = next(
+            ".".join(path.relative_to(r).with_suffix("").parts)
+            for r in roots
+            if path.is_relative_to(r)
+        )
         for name, line in imported_modules(path):
             allowed = module in cases or name.partition(".")[0] != __name__.partition(".")[0]
-            require(allowed, f"{path.name}:{line} imports {name}, which only the module of a `case` or of `rules` may")
+            require(
+                allowed,
+                f"{path.name}:{line} imports {name}, which only the module of a `case` or of "
+                "`rules` may",
+            )
 
 
 def _check_imports_declared(case: PackageCase) -> None:
-    """What is imported comes with what is declared, directly or by way of it, or with a descriptor's `requires`.
+    """What is imported comes with what is declared, directly or by way of it, or with a
+    descriptor's `requires`.
 
-    A subpackage that another program loads by an entry point of its own runs with what that program has installed.
+    A subpackage that another program loads by an entry point of its own runs with what that program
+    has installed.
     """
     owners = _owners(tuple(sys.path))
     own = {point.module.partition(".")[0] for point in find_entry_points(case)}
@@ -209,7 +250,8 @@ def _check_imports_declared(case: PackageCase) -> None:
                 continue
             of = {normalise(owner) for owner in owners.get(top, ())}
             require(
-                not of or bool(of & reachable), f"{path.name}:{line} imports {top} of {', '.join(of)}, not declared"
+                not of or bool(of & reachable),
+                f"{path.name}:{line} imports {top} of {', '.join(of)}, not declared",
             )
 
 
@@ -221,13 +263,17 @@ def _check_safe_calls(case: PackageCase) -> None:
 
 @functools.lru_cache(maxsize=4)
 def _owners(path: tuple[str, ...]) -> Mapping[str, list[str]]:
-    """Distributions by the top-level packages that they hold; reading them takes a second for every path."""
+    """Distributions by the top-level packages that they hold; reading them takes a second for
+    every path.
+    """
     return packages_distributions()
 
 
 @functools.cache
 def _needs(name: str) -> frozenset[str]:
-    """Normalised names of all that an installed distribution requires without extras, directly or not."""
+    """Normalised names of all that an installed distribution requires without extras, directly
+    or not.
+    """
     found: set[str] = set()
     waiting = [name]
     while waiting:
@@ -244,9 +290,14 @@ def _needs(name: str) -> frozenset[str]:
 
 
 def _specs(case: PackageCase) -> Iterator[Spec | DriverSpec]:
-    """The descriptors of a distribution or plugin that can be read here, those of drivers included."""
+    """The descriptors of a distribution or plugin that can be read here, those of drivers
+    included.
+    """
     for offer in discover().all_offers:
-        if normalise(offer.distribution) == normalise(case.distribution) and case.plugin in ("", offer.plugin):
+        if normalise(offer.distribution) == normalise(case.distribution) and case.plugin in (
+            "",
+            offer.plugin,
+        ):
             yield offer.spec
             if isinstance(offer.spec, RobotSpec):
                 yield from offer.spec.drivers
@@ -269,7 +320,8 @@ RULES: tuple[Rule[PackageCase], ...] = (
     ),
     Rule(
         id="package/plugin-module-light",
-        text="Importing the plugin module imports nothing but the standard library, pluggy and the package itself.",
+        text="Importing the plugin module imports nothing but the standard library, pluggy and "
+        "the package itself.",
         source="roboneuron.plugins",
         check=_check_light,
     ),
@@ -279,9 +331,18 @@ RULES: tuple[Rule[PackageCase], ...] = (
         source="roboneuron.plugins",
         check=_check_pure,
     ),
-    Rule(id="package/typed", text="The package holds py.typed.", source=_SOURCE, check=_check_typed),
-    Rule(id="package/readme", text="The metadata hold a README.", source=_SOURCE, check=_check_readme),
-    Rule(id="package/summary", text="The metadata hold a summary.", source=_SOURCE, check=_check_summary),
+    Rule(
+        id="package/typed", text="The package holds py.typed.", source=_SOURCE, check=_check_typed
+    ),
+    Rule(
+        id="package/readme", text="The metadata hold a README.", source=_SOURCE, check=_check_readme
+    ),
+    Rule(
+        id="package/summary",
+        text="The metadata hold a summary.",
+        source=_SOURCE,
+        check=_check_summary,
+    ),
     Rule(
         id="package/licence",
         text="The metadata name a licence and the distribution holds its text.",
@@ -302,7 +363,8 @@ RULES: tuple[Rule[PackageCase], ...] = (
     ),
     Rule(
         id="package/import-direction",
-        text="Of the core it imports what `roboneuron` lists; with features or commands, `roboneuron.feature` too.",
+        text="Of the core it imports what `roboneuron` lists; with features or commands, "
+        "`roboneuron.feature` too.",
         source=_SOURCE,
         check=_check_direction,
     ),
@@ -314,13 +376,15 @@ RULES: tuple[Rule[PackageCase], ...] = (
     ),
     Rule(
         id="package/kit-in-cases-only",
-        text=f"Only modules that a descriptor's `case` or `rules` names import {KIT}, unless it depends on it.",
+        text=f"Only modules that a descriptor's `case` or `rules` names import {KIT}, unless it "
+        "depends on it.",
         source=_SOURCE,
         check=_check_kit,
     ),
     Rule(
         id="package/imports-declared",
-        text="What it imports comes with a distribution that it declares, or with a descriptor's `requires`.",
+        text="What it imports comes with a distribution that it declares, or with a descriptor's "
+        "`requires`.",
         source=_SOURCE,
         check=_check_imports_declared,
     ),

@@ -1,4 +1,6 @@
-"""Rules of perception sources: true frames of the cameras asked for, stamped in ROS time, within the time-out."""
+"""Rules of perception sources: true frames of the cameras asked for, stamped in ROS time,
+within the time-out.
+"""
 
 from __future__ import annotations
 
@@ -19,30 +21,47 @@ from rn_testing.lifecycle import Lifecycle, started
 from rn_testing.options import OPTIONS_READ, check_options_read
 from rn_testing.rule import NotApplicable, Rule, Violation, require
 from rn_testing.snapshots import is_alike, snapshot
-from roboneuron import CameraCalibration, CameraProfile, Frame, NotReadyError, PerceptionSource, RoboNeuronError
+from roboneuron import (
+    CameraCalibration,
+    CameraProfile,
+    Frame,
+    NotReadyError,
+    PerceptionSource,
+    RoboNeuronError,
+)
 
 LATE_S = 0.15
-"""How much later than its time-out the quickest of five reads may return: a busy machine slows one, not all."""
+"""How much later than its time-out the quickest of five reads may return: a busy machine slows
+one, not all.
+"""
 READS = 5
 """Reads of which the quickest is judged."""
 SHORT_READ_S, LONG_READ_S = 0.05, 0.3
 """Time-outs of reads that nothing is fed for."""
 CLOCK_OFFSET_NS = 7_200_000_000_000
-"""How far the kit's ROS clock is from the wall clock, so that a stamp tells which one it was taken from."""
+"""How far the kit's ROS clock is from the wall clock, so that a stamp tells which one it was
+taken from.
+"""
 FUTURE_S, PAST_S = 0.02, 2.0
 """How far a stamp may lie after the moment of its read, and before the source was opened."""
 FEED_S = 0.3
-"""How long a frame that was fed lies unread before its stamp is compared with the time it was fed at."""
+"""How long a frame that was fed lies unread before its stamp is compared with the time it was
+fed at.
+"""
 SAME_IMAGE = 12.0
 """Mean difference of two images that show the same, of 255: what a lossy codec leaves."""
 FRAMES = 6
 """Frames that are read in a row."""
 MANY_FRAMES, LOOK_S = 40, 1.0
-"""Frames whose order is looked at; of slow cameras as many as come in that time, and FRAMES at least."""
+"""Frames whose order is looked at; of slow cameras as many as come in that time, and FRAMES at
+least.
+"""
 RATE_OPTIONS = ("rate_hz", "fps", "frame_rate_hz")
 """Options of sources that name the pace of each camera."""
 TOO_FAST = 2.0
-"""How many times the declared pace is no mistake of rounding; slower is what a busy machine does."""
+"""How many times the declared pace is no mistake of rounding; slower is what a busy machine
+does.
+"""
 
 
 def ros_clock() -> int:
@@ -53,7 +72,9 @@ def ros_clock() -> int:
 @contextmanager
 def _open(case: PerceptionCase) -> Iterator[tuple[PerceptionSource, MemoryTopics]]:
     topics = MemoryTopics(ros_clock)
-    with started(case, attempt(case, lambda: case.prepare(topics)), lambda source: source.open()) as source:
+    with started(
+        case, attempt(case, lambda: case.prepare(topics)), lambda source: source.open()
+    ) as source:
         yield source, topics
 
 
@@ -86,7 +107,11 @@ def _use(case: PerceptionCase, source: PerceptionSource) -> object:
 
 
 LIFECYCLE: Lifecycle[PerceptionCase, PerceptionSource] = Lifecycle(
-    subject="perception", protocol=PerceptionSource, begin="open", start=_open_source, uses={"read": _use}
+    subject="perception",
+    protocol=PerceptionSource,
+    begin="open",
+    start=_open_source,
+    uses={"read": _use},
 )
 """How a source is started and used."""
 
@@ -94,7 +119,10 @@ LIFECYCLE: Lifecycle[PerceptionCase, PerceptionSource] = Lifecycle(
 def _check_topics_untouched(case: PerceptionCase) -> None:
     topics = MemoryTopics()
     attempt(case, lambda: case.build(topics))
-    require(not topics.used, f"the constructor uses the topics {', '.join(topics.used)}; that belongs into open()")
+    require(
+        not topics.used,
+        f"the constructor uses the topics {', '.join(topics.used)}; that belongs into open()",
+    )
 
 
 def _check_frame(case: PerceptionCase) -> None:
@@ -102,10 +130,14 @@ def _check_frame(case: PerceptionCase) -> None:
     with _open(case) as (source, topics):
         frames = [_read(case, source, topics) for _ in range(FRAMES)]
     for frame in frames:
-        require(frame.camera in profiles, f"a frame is of camera {frame.camera!r}, asked for: {', '.join(profiles)}")
+        require(
+            frame.camera in profiles,
+            f"a frame is of camera {frame.camera!r}, asked for: {', '.join(profiles)}",
+        )
         profile = profiles[frame.camera]
         require(
-            frame.frame_id == profile.frame_id, f"a frame has frame_id {frame.frame_id!r}, not {profile.frame_id!r}"
+            frame.frame_id == profile.frame_id,
+            f"a frame has frame_id {frame.frame_id!r}, not {profile.frame_id!r}",
         )
         height, width = frame.image.shape[:2]
         size, wanted = f"{width}x{height}", f"{profile.width}x{profile.height}"
@@ -118,16 +150,23 @@ def _check_content(case: PerceptionCase) -> None:
     wanted = case.expected()
     with _open(case) as (source, topics):
         image = _read(case, source, topics).image
-    require(image.shape == wanted.shape, f"a frame is {image.shape}, the case expects {wanted.shape}")
+    require(
+        image.shape == wanted.shape, f"a frame is {image.shape}, the case expects {wanted.shape}"
+    )
     error = float(np.abs(image.astype(float) - wanted).mean())
     swapped = float(np.abs(image[:, :, ::-1].astype(float) - wanted).mean())
     hint = "; red and blue are swapped" if swapped < error else ""
-    require(error <= SAME_IMAGE, f"a frame differs from what the case expects by {error:.0f} of 255{hint}")
+    require(
+        error <= SAME_IMAGE,
+        f"a frame differs from what the case expects by {error:.0f} of 255{hint}",
+    )
 
 
 def _check_calibration(case: PerceptionCase) -> None:
     def calibrated(camera: CameraProfile) -> CameraProfile:
-        intrinsics = np.array([[camera.width, 0, camera.width / 2], [0, camera.width, camera.height / 2], [0, 0, 1]])
+        intrinsics = np.array(
+            [[camera.width, 0, camera.width / 2], [0, camera.width, camera.height / 2], [0, 0, 1]]
+        )
         made = CameraCalibration(intrinsics=intrinsics, mount="base", T_mount_camera=np.eye(4))
         return replace(camera, calibration=camera.calibration or made)
 
@@ -137,7 +176,10 @@ def _check_calibration(case: PerceptionCase) -> None:
     height, width = frame.image.shape[:2]
     wanted = profiles[frame.camera].calibration_at(width, height)
     who = f"a frame of {frame.camera!r}"
-    require(wanted is None or frame.calibration is not None, f"{who} carries no calibration, its profile has one")
+    require(
+        wanted is None or frame.calibration is not None,
+        f"{who} carries no calibration, its profile has one",
+    )
     require(is_alike(frame.calibration, wanted), f"{who} has not the calibration of its profile")
 
 
@@ -148,8 +190,13 @@ def _check_stamps(case: PerceptionCase) -> None:
             stamp_ns = _read(case, source, topics).stamp_ns
             now_ns = ros_clock()
             early_s, late_s = (opened_ns - stamp_ns) / 1e9, (stamp_ns - now_ns) / 1e9
-            require(late_s <= FUTURE_S, f"a frame is stamped {late_s:.3g} s in the future of ROS time")
-            require(early_s <= PAST_S, f"a frame is stamped {early_s:.3g} s before open() in ROS time, in nanoseconds")
+            require(
+                late_s <= FUTURE_S, f"a frame is stamped {late_s:.3g} s in the future of ROS time"
+            )
+            require(
+                early_s <= PAST_S,
+                f"a frame is stamped {early_s:.3g} s before open() in ROS time, in nanoseconds",
+            )
 
 
 def _check_capture(case: PerceptionCase) -> None:
@@ -161,10 +208,15 @@ def _check_capture(case: PerceptionCase) -> None:
         time.sleep(FEED_S)
         stamp_ns = _take(case, source).stamp_ns
     late_s = (stamp_ns - fed_ns) / 1e9
-    require(late_s <= FEED_S / 2, f"a frame is stamped {late_s:.2f} s after it was captured; is that the time of read?")
+    require(
+        late_s <= FEED_S / 2,
+        f"a frame is stamped {late_s:.2f} s after it was captured; is that the time of read?",
+    )
 
 
-def _frames(case: PerceptionCase, source: PerceptionSource, topics: MemoryTopics) -> Iterator[Frame]:
+def _frames(
+    case: PerceptionCase, source: PerceptionSource, topics: MemoryTopics
+) -> Iterator[Frame]:
     until_s = time.monotonic() + LOOK_S
     for count in range(MANY_FRAMES):
         if count >= FRAMES and time.monotonic() > until_s:
@@ -177,7 +229,9 @@ def _check_rate(case: PerceptionCase) -> None:
         raise NotApplicable("the case feeds what is to be read")
     options = case.configuration()
     named = (getattr(options, name, None) for name in RATE_OPTIONS)
-    rate_hz = case.rate_hz or next((value for value in named if isinstance(value, (int, float)) and value > 0), None)
+    rate_hz = case.rate_hz or next(
+        (value for value in named if isinstance(value, (int, float)) and value > 0), None
+    )
     if rate_hz is None:
         raise NotApplicable("neither the case nor an option says how many frames a second come")
     stamps: dict[str, list[int]] = {}
@@ -210,7 +264,10 @@ def _check_order(case: PerceptionCase) -> None:
     with _open(case) as (source, topics):
         for frame in _frames(case, source, topics):
             before = newest.get(frame.camera, 0)
-            require(frame.stamp_ns > before, f"a frame of {frame.camera!r} is not stamped after the one read last")
+            require(
+                frame.stamp_ns > before,
+                f"a frame of {frame.camera!r} is not stamped after the one read last",
+            )
             newest[frame.camera] = frame.stamp_ns
 
 
@@ -235,7 +292,9 @@ def _check_options(case: PerceptionCase) -> None:
 
 def _check_memory(case: PerceptionCase) -> None:
     topics = MemoryTopics(ros_clock, history=1)
-    with started(case, attempt(case, lambda: case.prepare(topics)), lambda source: source.open()) as source:
+    with started(
+        case, attempt(case, lambda: case.prepare(topics)), lambda source: source.open()
+    ) as source:
         check_memory(lambda: _read(case, source, topics), "read", count=FRAMES)
 
 
@@ -255,7 +314,10 @@ def _timed_read(source: PerceptionSource, timeout_s: float) -> tuple[float, bool
         frame = source.read(timeout_s)
     except NotReadyError:
         return time.monotonic() - begun_s, False
-    require(isinstance(frame, Frame), f"read returned {type(frame).__name__}, expected a Frame or NotReadyError")
+    require(
+        isinstance(frame, Frame),
+        f"read returned {type(frame).__name__}, expected a Frame or NotReadyError",
+    )
     return time.monotonic() - begun_s, True
 
 
@@ -267,7 +329,9 @@ def _check_bounded(case: PerceptionCase) -> None:
                 within(case.timeout_s + 2.0, lambda t=timeout_s: _timed_read(source, t), "read")[0]  # type: ignore[misc]
                 for _ in range(READS)
             )
-            require(took_s <= limit_s, f"read with a time-out of {timeout_s:g} s takes {took_s:.2f} s")
+            require(
+                took_s <= limit_s, f"read with a time-out of {timeout_s:g} s takes {took_s:.2f} s"
+            )
 
 
 def _check_waits(case: PerceptionCase) -> None:
@@ -316,18 +380,27 @@ RULES: tuple[Rule[PerceptionCase], ...] = (
         "A frame is of a camera that was asked for, with that camera's frame_id and size.",
         _check_frame,
     ),
-    _rule("frame-expected", "A frame shows what the case expects, red first and upright.", _check_content),
+    _rule(
+        "frame-expected",
+        "A frame shows what the case expects, red first and upright.",
+        _check_content,
+    ),
     _rule(
         "calibration-kept",
         "A frame carries its camera's calibration; none when the profile has none for its size.",
         _check_calibration,
         "roboneuron.contract.observation.Frame",
     ),
-    _rule("frame-once", "A frame is returned once; without a new one `read` raises NotReadyError.", _check_once),
+    _rule(
+        "frame-once",
+        "A frame is returned once; without a new one `read` raises NotReadyError.",
+        _check_once,
+    ),
     _rule("pace-kept", "Frames come no faster than the source's own options say.", _check_rate),
     _rule(
         "stamps-in-ros-time",
-        "A frame is stamped in nanoseconds of `Topics.now_ns`, neither before `open` nor in the future.",
+        "A frame is stamped in nanoseconds of `Topics.now_ns`, neither before `open` nor in the "
+        "future.",
         _check_stamps,
         "roboneuron.contract.observation.Frame",
     ),
@@ -345,9 +418,24 @@ RULES: tuple[Rule[PerceptionCase], ...] = (
     ),
     _rule("frames-own-memory", "A frame is not written to by a later one.", _check_own_memory),
     _rule("memory-bounded", "Memory does not grow with every `read`.", _check_memory),
-    _rule("every-camera-served", "Frames come of every camera that was asked for.", _check_every_camera),
-    _rule("read-bounded", "`read` returns or raises NotReadyError when its time-out is over.", _check_bounded),
-    _rule("read-waits", "`read` raises NotReadyError only when its time-out is over.", _check_waits),
-    _rule("no-cameras-refused", "Without cameras the source is refused or idle.", _check_no_cameras, f"{_SOURCE}.open"),
+    _rule(
+        "every-camera-served",
+        "Frames come of every camera that was asked for.",
+        _check_every_camera,
+    ),
+    _rule(
+        "read-bounded",
+        "`read` returns or raises NotReadyError when its time-out is over.",
+        _check_bounded,
+    ),
+    _rule(
+        "read-waits", "`read` raises NotReadyError only when its time-out is over.", _check_waits
+    ),
+    _rule(
+        "no-cameras-refused",
+        "Without cameras the source is refused or idle.",
+        _check_no_cameras,
+        f"{_SOURCE}.open",
+    ),
 )
 """Rules of perception sources."""

@@ -15,7 +15,9 @@ from roboneuron.feature import load_options_model
 
 
 def unmarked_options(model: type[BaseModel]) -> list[str]:
-    """Options that look restricted and bear neither mark, those of its tables included, as `Model.option`."""
+    """Options that look restricted and bear neither mark, those of its tables included, as
+    `Model.option`.
+    """
     found, pending, seen = [], [model], {model}
     while pending:
         table = pending.pop(0)
@@ -39,14 +41,17 @@ def _tables(annotation: object) -> Iterator[type[BaseModel]]:
 
 def _check_restricted_options(case: Case[Any]) -> None:
     spec = case.spec
-    specs: tuple[Spec | DriverSpec, ...] = (spec, *spec.drivers) if isinstance(spec, RobotSpec) else (spec,)
+    specs: tuple[Spec | DriverSpec, ...] = (
+        (spec, *spec.drivers) if isinstance(spec, RobotSpec) else (spec,)
+    )
     models = [model for part in specs if (model := load_options_model(part)) is not None]
     if not models:
         raise NotApplicable("there are no options")
     unmarked = [option for model in models for option in unmarked_options(model)]
     require(
         not unmarked,
-        f"{', '.join(unmarked)} may name a host, a file, a command or a secret, by type or name: mark it with "
+        f"{', '.join(unmarked)} may name a host, a file, a command or a secret, by type or name: "
+        "mark it with "
         "ConfigurationOnly(), or with AgentMaySet() when it does not",
     )
 
@@ -54,7 +59,8 @@ def _check_restricted_options(case: Case[Any]) -> None:
 RULES: tuple[Rule[Case[Any]], ...] = (
     Rule(
         id="descriptor/restricted-options-marked",
-        text="Options that look as if they name hosts, files, commands or secrets say whether agents may set them.",
+        text="Options that look as if they name hosts, files, commands or secrets say whether "
+        "agents may set them.",
         source="rn_standard.selection.restricted",
         check=_check_restricted_options,
     ),

@@ -1,4 +1,6 @@
-"""Rules of robot profiles: limits, names, cameras and endpoints that agree with each other and with the descriptor."""
+"""Rules of robot profiles: limits, names, cameras and endpoints that agree with each other and
+with the descriptor.
+"""
 
 from __future__ import annotations
 
@@ -20,13 +22,17 @@ MOUNTS = ("base", "tcp")
 FARTHEST_CAMERA_M = 20.0
 """Farthest a camera may be from what carries it."""
 SLACK = 1e-3
-"""How far a limit may lie outside the URDF's [rad or m]; of a velocity, the share: what rounding in a URDF leaves."""
+"""How far a limit may lie outside the URDF's [rad or m]; of a velocity, the share: what
+rounding in a URDF leaves.
+"""
 _INTERFACE = {"publish": "msg", "read": "msg", "service": "srv", "action": "action"}
 
 
 def _check_name(case: RobotCase) -> None:
     name = case.profile().name
-    require(name == case.spec.name, f"the profile is named {name!r}, the descriptor {case.spec.name!r}")
+    require(
+        name == case.spec.name, f"the profile is named {name!r}, the descriptor {case.spec.name!r}"
+    )
 
 
 def _arm(case: RobotCase) -> RobotProfile:
@@ -40,7 +46,10 @@ def _check_base(case: RobotCase) -> None:
         require(bool(case.spec.action_widths), "the descriptor of an arm names no action_widths")
         return
     profile = case.profile()
-    require(not profile.arm_joints and profile.gripper is None, "a base has the joints or the gripper of an arm")
+    require(
+        not profile.arm_joints and profile.gripper is None,
+        "a base has the joints or the gripper of an arm",
+    )
 
 
 def _check_limits(case: RobotCase) -> None:
@@ -52,11 +61,16 @@ def _check_limits(case: RobotCase) -> None:
         raise Violation("an arm has no limits")
     for name in ("lower", "upper", "velocity", "acceleration", "effort"):
         values = getattr(limits, name)
-        require(values.shape == (count,), f"limits.{name} has shape {values.shape}, expected ({count},)")
+        require(
+            values.shape == (count,), f"limits.{name} has shape {values.shape}, expected ({count},)"
+        )
         require(bool(np.isfinite(values).all()), f"limits.{name} holds a value that is not finite")
     require(bool((limits.lower < limits.upper).all()), "a lower limit is not below its upper limit")
     for name in ("velocity", "acceleration", "effort"):
-        require(bool((getattr(limits, name) > 0).all()), f"limits.{name} holds a value that is not positive")
+        require(
+            bool((getattr(limits, name) > 0).all()),
+            f"limits.{name} holds a value that is not positive",
+        )
 
 
 def _check_home(case: RobotCase) -> None:
@@ -64,7 +78,10 @@ def _check_home(case: RobotCase) -> None:
     home, limits = profile.home_rad, profile.limits
     if home is None or limits is None:
         raise Violation("an arm has no home posture or no limits")
-    require(home.shape == limits.lower.shape, f"home_rad has shape {home.shape}, expected {limits.lower.shape}")
+    require(
+        home.shape == limits.lower.shape,
+        f"home_rad has shape {home.shape}, expected {limits.lower.shape}",
+    )
     inside = (limits.lower <= home) & (home <= limits.upper)
     outside = [n for n, ok in zip(profile.arm_joints, inside.tolist(), strict=True) if not ok]
     require(not outside, f"home is outside the limits of {', '.join(outside)}")
@@ -76,14 +93,24 @@ def _check_urdf(case: RobotCase) -> None:
     chain = read_chain(profile)
     movable = [joint.name for joint in chain if joint.kind in MOVABLE]
     astray = [n for n in profile.arm_joints if n not in movable]
-    require(not astray, f"joints that do not move between base and TCP in the URDF: {', '.join(astray)}")
+    require(
+        not astray, f"joints that do not move between base and TCP in the URDF: {', '.join(astray)}"
+    )
     left_out = [n for n in movable if n not in profile.arm_joints]
-    require(not left_out, f"arm_joints lacks joints between base and TCP in the URDF: {', '.join(left_out)}")
-    require(list(profile.arm_joints) == movable, f"arm_joints are not from base to tip: {', '.join(movable)}")
+    require(
+        not left_out,
+        f"arm_joints lacks joints between base and TCP in the URDF: {', '.join(left_out)}",
+    )
+    require(
+        list(profile.arm_joints) == movable,
+        f"arm_joints are not from base to tip: {', '.join(movable)}",
+    )
 
 
 def _check_urdf_limits(case: RobotCase) -> None:
-    """The profile allows nothing that the URDF forbids, which also tells degrees and millimetres."""
+    """The profile allows nothing that the URDF forbids, which also tells degrees and
+    millimetres.
+    """
     profile = _arm(case)
     limits = profile.limits
     joints = {joint.name: joint for _, joint in read_joints(profile.urdf).values()}
@@ -93,17 +120,25 @@ def _check_urdf_limits(case: RobotCase) -> None:
         if name not in joints:
             raise Violation(f"the URDF has no joint {name!r}")
         joint = joints[name]
-        low, high, velocity = (float(v[index]) for v in (limits.lower, limits.upper, limits.velocity))
+        low, high, velocity = (
+            float(v[index]) for v in (limits.lower, limits.upper, limits.velocity)
+        )
         inside = joint.lower - SLACK <= low and high <= joint.upper + SLACK
         wanted = f"{joint.lower:g} .. {joint.upper:g}"
-        require(inside or joint.kind == "continuous", f"{name} may go {low:g} .. {high:g}, in the URDF {wanted}")
+        require(
+            inside or joint.kind == "continuous",
+            f"{name} may go {low:g} .. {high:g}, in the URDF {wanted}",
+        )
         told = f"{name} may move at {velocity:g} per second, in the URDF at {joint.velocity:g}"
         require(velocity <= joint.velocity * (1 + SLACK) or joint.velocity == 0, told)
     if profile.gripper is not None and profile.gripper.joint in joints:
         joint = joints[profile.gripper.joint]
         for position in (profile.gripper.closed_position, profile.gripper.open_position):
             inside = joint.lower - SLACK <= position <= joint.upper + SLACK
-            require(inside, f"the gripper goes to {position:g}, in the URDF {joint.lower:g} .. {joint.upper:g}")
+            require(
+                inside,
+                f"the gripper goes to {position:g}, in the URDF {joint.lower:g} .. {joint.upper:g}",
+            )
 
 
 def _check_home_pose(case: RobotCase) -> None:
@@ -112,22 +147,33 @@ def _check_home_pose(case: RobotCase) -> None:
         raise NotApplicable("the robot has no workspace or no home posture")
     positions = dict(zip(profile.arm_joints, profile.home_rad.tolist(), strict=True))
     place = place_tcp(profile, positions).position_m
-    inside = bool(((profile.workspace.lower_m <= place) & (place <= profile.workspace.upper_m)).all())
+    inside = bool(
+        ((profile.workspace.lower_m <= place) & (place <= profile.workspace.upper_m)).all()
+    )
     require(inside, f"at home the TCP is at {place.round(3)} m, outside of the workspace")
 
 
 def _check_stable(case: RobotCase) -> None:
-    require(snapshot(case.profile()) == snapshot(case.profile()), "two calls of `target` return different profiles")
+    require(
+        snapshot(case.profile()) == snapshot(case.profile()),
+        "two calls of `target` return different profiles",
+    )
 
 
 def _check_cameras(case: RobotCase) -> None:
     profile = case.profile()
     declared = {(c.name, c.role) for c in case.spec.cameras}
     actual = {(c.name, c.role) for c in profile.cameras}
-    require(declared == actual, f"the descriptor declares the cameras {sorted(declared)}, the profile {sorted(actual)}")
+    require(
+        declared == actual,
+        f"the descriptor declares the cameras {sorted(declared)}, the profile {sorted(actual)}",
+    )
     for camera in profile.cameras:
         require(bool(camera.frame_id), f"camera {camera.name!r} has no frame_id")
-        require(camera.width > 0 and camera.height > 0, f"camera {camera.name!r} is {camera.width}x{camera.height}")
+        require(
+            camera.width > 0 and camera.height > 0,
+            f"camera {camera.name!r} is {camera.width}x{camera.height}",
+        )
         if camera.calibration is not None:
             _check_calibration(camera, camera.calibration)
 
@@ -136,16 +182,32 @@ def _check_calibration(camera: CameraProfile, calibration: CameraCalibration) ->
     """A pinhole inside its image, mounted upright in a right-handed frame some metres away."""
     who = f"the calibration of camera {camera.name!r}"
     intrinsics, pose = calibration.intrinsics, calibration.T_mount_camera
-    require(intrinsics.shape == (3, 3) and pose.shape == (4, 4), f"{who} has shapes {intrinsics.shape}, {pose.shape}")
+    require(
+        intrinsics.shape == (3, 3) and pose.shape == (4, 4),
+        f"{who} has shapes {intrinsics.shape}, {pose.shape}",
+    )
     require(bool(np.isfinite(intrinsics).all() and np.isfinite(pose).all()), f"{who} is not finite")
-    require(calibration.mount in MOUNTS, f"{who} has the mount {calibration.mount!r}, expected {' or '.join(MOUNTS)}")
+    require(
+        calibration.mount in MOUNTS,
+        f"{who} has the mount {calibration.mount!r}, expected {' or '.join(MOUNTS)}",
+    )
     focal, centre = intrinsics[[0, 1], [0, 1]], intrinsics[:2, 2]
     size = np.array([camera.width, camera.height])
-    require(bool((focal > 0).all()) and intrinsics[2, 2] == 1, f"{who} has no focal length in pixels")
-    require(bool(((centre > 0) & (centre < size)).all()), f"{who} has its centre {centre} outside of the image")
+    require(
+        bool((focal > 0).all()) and intrinsics[2, 2] == 1, f"{who} has no focal length in pixels"
+    )
+    require(
+        bool(((centre > 0) & (centre < size)).all()),
+        f"{who} has its centre {centre} outside of the image",
+    )
     rotation = pose[:3, :3]
-    upright = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6) and np.linalg.det(rotation) > 0
-    require(bool(upright) and np.allclose(pose[3], [0, 0, 0, 1]), f"{who} has a T_mount_camera that is no pose")
+    upright = (
+        np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6) and np.linalg.det(rotation) > 0
+    )
+    require(
+        bool(upright) and np.allclose(pose[3], [0, 0, 0, 1]),
+        f"{who} has a T_mount_camera that is no pose",
+    )
     away_m = float(np.linalg.norm(pose[:3, 3]))
     require(away_m <= FARTHEST_CAMERA_M, f"{who} is {away_m:g} m away; are those millimetres?")
 
@@ -154,7 +216,9 @@ def _check_gripper(case: RobotCase) -> None:
     gripper = case.profile().gripper
     if gripper is None:
         raise NotApplicable("the robot has no gripper")
-    require(gripper.closed_position != gripper.open_position, "the gripper is as far open as closed")
+    require(
+        gripper.closed_position != gripper.open_position, "the gripper is as far open as closed"
+    )
 
 
 def _check_workspace(case: RobotCase) -> None:
@@ -174,7 +238,8 @@ def _check_endpoints(case: RobotCase) -> None:
         who = f"endpoint {endpoint.name!r}"
         require(bool(_ENDPOINT_NAME.fullmatch(endpoint.name)), f"{who} is not named in snake_case")
         require(
-            endpoint.kind in ENDPOINT_KINDS, f"{who} has kind {endpoint.kind!r}, expected {', '.join(ENDPOINT_KINDS)}"
+            endpoint.kind in ENDPOINT_KINDS,
+            f"{who} has kind {endpoint.kind!r}, expected {', '.join(ENDPOINT_KINDS)}",
         )
         parts = endpoint.type.split("/")
         expected = f"package/{_INTERFACE[endpoint.kind]}/Name"
@@ -201,10 +266,16 @@ RULES: tuple[Rule[RobotCase], ...] = (
         source="roboneuron.contract.profile.JointLimits",
         check=_check_limits,
     ),
-    Rule(id="robot/home-inside", text="The home posture is within the limits.", source=_SOURCE, check=_check_home),
+    Rule(
+        id="robot/home-inside",
+        text="The home posture is within the limits.",
+        source=_SOURCE,
+        check=_check_home,
+    ),
     Rule(
         id="robot/urdf-complete",
-        text="The URDF holds base and TCP; what moves between them are the arm joints, in that order.",
+        text="The URDF holds base and TCP; what moves between them are the arm joints, in that "
+        "order.",
         source=_SOURCE,
         check=_check_urdf,
     ),
@@ -221,7 +292,10 @@ RULES: tuple[Rule[RobotCase], ...] = (
         check=_check_home_pose,
     ),
     Rule(
-        id="robot/profile-stable", text="Every call of `target` returns the same.", source=_SOURCE, check=_check_stable
+        id="robot/profile-stable",
+        text="Every call of `target` returns the same.",
+        source=_SOURCE,
+        check=_check_stable,
     ),
     Rule(
         id="robot/kind-agrees",
@@ -231,7 +305,8 @@ RULES: tuple[Rule[RobotCase], ...] = (
     ),
     Rule(
         id="robot/cameras-agree",
-        text="Descriptor and profile name the same cameras and roles; what is calibrated is a camera.",
+        text="Descriptor and profile name the same cameras and roles; what is calibrated is a "
+        "camera.",
         source="roboneuron.plugins.specs.CameraSpec",
         check=_check_cameras,
     ),
@@ -249,7 +324,8 @@ RULES: tuple[Rule[RobotCase], ...] = (
     ),
     Rule(
         id="robot/endpoints-usable",
-        text="Endpoints have snake_case names, a known kind, an interface type of that kind, and bounds in order.",
+        text="Endpoints have snake_case names, a known kind, an interface type of that kind, and "
+        "bounds in order.",
         source="roboneuron.contract.profile.Endpoint",
         check=_check_endpoints,
     ),

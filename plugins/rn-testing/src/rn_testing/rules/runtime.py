@@ -1,4 +1,6 @@
-"""Rules of runtimes: they answer the families they declare the same way each time, and can be given up and closed."""
+"""Rules of runtimes: they answer the families they declare the same way each time, and can be
+given up and closed.
+"""
 
 from __future__ import annotations
 
@@ -53,7 +55,10 @@ LIFECYCLE: Lifecycle[RuntimeCase, Tried] = Lifecycle(
     begin="load",
     start=_load,
     uses={"run": _run},
-    abuses=(lambda case, runtime: runtime.run(object()), lambda case, runtime: runtime.load(object())),
+    abuses=(
+        lambda case, runtime: runtime.run(object()),
+        lambda case, runtime: runtime.load(object()),
+    ),
     besides=("abort",),
     repeat=10,
 )
@@ -96,7 +101,9 @@ def _check_repeats(case: RuntimeCase) -> None:
             with suppress(RoboNeuronError):  # the bad request, which must leave no trace either
                 runtime.run(make())
             again = _run(case, runtime)
-            require(is_alike(first, again), "the same request is answered otherwise after another one")
+            require(
+                is_alike(first, again), "the same request is answered otherwise after another one"
+            )
 
 
 def _check_fresh(case: RuntimeCase) -> None:
@@ -167,13 +174,19 @@ def _check_acceleration(case: RuntimeCase) -> None:
     preset = _Recorded(make())
     with started(case, case.build, lambda runtime: runtime.load(model(), preset)) as runtime:
         _run(case, runtime)
-    require(preset.count > 0 or case.spec.served, "load never applied the acceleration that it was given")
+    require(
+        preset.count > 0 or case.spec.served,
+        "load never applied the acceleration that it was given",
+    )
     if case.spec.served:
         return
     refusing = LIFECYCLE.built(case)
     try:
         refused = _Recorded(make(), refuses=True)
-        expect_refusal(lambda: refusing.load(model(), refused), "load with an acceleration that refuses the decoder")
+        expect_refusal(
+            lambda: refusing.load(model(), refused),
+            "load with an acceleration that refuses the decoder",
+        )
     finally:
         refusing.close()
 
@@ -186,7 +199,10 @@ def _check_acceleration_stays(case: RuntimeCase) -> None:
         _run(case, runtime)
     with _loaded(case) as runtime:
         again = _run(case, runtime)
-    require(is_alike(plain, again), "a runtime without acceleration answers otherwise after another one had one")
+    require(
+        is_alike(plain, again),
+        "a runtime without acceleration answers otherwise after another one had one",
+    )
 
 
 def _check_abort(case: RuntimeCase) -> None:
@@ -230,7 +246,9 @@ def _check_deadline(case: RuntimeCase) -> None:
 _SOURCE = "roboneuron.contract.protocols.Runtime"
 
 
-def _rule(name: str, text: str, method: str, check: Callable[[RuntimeCase], None]) -> Rule[RuntimeCase]:
+def _rule(
+    name: str, text: str, method: str, check: Callable[[RuntimeCase], None]
+) -> Rule[RuntimeCase]:
     return Rule(id=f"runtime/{name}", text=text, source=f"{_SOURCE}.{method}", check=check)
 
 
@@ -243,20 +261,49 @@ RULES: tuple[Rule[RuntimeCase], ...] = (
         check=_check_families,
     ),
     _rule(
-        "run-answers", "After `load`, `run` answers one request after the other, and never with NaN.", "run", _check_run
+        "run-answers",
+        "After `load`, `run` answers one request after the other, and never with NaN.",
+        "run",
+        _check_run,
     ),
     _rule("run-expected", "`run` answers what the case expects.", "run", _check_expected),
-    _rule("reply-complete", "An answer holds what its request asks for, as its family has it.", "run", _check_reply),
-    _rule("run-repeatable", "The same request has the same answer, whatever was run before.", "run", _check_repeats),
+    _rule(
+        "reply-complete",
+        "An answer holds what its request asks for, as its family has it.",
+        "run",
+        _check_reply,
+    ),
+    _rule(
+        "run-repeatable",
+        "The same request has the same answer, whatever was run before.",
+        "run",
+        _check_repeats,
+    ),
     _rule("instances-agree", "Two runtimes answer one request alike.", "run", _check_fresh),
-    _rule("answer-kept", "An answer that was returned is not written to later.", "run", _check_answer_kept),
+    _rule(
+        "answer-kept",
+        "An answer that was returned is not written to later.",
+        "run",
+        _check_answer_kept,
+    ),
     _rule("input-kept", "`run` does not write into its request.", "run", _check_input_kept),
     _rule("run-quick", "`run` answers within the case's `run_limit_s`.", "run", _check_quick),
-    _rule("bad-request-refused", "A request that its family does not allow is refused.", "run", _check_bad_request),
-    _rule("bad-model-refused", "`load` refuses what is no model of its families.", "load", _check_bad_model),
+    _rule(
+        "bad-request-refused",
+        "A request that its family does not allow is refused.",
+        "run",
+        _check_bad_request,
+    ),
+    _rule(
+        "bad-model-refused",
+        "`load` refuses what is no model of its families.",
+        "load",
+        _check_bad_model,
+    ),
     _rule(
         "acceleration-accepted",
-        "`load` applies the acceleration it is given, or passes its refusal on, and `run` answers with it.",
+        "`load` applies the acceleration it is given, or passes its refusal on, and `run` answers "
+        "with it.",
         "load",
         _check_acceleration,
     ),
@@ -267,9 +314,17 @@ RULES: tuple[Rule[RuntimeCase], ...] = (
         _check_acceleration_stays,
     ),
     _rule(
-        "abort-harmless", "`abort` returns at once when nothing runs, before and after `load`.", "abort", _check_abort
+        "abort-harmless",
+        "`abort` returns at once when nothing runs, before and after `load`.",
+        "abort",
+        _check_abort,
     ),
-    _rule("abort-ends-run", "`abort` ends a run in progress, and the next one works.", "abort", _check_abort_works),
+    _rule(
+        "abort-ends-run",
+        "`abort` ends a run in progress, and the next one works.",
+        "abort",
+        _check_abort_works,
+    ),
     _rule("deadline-kept", "A request whose deadline is over is refused.", "run", _check_deadline),
 )
 """Rules of runtimes."""

@@ -24,7 +24,9 @@ class ActionBins:
         self._vocabulary = vocabulary
 
     def to_values(self, tokens: I64) -> F64:
-        """Ids (n,) -> bin centres (n,) in (-1, 1); ids outside the action range saturate, as in the original."""
+        """Ids (n,) -> bin centres (n,) in (-1, 1); ids outside the action range saturate, as in
+        the original.
+        """
         index = np.clip(self._vocabulary - tokens - 1, 0, len(self._centers) - 1)
         return self._centers[index]
 
@@ -42,7 +44,8 @@ class ActionBins:
 class OutsideCounter:
     """Counts tokens that are no action tokens; refuses an answer with too large a share of them.
 
-    Such a token says that the model did not mean an action. The original saturates it to the end of the range.
+    Such a token says that the model did not mean an action. The original saturates it to the end of
+    the range.
     """
 
     def __init__(self, bins: ActionBins, max_share: float) -> None:
@@ -54,18 +57,25 @@ class OutsideCounter:
         """Metrics and a note (empty when all is well) for the chunk made of `tokens` (n,).
 
         Raises:
-            UngroundedError: more than `max_share` of the tokens are outside; no action is made of them.
+            UngroundedError: more than `max_share` of the tokens are outside; no action is made of
+                them.
         """
         outside = self._bins.count_outside(tokens)
         self.total += outside
-        metrics = {"tokens_outside_actions": float(outside), "tokens_outside_actions_total": float(self.total)}
+        metrics = {
+            "tokens_outside_actions": float(outside),
+            "tokens_outside_actions_total": float(self.total),
+        }
         if not outside:
             return metrics, ""
         note = f"{outside} of {tokens.size} tokens are no action tokens"
         if outside > self._max_share * tokens.size:
             raise UngroundedError(
                 f"The model's answer was refused: {note}, {self.total} since it was loaded.",
-                hint="Check checkpoint, prompt and camera image; `max_outside_share` says how many are let through.",
+                hint="Check checkpoint, prompt and camera image; `max_outside_share` says how "
+                "many are let through.",
             )
-        log.warning("%s and count as full-scale moves; %d since the model was loaded", note, self.total)
+        log.warning(
+            "%s and count as full-scale moves; %d since the model was loaded", note, self.total
+        )
         return metrics, f"{note} and count as full-scale moves"

@@ -1,4 +1,6 @@
-"""A checkpoint directory in the public layout: what its small files say, checked before any weight is read."""
+"""A checkpoint directory in the public layout: what its small files say, checked before any
+weight is read.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,14 @@ from typing import Annotated
 
 from pydantic import Field, TypeAdapter
 
-from rn_vla.checkpoint_files import check_schema, clip, explain_families, list_names, read_json, read_schema
+from rn_vla.checkpoint_files import (
+    check_schema,
+    clip,
+    explain_families,
+    list_names,
+    read_json,
+    read_schema,
+)
 from rn_vla.decoding import DecoderShape, Shard
 from rn_vla.openvla.layout import TowerShape, VisionShape, expected_weights
 from rn_vla.openvla.model_files import Index, ModelConfig, ProcessorConfig, TextConfig
@@ -18,10 +27,28 @@ from rn_vla.openvla.preprocessing import TowerPixels
 from rn_vla.openvla.statistics import DatasetStatistics, Key
 from roboneuron import CheckpointError
 
-_DINO = TowerShape(width=1024, depth=24, heads=16, intermediate=4096, prefix_tokens=5, layer_scale=True, pooled=False)
-_SIGLIP = TowerShape(width=1152, depth=27, heads=16, intermediate=4304, prefix_tokens=0, layer_scale=False, pooled=True)
+_DINO = TowerShape(
+    width=1024,
+    depth=24,
+    heads=16,
+    intermediate=4096,
+    prefix_tokens=5,
+    layer_scale=True,
+    pooled=False,
+)
+_SIGLIP = TowerShape(
+    width=1152,
+    depth=27,
+    heads=16,
+    intermediate=4304,
+    prefix_tokens=0,
+    layer_scale=False,
+    pooled=True,
+)
 _MLP_RATIO = MappingProxyType({True: 4.0, False: 3.7362})
-"""Intermediate over width of DINOv2 (with layer scale) and SigLIP. Source: timm's definitions of the two models."""
+"""Intermediate over width of DINOv2 (with layer scale) and SigLIP. Source: timm's definitions
+of the two models.
+"""
 _MAX_INDEX_BYTES = 16 * 2**20
 BACKBONES: Mapping[str, tuple[TowerShape, ...]] = MappingProxyType(
     {"dinosiglip-vit-so-224px": (_DINO, _SIGLIP), "siglip-vit-so400m": (_SIGLIP,)}
@@ -58,14 +85,16 @@ class Checkpoint:
 
     @classmethod
     def read(cls, path: Path) -> Checkpoint:
-        """Read config.json, preprocessor_config.json, dataset_statistics.json and the index of the weights.
+        """Read config.json, preprocessor_config.json, dataset_statistics.json and the index of the
+        weights.
 
         Raises:
             CheckpointError: a file is absent or damaged, or the checkpoint is of another family.
         """
         if not path.is_dir():
             raise CheckpointError(
-                f"Checkpoint {path} is not a directory.", hint="Set `checkpoint` to the model's folder."
+                f"Checkpoint {path} is not a directory.",
+                hint="Set `checkpoint` to the model's folder.",
             )
         config = _read_config(path)
         decoder = _decoder_shape(config.text_config, path)
@@ -73,7 +102,8 @@ class Checkpoint:
         processor = read_schema(path / "preprocessor_config.json", ProcessorConfig)
         if len(processor.tvf_normalize_params) != len(vision.towers):
             raise CheckpointError(
-                f"{path / 'preprocessor_config.json'} normalises for {len(processor.tvf_normalize_params)} towers, "
+                f"{path / 'preprocessor_config.json'} normalises for "
+                f"{len(processor.tvf_normalize_params)} towers, "
                 f"the model has {len(vision.towers)}."
             )
         _check_resizing(path, config, processor)
@@ -85,7 +115,9 @@ class Checkpoint:
             action_bins=config.n_action_bins,
             token_vocabulary=decoder.vocabulary - config.pad_to_multiple_of,
             is_vicuna="vicuna" in config.llm_backbone_id,
-            towers=tuple(TowerPixels(mean=p.mean, std=p.std) for p in processor.tvf_normalize_params),
+            towers=tuple(
+                TowerPixels(mean=p.mean, std=p.std) for p in processor.tvf_normalize_params
+            ),
             statistics=statistics,
             statistics_source=source,
             shards=_read_shards(path, vision, decoder),
@@ -93,7 +125,9 @@ class Checkpoint:
 
 
 def _check_resizing(path: Path, config: ModelConfig, processor: ProcessorConfig) -> None:
-    """Raise CheckpointError for resizing that keeps the aspect, whichever of the two files asks for it."""
+    """Raise CheckpointError for resizing that keeps the aspect, whichever of the two files asks
+    for it.
+    """
     for file, strategy in (("config.json", config), ("preprocessor_config.json", processor)):
         if strategy.image_resize_strategy != "resize-naive":
             raise CheckpointError(
@@ -102,7 +136,8 @@ def _check_resizing(path: Path, config: ModelConfig, processor: ProcessorConfig)
             )
     if processor.tvf_do_letterbox:
         raise CheckpointError(
-            f"{path / 'preprocessor_config.json'}: tvf_do_letterbox is true; padding images to a square (letterbox) is "
+            f"{path / 'preprocessor_config.json'}: tvf_do_letterbox is true; padding images to a "
+            "square (letterbox) is "
             "not implemented."
         )
 
@@ -130,7 +165,8 @@ def _decoder_shape(text: TextConfig, path: Path) -> DecoderShape:
     for name, (got, expected) in supported.items():
         if got != expected:
             raise CheckpointError(
-                f"{path / 'config.json'}: text_config.{name} is {clip(repr(got))}, expected {expected!r}."
+                f"{path / 'config.json'}: text_config.{name} is {clip(repr(got))}, expected "
+                f"{expected!r}."
             )
     return DecoderShape(
         hidden=text.hidden_size,
@@ -167,7 +203,9 @@ def _towers(config: ModelConfig, path: Path) -> tuple[TowerShape, ...]:
     )
 
 
-def _read_statistics(path: Path, config: ModelConfig) -> tuple[Mapping[str, DatasetStatistics], str]:
+def _read_statistics(
+    path: Path, config: ModelConfig
+) -> tuple[Mapping[str, DatasetStatistics], str]:
     """Fine-tuned checkpoints ship a file of their own, which replaces what config.json says."""
     own = path / "dataset_statistics.json"
     if not _is_there(own):
@@ -177,7 +215,9 @@ def _read_statistics(path: Path, config: ModelConfig) -> tuple[Mapping[str, Data
 
 
 def _is_there(path: Path) -> bool:
-    """Whether an optional file is listed; a link to nothing counts, so that it is an error and not left out."""
+    """Whether an optional file is listed; a link to nothing counts, so that it is an error and
+    not left out.
+    """
     return path.is_symlink() or path.exists()
 
 
@@ -190,7 +230,8 @@ def _read_shards(path: Path, vision: VisionShape, decoder: DecoderShape) -> tupl
     missing, extra = sorted(expected.keys() - files.keys()), sorted(files.keys() - expected.keys())
     if missing or extra:
         raise CheckpointError(
-            f"{index} does not list the weights of this model: {len(missing)} missing ({list_names(missing)}), "
+            f"{index} does not list the weights of this model: {len(missing)} missing "
+            f"({list_names(missing)}), "
             f"{len(extra)} unexpected ({list_names(extra)}).",
             hint="Check that the checkpoint belongs to this backend and is complete.",
         )
@@ -198,6 +239,9 @@ def _read_shards(path: Path, vision: VisionShape, decoder: DecoderShape) -> tupl
     if outside:
         raise CheckpointError(f"{index} names files outside its directory: {list_names(outside)}.")
     return tuple(
-        Shard(path=path / file, weights={name: expected[name] for name in files if files[name] == file})
+        Shard(
+            path=path / file,
+            weights={name: expected[name] for name in files if files[name] == file},
+        )
         for file in sorted(set(files.values()))
     )

@@ -1,4 +1,6 @@
-"""The command that a package of OpenVLA checkpoints brings: `make-tiny`, a checkpoint to try its backend with."""
+"""The command that a package of OpenVLA checkpoints brings: `make-tiny`, a checkpoint to try
+its backend with.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,8 @@ class TinyCommand:
         program: its name.
         model: what the checkpoint is of, as people call it.
         options: what to use it with.
-        load: imports and returns what writes it; called once the arguments are parsed, so that `--help` is quick.
+        load: imports and returns what writes it; called once the arguments are parsed, so that
+            `--help` is quick.
     """
 
     program: str
@@ -37,7 +40,9 @@ class TinyCommand:
     load: Callable[[], MakeTiny]
 
     def run(self, arguments: Sequence[str] | None = None) -> int:
-        """Parse the arguments (those of the process when None) and do it; returns the exit status."""
+        """Parse the arguments (those of the process when None) and do it; returns the exit
+        status.
+        """
         description = f"`{self.program}`: tiny checkpoints to try the backend with."
         parser = argparse.ArgumentParser(prog=self.program, description=description)
         commands = parser.add_subparsers(dest="command", required=True)
@@ -54,6 +59,9 @@ class TinyCommand:
         except RoboNeuronError as error:
             print(f"{self.program}: {error}", file=sys.stderr)
             return 2
-        print(f'Wrote {given.directory}: checkpoint = "{given.directory}", unnorm_key = "{STATISTICS_KEY}".')
+        print(
+            f'Wrote {given.directory}: checkpoint = "{given.directory}", unnorm_key = '
+            f'"{STATISTICS_KEY}".'
+        )
         print(f"Its actions are random; use it with {self.options}.")
         return 0

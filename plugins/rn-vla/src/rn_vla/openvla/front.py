@@ -39,15 +39,21 @@ class OpenVlaFront(nn.Module):
         self.projector = Projector(shape.projector)
 
     def patches(self, pixels: Tensor) -> Tensor:
-        """Pixels (b, cameras * 3 * towers, side, side) -> embedded patches (b, cameras * patches, hidden)."""
+        """Pixels (b, cameras * 3 * towers, side, side) -> embedded patches (b, cameras *
+        patches, hidden).
+        """
         side = pixels.shape[-1]
         images = pixels.view(-1, 3 * len(self.towers), side, side)
         parts = torch.split(images, 3, dim=1)
-        features = [self.get_submodule(name)(part) for name, part in zip(self.towers, parts, strict=True)]
+        features = [
+            self.get_submodule(name)(part) for name, part in zip(self.towers, parts, strict=True)
+        ]
         embedded: Tensor = self.projector(torch.cat(features, dim=-1))
         return embedded.view(pixels.shape[0], -1, embedded.shape[-1])
 
-    def forward(self, arrays: dict[str, Tensor], ids: Tensor, embed: Callable[[Tensor], Tensor]) -> Tensor:
+    def forward(
+        self, arrays: dict[str, Tensor], ids: Tensor, embed: Callable[[Tensor], Tensor]
+    ) -> Tensor:
         """Arrays {"pixel_values"} and ids (b, n) -> (b, patches + n, hidden)."""
         words = embed(ids)
         return torch.cat((words[:, :1], self.patches(arrays["pixel_values"]), words[:, 1:]), dim=1)

@@ -1,4 +1,6 @@
-"""Which tensors a public OpenVLA checkpoint holds, in which shapes, and which of them are computed with."""
+"""Which tensors a public OpenVLA checkpoint holds, in which shapes, and which of them are
+computed with.
+"""
 
 from __future__ import annotations
 
@@ -72,7 +74,9 @@ def expected_weights(vision: VisionShape, decoder: DecoderShape) -> Mapping[str,
     weights: dict[str, Weight] = {}
     for name, tower in zip(TOWER_NAMES, vision.towers, strict=False):
         weights |= _tower_weights(f"vision_backbone.{name}.", f"front.{name}.", tower)
-    for index, (before, after) in enumerate(zip(vision.projector, vision.projector[1:], strict=False), start=1):
+    for index, (before, after) in enumerate(
+        zip(vision.projector, vision.projector[1:], strict=False), start=1
+    ):
         _add_linear(weights, f"projector.fc{index}", f"front.projector.fc{index}", after, before)
     for name, shape in _decoder_tensors(decoder).items():
         weights[f"language_model.{name}"] = Weight(shape=shape, target=f"decoder.{name}")
@@ -83,7 +87,9 @@ def _add(weights: dict[str, Weight], name: str, target: str, *shape: int) -> Non
     weights[name] = Weight(shape=shape, target=target)
 
 
-def _add_linear(weights: dict[str, Weight], name: str, target: str, rows: int, columns: int) -> None:
+def _add_linear(
+    weights: dict[str, Weight], name: str, target: str, rows: int, columns: int
+) -> None:
     _add(weights, f"{name}.weight", target and f"{target}.weight", rows, columns)
     _add(weights, f"{name}.bias", target and f"{target}.bias", rows)
 
@@ -101,12 +107,20 @@ def _tower_weights(disk: str, front: str, tower: TowerShape) -> Mapping[str, Wei
         _add(weights, f"{disk}reg_token", f"{front}reg_token", 1, tower.prefix_tokens - 1, width)
     _add(weights, f"{disk}pos_embed", f"{front}pos_embed", 1, tower.patches, width)
     _add(
-        weights, f"{disk}patch_embed.proj.weight", f"{front}patch_embed.proj.weight", width, 3, tower.patch, tower.patch
+        weights,
+        f"{disk}patch_embed.proj.weight",
+        f"{front}patch_embed.proj.weight",
+        width,
+        3,
+        tower.patch,
+        tower.patch,
     )
     _add(weights, f"{disk}patch_embed.proj.bias", f"{front}patch_embed.proj.bias", width)
     for index in range(tower.depth):
         computed = index < tower.depth - 1
-        _add_block(weights, f"{disk}blocks.{index}.", f"{front}blocks.{index}." if computed else "", tower)
+        _add_block(
+            weights, f"{disk}blocks.{index}.", f"{front}blocks.{index}." if computed else "", tower
+        )
     _add_norm(weights, f"{disk}norm", _NOT_COMPUTED, width)
     if tower.pooled:
         pool = f"{disk}attn_pool."

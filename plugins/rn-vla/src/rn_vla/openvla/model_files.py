@@ -1,7 +1,8 @@
-"""The JSON files of a checkpoint as typed models with bounds; keys that inference does not need are ignored.
+"""The JSON files of a checkpoint as typed models with bounds; keys that inference does not need are
+ignored.
 
-The bounds hold every model of the family with room to spare. They keep a damaged number from costing memory or time
-before it is compared with the tensors it describes.
+The bounds hold every model of the family with room to spare. They keep a damaged number from
+costing memory or time before it is compared with the tensors it describes.
 """
 
 from __future__ import annotations
@@ -21,7 +22,9 @@ Spread = Annotated[float, Field(ge=1e-3, le=1)]
 
 
 class TextConfig(BaseModel):
-    """Stored as a difference from transformers' LlamaConfig, hence the defaults (note norm epsilon 1e-6)."""
+    """Stored as a difference from transformers' LlamaConfig, hence the defaults (note norm
+    epsilon 1e-6).
+    """
 
     model_config = ConfigDict(extra="ignore", frozen=True)
 
@@ -43,10 +46,14 @@ class TextConfig(BaseModel):
 
     @model_validator(mode="after")
     def _check_heads(self) -> TextConfig:
-        heads, groups = self.num_attention_heads, self.num_key_value_heads or self.num_attention_heads
+        heads, groups = (
+            self.num_attention_heads,
+            self.num_key_value_heads or self.num_attention_heads,
+        )
         if self.hidden_size % heads or (self.hidden_size // heads) % 2 or heads % groups:
             raise ValueError(
-                f"hidden_size {self.hidden_size}, num_attention_heads {heads} and num_key_value_heads {groups} do not "
+                f"hidden_size {self.hidden_size}, num_attention_heads {heads} and "
+                f"num_key_value_heads {groups} do not "
                 "divide into heads of an even width"
             )
         return self
@@ -64,7 +71,9 @@ class TinyVision(BaseModel):
     @model_validator(mode="after")
     def _check_heads(self) -> TinyVision:
         if self.embed_dim % self.num_heads:
-            raise ValueError(f"embed_dim {self.embed_dim} is no multiple of num_heads {self.num_heads}")
+            raise ValueError(
+                f"embed_dim {self.embed_dim} is no multiple of num_heads {self.num_heads}"
+            )
         return self
 
 
@@ -113,7 +122,9 @@ class ProcessorConfig(BaseModel):
     tvf_normalize_params: Annotated[tuple[Normalize, ...], Field(min_length=1, max_length=2)]
     tvf_do_letterbox: bool = False
     image_resize_strategy: Name = "resize-naive"
-    input_sizes: Annotated[tuple[tuple[Literal[3], Image, Image], ...], Field(max_length=2)] | None = None
+    input_sizes: (
+        Annotated[tuple[tuple[Literal[3], Image, Image], ...], Field(max_length=2)] | None
+    ) = None
     interpolations: Annotated[tuple[Literal["bicubic"], ...], Field(max_length=2)] | None = None
 
 

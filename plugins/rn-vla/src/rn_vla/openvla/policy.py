@@ -1,4 +1,6 @@
-"""From a checkpoint to what a runtime loads, and from an observation to what it runs; no units, no robot."""
+"""From a checkpoint to what a runtime loads, and from an observation to what it runs; no units,
+no robot.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,11 @@ FAMILY = "openvla"
 
 
 def policy_model(
-    checkpoint: Checkpoint, *, action_width: int, max_prompt_tokens: int, min_prompt_tokens: int = 12
+    checkpoint: Checkpoint,
+    *,
+    action_width: int,
+    max_prompt_tokens: int,
+    min_prompt_tokens: int = 12,
 ) -> PolicyModel:
     """The checkpoint as any runtime of the family takes it."""
     return PolicyModel(
@@ -41,7 +47,13 @@ def policy_model(
 
 
 def token_request(
-    *, text: str, ids: I64, image: U8, pixel_values: F32, action_width: int, timeout_s: float | None = None
+    *,
+    text: str,
+    ids: I64,
+    image: U8,
+    pixel_values: F32,
+    action_width: int,
+    timeout_s: float | None = None,
 ) -> TokenRequest:
     """One request for one action.
 

@@ -1,4 +1,6 @@
-"""From a camera image to the model's pixels, without torchvision: PIL resizes, a table per channel normalises."""
+"""From a camera image to the model's pixels, without torchvision: PIL resizes, a table per
+channel normalises.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,9 @@ _LANCZOS_RADIUS = 3.0
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TowerPixels:
-    """How one vision tower wants its pixels: mean and standard deviation of R, G, B, on values in [0, 1]."""
+    """How one vision tower wants its pixels: mean and standard deviation of R, G, B, on values
+    in [0, 1].
+    """
 
     mean: tuple[float, float, float]
     std: tuple[float, float, float]
@@ -33,7 +37,9 @@ class TowerPixels:
 class Preprocessor:
     """Image (H, W, 3) -> float32 (3 * towers, size, size), as the checkpoint's processor would."""
 
-    def __init__(self, *, size: int, towers: tuple[TowerPixels, ...], steps: tuple[ImageStep, ...] = ()) -> None:
+    def __init__(
+        self, *, size: int, towers: tuple[TowerPixels, ...], steps: tuple[ImageStep, ...] = ()
+    ) -> None:
         self._size = size
         self._steps = tuple(_STEPS[step] for step in steps)
         levels = np.arange(256, dtype=np.float32) / np.float32(255)
@@ -44,19 +50,26 @@ class Preprocessor:
         ]
 
     def to_model_image(self, image: U8) -> U8:
-        """Apply the configured image steps: what a served engine's own processor is to start from."""
+        """Apply the configured image steps: what a served engine's own processor is to start
+        from.
+        """
         for step in self._steps:
             image = step(image, self._size)
         return np.ascontiguousarray(image)
 
     def to_pixels(self, image: U8) -> F32:
-        """Resize to the square without keeping the aspect (bicubic, antialiased), scale, normalise per tower."""
+        """Resize to the square without keeping the aspect (bicubic, antialiased), scale,
+        normalise per tower.
+        """
         if image.shape[:2] != (self._size, self._size):
-            image = np.asarray(Image.fromarray(image).resize((self._size, self._size), Image.Resampling.BICUBIC))
+            image = np.asarray(
+                Image.fromarray(image).resize((self._size, self._size), Image.Resampling.BICUBIC)
+            )
         planes = np.ascontiguousarray(image.transpose(2, 0, 1))
         pixels = np.empty((len(self._tables), self._size, self._size), dtype=np.float32)
         for channel, table in enumerate(self._tables):
-            np.take(table, planes[channel % 3], out=pixels[channel], mode="clip")  # other modes copy once more
+            # other modes copy once more
+            np.take(table, planes[channel % 3], out=pixels[channel], mode="clip")
         return pixels
 
 
@@ -65,13 +78,17 @@ def _rotate_180(image: U8, size: int) -> U8:
 
 
 def _jpeg_95(image: U8, size: int) -> U8:
-    """Encode as JPEG and decode again, bit for bit as tf.image.encode_jpeg and tf.io.decode_image do.
+    """Encode as JPEG and decode again, bit for bit as tf.image.encode_jpeg and tf.io.decode_image
+    do.
 
-    TensorFlow decodes with the fast integer transform where PIL takes the accurate one: 64 % of the values of a LIBERO
+    TensorFlow decodes with the fast integer transform where PIL takes the accurate one: 64 % of the
+        values of a LIBERO
     image differ, by 1 on average and by up to 17.
     """
     buffer = io.BytesIO()
-    Image.fromarray(np.ascontiguousarray(image)).save(buffer, format="JPEG", quality=95, subsampling=2)
+    Image.fromarray(np.ascontiguousarray(image)).save(
+        buffer, format="JPEG", quality=95, subsampling=2
+    )
     decoded: U8 = simplejpeg.decode_jpeg(buffer.getvalue(), "RGB", fastdct=True, fastupsample=False)
     return decoded
 
@@ -90,12 +107,18 @@ def _resize_lanczos(image: U8, size: int) -> U8:
 
 @functools.lru_cache(maxsize=8)
 def _lanczos(given: int, wanted: int) -> F32:
-    """Weights (wanted, given) of the Lanczos kernel with three lobes, antialiased; rows sum to 1."""
+    """Weights (wanted, given) of the Lanczos kernel with three lobes, antialiased; rows sum to
+    1.
+    """
     step = np.float32(given) / np.float32(wanted)
     widening = max(step, np.float32(1.0))
     centres = (np.arange(wanted, dtype=np.float32) + np.float32(0.5)) * step
-    at = np.abs((np.arange(given, dtype=np.float32)[None] + np.float32(0.5) - centres[:, None]) / widening)
-    kernel = np.where(at <= _LANCZOS_RADIUS, np.sinc(at) * np.sinc(at / _LANCZOS_RADIUS), 0.0).astype(np.float32)
+    at = np.abs(
+        (np.arange(given, dtype=np.float32)[None] + np.float32(0.5) - centres[:, None]) / widening
+    )
+    kernel = np.where(
+        at <= _LANCZOS_RADIUS, np.sinc(at) * np.sinc(at / _LANCZOS_RADIUS), 0.0
+    ).astype(np.float32)
     weights: F32 = kernel / kernel.sum(axis=1, keepdims=True)
     weights.setflags(write=False)
     return weights

@@ -14,7 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rn_vla.rotation import matrix_from_rpy, rpy_from_matrix
-from roboneuron import InvalidInputError, Pose, matrix_from_quaternion, matrix_from_rotvec, rotvec_from_matrix
+from roboneuron import (
+    InvalidInputError,
+    Pose,
+    matrix_from_quaternion,
+    matrix_from_rotvec,
+    rotvec_from_matrix,
+)
 
 F64 = NDArray[np.float64]
 RotationUnit = Literal["rotvec", "rpy"]
@@ -39,8 +45,8 @@ class ActionProfile:
         metres_per_unit, radians_per_unit: scale of the first and the second three values.
         rotation: "rotvec", or "rpy" about fixed axes (R = Rz(yaw) Ry(pitch) Rx(roll)).
         frame: "base", or "tcp" for deltas along the tool's own axes.
-        gripper: "open_fraction" 0 closed .. 1 open, "closed_fraction" the reverse, "signed_open" -1 closed .. 1 open,
-            "signed_close" -1 open .. 1 closed.
+        gripper: "open_fraction" 0 closed .. 1 open, "closed_fraction" the reverse, "signed_open" -1
+            closed .. 1 open, "signed_close" -1 open .. 1 closed.
         gripper_threshold: round the opening to 0 or 1.
         clip_units: clip the first six values to [-1, 1] before scaling.
         step_s: time between two actions [s].
@@ -56,12 +62,13 @@ class ActionProfile:
     step_s: float
 
     def to_contract(self, native: F64, tcp: Pose | None = None) -> F64:
-        """Model values (H, 7) -> contract actions (H, 7): metres, rotation vector [rad] in base axes, opening 0..1.
+        """Model values (H, 7) -> contract actions (H, 7): metres, rotation vector [rad] in base
+        axes, opening 0..1.
 
         Args:
             native: un-normalised model values.
-            tcp: TCP pose in the base frame at the first action; needed for frame "tcp". Later actions of a chunk turn
-                with the actions before them.
+            tcp: TCP pose in the base frame at the first action; needed for frame "tcp". Later
+                actions of a chunk turn with the actions before them.
 
         Raises:
             InvalidInputError: frame "tcp" without a pose.
@@ -70,7 +77,11 @@ class ActionProfile:
         motion = np.clip(native[:, :6], -1.0, 1.0) if self.clip_units else native[:, :6]
         contract[:, :3] = motion[:, :3] * self.metres_per_unit
         turns = motion[:, 3:] * self.radians_per_unit
-        contract[:, 3:6] = [rotvec_from_matrix(matrix_from_rpy(t)) for t in turns] if self.rotation == "rpy" else turns
+        contract[:, 3:6] = (
+            [rotvec_from_matrix(matrix_from_rpy(t)) for t in turns]
+            if self.rotation == "rpy"
+            else turns
+        )
         slope, offset = _GRIPPER[self.gripper]
         opening = np.clip(slope * native[:, 6] + offset, 0.0, 1.0)
         contract[:, 6] = (opening > 0.5).astype(np.float64) if self.gripper_threshold else opening
@@ -82,7 +93,8 @@ class ActionProfile:
         return contract
 
     def to_native(self, contract: F64, tcp: Pose | None = None) -> F64:
-        """Contract actions (H, 7) -> model values (H, 7); the inverse of `to_contract` where nothing was clipped.
+        """Contract actions (H, 7) -> model values (H, 7); the inverse of `to_contract` where
+        nothing was clipped.
 
         Raises:
             InvalidInputError: frame "tcp" without a pose.
@@ -104,14 +116,16 @@ class ActionProfile:
 
 def _tool_axes(tcp: Pose | None) -> F64:
     if tcp is None:
-        raise InvalidInputError('Actions in the frame "tcp" need the measured TCP pose, but the observation has none.')
+        raise InvalidInputError(
+            'Actions in the frame "tcp" need the measured TCP pose, but the observation has none.'
+        )
     return matrix_from_quaternion(tcp.quaternion_xyzw)
 
 
 PROFILES: Mapping[str, ActionProfile] = MappingProxyType(
     {
-        # Source: robosuite OSC_POSE as LIBERO configures it (output_max 0.05 m, 0.5 rad; input clipped to [-1, 1];
-        # 20 Hz); OpenVLA's LIBERO data say 1 for an open gripper.
+        # Source: robosuite OSC_POSE as LIBERO configures it (output_max 0.05 m, 0.5 rad; input
+        # clipped to [-1, 1]; 20 Hz); OpenVLA's LIBERO data say 1 for an open gripper.
         "libero": ActionProfile(
             metres_per_unit=0.05,
             radians_per_unit=0.5,

@@ -18,7 +18,9 @@ I64 = NDArray[np.int64]
 BOS_ID = 1
 """First id of every prompt."""
 FINAL_ID = 29871
-"""The lone word boundary that every prompt ends with; the tokenizer alone does not always give it."""
+"""The lone word boundary that every prompt ends with; the tokenizer alone does not always give
+it.
+"""
 
 _ORIGINAL = "Copy tokenizer.json of the original checkpoint there."
 # Source: OpenVLA, prompt builders of the two releases.
@@ -43,8 +45,10 @@ class PromptEncoder:
         Args:
             tokenizer_file: tokenizer.json.
             template: "v02" or "v01".
-            base: ids without added ones, as the checkpoint's configuration says; action tokens end there.
-            embeddings: rows of the model's embedding; an id beyond them has no meaning and would break a GPU's context.
+            base: ids without added ones, as the checkpoint's configuration says; action tokens end
+                there.
+            embeddings: rows of the model's embedding; an id beyond them has no meaning and would
+                break a GPU's context.
 
         Raises:
             CheckpointError: the file is absent, damaged, of another model, or adds no first id.
@@ -62,17 +66,20 @@ class PromptEncoder:
             ids = self._tokenizer.encode(self.to_text("x")).ids
         if highest >= embeddings:
             raise CheckpointError(
-                f"{tokenizer_file} knows the id {highest}, the model has {embeddings} embeddings.", hint=_ORIGINAL
+                f"{tokenizer_file} knows the id {highest}, the model has {embeddings} embeddings.",
+                hint=_ORIGINAL,
             )
         if without_added != base:
             raise CheckpointError(
-                f"{tokenizer_file} has {without_added} ids, config.json says {base} (vocab_size less "
+                f"{tokenizer_file} has {without_added} ids, config.json says {base} (vocab_size "
+                "less "
                 "pad_to_multiple_of); action tokens are counted from there.",
                 hint=_ORIGINAL,
             )
         if not ids or ids[0] != BOS_ID:
             raise CheckpointError(
-                f"{tokenizer_file} begins a prompt with ids {ids[:3]}, expected {BOS_ID} first.", hint=_ORIGINAL
+                f"{tokenizer_file} begins a prompt with ids {ids[:3]}, expected {BOS_ID} first.",
+                hint=_ORIGINAL,
             )
 
     def to_text(self, instruction: str) -> str:
@@ -93,7 +100,9 @@ class PromptEncoder:
             ids = end_prompt(np.array(self._tokenizer.encode(text).ids, dtype=np.int64))
         if not 0 <= ids.min() <= ids.max() < self._embeddings:
             raise CheckpointError(
-                f"{self._source} gives the id {ids.max()}, the model has {self._embeddings} embeddings.", hint=_ORIGINAL
+                f"{self._source} gives the id {ids.max()}, the model has {self._embeddings} "
+                "embeddings.",
+                hint=_ORIGINAL,
             )
         return ids
 

@@ -1,6 +1,8 @@
-"""Tiny random checkpoints in the public layout: a few megabytes that load and run like the real ones.
+"""Tiny random checkpoints in the public layout: a few megabytes that load and run like the real
+ones.
 
-Nothing is downloaded; the tokenizer is made on the spot. Their actions mean nothing, but depend on image and prompt.
+Nothing is downloaded; the tokenizer is made on the spot. Their actions mean nothing, but depend on
+image and prompt.
 """
 
 from __future__ import annotations
@@ -22,7 +24,10 @@ _ACTION_BINS = 256
 _HIDDEN = 16
 STATISTICS_KEY = "tiny"
 """Name of the one data set in the statistics."""
-_WORDS = "In : What action should the robot take to ? Out pick up put on in of bowl cube red green blue plate box and"
+_WORDS = (
+    "In : What action should the robot take to ? Out pick up put on in of bowl cube red "
+    "green blue plate box and"
+)
 
 
 def make_tiny(path: Path, *, seed: int = 0, proprio_width: int = 8) -> None:
@@ -37,7 +42,9 @@ def make_tiny(path: Path, *, seed: int = 0, proprio_width: int = 8) -> None:
         ConfigurationError: the directory is not empty.
     """
     if path.exists() and (not path.is_dir() or any(path.iterdir())):
-        raise ConfigurationError(f"{path} exists and is not an empty directory.", hint="Name a new directory.")
+        raise ConfigurationError(
+            f"{path} exists and is not an empty directory.", hint="Name a new directory."
+        )
     path.mkdir(parents=True, exist_ok=True)
     _write_json(path / "config.json", _config(proprio_width))
     _write_json(path / "preprocessor_config.json", _processor())
@@ -74,7 +81,9 @@ def _config(proprio_width: int) -> Mapping[str, object]:
 
 
 def tiny_statistics(proprio_width: int) -> Mapping[str, object]:
-    """Statistics of one data set: moves of up to a fifth of a unit, an absolute gripper, proprioception within 2."""
+    """Statistics of one data set: moves of up to a fifth of a unit, an absolute gripper,
+    proprioception within 2.
+    """
     reach = [0.2] * 6 + [1.0]
     wide = [2.0] * proprio_width
     return {
@@ -88,7 +97,15 @@ def tiny_statistics(proprio_width: int) -> Mapping[str, object]:
 def _ranges(reach: list[float], mask: list[bool]) -> Mapping[str, object]:
     below = [-value for value in reach]
     still, unit = [0.0] * len(reach), [1.0] * len(reach)
-    return {"min": below, "max": reach, "q01": below, "q99": reach, "mean": still, "std": unit, "mask": mask}
+    return {
+        "min": below,
+        "max": reach,
+        "q01": below,
+        "q99": reach,
+        "mean": still,
+        "std": unit,
+        "mask": mask,
+    }
 
 
 def _processor() -> Mapping[str, object]:
@@ -103,7 +120,9 @@ def _processor() -> Mapping[str, object]:
 
 
 def write_tokenizer(path: Path) -> None:
-    """Write a Llama-like tokenizer: 32000 ids, bytes for what it does not know, the same special ids."""
+    """Write a Llama-like tokenizer: 32000 ids, bytes for what it does not know, the same
+    special ids.
+    """
     from tokenizers import Tokenizer, models, normalizers, processors
 
     vocabulary = {"<unk>": 0, "<s>": BOS_ID, "</s>": 2}
@@ -118,15 +137,27 @@ def write_tokenizer(path: Path) -> None:
             pieces.append(built)
     for piece in dict.fromkeys(pieces):
         vocabulary[piece] = len(vocabulary)
-    vocabulary |= {f"<unused_{index}>": index for index in range(len(vocabulary), _PADDED_FROM) if index != FINAL_ID}
+    vocabulary |= {
+        f"<unused_{index}>": index
+        for index in range(len(vocabulary), _PADDED_FROM)
+        if index != FINAL_ID
+    }
     vocabulary["▁"] = FINAL_ID
     tokenizer = Tokenizer(
         models.BPE(
-            vocab=vocabulary, merges=list(dict.fromkeys(merges)), unk_token="<unk>", fuse_unk=True, byte_fallback=True
+            vocab=vocabulary,
+            merges=list(dict.fromkeys(merges)),
+            unk_token="<unk>",
+            fuse_unk=True,
+            byte_fallback=True,
         )
     )
-    tokenizer.normalizer = normalizers.Sequence([normalizers.Prepend("▁"), normalizers.Replace(" ", "▁")])
-    tokenizer.post_processor = processors.TemplateProcessing(single="<s> $A", special_tokens=[("<s>", BOS_ID)])
+    tokenizer.normalizer = normalizers.Sequence(
+        [normalizers.Prepend("▁"), normalizers.Replace(" ", "▁")]
+    )
+    tokenizer.post_processor = processors.TemplateProcessing(
+        single="<s> $A", special_tokens=[("<s>", BOS_ID)]
+    )
     tokenizer.save(str(path))
 
 
@@ -151,7 +182,9 @@ def _write_weights(path: Path, seed: int) -> None:
 def random_values(
     name: str, weight: Weight, generator: np.random.Generator
 ) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
-    """Random float32 values of a size at which signals neither die nor grow; only action tokens are ever likely."""
+    """Random float32 values of a size at which signals neither die nor grow; only action tokens
+    are ever likely.
+    """
     values = generator.standard_normal(weight.shape).astype(np.float32)
     if len(weight.shape) == 1:
         is_bias = name.endswith(".bias")

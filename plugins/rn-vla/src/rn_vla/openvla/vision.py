@@ -12,7 +12,9 @@ _EPSILON = 1e-6
 
 
 def gelu_in_place(x: Tensor) -> Tensor:
-    """Exact GELU, overwriting `x`: a fresh temporary of megabytes costs the CPU a page fault for each 4 kB of it."""
+    """Exact GELU, overwriting `x`: a fresh temporary of megabytes costs the CPU a page fault
+    for each 4 kB of it.
+    """
     result: Tensor = torch.ops.aten.gelu_(x)
     return result
 
@@ -82,7 +84,8 @@ class _PatchEmbedding(nn.Module):
 class Tower(nn.Module):
     """Pixels (images, 3, side, side) -> patch features (images, patches, width).
 
-    Features are the output of the last but one block without the final norm; the last block, which nothing reads, is
+    Features are the output of the last but one block without the final norm; the last block, which
+    nothing reads, is
     neither held nor run. Source: Karamcheti et al. 2024 (Prismatic VLMs).
     """
 
@@ -101,7 +104,10 @@ class Tower(nn.Module):
         x: Tensor = self.patch_embed(pixels) + self.pos_embed
         if self.prefix_tokens:
             images = x.shape[0]
-            x = torch.cat((self.cls_token.expand(images, -1, -1), self.reg_token.expand(images, -1, -1), x), dim=1)
+            x = torch.cat(
+                (self.cls_token.expand(images, -1, -1), self.reg_token.expand(images, -1, -1), x),
+                dim=1,
+            )
         for block in self.blocks:
             x = block(x)
         return x[:, self.prefix_tokens :]

@@ -1,6 +1,7 @@
-"""Limits on how an arm moves, for the commands of control and for joint motions: pure computation, numpy only."""
+"""Limits on how an arm moves, for the commands of control and for joint motions: pure
+computation, numpy only.
+"""
 
-# fmt: off
 from roboneuron.gate.motion.command import Verdict
 from roboneuron.gate.motion.limiter import MotionLimiter
 from roboneuron.gate.motion.rules import (
@@ -14,6 +15,13 @@ from roboneuron.gate.motion.rules import (
 from roboneuron.gate.motion.task_space import Motion
 
 __all__ = [
-    "LIMITS", "Motion", "MotionLimiter", "MotionRules", "Verdict", "check_tighter", "collision_of", "inspector_of",
+    "LIMITS",
+    "Motion",
+    "MotionLimiter",
+    "MotionRules",
+    "Verdict",
+    "check_tighter",
+    "collision_of",
+    "inspector_of",
     "motion_rules",
 ]

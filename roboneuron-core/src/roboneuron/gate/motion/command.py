@@ -1,4 +1,6 @@
-"""Joint commands of control: check of their joints, setpoint of the last one, the step that is limited, the verdict."""
+"""Joint commands of control: check of their joints, setpoint of the last one, the step that is
+limited, the verdict.
+"""
 
 from __future__ import annotations
 
@@ -18,11 +20,14 @@ _FARTHEST = 1e4
 
 
 def pick(names: tuple[str, ...], position: F64, wanted: tuple[str, ...]) -> F64:
-    """Positions of the `wanted` joints, float64 (n,). Raises UnsafeError unless each is there once and finite."""
+    """Positions of the `wanted` joints, float64 (n,). Raises UnsafeError unless each is there
+    once and finite.
+    """
     values = np.asarray(position, dtype=np.float64)
     if values.shape != (len(names),) or len(set(names)) != len(names):
         raise UnsafeError(
-            f"{len(names)} joints are named, {len(set(names))} different, with positions of shape {values.shape}."
+            f"{len(names)} joints are named, {len(set(names))} different, with positions of shape "
+            f"{values.shape}."
         )
     if names != wanted:
         missing = [name for name in wanted if name not in names]
@@ -35,7 +40,10 @@ def pick(names: tuple[str, ...], position: F64, wanted: tuple[str, ...]) -> F64:
 
 
 def pick_others(
-    command: JointCommand, joints: JointSample, arm: tuple[str, ...], limits: Mapping[str, JointLimit]
+    command: JointCommand,
+    joints: JointSample,
+    arm: tuple[str, ...],
+    limits: Mapping[str, JointLimit],
 ) -> tuple[tuple[str, ...], F64]:
     """Names and positions of the finite joints beside the arm's: as commanded, or else as measured.
 
@@ -49,12 +57,16 @@ def pick_others(
         if name in arm:
             continue
         if name not in limits:
-            raise UnsafeError(f"A command names the joint {name!r}, which is neither the arm's nor the gripper's.")
+            raise UnsafeError(
+                f"A command names the joint {name!r}, which is neither the arm's nor the gripper's."
+            )
         if not limits[name].allows("position", value):
             travel = f"{limits[name].lower:g} .. {limits[name].upper:g}"
             raise UnsafeError(f"The gripper would go to {value:g}, its travel is {travel}.")
         known[name] = value
-    kept = {name: value for name, value in known.items() if name not in arm and abs(value) <= _FARTHEST}
+    kept = {
+        name: value for name, value in known.items() if name not in arm and abs(value) <= _FARTHEST
+    }
     return tuple(kept), np.array(list(kept.values()))
 
 
@@ -66,7 +78,8 @@ class Setpoint:
         start, way: float64 (n,) [rad or m].
         duration_s: time for `way`.
         sent_s: monotonic time.
-        immediate: the command carries no time, so that the robot may jump to its end (JointState commands).
+        immediate: the command carries no time, so that the robot may jump to its end (JointState
+            commands).
     """
 
     start: F64
@@ -78,7 +91,8 @@ class Setpoint:
     def at(self, now_s: float) -> tuple[F64, F64]:
         """Position and velocity at `now_s`."""
         passed = (now_s - self.sent_s) / self.duration_s
-        # An immediate one was chosen for the time before it; the arm has that velocity until the next one is due.
+        # An immediate one was chosen for the time before it; the arm has that velocity until the
+        # next one is due.
         is_moving = passed <= 2.0 if self.immediate else passed < 1.0
         velocity = self.way / self.duration_s if is_moving else np.zeros_like(self.way)
         share = 1.0 if self.immediate else min(1.0, max(0.0, passed))
@@ -87,13 +101,15 @@ class Setpoint:
 
 @dataclass(kw_only=True, slots=True, eq=False)
 class Step:
-    """One command while it is limited; arrays are float64 (n,) in the order of the profile's arm joints.
+    """One command while it is limited; arrays are float64 (n,) in the order of the profile's arm
+    joints.
 
     Attributes:
         measured: joint positions.
         start, before: setpoint and commanded velocity when the command takes over.
         target: commanded positions; scaled in place.
-        passed_s: time since the last command, at most `duration_s`: what is available for accelerating.
+        passed_s: time since the last command, at most `duration_s`: what is available for
+            accelerating.
         others: names and positions of joints beside the arm's, as commanded, otherwise as measured.
         is_lost: the measured joints do not follow the setpoint.
         acted, reason: the limits that scaled the command, and the last one in a sentence.
@@ -118,10 +134,14 @@ class Verdict:
     """Result of the limiter for one command of control.
 
     Attributes:
-        command: what to send, a hold, or None: the command is rejected and the previous one continues.
-        acted: limits, from `LIMITS`, that scaled or rejected the command; empty when it is unchanged.
-        reason: one sentence for the last of them, with the numbers; empty when the command is unchanged.
-        share: length of the sent step in joint space over that of the commanded one; 1 when it is unchanged.
+        command: what to send, a hold, or None: the command is rejected and the previous one
+            continues.
+        acted: limits, from `LIMITS`, that scaled or rejected the command; empty when it is
+            unchanged.
+        reason: one sentence for the last of them, with the numbers; empty when the command is
+            unchanged.
+        share: length of the sent step in joint space over that of the commanded one; 1 when it is
+            unchanged.
         asked: the command in numbers; None for an invalid one (non-finite, unknown joints).
         sent: what is sent, in numbers; None when nothing is sent or the arm holds.
         reference_lost: the measured joints did not follow the setpoint.

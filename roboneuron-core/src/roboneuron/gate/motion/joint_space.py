@@ -1,4 +1,6 @@
-"""Limits of the joints: position, velocity (also where it depends on position), acceleration, effort."""
+"""Limits of the joints: position, velocity (also where it depends on position), acceleration,
+effort.
+"""
 
 from __future__ import annotations
 
@@ -16,8 +18,11 @@ _NOTHING = 1e-9
 """A way this short [rad or m] is rounding, not motion."""
 
 
-def braking_velocity(distance: float, offset: float, deceleration: float, step_s: float = 0.0) -> float:
-    """Fastest velocity towards a limit that lies `distance` away, kept for `step_s` and braked after it.
+def braking_velocity(
+    distance: float, offset: float, deceleration: float, step_s: float = 0.0
+) -> float:
+    """Fastest velocity towards a limit that lies `distance` away, kept for `step_s` and braked
+    after it.
 
     v <= -offset + sqrt(2 * deceleration * (distance - v * step_s)), solved for v; never negative.
 
@@ -25,20 +30,27 @@ def braking_velocity(distance: float, offset: float, deceleration: float, step_s
         distance: to the limit [rad or m].
         offset: velocity kept in reserve [per s].
         deceleration: with which the joint brakes [per s^2], > 0.
-        step_s: how long the velocity lasts before it can change [s]; 0 for the bound at this very position.
+        step_s: how long the velocity lasts before it can change [s]; 0 for the bound at this very
+            position.
 
     Source: libfranka rate_limiting.h for step_s = 0.
     """
     reach = offset + deceleration * step_s
-    return max(0.0, math.sqrt(max(0.0, reach * reach - offset * offset + 2.0 * deceleration * distance)) - reach)
+    return max(
+        0.0,
+        math.sqrt(max(0.0, reach * reach - offset * offset + 2.0 * deceleration * distance))
+        - reach,
+    )
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class JointLimit:
-    """Limits of one joint in rad or m, per s, per s^2, and Nm or N; infinite where the profile has none.
+    """Limits of one joint in rad or m, per s, per s^2, and Nm or N; infinite where the profile has
+    none.
 
     Attributes:
-        braking: offset and deceleration of a joint that is slower near a position limit; None for others.
+        braking: offset and deceleration of a joint that is slower near a position limit; None for
+            others.
     """
 
     lower: float = -math.inf
@@ -49,7 +61,9 @@ class JointLimit:
     braking: tuple[float, float] | None = None
 
     def allows(self, quantity: str, value: float) -> bool:
-        """Whether a "position", "velocity", "acceleration" or "effort" is within its limits; False for NaN."""
+        """Whether a "position", "velocity", "acceleration" or "effort" is within its limits;
+        False for NaN.
+        """
         low, high = self.range(quantity)
         return low - SLACK * max(1.0, abs(low)) <= value <= high + SLACK * max(1.0, abs(high))
 
@@ -61,9 +75,11 @@ class JointLimit:
         return -high, high
 
     def fastest(self, position: float, towards_upper: bool, kept_s: float = 0.0) -> float:
-        """Fastest velocity >= 0 at a position towards one of the limits, when it is kept for that long.
+        """Fastest velocity >= 0 at a position towards one of the limits, when it is kept for that
+        long.
 
-        For a whole step ask with its start and duration; whether one may end at a position, with that and 0.
+        For a whole step ask with its start and duration; whether one may end at a position, with
+        that and 0.
         """
         if self.braking is None:
             return self.velocity
@@ -75,9 +91,13 @@ class JointLimit:
 
 
 def joint_limits(profile: RobotProfile, rules: MotionRules | None = None) -> dict[str, JointLimit]:
-    """Limits by joint name: the arm's, in the shares that `rules` allow, and the gripper's travel."""
+    """Limits by joint name: the arm's, in the shares that `rules` allow, and the gripper's
+    travel.
+    """
     found: dict[str, JointLimit] = {}
-    velocity, acceleration = (rules.velocity_fraction, rules.acceleration_fraction) if rules is not None else (1.0, 1.0)
+    velocity, acceleration = (
+        (rules.velocity_fraction, rules.acceleration_fraction) if rules is not None else (1.0, 1.0)
+    )
     limits = profile.limits
     for i, name in enumerate(profile.arm_joints if limits is not None else ()):
         assert limits is not None
@@ -99,7 +119,8 @@ def joint_limits(profile: RobotProfile, rules: MotionRules | None = None) -> dic
 
 
 class JointSpace:
-    """The limits of n arm joints on commands that follow each other; stateless. Arrays are float64 (n,).
+    """The limits of n arm joints on commands that follow each other; stateless. Arrays are float64
+    (n,).
 
     Plain floats inside: for seven joints a loop over them is faster than the calls into numpy.
     """
@@ -109,12 +130,15 @@ class JointSpace:
         self._acceleration = [limit.acceleration for limit in limits]
 
     def pace(self, start: F64, change: F64, step_s: float) -> Iterator[tuple[str, float, str]]:
-        """Limits of position and velocity that `change` in `step_s` breaks: name, share that is allowed, reason.
+        """Limits of position and velocity that `change` in `step_s` breaks: name, share that is
+        allowed, reason.
 
         A joint that starts outside of its positions may move back in, and any way towards them.
         """
         position, velocity = (1.0, ""), (1.0, "")
-        for name, limit, begin, way in zip(self._names, self._limits, start.tolist(), change.tolist(), strict=True):
+        for name, limit, begin, way in zip(
+            self._names, self._limits, start.tolist(), change.tolist(), strict=True
+        ):
             length = abs(way)
             if length == 0.0:
                 continue
@@ -126,16 +150,21 @@ class JointSpace:
             share = limit.fastest(begin, way > 0.0, step_s) * step_s / length
             if length > _NOTHING and share < velocity[0] * (1.0 - SLACK):
                 speed = length / step_s
-                velocity = share, f"{name} would move at {speed:.4g} per second, allowed is {speed * share:.4g}."
+                velocity = (
+                    share,
+                    f"{name} would move at {speed:.4g} per second, allowed is {speed * share:.4g}.",
+                )
         for quantity, (share, reason) in (("position", position), ("velocity", velocity)):
             if reason:
                 yield quantity, share, reason
 
     def reach(self, before: F64, wanted: F64, passed_s: float) -> tuple[F64, str]:
-        """The velocity nearest to `wanted` that the joints can have `passed_s` after `before`, and the limiting joint.
+        """The velocity nearest to `wanted` that the joints can have `passed_s` after `before`, and
+        the limiting joint.
 
-        It is a share of `wanted`, so that the direction is kept, whenever such a share is within reach. When the arm
-        is too fast to turn or stop at once, it is the velocity on the way from `before` to `wanted` that is.
+        It is a share of `wanted`, so that the direction is kept, whenever such a share is within
+        reach. When the arm is too fast to turn or stop at once, it is the velocity on the way from
+        `before` to `wanted` that is.
 
         Returns:
             Velocity, and "" when it is `wanted` itself.
@@ -155,7 +184,10 @@ class JointSpace:
         if least <= most:
             return wanted * most, self._names[joint]
         change = (wanted - before).tolist()
-        parts = [self._acceleration[i] * passed_s / abs(c) if c else math.inf for i, c in enumerate(change)]
+        parts = [
+            self._acceleration[i] * passed_s / abs(c) if c else math.inf
+            for i, c in enumerate(change)
+        ]
         part = min(parts)
         return before + (wanted - before) * part, self._names[parts.index(part)]
 
@@ -163,5 +195,7 @@ class JointSpace:
         """Whether the joints can have `velocity` so soon after `before`."""
         return all(
             abs(new - old) <= most * passed_s * (1.0 + 2 * SLACK) + 1e-12
-            for most, old, new in zip(self._acceleration, before.tolist(), velocity.tolist(), strict=True)
+            for most, old, new in zip(
+                self._acceleration, before.tolist(), velocity.tolist(), strict=True
+            )
         )

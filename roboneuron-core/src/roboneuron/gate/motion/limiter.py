@@ -1,4 +1,6 @@
-"""Motion limiter of the control module: applies every limit of `[limits]` to each joint command before it is sent."""
+"""Motion limiter of the control module: applies every limit of `[limits]` to each joint command
+before it is sent.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,9 @@ from roboneuron.gate.motion.rules import MotionRules
 from roboneuron.gate.motion.task_space import Motion, TaskSpace
 
 LOST, LOST_M = 0.1, 0.02
-"""Largest difference between setpoint and measured joint [rad; m for slides] before the setpoint counts as lost."""
+"""Largest difference between setpoint and measured joint [rad; m for slides] before the
+setpoint counts as lost.
+"""
 _MEMORY_S = 1.0
 """Age at which the setpoint expires: the next command starts from the measured joints, at rest."""
 _SHORTEST_S = 1e-3
@@ -29,11 +33,15 @@ _HALVINGS = 6
 _STATE_STEP_S = 0.1
 """Time in which the robot module executes a command that carries none."""
 _RESERVE = 0.98
-"""Share of a Cartesian limit used when a step is scaled: a straight line in joint space is a curve in task space."""
+"""Share of a Cartesian limit used when a step is scaled: a straight line in joint space is a
+curve in task space.
+"""
 
 
 class _Stop(Exception):
-    """A limit rejects the command: its reaction is "hold" or "refuse", or no scaled command is within the limits."""
+    """A limit rejects the command: its reaction is "hold" or "refuse", or no scaled command is
+    within the limits.
+    """
 
     def __init__(self, name: str, reason: str, *, refuse: bool = False) -> None:
         super().__init__(reason)
@@ -46,12 +54,14 @@ def _ratio(of_all: float, of_step: float) -> float:
 
 
 class MotionLimiter:
-    """Limits successive joint commands of one arm relative to the last setpoint. Used from one thread.
+    """Limits successive joint commands of one arm relative to the last setpoint. Used from one
+    thread.
 
-    A command is passed unchanged, scaled, answered with a hold, or rejected ("refuse"), by the reaction configured for
-    the limit. Scaling keeps the direction in joint space from the setpoint; only when the acceleration limits allow
-    no velocity in that direction, the velocity changes from the present one towards the commanded one. A command that
-    cannot be evaluated is answered with a hold.
+    A command is passed unchanged, scaled, answered with a hold, or rejected ("refuse"), by the
+    reaction configured for the limit. Scaling keeps the direction in joint space from the setpoint;
+    only when the acceleration limits allow no velocity in that direction, the velocity changes from
+    the present one towards the commanded one. A command that cannot be evaluated is answered with a
+    hold.
 
     Args:
         rules: numbers and reactions.
@@ -59,8 +69,8 @@ class MotionLimiter:
         forward: TCP pose of a posture; raises UnsafeError.
         inspect: the same with all that `Posture` holds; raises likewise.
         immediate: commands carry no time, so that the robot may jump to them (JointState commands).
-        longest_s: longest duration of a command; a longer one is answered with a hold, as nothing could end it if
-            control froze.
+        longest_s: longest duration of a command; a longer one is answered with a hold, as nothing
+            could end it if control froze.
     """
 
     def __init__(
@@ -88,22 +98,28 @@ class MotionLimiter:
         """Apply other numbers and reactions from the next command on."""
         self._rules = rules
         self._limits = joint_limits(self._profile, rules)
-        self._joints = JointSpace(self._names, [self._limits.get(name, JointLimit()) for name in self._names])
+        self._joints = JointSpace(
+            self._names, [self._limits.get(name, JointLimit()) for name in self._names]
+        )
         self._task = TaskSpace(rules)
 
     def limit(self, command: JointCommand, joints: JointSample, now_s: float) -> Verdict:
         """Apply all limits to a command that is to be sent now.
 
         Args:
-            command: of the controller; `duration_s` is the time until the next one is expected, or longer.
+            command: of the controller; `duration_s` is the time until the next one is expected, or
+                longer.
             joints: newest measured joints.
             now_s: monotonic time.
         """
         if command.duration_s > self._longest_s:
             reason = (
-                f"The controller's command lasts {command.duration_s:.3g} s, at most {self._longest_s:g} s are allowed."
+                f"The controller's command lasts {command.duration_s:.3g} s, at most "
+                f"{self._longest_s:g} s are allowed."
             )
-            return Verdict(command=Hold(code="long_command", reason=reason), reason=reason, share=0.0)
+            return Verdict(
+                command=Hold(code="long_command", reason=reason), reason=reason, share=0.0
+            )
         step: Step | None = None
         try:
             step = self._step(command, joints, now_s)
@@ -112,7 +128,10 @@ class MotionLimiter:
         except (UnsafeError, _Stop) as error:
             acted, hold = (), Hold(code="unsafe_command", reason=str(error))
             if isinstance(error, _Stop):
-                acted, hold = (*(step.acted if step else ()), error.name), replace(hold, code=f"limit_{error.name}")
+                acted, hold = (
+                    (*(step.acted if step else ()), error.name),
+                    replace(hold, code=f"limit_{error.name}"),
+                )
             return Verdict(
                 command=None if isinstance(error, _Stop) and error.refuse else hold,
                 acted=tuple(dict.fromkeys(acted)),
@@ -134,7 +153,8 @@ class MotionLimiter:
         )
 
     def follow(self, command: JointCommand, joints: JointSample, sent_s: float) -> None:
-        """Take a command that another process sent, at the monotonic time `sent_s`, as the setpoint.
+        """Take a command that another process sent, at the monotonic time `sent_s`, as the
+        setpoint.
 
         After an invalid one there is no setpoint: the next command starts from the measured joints.
         """
@@ -151,20 +171,30 @@ class MotionLimiter:
         with suppress(UnsafeError):
             here = pick(joints.names, joints.position, self._names)
             self._sent = Setpoint(
-                start=here, way=np.zeros_like(here), duration_s=1.0, sent_s=now_s, immediate=self._immediate
+                start=here,
+                way=np.zeros_like(here),
+                duration_s=1.0,
+                sent_s=now_s,
+                immediate=self._immediate,
             )
 
     def _go(self, step: Step, now_s: float) -> None:
         way = step.target - step.start
         self._sent = Setpoint(
-            start=step.start, way=way, duration_s=step.duration_s, sent_s=now_s, immediate=self._immediate
+            start=step.start,
+            way=way,
+            duration_s=step.duration_s,
+            sent_s=now_s,
+            immediate=self._immediate,
         )
 
     def _step(self, command: JointCommand, joints: JointSample, now_s: float) -> Step:
         measured = pick(joints.names, joints.position, self._names)
         target = pick(command.names, command.position, self._names)
         if not (math.isfinite(command.duration_s) and command.duration_s > 0.0):
-            raise UnsafeError(f"A command lasts {command.duration_s} s, expected a finite time > 0.")
+            raise UnsafeError(
+                f"A command lasts {command.duration_s} s, expected a finite time > 0."
+            )
         since_s = math.inf if self._sent is None else now_s - self._sent.sent_s
         start, before, is_lost = measured, np.zeros_like(measured), False
         if self._sent is not None and since_s < _MEMORY_S:
@@ -172,7 +202,9 @@ class MotionLimiter:
             is_lost = bool((np.abs(position - measured) > self._lost).any())
             if not is_lost:
                 start, before = position, velocity
-        duration_s = max(_SHORTEST_S, min(command.duration_s, since_s) if self._immediate else command.duration_s)
+        duration_s = max(
+            _SHORTEST_S, min(command.duration_s, since_s) if self._immediate else command.duration_s
+        )
         return Step(
             measured=measured,
             start=start,
@@ -186,7 +218,9 @@ class MotionLimiter:
         )
 
     def _shorten(self, step: Step) -> Motion:
-        """Scale the step's target to within the limits; returns the motion that is sent, raises _Stop."""
+        """Scale the step's target to within the limits; returns the motion that is sent, raises
+        _Stop.
+        """
         here = start = self._forward(self._sample(step, step.measured))
         if step.start is not step.measured:
             start = self._forward(self._sample(step, step.start))
@@ -197,7 +231,11 @@ class MotionLimiter:
             there = self._look(step, step.target)
         there = self._place(step, here, there)
         if not step.acted:
-            return self._motion(step, here, start, there) if self._extend(step, here, there) else step.asked
+            return (
+                self._motion(step, here, start, there)
+                if self._extend(step, here, there)
+                else step.asked
+            )
         # Check what would be sent once more: scaling for one limit may violate another one.
         sent, way = self._motion(step, here, start, there), step.target - step.start
         for name, _, reason in self._joints.pace(step.start, way, step.duration_s):
@@ -211,10 +249,11 @@ class MotionLimiter:
         return self._motion(step, here, start, there) if self._extend(step, here, there) else sent
 
     def _extend(self, step: Step, here: Pose, there: Posture) -> bool:
-        """Give the command the time that the TCP needs from where it is measured; returns whether it needed more.
+        """Give the command the time that the TCP needs from where it is measured; returns whether
+        it needed more.
 
-        The limit of speed holds from the setpoint. An arm that was held up (a late command, a frozen driver) is behind
-        it and would catch up in the time of the command.
+        The limit of speed holds from the setpoint. An arm that was held up (a late command, a
+        frozen driver) is behind it and would catch up in the time of the command.
         """
         if self._immediate:
             return False
@@ -237,13 +276,19 @@ class MotionLimiter:
     def _behind(self, here: Pose, there: Posture, duration_s: float) -> float:
         """How many times a speed limit the TCP would have on its way from the measured pose."""
         motion = self._task.motion(here, here, there, duration_s, 0.0)
-        return max((times for name, times, _ in self._task.excess(motion) if name == "speed"), default=1.0)
+        return max(
+            (times for name, times, _ in self._task.excess(motion) if name == "speed"), default=1.0
+        )
 
     def _pace(self, step: Step, asked: Motion, here: Pose, there: Posture) -> None:
         """Scale the step to the limits of joints, TCP step and TCP speed."""
         way, share = step.target - step.start, 1.0
         if self._immediate and (times := self._behind(here, there, _STATE_STEP_S)) > 1.0:
-            self._act(step, "speed", f"The arm is behind its setpoint; its TCP would be {times:.3g} times too fast.")
+            self._act(
+                step,
+                "speed",
+                f"The arm is behind its setpoint; its TCP would be {times:.3g} times too fast.",
+            )
             parts = [_ratio(asked.step_m, asked.speed_m_s * step.duration_s)]
             parts.append(_ratio(asked.step_rad, asked.turn_rad_s * step.duration_s))
             share = max(0.0, 1.0 - (1.0 - _RESERVE / times) * max(parts))
@@ -253,14 +298,22 @@ class MotionLimiter:
         for name, times, reason in self._task.excess(asked):
             self._act(step, name, reason)
             share = min(share, _RESERVE / times)
-        velocity, joint = self._joints.reach(step.before, way * (share / step.duration_s), step.passed_s)
+        velocity, joint = self._joints.reach(
+            step.before, way * (share / step.duration_s), step.passed_s
+        )
         if joint:
-            self._act(step, "acceleration", f"{joint} would change its velocity faster than its acceleration allows.")
+            self._act(
+                step,
+                "acceleration",
+                f"{joint} would change its velocity faster than its acceleration allows.",
+            )
         if step.acted:
             step.target = step.start + velocity * step.duration_s
 
     def _place(self, step: Step, here: Pose, there: Posture) -> Posture:
-        """Scale the step to the limits of place, to 1/64 of its length; returns the posture at its end."""
+        """Scale the step to the limits of place, to 1/64 of its length; returns the posture at
+        its end.
+        """
         broken = list(self._broken(step, here, there))
         if not broken:
             return there
@@ -278,7 +331,9 @@ class MotionLimiter:
         return self._look(step, step.target)
 
     def _broken(self, step: Step, here: Pose, there: Posture) -> Iterator[tuple[str, str]]:
-        """Limits of place that the path from the measured posture to the step's target violates: name, reason."""
+        """Limits of place that the path from the measured posture to the step's target
+        violates: name, reason.
+        """
 
         def look_here() -> Posture:
             return self._look(step, step.measured)

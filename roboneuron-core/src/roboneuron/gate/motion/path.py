@@ -1,4 +1,6 @@
-"""Sampling of paths in joint space: how far apart postures may be for a check of each to be a check of the path."""
+"""Sampling of paths in joint space: how far apart postures may be for a check of each to be a
+check of the path.
+"""
 
 from __future__ import annotations
 
@@ -17,23 +19,30 @@ _SHAPE_M = 0.1
 class Reach:
     """Sampling of paths in joint space.
 
-    No point of the arm may move farther than twice the least distance of its links (within 5 to 20 mm) from one posture
-    to the next.
+    No point of the arm may move farther than twice the least distance of its links (within 5 to 20
+    mm) from one posture to the next.
     """
 
     def __init__(self, profile: RobotProfile) -> None:
         self._levers = levers_m(profile)
-        least_m = _COARSEST_M if profile.collision is None else 2.0 * profile.collision.min_distance_m
+        least_m = (
+            _COARSEST_M if profile.collision is None else 2.0 * profile.collision.min_distance_m
+        )
         self._spacing_m = min(_COARSEST_M, max(_FINEST_M, least_m))
 
     def count(self, names: Sequence[str], change: F64) -> int:
-        """Into how many steps the absolute changes (n,) [rad or m] of the named joints are to be cut; at least 1."""
-        travel_m = sum(self._levers.get(n, 1.0) * d for n, d in zip(names, change.tolist(), strict=True))
+        """Into how many steps the absolute changes (n,) [rad or m] of the named joints are to
+        be cut; at least 1.
+        """
+        travel_m = sum(
+            self._levers.get(n, 1.0) * d for n, d in zip(names, change.tolist(), strict=True)
+        )
         return max(1, math.ceil(float(travel_m) / self._spacing_m))
 
 
 def levers_m(profile: RobotProfile) -> dict[str, float]:
-    """By joint of the chain from base to TCP: metres that a point moves at most per rad (1 per m for slides).
+    """By joint of the chain from base to TCP: metres that a point moves at most per rad (1 per m
+    for slides).
 
     Empty for a description that holds no such chain.
     """
@@ -51,7 +60,9 @@ def levers_m(profile: RobotProfile) -> dict[str, float]:
         length += math.hypot(*map(float, _attribute(joint.find("origin"), "xyz", "0 0 0").split()))
         if is_slide:
             limit = joint.find("limit")
-            length += abs(float(_attribute(limit, "upper", "1")) - float(_attribute(limit, "lower", "-1")))
+            length += abs(
+                float(_attribute(limit, "upper", "1")) - float(_attribute(limit, "lower", "-1"))
+            )
         link = _attribute(joint.find("parent"), "link")
     return levers
 

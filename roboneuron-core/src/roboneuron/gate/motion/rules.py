@@ -1,4 +1,6 @@
-"""Which limits hold and what happens at each: from the configuration, never wider than the robot's profile."""
+"""Which limits hold and what happens at each: from the configuration, never wider than the
+robot's profile.
+"""
 
 from __future__ import annotations
 
@@ -57,7 +59,8 @@ class MotionRules:
     Attributes:
         reactions: "hold", "scale" or "refuse" by limit.
         velocity_fraction, acceleration_fraction: shares of the joints' limits in use.
-        max_step_m, max_step_rad: farthest that one command may move the TCP from where it is measured.
+        max_step_m, max_step_rad: farthest that one command may move the TCP from where it is
+            measured.
         max_speed_m_s, max_turn_rad_s: fastest motion of the TCP.
         lower_m, upper_m: workspace box of the TCP, float64 (3,), base frame.
         min_height_m: lowest z of the TCP, base frame.
@@ -92,8 +95,10 @@ def motion_rules(config: LimitsConfig, profile: RobotProfile) -> MotionRules:
     asked_upper = upper if config.workspace_upper_m is None else np.array(config.workspace_upper_m)
     if (asked_lower < lower).any() or (asked_upper > upper).any():
         raise ConfigurationError(
-            f"limits.workspace {asked_lower.tolist()} .. {asked_upper.tolist()} m is wider than that of robot "
-            f"{profile.name!r}, {lower.tolist()} .. {upper.tolist()} m; limits can only be tightened."
+            f"limits.workspace {asked_lower.tolist()} .. {asked_upper.tolist()} m is wider than "
+            "that of robot "
+            f"{profile.name!r}, {lower.tolist()} .. {upper.tolist()} m; limits can only be "
+            "tightened."
         )
     workspace = _box("workspace", "the TCP's", asked_lower, asked_upper)
     return MotionRules(
@@ -120,40 +125,62 @@ def check_tighter(limits: LimitsConfig, configured: LimitsConfig) -> None:
     """
     for key, sign in _TIGHTER.items():
         value, bound = getattr(limits, key), getattr(configured, key)
-        if bound is not None and (value is None or (np.asarray(value) * sign < np.asarray(bound) * sign).any()):
-            raise ConfigurationError(f"limits.{key} = {value} is wider than {bound}; limits can only be tightened.")
+        if bound is not None and (
+            value is None or (np.asarray(value) * sign < np.asarray(bound) * sign).any()
+        ):
+            raise ConfigurationError(
+                f"limits.{key} = {value} is wider than {bound}; limits can only be tightened."
+            )
     if any(zone not in limits.zones for zone in configured.zones):
-        raise ConfigurationError("limits.zones lacks a configured zone; limits can only be tightened.")
+        raise ConfigurationError(
+            "limits.zones lacks a configured zone; limits can only be tightened."
+        )
     for key in LimitsConfig.model_fields:
-        if key not in _TIGHTER and key != "zones" and getattr(limits, key) != getattr(configured, key):
+        if (
+            key not in _TIGHTER
+            and key != "zones"
+            and getattr(limits, key) != getattr(configured, key)
+        ):
             raise ConfigurationError(f"limits.{key} cannot be changed while the robot runs.")
 
 
 def collision_of(config: LimitsConfig, profile: RobotProfile) -> CollisionProfile | None:
-    """What the arm must not touch: the profile's with the configured distance and obstacles; None when not checked.
+    """What the arm must not touch: the profile's with the configured distance and obstacles; None
+    when not checked.
 
     Raises:
         ConfigurationError: an obstacle is no box, or the distance is shorter than the robot's.
     """
     given = profile.collision
-    if not config.collision or (given is None and config.min_distance_m is None and config.obstacles is None):
+    if not config.collision or (
+        given is None and config.min_distance_m is None and config.obstacles is None
+    ):
         return None
     made = given or CollisionProfile()
-    if given is not None and config.min_distance_m is not None and config.min_distance_m < given.min_distance_m:
+    if (
+        given is not None
+        and config.min_distance_m is not None
+        and config.min_distance_m < given.min_distance_m
+    ):
         raise ConfigurationError(
-            f"limits.min_distance_m = {config.min_distance_m:g} is less than the {given.min_distance_m:g} m of robot "
+            f"limits.min_distance_m = {config.min_distance_m:g} is less than the "
+            f"{given.min_distance_m:g} m of robot "
             f"{profile.name!r}; limits can only be tightened."
         )
     if config.min_distance_m is not None:
         made = replace(made, min_distance_m=config.min_distance_m)
     if config.obstacles is not None:
-        boxes = tuple(_box("obstacles", box.name, box.lower_m, box.upper_m) for box in config.obstacles)
+        boxes = tuple(
+            _box("obstacles", box.name, box.lower_m, box.upper_m) for box in config.obstacles
+        )
         made = replace(made, obstacles=boxes)
     return made
 
 
 def inspector_of(controller: Controller) -> Callable[[JointSample], Posture]:
-    """What tells the postures of a controller's arm: all that it can say, at the least the pose of the TCP."""
+    """What tells the postures of a controller's arm: all that it can say, at the least the pose
+    of the TCP.
+    """
     if isinstance(controller, PostureInspector):
         return controller.inspect
     return lambda joints: Posture(pose=controller.forward(joints))

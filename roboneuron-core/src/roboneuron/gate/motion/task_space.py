@@ -1,4 +1,6 @@
-"""Limits of the TCP: step, speed, workspace, zones, height; and of the posture: singularity, collision."""
+"""Limits of the TCP: step, speed, workspace, zones, height; and of the posture: singularity,
+collision.
+"""
 
 from __future__ import annotations
 
@@ -39,8 +41,11 @@ class TaskSpace:
     def __init__(self, rules: MotionRules) -> None:
         self._rules = rules
 
-    def motion(self, measured: Pose, start: Pose, end: Posture, duration_s: float, joint_speed: float) -> Motion:
-        """One command in numbers: measured TCP, TCP commanded so far, TCP at the end of the command.
+    def motion(
+        self, measured: Pose, start: Pose, end: Posture, duration_s: float, joint_speed: float
+    ) -> Motion:
+        """One command in numbers: measured TCP, TCP commanded so far, TCP at the end of the
+        command.
 
         Raises:
             UnsafeError: one of them is not finite.
@@ -53,13 +58,21 @@ class TaskSpace:
             joint_speed=joint_speed,
             smallest_singular_value=end.smallest_singular_value,
         )
-        sum_of_all = motion.step_m + motion.step_rad + motion.speed_m_s + motion.turn_rad_s + motion.joint_speed
+        sum_of_all = (
+            motion.step_m
+            + motion.step_rad
+            + motion.speed_m_s
+            + motion.turn_rad_s
+            + motion.joint_speed
+        )
         if not math.isfinite(sum_of_all + (motion.smallest_singular_value or 0.0)):
             raise UnsafeError(f"A command leads to numbers that are not finite: {motion}.")
         return motion
 
     def excess(self, motion: Motion) -> Iterator[tuple[str, float, str]]:
-        """Limits of step and speed that `motion` violates: name, ratio of value to limit, reason."""
+        """Limits of step and speed that `motion` violates: name, ratio of value to limit,
+        reason.
+        """
         rules = self._rules
         for name, value, most, unit in (
             ("step", motion.step_m, rules.max_step_m, "m"),
@@ -69,10 +82,17 @@ class TaskSpace:
         ):
             if value > most:
                 by = "at " if name == "speed" else ""
-                yield name, value / most, f"The TCP would move {by}{value:.4g} {unit}, allowed is {most:g} {unit}."
+                yield (
+                    name,
+                    value / most,
+                    f"The TCP would move {by}{value:.4g} {unit}, allowed is {most:g} {unit}.",
+                )
 
-    def places(self, here: Pose, there: Posture, look_here: Callable[[], Posture]) -> Iterator[tuple[str, str]]:
-        """Limits of place and posture that the path from one posture to another violates: name, reason.
+    def places(
+        self, here: Pose, there: Posture, look_here: Callable[[], Posture]
+    ) -> Iterator[tuple[str, str]]:
+        """Limits of place and posture that the path from one posture to another violates: name,
+        reason.
 
         Args:
             here: TCP at the start of the path.
@@ -88,25 +108,43 @@ class TaskSpace:
             at = np.round(end, 4).tolist()
             yield "workspace", f"The TCP would be {outside:.4f} m outside the workspace, at {at} m."
         if _is_worse(rules.min_height_m - end[2], rules.min_height_m - start[2]):
-            yield "height", f"The TCP would be at a height of {end[2]:.4f} m, allowed is {rules.min_height_m:g} m."
+            yield (
+                "height",
+                f"The TCP would be at a height of {end[2]:.4f} m, allowed is "
+                f"{rules.min_height_m:g} m.",
+            )
         for zone in rules.zones:
             if _breaks_zone(zone, start, end):
-                yield "zone", f"The TCP would enter {zone.name!r} on its way to {np.round(end, 4).tolist()} m."
+                yield (
+                    "zone",
+                    f"The TCP would enter {zone.name!r} on its way to {np.round(end, 4).tolist()} "
+                    "m.",
+                )
         least, singular = rules.min_singular_value, there.smallest_singular_value
         if singular is not None and singular < least:
             before = look_here().smallest_singular_value or 0.0
             if _is_worse(least - singular, least - before):
-                yield "singularity", f"The smallest singular value would be {singular:.4f}, allowed is {least:g}."
+                yield (
+                    "singularity",
+                    f"The smallest singular value would be {singular:.4f}, allowed is {least:g}.",
+                )
         yield from self.collisions(there, look_here)
 
-    def collisions(self, there: Posture, look_here: Callable[[], Posture]) -> Iterator[tuple[str, str]]:
-        """Pairs that are too near in a posture and no farther apart than at the start of the path; as `places`."""
+    def collisions(
+        self, there: Posture, look_here: Callable[[], Posture]
+    ) -> Iterator[tuple[str, str]]:
+        """Pairs that are too near in a posture and no farther apart than at the start of the
+        path; as `places`.
+        """
         if not there.near:
             return
         start_m = {(pair.first, pair.second): pair.distance_m for pair in look_here().near or ()}
         for pair in there.near:
             if pair.distance_m <= start_m.get((pair.first, pair.second), pair.least_m):
-                apart = f"{pair.distance_m * 1e3:.1f} mm apart, at least {pair.least_m * 1e3:g} mm are required."
+                apart = (
+                    f"{pair.distance_m * 1e3:.1f} mm apart, at least {pair.least_m * 1e3:g} "
+                    "mm are required."
+                )
                 yield "collision", f"{pair.first} and {pair.second} would be {apart}"
 
 
@@ -133,12 +171,17 @@ def _is_worse(end: float, start: float) -> bool:
 
 
 def _breaks_zone(zone: Obstacle, start_m: F64, end_m: F64) -> bool:
-    """Whether the line from one point (3,) to another enters the box, or starts in it and does not lead out."""
+    """Whether the line from one point (3,) to another enters the box, or starts in it and does
+    not lead out.
+    """
     start_depth = -_depth_outside_m(start_m, zone.lower_m, zone.upper_m)
     if start_depth > 0.0:
         return -_depth_outside_m(end_m, zone.lower_m, zone.upper_m) >= start_depth
-    enter, leave = 0.0, 1.0  # slab test: the shares of the way between which it is within the box along every axis
-    axes = zip(start_m.tolist(), end_m.tolist(), zone.lower_m.tolist(), zone.upper_m.tolist(), strict=True)
+    # slab test: the shares of the way between which it is within the box along every axis
+    enter, leave = 0.0, 1.0
+    axes = zip(
+        start_m.tolist(), end_m.tolist(), zone.lower_m.tolist(), zone.upper_m.tolist(), strict=True
+    )
     for begin, end, low, high in axes:
         way = end - begin
         if way == 0.0:

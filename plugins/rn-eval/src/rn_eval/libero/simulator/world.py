@@ -1,13 +1,15 @@
 """One LIBERO task in its simulator, stepped as the public evaluation scripts step it.
 
-Sources: openvla/openvla and moojink/openvla-oft, experiments/robot/libero/{run_libero_eval,libero_utils}.py: one
-environment for a task, seeded with 0; before each episode it is reset, then set to the episode's initial state; ten
-steps of a dummy action; each step ends the episode when the task is done.
+Sources: openvla/openvla and moojink/openvla-oft,
+    experiments/robot/libero/{run_libero_eval,libero_utils}.py: one
+environment for a task, seeded with 0; before each episode it is reset, then set to the episode's
+initial state; ten steps of a dummy action; each step ends the episode when the task is done.
 
-Two things are done otherwise without changing a number. The scripts render both cameras in every step; here the state
-that an image is taken of is kept, and rendered when it is asked for. (robosuite 1.4 samples observations after the
-first of a control period's 25 physics steps, not at its end; so it is that state.) And an episode that is not the first
-of its task draws what the resets before it would have drawn, instead of resetting the environment so many times.
+Two things are done otherwise without changing a number. The scripts render both cameras in every
+step; here the state that an image is taken of is kept, and rendered when it is asked for.
+(robosuite 1.4 samples observations after the first of a control period's 25 physics steps, not at
+its end; so it is that state.) And an episode that is not the first of its task draws what the
+resets before it would have drawn, instead of resetting the environment so many times.
 """
 
 from __future__ import annotations
@@ -61,7 +63,9 @@ class Snapshots:
 
 
 def _camera_sensors(environment: Any, cam_name: str, *_: Any, **__: Any) -> Any:
-    """Instead of a sensor that renders, one that keeps the state; for `RobotEnv._create_camera_sensors`."""
+    """Instead of a sensor that renders, one that keeps the state; for
+    `RobotEnv._create_camera_sensors`.
+    """
 
     @sensor(modality="image")  # type: ignore[untyped-decorator]
     def keep(cache: Any) -> Any:
@@ -125,7 +129,9 @@ class World:
         self._states = np.asarray(tasks.get_task_init_states(task))
         self._instruction = chosen.language
         RobotEnv.snapshots = self._snapshots
-        self._env = OffScreenRenderEnv(bddl_file_name=path, camera_heights=image_px, camera_widths=image_px)
+        self._env = OffScreenRenderEnv(
+            bddl_file_name=path, camera_heights=image_px, camera_widths=image_px
+        )
         self._samplers = list(self._env.env.object_property_initializers)
         self._task = (suite, task, image_px)
         self._remember_bodies()
@@ -144,9 +150,12 @@ class World:
         inner._reset_internal = remember
 
     def _draw_until(self, episode: int) -> None:
-        """Bring the random generator to where the scripts have it before their reset number `episode`."""
+        """Bring the random generator to where the scripts have it before their reset number
+        `episode`.
+        """
         inner = self._env.env
-        inner.object_property_initializers[:] = list(self._samplers)  # each reset adds them once more
+        # each reset adds them once more
+        inner.object_property_initializers[:] = list(self._samplers)
         self._env.seed(SEED)
         if episode and self._reset_body is None:
             self._env.reset()  # one in full tells where the fixtures stand before a reset
@@ -170,8 +179,12 @@ class World:
         return State(
             instruction=self._instruction,
             is_done=is_done,
-            joints=np.concatenate([observed["robot0_joint_pos"], observed["robot0_gripper_qpos"]]).astype(np.float64),
+            joints=np.concatenate(
+                [observed["robot0_joint_pos"], observed["robot0_gripper_qpos"]]
+            ).astype(np.float64),
             eef_pos=np.asarray(observed["robot0_eef_pos"], np.float64),
             eef_quat=np.asarray(observed["robot0_eef_quat"], np.float64),
-            flat=np.concatenate([[simulated.time], simulated.qpos, simulated.qvel]).astype(np.float64),
+            flat=np.concatenate([[simulated.time], simulated.qpos, simulated.qvel]).astype(
+                np.float64
+            ),
         )

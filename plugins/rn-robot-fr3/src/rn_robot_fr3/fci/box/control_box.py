@@ -39,18 +39,26 @@ class ControlBox:
         command += ["--upstream", self._upstream, "--seed", str(self._seed)]
         self._log.parent.mkdir(parents=True, exist_ok=True)
         with self._log.open("wb") as output:
-            self._process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT, start_new_session=True)
-        with contextlib.suppress(OSError):  # a control box has a computer of its own: let it not wait for others here
+            self._process = subprocess.Popen(
+                command, stdout=output, stderr=subprocess.STDOUT, start_new_session=True
+            )
+        # a control box has a computer of its own: let it not wait for others here
+        with contextlib.suppress(OSError):
             os.sched_setscheduler(self._process.pid, os.SCHED_FIFO, os.sched_param(_PRIORITY))
         deadline_s = time.monotonic() + _START_S
         while not self._answers():
             if self._process.poll() is not None or time.monotonic() > deadline_s:
                 self.__exit__(None, None, None)
-                raise NotReadyError(f"The control box did not start: {self._log.read_text(errors='replace')[-800:]}")
+                raise NotReadyError(
+                    f"The control box did not start: {self._log.read_text(errors='replace')[-800:]}"
+                )
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         process = self._process
         if process is not None and process.poll() is None:

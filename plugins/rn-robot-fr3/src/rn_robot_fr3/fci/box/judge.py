@@ -1,4 +1,6 @@
-"""Judges what the arm counts as commanded by the published limits of the FR3: commands, and what it extrapolates."""
+"""Judges what the arm counts as commanded by the published limits of the FR3: commands, and
+what it extrapolates.
+"""
 
 from __future__ import annotations
 
@@ -75,7 +77,8 @@ class Judge:
             acceleration = now.acceleration[joint]
             jerk = (acceleration - before.acceleration[joint]) / STEP_S
             shares = {
-                "velocity": abs(velocity) / max(_fastest(joint, position, velocity > 0.0), _LEAST_RAD_S),
+                "velocity": abs(velocity)
+                / max(_fastest(joint, position, velocity > 0.0), _LEAST_RAD_S),
                 "acceleration": abs(acceleration) / ACCELERATION_RAD_S2[joint],
                 "jerk": abs(jerk) / JERK_RAD_S3[joint],
             }
@@ -83,7 +86,9 @@ class Judge:
                 self.worst[name] = max(self.worst[name], share)
                 if share > 1.0 + _EXACT:
                     of = f"{name} of joint {joint + 1}"
-                    self._note(f"{what} after a gap of {self._gap}: {of} is {share:.3f} of its limit")
+                    self._note(
+                        f"{what} after a gap of {self._gap}: {of} is {share:.3f} of its limit"
+                    )
             if not LOWER_RAD[joint] <= position <= UPPER_RAD[joint]:
                 self._note(f"{what}: joint {joint + 1} is beyond its limit at {position} rad")
         self.arm = now
@@ -97,5 +102,8 @@ class Judge:
 def _fastest(joint: int, position: float, is_upwards: bool) -> float:
     """The velocity that the arm accepts there; see `rn_robot_fr3.limits.velocity_bounds`."""
     room = UPPER_RAD[joint] - position if is_upwards else position - LOWER_RAD[joint]
-    braking = sqrt(2.0 * BRAKING_DECELERATION_RAD_S2[joint] * max(room, 0.0)) - BRAKING_OFFSET_RAD_S[joint]
+    braking = (
+        sqrt(2.0 * BRAKING_DECELERATION_RAD_S2[joint] * max(room, 0.0))
+        - BRAKING_OFFSET_RAD_S[joint]
+    )
     return max(0.0, min(braking, VELOCITY_RAD_S[joint]))

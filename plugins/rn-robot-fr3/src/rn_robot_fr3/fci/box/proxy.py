@@ -1,8 +1,11 @@
-"""The box itself, a process: `python -m rn_robot_fr3.fci.box.proxy --host 127.0.0.3 --upstream 127.0.0.2`.
+"""The box itself, a process:
+`python -m rn_robot_fr3.fci.box.proxy --host 127.0.0.3 --upstream 127.0.0.2`.
 
-It stands between the driver and franka-sim. A command counts when it answers the newest state, once; others are
-dropped, as a box with a clock of its own does, where franka-sim takes them. What counts is judged, and states tell q_d,
-dq_d and ddq_d by these books. On UDP port 1340 it answers with its counts, and takes faults: {"loss": 0.05},
+It stands between the driver and franka-sim. A command counts when it answers the newest state,
+once; others are dropped, as a box with a clock of its own does, where franka-sim takes them. What
+counts is judged, and states tell q_d,
+dq_d and ddq_d by these books. On UDP port 1340 it answers with its counts, and takes faults:
+    {"loss": 0.05},
 {"silence": 10}. {"lenient": 1} passes on everything instead, and nothing is judged.
 """
 
@@ -57,7 +60,9 @@ class Stream:
 
     def send(self, service: int, number: int, payload: bytes) -> None:
         """One message."""
-        self.connection.sendall(wire.HEADER.pack(service, number, wire.HEADER.size + len(payload)) + payload)
+        self.connection.sendall(
+            wire.HEADER.pack(service, number, wire.HEADER.size + len(payload)) + payload
+        )
 
 
 class Box:
@@ -93,7 +98,11 @@ class Box:
         sockets: list[Any] = [self._listener, self._asking]
         sockets += [stream.connection for stream in (self._client, self._robot) if stream]
         sockets += [udp for udp in (self._states, self._commands) if udp]
-        due = [at_s for cable in (self._to_arm, self._to_client) if (at_s := cable.next_s()) is not None]
+        due = [
+            at_s
+            for cable in (self._to_arm, self._to_client)
+            if (at_s := cable.next_s()) is not None
+        ]
         wait_s = max(0.0, min([*due, time.monotonic() + _WAIT_S]) - time.monotonic())
         ready, _, _ = select.select(sockets, [], [], wait_s)
         now_s = time.monotonic()
@@ -142,7 +151,9 @@ class Box:
 
     def _connected(self, payload: bytes) -> bytes:
         """Connect to franka-sim, whose states come here and not to the client."""
-        upstream = socket.create_connection((self._upstream, wire.PORT), _CONNECT_S, (self._host, 0))
+        upstream = socket.create_connection(
+            (self._upstream, wire.PORT), _CONNECT_S, (self._host, 0)
+        )
         self._robot = Stream(upstream)
         self._states, self._commands = _datagrams(self._host, 0), _datagrams(self._host, 0)
         self._client_port = int.from_bytes(payload[2:4], "little")

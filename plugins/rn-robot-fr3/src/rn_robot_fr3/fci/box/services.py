@@ -40,7 +40,11 @@ def refusal(service: int, payload: bytes, mode: int, is_latched: bool) -> bytes 
         if mode != wire.IDLE or is_latched:
             return _status(wire.MOVE_NOT_POSSIBLE)
         return None if len(payload) >= _LEAST_MOVE_BYTES else _status(wire.MOVE_INVALID)
-    if service == Service.AUTOMATIC_ERROR_RECOVERY and mode in (wire.OTHER, wire.GUIDING, wire.USER_STOPPED):
+    if service == Service.AUTOMATIC_ERROR_RECOVERY and mode in (
+        wire.OTHER,
+        wire.GUIDING,
+        wire.USER_STOPPED,
+    ):
         return _status(wire.NOT_POSSIBLE)
     return None
 
@@ -69,9 +73,13 @@ def is_valid(service: int, payload: bytes) -> bool:
 
 
 def _are_thresholds(values: tuple[float, ...], size: int) -> bool:
-    """Lower and upper while accelerating, lower and upper otherwise: positive, and in this order."""
+    """Lower and upper while accelerating, lower and upper otherwise: positive, and in this
+    order.
+    """
     parts = [values[begin : begin + size] for begin in range(0, 4 * size, size)]
-    is_ordered = all(low <= high for pair in (parts[:2], parts[2:]) for low, high in zip(*pair, strict=True))
+    is_ordered = all(
+        low <= high for pair in (parts[:2], parts[2:]) for low, high in zip(*pair, strict=True)
+    )
     return is_ordered and min(values) > 0.0
 
 

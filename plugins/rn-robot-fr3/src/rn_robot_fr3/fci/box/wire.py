@@ -1,6 +1,7 @@
 """The FCI's messages, protocol version 10, as far as the box reads or changes them.
 
-Source: research_interface/robot/{rbk_types,service_types}.h of libfranka 0.18, as transcribed in franka-sim 1.1.7.
+Source: research_interface/robot/{rbk_types,service_types}.h of libfranka 0.18, as transcribed in
+    franka-sim 1.1.7.
 """
 
 from __future__ import annotations
@@ -56,7 +57,9 @@ def desired(state: bytes) -> list[float]:
     return list(_DESIRED.unpack_from(state, _Q_D))
 
 
-def with_desired(state: bytes, position: list[float], velocity: list[float], acceleration: list[float]) -> bytes:
+def with_desired(
+    state: bytes, position: list[float], velocity: list[float], acceleration: list[float]
+) -> bytes:
     """The state with other q_d, dq_d and ddq_d."""
     changed = bytearray(state)
     for offset, values in ((_Q_D, position), (_DQ_D, velocity), (_DDQ_D, acceleration)):

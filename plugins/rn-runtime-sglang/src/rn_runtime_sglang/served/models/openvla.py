@@ -7,7 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from sglang.srt.managers.mm_utils import MultiModalityDataPaddingPatternMultimodalTokens, general_mm_embed_routine
+from sglang.srt.managers.mm_utils import (
+    MultiModalityDataPaddingPatternMultimodalTokens,
+    general_mm_embed_routine,
+)
 from sglang.srt.managers.schedule_batch import Modality, MultimodalDataItem, MultimodalInputs
 from sglang.srt.models.llama import LlamaForCausalLM
 from torch import Tensor, nn
@@ -17,19 +20,27 @@ from rn_vla.openvla.checkpoint import Checkpoint
 from rn_vla.openvla.front import OpenVlaFront
 
 UNUSABLE_TOKEN = 0
-"""Decoded (the id of <unk>) where the logits are not finite; the runtime refuses a reply that holds it."""
+"""Decoded (the id of <unk>) where the logits are not finite; the runtime refuses a reply that
+holds it.
+"""
 
 
 class OpenVLAForActionPrediction(nn.Module):
     """Named as checkpoints name it, which is how SGLang finds it."""
 
-    def __init__(self, config: OpenVlaServedConfig, quant_config: Any = None, prefix: str = "") -> None:
+    def __init__(
+        self, config: OpenVlaServedConfig, quant_config: Any = None, prefix: str = ""
+    ) -> None:
         super().__init__()
         self.config = config
         checkpoint = Checkpoint.read(Path(config._name_or_path))
-        self._weights = {name: weight for shard in checkpoint.shards for name, weight in shard.weights.items()}
+        self._weights = {
+            name: weight for shard in checkpoint.shards for name, weight in shard.weights.items()
+        }
         self.front = OpenVlaFront(checkpoint.vision)
-        self.language_model = LlamaForCausalLM(config.text_config, quant_config, prefix="language_model")
+        self.language_model = LlamaForCausalLM(
+            config.text_config, quant_config, prefix="language_model"
+        )
 
     def get_input_embeddings(self) -> nn.Module:
         """The word embedding, for SGLang."""
@@ -38,16 +49,22 @@ class OpenVLAForActionPrediction(nn.Module):
 
     def pad_input_ids(self, input_ids: Any, mm_inputs: MultimodalInputs) -> Any:
         """Mark the image positions with the image's hash, which keys the prefix cache."""
-        return MultiModalityDataPaddingPatternMultimodalTokens().pad_input_tokens(input_ids, mm_inputs)
+        return MultiModalityDataPaddingPatternMultimodalTokens().pad_input_tokens(
+            input_ids, mm_inputs
+        )
 
     def get_image_feature(self, items: list[MultimodalDataItem]) -> Tensor:
-        """Pixels of each item (1, channels, side, side) -> embedded patches (items * patches, hidden)."""
+        """Pixels of each item (1, channels, side, side) -> embedded patches (items * patches,
+        hidden).
+        """
         parameter = next(self.front.parameters())
         pixels = torch.cat([item.feature for item in items]).to(parameter.device, parameter.dtype)
         return self.front.patches(pixels)[0]
 
     @torch.no_grad()
-    def forward(self, input_ids: Tensor, positions: Tensor, forward_batch: Any, **others: Any) -> Any:
+    def forward(
+        self, input_ids: Tensor, positions: Tensor, forward_batch: Any, **others: Any
+    ) -> Any:
         """One prefill or decode step of a batch."""
         output = general_mm_embed_routine(
             input_ids=input_ids,
@@ -89,7 +106,9 @@ class OpenVLAForActionPrediction(nn.Module):
             elif part == "decoder":
                 decoder.append((target, tensor))
         if missing:
-            raise ValueError(f"{len(missing)} tensors are missing: {', '.join(sorted(missing)[:8])}")
+            raise ValueError(
+                f"{len(missing)} tensors are missing: {', '.join(sorted(missing)[:8])}"
+            )
         self.language_model.load_weights(decoder)
 
 

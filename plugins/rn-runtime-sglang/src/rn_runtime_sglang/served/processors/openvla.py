@@ -1,4 +1,6 @@
-"""From a request's image and token ids to what the model takes, with the backend package's own preprocessing."""
+"""From a request's image and token ids to what the model takes, with the backend package's own
+preprocessing.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,11 @@ from typing import Any
 import numpy as np
 import torch
 from PIL import Image
-from sglang.srt.managers.schedule_batch import Modality, MultimodalDataItem, MultimodalProcessorOutput
+from sglang.srt.managers.schedule_batch import (
+    Modality,
+    MultimodalDataItem,
+    MultimodalProcessorOutput,
+)
 from sglang.srt.multimodal.processors.base_processor import BaseMultimodalProcessor
 
 from rn_runtime_sglang.served.models.openvla import OpenVLAForActionPrediction
@@ -28,7 +34,9 @@ class OpenVlaProcessor(BaseMultimodalProcessor):  # type: ignore[misc, unused-ig
 
     models = (OpenVLAForActionPrediction,)
 
-    def __init__(self, hf_config: Any, server_args: Any, processor: Any, transport_mode: Any, **others: Any) -> None:
+    def __init__(
+        self, hf_config: Any, server_args: Any, processor: Any, transport_mode: Any, **others: Any
+    ) -> None:
         super().__init__(hf_config, server_args, processor, transport_mode, **others)
         checkpoint = Checkpoint.read(Path(hf_config._name_or_path))
         tower = checkpoint.vision.towers[0]
@@ -38,7 +46,12 @@ class OpenVlaProcessor(BaseMultimodalProcessor):  # type: ignore[misc, unused-ig
         self._image_token = checkpoint.token_vocabulary  # <PAD>, which no prompt holds
 
     async def process_mm_data_async(
-        self, image_data: Any, audio_data: Any = None, input_text: Any = None, request_obj: Any = None, **others: Any
+        self,
+        image_data: Any,
+        audio_data: Any = None,
+        input_text: Any = None,
+        request_obj: Any = None,
+        **others: Any,
     ) -> MultimodalProcessorOutput:
         """The prompt with the patches' places behind its first id, and the pixels.
 
@@ -54,28 +67,37 @@ class OpenVlaProcessor(BaseMultimodalProcessor):  # type: ignore[misc, unused-ig
             im_token_id=self._image_token,
             mm_items=[
                 MultimodalDataItem(
-                    modality=Modality.IMAGE, feature=torch.from_numpy(pixels)[None], offsets=[(1, self._patches)]
+                    modality=Modality.IMAGE,
+                    feature=torch.from_numpy(pixels)[None],
+                    offsets=[(1, self._patches)],
                 )
             ],
         )
 
 
 def check_ids(ids: Any, embeddings: int) -> list[int]:
-    """Return the prompt's ids; raises ValueError unless they begin and end as the model was trained with.
+    """Return the prompt's ids; raises ValueError unless they begin and end as the model was trained
+    with.
 
     An id without an embedding would break the GPU's context, and with it the server.
     """
     if not isinstance(ids, list) or not all(type(value) is int for value in ids):
         raise ValueError("the prompt must be token ids (`input_ids`), not text")
     if len(ids) < 2 or ids[0] != BOS_ID or ids[-1] != FINAL_ID:
-        raise ValueError(f"the prompt's ids are {ids[:2]} ... {ids[-1:]}, expected [{BOS_ID} ... {FINAL_ID}]")
+        raise ValueError(
+            f"the prompt's ids are {ids[:2]} ... {ids[-1:]}, expected [{BOS_ID} ... {FINAL_ID}]"
+        )
     if min(ids) < 0 or max(ids) >= embeddings:
-        raise ValueError(f"the prompt's ids are {min(ids)} to {max(ids)}, the model has {embeddings} embeddings")
+        raise ValueError(
+            f"the prompt's ids are {min(ids)} to {max(ids)}, the model has {embeddings} embeddings"
+        )
     return ids
 
 
 def decode_image(data: Any) -> np.ndarray[Any, np.dtype[np.uint8]]:
-    """Base64 of a PNG or BMP -> uint8 (H, W, 3) RGB. Nothing is fetched: neither URLs nor files are followed."""
+    """Base64 of a PNG or BMP -> uint8 (H, W, 3) RGB. Nothing is fetched: neither URLs nor files
+    are followed.
+    """
     text = getattr(data, "url", data)
     if not isinstance(text, str):
         raise ValueError(f"the image is a {type(text).__name__}, expected base64 text")
@@ -84,4 +106,6 @@ def decode_image(data: Any) -> np.ndarray[Any, np.dtype[np.uint8]]:
         image = Image.open(io.BytesIO(raw), formats=FORMATS)
         return np.asarray(image.convert("RGB"))
     except (binascii.Error, OSError) as error:
-        raise ValueError(f"the image is not base64 of a {' or '.join(FORMATS)} picture: {error}") from error
+        raise ValueError(
+            f"the image is not base64 of a {' or '.join(FORMATS)} picture: {error}"
+        ) from error

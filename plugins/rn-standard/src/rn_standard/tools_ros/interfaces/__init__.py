@@ -1,4 +1,5 @@
-"""ROS interfaces as typed data: from the installed message classes to schema, model, encoder and decoder.
+"""ROS interfaces as typed data: from the installed message classes to schema, model, encoder and
+decoder.
 
 Importing this package imports no ROS; loading an interface imports that interface's package only.
 """
@@ -6,7 +7,16 @@ Importing this package imports no ROS; loading an interface imports that interfa
 from __future__ import annotations
 
 from rn_standard.tools_ros.interfaces.bounds import LOSSLESS, DecodeLimits, InputLimits
-from rn_standard.tools_ros.interfaces.description import Array, Choice, Field, FieldType, Message, Nested, Plain, Scalar
+from rn_standard.tools_ros.interfaces.description import (
+    Array,
+    Choice,
+    Field,
+    FieldType,
+    Message,
+    Nested,
+    Plain,
+    Scalar,
+)
 from rn_standard.tools_ros.interfaces.interface import (
     ActionInterface,
     Interface,
@@ -18,7 +28,11 @@ from rn_standard.tools_ros.interfaces.interface import (
     load_message,
     load_service,
 )
-from rn_standard.tools_ros.interfaces.naming import InterfaceName, interface_prefixes, list_interfaces
+from rn_standard.tools_ros.interfaces.naming import (
+    InterfaceName,
+    interface_prefixes,
+    list_interfaces,
+)
 from rn_standard.tools_ros.interfaces.picture import Picture, to_picture
 
 __all__ = [

@@ -1,4 +1,6 @@
-"""Encoders of arrays: lists and base64 to what rosidl keeps them in (array.array, numpy arrays, lists)."""
+"""Encoders of arrays: lists and base64 to what rosidl keeps them in (array.array, numpy arrays,
+lists).
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,12 @@ import numpy as np
 
 from rn_standard.tools_ros.interfaces.description import FLOAT32_MAX, Array, Scalar
 from rn_standard.tools_ros.interfaces.refusal import Mismatch, describe_value
-from rn_standard.tools_ros.interfaces.scalars import NONFINITE_NAMES, Budget, Encoder, make_scalar_encoder
+from rn_standard.tools_ros.interfaces.scalars import (
+    NONFINITE_NAMES,
+    Budget,
+    Encoder,
+    make_scalar_encoder,
+)
 
 TYPECODES = {
     "float": "f", "double": "d",
@@ -31,17 +38,21 @@ DTYPES = {
 
 
 def make_array_encoder(shape: Array, element: Encoder) -> Encoder:
-    """Return a function (value, budget) -> list, array.array or numpy array of exactly the allowed length.
+    """Return a function (value, budget) -> list, array.array or numpy array of exactly the allowed
+    length.
 
     Args:
         shape: the array's description.
-        element: encodes one element; called for each, except where whole lists of numbers are checked at once.
+        element: encodes one element; called for each, except where whole lists of numbers are
+            checked at once.
     """
     check_length = _make_length_check(shape)
     scalar = shape.element if isinstance(shape.element, Scalar) else None
     pack = _make_packer(shape, scalar)
     fast = _make_bulk_encoder(scalar) if scalar is not None and scalar.ros in TYPECODES else None
-    unpack_bytes = (lambda raw: [bytes((b,)) for b in raw]) if scalar and scalar.ros == "octet" else list
+    unpack_bytes = (
+        (lambda raw: [bytes((b,)) for b in raw]) if scalar and scalar.ros == "octet" else list
+    )
     kinds = describe_shape(shape)
 
     def encode(value: Any, budget: Budget) -> Any:
@@ -99,14 +110,18 @@ def _make_packer(shape: Array, scalar: Scalar | None) -> Callable[[Any], Any]:
     if shape.fixed:
         dtype = DTYPES[scalar.ros]
         if scalar.ros == "uint8":
-            return lambda items: np.array(list(items) if isinstance(items, bytes) else items, dtype=np.uint8)
+            return lambda items: np.array(
+                list(items) if isinstance(items, bytes) else items, dtype=np.uint8
+            )
         return lambda items: np.array(items, dtype=dtype)
     code = TYPECODES[scalar.ros]
     return lambda items: items if isinstance(items, array) else array(code, items)
 
 
 def _make_bulk_encoder(scalar: Scalar) -> Callable[[Sequence[Any]], Any]:
-    """Check a whole list of numbers in C; None means: look at each element to find what is wrong or needs care."""
+    """Check a whole list of numbers in C; None means: look at each element to find what is
+    wrong or needs care.
+    """
     code = TYPECODES[scalar.ros]
     if scalar.is_integer:
 
@@ -130,7 +145,9 @@ def _make_bulk_encoder(scalar: Scalar) -> Callable[[Sequence[Any]], Any]:
         except OverflowError:
             return None
         numbers = np.frombuffer(packed) if len(packed) else None
-        if numbers is not None and not (np.isfinite(numbers).all() and (limit == math.inf or _within(numbers, limit))):
+        if numbers is not None and not (
+            np.isfinite(numbers).all() and (limit == math.inf or _within(numbers, limit))
+        ):
             return None
         return packed if code == "d" else array(code, packed)
 
@@ -142,14 +159,17 @@ def _within(numbers: Any, limit: float) -> bool:
 
 
 def _decode_base64(text: str, longest: int) -> bytes:
-    if text in NONFINITE_NAMES:  # "Infinity" would be six bytes, but whoever sends it means the number
+    # "Infinity" would be six bytes, but whoever sends it means the number
+    if text in NONFINITE_NAMES:
         raise Mismatch(describe_value(text), "a list of integers 0..255 or valid base64 text")
     if len(text) > (longest // 3 + 1) * 4:
         raise Mismatch(f"a base64 text of {len(text)} characters", f"at most {longest} bytes")
     try:
         return base64.b64decode(text, validate=True)
     except (binascii.Error, ValueError):
-        raise Mismatch(describe_value(text), "a list of integers 0..255 or valid base64 text") from None
+        raise Mismatch(
+            describe_value(text), "a list of integers 0..255 or valid base64 text"
+        ) from None
 
 
 def make_list_encoder(shape: Array, choices: Any = ()) -> Encoder:

@@ -28,7 +28,8 @@ class DecodeLimits:
         items: longest array that is given whole; longer ones become a summary.
         first: how many elements a summary starts with.
         text: longest string that is given whole, in characters.
-        values: elements of all arrays together; when they are used up, the rest is summarised without elements.
+        values: elements of all arrays together; when they are used up, the rest is summarised
+            without elements.
         names: give the name of a constant instead of its number.
         image_side_px: images are scaled down to this longest side.
     """
@@ -42,4 +43,6 @@ class DecodeLimits:
 
 
 LOSSLESS = DecodeLimits(items=None, text=None, values=None, names=False)
-"""Everything, so that encoding the result gives an equal message; long byte arrays come as base64."""
+"""Everything, so that encoding the result gives an equal message; long byte arrays come as
+base64.
+"""

@@ -1,18 +1,23 @@
 """Which constants name the values of which field.
 
-ROS declares constants per message, not per field, so the link has to be inferred. Three rules, first match wins, and a
-constant that none of them places stays a remark in the description. A field keeps accepting every number of its type:
-constants may be flags to be added (`NavSatStatus.service`) or incomplete.
+ROS declares constants per message, not per field, so the link has to be inferred. Three rules,
+first match wins, and a constant that none of them places stays a remark in the description. A field
+keeps accepting every number of its type: constants may be flags to be added
+    (`NavSatStatus.service`) or incomplete.
 
 1. Prefix: `POWER_SUPPLY_STATUS_FULL` belongs to `power_supply_status`, `COVARIANCE_TYPE_KNOWN` to
-   `position_covariance_type`: the constant starts with the last words of the field's name. The longest match wins.
-2. Only holder: what is left belongs to the only integer field of the message, or to the only one whose name ends in a
-   word that stands for a choice (type, status, state, mode, level, action, code ...).
-3. Same order: several such fields and as many runs of ascending constants are paired in the order of the definition
-   (`Marker`: ARROW=0 .. ARROW_STRIP=12, then ADD=0 .. DELETEALL=3, for `type` and `action`).
+   `position_covariance_type`: the constant starts with the last words of the field's name. The
+   longest match wins.
+2. Only holder: what is left belongs to the only integer field of the message, or to the only one
+   whose name ends in a word that stands for a choice (type, status, state, mode, level, action,
+   code ...).
+3. Same order: several such fields and as many runs of ascending constants are paired in the order
+   of the definition (`Marker`: ARROW=0 .. ARROW_STRIP=12, then ADD=0 .. DELETEALL=3, for `type` and
+   `action`).
 
-Rule 2 needs distinct values. Where rules 2 and 3 place nothing they are tried again without the constants that qualify
-another one (`SolidPrimitive`: BOX_X=0 beside BOX=1 is an index, not a value). Every value must fit the field.
+Rule 2 needs distinct values. Where rules 2 and 3 place nothing they are tried again without the
+constants that qualify another one (`SolidPrimitive`: BOX_X=0 beside BOX=1 is an index, not a
+value). Every value must fit the field.
 """
 
 from __future__ import annotations
@@ -21,11 +26,25 @@ from collections.abc import Mapping, Sequence
 
 from rn_standard.tools_ros.interfaces.description import Choice, Scalar
 
-HOLDER_WORDS = ("type", "status", "state", "mode", "level", "action", "code", "kind", "result", "command", "severity")
+HOLDER_WORDS = (
+    "type",
+    "status",
+    "state",
+    "mode",
+    "level",
+    "action",
+    "code",
+    "kind",
+    "result",
+    "command",
+    "severity",
+)
 """A field whose name ends in one of these holds a choice."""
 
 
-def assign_choices(fields: Sequence[tuple[str, Scalar]], constants: Mapping[str, int]) -> dict[str, tuple[Choice, ...]]:
+def assign_choices(
+    fields: Sequence[tuple[str, Scalar]], constants: Mapping[str, int]
+) -> dict[str, tuple[Choice, ...]]:
     """Return the choices by field name.
 
     Args:
@@ -69,12 +88,20 @@ def _endings(words: Sequence[str]) -> list[str]:
     return ["_".join(words[i:]) for i in range(len(words))]
 
 
-def _place(values: Sequence[str], free: Sequence[str], constants: Mapping[str, int]) -> list[tuple[str, list[str]]]:
+def _place(
+    values: Sequence[str], free: Sequence[str], constants: Mapping[str, int]
+) -> list[tuple[str, list[str]]]:
     if not values or not free:
         return []
-    holders = [name for name in free if name.endswith(HOLDER_WORDS)] if len(free) > 1 else list(free)
+    holders = (
+        [name for name in free if name.endswith(HOLDER_WORDS)] if len(free) > 1 else list(free)
+    )
     if len(holders) == 1:
-        return [(holders[0], list(values))] if len({constants[v] for v in values}) == len(values) else []
+        return (
+            [(holders[0], list(values))]
+            if len({constants[v] for v in values}) == len(values)
+            else []
+        )
     runs: list[list[str]] = []
     for name in values:
         if runs and constants[name] >= constants[runs[-1][-1]]:

@@ -1,7 +1,9 @@
 """Comments and units of an interface, from the .idl file that ships beside it.
 
-The .idl is the only place where the build tools keep the comment attached to its field. It is used for descriptions
-alone: types, bounds, constants and defaults come from the Python classes. A missing file costs the descriptions.
+The .idl is the only place where the build tools keep the comment attached to its field. It is used
+for descriptions
+alone: types, bounds, constants and defaults come from the Python classes. A missing file costs the
+    descriptions.
 """
 
 from __future__ import annotations
@@ -33,8 +35,12 @@ class StructComments:
 NO_COMMENTS = StructComments()
 
 
-def read_comments(prefixes: Sequence[Path], package: str, kind: str, name: str) -> dict[str, StructComments]:
-    """Return the comments by struct name ("Image", "SetBool_Request"); empty when no .idl is installed."""
+def read_comments(
+    prefixes: Sequence[Path], package: str, kind: str, name: str
+) -> dict[str, StructComments]:
+    """Return the comments by struct name ("Image", "SetBool_Request"); empty when no .idl is
+    installed.
+    """
     for prefix in prefixes:
         file = prefix / "share" / package / kind / f"{name}.idl"
         if file.is_file():
@@ -75,7 +81,9 @@ def _note_field(struct: StructComments, name: str, notes: dict[str, str]) -> Non
 
 
 def _read_annotation(tokens: Iterator[str]) -> tuple[str, str]:
-    """Consume `name ( key = "..." , ... )`; the text of the last key wins, adjacent strings are joined."""
+    """Consume `name ( key = "..." , ... )`; the text of the last key wins, adjacent strings are
+    joined.
+    """
     name, text, depth = next(tokens), "", 0
     for token in tokens:
         if token == "(":

@@ -1,7 +1,7 @@
 """From a rosidl message to plain values for an agent, as much of them as it can use.
 
-What is given whole can be given back to the encoder and makes an equal message. Received messages are never refused:
-what cannot be shown is said to be damaged.
+What is given whole can be given back to the encoder and makes an equal message. Received messages
+are never refused: what cannot be shown is said to be damaged.
 """
 
 from __future__ import annotations
@@ -15,7 +15,14 @@ from typing import Any
 import numpy as np
 
 from rn_standard.tools_ros.interfaces.bounds import DecodeLimits
-from rn_standard.tools_ros.interfaces.description import Array, Field, FieldType, Message, Plain, Scalar
+from rn_standard.tools_ros.interfaces.description import (
+    Array,
+    Field,
+    FieldType,
+    Message,
+    Plain,
+    Scalar,
+)
 from rn_standard.tools_ros.interfaces.summary import SUMMARIES, summarize_numbers, to_number
 
 _LONG_BYTES = 64
@@ -33,17 +40,22 @@ _Decoder = Callable[[Any, _Room], Plain]
 
 
 class MessageDecoder:
-    """Reads messages of one type. Built once per type; holds no state between calls, safe from any thread."""
+    """Reads messages of one type. Built once per type; holds no state between calls, safe from
+    any thread.
+    """
 
     def __init__(self, message: Message, cache: dict[int, MessageDecoder] | None = None) -> None:
         made = {} if cache is None else cache
         self._fields = [
-            (f.name, _make(f, f.type, made), SUMMARIES.get((message.type_name, f.name))) for f in message.fields
+            (f.name, _make(f, f.type, made), SUMMARIES.get((message.type_name, f.name)))
+            for f in message.fields
         ]
 
     def decode(self, message: Any, limits: DecodeLimits) -> dict[str, Plain]:
         """Return the message as plain values within `limits`."""
-        return self.read(message, _Room(limits, math.inf if limits.values is None else limits.values))
+        return self.read(
+            message, _Room(limits, math.inf if limits.values is None else limits.values)
+        )
 
     def read(self, message: Any, room: _Room) -> dict[str, Plain]:
         """Like `decode`, for a message inside another."""
@@ -105,7 +117,9 @@ def _decode_float32(value: Any, room: _Room) -> Plain:
 
 
 def _make_array(shape: Array, element: _Decoder) -> _Decoder:
-    numeric = isinstance(shape.element, Scalar) and (shape.element.is_float or shape.element.is_integer)
+    numeric = isinstance(shape.element, Scalar) and (
+        shape.element.is_float or shape.element.is_integer
+    )
     octets = isinstance(shape.element, Scalar) and shape.element.ros == "octet"
 
     def decode(values: Any, room: _Room) -> Plain:
@@ -119,7 +133,11 @@ def _make_array(shape: Array, element: _Decoder) -> _Decoder:
         room.values -= shown
         first = [element(values[i], room) for i in range(shown)]
         if numeric:
-            array = np.frombuffer(_to_bytes(values, octets), dtype=np.uint8) if octets else np.asarray(values)
+            array = (
+                np.frombuffer(_to_bytes(values, octets), dtype=np.uint8)
+                if octets
+                else np.asarray(values)
+            )
             return summarize_numbers(array, first)
         return {"length": length, "first": first}
 

@@ -1,4 +1,6 @@
-"""From rosidl's Python classes to the description tree: types, sizes, constants and defaults are read from them."""
+"""From rosidl's Python classes to the description tree: types, sizes, constants and defaults
+are read from them.
+"""
 
 from __future__ import annotations
 
@@ -43,12 +45,15 @@ class Deriver:
     _messages: dict[type, Message] = field(default_factory=dict)
     _comments: dict[tuple[str, str, str], dict[str, StructComments]] = field(default_factory=dict)
 
-    def derive(self, ros_type: type, *, nonfinite: frozenset[str] = frozenset(), path: str = "") -> Message:
+    def derive(
+        self, ros_type: type, *, nonfinite: frozenset[str] = frozenset(), path: str = ""
+    ) -> Message:
         """Return the description of a message class.
 
         Args:
             ros_type: a rosidl message class, or the Request, Goal ... of a service or action.
-            nonfinite: dotted field paths (without indices) whose floats may be NaN or infinite; "*" for all.
+            nonfinite: dotted field paths (without indices) whose floats may be NaN or infinite; "*"
+                for all.
             path: where this message stands inside the interface.
 
         Raises:
@@ -67,8 +72,14 @@ class Deriver:
         type_name = f"{package}/{kind}/{ros_type.__name__}"
         comments = self._read_comments(package, kind, ros_type.__name__)
         declared = _declared(ros_type)
-        defaults = {n.removesuffix(_DEFAULT_SUFFIX): v for n, v in declared.items() if n.endswith(_DEFAULT_SUFFIX)}
-        constants = {n: _to_plain(v) for n, v in declared.items() if not n.endswith(_DEFAULT_SUFFIX)}
+        defaults = {
+            n.removesuffix(_DEFAULT_SUFFIX): v
+            for n, v in declared.items()
+            if n.endswith(_DEFAULT_SUFFIX)
+        }
+        constants = {
+            n: _to_plain(v) for n, v in declared.items() if not n.endswith(_DEFAULT_SUFFIX)
+        }
         names: Sequence[str] = list(ros_type.get_fields_and_field_types())  # type: ignore[attr-defined]
         slots: Sequence[Any] = ros_type.SLOT_TYPES  # type: ignore[attr-defined]
         fields = []
@@ -91,13 +102,21 @@ class Deriver:
             type_name=type_name,
             ros_type=ros_type,
             fields=_with_choices(fields, declared),
-            constants=tuple((n, v) for n, v in constants.items() if isinstance(v, bool | int | float | str)),
+            constants=tuple(
+                (n, v) for n, v in constants.items() if isinstance(v, bool | int | float | str)
+            ),
             text=comments.text,
             required=_required(fields, type_name),
         )
 
     def _field_type(
-        self, slot: Any, owner: type, owner_name: str, path: str, nonfinite: frozenset[str], finite: bool
+        self,
+        slot: Any,
+        owner: type,
+        owner_name: str,
+        path: str,
+        nonfinite: frozenset[str],
+        finite: bool,
     ) -> FieldType:
         if isinstance(slot, rosidl.AbstractNestedType):
             element = self._field_type(slot.value_type, owner, owner_name, path, nonfinite, finite)
@@ -107,16 +126,23 @@ class Deriver:
             bounded = isinstance(slot, rosidl.BoundedSequence)
             return Array(element=element, size=int(slot.maximum_size) if bounded else None)
         if isinstance(slot, rosidl.NamespacedType):
-            return Nested(message=self.derive(_find_class(slot, owner), nonfinite=nonfinite, path=path))
+            return Nested(
+                message=self.derive(_find_class(slot, owner), nonfinite=nonfinite, path=path)
+            )
         if isinstance(slot, rosidl.AbstractGenericString):
             bound = int(slot.maximum_size) if slot.has_maximum_size() else None
-            return Scalar(ros="wstring" if isinstance(slot, rosidl.AbstractWString) else "string", max_length=bound)
+            return Scalar(
+                ros="wstring" if isinstance(slot, rosidl.AbstractWString) else "string",
+                max_length=bound,
+            )
         if isinstance(slot, rosidl.BasicType):
             ros = _ALIASES.get(slot.typename, slot.typename)
             if ros in _BASIC:
                 lower, upper = INTEGER_RANGES.get(ros, (None, None))
                 return Scalar(ros=ros, lower=lower, upper=upper, finite=finite)
-        raise ConfigurationError(f"Field {path!r} of {owner_name} has the type {slot!r}, which Python cannot hold.")
+        raise ConfigurationError(
+            f"Field {path!r} of {owner_name} has the type {slot!r}, which Python cannot hold."
+        )
 
     def _read_comments(self, package: str, kind: str, struct: str) -> StructComments:
         file = struct if kind == "msg" else struct.partition("_")[0]
@@ -134,7 +160,9 @@ def _declared(ros_type: type) -> Mapping[str, Any]:
 def _find_class(slot: Any, owner: type) -> type:
     """The class of a nested type; parts of services and actions are found beside their owner."""
     module = importlib.import_module(".".join(slot.namespaces))
-    found = getattr(module, slot.name, None) or getattr(sys.modules[owner.__module__], slot.name, None)
+    found = getattr(module, slot.name, None) or getattr(
+        sys.modules[owner.__module__], slot.name, None
+    )
     if found is None:
         found = getattr(importlib.import_module(owner.__module__), slot.name)
     assert isinstance(found, type)
@@ -158,13 +186,24 @@ def _with_choices(fields: Sequence[Field], declared: Mapping[str, Any]) -> tuple
         }
         choices.update(assign_choices(holders, constants))
     return tuple(
-        Field(name=f.name, type=f.type, default=f.default, choices=choices.get(f.name, ()), text=f.text, unit=f.unit)
+        Field(
+            name=f.name,
+            type=f.type,
+            default=f.default,
+            choices=choices.get(f.name, ()),
+            text=f.text,
+            unit=f.unit,
+        )
         for f in fields
     )
 
 
 def _required(fields: Sequence[Field], type_name: str) -> tuple[str, ...]:
-    if len(fields) != 1 or fields[0].default is not None or type_name.endswith(("_Response", "_Result", "_Feedback")):
+    if (
+        len(fields) != 1
+        or fields[0].default is not None
+        or type_name.endswith(("_Response", "_Result", "_Feedback"))
+    ):
         return ()
     only = fields[0]
     stamped = isinstance(only.type, Nested) and only.type.message.is_header

@@ -1,4 +1,6 @@
-"""What an interface is made of: a frozen tree that schema, model, encoder and decoder are all built from."""
+"""What an interface is made of: a frozen tree that schema, model, encoder and decoder are all
+built from.
+"""
 
 from __future__ import annotations
 
@@ -9,8 +11,9 @@ Plain = bool | int | float | str | list["Plain"] | dict[str, "Plain"] | None
 """A value as JSON knows it."""
 
 FLOAT32_MAX = 3.4028235e38
-"""Largest number a float32 field takes: the shortest decimal that rounds to the largest finite float32,
-(2 - 2**-23) * 2**127 = 3.40282346...e38 (Source: IEEE 754 binary32), so that what is decoded can be encoded again."""
+"""Largest number a float32 field takes: the shortest decimal that rounds to the largest finite
+float32, (2 - 2**-23) * 2**127 = 3.40282346...e38 (Source: IEEE 754 binary32), so that what is
+decoded can be encoded again."""
 
 INTEGER_RANGES: dict[str, tuple[int, int]] = {
     **{f"int{bits}": (-(1 << bits - 1), (1 << bits - 1) - 1) for bits in (8, 16, 32, 64)},
@@ -25,7 +28,8 @@ class Scalar:
     """One value.
 
     Attributes:
-        ros: "boolean", "octet", an integer type, "float" (32 bit), "double" (64 bit), "string" or "wstring".
+        ros: "boolean", "octet", an integer type, "float" (32 bit), "double" (64 bit), "string" or
+            "wstring".
         lower, upper: allowed integers, both included; None for everything else.
         finite: NaN and infinities are refused; meaningful for floats.
         max_length: bound of a string (UTF-8 bytes; UTF-16 units for wstring), None for unbounded.
@@ -122,8 +126,9 @@ class Message:
         fields: in the order of the definition.
         constants: all constants by name, numbers, texts and booleans.
         text: the authors' comment.
-        required: names that must be given: the only field of a wrapper such as std_msgs/msg/Float64, because an empty
-            object that stands for "zero" is more likely a mistake than a wish.
+        required: names that must be given: the only field of a wrapper such as
+            std_msgs/msg/Float64, because an empty object that stands for "zero" is more likely a
+            mistake than a wish.
     """
 
     type_name: str

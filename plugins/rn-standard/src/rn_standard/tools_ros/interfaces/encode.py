@@ -1,4 +1,6 @@
-"""From a JSON object to a rosidl message that holds exactly these values, or to a refusal that says what to change."""
+"""From a JSON object to a rosidl message that holds exactly these values, or to a refusal that
+says what to change.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,9 @@ _INT32 = (-(1 << 31), (1 << 31) - 1)
 
 
 class MessageEncoder:
-    """Fills messages of one type. Built once per type; holds no state between calls, safe from any thread."""
+    """Fills messages of one type. Built once per type; holds no state between calls, safe from
+    any thread.
+    """
 
     def __init__(self, message: Message, cache: dict[int, MessageEncoder] | None = None) -> None:
         made = {} if cache is None else cache
@@ -33,7 +37,9 @@ class MessageEncoder:
             elif isinstance(field.type.element, Scalar):
                 self._values[field.name] = make_list_encoder(field.type)
             else:
-                self._add_messages(field.name, field.type, encoder_for(field.type.element.message, made))
+                self._add_messages(
+                    field.name, field.type, encoder_for(field.type.element.message, made)
+                )
         self._names = tuple(field.name for field in message.fields)
         self._required = message.required
         self._stamped = {n: e for n, e in self._nested.items() if e.has_stamp}
@@ -51,7 +57,9 @@ class MessageEncoder:
         return message
 
     def fill(self, message: Any, value: Any, budget: Budget) -> None:
-        """Set what `value` names, leave the defaults of the rest, stamp omitted headers. Raises Mismatch."""
+        """Set what `value` names, leave the defaults of the rest, stamp omitted headers. Raises
+        Mismatch.
+        """
         if value.__class__ is not dict and not isinstance(value, Mapping):
             raise Mismatch(describe_value(value), self._describe())
         nested, values = self._nested, self._values
@@ -86,7 +94,11 @@ class MessageEncoder:
                     encoder._stamp(element, now_ns, {})
 
     def _describe(self) -> str:
-        return f"an object with the fields {', '.join(self._names[:12])}" if self._names else "an empty object"
+        return (
+            f"an object with the fields {', '.join(self._names[:12])}"
+            if self._names
+            else "an empty object"
+        )
 
 
 class TimeEncoder(MessageEncoder):
@@ -104,13 +116,16 @@ class TimeEncoder(MessageEncoder):
 
 
 def split_seconds(seconds: float) -> tuple[int, int]:
-    """Seconds -> (sec, nanosec) with 0 <= nanosec < 1e9, as builtin_interfaces keeps negative durations too.
+    """Seconds -> (sec, nanosec) with 0 <= nanosec < 1e9, as builtin_interfaces keeps negative
+    durations too.
 
     Raises:
         Mismatch: not finite, or outside of int32 seconds.
     """
     allowed = f"finite seconds {_INT32[0]}..{_INT32[1]} or {{sec, nanosec}}"
-    if (isinstance(seconds, float) and not math.isfinite(seconds)) or not _INT32[0] <= seconds <= _INT32[1]:
+    if (isinstance(seconds, float) and not math.isfinite(seconds)) or not _INT32[
+        0
+    ] <= seconds <= _INT32[1]:
         raise Mismatch(describe_value(seconds), allowed)
     whole = math.floor(seconds)
     nanoseconds = round((seconds - whole) * NANOSECONDS_PER_SECOND)
@@ -127,5 +142,7 @@ def encoder_for(message: Message, cache: dict[int, MessageEncoder]) -> MessageEn
     """Return the encoder of a message, made once per description."""
     found = cache.get(id(message))
     if found is None:
-        found = cache[id(message)] = (TimeEncoder if message.is_time else MessageEncoder)(message, cache)
+        found = cache[id(message)] = (TimeEncoder if message.is_time else MessageEncoder)(
+            message, cache
+        )
     return found

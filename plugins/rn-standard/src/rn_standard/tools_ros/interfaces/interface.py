@@ -1,4 +1,6 @@
-"""Messages, services and actions by name: description, schema, model, encoder and decoder in one object."""
+"""Messages, services and actions by name: description, schema, model, encoder and decoder in
+one object.
+"""
 
 from __future__ import annotations
 
@@ -67,7 +69,9 @@ class MessageInterface:
         return self.message.ros_type
 
     def json_schema(self, *, inline_bytes: int = INLINE_BYTES) -> dict[str, Any]:
-        """Return a new JSON schema of what `encode` accepts. See `interfaces.schema` for what it cannot say."""
+        """Return a new JSON schema of what `encode` accepts. See `interfaces.schema` for what
+        it cannot say.
+        """
         return make_schema(self.message, inline_bytes=inline_bytes)
 
     @functools.cached_property
@@ -76,7 +80,11 @@ class MessageInterface:
         return make_model(self.message, _canonical)
 
     def encode(
-        self, value: Mapping[str, Any] | BaseModel, *, now_ns: int | None, limits: InputLimits = _DEFAULT_INPUT
+        self,
+        value: Mapping[str, Any] | BaseModel,
+        *,
+        now_ns: int | None,
+        limits: InputLimits = _DEFAULT_INPUT,
     ) -> Any:
         """Return a new rosidl message that holds exactly `value`.
 
@@ -88,17 +96,24 @@ class MessageInterface:
         Raises:
             InvalidInputError: something does not fit; says where, what came, what is allowed.
         """
-        plain = value.model_dump(by_alias=True, exclude_unset=True) if isinstance(value, BaseModel) else value
+        plain = (
+            value.model_dump(by_alias=True, exclude_unset=True)
+            if isinstance(value, BaseModel)
+            else value
+        )
         return _encode(self._encoder, self.message, plain, now_ns, limits)
 
     def decode(self, message: Any, limits: DecodeLimits = _DEFAULT_DECODE) -> dict[str, Plain]:
-        """Return a received message as JSON-able values within `limits`; never refuses what was received.
+        """Return a received message as JSON-able values within `limits`; never refuses what was
+        received.
 
         Raises:
             InvalidInputError: `message` is of another type.
         """
         if not isinstance(message, self.message.ros_type):
-            raise InvalidInputError(f"A {type(message).__name__} came where {self.name} is decoded.")
+            raise InvalidInputError(
+                f"A {type(message).__name__} came where {self.name} is decoded."
+            )
         return self._decoder.decode(message, limits)
 
     def pictures(self, message: Any, limits: DecodeLimits = _DEFAULT_DECODE) -> tuple[Picture, ...]:
@@ -108,7 +123,9 @@ class MessageInterface:
             InvalidInputError: an image has an unknown encoding or is damaged.
         """
         found = list(_find_pictures(self.message, message, ""))[:_MAX_PICTURES]
-        return tuple(to_picture(m, longest_side_px=limits.image_side_px, path=path) for path, m in found)
+        return tuple(
+            to_picture(m, longest_side_px=limits.image_side_px, path=path) for path, m in found
+        )
 
 
 class ServiceInterface:
@@ -117,7 +134,11 @@ class ServiceInterface:
     kind: ClassVar[str] = "srv"
 
     def __init__(
-        self, name: InterfaceName, ros_type: Any, request: MessageInterface, response: MessageInterface
+        self,
+        name: InterfaceName,
+        ros_type: Any,
+        request: MessageInterface,
+        response: MessageInterface,
     ) -> None:
         self.name = str(name)
         self.ros_type = ros_type
@@ -149,7 +170,9 @@ Interface = MessageInterface | ServiceInterface | ActionInterface
 
 
 class InterfaceLoader:
-    """Finds interfaces by name and keeps what it derived. One per process is enough; safe from any thread."""
+    """Finds interfaces by name and keeps what it derived. One per process is enough; safe from
+    any thread.
+    """
 
     def __init__(self) -> None:
         self._deriver = Deriver(interface_prefixes())
@@ -176,9 +199,13 @@ class InterfaceLoader:
             return MessageInterface(message, name=name)
 
         if name.kind == "srv":
-            return ServiceInterface(name, ros_type, derive(ros_type.Request), derive(ros_type.Response))
+            return ServiceInterface(
+                name, ros_type, derive(ros_type.Request), derive(ros_type.Response)
+            )
         if name.kind == "action":
-            return ActionInterface(name, ros_type, *map(derive, (ros_type.Goal, ros_type.Result, ros_type.Feedback)))
+            return ActionInterface(
+                name, ros_type, *map(derive, (ros_type.Goal, ros_type.Result, ros_type.Feedback))
+            )
         return derive(ros_type)
 
 
@@ -188,25 +215,31 @@ def _loader() -> InterfaceLoader:
 
 
 def load_interface(type_name: str, *, nonfinite: frozenset[str] = frozenset()) -> Interface:
-    """Return the interface of that name, derived from the installed Python classes and kept for the next call.
+    """Return the interface of that name, derived from the installed Python classes and kept for the
+    next call.
 
     Args:
         type_name: "package/msg/Name", "package/srv/Name", "package/action/Name", or "package/Name".
-        nonfinite: dotted field paths (without indices) that may hold NaN and infinities; "*" for all of them.
+        nonfinite: dotted field paths (without indices) that may hold NaN and infinities; "*" for
+            all of them.
 
     Raises:
-        ConfigurationError: no such interface is installed; the hint names the nearest. Or a path in `nonfinite` is
-            not a float field.
+        ConfigurationError: no such interface is installed; the hint names the nearest. Or a path in
+            `nonfinite` is not a float field.
     """
     return _loader().load(type_name, nonfinite=nonfinite)
 
 
 def load_message(type_name: str, *, nonfinite: frozenset[str] = frozenset()) -> MessageInterface:
-    """Like `load_interface`, for messages only. Raises ConfigurationError for a service or an action."""
+    """Like `load_interface`, for messages only. Raises ConfigurationError for a service or an
+    action.
+    """
     interface = load_interface(type_name, nonfinite=nonfinite)
     if isinstance(interface, MessageInterface):
         return interface
-    raise ConfigurationError(f"{interface.name} is not a message.", hint="Topics carry package/msg/Name.")
+    raise ConfigurationError(
+        f"{interface.name} is not a message.", hint="Topics carry package/msg/Name."
+    )
 
 
 def load_service(type_name: str, *, nonfinite: frozenset[str] = frozenset()) -> ServiceInterface:
@@ -214,7 +247,9 @@ def load_service(type_name: str, *, nonfinite: frozenset[str] = frozenset()) -> 
     interface = load_interface(type_name, nonfinite=nonfinite)
     if isinstance(interface, ServiceInterface):
         return interface
-    raise ConfigurationError(f"{interface.name} is not a service.", hint="Services are package/srv/Name.")
+    raise ConfigurationError(
+        f"{interface.name} is not a service.", hint="Services are package/srv/Name."
+    )
 
 
 def load_action(type_name: str, *, nonfinite: frozenset[str] = frozenset()) -> ActionInterface:
@@ -222,7 +257,9 @@ def load_action(type_name: str, *, nonfinite: frozenset[str] = frozenset()) -> A
     interface = load_interface(type_name, nonfinite=nonfinite)
     if isinstance(interface, ActionInterface):
         return interface
-    raise ConfigurationError(f"{interface.name} is not an action.", hint="Actions are package/action/Name.")
+    raise ConfigurationError(
+        f"{interface.name} is not an action.", hint="Actions are package/action/Name."
+    )
 
 
 def _import(name: InterfaceName) -> Any:
@@ -235,7 +272,8 @@ def _check_paths(message: Message, nonfinite: frozenset[str]) -> None:
     known = {path for path, field in message.walk() if _is_float(field)}
     for path in sorted(nonfinite - {"*"} - known):
         raise ConfigurationError(
-            f"{message.type_name} has no float field {path!r}.", hint=f"Float fields: {', '.join(sorted(known)[:20])}."
+            f"{message.type_name} has no float field {path!r}.",
+            hint=f"Float fields: {', '.join(sorted(known)[:20])}.",
         )
 
 
@@ -244,7 +282,9 @@ def _is_float(field: Field) -> bool:
     return not isinstance(element, Nested) and element.is_float
 
 
-def _encode(encoder: MessageEncoder, message: Message, value: Any, now_ns: int | None, limits: InputLimits) -> Any:
+def _encode(
+    encoder: MessageEncoder, message: Message, value: Any, now_ns: int | None, limits: InputLimits
+) -> Any:
     try:
         return encoder.make(value, Budget(limits, limits.items, now_ns))
     except Mismatch as mismatch:

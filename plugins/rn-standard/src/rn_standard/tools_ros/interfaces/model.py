@@ -1,8 +1,9 @@
-"""pydantic models of interfaces, for Python callers who want typed attributes and editors that know them.
+"""pydantic models of interfaces, for Python callers who want typed attributes and editors that know
+them.
 
-The encoder is the only judge of what is valid; a model asks it and then holds the result, so the two cannot disagree.
-Names that Python or pydantic keep for themselves get a trailing underscore as attribute (`from` -> `from_`) and stay
-what they are in the data.
+The encoder is the only judge of what is valid; a model asks it and then holds the result, so the
+two cannot disagree. Names that Python or pydantic keep for themselves get a trailing underscore as
+attribute (`from` -> `from_`) and stay what they are in the data.
 """
 
 from __future__ import annotations
@@ -11,11 +12,24 @@ import keyword
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, ValidatorFunctionWrapHandler, create_model, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    ValidatorFunctionWrapHandler,
+    create_model,
+    model_validator,
+)
 from pydantic import Field as ModelField
 from pydantic_core import PydanticCustomError
 
-from rn_standard.tools_ros.interfaces.description import Array, FieldType, Message, Nested, Plain, Scalar
+from rn_standard.tools_ros.interfaces.description import (
+    Array,
+    FieldType,
+    Message,
+    Nested,
+    Plain,
+    Scalar,
+)
 from roboneuron import InvalidInputError
 
 Canonical = Callable[[Message, Mapping[str, Any]], dict[str, Plain]]
@@ -25,7 +39,9 @@ _TAKEN = frozenset(dir(BaseModel)) | frozenset(BaseModel.__annotations__)
 
 
 def attribute_name(field: str) -> str:
-    """The attribute under which a field is found on a model: its own name wherever Python and pydantic allow it."""
+    """The attribute under which a field is found on a model: its own name wherever Python and
+    pydantic allow it.
+    """
     name = field.lstrip("_") or "field"
     if keyword.iskeyword(name) or name in _TAKEN or name != field:
         name += "_"
@@ -69,7 +85,9 @@ class _Maker:
             try:
                 whole = canonical(message, value)
             except InvalidInputError as error:
-                raise PydanticCustomError("invalid_input", "{reason}", {"reason": str(error)}) from error
+                raise PydanticCustomError(
+                    "invalid_input", "{reason}", {"reason": str(error)}
+                ) from error
             return handler(prune(whole, value))
 
         model: type[BaseModel] = create_model(
@@ -105,7 +123,9 @@ class _Maker:
 
 
 def prune(whole: Plain, given: Any) -> Any:
-    """Keep of the complete value only the fields that were given, so that a model knows what was omitted."""
+    """Keep of the complete value only the fields that were given, so that a model knows what
+    was omitted.
+    """
     if isinstance(whole, dict) and isinstance(given, Mapping):
         return {name: prune(value, given[name]) for name, value in whole.items() if name in given}
     if isinstance(whole, list) and isinstance(given, list | tuple):

@@ -1,4 +1,6 @@
-"""Names of ROS interfaces: how they are written, which ones are installed, what was probably meant."""
+"""Names of ROS interfaces: how they are written, which ones are installed, what was probably
+meant.
+"""
 
 from __future__ import annotations
 
@@ -34,16 +36,23 @@ class InterfaceName:
 
 
 def interface_prefixes(environ: Mapping[str, str] | None = None) -> tuple[Path, ...]:
-    """Installation prefixes that may hold interfaces: AMENT_PREFIX_PATH first, then `sys.prefix` (the pip wheels).
+    """Installation prefixes that may hold interfaces: AMENT_PREFIX_PATH first, then `sys.prefix`
+    (the pip wheels).
 
     Nothing is written to the environment. Only existing folders are returned, each once.
     """
     variables = os.environ if environ is None else environ
-    written = [Path(entry) for entry in variables.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if entry]
-    return tuple(dict.fromkeys(prefix for prefix in [*written, Path(sys.prefix)] if prefix.is_dir()))
+    written = [
+        Path(entry) for entry in variables.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if entry
+    ]
+    return tuple(
+        dict.fromkeys(prefix for prefix in [*written, Path(sys.prefix)] if prefix.is_dir())
+    )
 
 
-def list_interfaces(package: str | None = None, *, prefixes: Sequence[Path] | None = None) -> tuple[InterfaceName, ...]:
+def list_interfaces(
+    package: str | None = None, *, prefixes: Sequence[Path] | None = None
+) -> tuple[InterfaceName, ...]:
     """Return the installed interfaces, sorted, whose package can be imported by this interpreter.
 
     Args:
@@ -75,25 +84,34 @@ def _read_entry(entry: Path) -> list[InterfaceName]:
 def _package_folders(package: str) -> tuple[Path, ...]:
     """Folders of an importable package, found without importing it."""
     spec = importlib.util.find_spec(package)
-    return tuple(Path(p) for p in (spec.submodule_search_locations or ())) if spec is not None else ()
+    return (
+        tuple(Path(p) for p in (spec.submodule_search_locations or ())) if spec is not None else ()
+    )
 
 
 def is_interface_package(package: str, kind: str) -> bool:
-    """Whether `package` is importable and has a subpackage `kind`; nothing is imported to find out."""
+    """Whether `package` is importable and has a subpackage `kind`; nothing is imported to find
+    out.
+    """
     if not _PACKAGE.match(package) or kind not in KINDS:
         return False
     return any((folder / kind / "__init__.py").is_file() for folder in _package_folders(package))
 
 
 def parse_interface_name(text: str) -> tuple[InterfaceName, ...]:
-    """Return the names that `text` may stand for: one for "package/kind/Name", one per kind for "package/Name".
+    """Return the names that `text` may stand for: one for "package/kind/Name", one per kind for
+    "package/Name".
 
     Raises:
         ConfigurationError: `text` is not written like an interface name.
     """
     parts = text.split("/") if isinstance(text, str) else []
     kinds = (parts.pop(1),) if len(parts) == 3 else KINDS
-    if len(parts) != 2 or not set(kinds) <= set(KINDS) or not (_PACKAGE.match(parts[0]) and _NAME.match(parts[1])):
+    if (
+        len(parts) != 2
+        or not set(kinds) <= set(KINDS)
+        or not (_PACKAGE.match(parts[0]) and _NAME.match(parts[1]))
+    ):
         raise ConfigurationError(
             f"{str(text)[:120]!r} is not the name of an interface.",
             hint="Write it as package/msg/Name, package/srv/Name or package/action/Name.",
@@ -110,5 +128,9 @@ def unknown_interface(text: str, known: Sequence[InterfaceName]) -> Configuratio
     last = text.rpartition("/")[2]
     near += [str(n) for n in known if n.name == last]
     unique = list(dict.fromkeys(near))[:3]
-    hint = f"Did you mean {' or '.join(unique)}?" if unique else "`list_interfaces` shows the installed ones."
+    hint = (
+        f"Did you mean {' or '.join(unique)}?"
+        if unique
+        else "`list_interfaces` shows the installed ones."
+    )
     return ConfigurationError(f"No installed interface is called {text!r}.", hint=hint)

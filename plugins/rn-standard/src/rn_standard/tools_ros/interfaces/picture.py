@@ -1,6 +1,7 @@
 """Camera messages as PNG or JPEG bytes that an MCP client can show.
 
-Depth and 16 bit images are scaled to grey between their smallest and largest finite value, which the note states.
+Depth and 16 bit images are scaled to grey between their smallest and largest finite value, which
+the note states.
 """
 
 from __future__ import annotations
@@ -15,7 +16,14 @@ from numpy.typing import NDArray
 from roboneuron import InvalidInputError, frame_from_buffer
 from roboneuron.feature import READABLE_ENCODINGS
 
-_GREY_DTYPES = {"16UC1": "u2", "mono16": "u2", "16SC1": "i2", "32FC1": "f4", "32SC1": "i4", "64FC1": "f8"}
+_GREY_DTYPES = {
+    "16UC1": "u2",
+    "mono16": "u2",
+    "16SC1": "i2",
+    "32FC1": "f4",
+    "32SC1": "i4",
+    "64FC1": "f8",
+}
 _ALIASES = {"8UC1": "mono8", "8UC3": "bgr8", "8UC4": "bgra8"}
 _JPEG_QUALITY = 85
 _MAX_PIXELS = 64_000_000
@@ -63,7 +71,11 @@ def to_picture(message: Any, *, longest_side_px: int, path: str = "") -> Picture
             image = Image.fromarray(grey)
         elif encoding in READABLE_ENCODINGS:
             pixels = frame_from_buffer(
-                message.data, width=message.width, height=message.height, step=message.step, encoding=encoding
+                message.data,
+                width=message.width,
+                height=message.height,
+                step=message.step,
+                encoding=encoding,
             )
             image = Image.fromarray(pixels[:, :, 0] if encoding == "mono8" else pixels)
         else:
@@ -96,14 +108,21 @@ def _open_compressed(message: Any) -> Any:
     try:
         image = Image.open(io.BytesIO(bytes(message.data)), formats=("JPEG", "PNG"))
         if image.width * image.height > _MAX_PIXELS:
-            raise InvalidInputError(f"A compressed image of {image.width}x{image.height} is too large to be shown.")
+            raise InvalidInputError(
+                f"A compressed image of {image.width}x{image.height} is too large to be shown."
+            )
         image.load()
     except (UnidentifiedImageError, OSError, SyntaxError, ValueError) as error:
         raise InvalidInputError(
-            f"A compressed image of {len(message.data)} bytes with the format {message.format[:60]!r} cannot be read: "
+            f"A compressed image of {len(message.data)} bytes with the format "
+            f"{message.format[:60]!r} cannot be read: "
             f"{type(error).__name__}."
         ) from error
-    return image if image.mode in ("L", "RGB") else image.convert("L" if image.mode.startswith("I") else "RGB")
+    return (
+        image
+        if image.mode in ("L", "RGB")
+        else image.convert("L" if image.mode.startswith("I") else "RGB")
+    )
 
 
 def _to_grey(message: Any, encoding: str) -> tuple[NDArray[np.uint8], str]:
@@ -112,7 +131,8 @@ def _to_grey(message: Any, encoding: str) -> tuple[NDArray[np.uint8], str]:
     height, width, step = int(message.height), int(message.width), int(message.step)
     if not (height and width) or step < width * dtype.itemsize or raw.size != step * height:
         raise InvalidInputError(
-            f"Image buffer holds {raw.size} bytes with step {step}, expected {height} rows of at least "
+            f"Image buffer holds {raw.size} bytes with step {step}, expected {height} rows of at "
+            "least "
             f"{width * dtype.itemsize} bytes for {width}x{height} {encoding}."
         )
     rows = np.ascontiguousarray(raw.reshape(height, step)[:, : width * dtype.itemsize])

@@ -1,4 +1,6 @@
-"""Refusing a value: where it stands, what came, what is allowed. Never echoes more than a few words of the input."""
+"""Refusing a value: where it stands, what came, what is allowed. Never echoes more than a few
+words of the input.
+"""
 
 from __future__ import annotations
 
@@ -50,7 +52,13 @@ def describe_value(value: Any) -> str:
             return f"the integer {value}"
         return f"an integer of about {int(value.bit_length() * 0.30103)} digits"
     if isinstance(value, float):
-        return f"the number {value!r}" if math.isfinite(value) else "NaN" if math.isnan(value) else "an infinity"
+        return (
+            f"the number {value!r}"
+            if math.isfinite(value)
+            else "NaN"
+            if math.isnan(value)
+            else "an infinity"
+        )
     if isinstance(value, Mapping):
         return f"an object with {len(value)} fields"
     if isinstance(value, Sequence):

@@ -33,19 +33,28 @@ class Budget:
         """Use up list elements. Raises Mismatch when too many came."""
         self.items -= count
         if self.items < 0:
-            raise Mismatch(f"a list of {count}", f"at most {self.limits.items} list elements in the whole value")
+            raise Mismatch(
+                f"a list of {count}",
+                f"at most {self.limits.items} list elements in the whole value",
+            )
 
 
 Encoder = Callable[[Any, Budget], Any]
 
 
 def make_scalar_encoder(scalar: Scalar, choices: tuple[Choice, ...] = ()) -> Encoder:
-    """Return a function (value, budget) -> wire value that raises Mismatch for what does not fit."""
+    """Return a function (value, budget) -> wire value that raises Mismatch for what does not
+    fit.
+    """
     if scalar.ros == "boolean":
         return _encode_boolean
     if scalar.is_integer:
         integer = _make_integer_encoder(scalar, choices)
-        return (lambda value, budget: bytes((integer(value, budget),))) if scalar.ros == "octet" else integer
+        return (
+            (lambda value, budget: bytes((integer(value, budget),)))
+            if scalar.ros == "octet"
+            else integer
+        )
     if scalar.is_float:
         return _make_float_encoder(scalar)
     return _make_text_encoder(scalar)
@@ -57,7 +66,9 @@ def _encode_boolean(value: Any, budget: Budget) -> bool:
     raise Mismatch(describe_value(value), "true or false")
 
 
-def _make_integer_encoder(scalar: Scalar, choices: tuple[Choice, ...]) -> Callable[[Any, Budget], int]:
+def _make_integer_encoder(
+    scalar: Scalar, choices: tuple[Choice, ...]
+) -> Callable[[Any, Budget], int]:
     lower, upper = scalar.lower or 0, scalar.upper or 0
     names = {choice.name: choice.value for choice in choices}
     allowed = f"an integer {lower}..{upper}"
@@ -89,7 +100,9 @@ def _make_integer_encoder(scalar: Scalar, choices: tuple[Choice, ...]) -> Callab
 
 def _make_float_encoder(scalar: Scalar) -> Callable[[Any, Budget], float]:
     limit = FLOAT32_MAX if scalar.ros == "float" else math.inf
-    allowed = "a finite number" + (f" of at most {FLOAT32_MAX} (float32)" if scalar.ros == "float" else "")
+    allowed = "a finite number" + (
+        f" of at most {FLOAT32_MAX} (float32)" if scalar.ros == "float" else ""
+    )
     if not scalar.finite:
         allowed += ' or one of the texts "NaN", "Infinity", "-Infinity"'
     finite = scalar.finite
@@ -119,20 +132,28 @@ def _make_float_encoder(scalar: Scalar) -> Callable[[Any, Budget], float]:
 
 def _make_text_encoder(scalar: Scalar) -> Callable[[Any, Budget], str]:
     wide, bound = scalar.ros == "wstring", scalar.max_length
-    allowed = "a text" if bound is None else f"a text of at most {bound} {'UTF-16 units' if wide else 'bytes'}"
+    allowed = (
+        "a text"
+        if bound is None
+        else f"a text of at most {bound} {'UTF-16 units' if wide else 'bytes'}"
+    )
 
     def encode(value: Any, budget: Budget) -> str:
         if not isinstance(value, str):
             raise Mismatch(describe_value(value), allowed)
         longest = budget.limits.text_bytes
         if len(value) > longest:
-            raise Mismatch(f"a text of {len(value)} characters", f"a text of at most {longest} bytes")
+            raise Mismatch(
+                f"a text of {len(value)} characters", f"a text of at most {longest} bytes"
+            )
         try:
             size = len(value.encode("utf-16-le")) // 2 if wide else len(value.encode("utf-8"))
         except UnicodeEncodeError:
             raise Mismatch("a text with half of a surrogate pair", "valid Unicode") from None
         if not wide and "\0" in value:
-            raise Mismatch("a text with a NUL character", "a text without it: ROS strings end there") from None
+            raise Mismatch(
+                "a text with a NUL character", "a text without it: ROS strings end there"
+            ) from None
         if size > longest:
             raise Mismatch(f"a text of {size} bytes", f"a text of at most {longest} bytes")
         if bound is not None and size > bound:

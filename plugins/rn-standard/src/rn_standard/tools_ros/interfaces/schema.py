@@ -1,7 +1,9 @@
 """JSON schemas that every MCP client can read: types always given, nothing but plain keywords.
 
-Used keywords: type, properties, required, additionalProperties, items, minItems, maxItems, minimum, maximum, maxLength,
-enum, anyOf, default, description; `$defs` and `$ref` only where a schema would otherwise grow over `INLINE_BYTES`.
+Used keywords: type, properties, required, additionalProperties, items, minItems, maxItems, minimum,
+    maximum, maxLength,
+enum, anyOf, default, description; `$defs` and `$ref` only where a schema would otherwise grow over
+`INLINE_BYTES`.
 """
 
 from __future__ import annotations
@@ -10,11 +12,21 @@ import json
 from collections import Counter
 from typing import Any
 
-from rn_standard.tools_ros.interfaces.description import FLOAT32_MAX, Array, Field, FieldType, Message, Nested, Scalar
+from rn_standard.tools_ros.interfaces.description import (
+    FLOAT32_MAX,
+    Array,
+    Field,
+    FieldType,
+    Message,
+    Nested,
+    Scalar,
+)
 from rn_standard.tools_ros.interfaces.scalars import NONFINITE_NAMES
 
 INLINE_BYTES = 8192
-"""A schema over this size keeps repeated messages in `$defs`. Most clients read references, a few do not."""
+"""A schema over this size keeps repeated messages in `$defs`. Most clients read references, a
+few do not.
+"""
 
 _SHORT, _LONG = 110, 400
 Schema = dict[str, Any]
@@ -55,7 +67,10 @@ class _Writer:
         return schema
 
     def _object(self, message: Message) -> Schema:
-        schema: Schema = {"type": "object", "properties": {f.name: self._field(f) for f in message.fields}}
+        schema: Schema = {
+            "type": "object",
+            "properties": {f.name: self._field(f) for f in message.fields},
+        }
         if message.required:
             schema["required"] = list(message.required)
         schema["additionalProperties"] = False
@@ -64,11 +79,15 @@ class _Writer:
     def _field(self, field: Field) -> Schema:
         schema = self._type(field.type)
         if field.choices:
-            schema = {"anyOf": [schema, {"type": "string", "enum": [c.name for c in field.choices]}]}
+            schema = {
+                "anyOf": [schema, {"type": "string", "enum": [c.name for c in field.choices]}]
+            }
         text = field_text(field)
         if text:
             schema = {**schema, "description": text}
-        if field.default is not None and not (isinstance(field.default, list) and len(field.default) > 16):
+        if field.default is not None and not (
+            isinstance(field.default, list) and len(field.default) > 16
+        ):
             schema["default"] = field.default
         return schema
 
@@ -82,7 +101,11 @@ class _Writer:
             schema["minItems"] = field_type.size
         if field_type.size is not None:
             schema["maxItems"] = field_type.size
-        return {"anyOf": [schema, {"type": "string", "description": "base64"}]} if field_type.is_bytes else schema
+        return (
+            {"anyOf": [schema, {"type": "string", "description": "base64"}]}
+            if field_type.is_bytes
+            else schema
+        )
 
     def _nested(self, message: Message) -> Schema:
         if message.type_name not in self._shared:
@@ -97,8 +120,18 @@ class _Writer:
         if not message.is_time:
             return self._object(message)
         parts = {f.name: self._type(f.type) for f in message.fields}
-        seconds = {"type": "number", "description": "seconds", "minimum": -(1 << 31), "maximum": (1 << 31) - 1}
-        return {"anyOf": [seconds, {"type": "object", "properties": parts, "additionalProperties": False}]}
+        seconds = {
+            "type": "number",
+            "description": "seconds",
+            "minimum": -(1 << 31),
+            "maximum": (1 << 31) - 1,
+        }
+        return {
+            "anyOf": [
+                seconds,
+                {"type": "object", "properties": parts, "additionalProperties": False},
+            ]
+        }
 
 
 def _scalar(scalar: Scalar) -> Schema:
@@ -107,15 +140,25 @@ def _scalar(scalar: Scalar) -> Schema:
     if scalar.is_integer:
         return {"type": "integer", "minimum": scalar.lower, "maximum": scalar.upper}
     if scalar.is_text:
-        return {"type": "string"} if scalar.max_length is None else {"type": "string", "maxLength": scalar.max_length}
+        return (
+            {"type": "string"}
+            if scalar.max_length is None
+            else {"type": "string", "maxLength": scalar.max_length}
+        )
     number: Schema = {"type": "number"}
     if scalar.ros == "float":
         number |= {"minimum": -FLOAT32_MAX, "maximum": FLOAT32_MAX}
-    return number if scalar.finite else {"anyOf": [number, {"type": "string", "enum": list(NONFINITE_NAMES)}]}
+    return (
+        number
+        if scalar.finite
+        else {"anyOf": [number, {"type": "string", "enum": list(NONFINITE_NAMES)}]}
+    )
 
 
 def field_text(field: Field) -> str:
-    """One line about a field: comment, unit, and for nested messages without a comment what they are."""
+    """One line about a field: comment, unit, and for nested messages without a comment what
+    they are.
+    """
     text = field.text
     element = field.type.element if isinstance(field.type, Array) else field.type
     if not text and isinstance(element, Nested):
@@ -131,7 +174,9 @@ def field_text(field: Field) -> str:
 def _message_text(message: Message) -> str:
     placed = {c.name for f in message.fields for c in f.choices}
     loose = [f"{name}={value}" for name, value in message.constants if name not in placed]
-    notes = f" Constants: {', '.join(loose[:30])}{' ...' if len(loose) > 30 else ''}." if loose else ""
+    notes = (
+        f" Constants: {', '.join(loose[:30])}{' ...' if len(loose) > 30 else ''}." if loose else ""
+    )
     return _clip(message.text, _LONG - min(len(notes), 200)) + notes
 
 

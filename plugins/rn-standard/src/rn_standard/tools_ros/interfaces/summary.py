@@ -1,4 +1,6 @@
-"""Short, truthful summaries of what is too large for an agent: long arrays, laser scans, point clouds."""
+"""Short, truthful summaries of what is too large for an agent: long arrays, laser scans, point
+clouds.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,9 @@ def to_number(value: float, digits: int = 6) -> Plain:
 
 
 def summarize_numbers(values: NDArray[Any], first: Sequence[Plain]) -> Plain:
-    """Length, smallest, largest, mean and the first elements; statistics are over the finite values."""
+    """Length, smallest, largest, mean and the first elements; statistics are over the finite
+    values.
+    """
     summary: dict[str, Plain] = {"length": int(values.size)}
     finite = values[np.isfinite(values)] if values.dtype.kind == "f" else values
     if finite.size:
@@ -51,10 +55,11 @@ def _mean(values: NDArray[Any]) -> float:
 
 
 def summarize_scan(scan: Any, limits: DecodeLimits) -> Plain:
-    """LaserScan.ranges: how many beams are valid, where the nearest obstacle is, the nearest range per sector.
+    """LaserScan.ranges: how many beams are valid, where the nearest obstacle is, the nearest range
+    per sector.
 
-    Angles in rad, counter-clockwise from the scanner's x axis; ranges in m. A beam is valid when it is finite and
-    within range_min .. range_max (Source: sensor_msgs/msg/LaserScan).
+    Angles in rad, counter-clockwise from the scanner's x axis; ranges in m. A beam is valid when it
+    is finite and within range_min .. range_max (Source: sensor_msgs/msg/LaserScan).
     """
     ranges = np.asarray(scan.ranges, dtype=np.float64)
     valid = np.isfinite(ranges) & (ranges >= scan.range_min) & (ranges <= scan.range_max)
@@ -67,7 +72,9 @@ def summarize_scan(scan: Any, limits: DecodeLimits) -> Plain:
     summary["nearest"] = _beam(masked[nearest], angles[nearest])
     summary["mean_m"] = to_number(float(ranges[valid].mean()), 4)
     sectors: list[Plain] = []
-    for part, heading in zip(np.array_split(masked, _SECTORS), np.array_split(angles, _SECTORS), strict=True):
+    for part, heading in zip(
+        np.array_split(masked, _SECTORS), np.array_split(angles, _SECTORS), strict=True
+    ):
         if part.size:
             low, high = to_number(float(heading[0]), 4), to_number(float(heading[-1]), 4)
             found: Plain = to_number(float(part.min()), 4) if np.isfinite(part.min()) else None
@@ -81,17 +88,24 @@ def _beam(range_m: Any, angle_rad: Any) -> Plain:
 
 
 def summarize_cloud(cloud: Any, limits: DecodeLimits) -> Plain:
-    """PointCloud2.data: number of points, and smallest, largest and mean of each field over its finite values."""
+    """PointCloud2.data: number of points, and smallest, largest and mean of each field over its
+    finite values.
+    """
     count = int(cloud.width) * int(cloud.height)
     summary: dict[str, Plain] = {"points": count, "bytes": len(cloud.data)}
     raw = np.frombuffer(cloud.data, dtype=np.uint8)
-    step, row = int(cloud.point_step), int(cloud.row_step) or int(cloud.point_step) * int(cloud.width)
+    step, row = (
+        int(cloud.point_step),
+        int(cloud.row_step) or int(cloud.point_step) * int(cloud.width),
+    )
     if not count:
         return summary
     if step < 1 or row < step * int(cloud.width) or raw.size < row * int(cloud.height):
         summary["damaged"] = f"{raw.size} bytes do not hold {count} points of {step} bytes"
         return summary
-    points = raw[: row * int(cloud.height)].reshape(int(cloud.height), row)[:, : step * int(cloud.width)]
+    points = raw[: row * int(cloud.height)].reshape(int(cloud.height), row)[
+        :, : step * int(cloud.width)
+    ]
     points = np.ascontiguousarray(points).reshape(count, step)
     order = ">" if cloud.is_bigendian else "<"
     fields: dict[str, Plain] = {}
@@ -99,18 +113,26 @@ def summarize_cloud(cloud: Any, limits: DecodeLimits) -> Plain:
         kind = _POINT_TYPES.get(int(field.datatype))
         size = np.dtype(kind).itemsize if kind else 0
         if not kind or int(field.offset) + size > step:
-            fields[str(field.name)[:40]] = {"damaged": "outside of the point or of an unknown datatype"}
+            fields[str(field.name)[:40]] = {
+                "damaged": "outside of the point or of an unknown datatype"
+            }
             continue
-        column = np.ascontiguousarray(points[:, field.offset : field.offset + size]).view(order + kind)[:, 0]
+        column = np.ascontiguousarray(points[:, field.offset : field.offset + size]).view(
+            order + kind
+        )[:, 0]
         whole = summarize_numbers(column, ())
         assert isinstance(whole, dict)
-        fields[str(field.name)[:40]] = {k: v for k, v in whole.items() if k not in ("length", "first")}
+        fields[str(field.name)[:40]] = {
+            k: v for k, v in whole.items() if k not in ("length", "first")
+        }
     summary["fields"] = fields
     return summary
 
 
 def summarize_pixels(image: Any, limits: DecodeLimits) -> Plain:
-    """Image.data and CompressedImage.data: only its length; the picture itself is given as an image."""
+    """Image.data and CompressedImage.data: only its length; the picture itself is given as an
+    image.
+    """
     return {"length": len(image.data), "shown_as": "image"}
 
 
