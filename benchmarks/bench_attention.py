@@ -4,12 +4,12 @@ the same run.
     python benchmarks/bench_attention.py [--threads 1] [--repeat 20]
 
 One layer of real width, batch 1: OpenVLA's decoder (280 positions, causal, keys and values in the
-    cache) and OFT's (600
-positions, each sees all). "products" is the floor: the FLOP of both matrix products at the speed of
-a square product of the same type; all scores count, also those that a causal prompt masks, because
-the kernel computes them. "softmax" is torch's softmax of the scores, which that floor leaves out.
-"separately" is product, softmax, product, one after the other. Times are the best of `--repeat`, in
-turns: processor time on one thread, which others on a shared machine disturb less, else wall time.
+cache) and OFT's (600 positions, each sees all). "products" is the floor: the FLOP of both matrix
+products at the speed of a square product of the same type; all scores count, also those that a
+causal prompt masks, because the kernel computes them. "softmax" is torch's softmax of the scores,
+which that floor leaves out. "separately" is product, softmax, product, one after the other. Times
+are the best of `--repeat`, in turns: processor time on one thread, which others on a shared machine
+disturb less, else wall time.
 """
 
 from __future__ import annotations

@@ -4,17 +4,15 @@ two floors.
     python benchmarks/bench_direct.py [--calls 300] [--stops 100] [--starts 3] [--sizes 3 100 1000]
 
 Floors, in the same run and in turns with ours: a tool that does nothing, on the same transport as
-    ours (stdio, MCP SDK,
-our line reader and writer), and a bare rclpy publish to the same subscriber. The tool is timed
-twice: until it answers, and one way, until its handler is entered. Ours is timed until the message
-    is at the subscriber, and until it answers.
-"overhead" is ours minus the sum of both floors at the same percentile; the one that counts is "one
-way", because in the other the floor's way back flatters us.
-Times are taken on one host with one clock (CLOCK_MONOTONIC), from just before the call to the
-subscriber's callback. The start of the server is timed from the spawn of its process to the answer
-of `initialize`, of the first `tools/list`, and to the first message at the subscriber (which waits
-for ROS to be joined and matched). The stop is measured from the emergency_stop call to the zero
-message at the subscriber, during a 10 s sequence.
+ours (stdio, MCP SDK, our line reader and writer), and a bare rclpy publish to the same subscriber.
+The tool is timed twice: until it answers, and one way, until its handler is entered. Ours is timed
+until the message is at the subscriber, and until it answers. "overhead" is ours minus the sum of
+both floors at the same percentile; the one that counts is "one way", because in the other the
+floor's way back flatters us. Times are taken on one host with one clock (CLOCK_MONOTONIC), from
+just before the call to the subscriber's callback. The start of the server is timed from the spawn
+of its process to the answer of `initialize`, of the first `tools/list`, and to the first message at
+the subscriber (which waits for ROS to be joined and matched). The stop is measured from the
+emergency_stop call to the zero message at the subscriber, during a 10 s sequence.
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ and the policy sleeps until its latency has passed (lognormal, 20 %). Each case 
 in turns, with the same trial by the virtual clock beside it. Rate, starved periods and longest gap
 are those of the action topic; jumps are the status's. "Late ticks" are those of a thread that only
 sleeps 50 ms at a time: what comes half a period late there is the machine's doing, and starved
-    periods of about that number are too.
+periods of about that number are too.
 
 With --virtual the executor runs by a virtual clock, without processes: the table of
 docs/benchmarks.md. "sequential" is the baseline in both tables; the ideal is the rate that the

@@ -4,13 +4,12 @@ arm, in one run.
     python benchmarks/bench_faults.py [--trials 100] [--rows 16 --delay-ms 100] [--json out.json]
 
 An arm swings at 30 Hz. Each trial waits until it moves, does one thing, and looks at what the
-    joints did: "last motion"
-is the time from the fault to the last change of the measured joints; "noticed" is when the
-supervisor's watch told its listeners; "hold" is when control commanded, or the driver reported, a
-hold. Only the module that was killed is started again. The gantry reaches each command at once, so
-that its last motion is the last command's; an arm with inertia adds its braking. With --rows the
-backend answers with chunks, which are executed as `auto` decides. The floor is how long it takes
-this process to learn that a bare child was killed.
+joints did: "last motion" is the time from the fault to the last change of the measured joints;
+"noticed" is when the supervisor's watch told its listeners; "hold" is when control commanded, or
+the driver reported, a hold. Only the module that was killed is started again. The gantry reaches
+each command at once, so that its last motion is the last command's; an arm with inertia adds its
+braking. With --rows the backend answers with chunks, which are executed as `auto` decides. The
+floor is how long it takes this process to learn that a bare child was killed.
 
 A trial in which something did not come within its wait is told as missed and has no times; the cell
 is brought up again and the next trial goes on. Exit status 1 when no trial of a fault succeeded.

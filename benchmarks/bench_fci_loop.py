@@ -7,13 +7,12 @@ random actions.
 `latency`: from a command to the first motion. `policy`: 20 Hz with warm switches at random times,
 moving all the time; faults, violations, and the period of the control loop by the times at which
 commands arrived at the simulator. `random`: actions of any size and direction on the action topic.
-    `--busy 0,8` does everything twice, with no and with
-eight busy processes beside it. All is judged by what the simulator recorded (`fci_judge`).
+`--busy 0,8` does everything twice, with no and with eight busy processes beside it. All is judged
+by what the simulator recorded (`fci_judge`).
 
 What happens is written as it happens: out/bench-fci/loop/PART-busyN/events.jsonl, and go-M/ with
-    the simulator's
-record, 0.2 GB in ten minutes. A run that was ended goes on where it was, as another go; `--judge`
-only prints what is there, `--fresh` begins anew.
+the simulator's record, 0.2 GB in ten minutes. A run that was ended goes on where it was, as another
+go; `--judge` only prints what is there, `--fresh` begins anew.
 """
 
 from __future__ import annotations

@@ -5,9 +5,9 @@ does to the others.
     drive] [--out ROWS]
 
 The two parts can be measured apart, for a machine that is quiet for minutes only: 40 stops take
-    about a minute, the
-driving takes the minutes it is given. `--out` keeps a row of JSON for each stop and each sequence
-as it ends, with the load of the machine; stops that it has already are not made again.
+about a minute, the driving takes the minutes it is given. `--out` keeps a row of JSON for each stop
+and each sequence as it ends, with the load of the machine; stops that it has already are not made
+again.
 
 Each robot is a `[robots.<name>]` with a robot process of its own whose driver notes when each
 command arrives (`fleet_plugin.py`); nothing is simulated. All are driven at once by one client over
@@ -23,8 +23,7 @@ stdio, by sequences of numbered velocities at 10 Hz, 10 s each.
   that sequence. p99 of the others after the kill is held against p99 before.
 
 Judged: nothing lost; stop at most 50 ms (median) and every base stopped in every stop; p99 ratio at
-    most 1.10.
-Times are of one host with one clock (CLOCK_MONOTONIC).
+most 1.10. Times are of one host with one clock (CLOCK_MONOTONIC).
 """
 
 from __future__ import annotations

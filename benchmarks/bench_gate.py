@@ -4,10 +4,9 @@ postures.
     python benchmarks/bench_gate.py
 
 For random moves of the FR3: the whole check of a joint trajectory (joint limits, then task-space
-    limits and distances
-of links and table along the way), and its floor, pinocchio's forward kinematics of as many
-postures. And for control: one command through its limits with and without the distances. Both in
-    turns in one run.
+limits and distances of links and table along the way), and its floor, pinocchio's forward
+kinematics of as many postures. And for control: one command through its limits with and without the
+distances. Both in turns in one run.
 """
 
 from __future__ import annotations

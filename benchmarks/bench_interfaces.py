@@ -4,10 +4,9 @@ message fill.
     python benchmarks/bench_interfaces.py [--repeat 2000]
 
 Deriving is measured cold, in this process, against its floor in the same run: importing the same
-    message classes.
-Memory is the growth of the resident set. Encoding and decoding are medians of `--repeat` calls
-against the shortest hand-written code for the same message, which checks nothing. Exit status 1
-when an interface cannot be derived.
+message classes. Memory is the growth of the resident set. Encoding and decoding are medians of
+`--repeat` calls against the shortest hand-written code for the same message, which checks nothing.
+Exit status 1 when an interface cannot be derived.
 """
 
 from __future__ import annotations

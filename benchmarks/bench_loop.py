@@ -4,9 +4,9 @@ turns, in one run.
     python benchmarks/bench_loop.py [--frames 300] [--rounds 3]
 
 Both answer at once, so that the figure is what RoboNeuron adds: conversion, hand-over between
-    threads, checks, status.
-"Added" is the median beyond the relay's: what the boundary costs. "Oldest frame" is the greatest
-age of an action's image when the action arrives; it must stay below one camera period.
+threads, checks, status. "Added" is the median beyond the relay's: what the boundary costs. "Oldest
+frame" is the greatest age of an action's image when the action arrives; it must stay below one
+camera period.
 """
 
 from __future__ import annotations
@@ -149,7 +149,7 @@ def activate(process: subprocess.Popen[bytes], log: Path) -> None:
     """Configure and activate the inference module; a request or answer that is lost is repeated.
 
     A service that has not discovered its caller yet cannot answer it: on a fast machine that is so
-        for the first one.
+    for the first one.
     """
     from roboneuron.ros.link import RosLink
 

@@ -6,13 +6,13 @@ simulated FR3, headless.
                                      [--added-latency-ms 300] [--rows 12]
 
 One process per job, no ROS: everything runs at 10 Hz of simulated time, as fast as the machine
-    allows. Images are one
-frame (100 ms) older than the pose that comes with them. Each seed is a scene of four cubes; the
-named colour is random. Only the simulator's own state counts: the named cube is at least 10 cm
-above where it lay, for one second without a break, and no other cube is. The floor is what the bare
-simulation (physics and both pictures) of the same steps costs. With --added-latency-ms each answer
-of the servo comes so much later in simulated time; the executor of the inference module plays its
-chunks meanwhile, and the table tells at which rate. Exit status 1 below 95 %.
+allows. Images are one frame (100 ms) older than the pose that comes with them. Each seed is a scene
+of four cubes; the named colour is random. Only the simulator's own state counts: the named cube is
+at least 10 cm above where it lay, for one second without a break, and no other cube is. The floor
+is what the bare simulation (physics and both pictures) of the same steps costs. With
+--added-latency-ms each answer of the servo comes so much later in simulated time; the executor of
+the inference module plays its chunks meanwhile, and the table tells at which rate. Exit status 1
+below 95 %.
 """
 
 from __future__ import annotations

@@ -4,21 +4,19 @@
     [--rounds 9]
 
 The model `tiny` is synthetic (128 layers of 256, random weights, one CPU thread): as with a large
-    model on a GPU, a
-forward costs little more for eight observations than for one. `--layers 12 --width 2048` is a model
-whose products are limited by the CPU's arithmetic instead. Two servers of rn-backend-shared hold
-it, one with `most = 1`, one with `most = 8`; rounds alternate between them. Each client asks again
-as soon as it was answered: first without a deadline that matters, which gives the throughput, then
-    with one of 12 forwards, at least 100 ms, which counts the misses.
+model on a GPU, a forward costs little more for eight observations than for one. `--layers 12
+--width 2048` is a model whose products are limited by the CPU's arithmetic instead. Two servers of
+rn-backend-shared hold it, one with `most = 1`, one with `most = 8`; rounds alternate between them.
+Each client asks again as soon as it was answered: first without a deadline that matters, which
+gives the throughput, then with one of 12 forwards, at least 100 ms, which counts the misses.
 
 `--model learned` is the policy of rn-policy-cubes (OpenVLA-OFT layout, 256 visual tokens) in
 float32 on one thread; its prompts have several lengths. One thread has no more arithmetic for eight
 than for one, so its throughput and misses are shown and not judged.
 
 Judged: chunks of batches within 1e-5 of those that were answered alone; with `tiny`, answers per
-    second at least 3
-times those of one at a time (median of the rounds' ratios), and the share of missed deadlines not
-larger.
+second at least 3 times those of one at a time (median of the rounds' ratios), and the share of
+missed deadlines not larger.
 """
 
 from __future__ import annotations

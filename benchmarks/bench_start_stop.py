@@ -5,7 +5,7 @@
 Counts what belongs to the server (child processes, sockets) and Fast DDS files in shared memory
 after each cycle; run
 it on a machine where nothing else speaks DDS. The floor is a bare rclpy process: spawn, import,
-    create a node, leave.
+create a node, leave.
 """
 
 from __future__ import annotations

@@ -2,9 +2,9 @@
 command arrived.
 
 A command carries its number in `linear.y`. A note is 24 bytes: CLOCK_MONOTONIC [ns] as int64,
-    `linear.x` and the number
-as float64. A `hold` of the driver is noted as speed 0 and number -1: a robot module that knows of
-an emergency stop holds, and hands its driver no more commands, the zero of the server included.
+`linear.x` and the number as float64. A `hold` of the driver is noted as speed 0 and number -1: a
+robot module that knows of an emergency stop holds, and hands its driver no more commands, the zero
+of the server included.
 """
 
 from __future__ import annotations

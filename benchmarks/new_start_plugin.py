@@ -1,7 +1,7 @@
 """The simulated FR3 with protective stops: a file makes the arm stop by itself, as a reflex does.
 
 As unhelpful as a robot may be: once recovered it follows the next command at once, whoever sends
-    it.
+it.
 """
 
 from __future__ import annotations

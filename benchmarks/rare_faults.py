@@ -5,11 +5,10 @@ kept with its logs.
     /tmp/rare
 
 The faults: "client-death" (the client of a server is killed while a module starts: server and
-    modules must be gone
-within GONE_S), "control-restart" (control is killed while the arm moves, and started again: the arm
-must move again) and "control-switch" (the controller is replaced warm while the arm moves, at 30
-Hz; a request of the server that counts as foreign is a failure too). What is missed at a switch
-counts against what is missed elsewhere: that is the machine.
+modules must be gone within GONE_S), "control-restart" (control is killed while the arm moves, and
+started again: the arm must move again) and "control-switch" (the controller is replaced warm while
+the arm moves, at 30 Hz; a request of the server that counts as foreign is a failure too). What is
+missed at a switch counts against what is missed elsewhere: that is the machine.
 
 Results are lines in FOLDER/FAULT.jsonl: a run that was ended goes on there. Each trial that failed
 names the folder with the logs of its cell. Every wait has a bound, and workers that exceed theirs

@@ -6,9 +6,8 @@ again at the end.
 A benchmark that takes longer than its bound is ended with all processes of its session. A line
 "missed: ..." of a
 benchmark says that a limit of time was missed: on a loaded machine that says little, so it is told
-    again at the end and
-is no failure. Exit status 1 when a benchmark failed or was ended, 0 otherwise. `--quick` makes each
-as short as it can be.
+again at the end and is no failure. Exit status 1 when a benchmark failed or was ended, 0 otherwise.
+`--quick` makes each as short as it can be.
 """
 
 from __future__ import annotations

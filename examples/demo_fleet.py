@@ -7,11 +7,10 @@ drives a square.
 Each robot is a cell of `demo_fleet.toml` with its own processes, gate, limits and emergency stop.
 The agent is an
 ordinary MCP client: `start_all` for each robot, `run_task` for each arm,
-    `publish_velocity_sequence` for the base, all
-at the same time. Each robot's own simulator is the judge: the named cube is 10 cm up and has been
-held for a second; the base stands where its path ends and has driven all of it. Exit status 0 means
-that every judge says yes and that all three were at work at once. Film strip, GIF and the server's
-log go to `out/demo-fleet/`.
+`publish_velocity_sequence` for the base, all at the same time. Each robot's own simulator is the
+judge: the named cube is 10 cm up and has been held for a second; the base stands where its path
+ends and has driven all of it. Exit status 0 means that every judge says yes and that all three were
+at work at once. Film strip, GIF and the server's log go to `out/demo-fleet/`.
 """
 
 from __future__ import annotations

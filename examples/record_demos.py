@@ -3,7 +3,7 @@
 
 Episodes are played by rn-eval on the clock of the simulation, so 50 take minutes. Each becomes a
 run of its own: images, joint states, TCP poses, predictions and actions on the topics of a real
-    robot, stamped with simulated time.
+robot, stamped with simulated time.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 call.
 
 Then: limits that the agent tightens hold for direct motion and for the policy, and only a person
-    loosens them.
+loosens them.
 """
 
 from __future__ import annotations

@@ -5,10 +5,10 @@ Added to mutmut's: a `raise` that is left out, a call that is left out where not
 result, and an `if` whose condition is inverted.
 
 Left out, by rule: a literal with a letter and a blank in it and an f-string with a blank (codes,
-    keys and names of
-rules have none), what is put together with one (`+`, `x if y else z`, `", ".join(...)`), arguments,
-variables and attributes called as in TEXT_NAMES, a variable `text` that an exception called
-...Error is given, and calls of a logger or of print. Docstrings are left out by mutmut.
+keys and names of rules have none), what is put together with one (`+`, `x if y else z`, `",
+".join(...)`), arguments, variables and attributes called as in TEXT_NAMES, a variable `text` that
+an exception called ...Error is given, and calls of a logger or of print. Docstrings are left out by
+mutmut.
 """
 
 from __future__ import annotations

@@ -7,9 +7,8 @@ of their first call.
 The ways are a call of `publish_velocity` until its message, an image until its joint command, and
 the key `control.action_timeout_s` until its use. Every function of the project that is called is
 noted, per process and thread: of the first two ways while a window is open, of the third those that
-    are given a configuration or a part of it. What
-runs all the time, such as the status, shows up in a window too; docs/architecture.md tells the way
-from what is beside.
+are given a configuration or a part of it. What runs all the time, such as the status, shows up in a
+window too; docs/architecture.md tells the way from what is beside.
 """
 
 from __future__ import annotations

@@ -5,10 +5,9 @@ tools, and a browser.
     on a quiet machine
 
 Nothing is staged: the pictures show what a person would see, the calls are those of the client, and
-    the third one plays
-the recording that was made meanwhile. Each is taken when the page shows what it is to show; if one
-cannot be taken, none is replaced. A machine that draws the page with its processor shows lower
-rates than others.
+the third one plays the recording that was made meanwhile. Each is taken when the page shows what it
+is to show; if one cannot be taken, none is replaced. A machine that draws the page with its
+processor shows lower rates than others.
 """
 
 from __future__ import annotations

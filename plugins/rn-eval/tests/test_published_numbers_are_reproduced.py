@@ -3,8 +3,7 @@
 The per-episode files of vla-eval's repository are Git LFS pointers in the public copies of it, so
 counts are taken
 from what is published: vla-eval docs/reproductions/{openvla,oft,openpi}.md (500 episodes a suite),
-    and the RoboNeuron
-paper's Case IV.
+and the RoboNeuron paper's Case IV.
 """
 
 from __future__ import annotations

@@ -4,8 +4,8 @@ Run by the interpreter of .venv-lerobot, which has lerobot 0.6.1 and neither ROS
     lerobot_check.py DATASET EXPECTED
 
 EXPECTED is a folder with one .npz for each episode, in their order: `action` (n, 7) float64,
-    `state` (n, j), `sent_ns`,
-`image_ns` (n,), `task` (one string), and (n, H, W, 3) uint8 for each `observation.images.<camera>`.
+`state` (n, j), `sent_ns`, `image_ns` (n,), `task` (one string), and (n, H, W, 3) uint8 for each
+`observation.images.<camera>`.
 """
 
 from __future__ import annotations

@@ -113,7 +113,7 @@ class Witness:
         """Public topics of the robot with publishers, and their types.
 
         Hidden ones are left out as `ros2 topic list` leaves them out: those with a part that begins
-            with an underscore.
+        with an underscore.
         """
         return {
             name: types[0]

@@ -1,8 +1,8 @@
 """Every exception RoboNeuron raises on purpose: a code, what happened, what to do.
 
 There is one class per reaction of the caller, not one per place: whoever catches an error wants to
-    know whether to fix
-the configuration, install something, correct an argument, retry, stop the robot, or report a bug.
+know whether to fix the configuration, install something, correct an argument, retry, stop the
+robot, or report a bug.
 """
 
 from __future__ import annotations
@@ -20,8 +20,7 @@ def nearest(name: str, known: Iterable[str], otherwise: str = "", *, likeness: f
     is like it.
 
     Shared letters alone do not make a typing error ("options" is not "python"): the first letter is
-        the same too, one
-    name is a part of the other, or they differ by a letter or two.
+    the same too, one name is a part of the other, or they differ by a letter or two.
     """
     for close in get_close_matches(name, list(known), n=3, cutoff=likeness):
         is_similar = close[:1] == name[:1] or close in name or name in close

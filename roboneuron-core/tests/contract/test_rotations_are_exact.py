@@ -1,7 +1,7 @@
 """Rotation maths: maps invert each other, matrices are rotations, quaternions are unit with w >= 0.
 
 Tolerances: float64 carries 1e-16 relative; near pi the logarithm loses half of the digits, hence
-    1e-7 there.
+1e-7 there.
 """
 
 from __future__ import annotations

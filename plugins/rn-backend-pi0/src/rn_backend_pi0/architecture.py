@@ -152,8 +152,7 @@ def required_tensors(dims: Pi0Dims) -> dict[str, Shape]:
     """Shape by key (without LeRobot's leading "model.") of every tensor a checkpoint must hold.
 
     The token embedding is not among them: see EMBEDDING_KEYS. Source: the key lists of openpi's and
-        LeRobot's PyTorch
-    checkpoints.
+    LeRobot's PyTorch checkpoints.
     """
     width = dims.expert.width
     return {

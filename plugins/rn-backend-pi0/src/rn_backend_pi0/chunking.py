@@ -1,8 +1,8 @@
 """Real-time chunking: a new chunk continues the rows that are played while it is computed.
 
 Source: arXiv 2506.07339 and real-time-chunking-kinetix (guided), arXiv 2512.05964 (training time),
-    lerobot 0.6.1 (names
-and defaults). Flow time runs from 1 (noise) to 0 (actions), as in pi0; tau = 1 - t.
+lerobot 0.6.1 (names and defaults). Flow time runs from 1 (noise) to 0 (actions), as in pi0; tau = 1
+- t.
 """
 
 from __future__ import annotations

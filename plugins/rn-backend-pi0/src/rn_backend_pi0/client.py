@@ -45,9 +45,8 @@ class PolicyClient:
     """Speaks openpi's policy protocol; used from one thread, except `close`.
 
     A request that fails is never sent again: by then its images are old, and the caller has newer
-        ones. The connection
-    is dropped after every failure, so that a late answer is never taken for that of the next
-    request.
+    ones. The connection is dropped after every failure, so that a late answer is never taken for
+    that of the next request.
 
     Args:
         url: "ws://host:port" or "wss://host:port".

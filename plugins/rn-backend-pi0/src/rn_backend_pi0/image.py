@@ -78,7 +78,7 @@ def resize_plain(image: U8, side: int) -> F32:
     on black.
 
     Source: LeRobot's pi0, resize_with_pad_torch (interpolation with align_corners off and antialias
-        off).
+    off).
     """
     height, width = image.shape[:2]
     if (height, width) == (side, side):

@@ -180,8 +180,7 @@ class Pi0Network(nn.Module):
         """What each flow time adds before the SiLU: float32 (steps, expert width).
 
         The sinusoid is computed in float64: its highest frequency is 1571 rad, so float32 angles
-            are off by 1e-4.
-        Source: openpi, create_sinusoidal_pos_embedding.
+        are off by 1e-4. Source: openpi, create_sinusoidal_pos_embedding.
         """
         dims = self.dims
         share = torch.linspace(0.0, 1.0, dims.expert.width // 2, dtype=torch.float64)

@@ -19,7 +19,7 @@ def flow_times(family: Family, steps: int) -> tuple[float, ...]:
     The highest frequency of the time embedding is 1571 rad, so a rounding of 1e-7 in time is 2e-4
     in the embedding.
     Source: openpi subtracts 1/steps again and again in float32; LeRobot computes 1 - k/steps and
-        then rounds.
+    then rounds.
     """
     if family == "lerobot":
         return tuple(float(np.float32(1.0 + k * (-1.0 / steps))) for k in range(steps))
@@ -34,7 +34,7 @@ def with_eps(score: ZScore, family: Family) -> ZScore:
     """The same statistics with the family's eps.
 
     Source: openpi adds 1e-6 to the standard deviation both ways; LeRobot 1e-8 when it divides,
-        nothing on the way back.
+    nothing on the way back.
     """
     if family == "openpi":
         return replace(score, forward_eps=1e-6, backward_eps=1e-6)

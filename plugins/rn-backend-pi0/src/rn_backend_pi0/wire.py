@@ -2,9 +2,8 @@
 unpickled.
 
 Source: openpi-client, msgpack_numpy (format only): {b"__ndarray__": True, b"data", b"dtype",
-    b"shape"} for arrays and
-{b"__npgeneric__": True, b"data", b"dtype"} for scalars; void, object and complex types do not
-travel.
+b"shape"} for arrays and {b"__npgeneric__": True, b"data", b"dtype"} for scalars; void, object and
+complex types do not travel.
 """
 
 from __future__ import annotations

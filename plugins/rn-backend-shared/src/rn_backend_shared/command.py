@@ -13,8 +13,7 @@ class SharedModel:
     """Serve the model of [plugins.shared] in this process until Ctrl-C or SIGTERM.
 
     Optional: the first robot starts a server by itself. Use it under a service manager, or to load
-        the model before
-    any robot starts.
+    the model before any robot starts.
     """
 
     def configure(self, parser: ArgumentParser) -> None:

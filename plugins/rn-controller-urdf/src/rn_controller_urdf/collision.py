@@ -34,8 +34,7 @@ class CollisionModel:
     nor links that touch each other at the profile's home posture, nor a base that stands on an
     obstacle: these overlap by construction.
     Only boxes, cylinders, spheres and capsules count: meshes are refused. Joints that a sample does
-        not name stay at
-    zero, or at the limit next to it; mimic joints follow.
+    not name stay at zero, or at the limit next to it; mimic joints follow.
     """
 
     def __init__(self, profile: RobotProfile, collision: CollisionProfile) -> None:

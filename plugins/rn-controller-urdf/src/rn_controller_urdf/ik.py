@@ -115,8 +115,7 @@ class InverseKinematics:
             track_rotation: False solves for the position alone.
 
         Source: Nakamura and Hanafusa 1986 (damped least squares); joints that meet a limit are
-            frozen and the step is
-        taken again with the others.
+        frozen and the step is taken again with the others.
         """
         q, best, lowest = start, None, math.inf
         for iteration in range(max_iterations + 1):

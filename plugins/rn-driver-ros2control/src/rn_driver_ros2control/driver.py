@@ -42,9 +42,8 @@ class Ros2ControlDriver:
     from any thread.
 
     The controller keeps the arm: it interpolates, holds its last point when commands cease or this
-        process dies, and
-    checks its own tolerances. What it reports as a fault is kept here until the robot is stopped
-    and started again.
+    process dies, and checks its own tolerances. What it reports as a fault is kept here until the
+    robot is stopped and started again.
     """
 
     def __init__(
@@ -199,9 +198,8 @@ class Ros2ControlDriver:
         """Brake evenly to a standstill and stay there; the gripper keeps its grasp.
 
         The controller is sent one point: where the arm comes to rest with 80 % of its acceleration
-            limits. In mode
-        action it is a goal that replaces the running one, which is cancelled when the controller
-        rejects it.
+        limits. In mode action it is a goal that replaces the running one, which is cancelled when
+        the controller rejects it.
 
         Raises:
             StateError: not open.

@@ -17,7 +17,7 @@ class GripperGoals:
     """Sends a goal when the wanted opening changes.
 
     To be where the fingers are is no goal as long as there was none: it would end the force on what
-        they hold.
+    they hold.
     """
 
     def __init__(self, profile: GripperProfile | None) -> None:

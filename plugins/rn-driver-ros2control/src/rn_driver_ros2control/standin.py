@@ -2,11 +2,10 @@
 a robot.
 
 Pure computation: time is an argument. Not the controller itself, and slower; what it keeps of it is
-    listed in
-`docs/ros2-control.md`. Source of the rules: the documentation of joint_trajectory_controller
-(ros2_controllers, Jazzy: userdoc.rst, trajectory.rst, parameters) and of `control_msgs`
-JointTolerance; how it behaves where the documentation is silent (an empty trajectory is refused,
-who is told what) was read in its public source at ed360c9.
+listed in `docs/ros2-control.md`. Source of the rules: the documentation of
+joint_trajectory_controller (ros2_controllers, Jazzy: userdoc.rst, trajectory.rst, parameters) and
+of `control_msgs` JointTolerance; how it behaves where the documentation is silent (an empty
+trajectory is refused, who is told what) was read in its public source at ed360c9.
 """
 
 from __future__ import annotations

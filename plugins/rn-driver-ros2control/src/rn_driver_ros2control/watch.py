@@ -180,7 +180,7 @@ class ControllerWatch:
 
         The controller's reference where it is near the arm and asked for, otherwise the measured
         joints: after a fault it is always these, for an arm that was blocked must not go on
-            pressing.
+        pressing.
         """
         joints, report, names = link.joints(), link.report(), self._profile.arm_joints
         try:

@@ -1,9 +1,8 @@
 """Between vla-eval's conventions for LIBERO and the contract.
 
 Source: vla-eval 0.8.0, benchmarks/libero and model_servers/{openvla,oft}.py. Images come rotated as
-    the training data
-have them, the state is position [m], rotation vector [rad] and both fingers [m]; actions are in
-units of robosuite's OSC_POSE, the gripper -1 open, 1 closed.
+the training data have them, the state is position [m], rotation vector [rad] and both fingers [m];
+actions are in units of robosuite's OSC_POSE, the gripper -1 open, 1 closed.
 """
 
 from __future__ import annotations

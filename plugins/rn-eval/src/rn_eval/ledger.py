@@ -78,7 +78,7 @@ class Ledger:
         """Args:
         directory: its folder.
         other_versions: packages may have other versions than when the run was begun; the plan and
-            each line say so.
+        each line say so.
         """
         self.directory = directory
         self.plan: EvalPlan | None = None

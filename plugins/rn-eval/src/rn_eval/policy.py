@@ -33,7 +33,7 @@ class BatchBackend(Protocol):
     """What a backend may offer beside `Backend`: one forward for the observations of many episodes.
 
     Offering it says that predictions depend on the observation alone: nothing is remembered between
-        two of them.
+    two of them.
     """
 
     def predict_batch(self, observations: Sequence[Observation]) -> Sequence[ActionChunk]:

@@ -69,7 +69,7 @@ def mcnemar(first: Mapping[object, bool], second: Mapping[object, bool]) -> Pair
     """Compare success by episode; episodes that one side lacks are left out.
 
     Source: McNemar 1947; the exact test is a binomial test of the pairs that differ, with
-        probability 1/2.
+    probability 1/2.
     """
     common = first.keys() & second.keys()
     only_first = sum(first[key] and not second[key] for key in common)

@@ -37,9 +37,8 @@ class Exposition:
     thread.
 
     The robots of a server share the address that their configuration shares: a port belongs to the
-        process, and so does
-    the table of those in use. Source of the format: one family for each name (Prometheus text
-        format 0.0.4).
+    process, and so does the table of those in use. Source of the format: one family for each name
+    (Prometheus text format 0.0.4).
     """
 
     _in_use: ClassVar[dict[tuple[str, int], Exposition]] = {}

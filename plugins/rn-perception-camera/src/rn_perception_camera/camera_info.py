@@ -59,8 +59,7 @@ def read_optics(
     to undistort them.
 
     Source: sensor_msgs/CameraInfo: K and D describe the raw image, P the rectified one; zero focal
-        lengths mean
-    that the camera was never calibrated.
+    lengths mean that the camera was never calibrated.
 
     Raises:
         ConfigurationError: never calibrated, for another image size, of a part of the sensor, or

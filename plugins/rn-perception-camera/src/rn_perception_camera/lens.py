@@ -84,8 +84,8 @@ def distort(x: F64, y: F64, model: str, coefficients: Sequence[float]) -> tuple[
     """Where a ray through (x, y, 1) appears in the normalised image plane of the distorted camera.
 
     Source: OpenCV 4 documentation, "Camera Calibration and 3D Reconstruction" (radial, tangential
-        and rational terms)
-    and "Fisheye camera model" (equidistant); names of the models: sensor_msgs/CameraInfo.
+    and rational terms) and "Fisheye camera model" (equidistant); names of the models:
+    sensor_msgs/CameraInfo.
     """
     r2 = x * x + y * y
     if model == "equidistant":

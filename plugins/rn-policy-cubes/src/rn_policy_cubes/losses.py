@@ -25,7 +25,7 @@ class Helpers(nn.Module):
     `point`: whether a visual token shows the named cube, after the first and the second layer.
     `spot`: where that cube
     is, told by the tokens that show it. `place`: the same, told by the rows that the action head
-        reads.
+    reads.
     """
 
     def __init__(self, shape: Shape) -> None:

@@ -3,7 +3,7 @@
 Because it is a function of the present state alone, it labels any state with the actions it would
 take from there, and
 it can be asked for each cube of one picture: four colours named, four labels. It answers for many
-    situations at once.
+situations at once.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 names of values.
 
 Source: rosbag2_storage_mcap of ROS 2 Jazzy, keys `offered_qos_profiles` (YAML) and
-    `topic_type_hash`.
+`topic_type_hash`.
 """
 
 from __future__ import annotations

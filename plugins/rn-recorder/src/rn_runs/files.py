@@ -2,7 +2,7 @@
 read when cut short.
 
 Every file stands for itself: it holds the message definitions, what was configured, and units and
-    frames.
+frames.
 """
 
 from __future__ import annotations
@@ -290,8 +290,7 @@ def copy_records(
     A message that several files hold, as each holds the newest of latched topics, is written once.
     Latched ones are
     written whenever they came. `again_ns`: what came before that time [ns] is in the first source;
-        later ones may
-    be in several.
+    later ones may be in several.
 
     Raises:
         OSError: it cannot be written; nothing is left of it then.

@@ -2,8 +2,8 @@
 back to pixels.
 
 Source: OMG CDR (little endian, members aligned to their size from the end of the 4-byte
-    encapsulation header) and the
-definitions of the two types; the field `format` is written as by ROS's compressed_image_transport.
+encapsulation header) and the definitions of the two types; the field `format` is written as by
+ROS's compressed_image_transport.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Episodes as a LeRobotDataset v3: parquet, one video for each camera, statistics, tasks.
 
 Source of the layout: lerobot 0.6.1, `datasets/utils.py`, `datasets/dataset_writer.py` and a data
-    set it wrote.
+set it wrote.
 """
 
 from __future__ import annotations
@@ -53,8 +53,7 @@ def export(
     result.
 
     The directory appears when all is in it: until then everything is in a hidden one beside it,
-        which is deleted when
-    the export fails.
+    which is deleted when the export fails.
 
     Args:
         runs: in this order.

@@ -2,9 +2,8 @@
 come on stdin.
 
 Three threads: one takes serialized messages off ROS into a bounded queue; one reads stdin; one
-    encodes and writes what
-was taken, at once, so that all is done between two images. It lives in a process of its own and
-publishes nothing, so whatever happens to it is no other process's affair.
+encodes and writes what was taken, at once, so that all is done between two images. It lives in a
+process of its own and publishes nothing, so whatever happens to it is no other process's affair.
 """
 
 from __future__ import annotations

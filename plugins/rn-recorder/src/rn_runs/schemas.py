@@ -1,8 +1,7 @@
 """Message definitions of ROS 2 types, as an MCAP file with the profile "ros2" holds them.
 
 Source of the format: MCAP well-known schema encodings, "ros2msg": the definition, then that of each
-    type it uses, each
-after a line of 80 "=" and a line "MSG: package/Name".
+type it uses, each after a line of 80 "=" and a line "MSG: package/Name".
 """
 
 from __future__ import annotations

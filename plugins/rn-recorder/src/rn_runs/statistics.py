@@ -2,8 +2,7 @@
 all.
 
 Source: lerobot 0.6.1, `datasets/compute_stats.py`: keys, and images as fractions of 255 over a
-    sample of pixels, in the
-shape (3, 1, 1).
+sample of pixels, in the shape (3, 1, 1).
 """
 
 from __future__ import annotations

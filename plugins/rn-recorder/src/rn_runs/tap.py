@@ -2,9 +2,8 @@
 turns.
 
 There is no executor: it would take each message when it comes, and so at the moment when an image
-    is on its way to an
-action. A turn waits for an image, lets the control loop have it first, and then takes what has come
-on all topics.
+is on its way to an action. A turn waits for an image, lets the control loop have it first, and then
+takes what has come on all topics.
 """
 
 from __future__ import annotations

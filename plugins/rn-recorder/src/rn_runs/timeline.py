@@ -1,9 +1,8 @@
 """A run in order of time: what was there at one moment, read from its files when it is asked for.
 
 Small messages are kept in memory. Large ones, such as pictures, stay in the files: a chunk is read
-    again when one of
-its messages is asked for. Files without an index, such as those being written now, are read as
-well.
+again when one of its messages is asked for. Files without an index, such as those being written
+now, are read as well.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ joint states.
 RoboNeuron's own processes publish none, and a file is to show the robot wherever it is opened.
 Nothing here knows ROS.
 Source: REP 105 and the URDF specification (a joint's origin is rpy about fixed axes; a joint's axis
-    defaults to x).
+defaults to x).
 """
 
 from __future__ import annotations

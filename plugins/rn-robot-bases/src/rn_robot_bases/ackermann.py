@@ -41,8 +41,7 @@ class AckermannDrivetrain:
     stays drivable.
 
     The steering angle is that of an imagined wheel in the middle of the front axle: tan(angle) =
-        wheelbase * curvature.
-    Standing still it keeps the angle it has.
+    wheelbase * curvature. Standing still it keeps the angle it has.
     """
 
     def __init__(self, geometry: AckermannGeometry) -> None:

@@ -38,8 +38,8 @@ class SimulatedBase:
     Velocities come on `cmd_vel`, odometry goes out on `odom`. A twist that the base cannot carry
     out is refused as a
     whole, and the base brakes: whoever sent it is mistaken about the robot. The deadman counts
-        simulated time, the
-    base's own clock, which runs with the wall clock unless the machine is overloaded.
+    simulated time, the base's own clock, which runs with the wall clock unless the machine is
+    overloaded.
     """
 
     def __init__(

@@ -22,8 +22,7 @@ class SimulatedCameras:
     A frame's stamp is the time of the state it shows, so that its age is true. Each state is shown
     at most once per
     camera: when the simulation stops, so do the frames. It may start before or after the
-        simulation, and follows it to
-    another scene.
+    simulation, and follows it to another scene.
     """
 
     def __init__(

@@ -1,8 +1,8 @@
 """Official limits of the FR3's joints, constant and depending on position.
 
 Source: frankarobotics/franka_description@566ba44 robots/fr3/joint_limits.yaml (position, velocity,
-    effort);
-libfranka include/franka/rate_limiting.h (acceleration, jerk, velocity as a function of position).
+effort); libfranka include/franka/rate_limiting.h (acceleration, jerk, velocity as a function of
+position).
 """
 
 from __future__ import annotations

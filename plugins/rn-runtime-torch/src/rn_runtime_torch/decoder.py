@@ -56,8 +56,7 @@ class DecoderLayer(nn.Module):
         `cos` and `sin` are (n, width) or (b, 1, n, width); `stepping` says that this is the one row
         of a decoded token.
         Query and key of one sequence are contiguous: attention on the CPU loses up to a quarter of
-            its speed to other
-        layouts.
+        its speed to other layouts.
         """
         batch, count, width = *hidden.shape[:2], self.head_width
         normed = functional.rms_norm(hidden, self.norm_in.shape, self.norm_in, self.epsilon)

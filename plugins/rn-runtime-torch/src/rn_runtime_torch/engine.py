@@ -203,10 +203,9 @@ class Engine:
         are.
 
         On CUDA the shape of the latest request is recorded with the new preset, unless the options
-            say otherwise: about
-        three predictions, once, so that those of the instruction in progress are replayed. Other
-        shapes under this preset run unrecorded; recordings of former presets are replayed when
-        theirs is in force again.
+        say otherwise: about three predictions, once, so that those of the instruction in progress
+        are replayed. Other shapes under this preset run unrecorded; recordings of former presets
+        are replayed when theirs is in force again.
 
         Raises:
             ConfigurationError: the preset does not fit this model, or layers are compiled for

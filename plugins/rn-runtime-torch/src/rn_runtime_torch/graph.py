@@ -31,7 +31,7 @@ class GraphCache:
     workspaces exist once.
 
     Nothing is recorded by `run`: recording takes as long as several requests, and the robot may be
-        moving.
+    moving.
 
     Attributes:
         was_replayed: whether the last `run` found a recording.

@@ -2,8 +2,7 @@
 anything.
 
 Source: the archive that torch.save writes since 1.6: a zip of uncompressed records, `data.pkl` with
-    the names and
-shapes, `data/<key>` with the bytes of one storage each.
+the names and shapes, `data/<key>` with the bytes of one storage each.
 """
 
 from __future__ import annotations

@@ -127,7 +127,7 @@ def load_shards(shards: tuple[Shard, ...], slots: Mapping[str, Tensor]) -> None:
     shard.
 
     Tensors without one, of parts that inference never runs, are read too: a file that is damaged
-        there is damaged.
+    there is damaged.
 
     Raises:
         CheckpointError: a tensor holds NaN or infinity, a file is damaged, or a slot stayed empty.

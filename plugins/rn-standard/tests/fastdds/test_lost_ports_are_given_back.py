@@ -2,8 +2,7 @@
 senders reach it.
 
 The listener is a process of its own: Fast DDS crashed once when a participant was destroyed in the
-    moment in which its
-own thread opened a port again, and a crash must end no other test.
+moment in which its own thread opened a port again, and a crash must end no other test.
 """
 
 from __future__ import annotations

@@ -3,9 +3,9 @@ are decided.
 
 Run by `roboneuron plugins check` in a process of its own, which it may lose. Standard input holds
 one JSON object: `distribution`, `plugin` (the name of its entry point), `offers` (a list of kind
-    and name) and `options` (by name of the
-offer, "" for all of them). Standard output holds, per rule, first {"subject", "rule", "text"} when
-it is begun and then the same with "verdict", "detail" and "traceback".
+and name) and `options` (by name of the offer, "" for all of them). Standard output holds, per rule,
+first {"subject", "rule", "text"} when it is begun and then the same with "verdict", "detail" and
+"traceback".
 """
 
 from __future__ import annotations

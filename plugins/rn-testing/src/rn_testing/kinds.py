@@ -2,8 +2,7 @@
 rules.
 
 Such a descriptor class names them: `rules: ClassVar[str] = "my_package.contract_cases:KIND"`. That
-    module is loaded by
-the kit only, and may import it.
+module is loaded by the kit only, and may import it.
 """
 
 from __future__ import annotations

@@ -2,8 +2,7 @@
 random generators.
 
 Whatever differs after a plugin was built, started, used and closed is tried a second time: what
-    libraries do once per
-process, when they are imported, does not come again.
+libraries do once per process, when they are imported, does not come again.
 """
 
 from __future__ import annotations

@@ -69,11 +69,9 @@ class Page:
     ) -> None:
         """Args:
         sources: what can be shown by the robot's name, the first one first; of several one is
-            chosen.
-        operators: call tools for the buttons, by the robot's name; of a robot without one there are
-            none.
-        admit: whose token a text is; None for nobody's.
-        on_choice: called when another robot was chosen.
+        chosen. operators: call tools for the buttons, by the robot's name; of a robot without one
+        there are none. admit: whose token a text is; None for nobody's. on_choice: called when
+        another robot was chosen.
         """
         self.client = client
         self.holder: Holder | None = None

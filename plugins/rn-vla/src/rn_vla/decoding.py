@@ -6,8 +6,7 @@ engine. Nothing here names a model family; which kinds of request a runtime answ
 families is said by its descriptor.
 
 A runtime reads what it can use: in process, the weights, the ids and the prepared arrays; served,
-    the text and the
-images. Both give the same reply.
+the text and the images. Both give the same reply.
 """
 
 from __future__ import annotations

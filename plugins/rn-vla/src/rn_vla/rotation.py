@@ -58,10 +58,9 @@ def rotvec_by_down(matrix: F64) -> F64:
     down, up to 2 pi long.
 
     It is continuous through pi, where `rotvec_from_matrix` changes sign. Source: LIBERO's robot
-        state is robosuite's
-    quat2axisangle of MuJoCo's body quaternion, whose sign is not normalised (openvla-oft
-    experiments/robot/libero, openpi examples/libero); its x component lies around pi in the data
-    sets.
+    state is robosuite's quat2axisangle of MuJoCo's body quaternion, whose sign is not normalised
+    (openvla-oft experiments/robot/libero, openpi examples/libero); its x component lies around pi
+    in the data sets.
     """
     return nearer_rotvec(rotvec_from_matrix(matrix), np.array(DOWN_ROTVEC_RAD))
 
@@ -71,7 +70,7 @@ def rotvec_by_quaternion(quaternion_xyzw: F64) -> F64:
     ones.
 
     Source: robosuite's quat2axisangle, which the LIBERO evaluation of OpenVLA-OFT and openpi
-        copies.
+    copies.
     """
     w = float(np.clip(quaternion_xyzw[3], -1.0, 1.0))
     sine = np.sqrt(1.0 - w * w)
@@ -86,9 +85,9 @@ def rpy_by_down(matrix: F64) -> F64:
     which they are 0.
 
     Source: BridgeData states are taken against a top-down pose: bridge_data_robot,
-        widowx_controller, DEFAULT_ROTATION
-    [[0, 0, 1], [0, 1, 0], [-1, 0, 0]]; SimplerEnv and open-pi-zero undo it likewise (R @
-    DEFAULT_ROTATION.T). That R is of the WidowX link, whose x axis points out of the gripper. With
-    the TCP's z axis out of the gripper, the same pose is R @ diag(1, -1, -1).
+    widowx_controller, DEFAULT_ROTATION [[0, 0, 1], [0, 1, 0], [-1, 0, 0]]; SimplerEnv and
+    open-pi-zero undo it likewise (R @ DEFAULT_ROTATION.T). That R is of the WidowX link, whose x
+    axis points out of the gripper. With the TCP's z axis out of the gripper, the same pose is R @
+    diag(1, -1, -1).
     """
     return rpy_from_matrix(matrix @ matrix_from_rotvec(np.array(DOWN_ROTVEC_RAD)).T)

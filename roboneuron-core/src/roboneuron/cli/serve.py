@@ -121,8 +121,7 @@ def divert_standard_streams() -> tuple[int, int]:
     it first of all.
 
     Nothing else gets onto the wire then: fd 1 is stderr and fd 0 the null device, also for child
-        processes and C++
-    libraries, and before anything is imported that might print.
+    processes and C++ libraries, and before anything is imported that might print.
     """
     wire = os.dup(0), os.dup(1)
     null = os.open(os.devnull, os.O_RDONLY)

@@ -107,7 +107,7 @@ def show_error(error: BaseException) -> int:
     """Print why a command ended, in one line, and return its exit status.
 
     Of a group of exceptions a deliberate one counts: task groups wrap whatever is raised inside of
-        them.
+    them.
     """
     if os.environ.get(TRACEBACK_VARIABLE):
         import traceback

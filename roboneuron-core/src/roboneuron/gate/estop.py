@@ -5,9 +5,8 @@ person can stop with `touch`, and the latch outlives every process. Whatever kee
 read counts as latched.
 
 A process that has seen the latch keeps it in memory too. Only a reset ends that: it renames the
-    file instead of
-removing it, so that everybody can tell a file that was reset from one that was deleted, moved or
-lost with its directory. Such a file is written again, and counted.
+file instead of removing it, so that everybody can tell a file that was reset from one that was
+deleted, moved or lost with its directory. Such a file is written again, and counted.
 """
 
 from __future__ import annotations
@@ -110,7 +109,7 @@ class EmergencyStopLatch:
         woken.
 
         It runs on the pressing thread, must return at once and must not raise: it sends what stops
-            a robot.
+        a robot.
         """
         self._stopping.append(listener)
 
@@ -343,7 +342,7 @@ def press_together(
     What stops the last robot is sent before the first file is written, and every file is written
     before a thread is
     woken: each system call gives the interpreter away, and woken threads keep it for up to a
-        millisecond each time.
+    millisecond each time.
     """
     pressed: list[tuple[EmergencyStopLatch, LatchState]] = []
     failures: list[UnsafeError] = []

@@ -317,8 +317,8 @@ class ControlModule(Module):
         """Command the measured posture, once per reason to hold.
 
         Without a fresh one nothing is sent: the arm would go back to where it was. Its last command
-            comes to an end,
-        and the next joint state is held at once. In shadow the arm is left to the other control.
+        comes to an end, and the next joint state is held at once. In shadow the arm is left to the
+        other control.
         """
         if not self._is_ours_now():
             return

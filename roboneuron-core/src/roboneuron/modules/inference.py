@@ -69,7 +69,7 @@ class InferenceModule(Module):
     """Runs one backend on the newest observation, and publishes its actions one per step.
 
     Two threads: one observes and predicts, one plays (`RowPlayer`). `ChunkExecutor` decides when
-        each does what.
+    each does what.
 
     Attributes:
         backend, runtime: what predicts, and what executes it; None for a backend that takes no

@@ -55,9 +55,8 @@ class Module(ABC):
     executor's thread.
 
     The constructor acquires: it loads weights, opens the device, creates publishers and
-        subscriptions. What it
-    acquires it gives to `node.resources`, which releases it, the newest first, also when the
-    constructor fails.
+    subscriptions. What it acquires it gives to `node.resources`, which releases it, the newest
+    first, also when the constructor fails.
 
     Any method may raise RoboNeuronError: the transition fails, the reason goes to /diagnostics.
     """
@@ -251,8 +250,8 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
         """Time without a sign of life of the server; 0 for a module that was started without one.
 
         A silence that has just ended is infinite until the executor has looked at it: when this
-            process itself was
-        frozen, the thread that reads the signs of life may be the first to go on.
+        process itself was frozen, the thread that reads the signs of life may be the first to go
+        on.
         """
         if self._silences != self._silences_seen:
             return math.inf

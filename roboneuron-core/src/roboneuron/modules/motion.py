@@ -47,8 +47,8 @@ class JointWatch:
     """Keeps the newest joint state that can be true; used from the executor's thread.
 
     After `timeout_s` without one, the next state is compared with none before it: a clock that was
-        set, or an arm that
-    was moved while nobody listened, stops the arm for that long and not for ever.
+    set, or an arm that was moved while nobody listened, stops the arm for that long and not for
+    ever.
 
     Attributes:
         joints: the newest state, or None when there was none.
@@ -189,7 +189,7 @@ class MotionGuard:
         nothing.
 
         The status tells both: `asked_*` and `sent_*`, `limited.<name>` how often a limit acted,
-            `limit` the last one.
+        `limit` the last one.
         """
         verdict = self._limiter.limit(command, joints, now_s)
         self._report("asked", verdict.asked)

@@ -34,8 +34,7 @@ class Signals:
     `leave`.
 
     A handler runs in the middle of whatever the main thread does, another handler included: when a
-        server is killed,
-    the kernel sends the death signal again with the end of each of its threads.
+    server is killed, the kernel sends the death signal again with the end of each of its threads.
     `threading.Event.set` holds a lock for a moment; interrupted there by a second signal, the main
     thread would wait for itself, for ever. Assigning an attribute cannot wait.
 
@@ -75,7 +74,7 @@ class ParentPipe:
     parent has written.
 
     From now on descriptor 0 is the null device: a child that reads its stdin would take what is
-        meant for this process.
+    meant for this process.
 
     Args:
         on_data: gets what was read, in its order.

@@ -26,7 +26,7 @@ class RowPlayer:
         node: of the inference module.
         executor: says which row is due.
         send: publishes a row; the executor's lock is held, so that no instruction or stop comes
-            between.
+        between.
         """
         self._node = node
         self._executor = executor

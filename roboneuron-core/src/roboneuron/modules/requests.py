@@ -9,7 +9,7 @@ own arrives has done what the server wanted.
 The announcement lies in the pipe before the request is sent. Before it is judged the pipe is read
 to its present end,
 by the thread that judges: no thread has to be given the processor in time for that, and nothing has
-    to be waited for.
+to be waited for.
 """
 
 from __future__ import annotations

@@ -94,7 +94,7 @@ def load_options(
     """Validate a user's options; returns None when the descriptor takes none.
 
     Values are read as JSON is: no text for a number, no number for text; paths may be text, tuples
-        may be lists.
+    may be lists.
 
     Args:
         spec: descriptor of the plugin or driver.

@@ -3,8 +3,7 @@
 The ROS graph shows a second one only once it has been discovered, which takes a moment on a busy
 machine. A process therefore holds a Unix socket in Linux' abstract namespace, named after the ROS
 domain and the node: it needs no file, is seen by every user of the machine (of its network
-    namespace, as ROS' loopback traffic is), and is gone with the
-process, however that ends.
+namespace, as ROS' loopback traffic is), and is gone with the process, however that ends.
 
 Source: unix(7), "Abstract sockets" and SO_PEERCRED.
 """

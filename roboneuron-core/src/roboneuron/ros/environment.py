@@ -2,8 +2,8 @@
 is.
 
 Source of the facts: the ros-python-wheels bootstrapper (a .pth file) re-executes Python with
-    LD_LIBRARY_PATH and marks
-that with `_ROS_WHEELS_BOOTSTRAP_COMPLETE`; AMENT_PREFIX_PATH is left unset by it.
+LD_LIBRARY_PATH and marks that with `_ROS_WHEELS_BOOTSTRAP_COMPLETE`; AMENT_PREFIX_PATH is left
+unset by it.
 """
 
 from __future__ import annotations
@@ -183,10 +183,10 @@ def port_offset(domain: int, start: int) -> int:
     A sender goes on opening the port of a killed process until its lease ends (20 s), and Fast DDS
     2.14 can lose a port
     that is opened again by a successor just then: the successor hears nothing from that sender,
-        ever.
+    ever.
 
     Source: RTPS 2.2, 9.6.1.1 (port = 7400 + 250 * domain + offset + 2 * participant; the standard
-        offset is 11).
+    offset is 11).
     """
     slots = [slot for slot in _SLOTS if 7400 + 250 * domain + slot + 32 < 2**16]
     return slots[start % len(slots)] if slots else _STANDARD_OFFSET
@@ -200,7 +200,7 @@ def module_environment(
     It holds none of the variables called `secrets`, nor the token of our own client.
 
     Another interpreter has ROS libraries of its own: what points at ours is taken out, so that its
-        bootstrapper runs.
+    bootstrapper runs.
     """
     environment = {
         name: value for name, value in os.environ.items() if name not in (CLIENT_TOKEN, *secrets)

@@ -52,7 +52,7 @@ def to_camera_info(frame: Frame) -> CameraInfo | None:
     calibrated.
 
     Source of the half pixel: image_geometry and OpenCV put pixel centres at integers, the contract
-        at integers + 0.5.
+    at integers + 0.5.
     """
     if frame.calibration is None:
         return None

@@ -41,9 +41,8 @@ def shorten_pauses() -> None:
     itself.
 
     A full garbage collection looks at every object there is and stops all threads meanwhile: 80 to
-        130 ms with ROS, MCP
-    and 3 to 1,000 endpoints loaded. What is there now stays until the end, so it is not looked at
-    again.
+    130 ms with ROS, MCP and 3 to 1,000 endpoints loaded. What is there now stays until the end, so
+    it is not looked at again.
     """
     sys.setswitchinterval(SWITCH_S)
     gc.collect()

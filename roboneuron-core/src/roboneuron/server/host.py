@@ -49,7 +49,7 @@ class Host:
     """The server, as a feature may use it. Usable from any thread unless a member says otherwise.
 
     Nothing here publishes: what moves a robot goes through `gate`, or through the closed loop, as
-        for every caller.
+    for every caller.
 
     Attributes:
         loop: the closed loop: start, steer and stop modules; read what they report.

@@ -1,7 +1,7 @@
 """What a module is started with; everything unfit is refused here.
 
 Nothing is spawned, and nothing heavy imported: names, plans, options, paths and cameras are checked
-    beforehand.
+beforehand.
 """
 
 from __future__ import annotations

@@ -204,7 +204,7 @@ def _made(calls: Sequence[Call]) -> bool | None:
     """Whether the node made the transition; None before the first answer.
 
     Answers come in the order in which the node follows requests: a refusal comes first only when
-        none was followed.
+    none was followed.
     """
     answers = [bool(call.response.success) for call in calls if call.done]
     return any(answers) if answers else None

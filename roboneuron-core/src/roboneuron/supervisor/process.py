@@ -244,7 +244,7 @@ def spawn(
     `log_path`.
 
     To be called on a thread that lives as long as the server: PR_SET_PDEATHSIG follows the
-        *thread*.
+    *thread*.
 
     Raises:
         OSError: the command cannot be started.

@@ -102,8 +102,8 @@ def find_wheels() -> Wheels | None:
     without.
 
     The two differ while pip builds a wheel: what it installed for the build is on the path, and the
-        environment that
-    the wheel is for, which often has the generators already, is hidden by PYTHONPATH.
+    environment that the wheel is for, which often has the generators already, is hidden by
+    PYTHONPATH.
     """
     plain = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     for environment in (plain, dict(os.environ)):

@@ -1,8 +1,7 @@
 """The four LIBERO suites, by the protocol of OpenVLA's and OpenVLA-OFT's evaluation.
 
 Source: experiments/robot/libero/run_libero_eval.py and libero_utils.py of openvla/openvla and
-    moojink/openvla-oft; the
-simulator's part is in `simulator/world.py`.
+moojink/openvla-oft; the simulator's part is in `simulator/world.py`.
 """
 
 from __future__ import annotations

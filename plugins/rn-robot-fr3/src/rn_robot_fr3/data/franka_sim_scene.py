@@ -3,15 +3,12 @@ is not installed.
 
 Started by `rn_robot_fr3.fci.simulator`. Beside the FCI (TCP/UDP 1337, gripper 1338) it answers on a
 UDP port: "{}" asks for the scene; {"mode": 5} presses the user stop, {"mode": 1} releases it;
-    {"error": 0..40} stops a motion with that
-flag; {"drop": n} loses the next n states on their way to the client. With --record FILE, each
-physics step appends 15
-float64 to it: monotonic time [s], joints [rad] and their velocities [rad/s]. Each command appends
-    11 to FILE.commands:
-monotonic time [s], number of the state that it answers, 0 in time or 1 late or 2 missing (the
-simulator extrapolated), whether it was accepted, joints [rad]; {"flush": 1} writes what is
-buffered. Facts about franka-sim: its version 1.1.7, `franka_sim.mujoco_franka_sim`,
-`franka_sim.limits.checker`.
+{"error": 0..40} stops a motion with that flag; {"drop": n} loses the next n states on their way to
+the client. With --record FILE, each physics step appends 15 float64 to it: monotonic time [s],
+joints [rad] and their velocities [rad/s]. Each command appends 11 to FILE.commands: monotonic time
+[s], number of the state that it answers, 0 in time or 1 late or 2 missing (the simulator
+extrapolated), whether it was accepted, joints [rad]; {"flush": 1} writes what is buffered. Facts
+about franka-sim: its version 1.1.7, `franka_sim.mujoco_franka_sim`, `franka_sim.limits.checker`.
 """
 
 # mypy: ignore-errors

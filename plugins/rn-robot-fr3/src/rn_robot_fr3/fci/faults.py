@@ -1,8 +1,8 @@
 """Faults of the arm as states: one code, one sentence, and what a person does about it.
 
 Facts: RobotMode and the error flags of libfranka (robot_state.h, errors.h); texts of its exceptions
-    (robot_impl.h) as
-seen with pylibfranka 0.21.3 against franka-sim 1.1.7. The FCI names no reason for the mode "Other".
+(robot_impl.h) as seen with pylibfranka 0.21.3 against franka-sim 1.1.7. The FCI names no reason for
+the mode "Other".
 """
 
 from __future__ import annotations

@@ -71,8 +71,7 @@ def plan(position: F64, target: F64, duration_s: float, factor: float) -> Plan:
     the limits.
 
     The duration becomes a bound on the speed: given as a least time, ruckig failed on 18 of 43
-        targets that replaced a
-    motion (its error -111), without one on 0 of 64.
+    targets that replaced a motion (its error -111), without one on 0 of 64.
     """
     clamped = np.clip(target, np.array(LOWER_RAD) + MARGIN_RAD, np.array(UPPER_RAD) - MARGIN_RAD)
     distance = clamped - position

@@ -18,8 +18,7 @@ class ConfigShow:
     """Print the embedded default configuration and the options of installed features, to copy.
 
     The options of features are commented out: without the first # of its line, each is set to its
-        default. What stands
-    after two # has no default.
+    default. What stands after two # has no default.
     """
 
     def configure(self, parser: ArgumentParser) -> None:

@@ -4,8 +4,7 @@ state directory.
 A server on stdio talks to the client that started it and to nobody else. Its modules report on
 /diagnostics five times
 a second, its process id is in the name of its log directory, and the emergency stop is a file: that
-    is enough to show
-how the modules are, without disturbing anybody.
+is enough to show how the modules are, without disturbing anybody.
 """
 
 from __future__ import annotations

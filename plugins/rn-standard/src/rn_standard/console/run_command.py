@@ -10,8 +10,7 @@ class Run:
     again.
 
     Exit status: 0 done, as reported by the simulator or the backend; 1 not done; 2 it could not be
-        started; 3 time is
-    over and neither reports whether it is done; 130 interrupted.
+    started; 3 time is over and neither reports whether it is done; 130 interrupted.
     """
 
     def configure(self, parser: ArgumentParser) -> None:

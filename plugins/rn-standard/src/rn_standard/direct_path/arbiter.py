@@ -154,8 +154,7 @@ class MotionArbiter:
         policy: says, in a sentence, which policy moves the endpoint's robot; empty when none does.
         starts: knows of stops.
         is_followed: whether control still follows actions: it will hold, and a hold would end
-            another motion.
-        hold_s: longest wait for that hold.
+        another motion. hold_s: longest wait for that hold.
         """
         self._is_followed, self._hold_s = is_followed, hold_s
         self._gate = gate

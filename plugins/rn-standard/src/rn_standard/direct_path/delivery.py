@@ -186,7 +186,7 @@ def _hold(message: Any, joints: JointSample | None, profile: RobotProfile | None
     """What keeps the joints of a command where they were measured; None when one of them was not.
 
     The gripper is left to its last command: fingers that are told to be where an object blocks them
-        lose their force.
+    lose their force.
     """
     if _is_velocity(message):
         return type(message)(name=list(message.name), velocity=[0.0] * len(message.name))

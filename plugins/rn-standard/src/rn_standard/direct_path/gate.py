@@ -1,9 +1,8 @@
 """The one gate: everything an agent sends passes it, and every decision is written down.
 
 Order: allow list, role, type, finiteness, bounds, steering, joint limits, path, emergency stop,
-    rate, audit. The first
-rule that does not hold refuses and does not count against the rate. Refuse by default, clamp only
-where configured.
+rate, audit. The first rule that does not hold refuses and does not count against the rate. Refuse
+by default, clamp only where configured.
 """
 
 from __future__ import annotations

@@ -56,8 +56,7 @@ class PathLimiter:
     `Reach` says how densely a path is sampled, and the TCP's path between two samples is tested as
     a line, so that
     neither a zone nor a link is missed. Singularities are no limit here: joint motions do not
-        depend on the
-    Jacobian's inverse.
+    depend on the Jacobian's inverse.
 
     Args:
         rules: the numbers of `[limits]`; a limit that is broken is refused, whatever its reaction

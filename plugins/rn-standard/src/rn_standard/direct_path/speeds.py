@@ -31,9 +31,8 @@ class Speeds:
         With |acceleration| <= a, a joint that leaves with u covers the distance d in T if |d - u T|
         <= a T^2 / 2. It
         ends fastest when it first brakes and then accelerates: u + a (2 sqrt(T^2 / 2 + (d - u T) /
-            a) - T), slowest
-        the other way round. Both fall with u, so the ends of the interval give the ends of the next
-        one.
+        a) - T), slowest the other way round. Both fall with u, so the ends of the interval give the
+        ends of the next one.
 
         Args:
             distance: signed [rad or m].

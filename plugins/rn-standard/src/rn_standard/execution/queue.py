@@ -187,9 +187,8 @@ def cross_fade(old: Sequence[F64], new: F64, rows: int) -> F64:
     """Return `new` with its first rows faded in from `old`.
 
     Deltas are blended, not poses: both hands of a blend are rates of motion, so the arm neither
-        jumps nor catches up.
-    The gripper's opening is a decision and is never taken half-way: the new value counts from the
-    seam.
+    jumps nor catches up. The gripper's opening is a decision and is never taken half-way: the new
+    value counts from the seam.
 
     Args:
         old: float64 (7,) each: what would be played without the new chunk.

@@ -2,8 +2,7 @@
 waiting.
 
 It runs the executor that the inference module runs. The task: follow a target that circles in
-    either sense while it
-drifts, so that two chunks made from different images disagree.
+either sense while it drifts, so that two chunks made from different images disagree.
 """
 
 from __future__ import annotations

@@ -3,9 +3,8 @@
 Locks that it held in its neighbours' ports: Fast DDS waits a second for each, with each message
 anew, and then makes the port anew, from which it may come out deaf (see `lost_ports`). Its own
 port: who writes there finds after a second that its listener does not move, and makes that port
-    anew too (for what can go wrong then see Fast DDS issue 6484).
-Measured without this: a robot that reported nothing for three seconds after control had been
-    killed.
+anew too (for what can go wrong then see Fast DDS issue 6484). Measured without this: a robot that
+reported nothing for three seconds after control had been killed.
 """
 
 from __future__ import annotations
@@ -68,8 +67,8 @@ class SilentPorts:
     """The ports of a process that is gone, as places where messages vanish without anybody waiting.
 
     They must not stay so: a successor at one of these ports, long after, would not be looked for.
-        `retire` tells those
-    who still have them open that they are broken; by then nobody may write there any more.
+    `retire` tells those who still have them open that they are broken; by then nobody may write
+    there any more.
     """
 
     def __init__(self, names: Iterable[str], directory: Path = SHARED_MEMORY) -> None:

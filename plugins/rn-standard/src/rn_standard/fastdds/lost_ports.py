@@ -5,9 +5,8 @@ A process that is killed in the middle of a message leaves a lock in the port of
 to. After a second everybody makes that port anew, its owner too, and sometimes one of them removes
 what the owner has just made (Fast DDS 2.14; seen once in about 300 kills). Who opens the port
 afterwards writes to another file of the same name: the owner hears nothing from there any more,
-    while all else about it looks well. The owner's listener opens the port again when
-the file that it waits at is marked as broken; nobody marks a file that has no name, so that is done
-here.
+while all else about it looks well. The owner's listener opens the port again when the file that it
+waits at is marked as broken; nobody marks a file that has no name, so that is done here.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """The record with which a shared-memory port of Fast DDS begins.
 
 Source: Fast DDS 2.14.5, SharedMemGlobal::PortNode ("port_node_abi5") and
-    RobustInterprocessCondition; offsets measured
-on its files. Locks are `pthread_mutex_t` of glibc, shared between processes and not robust.
+RobustInterprocessCondition; offsets measured on its files. Locks are `pthread_mutex_t` of glibc,
+shared between processes and not robust.
 """
 
 from __future__ import annotations

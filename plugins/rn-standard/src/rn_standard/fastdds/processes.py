@@ -37,7 +37,7 @@ class ProcessCleaner:
         strangers' dead hold.
 
         Those are not observed, and whoever opens such a port hangs there: a process that starts
-            opens all it hears of.
+        opens all it hears of.
         """
         release_dead_locks()
         now_s = time.monotonic()

@@ -1,9 +1,8 @@
 """Several robots in one server process: an application for each, one MCP server in front of all.
 
 What belongs to a robot exists once for each: supervisor, gate, limits, leases, emergency stop,
-    audit, incidents, all in
-a folder of its own. What belongs to the process exists once: the ROS node, the transport, SIGUSR1,
-    the end.
+audit, incidents, all in a folder of its own. What belongs to the process exists once: the ROS node,
+the transport, SIGUSR1, the end.
 """
 
 from __future__ import annotations

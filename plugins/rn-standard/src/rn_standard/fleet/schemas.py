@@ -2,8 +2,7 @@
 before all else.
 
 Every agent reads the whole list, so it holds what a call needs: what answers hold is the same as
-    with one robot, and
-in docs/tools.md.
+with one robot, and in docs/tools.md.
 """
 
 from __future__ import annotations

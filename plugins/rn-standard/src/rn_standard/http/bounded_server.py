@@ -24,7 +24,7 @@ class BoundedServer(uvicorn.Server):
     """Serve it with a BoundedListener.
 
     It leaves signals to us: uvicorn would raise them again and end the process before the modules
-        are stopped.
+    are stopped.
 
     Args:
         app: what is served.

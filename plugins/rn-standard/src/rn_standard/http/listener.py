@@ -7,8 +7,8 @@ bytes are there. Silent ones cost little, the oldest gives way to the newest, an
 the process are never used for any of them.
 
 It serves every server that takes a socket: asyncio, uvicorn, websockets. Their own bounds
-    (`limit_concurrency`,
-`open_timeout`) hold after a connection was taken, and refuse a stop like everything else.
+(`limit_concurrency`, `open_timeout`) hold after a connection was taken, and refuse a stop like
+everything else.
 """
 
 from __future__ import annotations

@@ -24,7 +24,7 @@ def runnable_per_core(source: Path = _LOADAVG) -> float:
     tell.
 
     Source: proc(5), the fourth field of /proc/loadavg. The averages before it are of a minute and
-        more, too late here.
+    more, too late here.
     """
     try:
         running = int(source.read_text(encoding="ascii").split()[3].partition("/")[0])

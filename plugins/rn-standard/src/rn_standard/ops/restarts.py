@@ -48,14 +48,12 @@ class Restarts:
     A module that is at fault itself has a limit within a window; the wait before a restart doubles
     with every restart
     in that window. While the machine is overloaded nobody can say whose fault it is: a frozen
-        module is given more
-    time, restarts wait longer, and another limit holds, in an hour. A module that is frozen is
-    ended first, once it has been so for `unresponsive_s`. A start that somebody asks for makes all
-    counts begin anew.
+    module is given more time, restarts wait longer, and another limit holds, in an hour. A module
+    that is frozen is ended first, once it has been so for `unresponsive_s`. A start that somebody
+    asks for makes all counts begin anew.
 
     A restart sets nothing in motion: the policy has no instruction afterwards, and robot and
-        control obey nothing until
-    somebody asks for motion.
+    control obey nothing until somebody asks for motion.
     """
 
     def __init__(

@@ -27,9 +27,8 @@ class AccelerationChanger(Protocol):
         """Execute every later `run` with this preset, or with none.
 
         Called on the thread that calls `run`, between two of them, while the robot moves: it takes
-            milliseconds (on
-        CUDA the time of a few predictions, once for each preset, where it records), and answers are
-        then those of a model that was loaded with the preset.
+        milliseconds (on CUDA the time of a few predictions, once for each preset, where it
+        records), and answers are then those of a model that was loaded with the preset.
 
         Raises:
             RoboNeuronError: why it cannot be; the preset that was in force stays so.

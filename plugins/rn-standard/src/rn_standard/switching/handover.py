@@ -4,14 +4,13 @@ Both modules are active on the same topics. Inputs stamped before the moment bel
 module, later ones to the new module, so nothing is acted on twice and nothing is left out, however
 long the messages about it take. Before the
 handover, the new module works in shadow: it processes live inputs and publishes nothing. Inference
-    compares the capture
-time of images, perception the capture time of its own images, control the times at which actions
-were sent and joints measured.
+compares the capture time of images, perception the capture time of its own images, control the
+times at which actions were sent and joints measured.
 
 A moment is a ROS time only for as long as messages from before it may still be on their way. After
 that it is past for
 good, by the monotonic clock: otherwise a clock that is set back would put a module into shadow
-    again.
+again.
 """
 
 from __future__ import annotations

@@ -57,7 +57,7 @@ class Switching:
     """Replaces modules and remembers what was there before; usable from any thread.
 
     Modules that are started before this is made can only be replaced cold: they know of no
-        `TimedHandover`.
+    `TimedHandover`.
     """
 
     def __init__(self, loop: ClosedLoop) -> None:

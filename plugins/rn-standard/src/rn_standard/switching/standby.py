@@ -4,10 +4,9 @@ priorities.
 A module that is loaded beside a working one gives way to it until it is loaded itself. Scheduling
 is a matter of
 threads: what a process starts inherits it, and restoring goes through all threads. An unprivileged
-    process can make
-itself less urgent but not undo that, so without the right to do so only the batch policy is used:
-    it never interrupts a
-thread that wakes up for its next image, and can always be left.
+process can make itself less urgent but not undo that, so without the right to do so only the batch
+policy is used: it never interrupts a thread that wakes up for its next image, and can always be
+left.
 """
 
 from __future__ import annotations

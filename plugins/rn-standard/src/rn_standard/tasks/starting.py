@@ -34,9 +34,8 @@ class ParallelStart:
     """One start of everything that is configured and does not run; used once.
 
     All modules are checked before the first is spawned. Then each is started by a thread of its
-        own: a module waits
-    itself for what it needs of the others. The first failure cancels the other starts, and stops
-    what had started.
+    own: a module waits itself for what it needs of the others. The first failure cancels the other
+    starts, and stops what had started.
     """
 
     def __init__(self, loop: ClosedLoop, requests: dict[ModuleKind, Arguments], role: str) -> None:

@@ -34,8 +34,7 @@ def read_messages(
     blocks.
 
     As long as nothing has come, the subscription follows who publishes: one that left a moment ago,
-        and is still on the
-    graph, does not decide for its successor.
+    and is still on the graph, does not decide for its successor.
 
     Raises:
         ConfigurationError: the topic carries another type.

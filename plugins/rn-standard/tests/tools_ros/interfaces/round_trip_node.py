@@ -2,8 +2,8 @@
 
 `serve`: subscribes to every message type, offers every service and action; prints one JSON line per
 thing received. `send`: publishes, calls and sends goals with values drawn from the seed; prints one
-    JSON line per answer received.
-Both derive everything at run time and share nothing but names and the seed.
+JSON line per answer received. Both derive everything at run time and share nothing but names and
+the seed.
 """
 
 from __future__ import annotations

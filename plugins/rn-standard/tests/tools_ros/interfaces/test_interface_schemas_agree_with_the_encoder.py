@@ -1,8 +1,8 @@
 """JSON schemas: portable keywords only, small, and the same verdict as the encoder.
 
 What a portable schema cannot say is left out of the agreement: NUL and half surrogates in text,
-    bytes of non-ASCII
-text, whether base64 is valid, integers beyond the float64 range, and the input limits.
+bytes of non-ASCII text, whether base64 is valid, integers beyond the float64 range, and the input
+limits.
 """
 
 from __future__ import annotations

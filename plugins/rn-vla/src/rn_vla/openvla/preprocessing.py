@@ -82,8 +82,7 @@ def _jpeg_95(image: U8, size: int) -> U8:
     do.
 
     TensorFlow decodes with the fast integer transform where PIL takes the accurate one: 64 % of the
-        values of a LIBERO
-    image differ, by 1 on average and by up to 17.
+    values of a LIBERO image differ, by 1 on average and by up to 17.
     """
     buffer = io.BytesIO()
     Image.fromarray(np.ascontiguousarray(image)).save(

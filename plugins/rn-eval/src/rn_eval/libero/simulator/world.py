@@ -1,9 +1,9 @@
 """One LIBERO task in its simulator, stepped as the public evaluation scripts step it.
 
 Sources: openvla/openvla and moojink/openvla-oft,
-    experiments/robot/libero/{run_libero_eval,libero_utils}.py: one
-environment for a task, seeded with 0; before each episode it is reset, then set to the episode's
-initial state; ten steps of a dummy action; each step ends the episode when the task is done.
+experiments/robot/libero/{run_libero_eval,libero_utils}.py: one environment for a task, seeded with
+0; before each episode it is reset, then set to the episode's initial state; ten steps of a dummy
+action; each step ends the episode when the task is done.
 
 Two things are done otherwise without changing a number. The scripts render both cameras in every
 step; here the state that an image is taken of is kept, and rendered when it is asked for.

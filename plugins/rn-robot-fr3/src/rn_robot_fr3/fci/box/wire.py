@@ -1,7 +1,7 @@
 """The FCI's messages, protocol version 10, as far as the box reads or changes them.
 
 Source: research_interface/robot/{rbk_types,service_types}.h of libfranka 0.18, as transcribed in
-    franka-sim 1.1.7.
+franka-sim 1.1.7.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 ROS declares constants per message, not per field, so the link has to be inferred. Three rules,
 first match wins, and a constant that none of them places stays a remark in the description. A field
 keeps accepting every number of its type: constants may be flags to be added
-    (`NavSatStatus.service`) or incomplete.
+(`NavSatStatus.service`) or incomplete.
 
 1. Prefix: `POWER_SUPPLY_STATUS_FULL` belongs to `power_supply_status`, `COVARIANCE_TYPE_KNOWN` to
    `position_covariance_type`: the constant starts with the last words of the field's name. The

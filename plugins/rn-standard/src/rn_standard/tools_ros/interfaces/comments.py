@@ -3,7 +3,7 @@
 The .idl is the only place where the build tools keep the comment attached to its field. It is used
 for descriptions
 alone: types, bounds, constants and defaults come from the Python classes. A missing file costs the
-    descriptions.
+descriptions.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 """JSON schemas that every MCP client can read: types always given, nothing but plain keywords.
 
 Used keywords: type, properties, required, additionalProperties, items, minItems, maxItems, minimum,
-    maximum, maxLength,
-enum, anyOf, default, description; `$defs` and `$ref` only where a schema would otherwise grow over
-`INLINE_BYTES`.
+maximum, maxLength, enum, anyOf, default, description; `$defs` and `$ref` only where a schema would
+otherwise grow over `INLINE_BYTES`.
 """
 
 from __future__ import annotations
