@@ -17,21 +17,17 @@ from typing import Any
 
 import numpy as np
 from anyio.from_thread import BlockingPortal, start_blocking_portal
+from fci_cell import PYTHON, STRICT
 from mcp import Client, StdioServerParameters
 from plugin_site import installed
 
+from rn_robot_fr3.fci.simulator import FrankaSim
 from roboneuron.gate.estop import ESTOP_FILE, RESET_SUFFIX
 from roboneuron.ros.environment import prepare_environment
 
-NAME = "fr3r"
+FRANKA_SIM = "franka-sim"
 CONFIG = """
-[robot]
-name = "fr3r"
-[perception]
-source = "fr3r-camera"
-[inference]
-backend = "servo"
-instruction = "pick up the yellow cube"
+{robot}
 [control]
 controller = "urdf"
 [supervisor]
@@ -47,11 +43,36 @@ restart_window_s = 1.0
 robot = "{restart}"
 control = "{restart}"
 inference = "{restart}"
+"""
+SIMULATED = """
+[robot]
+name = "fr3r"
+[perception]
+source = "fr3r-camera"
+[inference]
+backend = "servo"
+instruction = "pick up the yellow cube"
 [plugins.fr3r]
 engine = "{engine}"
 seed = {seed}
 fault_file = "{folder}/fault"
 """
+OVER_FCI = """
+[robot]
+name = "fr3"
+driver = "fci"
+[perception]
+source = "blank"
+cameras = ["front"]
+[inference]
+backend = "sway"
+[plugins.fr3]
+host = "{host}"
+realtime = "ignored"
+gripper = false
+"""
+REFLEX = 21
+"""Of libfranka's errors the one that franka-sim is told to have."""
 KINDS = ("robot", "perception", "control", "inference")
 NEVER = {"kind": "tcp_in", "lower_m": [9, 9, 9], "upper_m": [10, 10, 10]}
 MOVED_RAD = 0.02
@@ -64,22 +85,33 @@ BRAKE_S = 3.0
 
 
 class Witness:
-    """The joints of the simulation (7,) as its driver reads them, with the time of arrival
+    """The joints of a simulation (7,) and their velocities, with the time of arrival
     [monotonic s].
     """
 
-    def __init__(self, link: Any) -> None:
+    def __init__(self) -> None:
+        self.states: list[tuple[float, np.ndarray, np.ndarray]] = []
+
+    def watch_topic(self, link: Any, robot: str) -> None:
+        """See what the simulation's driver reads."""
         from sensor_msgs.msg import JointState  # heavy
 
         from roboneuron.ros.qos import NEWEST  # heavy
 
-        self.states: list[tuple[float, np.ndarray, np.ndarray]] = []
-        link.subscribe(JointState, f"/{NAME}/joint_states", self._on_state, NEWEST)
+        link.subscribe(JointState, f"/{robot}/joint_states", self._on_state, NEWEST)
 
     def _on_state(self, message: Any) -> None:
-        self.states.append(
-            (time.monotonic(), np.array(message.position[:7]), np.array(message.velocity[:7]))
-        )
+        self._add(message.position, message.velocity)
+
+    def watch_simulator(self, sim: FrankaSim, end: threading.Event) -> None:
+        """Ask franka-sim itself until the event is set; runs on a thread of its own."""
+        while not end.wait(0.015):
+            with contextlib.suppress(OSError):
+                told = sim.tell()
+                self._add(told["joints"], told["velocities"])
+
+    def _add(self, position: Any, velocity: Any) -> None:
+        self.states.append((time.monotonic(), np.array(position[:7]), np.array(velocity[:7])))
 
     def is_still(self) -> bool:
         """The last 0.3 s of states, which are recent, show no motion."""
@@ -111,10 +143,17 @@ class Cell:
     """What sequences are made on; calls block."""
 
     def __init__(
-        self, client: Client, portal: BlockingPortal, witness: Witness, link: Any, folder: Path
+        self,
+        client: Client,
+        portal: BlockingPortal,
+        witness: Witness,
+        link: Any,
+        folder: Path,
+        sim: FrankaSim | None = None,
     ) -> None:
         self._client, self._portal, self.folder = client, portal, folder
-        self.witness, self._link = witness, link
+        self.witness, self._link, self._sim = witness, link, sim
+        self._robot = "fr3r" if sim is None else "fr3"
         self._calls: list[threading.Thread] = []
         self.answers: list[Any] = []
 
@@ -172,12 +211,19 @@ class Cell:
         from roboneuron.ros.qos import NEWEST  # heavy
 
         if not hasattr(self, "_topic"):
-            self._topic = self._link.advertise(Bool, f"/{NAME}/emergency_stop", NEWEST)
+            self._topic = self._link.advertise(Bool, f"/{self._robot}/emergency_stop", NEWEST)
             time.sleep(1.0)  # until it is discovered: what is sent to nobody is lost
         self._topic(Bool(data=True))
         self.until(
             (self.folder / "state" / ESTOP_FILE).exists, 5.0, "the stop of the topic is latched"
         )
+
+    def cause_fault(self) -> None:
+        """The arm stops by itself, as with a reflex."""
+        if self._sim is None:
+            (self.folder / "fault").touch()
+        else:
+            self._sim.tell(error=REFLEX)
 
     def release_by_file(self) -> None:
         """What `roboneuron estop --reset` does."""
@@ -243,7 +289,7 @@ def stop(cell: Cell, how: str) -> None:
     elif how == "estop_signal":
         os.kill(cell.do("get_status")["pid"], signal.SIGUSR1)
     elif how == "fault":
-        (cell.folder / "fault").touch()
+        cell.cause_fault()
     elif how.startswith("kill_"):
         cell.kill(how.removeprefix("kill_"))
     else:
@@ -281,33 +327,46 @@ def go_on(cell: Cell, draw: random.Random) -> list[str]:
 def served_cell(folder: Path, engine: str, restart: str, seed: int) -> Iterator[Cell]:
     """A server with everything running and no instruction; all is ended."""
     folder.mkdir(parents=True, exist_ok=True)
-    path = folder / "roboneuron.toml"
-    path.write_text(CONFIG.format(folder=folder, engine=engine, restart=restart, seed=seed))
-    with installed(folder, "new-start", ("new_start_plugin",)):
+    with contextlib.ExitStack() as stack:
+        sim = None
+        if engine == FRANKA_SIM:
+            sim = FrankaSim(PYTHON, seed=seed, options=STRICT, log=folder / "franka-sim.log")
+            stack.enter_context(sim)
+            robot = OVER_FCI.format(host=sim.host)
+        else:
+            robot = SIMULATED.format(folder=folder, engine=engine, seed=seed)
+        path = folder / "roboneuron.toml"
+        path.write_text(CONFIG.format(folder=folder, robot=robot, restart=restart))
+        plugin = "new_start_plugin" if sim is None else "fci_plugin"
+        stack.enter_context(installed(folder, "new-start", (plugin,)))
         prepare_environment(folder / "log")
         from roboneuron.ros.link import RosLink  # heavy
 
-        command = [
-            "-m",
-            "roboneuron.cli.main",
-            "serve",
-            "--config",
-            str(path),
-            "--log-level",
-            "warning",
-        ]
-        server = StdioServerParameters(command=sys.executable, args=command, env=dict(os.environ))
         link = RosLink("witness")
+        stack.callback(link.close)
         link.open()
-        try:
-            witness = Witness(link)
-            with contextlib.ExitStack() as stack:
-                log = stack.enter_context((folder / "server.log").open("a"))
-                from mcp.client.stdio import stdio_client  # heavy
+        witness = Witness()
+        if sim is None:
+            witness.watch_topic(link, "fr3r")
+        else:
+            end = threading.Event()
+            watching = threading.Thread(target=witness.watch_simulator, args=(sim, end))
+            watching.start()
+            stack.callback(watching.join)
+            stack.callback(end.set)
+        client, portal = stack.enter_context(_client(folder, path))
+        yield Cell(client, portal, witness, link, folder, sim)
 
-                made = Client(stdio_client(server, errlog=log), read_timeout_seconds=180)
-                portal = stack.enter_context(start_blocking_portal())
-                client = stack.enter_context(portal.wrap_async_context_manager(made))
-                yield Cell(client, portal, witness, link, folder)
-        finally:
-            link.close()
+
+@contextlib.contextmanager
+def _client(folder: Path, config: Path) -> Iterator[tuple[Client, BlockingPortal]]:
+    """An agent of a server of its own."""
+    from mcp.client.stdio import stdio_client  # heavy
+
+    command = ["-m", "roboneuron.cli.main", "serve", "--config", str(config)]
+    command += ["--log-level", "warning"]
+    server = StdioServerParameters(command=sys.executable, args=command, env=dict(os.environ))
+    with (folder / "server.log").open("a") as log, start_blocking_portal() as portal:
+        made = Client(stdio_client(server, errlog=log), read_timeout_seconds=180)
+        with portal.wrap_async_context_manager(made) as client:
+            yield client, portal

@@ -27,6 +27,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parent))
 from new_start_cell import (
     BRAKE_S,
+    FRANKA_SIM,
     MOVED_RAD,
     STARTS,
     STOPS,
@@ -121,7 +122,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--engine", choices=("pybullet", "mujoco"), default="mujoco")
+    parser.add_argument("--engine", choices=("pybullet", "mujoco", FRANKA_SIM), default="mujoco")
     parser.add_argument("--sequences", type=int, default=50)
     parser.add_argument("--first", type=int, default=0, help="number of the first one")
     parser.add_argument("--minutes", type=float, default=600.0, help="no sequence begins later")
