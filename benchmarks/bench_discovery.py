@@ -97,7 +97,7 @@ def measure(participants: int, probed: int, seconds: float) -> tuple[float, floa
 
 def main() -> int:
     """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("--participants", type=int, nargs="+", default=[24, 48])
     parser.add_argument("--probed", type=int, nargs="+", default=[32, 96])
     parser.add_argument("--seconds", type=float, default=10.0)

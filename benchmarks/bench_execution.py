@@ -246,7 +246,7 @@ def real_table(seconds: float, folder: Path) -> Table:
 
 def main() -> None:
     """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument(
         "--virtual", action="store_true", help="by a virtual clock only, without processes"
     )

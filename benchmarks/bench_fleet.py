@@ -406,7 +406,7 @@ def _report_kill(
 
 def main() -> int:
     """Measure and print; status 1 when a bound does not hold."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("--robots", type=int, default=16)
     parser.add_argument(
         "--minutes", type=float, default=10.0, help="of driving; half of it before the kill"

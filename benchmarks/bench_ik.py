@@ -206,7 +206,7 @@ def table(tallies: list[Tally], floor: list[float]) -> Table:
 
 def main() -> int:
     """Run both sets, print the table, compare with the issue's figures."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("--targets", type=int, default=500, help="targets per set (default 500)")
     parser.add_argument(
         "--seed", type=int, default=0, help="seed of the random postures and targets (default 0)"

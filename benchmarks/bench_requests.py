@@ -324,7 +324,7 @@ def requests(record_s: float) -> list[tuple[str, Request]]:
         switch,
     ]
     listed += [record_for, slower, not_left, release]
-    return [((request.__doc__ or "").strip(), request) for request in listed]
+    return [(" ".join((request.__doc__ or "").split()), request) for request in listed]
 
 
 async def run(arguments: argparse.Namespace, folder: Path) -> list[tuple[str, Seen]]:
@@ -382,7 +382,7 @@ def _show(number: int, text: str, seen: Seen) -> None:
 
 def main() -> int:
     """Run the benchmark."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("--only", type=int, nargs="+", default=[], help="numbers of requests")
     parser.add_argument("--engine", default="auto", help="physics: auto, pybullet or mujoco")
     parser.add_argument(

@@ -354,7 +354,7 @@ def report(outcomes: list[Outcome], console: Console) -> None:
 
 def main() -> int:
     """Run all seeds and judge."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("--seeds", type=int, default=50, help="number of scenes (default 50)")
     parser.add_argument(
         "--first-seed", type=int, default=0, help="seed of the first scene (default 0)"

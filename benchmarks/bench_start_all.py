@@ -68,7 +68,7 @@ async def measure(cycles: int, scratch: Path) -> dict[str, list[float]]:
 
 def main() -> int:
     """Measure and print; status 1 when the bound does not hold."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("--cycles", type=int, default=5)
     parser.add_argument("--json", type=Path, help="write the times here")
     arguments = parser.parse_args()

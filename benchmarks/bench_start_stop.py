@@ -132,7 +132,7 @@ def _leaks(leaks: list[dict[str, int]], before_shm: int, after_shm: int) -> Tabl
 
 def main() -> None:
     """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("--cycles", type=int, default=10)
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as directory:

@@ -346,7 +346,7 @@ def _is_right(line: dict[str, Any]) -> bool:
 
 def main() -> int:
     """Measure what is missing from the ledger, and print."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("--runs", type=int, default=200)
     parser.add_argument("--braking-runs", type=int, default=10)
     parser.add_argument("--fail", type=float, default=0.4, help="share of the grasps that fail")

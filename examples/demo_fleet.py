@@ -368,7 +368,7 @@ async def play(seed: int, colours: Mapping[str, str], output: Path, console: Con
 
 def main() -> int:
     """Parse the options, play, say whether it worked."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n")[0])
     parser.add_argument(
         "--seed",
         type=int,

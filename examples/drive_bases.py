@@ -187,7 +187,7 @@ async def play(output: Path, console: Console) -> bool:
 
 def main() -> int:
     """Parse the options, drive, say whether it worked."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n")[0])
     parser.add_argument("--output", type=Path, default=Path("out/demo-bases"))
     arguments = parser.parse_args()
     return 0 if anyio.run(play, arguments.output, Console()) else 1

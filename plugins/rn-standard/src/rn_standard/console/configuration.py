@@ -160,7 +160,8 @@ def _tables(root: type[BaseModel]) -> Iterator[tuple[str, type[BaseModel]]]:
 
 
 def _page_table(heading: str, section: type[BaseModel]) -> list[str]:
-    purpose = (section.__doc__ or "").split(": ", 1)[-1].strip().splitlines()[0].rstrip(".")
+    summary = " ".join((section.__doc__ or "").split("\n\n")[0].split())
+    purpose = summary.split(": ", 1)[-1].rstrip(".")
     lines = [f"## `{heading}`: {purpose}", ""]
     for option in describe_options(section):
         default = f", default `{option.default}`" if option.default not in (None, UNSET) else ""
