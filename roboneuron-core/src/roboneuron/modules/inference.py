@@ -232,7 +232,9 @@ class InferenceModule(Module):
             self._note_first(prediction.observation.stamp_ns)
         else:
             self.status.set(note=chunk.note)
-            outcome = self.executor.answer(prediction, chunk, now_ns)
+            with self.executor.changed:  # so that the player's thread does not come between
+                outcome = self.executor.answer(prediction, chunk, now_ns)
+                self._player.play_due(stop)
             if outcome != "accepted":
                 self.status.dropped.add(f"{outcome}_chunk")
         # how chunks are executed, and the numbers that decided

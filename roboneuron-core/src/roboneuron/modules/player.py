@@ -32,30 +32,66 @@ class RowPlayer:
         self._executor = executor
         self._publish = send
         self._worker = Worker("playing", self._play, node.status)
-        self.start, self.stop = self._worker.start, self._worker.stop
+        self._is_playing = False
         node.resources.callback(self.stop)
+
+    def start(self) -> None:
+        """Play from now on."""
+        self._is_playing = True
+        self._worker.start()
+
+    def stop(self) -> bool:
+        """Send nothing more, on whichever thread; False when the player's thread hangs."""
+        with self._executor.changed:
+            self._is_playing = False
+        return self._worker.stop()
+
+    def play_due(self, stop: threading.Event) -> None:
+        """Send the row that is due, if one is, on the caller's thread.
+
+        The thread that has just predicted calls this, because waking the player's thread would
+        take longer than all else between an answer and its first action.
+
+        Args:
+            stop: of the caller's work.
+
+        Raises:
+            NotReadyError: the image behind the row has become too old.
+        """
+        with self._executor.changed:
+            due_s = self._executor.due_s()
+            if self._is_playing and due_s is not None and due_s <= time.monotonic():
+                self._send_due(stop)
 
     def _play(self, stop: threading.Event) -> None:
         """Send the row that is due, or wait for it."""
-        executor, node = self._executor, self._node
+        executor = self._executor
         with executor.changed:
             due_s = executor.due_s()
             wait_s = _WAIT_S if due_s is None else min(_WAIT_S, due_s - time.monotonic())
             if wait_s > 0:
                 executor.changed.wait(wait_s)
-                return
-            now_ns = node.now_ns()
-            if stop.is_set() or node.stopped or node.handover.must_fall_silent(now_ns):
-                executor.drop()
-                return
-            if not node.handover.may_send(now_ns):
+            elif not self._send_due(stop):
                 executor.changed.wait(_LOOK_S)
-                return
-            try:
-                row = executor.play(time.monotonic(), now_ns)
-            except NotReadyError:
-                node.status.dropped.add("late_action")
-                raise
-            if row is not None:
-                node.handover.note_sent("action")
-                self._publish(row)
+
+    def _send_due(self, stop: threading.Event) -> bool:
+        """Send the row that is due; False when the predecessor in a handover is to send before.
+
+        The executor's lock is held, and a row is due.
+        """
+        executor, node = self._executor, self._node
+        now_ns = node.now_ns()
+        if stop.is_set() or node.stopped or node.handover.must_fall_silent(now_ns):
+            executor.drop()
+            return True
+        if not node.handover.may_send(now_ns):
+            return False
+        try:
+            row = executor.play(time.monotonic(), now_ns)
+        except NotReadyError:
+            node.status.dropped.add("late_action")
+            raise
+        if row is not None:
+            node.handover.note_sent("action")
+            self._publish(row)
+        return True

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
+import statistics
 from collections import deque
-
-import numpy as np
 
 WINDOW = 50
 """Answers that are looked back on. Sliding: an old spike (a recording, a page fault) must not
@@ -44,7 +43,7 @@ class LatencyWindow:
     @property
     def p50_s(self) -> float | None:
         """Median [s]; None before the first answer."""
-        return float(np.median(self._values)) if self._values else self._first
+        return statistics.median(self._values) if self._values else self._first
 
     @property
     def p99_s(self) -> float | None:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import math
+import statistics
 from collections import deque
 from dataclasses import dataclass
-
-import numpy as np
 
 from roboneuron.feature import Row
 
@@ -37,7 +37,8 @@ class DeliveryMeter:
     """Collects what was sent. Used under its owner's lock."""
 
     def __init__(self) -> None:
-        self._gaps: deque[tuple[float, float]] = deque(maxlen=_WINDOW)
+        self._spent_s: deque[float] = deque(maxlen=_WINDOW)
+        self._wanted_s: deque[float] = deque(maxlen=_WINDOW)
         self._jumps: dict[bool, deque[float]] = {
             True: deque(maxlen=_WINDOW),
             False: deque(maxlen=_WINDOW),
@@ -55,20 +56,20 @@ class DeliveryMeter:
         if self._last is not None:
             last_s, last = self._last
             gap_s = now_s - last_s
-            self._gaps.append((gap_s, row.step_s))
+            self._spent_s.append(gap_s)
+            self._wanted_s.append(row.step_s)
             # Half a period late is jitter; only a period without any row is starvation.
             self.starved_periods += max(0, int(gap_s / row.step_s + 0.5) - 1)
             self.longest_gap_s = max(self.longest_gap_s, gap_s)
-            jump_mm = float(np.linalg.norm(row.vector[:3] - last.vector[:3])) * 1e3
-            self._jumps[row.is_border].append(jump_mm)
+            jump_m = math.dist(row.vector[:3].tolist(), last.vector[:3].tolist())
+            self._jumps[row.is_border].append(jump_m * 1e3)
         self._last = (now_s, row)
 
     def delivery(self) -> Delivery:
         """Everything so far."""
-        spent_s = sum(gap_s for gap_s, _ in self._gaps)
-        wanted_s = sum(step_s for _, step_s in self._gaps)
+        spent_s, wanted_s = sum(self._spent_s), sum(self._wanted_s)
         border, inner = (
-            float(np.mean(j)) if j else None for j in (self._jumps[True], self._jumps[False])
+            statistics.fmean(j) if j else None for j in (self._jumps[True], self._jumps[False])
         )
         return Delivery(
             rate=min(1.0, wanted_s / spent_s) if spent_s > 0 else None,
