@@ -254,6 +254,16 @@ from .server.module_kinds import (
     KindEntry as KindEntry,
     ModuleSection as ModuleSection,
 )
+from .server.motion_gate import (
+    Clamp as Clamp,
+    ExposedEndpoint as ExposedEndpoint,
+    GateRequest as GateRequest,
+    MotionClaim as MotionClaim,
+    MotionGate as MotionGate,
+    Sent as Sent,
+    TimedCommand as TimedCommand,
+    Verdict as Verdict,
+)
 from .server.motion_starts import (
     AGAIN as AGAIN,
     MotionStarts as MotionStarts,

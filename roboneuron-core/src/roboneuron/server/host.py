@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from roboneuron.server.events import Events
     from roboneuron.server.feature import Features
     from roboneuron.server.loop import ClosedLoop
+    from roboneuron.server.motion_gate import MotionGate
     from roboneuron.server.registry import ToolRegistry
     from roboneuron.server.surface import AnnouncingServer
     from roboneuron.supervisor.supervisor import Supervisor
@@ -87,12 +88,11 @@ class Host:
         return self.loop.plugins.current()
 
     @property
-    def gate(self) -> object:
+    def gate(self) -> MotionGate:
         """In front of everything that moves a robot beside the closed loop: sends what it allows,
         lends no publisher.
 
-        One installed feature lends it (`Feature.gate`), and its package has a function that gives
-        it its type.
+        One installed feature lends it (`Feature.gate`); name that feature in `needs`.
 
         Raises:
             StateError: none does: nothing can be sent for an agent.

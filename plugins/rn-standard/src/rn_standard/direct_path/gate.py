@@ -23,15 +23,18 @@ from rn_standard.direct_path.limits import (
 )
 from rn_standard.direct_path.path_limits import Leg, LimitError
 from rn_standard.direct_path.rate import RateLimit
-from rn_standard.direct_path.request import (
-    ROLE_BY_KIND,
-    AllowedEndpoint,
+from rn_standard.direct_path.request import ROLE_BY_KIND, AllowedEndpoint
+from roboneuron import RefusedError, RoboNeuronError
+from roboneuron.feature import (
+    AuditLog,
+    AuditRecord,
     Clamp,
+    EmergencyStopLatch,
     GateRequest,
     Verdict,
+    has_role,
+    joint_limits,
 )
-from roboneuron import RefusedError, RoboNeuronError
-from roboneuron.feature import AuditLog, AuditRecord, EmergencyStopLatch, has_role, joint_limits
 
 _Key = tuple[str, str]
 

@@ -9,7 +9,6 @@ from typing import Any, Literal, cast
 
 from pydantic import Field
 
-from rn_standard.direct_path.feature import gate_of
 from rn_standard.direct_path.fields import check_path, load_type
 from rn_standard.tasks.approval import Approval
 from rn_standard.tasks.arbiter import TaskArbiter
@@ -241,7 +240,7 @@ def profile_of(host: Host) -> RobotProfile | None:
     """
     name = host.config.robot.name
     try:
-        exposed = gate_of(host).exposed
+        exposed = host.gate.exposed
     except StateError:
         return None
     return next((e.profile for e in exposed if e.profile is not None and e.robot == name), None)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from rn_standard.direct_path.feature import gate_of
 from rn_standard.tools_arm.measured import MeasuredPose
 from rn_standard.tools_arm.options import ArmToolsOptions
 from rn_standard.tools_arm.placing import GripHeight
@@ -37,6 +36,6 @@ class ArmTools(Feature[ArmToolsOptions]):
 
         host.events.change.listen(watch)
 
-        gate_of(host).on_change(derive)
+        host.gate.on_change(derive)
         derive()
         return ()

@@ -7,10 +7,8 @@ from __future__ import annotations
 import math
 import time
 
-from rn_standard.direct_path.exposed import Exposed
-from rn_standard.direct_path.motion_gate import MotionGate
 from roboneuron import GripperProfile, Host, NotReadyError
-from roboneuron.feature import GRIPPER_COMMANDED, Report
+from roboneuron.feature import GRIPPER_COMMANDED, ExposedEndpoint, MotionGate, Report
 
 _MEASURED_S = 2.0
 _BLOCKED = 0.03
@@ -30,7 +28,7 @@ class Grip:
     direct call did it.
     """
 
-    def __init__(self, host: Host, gate: MotionGate, exposed: Exposed) -> None:
+    def __init__(self, host: Host, gate: MotionGate, exposed: ExposedEndpoint) -> None:
         self._host = host
         self._gate = gate
         self._exposed = exposed

@@ -12,10 +12,9 @@ from typing import Any
 
 from pydantic import Field
 
-from rn_standard.direct_path.delivery import TRAJECTORY, Command
+from rn_standard.direct_path.delivery import TRAJECTORY
 from rn_standard.direct_path.derived import Derived
-from rn_standard.direct_path.exposed import Exposed, gate_request
-from rn_standard.direct_path.motion_gate import MotionGate
+from rn_standard.direct_path.exposed import gate_request
 from rn_standard.direct_path.speeds import shortest_s
 from rn_standard.tools_arm.grip import Grip, is_lost
 from roboneuron import (
@@ -29,7 +28,16 @@ from roboneuron import (
     StateError,
     Tool,
 )
-from roboneuron.feature import JointLimit, Schema, Stage, joint_limits, unknown_name
+from roboneuron.feature import (
+    ExposedEndpoint,
+    JointLimit,
+    MotionGate,
+    Schema,
+    Stage,
+    TimedCommand,
+    joint_limits,
+    unknown_name,
+)
 
 _EASY, _EASY_ACCELERATION = 0.4, 0.5
 """Shares of the velocity and acceleration limits that a move uses when it is given no duration."""
@@ -72,7 +80,9 @@ class JointMove(Result):
     lost_on_the_way: bool = False
 
 
-def joint_tools(host: Host, endpoints: Iterable[Exposed], gate: MotionGate) -> list[Tool[Any]]:
+def joint_tools(
+    host: Host, endpoints: Iterable[ExposedEndpoint], gate: MotionGate
+) -> list[Tool[Any]]:
     """move_joints for the first endpoint that takes trajectories of a robot with known limits."""
     found = next(
         (e for e in endpoints if e.endpoint.joint_limited and e.endpoint.type == TRAJECTORY), None
@@ -118,7 +128,11 @@ class _JointMover:
     """The handler of move_joints."""
 
     def __init__(
-        self, exposed: Exposed, limits: Mapping[str, JointLimit], gate: MotionGate, host: Host
+        self,
+        exposed: ExposedEndpoint,
+        limits: Mapping[str, JointLimit],
+        gate: MotionGate,
+        host: Host,
     ) -> None:
         self._exposed = exposed
         self._limits = limits
@@ -233,7 +247,7 @@ class _JointMover:
 
     def _commands(
         self, target: Mapping[str, float], message: Any, duration_s: float, stage: Stage
-    ) -> Iterator[Command]:
+    ) -> Iterator[TimedCommand]:
         """The trajectory, then waiting until the arm is measured at its end, at rest.
 
         Raises:
@@ -241,7 +255,7 @@ class _JointMover:
         """
         began_s = told_s = time.monotonic()
         rest = _Rest(target)
-        yield Command(message=message, due_s=began_s)
+        yield TimedCommand(message=message, due_s=began_s)
         while True:
             now_s = time.monotonic()
             joints = self._gate.newest_joints(self._exposed)
@@ -267,7 +281,7 @@ class _JointMover:
                     f"{now_s - began_s:.1f} of {duration_s:.1f} s, {_error(target, joints):.3f} "
                     "to go"
                 )
-            yield Command(message=None, due_s=now_s + 0.02)
+            yield TimedCommand(message=None, due_s=now_s + 0.02)
 
     def _answer(
         self,

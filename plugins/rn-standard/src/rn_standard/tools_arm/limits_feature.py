@@ -12,7 +12,6 @@ from contextlib import suppress
 from functools import partial
 from typing import Any
 
-from rn_standard.direct_path.feature import gate_of
 from rn_standard.tools_arm.limits_tools import limits_tools
 from rn_standard.tools_arm.tightening import FILE_NAME, Record, Tightening, TighteningFile
 from roboneuron import Feature, Host, NotReadyError, RoboNeuronError, RobotProfile, Tool
@@ -106,7 +105,7 @@ class LimitsFeature(Feature[None]):
         limits = record.tightening.applied(loop.base.limits, self._profile)
         supervisor.tightened = None if record.tightening.is_empty else limits
         self._record = record
-        gate = gate_of(self._host)
+        gate = self._host.gate
         gate.relimit()
         gate.end_motions(
             "The limits have changed.", _END_S, lambda exposed: exposed.endpoint.joint_limited

@@ -9,7 +9,6 @@ from typing import Any
 
 from pydantic import Field
 
-from rn_standard.direct_path.exposed import Exposed
 from rn_standard.tools_ros.exposure import Exposure
 from rn_standard.tools_ros.graph import RosGraph
 from rn_standard.tools_ros.interfaces import (
@@ -20,6 +19,7 @@ from rn_standard.tools_ros.interfaces import (
     load_interface,
 )
 from roboneuron import Arguments, CallContext, ConfigurationError, InvalidInputError, Result, Tool
+from roboneuron.feature import ExposedEndpoint
 
 _MOST_NAMES = 300
 
@@ -210,7 +210,7 @@ def _describe(interface: Interface) -> InterfaceDescription:
     return InterfaceDescription(name=interface.name, kind=interface.kind, parts=schemas)
 
 
-def _topics(endpoints: Iterable[Exposed], graph: RosGraph) -> list[TopicStatus]:
+def _topics(endpoints: Iterable[ExposedEndpoint], graph: RosGraph) -> list[TopicStatus]:
     live = {"service": graph.services(), "action": graph.actions()}
     topics = graph.topics()
     listed = []
