@@ -326,6 +326,21 @@ def test_features_send_only_through_the_gate():
     assert {"tools_ros", "tools_arm", "tasks", "ops", "http", "rn_recorder", "rn_view"} <= looked_at
 
 
+def _uses_of_the_supervisor() -> set[str]:
+    """Packages of plugins that reach the supervisor behind the closed loop."""
+    return {
+        path.parent.name
+        for path in PLUGINS.glob("*/src/**/*.py")
+        if re.search(r"loop\.supervisor\b", path.read_text(encoding="utf-8"))
+    }
+
+
+def test_only_what_manages_processes_uses_the_supervisor():
+    """All others read `Host.modules`; the direct path joins the graph through it."""
+    managing = {"ops", "switching", "tasks", "tools_arm"}
+    assert _uses_of_the_supervisor() == managing | {SENDING_PACKAGE.name}
+
+
 def test_one_plugin_sends_for_agents_and_one_of_its_modules_publishes():
     sources = sorted(SENDING_PACKAGE.rglob("*.py"))
     publishing = {
@@ -343,7 +358,7 @@ def test_a_feature_that_publishes_beside_the_gate_is_seen(tmp_path):
     bad = tmp_path / "bad.py"
     bad.write_text(
         "import rclpy\nfrom roboneuron.ros.link import "
-        "RosLink\nhost.supervisor.link.advertise(Bool, 't', 1)\n"
+        "RosLink\nhost.loop.supervisor.link.advertise(Bool, 't', 1)\n"
         "from rn_standard.direct_path.writer import TopicWriter\nfrom rn_standard.direct_path "
         "import traffic\n"
     )

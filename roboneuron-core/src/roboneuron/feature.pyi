@@ -239,7 +239,8 @@ from .server.feature import (
     Transport as Transport,
 )
 from .server.host import (
-    GraphNode as GraphNode,
+    Modules as Modules,
+    RosGraph as RosGraph,
 )
 from .server.lifecycle_tools import (
     EmergencyStopArguments as EmergencyStopArguments,

@@ -108,7 +108,7 @@ def _play(
     if not streams.actions:
         raise InvalidInputError("The run holds no actions.", path="files")
     requests = _motions(host, exposed, streams, context, arguments)
-    host.supervisor.require_running("control")
+    host.modules.require_running("control")
     track = _Track(host, exposed)
     try:
         track.wait()
@@ -215,7 +215,7 @@ def _commands(messages: Sequence[Any], at_s: Sequence[float]) -> Iterator[TimedC
 
 
 def _dropped(host: Host) -> dict[str, int]:
-    report = host.supervisor.view("control").report
+    report = host.modules.view("control").report
     return dict(report.dropped_by) if report is not None else {}
 
 

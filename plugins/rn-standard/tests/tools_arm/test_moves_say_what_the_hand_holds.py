@@ -121,10 +121,10 @@ class Arm:
             )
             return SimpleNamespace(report=report, phase=self.phase)
 
-        supervisor = SimpleNamespace(view=view, require_running=lambda kind: None)
+        modules = SimpleNamespace(view=view, require_running=lambda kind: None)
         loop = SimpleNamespace(limits=LimitsConfig())
         return SimpleNamespace(
-            supervisor=supervisor, loop=loop, config=SimpleNamespace(namespace="arm"), gate=self
+            modules=modules, loop=loop, config=SimpleNamespace(namespace="arm"), gate=self
         )
 
 

@@ -10,10 +10,10 @@ import anyio
 
 from rn_standard.tools_ros.exposure import Exposure
 from rn_standard.tools_ros.generic import ListNames, generic_tools
-from rn_standard.tools_ros.graph import RosGraph
+from rn_standard.tools_ros.graph import GraphNames
 from rn_standard.tools_ros.read import newest
 from roboneuron.contract import Endpoint
-from roboneuron.feature import ExposedEndpoint
+from roboneuron.feature import ExposedEndpoint, RosGraph
 
 COUNT = 130
 
@@ -44,7 +44,8 @@ def exposed(number: int) -> ExposedEndpoint:
 
 def ask(name: str, **arguments: Any) -> Any:
     exposure = Exposure(endpoints=tuple(map(exposed, range(COUNT))))
-    tools: list[Any] = generic_tools(lambda: exposure, RosGraph(SimpleNamespace(graph=Graph())))  # type: ignore[arg-type]
+    host: Any = SimpleNamespace(graph=RosGraph(Graph()))
+    tools: list[Any] = generic_tools(lambda: exposure, GraphNames(host))
     handler = next(tool.handler for tool in tools if tool.name == name)
 
     async def run(work: Any) -> Any:

@@ -85,7 +85,7 @@ class LiveSource:
 
     def snapshot(self) -> Snapshot:
         """See Source."""
-        statuses = [module_status(self._host.supervisor.view(kind)) for kind in _ORDER]
+        statuses = [module_status(self._host.modules.view(kind)) for kind in _ORDER]
         stop = self._host.loop.emergency_stop
         is_latched = stop.is_latched()
         instruction = next(

@@ -65,13 +65,13 @@ class DirectPath(Feature[None]):
         self.allow_list = AllowList(
             self.judge, lambda: host.config, lambda: host.registry, lambda: host.loop.limits
         )
-        traffic = Traffic(lambda: host.supervisor.link)
+        traffic = Traffic(lambda: host.loop.supervisor.link)
         self._gate = DirectGate(
             self.judge, self.arbiter, traffic, self.allow_list, server.max_duration_s,
             self._permit, lambda: host.loop.starts.are_needed,
         )  # fmt: skip
         host.events.change.listen(self._on_module)
-        host.events.health.listen(HealthDiagnostics(host.supervisor).publish)
+        host.events.health.listen(HealthDiagnostics(host.loop.supervisor).publish)
         return ()
 
     def complete(self, host: Host) -> None:
@@ -101,7 +101,7 @@ class DirectPath(Feature[None]):
 
     def _policy(self, exposed: ExposedEndpoint) -> str:
         """Which policy moves the robot now, as a sentence; empty when none does."""
-        view = self._host.supervisor.view("inference")
+        view = self._host.modules.view("inference")
         if view.phase not in ("starting", "running") or view.choice is None:
             return ""
         if view.choice.settings.config.namespace != exposed.namespace:
@@ -112,7 +112,7 @@ class DirectPath(Feature[None]):
         """Whether control has acted since it held last; one that is frozen tells nothing, and
         comes to no hold.
         """
-        view = self._host.supervisor.view("control")
+        view = self._host.modules.view("control")
         if (
             view.choice is None
             or view.choice.settings.config.namespace != exposed.namespace

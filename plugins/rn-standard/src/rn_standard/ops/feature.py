@@ -36,10 +36,12 @@ class Operations(Feature[OpsOptions]):
         self._host = host
         self._incidents = Incidents(host.state_directory / FOLDER)
         self._restarts = Restarts(
-            host.supervisor, self.options, self._note_restart, self._before_restart
+            host.loop.supervisor, self.options, self._note_restart, self._before_restart
         )
-        self._memory = MemoryWatch(host.supervisor, self.options.memory_limit_mb, self._note_memory)
-        self._log = ServerLog(host.supervisor.log_directory)
+        self._memory = MemoryWatch(
+            host.loop.supervisor, self.options.memory_limit_mb, self._note_memory
+        )
+        self._log = ServerLog(host.modules.log_directory)
         host.events.open.listen(self._log.open)
         self._presence = ServerPresence(host.state_directory)
         host.events.open.listen(self._tell_of_other_servers)
@@ -49,11 +51,11 @@ class Operations(Feature[OpsOptions]):
         host.events.health.listen(self._record)
         host.events.health.listen(self._restarts.on_health)
         host.events.fault.listen(self._incidents.record)
-        return record_tools(host.supervisor, self._incidents)
+        return record_tools(host.modules, self._incidents)
 
     def resources(self, host: Host) -> Sequence[Resource]:
         """The logs of modules and of the server."""
-        return [log_resource(host.supervisor, source) for source in get_args(Source)]
+        return [log_resource(host.modules, source) for source in get_args(Source)]
 
     def _tell_of_other_servers(self) -> None:
         for pid in self._presence.open():

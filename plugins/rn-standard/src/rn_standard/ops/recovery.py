@@ -97,7 +97,7 @@ def _recover(host: Host, who: str, role: str) -> RecoveryResult:
         NotReadyError: no answer in time.
     """
     started_s = time.monotonic()
-    supervisor = host.supervisor
+    supervisor = host.loop.supervisor
     view = supervisor.require_running("robot")
     assert view.choice is not None
     assert view.process is not None

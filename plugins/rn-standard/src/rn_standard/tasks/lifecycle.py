@@ -100,7 +100,7 @@ def list_models_tool(host: Host) -> Tool[Any]:
     """list_models."""
 
     async def handler(_: NoArguments, context: CallContext) -> Models:
-        view = host.supervisor.view("inference")
+        view = host.modules.view("inference")
         running = (
             view.choice.names.get("model")
             if view.choice is not None and view.phase == "running"

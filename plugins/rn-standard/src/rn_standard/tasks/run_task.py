@@ -149,7 +149,7 @@ class TaskTool:
         topics = {} if predicate is None else topics_of(predicate)
         judge = None if predicate is None else self._judge(predicate, instruction, profile)
         for kind in ("robot", "control"):
-            self._host.supervisor.require_running(cast("Any", kind))
+            self._host.modules.require_running(cast("Any", kind))
         await self._approval.ask("run_task", f"Let the robot carry out {instruction!r}?", context)
         plan = TaskPlan(
             instruction=instruction,

@@ -167,7 +167,7 @@ class EndEffectorMover:
     def check(self) -> None:
         """Raise unless the arm could be moved now. Raises RefusedError, StateError."""
         self._gate.check_free(self._exposed)
-        self._host.supervisor.require_running("control")
+        self._host.modules.require_running("control")
 
     def pose(self) -> Pose:
         """The measured TCP; blocks. Raises as `MeasuredPose.wait`."""
@@ -377,7 +377,7 @@ class EndEffectorMover:
 
     def _note(self) -> str:
         """What control is doing, in its own words."""
-        report = self._host.supervisor.view("control").report
+        report = self._host.modules.view("control").report
         return report.note if report is not None else ""
 
     def _where(self, line: _Line) -> str:

@@ -30,7 +30,7 @@ class ArmTools(Feature[ArmToolsOptions]):
 
         def watch(kind: ModuleKind) -> None:
             """From the start of control on, see how high the hand closes, whoever closes it."""
-            if kind == "control" and host.supervisor.view("control").phase == "running":
+            if kind == "control" and host.modules.view("control").phase == "running":
                 for grip in list(grips.values()):
                     grip.watch()
 

@@ -110,7 +110,7 @@ class Grip:
         """What the module of this very robot reports."""
         if self._exposed.namespace != self._host.config.namespace:
             return None
-        return self._host.supervisor.view("robot").report
+        return self._host.modules.view("robot").report
 
 
 def is_lost(

@@ -206,7 +206,7 @@ class _JointMover:
 
     def _unmeasured(self) -> NotReadyError:
         """Why there are no joints: the robot is not running, or its states do not come through."""
-        robot = self._host.supervisor.view("robot")
+        robot = self._host.modules.view("robot")
         if robot.phase != "running" or self._exposed.namespace != self._host.config.namespace:
             return NotReadyError("The joints are not measured.", hint="Call start_robot first.")
         return NotReadyError(

@@ -101,9 +101,9 @@ class LimitsFeature(Feature[None]):
         direct motion ends.
         """
         assert self._profile is not None
-        supervisor, loop = self._host.supervisor, self._host.loop
+        loop = self._host.loop
         limits = record.tightening.applied(loop.base.limits, self._profile)
-        supervisor.tightened = None if record.tightening.is_empty else limits
+        loop.supervisor.tightened = None if record.tightening.is_empty else limits
         self._record = record
         gate = self._host.gate
         gate.relimit()
@@ -117,7 +117,7 @@ class LimitsFeature(Feature[None]):
         Raises:
             NotReadyError: one did not take them.
         """
-        supervisor = self._host.supervisor
+        supervisor = self._host.loop.supervisor
         text = "" if supervisor.tightened is None else supervisor.tightened.model_dump_json()
         for slot in list(supervisor.slots["control"]):
             supervisor.changes.wait_for(partial(_has_started, slot), _START_S)
@@ -138,10 +138,10 @@ class LimitsFeature(Feature[None]):
 
     def _on_change(self, kind: ModuleKind) -> None:
         """A control that was being started while the limits changed has the old ones."""
-        view = self._host.supervisor.view(kind)
+        view = self._host.modules.view(kind)
         if kind != "control" or view.phase != "running" or view.choice is None:
             return
-        if view.choice.settings.tightened != self._host.supervisor.tightened:
+        if view.choice.settings.tightened != self._host.loop.supervisor.tightened:
             threading.Thread(target=self._tell_quietly, name="limits-control", daemon=True).start()
 
     def _tell_quietly(self) -> None:

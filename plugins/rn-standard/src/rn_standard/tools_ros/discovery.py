@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from rn_standard.direct_path.exposed import check_reserved, check_stop
 from rn_standard.direct_path.limits import check_endpoint
 from rn_standard.tools_ros.discovered_limits import limit
-from rn_standard.tools_ros.graph import RosGraph
+from rn_standard.tools_ros.graph import GraphNames
 from rn_standard.tools_ros.naming import to_label
 from rn_standard.tools_ros.options import DiscoverConfig
 from roboneuron import Endpoint, RoboNeuronError, RobotProfile
@@ -39,7 +39,7 @@ class LiveGraph:
         self,
         discover: Sequence[DiscoverConfig],
         config: Config,
-        graph: RosGraph,
+        graph: GraphNames,
         known: Callable[[], tuple[ExposedEndpoint, ...]],
         profile: Callable[[str], RobotProfile | None],
         on_discovered: Callable[[tuple[ExposedEndpoint, ...]], None],

@@ -16,7 +16,7 @@ from rn_standard.tools_ros.discovery import LiveGraph
 from rn_standard.tools_ros.exposing import Admin, ExposureChange, exposing_tools
 from rn_standard.tools_ros.exposure import Exposure, exposure, unique
 from rn_standard.tools_ros.generic import generic_tools
-from rn_standard.tools_ros.graph import RosGraph
+from rn_standard.tools_ros.graph import GraphNames
 from rn_standard.tools_ros.options import ExposeConfig, RosToolsOptions
 from rn_standard.tools_ros.parameter_calls import parameter_endpoints
 from rn_standard.tools_ros.parameters import parameter_tools
@@ -68,7 +68,7 @@ class RosTools(Feature[RosToolsOptions]):
         """
         self._host = host
         check_patterns(self.options.discover)
-        tools = generic_tools(lambda: self.exposed, RosGraph(host))
+        tools = generic_tools(lambda: self.exposed, GraphNames(host))
         if host.identifies_clients or self.options.direct.expose_without_token:
             tools += exposing_tools(self, self.options.direct.expose_without_token)
         self._derive(self._configured(), taken={tool.name for tool in tools})
@@ -80,7 +80,7 @@ class RosTools(Feature[RosToolsOptions]):
         self._graph = LiveGraph(
             self.options.discover,
             host.config,
-            RosGraph(host),
+            GraphNames(host),
             lambda: self._named,
             self._profile,
             self._on_discovered,

@@ -56,7 +56,7 @@ def read_messages(
 
     try:
         while True:
-            infos = [] if heard.messages else host.graph.get_publishers_info_by_topic(exposed.topic)
+            infos = [] if heard.messages else host.graph.publishers(exposed.topic)
             foreign = [
                 info.topic_type for info in infos if info.topic_type != exposed.endpoint.type
             ]
