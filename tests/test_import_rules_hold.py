@@ -15,6 +15,7 @@ from pathlib import Path
 
 import pytest
 
+import roboneuron.feature
 from rn_testing.rules.package import SENDER, is_public
 
 ROOT = Path(__file__).parents[1]
@@ -199,6 +200,16 @@ def _private_imports(packages: Iterable[Path]) -> Iterator[str]:
 
 def test_plugins_import_only_what_is_public_of_the_core():
     assert [breach for _, packages in _plugins() for breach in _private_imports(packages)] == []
+
+
+def test_every_name_for_features_is_used_by_a_plugin():
+    used = {
+        name.removeprefix("roboneuron.feature.")
+        for path in PLUGINS.glob("*/src/**/*.py")
+        for name, _ in _imports(path)
+        if name.startswith("roboneuron.feature.")
+    }
+    assert set(roboneuron.feature.__all__) - used == set()
 
 
 @pytest.mark.parametrize(

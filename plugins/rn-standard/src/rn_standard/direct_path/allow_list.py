@@ -27,13 +27,13 @@ from roboneuron.feature import (
     Config,
     Event,
     ExposedEndpoint,
-    LimitsConfig,
     MotionRules,
     Registry,
     build,
     collision_of,
     inspector_of,
     load_profile,
+    models,
     motion_rules,
 )
 
@@ -47,7 +47,7 @@ class ArmPaths:
         self,
         config: Config,
         registry: Callable[[], Registry],
-        limits: Callable[[], LimitsConfig] | None = None,
+        limits: Callable[[], models.LimitsConfig] | None = None,
     ) -> None:
         """Args:
         config: of the server; other arms than its own have the limits' defaults and their profile.
@@ -96,8 +96,8 @@ class ArmPaths:
         controller.load()
         return controller, limited
 
-    def _limits(self, robot: str) -> LimitsConfig:
-        return self._limits_now() if robot == self._config.robot.name else LimitsConfig()
+    def _limits(self, robot: str) -> models.LimitsConfig:
+        return self._limits_now() if robot == self._config.robot.name else models.LimitsConfig()
 
     def _controller(self, robot: str) -> str:
         if self._config.control is not None:
@@ -129,7 +129,7 @@ class AllowList:
         gate: Gate,
         config: Callable[[], Config],
         registry: Callable[[], Registry],
-        limits: Callable[[], LimitsConfig] | None = None,
+        limits: Callable[[], models.LimitsConfig] | None = None,
     ) -> None:
         """Args:
         gate: judges by the list.

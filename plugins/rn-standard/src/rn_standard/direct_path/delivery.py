@@ -163,7 +163,7 @@ def _hold(message: Any, joints: JointSample | None, profile: RobotProfile | None
     position = [float(joints.position[joints.names.index(name)]) for name in names]
     if not hasattr(message, "points"):
         return type(message)(name=names, position=position)
-    from roboneuron.feature import to_joint_trajectory  # heavy
+    from roboneuron.feature import messages  # heavy
 
     command = JointCommand(names=tuple(names), position=np.array(position), duration_s=_HOLD_S)
-    return to_joint_trajectory(command)
+    return messages.to_joint_trajectory(command)

@@ -21,19 +21,7 @@ from roboneuron import (
     JointSample,
     RobotProfile,
 )
-from roboneuron.feature import (
-    ACTION,
-    DIAGNOSTICS,
-    EE_POSE,
-    EMERGENCY_STOP_TOPIC,
-    JOINT_STATES,
-    MODULE_KINDS,
-    PREDICTIONS,
-    ExposedEndpoint,
-    GateRequest,
-    camera_image,
-    camera_info,
-)
+from roboneuron.feature import MODULE_KINDS, ExposedEndpoint, GateRequest, settings, topics
 
 _ACTION_TYPE = "std_msgs/msg/Float64MultiArray"
 Use = tuple[str, str]
@@ -45,13 +33,13 @@ _SERVICE_OF_A_NODE = re.compile(
 )
 """Parameter and lifecycle services. Source: rcl_interfaces/srv, lifecycle_msgs/srv."""
 _OWN_TOPICS = re.compile(
-    rf"{ACTION}|{JOINT_STATES}|{EE_POSE}|{PREDICTIONS}|{camera_image('[^/]+')}|{camera_info('[^/]+')}"
+    rf"{topics.ACTION}|{topics.JOINT_STATES}|{topics.EE_POSE}|{topics.PREDICTIONS}|{topics.camera_image('[^/]+')}|{topics.camera_info('[^/]+')}"
     rf"|({'|'.join(MODULE_KINDS)})(_b)?/transition_event"
 )
 """Written by RoboNeuron's own modules below a robot's namespace; a second writer would pass for
 them.
 """
-_SYSTEM_TOPICS = frozenset({DIAGNOSTICS, "/rosout", "/parameter_events"})
+_SYSTEM_TOPICS = frozenset({topics.DIAGNOSTICS, "/rosout", "/parameter_events"})
 """Health of the modules, and what ROS itself tells."""
 ACTION_LABEL = "ee_delta"
 """Label of the hidden endpoint that is the action topic of an arm."""
@@ -107,7 +95,7 @@ def action_endpoint(exposed: ExposedEndpoint) -> ExposedEndpoint | None:
     endpoint = Endpoint(
         name=ACTION_LABEL,
         kind="publish",
-        topic=ACTION,
+        topic=topics.ACTION,
         type=_ACTION_TYPE,
         summary="TCP deltas for control.",
         bounds={"data": (-1.0, 1.0)},
@@ -183,7 +171,7 @@ def check_reserved(exposed: ExposedEndpoint, namespaces: Mapping[str, str]) -> N
     own = topic in _SYSTEM_TOPICS or (
         bool(owner) and _is_own(topic.removeprefix(f"/{owner}/"), exposed.profile)
     )
-    if topic.rpartition("/")[2] == EMERGENCY_STOP_TOPIC or (own and kind == "publish"):
+    if topic.rpartition("/")[2] == settings.EMERGENCY_STOP_TOPIC or (own and kind == "publish"):
         raise ConfigurationError(
             f"{where} is written by RoboNeuron alone and cannot be exposed for kind = {kind!r}.",
             hint="Agents stop the robot with emergency_stop and move an arm with move_ee.",

@@ -17,7 +17,7 @@ from rn_standard.direct_path.motion_gate import DirectGate
 from rn_standard.direct_path.plugin import FEATURE
 from rn_standard.direct_path.traffic import Traffic
 from roboneuron import Feature, Host, RoboNeuronError, Tool
-from roboneuron.feature import FOLLOWING_NOTE, ExposedEndpoint, MotionGate, assess
+from roboneuron.feature import ExposedEndpoint, MotionGate, assess, settings
 
 log = logging.getLogger(__name__)
 _CLOSE_S = 2.0
@@ -123,7 +123,7 @@ class DirectPath(Feature[None]):
             "silent",
             "stuck",
         )
-        return is_turning and view.report.note == FOLLOWING_NOTE
+        return is_turning and view.report.note == settings.FOLLOWING_NOTE
 
     def _on_module(self, kind: str) -> None:
         """Another robot has other interfaces."""

@@ -29,11 +29,11 @@ from roboneuron.feature import (
     AuditLog,
     AuditRecord,
     Clamp,
-    EmergencyStopLatch,
     GateRequest,
     Verdict,
-    has_role,
-    joint_limits,
+    estop,
+    joint_space,
+    roles,
 )
 
 _Key = tuple[str, str]
@@ -51,7 +51,7 @@ class Gate:
         self,
         allowed: Iterable[AllowedEndpoint],
         *,
-        latch: EmergencyStopLatch,
+        latch: estop.EmergencyStopLatch,
         audit: AuditLog,
         clock: Callable[[], float],
         dry_run: bool = False,
@@ -181,7 +181,7 @@ class Gate:
         endpoint = entry.endpoint
         yield "role"
         least = ROLE_BY_KIND[endpoint.kind]
-        if not has_role(request.role, least):
+        if not roles.has_role(request.role, least):
             text = (
                 f"{endpoint.name!r} needs the role {least!r}, {request.who[:60]!r} has "
                 f"{request.role[:20]!r}."
@@ -265,7 +265,7 @@ def _legs(entry: AllowedEndpoint, request: GateRequest) -> list[Leg]:
         )
     durations_s = request.durations_s if len(request.durations_s) == len(commands) else ()
     return check_joints(
-        joint_limits(entry.profile, entry.rules), commands, request.joints, durations_s
+        joint_space.joint_limits(entry.profile, entry.rules), commands, request.joints, durations_s
     )
 
 

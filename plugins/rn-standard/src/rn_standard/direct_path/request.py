@@ -7,9 +7,14 @@ from dataclasses import dataclass
 
 from rn_standard.direct_path.path_limits import PathLimiter
 from roboneuron import Endpoint, RobotProfile
-from roboneuron.feature import OPERATOR, VIEWER, MotionRules
+from roboneuron.feature import MotionRules, roles
 
-ROLE_BY_KIND = {"read": VIEWER, "publish": OPERATOR, "service": OPERATOR, "action": OPERATOR}
+ROLE_BY_KIND = {
+    "read": roles.VIEWER,
+    "publish": roles.OPERATOR,
+    "service": roles.OPERATOR,
+    "action": roles.OPERATOR,
+}
 """Least role by endpoint kind. Everything but reading may move the robot."""
 
 

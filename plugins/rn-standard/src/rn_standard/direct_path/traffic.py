@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from rn_standard.direct_path.fields import load_type
 from roboneuron import InvalidInputError, JointSample
-from roboneuron.feature import JOINT_STATES, ExposedEndpoint
+from roboneuron.feature import ExposedEndpoint, topics
 
 if TYPE_CHECKING:
     from unique_identifier_msgs.msg import UUID
@@ -111,10 +111,10 @@ class Traffic:
         message = watch.newest(JOINTS_AGE_S) if watch is not None else None
         if message is None:
             return None
-        from roboneuron.feature import joints_from_message  # heavy
+        from roboneuron.feature import messages  # heavy
 
         try:
-            return joints_from_message(message)
+            return messages.joints_from_message(message)
         except InvalidInputError:
             return None
 
@@ -129,7 +129,9 @@ class Traffic:
 
         with self._lock:
             if space not in self._joints:
-                self._joints[space] = NewestMessage(link, JointState, f"/{space}/{JOINT_STATES}")
+                self._joints[space] = NewestMessage(
+                    link, JointState, f"/{space}/{topics.JOINT_STATES}"
+                )
         deadline_s = time.monotonic() + timeout_s
         self._joints[space].open(timeout_s)
         while (joints := self.newest_joints(exposed)) is None and time.monotonic() < deadline_s:

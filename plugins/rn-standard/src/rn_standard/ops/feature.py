@@ -14,7 +14,7 @@ from rn_standard.ops.records import Source, log_resource, record_tools
 from rn_standard.ops.restarts import Restarts
 from rn_standard.ops.server_log import ServerLog
 from roboneuron import Feature, Host, Resource, Tool
-from roboneuron.feature import EXPLANATIONS, FAULTS, Health, ModuleKind, ModuleView, module_status
+from roboneuron.feature import EXPLANATIONS, FAULTS, Health, ModuleKind, ModuleView, results
 
 log = logging.getLogger(__name__)
 _ACTIONS = 30
@@ -86,7 +86,7 @@ class Operations(Feature[OpsOptions]):
             return
         if health == "failing" and view.report is not None and view.report.error_code in _ORDINARY:
             return
-        status = module_status(view).model_dump(mode="json")
+        status = results.module_status(view).model_dump(mode="json")
         lines = list(view.process.last_lines()) if view.process is not None else []
         self._incidents.record(
             view.kind,

@@ -21,7 +21,7 @@ from roboneuron import (
     StateError,
     Tool,
 )
-from roboneuron.feature import AGAIN, OPERATOR, AuditRecord
+from roboneuron.feature import AGAIN, AuditRecord, roles
 
 _SET_S = 5.0
 _DONE_S = 20.0
@@ -70,7 +70,7 @@ def _tool(host: Host) -> Tool[Any]:
         handler=recover_robot,
         destructive=True,
         open_world=True,
-        role=OPERATOR,
+        role=roles.OPERATOR,
     )
 
 

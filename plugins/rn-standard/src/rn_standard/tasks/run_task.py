@@ -41,7 +41,7 @@ from roboneuron import (
     StateError,
     Tool,
 )
-from roboneuron.feature import MAX_INSTRUCTION_LENGTH, Stage, build, check_instruction, check_topic
+from roboneuron.feature import Stage, build, check_instruction, check_topic, settings
 
 HOLD, STOP = "hold", "stop"
 """What is done when a task has ended, besides the names of postures and places."""
@@ -54,7 +54,8 @@ class RunTask(Arguments):
     """Arguments of run_task."""
 
     instruction: str = Field(
-        max_length=MAX_INSTRUCTION_LENGTH, description='What to do, such as "pick up the red cube".'
+        max_length=settings.MAX_INSTRUCTION_LENGTH,
+        description='What to do, such as "pick up the red cube".',
     )
     until: dict[str, Any] | None = Field(
         default=None,

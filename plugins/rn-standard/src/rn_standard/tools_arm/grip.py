@@ -8,7 +8,7 @@ import math
 import time
 
 from roboneuron import GripperProfile, Host, NotReadyError
-from roboneuron.feature import GRIPPER_COMMANDED, ExposedEndpoint, MotionGate, Report
+from roboneuron.feature import ExposedEndpoint, MotionGate, Report, settings
 
 _MEASURED_S = 2.0
 _BLOCKED = 0.03
@@ -43,7 +43,7 @@ class Grip:
         robot started.
         """
         report = self._report()
-        text = "" if report is None else report.metrics.get(GRIPPER_COMMANDED, "")
+        text = "" if report is None else report.metrics.get(settings.GRIPPER_COMMANDED, "")
         try:
             opening = float(text)
         except ValueError:

@@ -30,13 +30,12 @@ from roboneuron import (
 )
 from roboneuron.feature import (
     ExposedEndpoint,
-    JointLimit,
     MotionGate,
     Schema,
     Stage,
     TimedCommand,
-    joint_limits,
-    unknown_name,
+    joint_space,
+    schema,
 )
 
 _EASY, _EASY_ACCELERATION = 0.4, 0.5
@@ -89,7 +88,7 @@ def joint_tools(
     )
     if found is None or found.profile is None:
         return []
-    limits = joint_limits(found.profile)
+    limits = joint_space.joint_limits(found.profile)
     mover = _JointMover(found, limits, gate, host)
     joints: Schema = {
         "properties": {
@@ -130,7 +129,7 @@ class _JointMover:
     def __init__(
         self,
         exposed: ExposedEndpoint,
-        limits: Mapping[str, JointLimit],
+        limits: Mapping[str, joint_space.JointLimit],
         gate: MotionGate,
         host: Host,
     ) -> None:
@@ -144,7 +143,7 @@ class _JointMover:
         """Raises InvalidInputError, RefusedError, NotReadyError, StateError."""
         for name, value in arguments.positions.items():
             if name not in self._limits:
-                raise unknown_name("positions", name, list(self._limits))
+                raise schema.unknown_name("positions", name, list(self._limits))
             limit = self._limits[name]
             if not limit.lower <= value <= limit.upper:
                 raise InvalidInputError(

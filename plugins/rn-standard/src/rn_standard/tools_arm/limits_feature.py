@@ -15,7 +15,7 @@ from typing import Any
 from rn_standard.tools_arm.limits_tools import limits_tools
 from rn_standard.tools_arm.tightening import FILE_NAME, Record, Tightening, TighteningFile
 from roboneuron import Feature, Host, NotReadyError, RoboNeuronError, RobotProfile, Tool
-from roboneuron.feature import LIMITS_PARAMETER, AuditRecord, ModuleKind, Slot, load_profile
+from roboneuron.feature import AuditRecord, ModuleKind, Slot, load_profile, settings
 
 log = logging.getLogger(__name__)
 _LOOK_S = 0.5
@@ -126,7 +126,9 @@ class LimitsFeature(Feature[None]):
                 continue
             node = f"/{choice.settings.status_name}"
             try:
-                refused = supervisor.parameters(node, process).set({LIMITS_PARAMETER: text}, _SET_S)
+                refused = supervisor.parameters(node, process).set(
+                    {settings.LIMITS_PARAMETER: text}, _SET_S
+                )
             except RoboNeuronError as error:
                 refused = error.message
             if refused:
