@@ -18,7 +18,7 @@ def repaired(supervisor: Supervisor) -> Iterator[None]:
     repair = SharedMemoryRepair(None)
     supervisor.on_join += (FEATURE.on_join or "",)
     assert supervisor.link
-    repair.start(cast(Any, SimpleNamespace(supervisor=supervisor)))
+    repair.start(cast(Any, SimpleNamespace(modules=supervisor)))
     try:
         yield
     finally:

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import pytest
 
+import roboneuron.feature
 from rn_testing.rules.package import SENDER, is_public
 
 ROOT = Path(__file__).parents[1]
@@ -65,9 +66,7 @@ NEEDS = {
 """Packages of rn_standard by those beside them that they may import."""
 PUBLISHED = {
     "console": "chosen_plugins client diagnostics plugin_options status",
-    "direct_path": "allow_list arbiter delivery derived exposed feature fields joints limits "
-    "motion_gate request "
-    "speeds twists",
+    "direct_path": "allow_list arbiter delivery derived exposed fields joints limits speeds twists",
     "execution": "adaptive mode",
     "http": "addresses bounded_server connections feature listener operator_lease options origins "
     "plugin tokens",
@@ -203,6 +202,16 @@ def test_plugins_import_only_what_is_public_of_the_core():
     assert [breach for _, packages in _plugins() for breach in _private_imports(packages)] == []
 
 
+def test_every_name_for_features_is_used_by_a_plugin():
+    used = {
+        name.removeprefix("roboneuron.feature.")
+        for path in PLUGINS.glob("*/src/**/*.py")
+        for name, _ in _imports(path)
+        if name.startswith("roboneuron.feature.")
+    }
+    assert set(roboneuron.feature.__all__) - used == set()
+
+
 @pytest.mark.parametrize(
     ("offers", "line", "is_seen"),
     [
@@ -328,6 +337,21 @@ def test_features_send_only_through_the_gate():
     assert {"tools_ros", "tools_arm", "tasks", "ops", "http", "rn_recorder", "rn_view"} <= looked_at
 
 
+def _uses_of_the_supervisor() -> set[str]:
+    """Packages of plugins that reach the supervisor behind the closed loop."""
+    return {
+        path.parent.name
+        for path in PLUGINS.glob("*/src/**/*.py")
+        if re.search(r"loop\.supervisor\b", path.read_text(encoding="utf-8"))
+    }
+
+
+def test_only_what_manages_processes_uses_the_supervisor():
+    """All others read `Host.modules`; the direct path joins the graph through it."""
+    managing = {"ops", "switching", "tasks", "tools_arm"}
+    assert _uses_of_the_supervisor() == managing | {SENDING_PACKAGE.name}
+
+
 def test_one_plugin_sends_for_agents_and_one_of_its_modules_publishes():
     sources = sorted(SENDING_PACKAGE.rglob("*.py"))
     publishing = {
@@ -345,7 +369,7 @@ def test_a_feature_that_publishes_beside_the_gate_is_seen(tmp_path):
     bad = tmp_path / "bad.py"
     bad.write_text(
         "import rclpy\nfrom roboneuron.ros.link import "
-        "RosLink\nhost.supervisor.link.advertise(Bool, 't', 1)\n"
+        "RosLink\nhost.loop.supervisor.link.advertise(Bool, 't', 1)\n"
         "from rn_standard.direct_path.writer import TopicWriter\nfrom rn_standard.direct_path "
         "import traffic\n"
     )

@@ -33,7 +33,7 @@ from roboneuron.config import parse_config
 from roboneuron.supervisor.supervisor import Supervisor
 supervisor = Supervisor(Path({state!r}), command=lambda python: {command!r})
 supervisor.link
-SharedMemoryRepair(None).start(SimpleNamespace(supervisor=supervisor))
+SharedMemoryRepair(None).start(SimpleNamespace(modules=supervisor))
 print(supervisor.start("robot", parse_config({config!r})).process.pid, flush=True)
 time.sleep(60)
 """
@@ -61,7 +61,7 @@ def supervisor(tmp_path: Path) -> Iterator[Supervisor]:
     repair = SharedMemoryRepair(None)
     try:
         assert supervisor.link
-        repair.start(cast(Any, SimpleNamespace(supervisor=supervisor)))
+        repair.start(cast(Any, SimpleNamespace(modules=supervisor)))
         yield supervisor
     finally:
         supervisor.close()
@@ -106,7 +106,7 @@ def test_a_server_that_was_killed(tmp_path: Path) -> None:
     )
     following.open()
     assert following.link is not None
-    repair.start(cast(Any, SimpleNamespace(supervisor=following)))
+    repair.start(cast(Any, SimpleNamespace(modules=following)))
     following.close()
     repair.close()
     # others may have taken a port over meanwhile

@@ -18,12 +18,12 @@ from rn_robot_fr3.profile import HOME_RAD
 from rn_robot_fr3.simulation import Simulation
 from rn_robot_fr3.world import JOINTS
 from rn_standard.direct_path.allow_list import ArmPaths
-from rn_standard.direct_path.exposed import profile_endpoints
+from rn_standard.direct_path.exposed import allowed_endpoint, profile_endpoints
 from rn_standard.direct_path.gate import Gate
-from rn_standard.direct_path.request import GateRequest
 from roboneuron.config import parse_config
 from roboneuron.contract import JointCommand, JointSample
 from roboneuron.errors import RefusedError
+from roboneuron.feature import GateRequest
 from roboneuron.gate import AuditLog, EmergencyStopLatch
 from roboneuron.modules.plugin import load_profile
 from roboneuron.plugins.discovery import discover
@@ -51,7 +51,7 @@ def make_ask(tmp_path: Path) -> Callable[..., Ask]:
         assert exposed.profile is not None
         free = exposed.profile if workspace else replace(exposed.profile, workspace=None)
         entry = replace(
-            exposed.allowed(),
+            allowed_endpoint(exposed),
             rules=paths.rules("fr3", free),
             path=lambda: paths.limiter("fr3", free),
         )

@@ -40,7 +40,7 @@ class Odometer(Feature[None]):
 
     def tools(self, host: Host) -> list[Tool[Any]]:
         async def read(_: NoArguments, context: CallContext) -> Number:
-            return Number(value=len(host.supervisor.views()))
+            return Number(value=len(host.modules.views()))
 
         host.events.fault.listen(lambda module, what, facts: TRACE.append(f"fault {module} {what}"))
         return [

@@ -31,9 +31,9 @@ class SharedModel:
         from rn_backend_shared.options import SharedOptions
         from rn_backend_shared.plugin import BACKEND
         from rn_backend_shared.server import serve
-        from roboneuron.feature import load_config, load_options
+        from roboneuron.feature import load_config, loading
 
-        options = load_options(BACKEND, load_config(arguments.config).options(BACKEND.name))
+        options = loading.load_options(BACKEND, load_config(arguments.config).options(BACKEND.name))
         assert isinstance(options, SharedOptions)
         if not 0 <= arguments.replica < options.replicas:
             raise ConfigurationError(

@@ -12,15 +12,7 @@ from numpy.typing import NDArray
 
 from rn_eval.suite import Setup
 from roboneuron import Action, Controller, Hold, JointCommand, JointSample
-from roboneuron.feature import (
-    FIRST_STEP_S,
-    HOLD_DURATION_S,
-    HOLD_SHARE,
-    SHORTEST_STEP_S,
-    MotionLimiter,
-    inspector_of,
-    motion_rules,
-)
+from roboneuron.feature import MotionLimiter, inspector_of, motion_rules, settings
 
 F64 = NDArray[np.float64]
 
@@ -65,7 +57,11 @@ class DeployedArm:
             and "", "scaled" or the code of the hold.
         """
         since_s = now_s - self._action_s
-        step_s = max(since_s, SHORTEST_STEP_S) if since_s < self._timeout_s else FIRST_STEP_S
+        step_s = (
+            max(since_s, settings.SHORTEST_STEP_S)
+            if since_s < self._timeout_s
+            else settings.FIRST_STEP_S
+        )
         outcome: JointCommand | Hold | None = self._controller.compute(
             Action.from_vector(vector), joints, step_s
         )
@@ -90,7 +86,7 @@ class DeployedArm:
 
     def watch(self, joints: JointSample, now_s: float) -> JointCommand | None:
         """A hold when actions have ceased; None otherwise, and while it holds already."""
-        if self._holding or now_s - self._action_s <= self._timeout_s * HOLD_SHARE:
+        if self._holding or now_s - self._action_s <= self._timeout_s * settings.HOLD_SHARE:
             return None
         return self._hold(joints, now_s)
 
@@ -101,5 +97,5 @@ class DeployedArm:
         index = [joints.names.index(name) for name in self._names]
         self._limiter.rest(joints, now_s)
         return JointCommand(
-            names=self._names, position=joints.position[index], duration_s=HOLD_DURATION_S
+            names=self._names, position=joints.position[index], duration_s=settings.HOLD_DURATION_S
         )

@@ -21,7 +21,7 @@ from rn_eval.record import Outcome
 from rn_eval.suite import Episode, Judgement, Scene
 from rn_standard.execution.adaptive import AdaptiveExecutor
 from roboneuron import ActionChunk, NotReadyError, RoboNeuronError
-from roboneuron.feature import Prediction
+from roboneuron.feature import execution
 
 WATCH_S = 0.1
 """Period of the control module's watchdog."""
@@ -36,7 +36,7 @@ class _Answer:
     """A prediction under way, and when it is there."""
 
     tick: int
-    prediction: Prediction
+    prediction: execution.Prediction
     chunk: ActionChunk | None
 
 

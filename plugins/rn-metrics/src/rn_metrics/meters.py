@@ -113,7 +113,7 @@ class Meters:
         """Take the latency of each report that is new, and notice an emergency stop, whoever
         pressed it.
         """
-        for view in self._host.supervisor.views():
+        for view in self._host.modules.views():
             report = view.report
             if (
                 report is None
@@ -183,7 +183,7 @@ class _Reports:
 
     def collect(self) -> Iterator[Metric]:
         """See prometheus_client."""
-        views = self._host.supervisor.views()
+        views = self._host.modules.views()
         reports = [
             (view.kind, view.report)
             for view in views

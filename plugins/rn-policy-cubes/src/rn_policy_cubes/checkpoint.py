@@ -31,7 +31,7 @@ from rn_policy_cubes.weights import shipped_weights
 from rn_policy_cubes.words import write_tokenizer
 from rn_vla.openvla.checkpoint import Checkpoint
 from roboneuron import ConfigurationError
-from roboneuron.feature import default_text
+from roboneuron.feature import reading
 
 DATA_SET = "cubes"
 """Key of the statistics."""
@@ -102,7 +102,7 @@ def shipped_configuration(output: Path) -> Path:
 
 def configuration(directory: Path) -> str:
     """The embedded default configuration with this checkpoint as the policy, as TOML."""
-    text = default_text().replace('backend = "servo"', f"backend = {json.dumps(BACKEND)}")
+    text = reading.default_text().replace('backend = "servo"', f"backend = {json.dumps(BACKEND)}")
     options = {"checkpoint": str(directory.resolve()), **OPTIONS}
     own = options.pop("own_profile")
     lines = [

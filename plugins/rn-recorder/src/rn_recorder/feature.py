@@ -132,19 +132,19 @@ class Recorder(Feature[RecorderOptions]):
                 return
 
     def _make(self) -> RecorderProcess:
-        ended = self._host.supervisor.process_events.ended
+        ended = self._host.modules.process_events.ended
         return RecorderProcess(self._spawn, lambda pid: ended.tell(pid, "recorder"))
 
     def _spawn(self, start: int, resume: str, name: str) -> subprocess.Popen[bytes]:
-        supervisor, options = self._host.supervisor, self.options
-        supervisor.process_events.spawning.tell()
+        modules, options = self._host.modules, self.options
+        modules.process_events.spawning.tell()
         config = self._host.config
         self._namespace = config.namespace
         registry, robot = self._host.registry, config.robot.name
         profile = load_profile(registry, robot) if robot in registry.specs("robot") else None
         settings = RecorderSettings(
             namespace=config.namespace,
-            state_directory=supervisor.state_directory,
+            state_directory=self._host.state_directory,
             directory=self._store.directory,
             topics=options.topics,
             exclude=options.exclude,
@@ -167,7 +167,7 @@ class Recorder(Feature[RecorderOptions]):
             resume_name=name,
         )
         return spawn_recorder(
-            settings, supervisor.log_directory / "recorder.log", start, supervisor.secret_variables
+            settings, modules.log_directory / "recorder.log", start, modules.secret_variables
         )
 
     def _about(self, config: Config) -> dict[str, str]:
@@ -210,7 +210,7 @@ class Recorder(Feature[RecorderOptions]):
         self._note("fault", {"module": module, "fault": what, **plain}, f"{module}-{what}")
 
     def _on_change(self, kind: ModuleKind) -> None:
-        view = self._host.supervisor.view(kind)
+        view = self._host.modules.view(kind)
         names = dict(view.choice.names) if view.choice is not None else {}
         self._note("change", {"module": kind, "phase": view.phase, "names": names})
         if (

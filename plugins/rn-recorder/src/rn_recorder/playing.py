@@ -17,11 +17,8 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from rn_runs.episodes import Streams, read_streams
-from rn_standard.direct_path.delivery import Command
 from rn_standard.direct_path.exposed import ACTION_LABEL as ENDPOINT
-from rn_standard.direct_path.exposed import Exposed, gate_request
-from rn_standard.direct_path.feature import gate_of
-from rn_standard.direct_path.request import GateRequest
+from rn_standard.direct_path.exposed import gate_request
 from roboneuron import (
     ACTION_LABEL,
     ACTION_SIZE,
@@ -34,6 +31,7 @@ from roboneuron import (
     Result,
     Tool,
 )
+from roboneuron.feature import ExposedEndpoint, GateRequest, TimedCommand
 
 if TYPE_CHECKING:
     from geometry_msgs.msg import PoseStamped
@@ -103,14 +101,14 @@ def _play(
             f"The robot's driver is {config.robot.driver!r}: recordings are played in simulation "
             "only."
         )
-    exposed = next((e for e in gate_of(host).exposed if e.hidden and e.label == ENDPOINT), None)
+    exposed = next((e for e in host.gate.exposed if e.hidden and e.label == ENDPOINT), None)
     if exposed is None:
         raise NotReadyError(f"The robot {config.robot.name!r} has no arm that follows actions.")
     streams = read_streams([Path(name) for name in arguments.files])
     if not streams.actions:
         raise InvalidInputError("The run holds no actions.", path="files")
     requests = _motions(host, exposed, streams, context, arguments)
-    host.supervisor.require_running("control")
+    host.modules.require_running("control")
     track = _Track(host, exposed)
     try:
         track.wait()
@@ -133,7 +131,11 @@ def _play(
 
 
 def _motions(
-    host: Host, exposed: Exposed, streams: Streams, context: CallContext, arguments: PlayRecording
+    host: Host,
+    exposed: ExposedEndpoint,
+    streams: Streams,
+    context: CallContext,
+    arguments: PlayRecording,
 ) -> list[GateRequest]:
     """All actions as one motion, or as several where one would last too long; each was judged by
     the gate.
@@ -144,7 +146,7 @@ def _motions(
     messages = [action_message(vector) for _, vector in streams.actions]
     due_s = pace([sent_ns for sent_ns, _ in streams.actions], exposed.endpoint.rate_hz)
     requests = []
-    for piece in pieces(due_s, gate_of(host).max_duration_s):
+    for piece in pieces(due_s, host.gate.max_duration_s):
         at_s = [due_s[i] - due_s[piece.start] for i in piece]
         request = gate_request(
             context,
@@ -154,7 +156,7 @@ def _motions(
             arguments.given(),
             send_at_s=at_s,
         )
-        verdict = gate_of(host).check(replace(request, dry_run=True))
+        verdict = host.gate.check(replace(request, dry_run=True))
         if not verdict.allowed:
             raise RefusedError(f"A recorded action is refused, nothing was sent: {verdict.reason}")
         requests.append(request)
@@ -162,14 +164,14 @@ def _motions(
 
 
 def _send(
-    host: Host, exposed: Exposed, requests: Sequence[GateRequest], halt: threading.Event
+    host: Host, exposed: ExposedEndpoint, requests: Sequence[GateRequest], halt: threading.Event
 ) -> int:
     """Play the motions, one after the other; returns the number of actions."""
     sent = 0
     for request in requests:
         at_s = request.send_at_s
         commands = _commands(request.messages, at_s)
-        done = gate_of(host).play(
+        done = host.gate.play(
             exposed, request, commands, total_s=at_s[-1], timeout_s=_READY_S, halt=halt
         )
         if not done.verdict.may_send:
@@ -206,14 +208,14 @@ def action_message(vector: F64) -> Any:
     return Float64MultiArray(layout=MultiArrayLayout(dim=[dimension]), data=vector.tolist())
 
 
-def _commands(messages: Sequence[Any], at_s: Sequence[float]) -> Iterator[Command]:
+def _commands(messages: Sequence[Any], at_s: Sequence[float]) -> Iterator[TimedCommand]:
     begun_s = time.monotonic()
     for message, next_s in zip(messages, [*at_s[1:], at_s[-1]], strict=True):
-        yield Command(message=message, due_s=begun_s + next_s)
+        yield TimedCommand(message=message, due_s=begun_s + next_s)
 
 
 def _dropped(host: Host) -> dict[str, int]:
-    report = host.supervisor.view("control").report
+    report = host.modules.view("control").report
     return dict(report.dropped_by) if report is not None else {}
 
 
@@ -228,7 +230,7 @@ def _compare(streams: Streams, measured: F64) -> tuple[float, float | None]:
 class _Track:
     """The measured positions of the TCP in the base frame, from its making to `close`."""
 
-    def __init__(self, host: Host, exposed: Exposed) -> None:
+    def __init__(self, host: Host, exposed: ExposedEndpoint) -> None:
         _ = host.graph  # first: two threads must not import rclpy at the same time
         from geometry_msgs.msg import PoseStamped  # heavy
 

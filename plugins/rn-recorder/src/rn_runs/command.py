@@ -128,14 +128,16 @@ def open_store(arguments: Namespace) -> Store:
     from rn_recorder.options import RecorderOptions
     from rn_recorder.plugin import FEATURE
     from rn_runs.store import Store
-    from roboneuron.feature import feature_options, load_config, state_directory
+    from roboneuron.feature import environment, feature_options, load_config
 
     if arguments.directory:
         return Store(arguments.directory)
     config = load_config(arguments.config)
     options = feature_options(FEATURE, config)
     assert isinstance(options, RecorderOptions)
-    return Store(runs_directory(options, state_directory(config.supervisor.state_directory)))
+    return Store(
+        runs_directory(options, environment.state_directory(config.supervisor.state_directory))
+    )
 
 
 def find_run(store: Store, name: str) -> Run:

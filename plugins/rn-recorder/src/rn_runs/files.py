@@ -25,7 +25,7 @@ from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 from zstandard import ZstdError
 
 from rn_runs.schemas import definition
-from roboneuron.feature import opener
+from roboneuron.feature import log_files
 
 CHUNK_BYTES = 1 << 20
 FLUSH_S = 0.5
@@ -354,6 +354,6 @@ def repair(path: Path) -> bool:
 def write_json(path: Path, value: Mapping[str, Any]) -> None:
     """Write a small file at once or not at all."""
     temporary = path.with_name(f".{path.name}.part")
-    with open(temporary, "w", encoding="utf-8", opener=opener) as file:
+    with open(temporary, "w", encoding="utf-8", opener=log_files.opener) as file:
         json.dump(value, file, indent=1)
     temporary.replace(path)

@@ -29,7 +29,7 @@ from rn_runs.recording import Recording, Rules
 from rn_runs.settings import RecorderSettings
 from rn_runs.store import Store
 from roboneuron import RoboNeuronError, StateError
-from roboneuron.feature import AUDIT_FILE, Signals, begin_logging, prepare_environment
+from roboneuron.feature import AUDIT_FILE, Signals, environment, log_files
 
 log = logging.getLogger("recorder")
 EVENTS_TOPIC, AUDIT_TOPIC = "/roboneuron/events", "/roboneuron/audit"
@@ -261,7 +261,7 @@ def _absolute(patterns: tuple[str, ...], namespace: str) -> list[str]:
 
 def main() -> None:
     """Entry point."""
-    begin_logging(logging.INFO)
+    log_files.begin_logging(logging.INFO)
     first = b""
     while not first.endswith(b"\n"):
         byte = os.read(0, 1)
@@ -273,7 +273,7 @@ def main() -> None:
     give_way()
     signals = Signals()
     signals.listen()
-    prepare_environment(settings.state_directory / "log" / "ros")
+    environment.prepare_environment(settings.state_directory / "log" / "ros")
     import rclpy  # heavy
     from rclpy.node import Node
     from rclpy.parameter import Parameter

@@ -237,7 +237,7 @@ class Observations:
         )
 
     def _frame(self, record: Record, camera: CameraProfile) -> Frame:
-        from roboneuron.feature import intrinsics_from_camera_info  # heavy
+        from roboneuron.feature import messages  # heavy
 
         message = self._decoder.decode(record)
         image = pixels_of(message, record.type)
@@ -248,7 +248,9 @@ class Observations:
             and info is not None
             and (info.width, info.height) == (width, height)
         ):
-            calibration = replace(calibration, intrinsics=intrinsics_from_camera_info(info))
+            calibration = replace(
+                calibration, intrinsics=messages.intrinsics_from_camera_info(info)
+            )
         return Frame(
             camera=camera.name,
             image=image,

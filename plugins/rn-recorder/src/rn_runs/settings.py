@@ -12,7 +12,7 @@ from typing import Literal
 from pydantic import BaseModel, ConfigDict
 
 from rn_runs.transforms import CameraMount
-from roboneuron.feature import make_log_directory, module_environment, opener
+from roboneuron.feature import environment, log_files
 
 SWITCH, PLAY = "ROBONEURON_RECORDER", "play"
 """Environment variable of a server: with "off" nothing is recorded (tests, small machines); with
@@ -82,14 +82,17 @@ def spawn_recorder(
     Raises:
         OSError: it cannot be started.
     """
-    make_log_directory(log_path.parent)
-    with open(log_path, "ab", opener=opener) as output:
+    log_files.make_log_directory(log_path.parent)
+    with open(log_path, "ab", opener=log_files.opener) as output:
         child = subprocess.Popen(  # its owner is RecorderProcess
             [sys.executable, "-m", "rn_runs.node"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=output,
-            env={**module_environment(None, _SLOT + start, secrets), "OMP_NUM_THREADS": "1"},
+            env={
+                **environment.module_environment(None, _SLOT + start, secrets),
+                "OMP_NUM_THREADS": "1",
+            },
             cwd=os.getcwd(),
             process_group=0,
         )

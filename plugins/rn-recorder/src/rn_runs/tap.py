@@ -27,7 +27,7 @@ from rn_runs.channels import describe_channel
 from rn_runs.files import Record
 from rn_runs.images import IMAGE
 from rn_runs.schemas import definition
-from roboneuron.feature import requested_qos
+from roboneuron.feature import qos as core_qos
 
 log = logging.getLogger(__name__)
 LOOK_S = 0.1
@@ -130,7 +130,7 @@ class Tap:
             self._note_single(topic, len(publishers) == 1)
             self._describe(topic, describe_channel(topic, publishers))
             is_image = types[0] == IMAGE
-            qos = requested_qos(publishers, _IMAGES if is_image else _OTHERS)
+            qos = core_qos.requested_qos(publishers, _IMAGES if is_image else _OTHERS)
             known = self._found.get(topic)
             if known is not None and known[0] == qos:
                 continue

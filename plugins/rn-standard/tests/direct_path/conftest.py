@@ -12,8 +12,9 @@ import pytest
 
 from rn_standard.direct_path.fields import filled, load_type
 from rn_standard.direct_path.gate import Gate
-from rn_standard.direct_path.request import AllowedEndpoint, GateRequest
+from rn_standard.direct_path.request import AllowedEndpoint
 from roboneuron.contract import Endpoint, GripperProfile, JointLimits, JointSample, RobotProfile
+from roboneuron.feature import GateRequest
 from roboneuron.gate import AuditLog, EmergencyStopLatch
 
 ONE = np.ones(2)

@@ -13,15 +13,15 @@ from types import SimpleNamespace
 
 import pytest
 
-from rn_standard.direct_path.exposed import ACTION_LABEL, Exposed
-from rn_standard.direct_path.feature import DirectPath, direct_path, gate_of
+from rn_standard.direct_path.exposed import ACTION_LABEL
+from rn_standard.direct_path.feature import DirectPath, direct_path
 from rn_standard.direct_path.plugin import FEATURE
-from rn_standard.direct_path.request import GateRequest
 from rn_testing.fakes import fake_registry, gantry_profile
-from roboneuron import Feature, FeatureSpec
+from roboneuron import FeatureSpec
 from roboneuron.config import parse_config
 from roboneuron.contract import Endpoint
 from roboneuron.errors import ConfigurationError, NotReadyError, RefusedError, StateError
+from roboneuron.feature import ExposedEndpoint, GateRequest
 from roboneuron.modules.settings import FOLLOWING_NOTE
 from roboneuron.server.app import Application
 from roboneuron.server.plugins import PluginCatalogue
@@ -33,12 +33,6 @@ DRIVE = Endpoint(
     name="drive", kind="publish", topic="cmd_vel", type="geometry_msgs/msg/Twist", summary="drive",
     bounds={"linear.x": (-0.5, 0.5)}, stop_message="zero",
 )  # fmt: skip
-
-
-class OtherGate(Feature[None]):
-    """Lends something else."""
-
-    gate = "a gate"
 
 
 @pytest.fixture
@@ -69,20 +63,22 @@ def make(tmp_path: Path) -> Iterator[Make]:
 def application(make: Make) -> Application:
     """A server with the direct path, on which a feature has exposed `drive`."""
     application = make(FEATURE)
-    gate_of(application.host).expose("a test", [exposed(DRIVE)])
+    application.host.gate.expose("a test", [exposed(DRIVE)])
     return application
 
 
-def exposed(endpoint: Endpoint) -> Exposed:
-    return Exposed(robot="gantry", namespace="gantry", label=endpoint.name, endpoint=endpoint)
+def exposed(endpoint: Endpoint) -> ExposedEndpoint:
+    return ExposedEndpoint(
+        robot="gantry", namespace="gantry", label=endpoint.name, endpoint=endpoint
+    )
 
 
-def drive(application: Application) -> Exposed:
-    return next(e for e in gate_of(application.host).exposed if e.label == "drive")
+def drive(application: Application) -> ExposedEndpoint:
+    return next(e for e in application.host.gate.exposed if e.label == "drive")
 
 
 def test_the_profile_is_exposed_when_no_feature_has_exposed_others(make: Make) -> None:
-    gate = gate_of(make(FEATURE).host)
+    gate = make(FEATURE).host.gate
     assert [e.label for e in gate.exposed if e.hidden] == ["ee_delta"]
     assert {e.endpoint.name for e in gate.exposed if not e.hidden} == {
         e.name for e in gantry_profile().endpoints
@@ -103,15 +99,9 @@ def test_a_profile_that_may_not_be_exposed_keeps_the_server_from_starting(
         make(FEATURE)
 
 
-def test_a_server_without_the_direct_path_has_no_gate_and_one_with_another_gate_says_so(
-    make: Make,
-) -> None:
+def test_a_server_without_the_direct_path_has_no_gate(make: Make) -> None:
     with pytest.raises(StateError, match=r"'direct-path'.*requirements\.txt"):
-        gate_of(make().host)
-    with pytest.raises(StateError, match="is a str, not that of 'direct-path'"):
-        gate_of(
-            make(FeatureSpec(name="other", summary="Another.", target=f"{__name__}:OtherGate")).host
-        )
+        make().host.gate  # noqa: B018
 
 
 def test_what_moves_is_known_and_ended_for_a_reason(application: Application) -> None:
@@ -206,7 +196,7 @@ def test_control_follows_from_an_action_until_it_holds_or_cannot_say(
 
 
 def test_nothing_passes_once_it_is_closed(application: Application) -> None:
-    path, gate = direct_path(application.host), gate_of(application.host)
+    path, gate = direct_path(application.host), application.host.gate
     asked = GateRequest(
         who="a", role="operator", tool="t", robot="gantry", endpoint="drive", dry_run=True
     )
@@ -229,13 +219,13 @@ def test_a_policy_keeps_direct_motion_off_its_robot(
         path.arbiter, "_policy", lambda exposed: "The policy 'instant' moves 'gantry'."
     )
     with pytest.raises(RefusedError, match="The policy 'instant'"):
-        gate_of(application.host).check_free(drive(application))
+        application.host.gate.check_free(drive(application))
 
 
 def test_another_robot_has_other_endpoints(
     application: Application, caplog: pytest.LogCaptureFixture
 ) -> None:
-    gate, told = gate_of(application.host), []
+    gate, told = application.host.gate, []
     gate.on_change(lambda: told.append(len(gate.exposed)))
     application.events.change.tell("control")
     assert told == []

@@ -13,9 +13,9 @@ from typing import Any, cast
 import pytest
 from mcp import types
 
-from rn_standard.direct_path.exposed import Exposed
 from rn_standard.direct_path.feature import direct_path
 from rn_standard.fleet.fleet import Fleet
+from roboneuron.feature import ExposedEndpoint
 from roboneuron.gate.estop import ESTOP_FILE
 
 Call = Callable[..., types.CallToolResult]
@@ -62,7 +62,7 @@ def moving(fleet: Fleet, order: list[tuple[str, str]]) -> Any:
     with ExitStack() as stack:
         for name, robot in fleet.robots.items():
             exposed = cast(
-                Exposed,
+                ExposedEndpoint,
                 SimpleNamespace(
                     robot=name, topic="cmd_vel", namespace=name, label="drive", moves=True
                 ),

@@ -118,7 +118,7 @@ def test_a_robot_at_rest_is_not_moving_and_one_with_a_policy_is(
     host = make("").host
     assert not host.is_moving
     monkeypatch.setattr(
-        host.supervisor, "view", lambda kind: ModuleView(kind=kind, phase="running")
+        host.loop.supervisor, "view", lambda kind: ModuleView(kind=kind, phase="running")
     )
     assert host.is_moving
 

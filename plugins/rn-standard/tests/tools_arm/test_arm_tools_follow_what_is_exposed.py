@@ -10,7 +10,6 @@ from pathlib import Path
 
 import pytest
 
-from rn_standard.direct_path.feature import gate_of
 from rn_standard.direct_path.plugin import FEATURE as DIRECT_PATH
 from rn_standard.tools_arm.plugin import FEATURE
 from rn_standard.tools_ros.plugin import FEATURE as ROS_FEATURE
@@ -63,7 +62,7 @@ def test_an_arm_that_is_not_exposed_has_no_tools(make: Make) -> None:
 
 
 def test_no_feature_exposes_what_is_kept_for_control(make: Make) -> None:
-    gate = gate_of(make().host)
+    gate = make().host.gate
     action = next(e for e in gate.exposed if e.hidden)
     with pytest.raises(ConfigurationError, match="written by RoboNeuron alone"):
         gate.expose("another", [replace(action, endpoint=replace(action.endpoint, name="mine"))])

@@ -13,8 +13,6 @@ import anyio
 import numpy as np
 import pytest
 
-from rn_standard.direct_path.delivery import Command, Sent
-from rn_standard.direct_path.request import GateRequest, Verdict
 from rn_standard.tools_arm import end_effector, grip, joints
 from rn_standard.tools_arm.end_effector import EndEffectorMover, MoveEndEffector
 from rn_standard.tools_arm.joints import MoveJoints, _JointMover
@@ -23,6 +21,7 @@ from rn_standard.tools_arm.placing import GripHeight, PlaceArguments, _Placer
 from roboneuron.config import LimitsConfig
 from roboneuron.contract import GripperProfile, JointSample, Pose, RobotProfile
 from roboneuron.errors import InvalidInputError, NotReadyError, RefusedError, StateError
+from roboneuron.feature import GateRequest, Sent, TimedCommand, Verdict
 from roboneuron.gate.motion.joint_space import JointLimit
 
 PROFILE = RobotProfile(
@@ -87,7 +86,7 @@ class Arm:
         self,
         exposed: Any,
         request: GateRequest,
-        commands: Iterable[Command],
+        commands: Iterable[TimedCommand],
         *,
         total_s: float,
         timeout_s: float,
@@ -122,10 +121,10 @@ class Arm:
             )
             return SimpleNamespace(report=report, phase=self.phase)
 
-        supervisor = SimpleNamespace(view=view, require_running=lambda kind: None)
+        modules = SimpleNamespace(view=view, require_running=lambda kind: None)
         loop = SimpleNamespace(limits=LimitsConfig())
         return SimpleNamespace(
-            supervisor=supervisor, loop=loop, config=SimpleNamespace(namespace="arm"), gate=self
+            modules=modules, loop=loop, config=SimpleNamespace(namespace="arm"), gate=self
         )
 
 
@@ -142,7 +141,6 @@ def arm(monkeypatch: pytest.MonkeyPatch) -> Arm:
     CONTEXT.run = run
     for module in (end_effector, grip, joints):
         monkeypatch.setattr(module, "time", arm)
-    monkeypatch.setattr(end_effector, "gate_of", lambda host: arm)
     return arm
 
 

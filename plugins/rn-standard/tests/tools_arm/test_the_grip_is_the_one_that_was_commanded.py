@@ -30,7 +30,7 @@ class Hand:
         report = SimpleNamespace(metrics=metrics, detail={"holding": holding} if holding else {})
         self.host: Any = SimpleNamespace(
             config=SimpleNamespace(namespace="arm"),
-            supervisor=SimpleNamespace(view=lambda kind: SimpleNamespace(report=report)),
+            modules=SimpleNamespace(view=lambda kind: SimpleNamespace(report=report)),
         )
 
     def joints(self, exposed: Any, timeout_s: float) -> JointSample | None:

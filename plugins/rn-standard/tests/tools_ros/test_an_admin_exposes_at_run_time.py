@@ -16,7 +16,7 @@ import anyio
 import pytest
 from mcp import Client
 
-from rn_standard.direct_path.feature import direct_path, gate_of
+from rn_standard.direct_path.feature import direct_path
 from rn_standard.direct_path.plugin import FEATURE as DIRECT_PATH
 from rn_standard.ops.plugin import CLIENTS
 from rn_standard.tools_ros.exposing import Admin
@@ -169,7 +169,7 @@ def test_limits_are_tightened_and_come_back(make_application: Make) -> None:
 
 def test_motion_through_a_withdrawn_endpoint_ends(make_application: Make) -> None:
     application = make_application(LOCAL)
-    exposed = gate_of(application.host).exposed[0]
+    exposed = application.host.gate.exposed[0]
     entered = threading.Event()
 
     def move() -> None:

@@ -8,12 +8,12 @@ from typing import Any
 
 import anyio
 
-from rn_standard.direct_path.exposed import Exposed
 from rn_standard.tools_ros.exposure import Exposure
 from rn_standard.tools_ros.generic import ListNames, generic_tools
-from rn_standard.tools_ros.graph import RosGraph
+from rn_standard.tools_ros.graph import GraphNames
 from rn_standard.tools_ros.read import newest
 from roboneuron.contract import Endpoint
+from roboneuron.feature import ExposedEndpoint, RosGraph
 
 COUNT = 130
 
@@ -35,16 +35,17 @@ class Graph:
     count_subscribers = count_publishers
 
 
-def exposed(number: int) -> Exposed:
+def exposed(number: int) -> ExposedEndpoint:
     endpoint = Endpoint(
         name=f"t{number}", kind="read", topic=f"t{number}", type="std_msgs/msg/Bool", summary="One."
     )
-    return Exposed(robot="arm", namespace="arm", label=endpoint.name, endpoint=endpoint)
+    return ExposedEndpoint(robot="arm", namespace="arm", label=endpoint.name, endpoint=endpoint)
 
 
 def ask(name: str, **arguments: Any) -> Any:
     exposure = Exposure(endpoints=tuple(map(exposed, range(COUNT))))
-    tools: list[Any] = generic_tools(lambda: exposure, RosGraph(SimpleNamespace(graph=Graph())))  # type: ignore[arg-type]
+    host: Any = SimpleNamespace(graph=RosGraph(Graph()))
+    tools: list[Any] = generic_tools(lambda: exposure, GraphNames(host))
     handler = next(tool.handler for tool in tools if tool.name == name)
 
     async def run(work: Any) -> Any:

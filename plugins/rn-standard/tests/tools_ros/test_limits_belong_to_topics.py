@@ -10,11 +10,10 @@ from typing import Any
 
 import pytest
 
-from rn_standard.direct_path.exposed import Exposed
+from rn_standard.direct_path.exposed import allowed_endpoint
 from rn_standard.direct_path.feature import direct_path
 from rn_standard.direct_path.gate import Gate
 from rn_standard.direct_path.plugin import FEATURE as DIRECT_PATH
-from rn_standard.direct_path.request import GateRequest
 from rn_standard.tools_ros.exposing import Admin
 from rn_standard.tools_ros.exposure import Exposure, exposure
 from rn_standard.tools_ros.options import ExposeConfig, RosToolsOptions
@@ -23,6 +22,7 @@ from rn_testing.fakes import fake_registry
 from roboneuron.config import feature_options, parse_config
 from roboneuron.contract import Endpoint
 from roboneuron.errors import ConfigurationError, RefusedError
+from roboneuron.feature import ExposedEndpoint, GateRequest
 from roboneuron.gate import AuditLog, EmergencyStopLatch
 from roboneuron.modules.plugin import load_profile
 from roboneuron.server.app import Application
@@ -58,7 +58,7 @@ def exposed(text: str, *added: ExposeConfig) -> Exposure:
     return exposure(config, options, registry, added)
 
 
-def made(text: str, *added: dict[str, Any]) -> dict[str, Exposed]:
+def made(text: str, *added: dict[str, Any]) -> dict[str, ExposedEndpoint]:
     entries = [ExposeConfig.model_validate(entry) for entry in added]
     return {e.label: e for e in exposed(text, *entries).endpoints}
 
@@ -201,7 +201,7 @@ def test_two_names_share_one_rate(tmp_path: Any) -> None:
 
     latch = EmergencyStopLatch(tmp_path / "latch", lambda: 1)
     gate = Gate((), latch=latch, audit=AuditLog(tmp_path / "audit", lambda: 1), clock=lambda: 0.0)
-    gate.replace(e.allowed() for e in made(ROVER, ALIAS).values())
+    gate.replace(allowed_endpoint(e) for e in made(ROVER, ALIAS).values())
     request = GateRequest(
         who="a", role="operator", tool="t", robot="rover", endpoint="velocity", messages=(Twist(),)
     )

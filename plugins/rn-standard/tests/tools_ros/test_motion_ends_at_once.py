@@ -13,7 +13,7 @@ import anyio
 import pytest
 from mcp import Client
 
-from rn_standard.direct_path.feature import direct_path, gate_of
+from rn_standard.direct_path.feature import direct_path
 from roboneuron.errors import RefusedError, StateError
 from roboneuron.server.app import Application
 
@@ -220,7 +220,7 @@ def test_too_long_a_sequence_is_refused_before_anything_is_sent(ask: Ask, rover:
 
 
 def test_the_arbiter_waits_for_motions_to_end(application: Application) -> None:
-    exposed = gate_of(application.host).exposed[0]
+    exposed = application.host.gate.exposed[0]
     halt, entered = threading.Event(), threading.Event()
 
     def move() -> None:
@@ -243,7 +243,7 @@ def test_pressing_the_stop_wakes_what_moves(
     application: Application, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("rn_standard.direct_path.arbiter.POLL_S", 60.0)
-    exposed = gate_of(application.host).exposed[0]
+    exposed = application.host.gate.exposed[0]
     entered = threading.Event()
 
     def move() -> None:
@@ -292,7 +292,7 @@ def test_the_stop_is_latched_before_ros_is_joined_and_whatever_the_arguments(
 
 
 def test_the_stop_message_does_not_wait_for_the_thread_that_plays(application: Application) -> None:
-    exposed = gate_of(application.host).exposed[0]
+    exposed = application.host.gate.exposed[0]
     latch = application.loop.emergency_stop.file
     sent: list[tuple[bool, bool]] = []
     with direct_path(application.host).arbiter.claim(

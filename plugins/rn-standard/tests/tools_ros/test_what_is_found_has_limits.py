@@ -11,8 +11,6 @@ import anyio
 import pytest
 from mcp import Client
 
-from rn_standard.direct_path.exposed import Exposed
-from rn_standard.direct_path.feature import gate_of
 from rn_standard.tools_ros.discovered_limits import check_patterns, limit
 from rn_standard.tools_ros.discovery import LiveGraph
 from rn_standard.tools_ros.plugin import FEATURE
@@ -20,6 +18,7 @@ from rn_testing.fakes import gantry_profile
 from roboneuron.config import feature_options, parse_config
 from roboneuron.contract import Endpoint, RobotProfile
 from roboneuron.errors import ConfigurationError
+from roboneuron.feature import ExposedEndpoint
 from roboneuron.server.app import Application
 
 TWIST = "geometry_msgs/msg/Twist"
@@ -38,11 +37,11 @@ def pattern(text: str = "") -> Any:
     return patterns(f"{kinds}{text}")[0]
 
 
-def found(kind: str, type_name: str, profile: RobotProfile | None = None) -> Exposed:
+def found(kind: str, type_name: str, profile: RobotProfile | None = None) -> ExposedEndpoint:
     endpoint = Endpoint(
         name="thing", kind=kind, topic="/rover/thing", type=type_name, summary="", rate_hz=10.0
     )
-    return Exposed(
+    return ExposedEndpoint(
         robot="rover",
         namespace="rover",
         label="thing",
@@ -117,7 +116,7 @@ def test_an_exposed_endpoint_of_the_same_type_lends_its_limits_which_can_only_be
         min_turning_radius_m=0.4,
         repeat_hz=20.0,
     )
-    known = Exposed(
+    known = ExposedEndpoint(
         robot="rover",
         namespace="rover",
         label="velocity",
@@ -195,6 +194,4 @@ def test_a_found_velocity_is_held_to_its_limits(
                     await anyio.sleep(0.01)
 
     anyio.run(scenario)
-    assert not any(
-        e.endpoint.type == "std_msgs/msg/Int32" for e in gate_of(application.host).exposed
-    )
+    assert not any(e.endpoint.type == "std_msgs/msg/Int32" for e in application.host.gate.exposed)

@@ -12,7 +12,7 @@ from rn_testing.cases import CASES, Case
 from rn_testing.extension_cases import FeatureCase
 from rn_testing.kinds import kind_of
 from roboneuron import FeatureSpec, PluginError, Spec
-from roboneuron.feature import discover, load_attribute
+from roboneuron.feature import discover, loading
 
 
 def make_case(spec: Spec, options: Mapping[str, object]) -> Case[Any]:
@@ -30,7 +30,7 @@ def make_case(spec: Spec, options: Mapping[str, object]) -> Case[Any]:
         return FeatureCase(spec=spec, options=options, is_automatic=True, needs=needs)
     if spec.case is None:
         return expected(spec=spec, options=options, is_automatic=True)
-    function = load_attribute(spec.case, f"`case` of {spec.name!r}")
+    function = loading.load_attribute(spec.case, f"`case` of {spec.name!r}")
     if not callable(function):
         raise PluginError(
             f"The `case` of {spec.name!r} ({spec.case}) is {function!r}, expected a function."

@@ -10,7 +10,7 @@ from rn_testing.deadline import CALL_LIMITS_S, call_bounded
 from rn_testing.fakes import MemoryTopics
 from rn_testing.rule import Violation
 from roboneuron import DriverSpec, Spec
-from roboneuron.feature import load_options, load_options_model, load_target
+from roboneuron.feature import loading
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
@@ -42,7 +42,7 @@ class Case(Generic[S]):
 
     def configuration(self) -> object:
         """The validated options, or None when the descriptor takes none."""
-        return load_options(self.spec, self.options)
+        return loading.load_options(self.spec, self.options)
 
     def given_options(self) -> tuple[str, Mapping[str, object]]:
         """The argument of the case that sets options of `option_model`, and these."""
@@ -50,14 +50,14 @@ class Case(Generic[S]):
 
     def option_model(self) -> type[BaseModel] | None:
         """The class of the options that the rules may set."""
-        return load_options_model(self.spec)
+        return loading.load_options_model(self.spec)
 
     def with_options(self, changes: Mapping[str, object]) -> Self:
         """The case with other values of some options."""
         return replace(self, options={**self.options, **changes})
 
     def _target(self, spec: Spec | DriverSpec) -> Callable[..., Any]:
-        target = load_target(spec)
+        target = loading.load_target(spec)
         if not callable(target):
             raise Violation(f"`target` names {target!r}, expected a class or function")
         return target

@@ -23,7 +23,7 @@ from roboneuron import (
     RobotProfile,
     RobotSpec,
 )
-from roboneuron.feature import load_options, load_options_model
+from roboneuron.feature import loading
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
@@ -155,7 +155,7 @@ class RobotCase(Case[RobotSpec]):
 
     def option_model(self) -> type[BaseModel] | None:
         """The class of the driver's options."""
-        return load_options_model(self.driver_spec())
+        return loading.load_options_model(self.driver_spec())
 
     def with_options(self, changes: Mapping[str, object]) -> RobotCase:
         """The case with other values of some options of the driver."""
@@ -170,7 +170,10 @@ class RobotCase(Case[RobotSpec]):
         the constructor's.
         """
         spec = self.driver_spec()
-        target, options = self._target(spec), configure(load_options(spec, self.driver_options))
+        target, options = (
+            self._target(spec),
+            configure(loading.load_options(spec, self.driver_options)),
+        )
         profile, lent = self.profile(), MemoryTopics() if topics is None else topics
         return self._bounded(lambda: target(options, profile, lent))
 

@@ -19,8 +19,9 @@ from pathlib import Path
 
 from rn_testing.cases import PackageCase
 from rn_testing.rule import Violation
-from roboneuron.feature import PROJECT
 
+PROJECT = "roboneuron"
+"""The core's package, and the group of entry points."""
 PROBE_LIMIT_S = 60.0
 """Bound on a fresh interpreter's start and import."""
 

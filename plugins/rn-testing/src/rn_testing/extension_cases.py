@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any, ClassVar, cast
 from rn_testing.case import Case
 from rn_testing.fakes import MemoryTopics
 from roboneuron import CommandSpec, FeatureSpec
-from roboneuron.feature import load_options_model
+from roboneuron.feature import loading
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
     from roboneuron import Feature
-    from roboneuron.feature import CommandModule
+    from roboneuron.feature import commands
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,7 +45,7 @@ class FeatureCase(Case[FeatureSpec]):
 
     def options_model(self) -> type[BaseModel] | None:
         """The class of its options."""
-        return load_options_model(self.spec)
+        return loading.load_options_model(self.spec)
 
     def configuration(self) -> object:
         """The validated options, or None when the descriptor takes none."""
@@ -75,9 +75,9 @@ class CommandCase(Case[CommandSpec]):
         """As of every case; a command is given nothing."""
         return self._bounded(self._target(self.spec))
 
-    def build(self) -> CommandModule:
+    def build(self) -> commands.CommandModule:
         """A new command."""
-        return cast("CommandModule", self.prepare()())
+        return cast("commands.CommandModule", self.prepare()())
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,7 +13,7 @@ from typing import Any
 from rn_testing.case import Case
 from rn_testing.rule import Rule
 from roboneuron import PluginError, Spec
-from roboneuron.feature import discover, load_attribute
+from roboneuron.feature import discover, loading
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -46,7 +46,7 @@ def kind_of(spec: type[Spec]) -> Kind | None:
     place = named_by(spec)
     if not place:
         return None
-    found = load_attribute(place, f"`rules` of {spec.__name__}")
+    found = loading.load_attribute(place, f"`rules` of {spec.__name__}")
     if not isinstance(found, Kind):
         raise PluginError(
             f"The `rules` of {spec.__name__} ({place}) is {type(found).__name__}, expected a Kind."

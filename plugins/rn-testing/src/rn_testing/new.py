@@ -11,7 +11,7 @@ from pathlib import Path
 from string import Template
 
 from roboneuron import ConfigurationError
-from roboneuron.feature import NAME_PATTERN, PLUGIN_KINDS
+from roboneuron.feature import PLUGIN_KINDS, descriptor
 
 BROUGHT = {"monitor": "rn-standard", "suite": "rn-eval"}
 """Kinds whose hook another package brings, with that package."""
@@ -58,7 +58,7 @@ def write_package(kind: str, name: str, directory: Path) -> list[Path]:
     package = f"rn_{PREFIXES[kind]}_{name}".replace("-", "_")
     class_name = "".join(part.capitalize() for part in name.split("-"))
     if (
-        not NAME_PATTERN.fullmatch(name)
+        not descriptor.NAME_PATTERN.fullmatch(name)
         or not class_name.isidentifier()
         or keyword.iskeyword(class_name)
     ):

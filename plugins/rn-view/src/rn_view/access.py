@@ -10,7 +10,7 @@ from rn_standard.http.options import HttpOptions
 from rn_standard.http.origins import HostRules
 from rn_standard.http.tokens import TokenTable
 from rn_view.options import ViewOptions
-from roboneuron.feature import LOCAL_PROCESS, Holder
+from roboneuron.feature import access
 
 _ANY_ADDRESS = ("0.0.0.0", "::", "")
 
@@ -27,13 +27,13 @@ class Admission:
     tokens: TokenTable
     rules: HostRules
 
-    def visitor(self, number: int) -> Holder | None:
+    def visitor(self, number: int) -> access.Holder | None:
         """Who a new page is: None until it gives a token."""
         if self.tokens:
             return None
-        return Holder(
-            who=f"{LOCAL_PROCESS.who} view {number}",
-            role=LOCAL_PROCESS.role,
+        return access.Holder(
+            who=f"{access.LOCAL_PROCESS.who} view {number}",
+            role=access.LOCAL_PROCESS.role,
             client=f"view {number}",
         )
 

@@ -20,13 +20,12 @@ from roboneuron.feature import (
     FAULTS,
     Config,
     Health,
-    Holder,
     ModuleKind,
-    ModuleStatus,
     ModuleView,
     Registry,
-    load_target,
-    module_status,
+    access,
+    loading,
+    results,
 )
 
 T = TypeVar("T")
@@ -85,7 +84,7 @@ class LiveSource:
 
     def snapshot(self) -> Snapshot:
         """See Source."""
-        statuses = [module_status(self._host.supervisor.view(kind)) for kind in _ORDER]
+        statuses = [results.module_status(self._host.modules.view(kind)) for kind in _ORDER]
         stop = self._host.loop.emergency_stop
         is_latched = stop.is_latched()
         instruction = next(
@@ -130,11 +129,13 @@ def robot_profile(config: Config, registry: Registry) -> RobotProfile:
     """The profile of the configured robot. Raises RoboNeuronError when its plugin cannot be
     used.
     """
-    load = cast("Callable[[], RobotProfile]", load_target(registry.get("robot", config.robot.name)))
+    load = cast(
+        "Callable[[], RobotProfile]", loading.load_target(registry.get("robot", config.robot.name))
+    )
     return load()
 
 
-def _row(status: ModuleStatus) -> ModuleRow:
+def _row(status: results.ModuleStatus) -> ModuleRow:
     text = f"{status.error.message}" if status.error is not None else ""
     text = text or (f"waits for {status.waiting_for}" if status.waiting_for else status.note)
     chosen = status.started_with
@@ -168,7 +169,7 @@ class LiveOperator:
         self._lease = lease
         self.loop: asyncio.AbstractEventLoop | None = None
 
-    def call(self, holder: Holder, tool: str, arguments: dict[str, Any]) -> Future[str]:
+    def call(self, holder: access.Holder, tool: str, arguments: dict[str, Any]) -> Future[str]:
         """See Operator."""
         if self.loop is None:
             failed: Future[str] = Future()
@@ -176,16 +177,16 @@ class LiveOperator:
             return failed
         return asyncio.run_coroutine_threadsafe(self._call(holder, tool, arguments), self.loop)
 
-    def present(self, holder: Holder) -> AbstractContextManager[None]:
+    def present(self, holder: access.Holder) -> AbstractContextManager[None]:
         """See Operator; an open page renews the lease as an open stream does."""
         return nullcontext() if self._lease is None else self._lease.present(holder.who)
 
-    def leave(self, holder: Holder) -> None:
+    def leave(self, holder: access.Holder) -> None:
         """See Operator; somebody with a token may have other clients."""
         if holder.client and self._lease is not None:
             self._lease.release(holder.who)
 
-    async def _call(self, holder: Holder, tool: str, arguments: dict[str, Any]) -> str:
+    async def _call(self, holder: access.Holder, tool: str, arguments: dict[str, Any]) -> str:
         result = await self._host.tools.call(tool, arguments, _Context(holder))
         return failure_of(result.model_dump(mode="json", by_alias=True))
 
@@ -193,7 +194,7 @@ class LiveOperator:
 class _Context:
     """CallContext of a button."""
 
-    def __init__(self, holder: Holder) -> None:
+    def __init__(self, holder: access.Holder) -> None:
         self.who, self.role = holder.who, holder.role
 
     async def run(

@@ -19,7 +19,7 @@ from rn_view.plots import History, Plots
 from rn_view.scene import Scene
 from rn_view.source import Snapshot, Source
 from roboneuron import RobotProfile
-from roboneuron.feature import OPERATOR, Holder, has_role
+from roboneuron.feature import access, roles
 
 _LEFT_PX = 310
 _PHONE_PX, _WIDE_PX = 576, 1100
@@ -38,17 +38,17 @@ _TRIES = 5
 class Operator(Protocol):
     """Calls tools for a page; the page of a view without one has no buttons but the stop."""
 
-    def call(self, holder: Holder, tool: str, arguments: dict[str, Any]) -> Future[str]:
+    def call(self, holder: access.Holder, tool: str, arguments: dict[str, Any]) -> Future[str]:
         """Call a tool as `holder`; the text of its failure, empty when it did what it says.
         Returns at once.
         """
         ...
 
-    def present(self, holder: Holder) -> AbstractContextManager[None]:
+    def present(self, holder: access.Holder) -> AbstractContextManager[None]:
         """A page of this holder is open within the block."""
         ...
 
-    def leave(self, holder: Holder) -> None:
+    def leave(self, holder: access.Holder) -> None:
         """The page of this holder was closed."""
         ...
 
@@ -64,7 +64,7 @@ class Page:
         client: viser.ClientHandle,
         sources: Mapping[str, Source],
         operators: Mapping[str, Operator],
-        admit: Callable[[str], Holder | None],
+        admit: Callable[[str], access.Holder | None],
         on_choice: Callable[[Page], object],
     ) -> None:
         """Args:
@@ -74,7 +74,7 @@ class Page:
         another robot was chosen.
         """
         self.client = client
-        self.holder: Holder | None = None
+        self.holder: access.Holder | None = None
         self._sources = sources
         self._source = next(iter(sources.values()))
         self._operators = operators
@@ -139,7 +139,7 @@ class Page:
             self._presence.enter_context(self._operator.present(self.holder))
         buttons = (
             None
-            if self._operator is None or not has_role(self.holder.role, OPERATOR)
+            if self._operator is None or not roles.has_role(self.holder.role, roles.OPERATOR)
             else self._call
         )
         with self._lock:

@@ -128,9 +128,9 @@ def _sources(
             "--directory goes with --run.", hint="--state names a server's state directory."
         )
     from rn_view_attached.source import AttachedSource, Graph
-    from roboneuron.feature import robot_folder, state_directory
+    from roboneuron.feature import environment, reading
 
-    directory = state_directory(
+    directory = environment.state_directory(
         str(arguments.state) if arguments.state else config.supervisor.state_directory
     )
     graph = Graph(directory)
@@ -138,7 +138,7 @@ def _sources(
         return {"": AttachedSource(config, registry, directory, graph)}, graph
     return {
         name: AttachedSource(
-            one, registry, robot_folder(directory, name), graph, is_one_of_several=True
+            one, registry, reading.robot_folder(directory, name), graph, is_one_of_several=True
         )
         for name, one in robots.items()
     }, graph

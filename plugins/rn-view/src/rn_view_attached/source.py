@@ -16,15 +16,7 @@ from rn_view.happenings import AuditTail, Happenings, add_record
 from rn_view.live import robot_profile
 from rn_view.source import ModuleRow, Snapshot
 from roboneuron import RobotProfile
-from roboneuron.feature import (
-    AUDIT_FILE,
-    ESTOP_FILE,
-    FAULTS,
-    AuditLog,
-    Config,
-    EmergencyStopLatch,
-    Registry,
-)
+from roboneuron.feature import AUDIT_FILE, FAULTS, AuditLog, Config, Registry, estop
 
 M = TypeVar("M")
 _ORDER = ("robot", "perception", "inference", "control")
@@ -110,7 +102,9 @@ class AttachedSource:
                 text = f"{row.kind}: {row.health} (was {before})"
                 self.happenings.add("health", text, is_bad=row.health in FAULTS)
             self._healths[row.kind] = row.health
-        latch = EmergencyStopLatch(self._state_directory / ESTOP_FILE, time.time_ns).read_state()
+        latch = estop.EmergencyStopLatch(
+            self._state_directory / estop.ESTOP_FILE, time.time_ns
+        ).read_state()
         return Snapshot(
             modules=rows,
             is_latched=latch.latched,
@@ -120,7 +114,9 @@ class AttachedSource:
 
     def is_latched(self) -> bool:
         """See Source."""
-        return EmergencyStopLatch(self._state_directory / ESTOP_FILE, time.time_ns).is_latched()
+        return estop.EmergencyStopLatch(
+            self._state_directory / estop.ESTOP_FILE, time.time_ns
+        ).is_latched()
 
     def look(self) -> None:
         """See Source."""
@@ -131,16 +127,16 @@ class AttachedSource:
         self, message_type: type[M], topic: str, callback: Callable[[M], None]
     ) -> Callable[[], None]:
         """See Source."""
-        from roboneuron.feature import requested_qos  # heavy
+        from roboneuron.feature import qos as core_qos  # heavy
 
         place = f"/{self._config.namespace}/{topic}"
         link = self._graph.link
-        qos = requested_qos(link.node.get_publishers_info_by_topic(place), 1)
+        qos = core_qos.requested_qos(link.node.get_publishers_info_by_topic(place), 1)
         return link.subscribe(message_type, place, callback, qos)
 
     def press_stop(self, who: str) -> str:
         """See Source: written as `roboneuron estop` does."""
-        latch = EmergencyStopLatch(self._state_directory / ESTOP_FILE, time.time_ns)
+        latch = estop.EmergencyStopLatch(self._state_directory / estop.ESTOP_FILE, time.time_ns)
         audit = AuditLog(self._state_directory / AUDIT_FILE, time.time_ns)
         latch.latch(who=who, reason="pressed in the attached view", audit=audit)
         audit.close()

@@ -139,7 +139,6 @@ class Application:
         self.server = make_server(self, config.server.name, "")
         self.host = Host(
             loop=self.loop,
-            supervisor=self.supervisor,
             audit=self.loop.emergency_stop.audit,
             server=self.server,
             features=self.features,

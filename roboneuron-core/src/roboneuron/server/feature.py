@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from anyio import Event
 
     from roboneuron.server.host import Host
+    from roboneuron.server.motion_gate import MotionGate
     from roboneuron.server.registry import ToolRegistry
     from roboneuron.server.tool import Tool
 
@@ -65,7 +66,7 @@ class Feature(Generic[OptionsT]):
         return False
 
     @property
-    def gate(self) -> object | None:
+    def gate(self) -> MotionGate | None:
         """What it lends the other features as `Host.gate`; None for all but the one that sends
         for them.
         """

@@ -16,28 +16,84 @@ from roboneuron.plugins.availability import install_command, package_of
 if TYPE_CHECKING:
     from roboneuron.config import Config
     from roboneuron.gate import AuditLog
+    from roboneuron.modules.settings import ModuleKind
     from roboneuron.plugins.registry import Registry
     from roboneuron.server.events import Events
     from roboneuron.server.feature import Features
     from roboneuron.server.loop import ClosedLoop
+    from roboneuron.server.motion_gate import MotionGate
     from roboneuron.server.registry import ToolRegistry
     from roboneuron.server.surface import AnnouncingServer
-    from roboneuron.supervisor.supervisor import Supervisor
+    from roboneuron.supervisor.changes import Changes
+    from roboneuron.supervisor.health import ModuleView
+    from roboneuron.supervisor.process import ProcessEvents
 
 
-class GraphNode(Protocol):
-    """The part of `rclpy.node.Node` that tells of the ROS graph; `info` is an `rclpy`
-    TopicEndpointInfo.
+class Modules(Protocol):
+    """The processes of the modules, as features may read them and be told of them.
+
+    Attributes:
+        log_directory: where this server's modules log, one file for each.
+        changes: told of all that happens to modules, for waiting.
+        process_events: what happens to module processes, for listeners.
+        secret_variables: environment variables that modules do not get; features may add some.
     """
 
-    def get_name(self) -> str: ...
-    def get_node_names_and_namespaces(self) -> list[tuple[str, str]]: ...
-    def get_topic_names_and_types(self) -> list[tuple[str, list[str]]]: ...
-    def get_service_names_and_types(self) -> list[tuple[str, list[str]]]: ...
-    def get_publishers_info_by_topic(self, topic_name: str) -> list[Any]: ...
-    def get_subscriptions_info_by_topic(self, topic_name: str) -> list[Any]: ...
-    def count_publishers(self, topic_name: str) -> int: ...
-    def count_subscribers(self, topic_name: str) -> int: ...
+    log_directory: Path
+    changes: Changes
+    process_events: ProcessEvents
+    secret_variables: set[str]
+
+    def view(self, kind: ModuleKind) -> ModuleView:
+        """What is known of a module now."""
+
+    def views(self) -> list[ModuleView]:
+        """All modules, in the order robot, perception, inference, control."""
+
+    def require_running(self, kind: ModuleKind) -> ModuleView:
+        """The view of a running module. Raises StateError when it is not running."""
+
+    def log_path(self, kind: ModuleKind) -> Path:
+        """Where the present module of that kind logs."""
+
+
+class RosGraph:
+    """What the server's node has discovered of the ROS graph; it sends nothing.
+
+    Endpoints are `rclpy` TopicEndpointInfo.
+    """
+
+    def __init__(self, node: Any) -> None:
+        self._node = node
+
+    @property
+    def node_name(self) -> str:
+        """Name of the server's node, whose own endpoints are listed too."""
+        return str(self._node.get_name())
+
+    def topics(self) -> dict[str, list[str]]:
+        """Types by absolute topic name."""
+        return dict(self._node.get_topic_names_and_types())
+
+    def services(self) -> dict[str, list[str]]:
+        """Types by absolute service name."""
+        return dict(self._node.get_service_names_and_types())
+
+    def nodes(self) -> list[tuple[str, str]]:
+        """Name and namespace of all nodes."""
+        return list(self._node.get_node_names_and_namespaces())
+
+    def publishers(self, topic: str) -> list[Any]:
+        """Who publishes a topic."""
+        return list(self._node.get_publishers_info_by_topic(topic))
+
+    def subscriptions(self, topic: str) -> list[Any]:
+        """Who subscribes to a topic."""
+        return list(self._node.get_subscriptions_info_by_topic(topic))
+
+    def counts(self, topic: str) -> tuple[int, int]:
+        """Publishers and subscribers of a topic."""
+        return self._node.count_publishers(topic), self._node.count_subscribers(topic)
 
 
 F = TypeVar("F")
@@ -53,7 +109,6 @@ class Host:
 
     Attributes:
         loop: the closed loop: start, steer and stop modules; read what they report.
-        supervisor: the processes of the modules.
         audit: the audit log.
         server: the MCP server that every transport serves.
         features: all features of this server.
@@ -66,7 +121,6 @@ class Host:
     """
 
     loop: ClosedLoop
-    supervisor: Supervisor
     audit: AuditLog
     server: AnnouncingServer
     features: Features
@@ -82,17 +136,21 @@ class Host:
         return self.loop.config
 
     @property
+    def modules(self) -> Modules:
+        """The processes of the modules; `loop` starts and stops them."""
+        return self.loop.supervisor
+
+    @property
     def registry(self) -> Registry:
         """The installed plugins."""
         return self.loop.plugins.current()
 
     @property
-    def gate(self) -> object:
+    def gate(self) -> MotionGate:
         """In front of everything that moves a robot beside the closed loop: sends what it allows,
         lends no publisher.
 
-        One installed feature lends it (`Feature.gate`), and its package has a function that gives
-        it its type.
+        One installed feature lends it (`Feature.gate`); name that feature in `needs`.
 
         Raises:
             StateError: none does: nothing can be sent for an agent.
@@ -121,7 +179,7 @@ class Host:
     @property
     def is_moving(self) -> bool:
         """Whether a policy runs, or a call moves something."""
-        is_policy = self.supervisor.view("inference").phase != "stopped"
+        is_policy = self.modules.view("inference").phase != "stopped"
         return is_policy or any(feature.is_moving for feature in self.features.loaded.values())
 
     @property
@@ -132,15 +190,14 @@ class Host:
     @property
     def state_directory(self) -> Path:
         """Where files that outlive the server are kept."""
-        return self.supervisor.state_directory
+        return self.loop.supervisor.state_directory
 
     @property
-    def graph(self) -> GraphNode:
+    def graph(self) -> RosGraph:
         """What the server's node has discovered of the ROS graph. Raises RoboNeuronError when
         ROS cannot be joined.
         """
-        node: GraphNode = self.supervisor.link.node
-        return node
+        return RosGraph(self.loop.supervisor.link.node)
 
     def subscribe(
         self,
@@ -171,7 +228,8 @@ class Host:
             RoboNeuronError: ROS cannot be joined.
         """
         check_topic(topic)
-        link = self.supervisor.link  # first: two threads must not import rclpy at the same time
+        # first: two threads must not import rclpy at the same time
+        link = self.loop.supervisor.link
         from roboneuron.ros.qos import requested_qos  # heavy
 
         place = topic if topic.startswith("/") else f"/{self.config.namespace}/{topic}"

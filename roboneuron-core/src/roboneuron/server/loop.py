@@ -101,6 +101,11 @@ class ClosedLoop:
         return self.supervisor.tightened or self.base.limits
 
     @property
+    def is_tightened(self) -> bool:
+        """Whether a client has tightened the configured limits."""
+        return self.supervisor.tightened is not None
+
+    @property
     def robot_facts(self) -> RobotFacts:
         """Which robot is or would be started, and whether it is a real one."""
         robot = self.config.robot

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, get_args, get_origin
 
 from rn_standard.console.options import UNSET, describe_options
 from roboneuron import FeatureSpec
-from roboneuron.feature import discover, load_options_model
+from roboneuron.feature import discover, loading
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
@@ -26,9 +26,9 @@ class ConfigShow:
 
     def run(self, arguments: Namespace) -> int:
         """Run `roboneuron config show`."""
-        from roboneuron.feature import default_text
+        from roboneuron.feature import reading
 
-        print(default_text() + feature_text(), end="")
+        print(reading.default_text() + feature_text(), end="")
         return 0
 
 
@@ -86,7 +86,7 @@ def reference() -> str:
     """docs/configuration.md, generated from the configuration models of core and of the
     installed features.
     """
-    from roboneuron.feature import Config, default_text
+    from roboneuron.feature import Config, reading
 
     lines = [
         "# Configuration",
@@ -100,7 +100,7 @@ def reference() -> str:
         "Without a file the embedded default is used (`roboneuron config show`):",
         "",
         "```toml",
-        default_text().rstrip(),
+        reading.default_text().rstrip(),
         "```",
         "",
     ]
@@ -136,7 +136,7 @@ def reference() -> str:
 def _feature_tables() -> Iterator[tuple[FeatureSpec, list[tuple[str, type[BaseModel]]]]]:
     """The installed features that have options, each with its sections."""
     for spec in discover().specs(FeatureSpec).values():
-        model = load_options_model(spec)
+        model = loading.load_options_model(spec)
         if model is not None:
             yield spec, list(_tables(model)) if spec.sections else [(f"[{spec.keys[0]}]", model)]
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from rn_standard.console.client import leaves_of, spawned_server
 from roboneuron import ConfigurationError
-from roboneuron.feature import CLIENT_TOKEN, log_level
+from roboneuron.feature import environment, terminal
 
 if TYPE_CHECKING:
     from mcp import Client
@@ -33,8 +33,8 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--token-variable",
         metavar="NAME",
-        help=f"environment variable with the bearer token for --url; {CLIENT_TOKEN} when that is "
-        "set",
+        help="environment variable with the bearer token for --url; "
+        f"{environment.CLIENT_TOKEN} when that is set",
     )
 
 
@@ -47,7 +47,7 @@ async def connect(arguments: Namespace) -> AsyncIterator[Client]:
             is not set.
     """
     if arguments.url is None:
-        level = log_level(arguments)
+        level = terminal.log_level(arguments)
         # its warnings also reach us as answers
         options = ["--log-level", "error" if level == "warning" else level]
         if arguments.config is not None:
@@ -92,12 +92,13 @@ async def _knock(http: object, url: str) -> None:
     if answer.status_code == 401:
         raise ConfigurationError(
             f"The server at {url} refuses the token.",
-            hint=f"Name the variable that holds it with --token-variable, or set {CLIENT_TOKEN}.",
+            hint="Name the variable that holds it with --token-variable, or set "
+            f"{environment.CLIENT_TOKEN}.",
         )
 
 
 def _token(variable: str | None) -> str | None:
-    token = os.environ.get(variable or CLIENT_TOKEN)
+    token = os.environ.get(variable or environment.CLIENT_TOKEN)
     if variable is not None and not token:
         raise ConfigurationError(f"The environment variable {variable} is not set.")
     return token or None

@@ -19,15 +19,14 @@ from typing import TYPE_CHECKING
 from rn_standard.console.log_runs import log_runs
 from rn_standard.console.status import ModuleStatus, ServerStatus
 from roboneuron.feature import (
-    ESTOP_FILE,
     MODULE_KINDS,
-    EmergencyStopLatch,
     Health,
     ModuleKind,
     ModuleView,
     Report,
     assess,
-    robot_folder,
+    estop,
+    reading,
 )
 
 if TYPE_CHECKING:
@@ -56,7 +55,7 @@ def find_servers(state_directory: Path) -> list[FoundServer]:
     user's are left out.
     """
     found = []
-    folders = [state_directory, *sorted(robot_folder(state_directory).parent.glob("*"))]
+    folders = [state_directory, *sorted(reading.robot_folder(state_directory).parent.glob("*"))]
     for run in (run for folder in folders for run in log_runs(folder)):
         command = _read_proc(run.pid, "cmdline").split("\0")
         if "serve" in command and any("roboneuron" in word for word in command):
@@ -90,20 +89,16 @@ class DiagnosticsListener:
 
     def open(self) -> None:
         """Join the ROS graph; raises as `roboneuron.ros.environment.prepare_environment`."""
-        from roboneuron.feature import prepare_environment
+        from roboneuron.feature import environment
 
-        prepare_environment()
+        environment.prepare_environment()
         from diagnostic_msgs.msg import DiagnosticArray  # heavy
 
-        from roboneuron.feature import (
-            DIAGNOSTICS,
-            STATUS,
-            RosLink,  # heavy
-        )
+        from roboneuron.feature import RosLink, qos, topics
 
         self._link = RosLink(f"roboneuron_status_{os.getpid()}")
         self._link.open()
-        self._link.subscribe(DiagnosticArray, DIAGNOSTICS, self.receive, STATUS)
+        self._link.subscribe(DiagnosticArray, topics.DIAGNOSTICS, self.receive, qos.STATUS)
 
     def close(self) -> None:
         """Leave the graph."""
@@ -159,7 +154,9 @@ class DiagnosticsListener:
                 one.log_directory for one in servers if server is not None and one.pid == server.pid
             ]
             directory = self._folder_of(namespace, runs)
-            latch = EmergencyStopLatch(directory / ESTOP_FILE, time.time_ns).read_state()
+            latch = estop.EmergencyStopLatch(
+                directory / estop.ESTOP_FILE, time.time_ns
+            ).read_state()
             found.append(
                 ServerStatus(
                     source=f"/diagnostics of ROS domain {domain}",
@@ -184,7 +181,7 @@ class DiagnosticsListener:
             runs: log directories of its server, `<folder>/log/<run>`; none when the server has
                 ended.
         """
-        folders = sorted(robot_folder(self._state_directory).parent.glob("*"))
+        folders = sorted(reading.robot_folder(self._state_directory).parent.glob("*"))
         own = [
             folder
             for folder in folders

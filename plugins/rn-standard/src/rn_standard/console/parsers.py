@@ -12,14 +12,8 @@ from pathlib import Path
 import shtab
 
 from roboneuron import RoboNeuronError
-from roboneuron.feature import (
-    COMMANDS,
-    add_verbosity,
-    discover,
-    installed_commands,
-    load_command,
-    spoken,
-)
+from roboneuron.feature import commands as core_commands
+from roboneuron.feature import discover, terminal
 
 log = logging.getLogger(__name__)
 _FOLDERS = ("DIRECTORY", "FOLDER")
@@ -38,14 +32,16 @@ def whole_parser() -> ArgumentParser:
     )
     commands = parser.add_subparsers(dest="command")
     groups: dict[str, _SubParsersAction[ArgumentParser]] = {}
-    listed = {name: command.summary for name, command in COMMANDS.items()}
-    for name, summary in {**listed, **installed_commands(registry)}.items():
+    listed = {name: command.summary for name, command in core_commands.COMMANDS.items()}
+    for name, summary in {**listed, **core_commands.installed_commands(registry)}.items():
         try:
-            module = load_command(name, None if name in COMMANDS else registry)
+            module = core_commands.load_command(
+                name, None if name in core_commands.COMMANDS else registry
+            )
         except RoboNeuronError as error:
             log.warning("The command %s is left out: %s", name, error)
             continue
-        group, _, word = spoken(name).rpartition(" ")
+        group, _, word = core_commands.spoken(name).rpartition(" ")
         if group and group not in groups:
             groups[group] = commands.add_parser(group, help=ONLY_ACTIONS).add_subparsers(
                 dest="action"
@@ -54,7 +50,7 @@ def whole_parser() -> ArgumentParser:
         command = holder.add_parser(word, help=summary, description=module.__doc__)
         module.configure(command)
         getattr(module, "add_installed_flags", lambda _: None)(command)
-        add_verbosity(command)
+        terminal.add_verbosity(command)
     for action in _actions(parser):
         if action.type is Path and not action.choices:
             is_folder = action.metavar in _FOLDERS

@@ -12,15 +12,13 @@ from collections.abc import Sequence
 from rn_standard.console.chosen_plugins import add_config, read_disabled
 from roboneuron import CONTRACT_VERSION, __version__
 from roboneuron.feature import (
-    WHOLE,
     Offer,
     PluginRecord,
     Registry,
     Status,
+    availability,
+    commands,
     discover,
-    install_command,
-    known_names,
-    spoken,
 )
 
 SCHEMA_VERSION = 1
@@ -119,12 +117,13 @@ def print_short(registry: Registry) -> None:
     not installed.
     """
     if not registry.plugins:
-        print(f"No plugins are installed. For a start: {install_command(WHOLE)}")
+        command = availability.install_command(availability.WHOLE)
+        print(f"No plugins are installed. For a start: {command}")
         return
     ready: dict[str, list[str]] = {}
     for offer in sorted(registry.all_offers, key=lambda o: (o.spec.kind, o.spec.name)):
         if offer.status is Status.READY:
-            ready.setdefault(offer.spec.kind, []).append(spoken(offer.spec.name))
+            ready.setdefault(offer.spec.kind, []).append(commands.spoken(offer.spec.name))
     indent = max((len(kind) for kind in ready), default=0) + 2
     print(_paint("READY", "bold"))
     for kind, names in ready.items():
@@ -137,7 +136,7 @@ def print_short(registry: Registry) -> None:
     if absent:
         print(_paint("\nNOT INSTALLED", "bold") + " (what they offer: README.md, Plugins)")
         print(_wrapped(", ".join(absent), 0))
-        print(_wrapped(f"One of them: {install_command(absent[0])}", 2))
+        print(_wrapped(f"One of them: {availability.install_command(absent[0])}", 2))
     print(
         _paint(
             f"\n{len(registry.plugins)} plugins; details: roboneuron plugins list --verbose", "dim"
@@ -148,7 +147,9 @@ def print_short(registry: Registry) -> None:
 def _absent(registry: Registry) -> list[str]:
     """The project's own packages that are not installed."""
     installed = {record.distribution for record in registry.plugins}
-    return sorted({package.partition("[")[0] for package in known_names().values()} - installed)
+    return sorted(
+        {package.partition("[")[0] for package in availability.known_names().values()} - installed
+    )
 
 
 def print_table(registry: Registry) -> None:

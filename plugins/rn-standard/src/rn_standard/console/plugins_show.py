@@ -15,9 +15,9 @@ from roboneuron.feature import (
     Offer,
     Registry,
     Status,
+    availability,
     discover,
-    load_options_model,
-    missing,
+    loading,
 )
 
 
@@ -78,9 +78,11 @@ def _options(offer: Offer) -> Iterator[str]:
         return
     specs: list[Spec | DriverSpec] = [offer.spec]
     if isinstance(offer.spec, RobotSpec):
-        specs += [driver for driver in offer.spec.drivers if not missing(driver.requires)]
+        specs += [
+            driver for driver in offer.spec.drivers if not availability.missing(driver.requires)
+        ]
     for spec in specs:
-        model = load_options_model(spec)
+        model = loading.load_options_model(spec)
         if model is None:
             continue
         owner = "" if spec is offer.spec else f" of driver {spec.name}"

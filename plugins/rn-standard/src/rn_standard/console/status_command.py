@@ -64,12 +64,12 @@ def _show(arguments: Namespace) -> int:
         import anyio  # heavy
 
         return anyio.run(_ask, arguments)
-    from roboneuron.feature import load_config, state_directory
+    from roboneuron.feature import environment, load_config
 
     configured = (
         load_config(arguments.config).supervisor.state_directory if arguments.config else None
     )
-    return _listen(arguments, state_directory(configured))
+    return _listen(arguments, environment.state_directory(configured))
 
 
 def exit_status(statuses: Sequence[ServerStatus]) -> int:

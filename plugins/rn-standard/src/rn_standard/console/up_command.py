@@ -110,10 +110,10 @@ def _kept(folder: Path) -> Iterator[None]:
     misleads nobody.
     """
     from roboneuron import StateError
-    from roboneuron.feature import make_log_directory, opener
+    from roboneuron.feature import log_files
 
-    make_log_directory(folder)
-    with open(folder / _FILE, "a+", encoding="utf-8", opener=opener) as file:
+    log_files.make_log_directory(folder)
+    with open(folder / _FILE, "a+", encoding="utf-8", opener=log_files.opener) as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
@@ -128,9 +128,9 @@ def _kept(folder: Path) -> Iterator[None]:
 
 
 def _folder(arguments: Namespace) -> Path:
-    from roboneuron.feature import load_config, state_directory
+    from roboneuron.feature import environment, load_config
 
-    return state_directory(load_config(arguments.config).supervisor.state_directory)
+    return environment.state_directory(load_config(arguments.config).supervisor.state_directory)
 
 
 async def _start(arguments: Namespace, screen: object) -> int:

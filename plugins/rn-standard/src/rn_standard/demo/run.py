@@ -19,7 +19,7 @@ from rn_standard.demo.agent import Agent, SimulatedObject, module_status, simula
 from rn_standard.demo.film import Film
 from rn_standard.demo.screen import HOLD_GOAL_S, LIFT_GOAL_M, Screen
 from roboneuron import ConfigurationError, NotReadyError, RoboNeuronError
-from roboneuron.feature import default_text, load_config
+from roboneuron.feature import load_config, reading
 
 _LOOK_PERIOD_S = 0.25
 _PATIENCE_S = 3.0
@@ -52,7 +52,7 @@ class DemoOptions:
 
 def write_configuration(options: DemoOptions, directory: Path) -> Path:
     """Write the configuration the server is started with; returns its path."""
-    text = options.config.read_text(encoding="utf-8") if options.config else default_text()
+    text = options.config.read_text(encoding="utf-8") if options.config else reading.default_text()
     config = load_config(options.config)
     chosen: dict[str, Any] = {}
     if options.seed is not None:

@@ -11,8 +11,8 @@ from functools import partial
 from typing import cast
 
 from rn_standard.direct_path.exposed import (
-    Exposed,
     action_endpoint,
+    allowed_endpoint,
     check_reserved,
     check_stop,
     profile_endpoints,
@@ -26,13 +26,14 @@ from roboneuron import ConfigurationError, Controller, RobotProfile
 from roboneuron.feature import (
     Config,
     Event,
-    LimitsConfig,
+    ExposedEndpoint,
     MotionRules,
     Registry,
     build,
     collision_of,
     inspector_of,
     load_profile,
+    models,
     motion_rules,
 )
 
@@ -46,7 +47,7 @@ class ArmPaths:
         self,
         config: Config,
         registry: Callable[[], Registry],
-        limits: Callable[[], LimitsConfig] | None = None,
+        limits: Callable[[], models.LimitsConfig] | None = None,
     ) -> None:
         """Args:
         config: of the server; other arms than its own have the limits' defaults and their profile.
@@ -95,8 +96,8 @@ class ArmPaths:
         controller.load()
         return controller, limited
 
-    def _limits(self, robot: str) -> LimitsConfig:
-        return self._limits_now() if robot == self._config.robot.name else LimitsConfig()
+    def _limits(self, robot: str) -> models.LimitsConfig:
+        return self._limits_now() if robot == self._config.robot.name else models.LimitsConfig()
 
     def _controller(self, robot: str) -> str:
         if self._config.control is not None:
@@ -128,7 +129,7 @@ class AllowList:
         gate: Gate,
         config: Callable[[], Config],
         registry: Callable[[], Registry],
-        limits: Callable[[], LimitsConfig] | None = None,
+        limits: Callable[[], models.LimitsConfig] | None = None,
     ) -> None:
         """Args:
         gate: judges by the list.
@@ -141,14 +142,14 @@ class AllowList:
         self._registry = registry
         self._paths = ArmPaths(config(), registry, limits)
         self._lock = threading.RLock()
-        self._by_owner: dict[str, tuple[Exposed, ...]] = {}
+        self._by_owner: dict[str, tuple[ExposedEndpoint, ...]] = {}
         self._instead: frozenset[str] = frozenset()
-        self.exposed: tuple[Exposed, ...] = ()
+        self.exposed: tuple[ExposedEndpoint, ...] = ()
         self._changed: Event[[]] = Event()
         self.on_change = self._changed.listen
 
     def expose(
-        self, owner: str, endpoints: Sequence[Exposed], *, instead_of_profile: bool = False
+        self, owner: str, endpoints: Sequence[ExposedEndpoint], *, instead_of_profile: bool = False
     ) -> None:
         """Have these endpoints of an owner and no others of it.
 
@@ -221,18 +222,18 @@ class AllowList:
         self._gate.replace(map(self._allowed, made))
         self.exposed = made
 
-    def _profile(self) -> list[Exposed]:
+    def _profile(self) -> list[ExposedEndpoint]:
         config, registry = self._config(), self._registry()
         name = config.robot.name
         if self._instead or name not in registry.specs("robot"):
             return []
         return profile_endpoints(name, config.namespace, load_profile(registry, name))
 
-    def _allowed(self, exposed: Exposed) -> AllowedEndpoint:
+    def _allowed(self, exposed: ExposedEndpoint) -> AllowedEndpoint:
         """The entry of the gate; joint motions of an arm with a TCP get the limits that actions
         have.
         """
-        entry, profile = exposed.allowed(), exposed.profile
+        entry, profile = allowed_endpoint(exposed), exposed.profile
         if not exposed.endpoint.joint_limited or profile is None or not profile.tcp_link:
             return entry
         rules = self._paths.rules(exposed.robot, profile)

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
 
-from rn_standard.direct_path.exposed import ACTION_LABEL, Exposed
+from rn_standard.direct_path.exposed import ACTION_LABEL
 from rn_standard.direct_path.gate import Gate
 from roboneuron import NotReadyError, RefusedError, RoboNeuronError, StateError
-from roboneuron.feature import MotionStarts
+from roboneuron.feature import ExposedEndpoint, MotionStarts
 
 _FROZEN_S = 2.0
 """Modules hold the robot after such a silence of the server; a motion looks at its end every 10
@@ -73,13 +73,13 @@ class MotionEnd:
         ) from self.cause
 
 
-class Motion:
+class ActiveMotion:
     """A motion that is under way; used by the thread that plays it."""
 
     def __init__(
         self,
         gate: Gate,
-        exposed: Exposed,
+        exposed: ExposedEndpoint,
         what: str,
         halt: threading.Event,
         policy: Callable[[], str],
@@ -144,9 +144,9 @@ class MotionArbiter:
     def __init__(
         self,
         gate: Gate,
-        policy: Callable[[Exposed], str],
+        policy: Callable[[ExposedEndpoint], str],
         starts: MotionStarts,
-        is_followed: Callable[[Exposed], bool] = lambda exposed: False,
+        is_followed: Callable[[ExposedEndpoint], bool] = lambda exposed: False,
         hold_s: float = 2.0,
     ) -> None:
         """Args:
@@ -161,7 +161,7 @@ class MotionArbiter:
         self._policy = policy
         self._starts = starts
         self._lock = threading.Lock()
-        self._moving: dict[str, Motion] = {}
+        self._moving: dict[str, ActiveMotion] = {}
         self._idle = threading.Condition(self._lock)
         gate.latch.on_press(self._stop_now)
         gate.latch.on_pressed(self._wake)
@@ -182,7 +182,7 @@ class MotionArbiter:
         """Whether a call moves a robot now."""
         return any(motion.exposed.moves for motion in list(self._moving.values()))
 
-    def check_free(self, exposed: Exposed) -> None:
+    def check_free(self, exposed: ExposedEndpoint) -> None:
         """Raise RefusedError while a policy or another call moves the robot; endpoints that
         move nothing are free.
         """
@@ -201,7 +201,9 @@ class MotionArbiter:
             )
 
     @contextmanager
-    def claim(self, exposed: Exposed, what: str, halt: threading.Event) -> Iterator[Motion]:
+    def claim(
+        self, exposed: ExposedEndpoint, what: str, halt: threading.Event
+    ) -> Iterator[ActiveMotion]:
         """Own the robot's motion for a while.
 
         Args:
@@ -212,7 +214,7 @@ class MotionArbiter:
         Raises:
             RefusedError: somebody else moves it.
             NotReadyError: control follows actions, and does not come to its hold.
-            StateError: as `Motion.check`.
+            StateError: as `ActiveMotion.check`.
         """
         if exposed.moves:
             self._starts.look()  # what stopped the robot before this call is no reason to end it
@@ -224,7 +226,7 @@ class MotionArbiter:
             return f"It was stopped: {self._starts.reason}. The motion is not resumed."
 
         policy = partial(self._policy, exposed) if exposed.moves else str
-        motion = Motion(self._gate, exposed, what, halt, policy, stopped)
+        motion = ActiveMotion(self._gate, exposed, what, halt, policy, stopped)
         key = exposed.robot if exposed.moves else f"{exposed.robot}/{exposed.topic}"
         with self._lock:
             self.check_free(exposed)
@@ -242,7 +244,7 @@ class MotionArbiter:
                 del self._moving[key]
                 self._idle.notify_all()
 
-    def _await_hold(self, motion: Motion) -> None:
+    def _await_hold(self, motion: ActiveMotion) -> None:
         """Wait for the hold that follows the last action of a policy or of move_ee."""
         deadline_s = time.monotonic() + self._hold_s
         while self._is_followed(motion.exposed):
@@ -254,7 +256,10 @@ class MotionArbiter:
             motion.sleep_until(time.monotonic() + POLL_S)
 
     def end_all(
-        self, reason: str, timeout_s: float, which: Callable[[Exposed], bool] = lambda exposed: True
+        self,
+        reason: str,
+        timeout_s: float,
+        which: Callable[[ExposedEndpoint], bool] = lambda exposed: True,
     ) -> bool:
         """End every motion (through the endpoints that are meant) and wait; False when one did
         not end in time.

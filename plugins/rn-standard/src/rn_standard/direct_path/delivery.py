@@ -6,16 +6,15 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from opentelemetry import trace
 
-from rn_standard.direct_path.arbiter import Ending, Motion, MotionEnd
-from rn_standard.direct_path.exposed import ACTION_LABEL
+from rn_standard.direct_path.arbiter import ActiveMotion, Ending, MotionEnd
+from rn_standard.direct_path.exposed import ACTION_LABEL, stop_message
 from rn_standard.direct_path.gate import Gate
-from rn_standard.direct_path.request import GateRequest, Verdict
 from roboneuron import (
     JointCommand,
     JointSample,
@@ -25,6 +24,7 @@ from roboneuron import (
     RobotProfile,
     StateError,
 )
+from roboneuron.feature import GateRequest, TimedCommand
 
 if TYPE_CHECKING:
     from rn_standard.direct_path.writer import TopicWriter
@@ -36,54 +36,19 @@ _HOLD_S = 0.1
 """Time that a trajectory gets to bring the joints to where they were measured."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Command:
-    """What a motion does next.
-
-    Attributes:
-        message: what is sent; None when only time passes. One that is not in the gate's request is
-            judged by the gate before it is sent.
-        due_s: monotonic time of the next command [s].
-        stamped: its header is to carry the time of sending.
-    """
-
-    message: Any
-    due_s: float
-    stamped: bool = False
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Sent:
-    """What was sent, to how many; nothing when `verdict` does not allow it.
-
-    Attributes:
-        verdict: the gate's answer.
-        messages: repetitions and the stop message included.
-        subscribers: how many were matched then.
-        duration_s: how long it took.
-        stopped: a message that stops was sent at the end.
-    """
-
-    verdict: Verdict
-    messages: int = 0
-    subscribers: int = 0
-    duration_s: float = 0.0
-    stopped: bool = False
-
-
 def run(
-    motion: Motion,
+    motion: ActiveMotion,
     writer: TopicWriter,
     gate: Gate,
     request: GateRequest,
-    commands: Iterable[Command],
+    commands: Iterable[TimedCommand],
     *,
     joints: Callable[[], JointSample | None],
     total_s: float,
     details: Callable[[], str],
 ) -> MotionEnd:
     """Send each command when it is due, and end the motion, whatever happens; see
-    `MotionGate.play`.
+    `DirectGate.play`.
 
     Args:
         motion: owned by the caller.
@@ -102,7 +67,7 @@ def run(
     sent, failed, ending = 0, True, Ending.NONE
     cause: RoboNeuronError | None = None
     if exposed.endpoint.stop_message:
-        motion.stop_now = lambda: writer.publish_if_possible(exposed.stop_message(time.time_ns()))
+        motion.stop_now = lambda: writer.publish_if_possible(stop_message(exposed, time.time_ns()))
     try:
         for command in commands:
             motion.check()
@@ -145,7 +110,7 @@ def send(writer: TopicWriter, message: Any, stamped: bool) -> None:
 
 
 def _end(
-    motion: Motion,
+    motion: ActiveMotion,
     writer: TopicWriter,
     last: Any,
     joints: Callable[[], JointSample | None],
@@ -158,7 +123,7 @@ def _end(
     Control holds the arm once actions stop.
     """
     exposed = motion.exposed
-    message = exposed.stop_message(time.time_ns())
+    message = stop_message(exposed, time.time_ns())
     if message is not None:
         writer.publish(message)
         return Ending.STOP_MESSAGE
@@ -198,7 +163,7 @@ def _hold(message: Any, joints: JointSample | None, profile: RobotProfile | None
     position = [float(joints.position[joints.names.index(name)]) for name in names]
     if not hasattr(message, "points"):
         return type(message)(name=names, position=position)
-    from roboneuron.feature import to_joint_trajectory  # heavy
+    from roboneuron.feature import messages  # heavy
 
     command = JointCommand(names=tuple(names), position=np.array(position), duration_s=_HOLD_S)
-    return to_joint_trajectory(command)
+    return messages.to_joint_trajectory(command)

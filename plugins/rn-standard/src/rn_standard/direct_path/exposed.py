@@ -8,11 +8,11 @@ import json
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 from rn_standard.direct_path.fields import filled, load_type
-from rn_standard.direct_path.request import AllowedEndpoint, GateRequest
+from rn_standard.direct_path.request import AllowedEndpoint
 from roboneuron import (
     CallContext,
     ConfigurationError,
@@ -21,17 +21,7 @@ from roboneuron import (
     JointSample,
     RobotProfile,
 )
-from roboneuron.feature import (
-    ACTION,
-    DIAGNOSTICS,
-    EE_POSE,
-    EMERGENCY_STOP_TOPIC,
-    JOINT_STATES,
-    MODULE_KINDS,
-    PREDICTIONS,
-    camera_image,
-    camera_info,
-)
+from roboneuron.feature import MODULE_KINDS, ExposedEndpoint, GateRequest, settings, topics
 
 _ACTION_TYPE = "std_msgs/msg/Float64MultiArray"
 Use = tuple[str, str]
@@ -43,83 +33,48 @@ _SERVICE_OF_A_NODE = re.compile(
 )
 """Parameter and lifecycle services. Source: rcl_interfaces/srv, lifecycle_msgs/srv."""
 _OWN_TOPICS = re.compile(
-    rf"{ACTION}|{JOINT_STATES}|{EE_POSE}|{PREDICTIONS}|{camera_image('[^/]+')}|{camera_info('[^/]+')}"
+    rf"{topics.ACTION}|{topics.JOINT_STATES}|{topics.EE_POSE}|{topics.PREDICTIONS}|{topics.camera_image('[^/]+')}|{topics.camera_info('[^/]+')}"
     rf"|({'|'.join(MODULE_KINDS)})(_b)?/transition_event"
 )
 """Written by RoboNeuron's own modules below a robot's namespace; a second writer would pass for
 them.
 """
-_SYSTEM_TOPICS = frozenset({DIAGNOSTICS, "/rosout", "/parameter_events"})
+_SYSTEM_TOPICS = frozenset({topics.DIAGNOSTICS, "/rosout", "/parameter_events"})
 """Health of the modules, and what ROS itself tells."""
 ACTION_LABEL = "ee_delta"
 """Label of the hidden endpoint that is the action topic of an arm."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Exposed:
-    """An endpoint of one robot that agents may use.
-
-    Attributes:
-        robot: its name.
-        namespace: its ROS namespace, without a leading slash.
-        label: noun in the names of its tools.
-        endpoint: the gate's entry; its name is unique among the robot's.
-        profile: the robot's facts, None for a robot that no plugin knows.
-        clamp, nonfinite: see `AllowedEndpoint`.
-        require_subscriber: a message that nobody receives is an error.
-        moves: it moves the robot, so that it is refused while a policy does.
-        hidden: no tools of its own; another tool uses it.
-    """
-
-    robot: str
-    namespace: str
-    label: str
-    endpoint: Endpoint
-    profile: RobotProfile | None = None
-    clamp: frozenset[str] = frozenset()
-    nonfinite: frozenset[str] = frozenset()
-    require_subscriber: bool = True
-    moves: bool = True
-    hidden: bool = False
-
-    @property
-    def topic(self) -> str:
-        """Absolute name of the topic, service or action."""
-        name = self.endpoint.topic
-        return name if name.startswith("/") else f"/{self.namespace}/{name}"
-
-    @property
-    def ros_type(self) -> Any:
-        """The rosidl class of its type. Raises ConfigurationError."""
-        return load_type(self.endpoint.type)
-
-    def allowed(self) -> AllowedEndpoint:
-        """The entry of the gate's allow list."""
-        return AllowedEndpoint(
-            robot=self.robot,
-            endpoint=self.endpoint,
-            profile=self.profile,
-            clamp=self.clamp,
-            nonfinite=self.nonfinite,
-            topic=self.topic,
-        )
-
-    def stop_message(self, now_ns: int) -> Any:
-        """The message that ends a motion, or None."""
-        text = self.endpoint.stop_message
-        if not text:
-            return None
-        message = filled(self.ros_type, {} if text == "zero" else json.loads(text))
-        header = getattr(message, "header", None)
-        if header is not None and hasattr(header, "stamp"):
-            header.stamp.sec, header.stamp.nanosec = divmod(now_ns, 1_000_000_000)
-        return message
+def allowed_endpoint(exposed: ExposedEndpoint) -> AllowedEndpoint:
+    """The entry of the gate's allow list."""
+    return AllowedEndpoint(
+        robot=exposed.robot,
+        endpoint=exposed.endpoint,
+        profile=exposed.profile,
+        clamp=exposed.clamp,
+        nonfinite=exposed.nonfinite,
+        topic=exposed.topic,
+    )
 
 
-def profile_endpoints(robot: str, namespace: str, profile: RobotProfile | None) -> list[Exposed]:
+def stop_message(exposed: ExposedEndpoint, now_ns: int) -> Any:
+    """The message that ends a motion, or None."""
+    text = exposed.endpoint.stop_message
+    if not text:
+        return None
+    message = filled(load_type(exposed.endpoint.type), {} if text == "zero" else json.loads(text))
+    header = getattr(message, "header", None)
+    if header is not None and hasattr(header, "stamp"):
+        header.stamp.sec, header.stamp.nanosec = divmod(now_ns, 1_000_000_000)
+    return message
+
+
+def profile_endpoints(
+    robot: str, namespace: str, profile: RobotProfile | None
+) -> list[ExposedEndpoint]:
     """The endpoints that a robot's profile offers; none without a profile."""
     return [
-        Exposed(
+        ExposedEndpoint(
             robot=robot,
             namespace=namespace,
             label=endpoint.name,
@@ -130,7 +85,7 @@ def profile_endpoints(robot: str, namespace: str, profile: RobotProfile | None) 
     ]
 
 
-def action_endpoint(exposed: Exposed) -> Exposed | None:
+def action_endpoint(exposed: ExposedEndpoint) -> ExposedEndpoint | None:
     """The action topic of the robot of `exposed`, when that is an arm with a TCP: what control
     follows.
     """
@@ -140,13 +95,13 @@ def action_endpoint(exposed: Exposed) -> Exposed | None:
     endpoint = Endpoint(
         name=ACTION_LABEL,
         kind="publish",
-        topic=ACTION,
+        topic=topics.ACTION,
         type=_ACTION_TYPE,
         summary="TCP deltas for control.",
         bounds={"data": (-1.0, 1.0)},
         rate_hz=20.0,
     )
-    return Exposed(
+    return ExposedEndpoint(
         robot=exposed.robot,
         namespace=exposed.namespace,
         label=ACTION_LABEL,
@@ -156,7 +111,7 @@ def action_endpoint(exposed: Exposed) -> Exposed | None:
     )
 
 
-def check_stop(exposed: Exposed) -> None:
+def check_stop(exposed: ExposedEndpoint) -> None:
     """Raise ConfigurationError unless the stop message is one that the endpoint takes."""
     if not exposed.endpoint.stop_message:
         return
@@ -164,7 +119,7 @@ def check_stop(exposed: Exposed) -> None:
     if exposed.endpoint.kind != "publish":
         raise ConfigurationError(f"{where} makes no sense: it is a {exposed.endpoint.kind}.")
     try:
-        exposed.stop_message(0)
+        stop_message(exposed, 0)
     except InvalidInputError as error:
         raise ConfigurationError(f"{where}: {error}") from error
     outside = [
@@ -206,7 +161,7 @@ def is_module(node: str, owner: str) -> bool:
     }
 
 
-def check_reserved(exposed: Exposed, namespaces: Mapping[str, str]) -> None:
+def check_reserved(exposed: ExposedEndpoint, namespaces: Mapping[str, str]) -> None:
     """Raise ConfigurationError unless agents may be given this topic, and through this robot."""
     topic, kind = exposed.topic, exposed.endpoint.kind
     owner = check_owner(topic, exposed.robot, namespaces)
@@ -216,7 +171,7 @@ def check_reserved(exposed: Exposed, namespaces: Mapping[str, str]) -> None:
     own = topic in _SYSTEM_TOPICS or (
         bool(owner) and _is_own(topic.removeprefix(f"/{owner}/"), exposed.profile)
     )
-    if topic.rpartition("/")[2] == EMERGENCY_STOP_TOPIC or (own and kind == "publish"):
+    if topic.rpartition("/")[2] == settings.EMERGENCY_STOP_TOPIC or (own and kind == "publish"):
         raise ConfigurationError(
             f"{where} is written by RoboNeuron alone and cannot be exposed for kind = {kind!r}.",
             hint="Agents stop the robot with emergency_stop and move an arm with move_ee.",
@@ -247,9 +202,9 @@ def _is_own(topic: str, profile: RobotProfile | None) -> bool:
     )
 
 
-def by_topic(endpoints: Iterable[Exposed]) -> dict[Use, list[Exposed]]:
+def by_topic(endpoints: Iterable[ExposedEndpoint]) -> dict[Use, list[ExposedEndpoint]]:
     """Endpoints by topic and kind."""
-    found: dict[Use, list[Exposed]] = {}
+    found: dict[Use, list[ExposedEndpoint]] = {}
     for exposed in endpoints:
         found.setdefault((exposed.topic, exposed.endpoint.kind), []).append(exposed)
     return found
@@ -284,8 +239,8 @@ def tightened_by(endpoint: Endpoint, other: Endpoint) -> Endpoint:
 
 
 def same_for_each_topic(
-    drafts: Iterable[Exposed], sources: Mapping[Use, Iterable[Exposed]]
-) -> list[Exposed]:
+    drafts: Iterable[ExposedEndpoint], sources: Mapping[Use, Iterable[ExposedEndpoint]]
+) -> list[ExposedEndpoint]:
     """Every name of a topic with the limits of all of them.
 
     Args:
@@ -310,7 +265,7 @@ def same_for_each_topic(
 def gate_request(
     context: CallContext,
     tool: str,
-    exposed: Exposed,
+    exposed: ExposedEndpoint,
     messages: Sequence[Any],
     arguments: Mapping[str, Any],
     *,

@@ -11,14 +11,13 @@ from typing import Any
 
 from rn_standard.direct_path.allow_list import AllowList
 from rn_standard.direct_path.arbiter import MotionArbiter
-from rn_standard.direct_path.exposed import Exposed
 from rn_standard.direct_path.gate import Gate
 from rn_standard.direct_path.health_diagnostics import HealthDiagnostics
-from rn_standard.direct_path.motion_gate import MotionGate
+from rn_standard.direct_path.motion_gate import DirectGate
 from rn_standard.direct_path.plugin import FEATURE
 from rn_standard.direct_path.traffic import Traffic
-from roboneuron import Feature, Host, RoboNeuronError, StateError, Tool
-from roboneuron.feature import FOLLOWING_NOTE, assess
+from roboneuron import Feature, Host, RoboNeuronError, Tool
+from roboneuron.feature import ExposedEndpoint, MotionGate, assess, settings
 
 log = logging.getLogger(__name__)
 _CLOSE_S = 2.0
@@ -39,7 +38,7 @@ class DirectPath(Feature[None]):
     judge: Gate
     arbiter: MotionArbiter
     allow_list: AllowList
-    _gate: MotionGate | None = None
+    _gate: DirectGate | None = None
 
     @property
     def gate(self) -> MotionGate | None:
@@ -66,13 +65,13 @@ class DirectPath(Feature[None]):
         self.allow_list = AllowList(
             self.judge, lambda: host.config, lambda: host.registry, lambda: host.loop.limits
         )
-        traffic = Traffic(lambda: host.supervisor.link)
-        self._gate = MotionGate(
+        traffic = Traffic(lambda: host.loop.supervisor.link)
+        self._gate = DirectGate(
             self.judge, self.arbiter, traffic, self.allow_list, server.max_duration_s,
             self._permit, lambda: host.loop.starts.are_needed,
         )  # fmt: skip
         host.events.change.listen(self._on_module)
-        host.events.health.listen(HealthDiagnostics(host.supervisor).publish)
+        host.events.health.listen(HealthDiagnostics(host.loop.supervisor).publish)
         return ()
 
     def complete(self, host: Host) -> None:
@@ -93,27 +92,27 @@ class DirectPath(Feature[None]):
             self.judge.replace(())
             self.end_motion("The direct path is closed.", _CLOSE_S)
 
-    def _permit(self, exposed: Exposed) -> None:
+    def _permit(self, exposed: ExposedEndpoint) -> None:
         """Somebody asks for motion: robot and control obey again after a stop. Raises as
         `MotionStarts.permit`.
         """
         if exposed.moves and exposed.namespace == self._host.config.namespace:
             self._host.loop.starts.permit()
 
-    def _policy(self, exposed: Exposed) -> str:
+    def _policy(self, exposed: ExposedEndpoint) -> str:
         """Which policy moves the robot now, as a sentence; empty when none does."""
-        view = self._host.supervisor.view("inference")
+        view = self._host.modules.view("inference")
         if view.phase not in ("starting", "running") or view.choice is None:
             return ""
         if view.choice.settings.config.namespace != exposed.namespace:
             return ""
         return f"The policy {view.choice.names.get('backend', '')!r} moves {exposed.robot!r}."
 
-    def _is_followed(self, exposed: Exposed) -> bool:
+    def _is_followed(self, exposed: ExposedEndpoint) -> bool:
         """Whether control has acted since it held last; one that is frozen tells nothing, and
         comes to no hold.
         """
-        view = self._host.supervisor.view("control")
+        view = self._host.modules.view("control")
         if (
             view.choice is None
             or view.choice.settings.config.namespace != exposed.namespace
@@ -124,7 +123,7 @@ class DirectPath(Feature[None]):
             "silent",
             "stuck",
         )
-        return is_turning and view.report.note == FOLLOWING_NOTE
+        return is_turning and view.report.note == settings.FOLLOWING_NOTE
 
     def _on_module(self, kind: str) -> None:
         """Another robot has other interfaces."""
@@ -138,17 +137,3 @@ class DirectPath(Feature[None]):
 def direct_path(host: Host) -> DirectPath:
     """The direct path of a server. Raises StateError as `Host.feature`."""
     return host.feature(FEATURE.name, DirectPath)
-
-
-def gate_of(host: Host) -> MotionGate:
-    """`host.gate` with its type, for features that need `direct-path`.
-
-    Raises:
-        StateError: there is none, or it is not of this package.
-    """
-    gate = host.gate
-    if not isinstance(gate, MotionGate):
-        raise StateError(
-            f"The gate of this server is a {type(gate).__name__}, not that of {FEATURE.name!r}."
-        )
-    return gate

@@ -22,15 +22,18 @@ from rn_standard.direct_path.limits import (
 )
 from rn_standard.direct_path.path_limits import Leg, LimitError
 from rn_standard.direct_path.rate import RateLimit
-from rn_standard.direct_path.request import (
-    ROLE_BY_KIND,
-    AllowedEndpoint,
+from rn_standard.direct_path.request import ROLE_BY_KIND, AllowedEndpoint
+from roboneuron import RefusedError, RoboNeuronError
+from roboneuron.feature import (
+    AuditLog,
+    AuditRecord,
     Clamp,
     GateRequest,
     Verdict,
+    estop,
+    joint_space,
+    roles,
 )
-from roboneuron import RefusedError, RoboNeuronError
-from roboneuron.feature import AuditLog, AuditRecord, EmergencyStopLatch, has_role, joint_limits
 
 _Key = tuple[str, str]
 
@@ -47,7 +50,7 @@ class Gate:
         self,
         allowed: Iterable[AllowedEndpoint],
         *,
-        latch: EmergencyStopLatch,
+        latch: estop.EmergencyStopLatch,
         audit: AuditLog,
         clock: Callable[[], float],
         dry_run: bool = False,
@@ -177,7 +180,7 @@ class Gate:
         endpoint = entry.endpoint
         yield "role"
         least = ROLE_BY_KIND[endpoint.kind]
-        if not has_role(request.role, least):
+        if not roles.has_role(request.role, least):
             text = (
                 f"{endpoint.name!r} needs the role {least!r}, {request.who[:60]!r} has "
                 f"{request.role[:20]!r}."
@@ -261,7 +264,7 @@ def _legs(entry: AllowedEndpoint, request: GateRequest) -> list[Leg]:
         )
     durations_s = request.durations_s if len(request.durations_s) == len(commands) else ()
     return check_joints(
-        joint_limits(entry.profile, entry.rules), commands, request.joints, durations_s
+        joint_space.joint_limits(entry.profile, entry.rules), commands, request.joints, durations_s
     )
 
 

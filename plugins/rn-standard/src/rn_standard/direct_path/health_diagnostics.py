@@ -28,10 +28,12 @@ class HealthDiagnostics:
             return
         from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue  # heavy
 
-        from roboneuron.feature import DIAGNOSTICS, STATUS
+        from roboneuron.feature import qos, topics
 
         if self._send is None:
-            self._send = self._supervisor.link.advertise(DiagnosticArray, DIAGNOSTICS, STATUS)
+            self._send = self._supervisor.link.advertise(
+                DiagnosticArray, topics.DIAGNOSTICS, qos.STATUS
+            )
         level: Any = DiagnosticStatus.OK
         if health in FAULTS:
             level = (

@@ -14,7 +14,7 @@ from rn_standard.direct_path.fields import is_message, type_name_of
 from rn_standard.direct_path.path_limits import Leg
 from rn_standard.direct_path.speeds import Speeds, shortest_s
 from roboneuron import JointSample, RefusedError
-from roboneuron.feature import SLACK, JointLimit
+from roboneuron.feature import joint_space
 
 MAX_POINTS = 2000
 JOINT_TYPES = ("trajectory_msgs/msg/JointTrajectory", "sensor_msgs/msg/JointState")
@@ -40,7 +40,7 @@ def joint_commands(message: Any) -> Iterator[Any]:
 
 
 def check_joints(
-    limits: Mapping[str, JointLimit],
+    limits: Mapping[str, joint_space.JointLimit],
     messages: Sequence[Any],
     joints: JointSample | None,
     durations_s: Sequence[float] = (),
@@ -81,7 +81,9 @@ def check_joints(
 class _JointMotion:
     """Where the joints are after the commands so far, and which velocities they can have there."""
 
-    def __init__(self, limits: Mapping[str, JointLimit], joints: JointSample | None) -> None:
+    def __init__(
+        self, limits: Mapping[str, joint_space.JointLimit], joints: JointSample | None
+    ) -> None:
         self._limits = limits
         self._position: dict[str, float] = {}
         self._speeds: dict[str, Speeds] = {}
@@ -147,7 +149,7 @@ class _JointMotion:
                 where=where if len(message.points) > 1 else "",
             )
             before_s = at_s
-        if lasts_s is not None and lasts_s < before_s * (1.0 - SLACK):
+        if lasts_s is not None and lasts_s < before_s * (1.0 - joint_space.SLACK):
             raise RefusedError(f"The trajectory takes {before_s:g} s, its step only {lasts_s:g} s.")
 
     def _state(self, message: Any, lasts_s: float | None) -> Iterator[Leg]:
@@ -187,7 +189,7 @@ class _JointMotion:
             limit, distance = self._limits[name], end - start
             self._distance[name] = distance
             mean, allowed = distance / duration_s, limit.fastest(end, end > start)
-            if abs(mean) > allowed * (1.0 + SLACK):
+            if abs(mean) > allowed * (1.0 + joint_space.SLACK):
                 near = " so near to its limit" if allowed < limit.velocity else ""
                 raise RefusedError(
                     f"{leg.where}{name} would move at {abs(mean):.4g} per second, allowed is "
@@ -198,7 +200,7 @@ class _JointMotion:
                 )
             old = self._speeds.get(name, Speeds(0.0, 0.0))
             if is_velocity:
-                room = limit.acceleration * duration_s * (1.0 + SLACK)
+                room = limit.acceleration * duration_s * (1.0 + joint_space.SLACK)
                 new = Speeds(mean, mean) if old.at(mean, room) else None
             else:
                 new = old.after(distance, duration_s, limit.acceleration, limit.velocity)

@@ -17,10 +17,10 @@ from rn_standard.direct_path.fields import (
     type_name_of,
     walk_fields,
 )
-from rn_standard.direct_path.request import ROLE_BY_KIND, AllowedEndpoint, Clamp
+from rn_standard.direct_path.request import ROLE_BY_KIND, AllowedEndpoint
 from rn_standard.direct_path.twists import TWIST_FIELDS, check_twist
 from roboneuron import ConfigurationError, Endpoint, RefusedError
-from roboneuron.feature import TOPIC_RULE
+from roboneuron.feature import TOPIC_RULE, Clamp
 
 _TOPIC = re.compile(r"/?[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*\Z")
 _NAME = re.compile(r"[a-z][a-z0-9_]{0,59}\Z")

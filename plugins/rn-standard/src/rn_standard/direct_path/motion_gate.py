@@ -12,13 +12,19 @@ from typing import TYPE_CHECKING, Any
 
 from rn_standard.direct_path import delivery
 from rn_standard.direct_path.allow_list import AllowList
-from rn_standard.direct_path.arbiter import Ending, Motion, MotionArbiter
-from rn_standard.direct_path.delivery import Command, Sent
-from rn_standard.direct_path.exposed import Exposed
+from rn_standard.direct_path.arbiter import Ending, MotionArbiter
+from rn_standard.direct_path.fields import load_type
 from rn_standard.direct_path.gate import Gate
-from rn_standard.direct_path.request import GateRequest, Verdict
 from rn_standard.direct_path.traffic import Traffic
 from roboneuron import NotReadyError, RefusedError
+from roboneuron.feature import (
+    ExposedEndpoint,
+    GateRequest,
+    MotionClaim,
+    Sent,
+    TimedCommand,
+    Verdict,
+)
 
 if TYPE_CHECKING:
     from unique_identifier_msgs.msg import UUID
@@ -31,21 +37,8 @@ _LATE_S = 0.25
 """After a longer wait for a subscriber the gate is asked again."""
 
 
-class MotionGate:
-    """What moves a robot, for features. Usable from any thread; what blocks says so.
-
-    Every message, request and goal passes the gate before it is sent. Motion that lasts has its
-    robot to itself, and is ended by its stop message or a hold when the call is cancelled, a policy
-    starts, or the emergency stop is pressed.
-
-    Attributes:
-        max_duration_s: longest motion, sequence or goal that a feature may ask for [s].
-        expose, on_change, relimit: see `AllowList`.
-        check, slowdown: see `Gate`; requests that send nothing, such as reading, are only checked.
-        check_free, claim, end_motions: see `MotionArbiter`.
-        newest_joints, joints: what is measured, see `Traffic`.
-        is_served, cancel_goal: services and actions, see `Traffic`.
-    """
+class DirectGate:
+    """The gate that features get as `Host.gate`; see `roboneuron.feature.MotionGate`."""
 
     def __init__(
         self,
@@ -54,7 +47,7 @@ class MotionGate:
         traffic: Traffic,
         allow_list: AllowList,
         max_duration_s: float,
-        permit: Callable[[Exposed], None] = lambda exposed: None,
+        permit: Callable[[ExposedEndpoint], None] = lambda exposed: None,
         is_still: Callable[[], bool] = lambda: False,
     ) -> None:
         self._permit, self._is_still = permit, is_still
@@ -77,16 +70,12 @@ class MotionGate:
         self.is_served, self.cancel_goal = traffic.is_served, traffic.cancel_goal
 
     @property
-    def exposed(self) -> tuple[Exposed, ...]:
-        """What agents may use now, by any feature; the action topic of an arm is among it,
-        hidden.
-        """
+    def exposed(self) -> tuple[ExposedEndpoint, ...]:
+        """As `MotionGate.exposed`."""
         return self._allow_list.exposed
 
-    def ask(self, exposed: Exposed, request: GateRequest) -> Verdict:
-        """Whether a request could be carried out now, and if not, by which rule. `request` is a
-        dry run.
-        """
+    def ask(self, exposed: ExposedEndpoint, request: GateRequest) -> Verdict:
+        """As `MotionGate.ask`."""
         try:
             self.check_free(exposed)
         except RefusedError as error:
@@ -95,21 +84,9 @@ class MotionGate:
         return self._gate.check(request)
 
     def send_request(
-        self, exposed: Exposed, request: GateRequest, on_answer: Callable[[], None]
+        self, exposed: ExposedEndpoint, request: GateRequest, on_answer: Callable[[], None]
     ) -> tuple[Verdict, Call | None]:
-        """Send the request to a service at once, if the gate allows it.
-
-        Args:
-            exposed: which service.
-            request: holds the one message.
-            on_answer: called when the answer is there, on the thread of the ROS node.
-
-        Returns:
-            The answer of the gate, and the call on its way; None when nothing was sent.
-
-        Raises:
-            RefusedError: the gate, or somebody else moves the robot.
-        """
+        """As `MotionGate.send_request`."""
         # it changes nothing, so it is answered in a dry run too
         is_query = exposed.endpoint.kind == "read"
         if not is_query:
@@ -120,38 +97,20 @@ class MotionGate:
         if not is_query:
             self._permit(exposed)
         call = self._traffic.link().call(
-            exposed.ros_type, exposed.topic, request.messages[0], on_answer
+            load_type(exposed.endpoint.type), exposed.topic, request.messages[0], on_answer
         )
         return verdict, call
 
     def send_goal(
         self,
-        exposed: Exposed,
+        exposed: ExposedEndpoint,
         request: GateRequest,
-        motion: Motion,
+        motion: MotionClaim,
         goal_id: UUID,
         server_s: float,
         on_feedback: Callable[[Any], None],
     ) -> tuple[Verdict, Any]:
-        """Send the goal to an action as soon as that is served, if the gate allows it.
-
-        Args:
-            exposed: which action.
-            request: holds the one goal.
-            motion: the robot's motion, from `claim`.
-            goal_id: as it is cancelled by, for as long as it runs: `cancel_goal` passes no gate.
-            server_s: longest wait for the action server.
-            on_feedback: called with each feedback message, on the thread of the ROS node.
-
-        Returns:
-            The answer of the gate, and rclpy's future of the goal handle; None when nothing was
-            sent.
-
-        Raises:
-            RefusedError: the gate; also when the emergency stop was pressed.
-            NotReadyError: nobody serves the action.
-            StateError: the motion has to end.
-        """
+        """As `MotionGate.send_goal`."""
         motion.check()
         verdict = self._gate.check(request)  # first: what is refused waits for nobody
         if not verdict.may_send:
@@ -177,11 +136,9 @@ class MotionGate:
         )
 
     def publish_now(
-        self, exposed: Exposed, request: GateRequest, *, stamped: bool = False
+        self, exposed: ExposedEndpoint, request: GateRequest, *, stamped: bool = False
     ) -> Sent | None:
-        """As `publish`, without blocking; None when something has to be waited for first: then
-        `publish` it.
-        """
+        """As `MotionGate.publish_now`."""
         writer = self._traffic.known_writer(exposed)
         if writer is None or request.dry_run or exposed.endpoint.joint_limited or self._is_still():
             return None
@@ -201,19 +158,14 @@ class MotionGate:
         )
 
     def publish(
-        self, exposed: Exposed, request: GateRequest, *, timeout_s: float, stamped: bool = False
+        self,
+        exposed: ExposedEndpoint,
+        request: GateRequest,
+        *,
+        timeout_s: float,
+        stamped: bool = False,
     ) -> Sent:
-        """Send one message; blocks.
-
-        Args:
-            exposed: through which endpoint.
-            request: holds the message.
-            timeout_s: longest wait for a subscriber.
-            stamped: the message's header is to carry the time of sending.
-
-        Raises:
-            RefusedError, NotReadyError, ConfigurationError: as `play`.
-        """
+        """As `MotionGate.publish`."""
         request = self._with_joints(exposed, request, timeout_s)
         if request.dry_run:
             return self._asked(exposed, request)
@@ -235,34 +187,16 @@ class MotionGate:
 
     def play(
         self,
-        exposed: Exposed,
+        exposed: ExposedEndpoint,
         request: GateRequest,
-        commands: Iterable[Command],
+        commands: Iterable[TimedCommand],
         *,
         total_s: float,
         timeout_s: float,
         halt: threading.Event,
         details: Callable[[], str] = lambda: "",
     ) -> Sent:
-        """Wait for a subscriber, own the robot's motion, send the commands, bring the motion to its
-        end; blocks.
-
-        Args:
-            exposed: through which endpoint.
-            request: holds the messages that are known beforehand.
-            commands: asked for the next one when it is due; what it raises ends the motion.
-            total_s: how long the motion is to last, for messages.
-            timeout_s: longest wait for a subscriber.
-            halt: set when the call is cancelled.
-            details: more to say of a motion that ended early.
-
-        Raises:
-            RefusedError: the gate, or somebody else moves the robot; also when the emergency stop
-                ended it.
-            NotReadyError: nobody subscribes.
-            StateError: cancelled, or a policy took over.
-            ConfigurationError: the topic carries another type.
-        """
+        """As `MotionGate.play`."""
         request = self._with_joints(exposed, request, timeout_s)
         if request.dry_run:
             return self._asked(exposed, request)
@@ -295,12 +229,14 @@ class MotionGate:
                 stopped=end.ending in (Ending.STOP_MESSAGE, Ending.HOLD),
             )
 
-    def _with_joints(self, exposed: Exposed, request: GateRequest, timeout_s: float) -> GateRequest:
+    def _with_joints(
+        self, exposed: ExposedEndpoint, request: GateRequest, timeout_s: float
+    ) -> GateRequest:
         if exposed.endpoint.joint_limited and request.joints is None:
             return replace(request, joints=self.joints(exposed, timeout_s))
         return request
 
-    def _asked(self, exposed: Exposed, request: GateRequest) -> Sent:
+    def _asked(self, exposed: ExposedEndpoint, request: GateRequest) -> Sent:
         return Sent(
             verdict=self.ask(exposed, request),
             subscribers=self._traffic.writer(exposed).listening(),
@@ -308,7 +244,7 @@ class MotionGate:
 
     def _connect(
         self,
-        exposed: Exposed,
+        exposed: ExposedEndpoint,
         writer: TopicWriter,
         request: GateRequest,
         timeout_s: float,

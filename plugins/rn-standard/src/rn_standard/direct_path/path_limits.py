@@ -14,7 +14,7 @@ from functools import partial
 import numpy as np
 
 from roboneuron import JointSample, Posture, RefusedError, RobotProfile, UnsafeError
-from roboneuron.feature import F64, MotionRules, Reach, TaskSpace
+from roboneuron.feature import F64, MotionRules, Reach, task_space
 
 MAX_POSTURES = 20_000
 """Longer paths are refused: checking them would take seconds."""
@@ -68,7 +68,7 @@ class PathLimiter:
     def __init__(
         self, rules: MotionRules, profile: RobotProfile, inspect: Callable[[JointSample], Posture]
     ) -> None:
-        self._task = TaskSpace(rules)
+        self._task = task_space.TaskSpace(rules)
         self._needs_distances = profile.collision is not None
         self._inspect = inspect
         self._reach = Reach(profile)

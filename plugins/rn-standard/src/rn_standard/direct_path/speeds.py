@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from roboneuron.feature import SLACK
+from roboneuron.feature import joint_space
 
 
 def shortest_s(distance: float, acceleration: float) -> float:
@@ -42,7 +42,7 @@ class Speeds:
         """
         if math.isinf(acceleration):
             return Speeds(-velocity, velocity)
-        mean, limit = distance / duration_s, acceleration * (1.0 + SLACK)
+        mean, limit = distance / duration_s, acceleration * (1.0 + joint_space.SLACK)
         reach = limit * duration_s / 2.0
         low, high = max(self.low, mean - reach), min(self.high, mean + reach)
         if low > high:
@@ -61,7 +61,7 @@ class Speeds:
         )
         return Speeds(slowest, fastest) if slowest <= fastest else None
 
-    def at(self, velocity: float, tolerance: float = SLACK) -> Speeds | None:
+    def at(self, velocity: float, tolerance: float = joint_space.SLACK) -> Speeds | None:
         """Only this velocity; None when it is not among them."""
         return (
             Speeds(velocity, velocity)

@@ -9,9 +9,9 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from rn_standard.direct_path.exposed import Exposed
+from rn_standard.direct_path.fields import load_type
 from roboneuron import InvalidInputError, JointSample
-from roboneuron.feature import JOINT_STATES
+from roboneuron.feature import ExposedEndpoint, topics
 
 if TYPE_CHECKING:
     from unique_identifier_msgs.msg import UUID
@@ -44,11 +44,11 @@ class Traffic:
         self._settled: set[str] = set()
         self._joints: dict[str, NewestMessage] = {}
 
-    def known_writer(self, exposed: Exposed) -> TopicWriter | None:
+    def known_writer(self, exposed: ExposedEndpoint) -> TopicWriter | None:
         """The writer if there is one; never blocks."""
         return self._writers.get((exposed.topic, exposed.endpoint.type))
 
-    def writer(self, exposed: Exposed) -> TopicWriter:
+    def writer(self, exposed: ExposedEndpoint) -> TopicWriter:
         """The writer of a topic."""
         from rn_standard.direct_path.writer import TopicWriter  # heavy
 
@@ -56,17 +56,17 @@ class Traffic:
         with self._lock:
             if key not in self._writers:
                 self._writers[key] = TopicWriter(
-                    link, exposed.ros_type, exposed.endpoint.type, exposed.topic
+                    link, load_type(exposed.endpoint.type), exposed.endpoint.type, exposed.topic
                 )
             return self._writers[key]
 
-    def is_served(self, exposed: Exposed) -> bool:
+    def is_served(self, exposed: ExposedEndpoint) -> bool:
         """Whether somebody serves the service or action; blocks for a moment when that is new
         of an action.
         """
         link = self.link()
         if exposed.endpoint.kind != "action":
-            return link.is_service_ready(exposed.ros_type, exposed.topic)
+            return link.is_service_ready(load_type(exposed.endpoint.type), exposed.topic)
         from action_msgs.srv import CancelGoal  # heavy
 
         if not self.action_client(exposed).server_is_ready():
@@ -79,7 +79,7 @@ class Traffic:
             self._settled.add(exposed.topic)
         return True
 
-    def action_client(self, exposed: Exposed) -> Any:
+    def action_client(self, exposed: ExposedEndpoint) -> Any:
         """The rclpy client of an action, for as long as the link is open."""
         from rclpy.action import ActionClient  # heavy
 
@@ -87,11 +87,11 @@ class Traffic:
         with self._lock:
             if key not in self._actions:
                 self._actions[key] = link.on_executor(
-                    lambda: ActionClient(link.node, exposed.ros_type, exposed.topic)
+                    lambda: ActionClient(link.node, load_type(exposed.endpoint.type), exposed.topic)
                 )
             return self._actions[key]
 
-    def cancel_goal(self, exposed: Exposed, goal_id: UUID) -> None:
+    def cancel_goal(self, exposed: ExposedEndpoint, goal_id: UUID) -> None:
         """Ask the server of an action to end a goal, by its id: also when the answer to the goal
         was lost.
 
@@ -103,7 +103,7 @@ class Traffic:
         request = CancelGoal.Request(goal_info=GoalInfo(goal_id=goal_id))
         self.link().call(CancelGoal, _cancel_name(exposed), request, lambda: None)
 
-    def newest_joints(self, exposed: Exposed) -> JointSample | None:
+    def newest_joints(self, exposed: ExposedEndpoint) -> JointSample | None:
         """The measured joints of the endpoint's robot, None when there are no recent ones;
         never blocks.
         """
@@ -111,14 +111,14 @@ class Traffic:
         message = watch.newest(JOINTS_AGE_S) if watch is not None else None
         if message is None:
             return None
-        from roboneuron.feature import joints_from_message  # heavy
+        from roboneuron.feature import messages  # heavy
 
         try:
-            return joints_from_message(message)
+            return messages.joints_from_message(message)
         except InvalidInputError:
             return None
 
-    def joints(self, exposed: Exposed, timeout_s: float) -> JointSample | None:
+    def joints(self, exposed: ExposedEndpoint, timeout_s: float) -> JointSample | None:
         """Like `newest_joints`, and waits for a recent measurement: on a busy machine states
         may come late.
         """
@@ -129,7 +129,9 @@ class Traffic:
 
         with self._lock:
             if space not in self._joints:
-                self._joints[space] = NewestMessage(link, JointState, f"/{space}/{JOINT_STATES}")
+                self._joints[space] = NewestMessage(
+                    link, JointState, f"/{space}/{topics.JOINT_STATES}"
+                )
         deadline_s = time.monotonic() + timeout_s
         self._joints[space].open(timeout_s)
         while (joints := self.newest_joints(exposed)) is None and time.monotonic() < deadline_s:
@@ -137,5 +139,5 @@ class Traffic:
         return joints
 
 
-def _cancel_name(exposed: Exposed) -> str:
+def _cancel_name(exposed: ExposedEndpoint) -> str:
     return f"{exposed.topic}/_action/cancel_goal"

@@ -20,7 +20,8 @@ from rclpy.qos import (
 )
 
 from roboneuron import ConfigurationError
-from roboneuron.feature import UNSENT, requested_qos
+from roboneuron.feature import UNSENT
+from roboneuron.feature import qos as core_qos
 
 if TYPE_CHECKING:
     from roboneuron.feature import RosLink
@@ -185,7 +186,7 @@ class NewestMessage:
             if not self._is_open:
                 infos = self._link.node.get_publishers_info_by_topic(self.topic)
                 self._link.subscribe(
-                    self._message_type, self.topic, self._take, requested_qos(infos, 1)
+                    self._message_type, self.topic, self._take, core_qos.requested_qos(infos, 1)
                 )
                 self._is_open = True
         self._arrived.wait(timeout_s)

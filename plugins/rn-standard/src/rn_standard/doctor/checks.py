@@ -17,19 +17,7 @@ from pathlib import Path
 from rn_standard.doctor.finding import Check, Finding, Verdict, failed, ok, warning
 from rn_standard.doctor.images import measure_image_transport
 from roboneuron import RoboNeuronError, RobotSpec
-from roboneuron.feature import (
-    ESTOP_FILE,
-    WHOLE,
-    Config,
-    EmergencyStopLatch,
-    Registry,
-    Status,
-    discover,
-    install_command,
-    prepare_environment,
-    present,
-    state_directory,
-)
+from roboneuron.feature import Config, Registry, Status, availability, discover, environment, estop
 
 MIN_SHARED_MEMORY_MIB = 256
 """A segment of 32 MiB for each of the five processes, and as much again for a switch and for
@@ -87,7 +75,7 @@ def _interpreter(_: Config) -> Finding:
 
 
 def _state(config: Config) -> Finding:
-    directory = state_directory(config.supervisor.state_directory)
+    directory = environment.state_directory(config.supervisor.state_directory)
     try:
         directory.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=directory) as probe:
@@ -109,8 +97,8 @@ def _state(config: Config) -> Finding:
 
 
 def _emergency_stop(config: Config) -> Finding:
-    path = state_directory(config.supervisor.state_directory) / ESTOP_FILE
-    state = EmergencyStopLatch(path, time.time_ns).read_state()
+    path = environment.state_directory(config.supervisor.state_directory) / estop.ESTOP_FILE
+    state = estop.EmergencyStopLatch(path, time.time_ns).read_state()
     if state.latched:
         cause = f" by {state.cause}" if state.cause else ""
         return warning(
@@ -146,7 +134,7 @@ def _ros(_: Config) -> Finding:
             "rclpy is not installed.",
             "It comes with roboneuron-core: is this the environment that it is installed in?",
         )
-    prepare_environment()
+    environment.prepare_environment()
     problem = _try_ros()
     if problem:
         return failed(
@@ -178,7 +166,7 @@ def _try_ros() -> str:
 
 
 def _images(_: Config) -> Finding:
-    prepare_environment()
+    environment.prepare_environment()
     seen = measure_image_transport()
     if not seen.received:
         return failed(
@@ -213,7 +201,7 @@ def _plugins(config: Config) -> Finding:
     bad = [r.name for r in records if r.status not in (Status.READY, Status.DISABLED)]
     text = f"{ready} of {len(records)} plugins are ready."
     if not ready:
-        return failed(text, f"For a start: {install_command(WHOLE)}")
+        return failed(text, f"For a start: {availability.install_command(availability.WHOLE)}")
     if bad:
         return warning(
             f"{text} Not ready: {', '.join(bad)}.",
@@ -240,7 +228,11 @@ def _chosen(config: Config, registry: Registry) -> str:
     """
     driver = registry.get(RobotSpec, config.robot.name).driver(config.robot.driver)
     choices = (
-        [present(requirement) for requirement in driver.requires if requirement.alternatives]
+        [
+            availability.present(requirement)
+            for requirement in driver.requires
+            if requirement.alternatives
+        ]
         if driver
         else []
     )

@@ -44,7 +44,7 @@ def measure_image_transport() -> ImageTransport:
     # the message package must not be needed to import this module
     from sensor_msgs.msg import Image
 
-    from roboneuron.feature import NEWEST, RosLink, to_ns
+    from roboneuron.feature import RosLink, messages, qos
 
     topic = f"/roboneuron_doctor/images_{os.getpid()}"
     ages_ms: list[float] = []
@@ -54,8 +54,8 @@ def measure_image_transport() -> ImageTransport:
         link.subscribe(
             Image,
             topic,
-            lambda m: ages_ms.append((time.time_ns() - to_ns(m.header.stamp)) / 1e6),
-            NEWEST,
+            lambda m: ages_ms.append((time.time_ns() - messages.to_ns(m.header.stamp)) / 1e6),
+            qos.NEWEST,
         )
         try:
             sender = subprocess.run(
@@ -97,17 +97,17 @@ def send_images(topic: str) -> int:
     import numpy as np
 
     from roboneuron import Frame
-    from roboneuron.feature import prepare_environment
+    from roboneuron.feature import environment
 
-    prepare_environment()
+    environment.prepare_environment()
     from sensor_msgs.msg import Image
 
-    from roboneuron.feature import NEWEST, RosLink, to_image
+    from roboneuron.feature import RosLink, messages, qos
 
     link = RosLink(f"roboneuron_doctor_sender_{os.getpid()}")
     link.open()
     try:
-        publish = link.advertise(Image, topic, NEWEST)
+        publish = link.advertise(Image, topic, qos.NEWEST)
         end_s = time.monotonic() + _DISCOVERY_S
         while link.node.count_subscribers(topic) == 0 and time.monotonic() < end_s:
             time.sleep(_PERIOD_S)
@@ -116,7 +116,7 @@ def send_images(topic: str) -> int:
         pixels = np.random.default_rng(0).integers(0, 255, (height, width, 3), dtype=np.uint8)
         for _ in range(IMAGES):
             publish(
-                to_image(
+                messages.to_image(
                     Frame(camera="doctor", image=pixels, stamp_ns=time.time_ns(), frame_id="doctor")
                 )
             )

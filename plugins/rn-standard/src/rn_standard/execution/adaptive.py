@@ -13,7 +13,7 @@ from rn_standard.execution.mode import Abilities, Choice, Mode, ModeSelector
 from rn_standard.execution.queue import SentRowQueue, fade_rows_of
 from rn_standard.execution.roll_forward import roll_forward
 from roboneuron import ActionChunk, Ahead, Observation
-from roboneuron.feature import F64, Bounds, ChunkExecutor, Prediction, Row
+from roboneuron.feature import F64, execution
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -54,7 +54,7 @@ class Execution:
         return {name: value for name, value in values.items() if value is not None}
 
 
-class AdaptiveExecutor(ChunkExecutor):
+class AdaptiveExecutor(execution.ChunkExecutor):
     """Decides for one backend by the measured latency, or in a fixed mode. Thread-safe.
 
     Args:
@@ -63,7 +63,9 @@ class AdaptiveExecutor(ChunkExecutor):
         bounds: ages of images.
     """
 
-    def __init__(self, abilities: Abilities, *, fixed: Mode | None, bounds: Bounds) -> None:
+    def __init__(
+        self, abilities: Abilities, *, fixed: Mode | None, bounds: execution.Bounds
+    ) -> None:
         super().__init__(bounds)
         self._queue = SentRowQueue(self._rows)
         self._selector = ModeSelector(fixed, abilities)
@@ -84,7 +86,7 @@ class AdaptiveExecutor(ChunkExecutor):
             # old rows too.
             return rows <= delay_rows + 1 + fade_rows_of(self._horizon)
 
-    def begin(self, observation: Observation, captured_ns: int) -> Prediction:
+    def begin(self, observation: Observation, captured_ns: int) -> execution.Prediction:
         """As ChunkExecutor; the backend is told what is played meanwhile, if its mode is made
         for that.
         """
@@ -98,7 +100,7 @@ class AdaptiveExecutor(ChunkExecutor):
                 observation = self._rolled(observation, step_s)
             return replace(super().begin(observation, captured_ns), mode=mode)
 
-    def measure(self, prediction: Prediction, chunk: ActionChunk, now_ns: int) -> None:
+    def measure(self, prediction: execution.Prediction, chunk: ActionChunk, now_ns: int) -> None:
         """As ChunkExecutor: its latency may change the mode."""
         with self.changed:
             super().measure(prediction, chunk, now_ns)
@@ -106,7 +108,7 @@ class AdaptiveExecutor(ChunkExecutor):
             self._latency.add(max(0.0, (now_ns - prediction.captured_ns) / 1e9))
             self._selector.update(len(chunk.actions), chunk.step_s, self._latency)
 
-    def play(self, now_s: float, now_ns: int) -> Row | None:
+    def play(self, now_s: float, now_ns: int) -> execution.Row | None:
         """As ChunkExecutor."""
         with self.changed:
             row = super().play(now_s, now_ns)
@@ -151,7 +153,7 @@ class AdaptiveExecutor(ChunkExecutor):
                 delivery=self._meter.delivery(),
             )
 
-    def _put(self, prediction: Prediction, chunk: ActionChunk) -> str:
+    def _put(self, prediction: execution.Prediction, chunk: ActionChunk) -> str:
         if prediction.mode in ("sequential", "predicted-state"):
             return self._queue.append(chunk, oldest_ns=prediction.observation.stamp_ns)
         return self._queue.replace(

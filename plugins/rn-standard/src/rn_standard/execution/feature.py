@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, cast
 from rn_standard.execution.adaptive import AdaptiveExecutor
 from rn_standard.execution.mode import Mode, abilities_of, check_mode
 from roboneuron import BackendSpec, Feature
-from roboneuron.feature import Bounds, ChunkExecutor
+from roboneuron.feature import execution as core_execution
 
 if TYPE_CHECKING:
     from roboneuron.feature import ModuleHost
@@ -26,7 +26,9 @@ def join(host: ModuleHost) -> None:
     host.make_executor = make_executor
 
 
-def make_executor(backend: BackendSpec, execution: str, bounds: Bounds) -> ChunkExecutor:
+def make_executor(
+    backend: BackendSpec, execution: str, bounds: core_execution.Bounds
+) -> core_execution.ChunkExecutor:
     """An executor for that backend, as `ModuleHost.make_executor` says.
 
     Raises:

@@ -7,7 +7,7 @@ import statistics
 from collections import deque
 from dataclasses import dataclass
 
-from roboneuron.feature import Row
+from roboneuron.feature import execution
 
 _WINDOW = 512
 """Rows that rate and jumps are taken over; counters go on for ever."""
@@ -43,7 +43,7 @@ class DeliveryMeter:
             True: deque(maxlen=_WINDOW),
             False: deque(maxlen=_WINDOW),
         }
-        self._last: tuple[float, Row] | None = None
+        self._last: tuple[float, execution.Row] | None = None
         self.starved_periods = 0
         self.longest_gap_s = 0.0
 
@@ -51,7 +51,7 @@ class DeliveryMeter:
         """Nothing is wanted for now; the time until the next row is no gap."""
         self._last = None
 
-    def add(self, row: Row, now_s: float) -> None:
+    def add(self, row: execution.Row, now_s: float) -> None:
         """A row was sent at that monotonic time [s]."""
         if self._last is not None:
             last_s, last = self._last

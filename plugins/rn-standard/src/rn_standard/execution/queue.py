@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roboneuron import ActionChunk, Ahead
-from roboneuron.feature import Row, rows_of
+from roboneuron.feature import execution
 
 F64 = NDArray[np.float64]
 FADE_ROWS = 4
@@ -48,7 +48,7 @@ class SentRowQueue:
         fade_rows: length of the cross-fade.
     """
 
-    rows: deque[Row] = field(default_factory=deque)
+    rows: deque[execution.Row] = field(default_factory=deque)
     fade_rows: int = FADE_ROWS
     _context: Any = None
     _sent: deque[_Sent] = field(default_factory=lambda: deque(maxlen=_MEMORY))
@@ -64,7 +64,7 @@ class SentRowQueue:
         self.rows.clear()
         self._context = None
 
-    def pop(self, sent_ns: int) -> Row:
+    def pop(self, sent_ns: int) -> execution.Row:
         """Take the next row out, as sent at that time [ns, clock of the stamps]."""
         row = self.rows.popleft()
         self._sent.append(_Sent(sent_ns, row.vector))
@@ -85,7 +85,7 @@ class SentRowQueue:
             chunk: the answer.
             oldest_ns: capture time of the oldest image that it answers [ns].
         """
-        self.rows.extend(rows_of(chunk.actions, chunk, oldest_ns, first=0))
+        self.rows.extend(execution.rows_of(chunk.actions, chunk, oldest_ns, first=0))
         self._context = chunk.context
         return "accepted"
 
@@ -166,7 +166,7 @@ class SentRowQueue:
             fade_rows = fade_rows_of(len(chunk.actions), self.fade_rows)
             vectors = cross_fade([row.vector for row in self.rows], vectors, fade_rows)
         self.rows.clear()
-        self.rows.extend(rows_of(vectors, chunk, oldest_ns, first=played))
+        self.rows.extend(execution.rows_of(vectors, chunk, oldest_ns, first=played))
         self._context = chunk.context
         return "accepted"
 

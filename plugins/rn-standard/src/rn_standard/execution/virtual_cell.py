@@ -17,7 +17,7 @@ from rn_standard.execution.adaptive import AdaptiveExecutor
 from rn_standard.execution.meter import Delivery
 from rn_standard.execution.mode import Abilities, Mode
 from roboneuron import ActionChunk, Ahead, Frame, NotReadyError, Observation, Pose
-from roboneuron.feature import Bounds, Prediction
+from roboneuron.feature import execution
 
 F64 = NDArray[np.float64]
 _CAMERA_HZ = 30.0
@@ -136,7 +136,7 @@ class _Cell:
 def run(trial: Trial) -> Outcomes:
     """Run one trial; the same trial gives the same outcome."""
     executor = AdaptiveExecutor(
-        trial.abilities, fixed=trial.mode, bounds=Bounds(first_s=60.0, tail_s=60.0)
+        trial.abilities, fixed=trial.mode, bounds=execution.Bounds(first_s=60.0, tail_s=60.0)
     )
     random = np.random.default_rng(trial.seed)
     cell = _Cell(Follower(trial.horizon, trial.step_s, trial.abilities.conditions_on_rows, random))
@@ -145,7 +145,7 @@ def run(trial: Trial) -> Outcomes:
     played: list[tuple[int, int]] = []
     numbers: dict[int, int] = {}
     errors_m, ages_s = [], []
-    pending: tuple[float, Prediction, ActionChunk] | None = None
+    pending: tuple[float, execution.Prediction, ActionChunk] | None = None
     first_s = last_s = None
     image = np.zeros((1, 1, 3), np.uint8)
     captured_s, used_s, now_s = -1.0, -1.0, 0.0

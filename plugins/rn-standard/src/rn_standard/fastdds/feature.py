@@ -30,7 +30,7 @@ class SharedMemoryRepair(Feature[None]):
 
     def start(self, host: Host) -> None:
         """Clean up after servers and programs that were killed; follow the modules from now on."""
-        directory = host.supervisor.log_directory
+        directory = host.modules.log_directory
         clean_recorded(directory.parent.glob(f"*/{RECORD_NAME}"))
         removed, size = clean_abandoned()
         if removed:
@@ -42,7 +42,7 @@ class SharedMemoryRepair(Feature[None]):
         self._record = SegmentRecord(directory / RECORD_NAME)
         self._record.add(owned_segments(os.getpid()))
         self._cleaner = ProcessCleaner(self._record)
-        events = host.supervisor.process_events
+        events = host.modules.process_events
         events.spawning.listen(self._cleaner.spawning)
         events.seen.listen(self._cleaner.observe)
         events.ended.listen(self._cleaner.ended)

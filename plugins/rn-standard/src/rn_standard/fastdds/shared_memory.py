@@ -18,7 +18,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from rn_standard.fastdds.segments import LOCK_SUFFIX, PREFIX, SHARED_MEMORY
-from roboneuron.feature import make_log_directory, opener
+from roboneuron.feature import log_files
 
 log = logging.getLogger(__name__)
 _NAME = re.compile(r"^fastrtps_[A-Za-z0-9]+$", re.MULTILINE)
@@ -117,8 +117,8 @@ class SegmentRecord:
         """Remember names; a disk that cannot be written only costs the cleaning after a kill."""
         with self._lock:
             try:
-                make_log_directory(self._path.parent)
-                with open(self._path, "a", encoding="ascii", opener=opener) as file:
+                log_files.make_log_directory(self._path.parent)
+                with open(self._path, "a", encoding="ascii", opener=log_files.opener) as file:
                     file.writelines(f"{name}\n" for name in sorted(names))
             except OSError as error:
                 log.warning("The names of shared-memory files cannot be recorded: %s", error)

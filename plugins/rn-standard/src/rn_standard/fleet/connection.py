@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
-from roboneuron.feature import MODULE_KINDS, Config, Connection
+from roboneuron.feature import MODULE_KINDS, Config, launching
 
 PARTICIPANTS = "ROBONEURON_PARTICIPANTS"
 """Environment variable: how many participants of this host each looks for in the range
@@ -28,7 +28,7 @@ def participants_of(robots: Iterable[Config]) -> int:
     return min(_MOST, modules + _OTHERS)
 
 
-class SharedConnection(Connection):
+class SharedConnection(launching.Connection):
     """Opens the node once, and hands each robot what is reported under its namespace.
 
     Args:
@@ -39,10 +39,12 @@ class SharedConnection(Connection):
         super().__init__(self._receive, log_directory)
         self._receivers: dict[str, Callable[[Any], None]] = {}
 
-    def of_robot(self, namespace: str) -> Callable[[Callable[[Any], None], Path], Connection]:
+    def of_robot(
+        self, namespace: str
+    ) -> Callable[[Callable[[Any], None], Path], launching.Connection]:
         """What the supervisor of the robot with that namespace makes its connection from."""
 
-        def connect(on_status: Callable[[Any], None], log_directory: Path) -> Connection:
+        def connect(on_status: Callable[[Any], None], log_directory: Path) -> launching.Connection:
             self._receivers[namespace] = on_status
             return self
 

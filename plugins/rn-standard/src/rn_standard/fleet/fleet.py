@@ -22,12 +22,8 @@ from rn_standard.fleet.resources import FleetResources, uri_of
 from rn_standard.fleet.tools import FleetTools
 from roboneuron import ConfigurationError, RoboNeuronError, UnsafeError
 from roboneuron.feature import (
-    ESTOP_FILE,
-    SIGNAL,
     Application,
-    Command,
     Config,
-    EmergencyStopLatch,
     Events,
     Features,
     ModuleKind,
@@ -35,13 +31,13 @@ from roboneuron.feature import (
     PluginCatalogue,
     Supervisor,
     Transport,
+    emergency,
+    estop,
     instructions_for,
-    make_log_directory,
+    launching,
+    log_files,
     make_server,
-    module_command,
-    press_on_signal,
-    press_together,
-    robot_folder,
+    reading,
 )
 
 log = logging.getLogger(__name__)
@@ -71,12 +67,12 @@ class Fleet:
         state: Path,
         *,
         plugins: PluginCatalogue | None = None,
-        command: Command = module_command,
+        command: launching.Command = launching.module_command,
     ) -> None:
         logs = state / "log" / f"{time.strftime('%Y%m%d-%H%M%S')}-{os.getpid()}"
         self._state = state
         self._connection = SharedConnection(logs)
-        self._latch = EmergencyStopLatch(state / ESTOP_FILE, time.time_ns)
+        self._latch = estop.EmergencyStopLatch(state / estop.ESTOP_FILE, time.time_ns)
         self._was_latched = False
         self._watch = Periodic("fleet-latch", _LOOK_S, self._look)
         self._threads = ThreadPoolExecutor(
@@ -88,7 +84,7 @@ class Fleet:
         try:
             for name, one in config.robots.items():
                 self.robots[name] = self._application(
-                    name, one, robot_folder(state, name), plugins, command
+                    name, one, reading.robot_folder(state, name), plugins, command
                 )
         except BaseException:
             self.close()
@@ -139,7 +135,7 @@ class Fleet:
 
     def press_on_signal(self) -> None:
         """From now on SIGUSR1 stops all robots; called on the main thread."""
-        press_on_signal(partial(self.latch, SIGNAL, ""))
+        emergency.press_on_signal(partial(self.latch, emergency.SIGNAL, ""))
 
     def open(self) -> None:
         """Begin to join the ROS graph; stop all robots whenever the latch of the whole state
@@ -165,7 +161,7 @@ class Fleet:
         """Latch the emergency stop of all robots without waiting for anything; what fails is
         told by `latch`.
         """
-        press_together(
+        estop.press_together(
             [robot.loop.emergency_stop.file for robot in self.robots.values()],
             who=who,
             reason=reason,
@@ -217,7 +213,12 @@ class Fleet:
         self._connection.end()
 
     def _application(
-        self, name: str, config: Config, folder: Path, plugins: PluginCatalogue, command: Command
+        self,
+        name: str,
+        config: Config,
+        folder: Path,
+        plugins: PluginCatalogue,
+        command: launching.Command,
     ) -> Application:
         def on_change(kind: ModuleKind) -> None:
             if name in self.robots:
@@ -234,8 +235,8 @@ class Fleet:
 
     def _note_namespaces(self) -> None:
         for name, robot in self.robots.items():
-            folder = robot_folder(self._state, name)
-            make_log_directory(folder)
+            folder = reading.robot_folder(self._state, name)
+            log_files.make_log_directory(folder)
             (folder / NAMESPACE_FILE).write_text(robot.loop.config.namespace, encoding="utf-8")
 
     def _look(self) -> None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from pydantic import Field
 
 from roboneuron import CallContext, InvalidInputError, NoArguments, Result, Tool
-from roboneuron.feature import VIEWER, EmergencyStopArguments, EmergencyStopResult, assess
+from roboneuron.feature import EmergencyStopArguments, assess, results, roles
 
 if TYPE_CHECKING:
     from rn_standard.fleet.fleet import Fleet
@@ -70,7 +70,7 @@ def emergency_stop_tool(fleet: Fleet) -> Tool[Any]:
         """Latch all before anything else: also when the arguments are wrong."""
         fleet.press(context.who, str(arguments.get("reason") or ""))
 
-    async def latch(arguments: FleetStop, context: CallContext) -> EmergencyStopResult:
+    async def latch(arguments: FleetStop, context: CallContext) -> results.EmergencyStopResult:
         confirmed, took_s = await context.run(lambda _: fleet.latch(context.who, arguments.reason))
         if arguments.robot is not None:
             raise InvalidInputError(
@@ -83,7 +83,7 @@ def emergency_stop_tool(fleet: Fleet) -> Tool[Any]:
             if confirmed
             else "No module runs; those that are started later are stopped from the beginning."
         )
-        return EmergencyStopResult(
+        return results.EmergencyStopResult(
             latched=True, confirmed_by=confirmed, took_s=round(took_s, 3), note=note
         )
 
@@ -98,12 +98,12 @@ def emergency_stop_tool(fleet: Fleet) -> Tool[Any]:
             "an error names those that have not."
         ),
         arguments=FleetStop,
-        result=EmergencyStopResult,
+        result=results.EmergencyStopResult,
         handler=latch,
         destructive=True,
         idempotent=True,
         open_world=True,
-        role=VIEWER,  # whoever sees a robot may stop it
+        role=roles.VIEWER,  # whoever sees a robot may stop it
         always=True,
         urgent=press,
     )

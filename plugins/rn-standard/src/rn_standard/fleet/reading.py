@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from roboneuron import ConfigurationError, FeatureSpec
-from roboneuron.feature import Config, Registry, parse_tables
+from roboneuron.feature import Config, Registry, reading
 
 
 def read_robots(raw: Mapping[str, Any], source: str, registry: Registry) -> Config:
@@ -59,7 +59,7 @@ def read_robots(raw: Mapping[str, Any], source: str, registry: Registry) -> Conf
             for key, (a, b) in pairs.items()
             if isinstance(a, dict) and isinstance(b, dict)
         }
-        robots[name] = one = parse_tables(
+        robots[name] = one = reading.parse_tables(
             {**shared, **table, **both, "robot": robot}, place, registry
         )
         if "supervisor" in table and one.supervisor.state_directory is not None:
@@ -70,6 +70,6 @@ def read_robots(raw: Mapping[str, Any], source: str, registry: Registry) -> Conf
     for namespace in (namespace for namespace, count in namespaces.items() if count > 1):
         raise ConfigurationError(f"{source}: two robots have the namespace {namespace!r}.")
     first = next(iter(robots.values())).robot.model_dump(exclude_none=True)
-    return parse_tables({**shared, "robot": first}, source, registry).model_copy(
+    return reading.parse_tables({**shared, "robot": first}, source, registry).model_copy(
         update={"robots": robots}
     )

@@ -12,7 +12,7 @@ from mcp import types
 from rn_standard.fleet.schemas import merged_tool
 from rn_standard.fleet.search import CALL, CallRobotTool, search_tools
 from roboneuron import CallContext, InvalidInputError, RoboNeuronError, Tool
-from roboneuron.feature import ADMIN, Stage, ToolRegistry, failure, nearest, parse
+from roboneuron.feature import Stage, ToolRegistry, failure, nearest, roles, schema
 
 if TYPE_CHECKING:
     from roboneuron.feature import Application
@@ -78,7 +78,7 @@ class FleetTools(ToolRegistry):
         self._robots = robots
         self._on_client = on_client
 
-    def listing(self, role: str = ADMIN) -> list[types.Tool]:
+    def listing(self, role: str = roles.ADMIN) -> list[types.Tool]:
         """What `tools/list` answers to clients of a role; of several robots without what is
         seldom needed.
         """
@@ -116,7 +116,7 @@ class FleetTools(ToolRegistry):
         """Have the named robot do it; every failure is an MCP error result."""
         if name == CALL and self.get(CALL) is not None:
             try:
-                name, arguments = unwrapped(parse(CallRobotTool, arguments))
+                name, arguments = unwrapped(schema.parse(CallRobotTool, arguments))
             except RoboNeuronError as error:
                 return failure(error)
         robot = arguments.get("robot")
@@ -137,7 +137,11 @@ class FleetTools(ToolRegistry):
     def meant_call(self, name: str, arguments: Mapping[str, Any]) -> tuple[str, Mapping[str, Any]]:
         """The call that a client makes, also when it makes it with call_robot_tool."""
         try:
-            return unwrapped(parse(CallRobotTool, arguments)) if name == CALL else (name, arguments)
+            return (
+                unwrapped(schema.parse(CallRobotTool, arguments))
+                if name == CALL
+                else (name, arguments)
+            )
         except RoboNeuronError:
             return name, arguments
 

@@ -43,7 +43,7 @@ class HttpFeature(Feature[HttpOptions]):
     def tools(self, host: Host) -> Sequence[Tool[Any]]:
         """take_over and heartbeat; every call passes the lease from now on."""
         variables = [token.variable for token in self.options.tokens if token.variable is not None]
-        host.supervisor.secret_variables.update(variables)
+        host.modules.secret_variables.update(variables)
 
         def end_motion(reason: str) -> None:
             was_moving = host.is_moving

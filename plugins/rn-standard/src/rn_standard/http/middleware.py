@@ -23,7 +23,7 @@ from rn_standard.http.origins import HostRules
 from rn_standard.http.peers import peer_process
 from rn_standard.http.sessions import SESSION_HEADER
 from rn_standard.http.tokens import TokenTable
-from roboneuron.feature import BUSY, HOLDER_KEY, Holder, is_urgent
+from roboneuron.feature import access, envelope
 
 log = logging.getLogger(__name__)
 _MOST_STOP_BYTES = 65536
@@ -101,11 +101,17 @@ class AccessMiddleware:
             AccessToken(token="", client_id=account_of(holder), scopes=[holder.role])
         )
         connection = Connection(receive)
-        inner = {**scope, HOLDER_KEY: replace(holder, watched=connection.watched), "user": user}
+        inner = {
+            **scope,
+            access.HOLDER_KEY: replace(holder, watched=connection.watched),
+            "user": user,
+        }
         with self._present(holder.who):
             await self._app(inner, connection.receive, send)
 
-    async def _holder(self, headers: Headers, scope: Scope, transport: object) -> Holder | None:
+    async def _holder(
+        self, headers: Headers, scope: Scope, transport: object
+    ) -> access.Holder | None:
         if not self._tokens:
             session = headers.get(SESSION_HEADER)
             if session is not None:
@@ -176,13 +182,15 @@ async def _look_for_stop(receive: Receive) -> tuple[bool, Receive]:
         raw = from_json(body)
     except ValueError:
         return False, replay
-    return isinstance(raw, dict) and is_urgent(raw.get("method"), raw.get("params")), replay
+    return isinstance(raw, dict) and envelope.is_urgent(
+        raw.get("method"), raw.get("params")
+    ), replay
 
 
-def _too_many(holder: Holder) -> JSONResponse:
+def _too_many(holder: access.Holder) -> JSONResponse:
     text = f"{account_of(holder)!r} has too many connections; emergency_stop is still taken."
     return JSONResponse(
-        {"jsonrpc": "2.0", "id": None, "error": {"code": BUSY, "message": text}},
+        {"jsonrpc": "2.0", "id": None, "error": {"code": envelope.BUSY, "message": text}},
         status_code=503,
         headers=_CLOSE,
     )

@@ -7,13 +7,13 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from roboneuron import Section
-from roboneuron.feature import Name, Seconds
+from roboneuron.feature import models
 
 
 class TokenConfig(Section):
     """One entry of `http.tokens`: where a bearer token is found, never the token itself."""
 
-    name: Name = Field(description="who holds it; for the audit")
+    name: models.Name = Field(description="who holds it; for the audit")
     role: Literal["viewer", "operator", "admin"] = Field(
         description="read; also move; also expose and reset"
     )
@@ -48,7 +48,7 @@ class HttpOptions(Section):
         strict=False,
         description="web pages that may connect, such as https://panel.lan",
     )
-    lease_s: Seconds | Literal["auto", "never"] = Field(
+    lease_s: models.Seconds | Literal["auto", "never"] = Field(
         default="auto",
         description="motion ends when its operator is silent for this long; auto: 120 over HTTP, "
         "never over stdio",

@@ -18,7 +18,7 @@ from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from rn_standard.http.local_clients import account_of
-from roboneuron.feature import BUSY, HOLDER_KEY, EnvelopeError, Holder, check_id, repeated
+from roboneuron.feature import access, envelope
 
 log = logging.getLogger(__name__)
 MOST_SESSIONS, MOST_SESSIONS_OF_ONE = 256, 64
@@ -97,8 +97,8 @@ class Sessions:
             else:
                 request_id = None
             await self._serve_session(scope, receive, send, request_id)
-        except EnvelopeError as error:
-            status = 503 if error.error["code"] == BUSY else 400
+        except envelope.EnvelopeError as error:
+            status = 503 if error.error["code"] == envelope.BUSY else 400
             await Response(error.answer, status_code=status, media_type="application/json")(
                 scope, receive, send
             )
@@ -106,7 +106,7 @@ class Sessions:
     async def _serve_session(
         self, scope: Scope, receive: Receive, send: Send, request_id: int | str | None
     ) -> None:
-        holder: Holder = scope[HOLDER_KEY]
+        holder: access.Holder = scope[access.HOLDER_KEY]
         name = Headers(scope=scope).get(SESSION_HEADER)
         session = self._sessions.get(name) if name is not None else None
         request = None
@@ -141,8 +141,9 @@ class Sessions:
         version = Headers(scope=scope).get("mcp-protocol-version", "")
         count = sum(session.holder == holder for session in self._sessions.values())
         if count >= self._most_of_one and version < "2026":
-            raise EnvelopeError(
-                BUSY, f"{holder!r} has {count} sessions open already; end one, or use those."
+            raise envelope.EnvelopeError(
+                envelope.BUSY,
+                f"{holder!r} has {count} sessions open already; end one, or use those.",
             )
 
     def _note(self, method: str, name: str | None, message: Message, holder: str) -> None:
@@ -181,7 +182,7 @@ def _begin(session: _Session, request_id: int | str) -> _Request:
 
     key = coerce_request_id(request_id)
     if key in session.ids or key == GET_STREAM_KEY or len(session.ids) >= _MOST_IDS:
-        raise repeated(request_id)
+        raise envelope.repeated(request_id)
     request = session.ids[key] = _Request(free=lambda: session.ids.pop(key, None))
     return request
 
@@ -197,7 +198,7 @@ def _request_id(body: bytes) -> int | str | None:
         raw = from_json(body)
     except ValueError:
         return None
-    check_id(raw)
+    envelope.check_id(raw)
     is_request = isinstance(raw, dict) and "method" in raw
     return raw.get("id") if is_request else None
 

@@ -37,11 +37,13 @@ class Limits:
         """Run `roboneuron limits`; exit status 1 when a person did not agree."""
         from rn_standard.tools_arm.tightening import FILE_NAME, TighteningFile
         from roboneuron import ConfigurationError
-        from roboneuron.feature import read_state_directory, robot_folder, state_directory
+        from roboneuron.feature import environment, reading
 
-        configured = read_state_directory(arguments.config) if arguments.config else None
-        directory = state_directory(str(arguments.state) if arguments.state else configured)
-        of_robots = robot_folder(directory).parent
+        configured = reading.read_state_directory(arguments.config) if arguments.config else None
+        directory = environment.state_directory(
+            str(arguments.state) if arguments.state else configured
+        )
+        of_robots = reading.robot_folder(directory).parent
         folders = (
             [of_robots / arguments.robot]
             if arguments.robot
@@ -77,7 +79,7 @@ def _loosen(file: object) -> int:
     """
     from rn_standard.tools_arm.tightening import Record, Tightening, TighteningFile
     from roboneuron import RefusedError
-    from roboneuron.feature import ADMIN, AUDIT_FILE, AuditLog, AuditRecord
+    from roboneuron.feature import AUDIT_FILE, AuditLog, AuditRecord, roles
 
     assert isinstance(file, TighteningFile)
     if not sys.stdin.isatty():
@@ -94,7 +96,7 @@ def _loosen(file: object) -> int:
         return 1
     who = f"{getpass.getuser()} at the command line"
     audit = AuditLog(file.path.parent / AUDIT_FILE, time.time_ns)
-    audit.write(AuditRecord(who=who, role=ADMIN, tool="limits --loosen", verdict="loosened"))
+    audit.write(AuditRecord(who=who, role=roles.ADMIN, tool="limits --loosen", verdict="loosened"))
     file.write(Record(tightening=Tightening(), who=who, at_ns=time.time_ns()))
     print("Loosened.")
     return 0

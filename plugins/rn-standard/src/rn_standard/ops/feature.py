@@ -14,7 +14,7 @@ from rn_standard.ops.records import Source, log_resource, record_tools
 from rn_standard.ops.restarts import Restarts
 from rn_standard.ops.server_log import ServerLog
 from roboneuron import Feature, Host, Resource, Tool
-from roboneuron.feature import EXPLANATIONS, FAULTS, Health, ModuleKind, ModuleView, module_status
+from roboneuron.feature import EXPLANATIONS, FAULTS, Health, ModuleKind, ModuleView, results
 
 log = logging.getLogger(__name__)
 _ACTIONS = 30
@@ -36,10 +36,12 @@ class Operations(Feature[OpsOptions]):
         self._host = host
         self._incidents = Incidents(host.state_directory / FOLDER)
         self._restarts = Restarts(
-            host.supervisor, self.options, self._note_restart, self._before_restart
+            host.loop.supervisor, self.options, self._note_restart, self._before_restart
         )
-        self._memory = MemoryWatch(host.supervisor, self.options.memory_limit_mb, self._note_memory)
-        self._log = ServerLog(host.supervisor.log_directory)
+        self._memory = MemoryWatch(
+            host.loop.supervisor, self.options.memory_limit_mb, self._note_memory
+        )
+        self._log = ServerLog(host.modules.log_directory)
         host.events.open.listen(self._log.open)
         self._presence = ServerPresence(host.state_directory)
         host.events.open.listen(self._tell_of_other_servers)
@@ -49,11 +51,11 @@ class Operations(Feature[OpsOptions]):
         host.events.health.listen(self._record)
         host.events.health.listen(self._restarts.on_health)
         host.events.fault.listen(self._incidents.record)
-        return record_tools(host.supervisor, self._incidents)
+        return record_tools(host.modules, self._incidents)
 
     def resources(self, host: Host) -> Sequence[Resource]:
         """The logs of modules and of the server."""
-        return [log_resource(host.supervisor, source) for source in get_args(Source)]
+        return [log_resource(host.modules, source) for source in get_args(Source)]
 
     def _tell_of_other_servers(self) -> None:
         for pid in self._presence.open():
@@ -84,7 +86,7 @@ class Operations(Feature[OpsOptions]):
             return
         if health == "failing" and view.report is not None and view.report.error_code in _ORDINARY:
             return
-        status = module_status(view).model_dump(mode="json")
+        status = results.module_status(view).model_dump(mode="json")
         lines = list(view.process.last_lines()) if view.process is not None else []
         self._incidents.record(
             view.kind,

@@ -15,7 +15,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from roboneuron.feature import make_log_directory, opener
+from roboneuron.feature import log_files
 
 log = logging.getLogger(__name__)
 FOLDER = "incidents"
@@ -70,9 +70,9 @@ class Incidents:
         }
         path = self.directory / name
         try:
-            make_log_directory(self.directory)
+            log_files.make_log_directory(self.directory)
             temporary = path.with_suffix(".part")
-            with open(temporary, "w", encoding="utf-8", opener=opener) as file:
+            with open(temporary, "w", encoding="utf-8", opener=log_files.opener) as file:
                 json.dump(record, file, indent=1)
             temporary.replace(path)
             self._thin_out()

@@ -9,7 +9,7 @@ import os
 from contextlib import suppress
 from pathlib import Path
 
-from roboneuron.feature import make_log_directory, opener
+from roboneuron.feature import log_files
 
 FOLDER = "servers"
 """In the state directory: an empty file for each server, called as its process id and locked by
@@ -32,7 +32,7 @@ class ServerPresence:
         A directory that cannot be written costs the knowledge, nothing else.
         """
         with suppress(OSError):
-            make_log_directory(self._folder)
+            log_files.make_log_directory(self._folder)
             self._held = self._lock(self._path)
         return sorted(
             int(path.name) for path in self._folder.glob("[0-9]*") if self._is_of_another(path)
@@ -47,7 +47,7 @@ class ServerPresence:
 
     def _lock(self, path: Path) -> int | None:
         """A descriptor that holds the lock of a file; None when another holds it."""
-        descriptor = opener(str(path), os.O_RDWR | os.O_CREAT)
+        descriptor = log_files.opener(str(path), os.O_RDWR | os.O_CREAT)
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:

@@ -47,7 +47,7 @@ class RealRobotFeature(Feature[RealRobotOptions]):
 
     def _asking(self, host: Host, tool: Tool[Any]) -> Handler:
         async def handler(arguments: Arguments, context: CallContext) -> Any:
-            if host.supervisor.view("robot").phase in _DOWN:
+            if host.modules.view("robot").phase in _DOWN:
                 await self._ask(
                     host, tool.name, arguments if tool.name == _STARTS[0] else None, context
                 )

@@ -12,7 +12,7 @@ from pydantic import Field
 from rn_standard.ops.incidents import Incidents
 from rn_standard.ops.server_log import FILE_NAME
 from roboneuron import Arguments, CallContext, InvalidInputError, Resource, Result, Tool
-from roboneuron.feature import ModuleKind, Supervisor, read_tail
+from roboneuron.feature import ModuleKind, Modules, read_tail
 
 Level = Literal["debug", "info", "warning", "error"]
 Source = Literal["robot", "perception", "inference", "control", "server"]
@@ -172,14 +172,12 @@ def parse_entries(lines: tuple[str, ...]) -> list[LogEntry]:
     return entries
 
 
-def log_file(supervisor: Supervisor, source: Source) -> Path:
+def log_file(modules: Modules, source: Source) -> Path:
     """Where a module, or the server itself, logs."""
-    return (
-        supervisor.log_directory / FILE_NAME if source == "server" else supervisor.log_path(source)
-    )
+    return modules.log_directory / FILE_NAME if source == "server" else modules.log_path(source)
 
 
-def log_resource(supervisor: Supervisor, source: Source) -> Resource:
+def log_resource(modules: Modules, source: Source) -> Resource:
     """The end of a module's log, or of the server's."""
     return Resource(
         uri=f"roboneuron://logs/{source}",
@@ -187,16 +185,16 @@ def log_resource(supervisor: Supervisor, source: Source) -> Resource:
         title=f"Log of {source}",
         description=f"The last {LOG_LINES} lines that {source} has written.",
         read=lambda: "\n".join(
-            newest_lines(read_tail(log_file(supervisor, source), lines=LOG_LINES), _MOST_RESOURCE)
+            newest_lines(read_tail(log_file(modules, source), lines=LOG_LINES), _MOST_RESOURCE)
         ),
     )
 
 
-def record_tools(supervisor: Supervisor, incidents: Incidents) -> list[Tool[Any]]:
+def record_tools(modules: Modules, incidents: Incidents) -> list[Tool[Any]]:
     """get_logs and list_incidents."""
 
     async def get_logs(arguments: GetLogs, context: CallContext) -> LogsResult:
-        path = log_file(supervisor, arguments.module)
+        path = log_file(modules, arguments.module)
         least = _LEVELS.index(arguments.level)
         entries = [
             entry

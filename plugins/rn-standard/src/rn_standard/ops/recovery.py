@@ -21,7 +21,7 @@ from roboneuron import (
     StateError,
     Tool,
 )
-from roboneuron.feature import AGAIN, OPERATOR, AuditRecord
+from roboneuron.feature import AGAIN, AuditRecord, roles
 
 _SET_S = 5.0
 _DONE_S = 20.0
@@ -70,7 +70,7 @@ def _tool(host: Host) -> Tool[Any]:
         handler=recover_robot,
         destructive=True,
         open_world=True,
-        role=OPERATOR,
+        role=roles.OPERATOR,
     )
 
 
@@ -97,7 +97,7 @@ def _recover(host: Host, who: str, role: str) -> RecoveryResult:
         NotReadyError: no answer in time.
     """
     started_s = time.monotonic()
-    supervisor = host.supervisor
+    supervisor = host.loop.supervisor
     view = supervisor.require_running("robot")
     assert view.choice is not None
     assert view.process is not None

@@ -8,7 +8,7 @@ from io import TextIOWrapper
 from logging.handlers import RotatingFileHandler
 from pathlib import Path
 
-from roboneuron.feature import PlainFormatter, make_log_directory, opener
+from roboneuron.feature import log_files
 
 FILE_NAME = "server.log"
 _BYTES = 4 << 20
@@ -17,7 +17,7 @@ _BYTES = 4 << 20
 
 class _PrivateFile(RotatingFileHandler):
     def _open(self) -> TextIOWrapper:
-        return open(self.baseFilename, self.mode, encoding=self.encoding, opener=opener)  # type: ignore[return-value]
+        return open(self.baseFilename, self.mode, encoding=self.encoding, opener=log_files.opener)  # type: ignore[return-value]
 
 
 class ServerLog:
@@ -43,11 +43,11 @@ class ServerLog:
         if self._handler is not None:
             return
         with suppress(OSError):
-            make_log_directory(self.path.parent)
+            log_files.make_log_directory(self.path.parent)
             self._handler = _PrivateFile(
                 self.path, maxBytes=_BYTES, backupCount=1, encoding="utf-8"
             )
-            self._handler.setFormatter(PlainFormatter())
+            self._handler.setFormatter(log_files.PlainFormatter())
             self._handler.handleError = lambda record: None  # type: ignore[method-assign]
             root = logging.getLogger()
             self._level = root.level

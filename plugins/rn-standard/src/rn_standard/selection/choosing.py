@@ -13,19 +13,18 @@ from rn_standard.selection.permission import check_addresses, check_may_load, ch
 from rn_standard.selection.requests import REQUESTS
 from roboneuron import Arguments, DriverSpec, InvalidInputError, Spec
 from roboneuron.feature import (
-    KIND_ENTRIES,
     Config,
-    InferenceConfig,
     ModuleKind,
-    ModuleSection,
     Registry,
     Selection,
     check_instruction,
     configured_section,
+    module_kinds,
     plan_of,
     select,
     takes_checkpoint,
 )
+from roboneuron.feature import models as core_models
 
 
 def choose(
@@ -83,7 +82,7 @@ def choose(
 
 def _configured_names(kind: ModuleKind, config: Config) -> set[str]:
     """Names of the plugins that the configuration chooses for a kind of module."""
-    section: ModuleSection | None = getattr(config, kind)
+    section: module_kinds.ModuleSection | None = getattr(config, kind)
     fields = ("driver", "source", "controller", "backend", "runtime", "acceleration")
     return (
         set()
@@ -116,7 +115,7 @@ def _with_model(config: Config, request: Arguments, name: str) -> tuple[Config, 
     parts = {"checkpoint": model.checkpoint, "runtime": model.runtime, "acceleration": model.preset}
     section = config.inference
     if section is None or section.backend != model.backend:
-        section = InferenceConfig(backend=model.backend)
+        section = core_models.InferenceConfig(backend=model.backend)
     profile = {} if model.profile is None else {"profile": model.profile}
     options = {**config.options(model.backend), **profile, **model.options}
     plugins = {**config.plugins, model.backend: options}
@@ -128,13 +127,13 @@ def _with_model(config: Config, request: Arguments, name: str) -> tuple[Config, 
 
 def _section(
     kind: ModuleKind, config: Config, registry: Registry, request: Arguments
-) -> ModuleSection:
+) -> module_kinds.ModuleSection:
     """The configured section with what the request names; one of its own for another plugin
     than the configured.
     """
-    entry = KIND_ENTRIES[kind]
+    entry = module_kinds.KIND_ENTRIES[kind]
     field = "name" if kind == "robot" else entry.noun
-    section: ModuleSection | None = getattr(config, kind)
+    section: module_kinds.ModuleSection | None = getattr(config, kind)
     named = {
         key: getattr(request, key)
         for key in REQUESTS[kind].model_fields

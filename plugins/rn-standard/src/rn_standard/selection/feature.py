@@ -10,7 +10,7 @@ from rn_standard.selection.choosing import choose
 from rn_standard.selection.options import SelectionSections
 from rn_standard.selection.requests import REQUESTS, choices_of
 from roboneuron import Feature, Host, InternalError, Tool
-from roboneuron.feature import KIND_ENTRIES
+from roboneuron.feature import module_kinds
 
 
 class SelectionFeature(Feature[SelectionSections]):
@@ -27,7 +27,7 @@ class SelectionFeature(Feature[SelectionSections]):
                 raise InternalError(f"There is no tool start_{kind}.")
             choices = {
                 argument: _installed(
-                    host, offer, with_summaries=argument == KIND_ENTRIES[kind].noun
+                    host, offer, with_summaries=argument == module_kinds.KIND_ENTRIES[kind].noun
                 )
                 for argument, offer in choices_of(kind).items()
             }

@@ -7,21 +7,22 @@ from typing import Any
 from pydantic import Field
 
 from roboneuron import Section
-from roboneuron.feature import Config, Name
+from roboneuron.feature import Config
+from roboneuron.feature import models as core_models
 
 
 class ModelConfig(Section):
     """`[models.<name>]`: a policy that agents may choose by its name."""
 
-    backend: Name = Field(description="a backend offered by an installed plugin")
+    backend: core_models.Name = Field(description="a backend offered by an installed plugin")
     checkpoint: str | None = Field(default=None, description="directory of the model's files")
     profile: str | None = Field(
         default=None, description="the backend's option `profile`: what the checkpoint expects"
     )
-    runtime: Name | None = Field(
+    runtime: core_models.Name | None = Field(
         default=None, description="runtime; the backend's own default when not given"
     )
-    preset: Name | None = Field(
+    preset: core_models.Name | None = Field(
         default=None, description="acceleration preset; none when not given"
     )
     options: dict[str, Any] = Field(
@@ -35,7 +36,7 @@ class ModelConfig(Section):
 class SelectionSections(Section):
     """The sections of the feature."""
 
-    models: dict[Name, ModelConfig] = Field(
+    models: dict[core_models.Name, ModelConfig] = Field(
         default_factory=dict, description="policies by the name agents choose by"
     )
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from rn_standard.selection.restricted import restricted_values, unnamed_addresses
 from roboneuron import CheckpointError, DriverSpec, MissingDependencyError, RefusedError, Spec
-from roboneuron.feature import ADMIN, Config, load_options_model
+from roboneuron.feature import Config, loading, roles
 
 _ABSENT = object()
 
@@ -39,7 +39,7 @@ def check_may_set(
     if spec.config is None:
         return  # there are no options; the one that was named is refused as unknown
     try:
-        model = load_options_model(spec)
+        model = loading.load_options_model(spec)
     except (
         MissingDependencyError
     ):  # a plugin for an interpreter of its own: nobody here knows what its options name
@@ -66,7 +66,7 @@ def check_may_set(
             f"Only the configuration may set {_list(barred)}.",
             hint="A person can set it there, or list it in agent_options of [server] for admins.",
         )
-    if keys and role != ADMIN:
+    if keys and role != roles.ADMIN:
         raise RefusedError(
             f"Only a client with the role 'admin' may set {_list(keys)}.",
             hint="Ask a person who has it.",
@@ -85,7 +85,7 @@ def check_addresses(spec: Spec | DriverSpec, options: Mapping[str, object]) -> N
         RefusedError: names the options.
     """
     try:
-        model = load_options_model(spec)
+        model = loading.load_options_model(spec)
     except MissingDependencyError:
         return  # told when it is selected
     absent = (

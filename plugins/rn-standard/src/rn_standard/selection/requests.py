@@ -8,7 +8,7 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from roboneuron import Arguments
-from roboneuron.feature import KIND_ENTRIES, Instruction, ModuleKind
+from roboneuron.feature import ModuleKind, module_kinds
 
 Options = Annotated[
     dict[str, Any],
@@ -79,7 +79,7 @@ class StartInference(Arguments):
     model: str | None = Field(
         default=None, description="Name of a model in the configuration, instead of these four."
     )
-    instruction: Instruction = None
+    instruction: module_kinds.Instruction = None
     cameras: dict[str, str] | None = Field(
         default=None,
         description="Camera name by role of the backend; the robot's own roles when omitted.",
@@ -101,4 +101,4 @@ runs is its `noun`.
 def choices_of(kind: ModuleKind) -> dict[str, str]:
     """Arguments that name plugins -> kind of these plugins."""
     more = {"runtime": "runtime", "acceleration": "acceleration"} if kind == "inference" else {}
-    return {KIND_ENTRIES[kind].noun: KIND_ENTRIES[kind].offer, **more}
+    return {module_kinds.KIND_ENTRIES[kind].noun: module_kinds.KIND_ENTRIES[kind].offer, **more}

@@ -14,7 +14,6 @@ from rn_standard.switching.switch_checks import CHECKS, SwitchCheck
 from rn_standard.switching.warm_switch import ARRIVAL_S, Change, WarmSwitch
 from roboneuron import Arguments, InvalidInputError, RoboNeuronError, StateError
 from roboneuron.feature import (
-    KIND_ENTRIES,
     MODULE_KINDS,
     ClosedLoop,
     ModuleKind,
@@ -22,6 +21,7 @@ from roboneuron.feature import (
     Report,
     Selection,
     Stage,
+    module_kinds,
     running_selection,
 )
 
@@ -111,7 +111,8 @@ class Switching:
         selection = self._before.get(kind)
         if selection is None:
             raise StateError(
-                f"There is no {KIND_ENTRIES[kind].noun} to go back to: none was replaced yet."
+                f"There is no {module_kinds.KIND_ENTRIES[kind].noun} to go back to: none was "
+                "replaced yet."
             )
         ticket = self.loop.starts.ticket
         if kind == "inference":

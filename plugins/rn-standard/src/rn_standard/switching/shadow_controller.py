@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Mapping
 
 from roboneuron import Hold, JointCommand, Pose
-from roboneuron.feature import StatusWriter, angle_rad, distance_m
+from roboneuron.feature import StatusWriter, task_space
 
 _POSES = 64
 """Own poses remembered until the predecessor's for the same joint state arrives: half a second
@@ -61,7 +61,9 @@ class ControllerComparison:
             return
         mine = next((pose for pose in self._poses if pose.stamp_ns == output.stamp_ns), None)
         if mine is not None:
-            difference = max(distance_m(mine, output), angle_rad(mine, output))
+            difference = max(
+                task_space.distance_m(mine, output), task_space.angle_rad(mine, output)
+            )
             self._status.set_value("shadow_tcp_difference", round(difference, 9))
 
     def _compare(self) -> None:

@@ -11,16 +11,7 @@ from pydantic import Field, model_validator
 from rn_standard.selection.requests import StartControl, StartInference, StartPerception
 from rn_standard.switching.replacing import Switched, Switching
 from roboneuron import Arguments, CallContext, Tool
-from roboneuron.feature import (
-    KIND_ENTRIES,
-    MAX_INSTRUCTION_LENGTH,
-    ClosedLoop,
-    KindEntry,
-    ModuleKind,
-    ModuleSummary,
-    Stage,
-    module_summary,
-)
+from roboneuron.feature import ClosedLoop, ModuleKind, Stage, module_kinds, results, settings
 
 S = TypeVar("S", bound="Switch")
 
@@ -49,7 +40,7 @@ class SwitchInference(Switch, StartInference):
 
     instruction: str | None = Field(
         default=None,
-        max_length=MAX_INSTRUCTION_LENGTH,
+        max_length=settings.MAX_INSTRUCTION_LENGTH,
         description="What to do; the present one when omitted.",
     )
 
@@ -67,7 +58,7 @@ class SwitchControl(Switch, StartControl):
     """Arguments of switch_control."""
 
 
-class SwitchResult(ModuleSummary):
+class SwitchResult(results.ModuleSummary):
     """The new module runs and has proved that it works."""
 
     replaced: dict[str, str] = Field(description="what ran before")
@@ -139,12 +130,13 @@ def switch_tools(loop: ClosedLoop) -> list[Tool[Any]]:
     """One for each kind of module that can be replaced."""
     switching = Switching(loop)
     return [
-        _switch_tool(loop, switching, KIND_ENTRIES[kind], text) for kind, text in _TEXTS.items()
+        _switch_tool(loop, switching, module_kinds.KIND_ENTRIES[kind], text)
+        for kind, text in _TEXTS.items()
     ]
 
 
 def _switch_tool(
-    loop: ClosedLoop, switching: Switching, entry: KindEntry, text: _Text
+    loop: ClosedLoop, switching: Switching, entry: module_kinds.KindEntry, text: _Text
 ) -> Tool[Any]:
     kind = entry.kind
 
@@ -174,7 +166,7 @@ def switch_result(switched: Switched) -> SwitchResult:
     """How a switch went, as the agent reads it."""
     change, gap = switched.change, switched.change.gap
     return SwitchResult(
-        **module_summary(switched.view),
+        **results.module_summary(switched.view),
         replaced=switched.replaced,
         mode=switched.mode,
         gap_s=round(gap.gap_s, 4) if gap is not None else None,

@@ -129,7 +129,7 @@ class TasksFeature(Feature[TasksSections]):
         )
 
     def _pose_now(self) -> tuple[F64, F64]:
-        self._host.supervisor.require_running("control")
+        self._host.modules.require_running("control")
         inputs, topic = Inputs(self._host), f"/{self._host.config.namespace}/ee_pose"
         inputs.open(topic, "geometry_msgs/msg/PoseStamped")
         try:

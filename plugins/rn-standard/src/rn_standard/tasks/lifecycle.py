@@ -12,13 +12,7 @@ from rn_standard.selection.options import ModelConfig, named_models
 from rn_standard.selection.requests import StartInference
 from rn_standard.tasks.starting import ParallelStart, requests_for
 from roboneuron import Arguments, CallContext, Host, NoArguments, Result, RoboNeuronError, Tool
-from roboneuron.feature import (
-    MAX_INSTRUCTION_LENGTH,
-    ModuleKind,
-    ModuleSummary,
-    Registry,
-    module_summary,
-)
+from roboneuron.feature import ModuleKind, Registry, results, settings
 
 
 class StartAll(Arguments):
@@ -26,7 +20,7 @@ class StartAll(Arguments):
 
     instruction: str | None = Field(
         default=None,
-        max_length=MAX_INSTRUCTION_LENGTH,
+        max_length=settings.MAX_INSTRUCTION_LENGTH,
         description='What to do at once, such as "pick up the red cube"; without it nothing moves '
         "yet.",
     )
@@ -39,7 +33,7 @@ class StartAll(Arguments):
 class StartAllResult(Result):
     """Everything that is configured runs and has proved that it works."""
 
-    started: list[ModuleSummary]
+    started: list[results.ModuleSummary]
     already: list[ModuleKind] = Field(description="ran before")
     ready_after_s: dict[str, float] = Field(description="from the call to the proof of each module")
     took_s: float
@@ -75,7 +69,7 @@ def start_all_tool(host: Host) -> Tool[Any]:
         start = ParallelStart(host.loop, requests_for(arguments.instruction, model), context.role)
         done = await context.run(start.run, on_cancel=start.cancel)
         return StartAllResult(
-            started=[ModuleSummary(**module_summary(view)) for view in done.views],
+            started=[results.ModuleSummary(**results.module_summary(view)) for view in done.views],
             already=list(done.already),
             ready_after_s={kind: round(took_s, 3) for kind, took_s in sorted(done.took_s.items())},
             took_s=round(done.total_s, 3),
@@ -100,7 +94,7 @@ def list_models_tool(host: Host) -> Tool[Any]:
     """list_models."""
 
     async def handler(_: NoArguments, context: CallContext) -> Models:
-        view = host.supervisor.view("inference")
+        view = host.modules.view("inference")
         running = (
             view.choice.names.get("model")
             if view.choice is not None and view.phase == "running"

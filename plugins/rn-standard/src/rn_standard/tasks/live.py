@@ -114,16 +114,16 @@ class LiveCell:
         self._check_not_latched()
         if self._stops is None:
             self._stops = self._starts.permit()
-        if self._host.supervisor.view("inference").phase != "running":
+        if self._host.modules.view("inference").phase != "running":
             self._start_policy()
         self._starts.check(self._stops)
-        view = self._host.supervisor.require_running("inference")
+        view = self._host.modules.require_running("inference")
         report = view.report
         self._count = report.instruction_count if report is not None else 0
         self._errors = report.error_count if report is not None else 0
         self._pid = view.process.pid if view.process is not None else None
         self._needed = tuple(
-            view.kind for view in self._host.supervisor.views() if view.phase == "running"
+            view.kind for view in self._host.modules.views() if view.phase == "running"
         )
         if self._halt.is_set():
             return
@@ -167,7 +167,7 @@ class LiveCell:
             )
         if taken := self._why() or self._lost():
             return PolicyState(has_acted=False, taken=taken)
-        view = self._host.supervisor.view("inference")
+        view = self._host.modules.view("inference")
         report = self._report_of_this(view)
         if report is None:
             return PolicyState(has_acted=False)
@@ -183,15 +183,15 @@ class LiveCell:
         if self._stops is None:
             return ""
         for kind in self._needed:
-            slot = self._host.supervisor.slot(kind)
-            if slot.phase == "exited" and slot.exit is not None:
-                code = slot.exit.code
+            view = self._host.modules.view(kind)
+            if view.phase == "exited" and view.exit is not None:
+                code = view.exit.code
                 return (
                     f"{kind} has ended by itself "
                     f"({f'signal {-code}' if code < 0 else f'exit code {code}'})"
                 )
-            if slot.phase != "running":
-                return f"{kind} was stopped (it is {slot.phase})"
+            if view.phase != "running":
+                return f"{kind} was stopped (it is {view.phase})"
         if self._starts.stops != self._stops:
             return f"there was a stop: {self._starts.reason}"
         if self._instruction and self._starts.ticket != self._ticket:
@@ -256,7 +256,7 @@ class LiveCell:
         return view.process is not None and view.process.pid == self._pid
 
     def _done(self) -> bool | None:
-        report = self._report_of_this(self._host.supervisor.view("inference"))
+        report = self._report_of_this(self._host.modules.view("inference"))
         if not self._instruction or report is None or report.actions_for_instruction == 0:
             return None
         said = next((report.metrics[name] for name in _DONE if name in report.metrics), "")

@@ -8,11 +8,11 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from roboneuron.feature import ROLES
+from roboneuron.feature import roles
 
 PlaceName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_-]{0,63}$")]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
-RoleName = Annotated[str, Field(pattern=f"^({'|'.join(ROLES)})$")]
+RoleName = Annotated[str, Field(pattern=f"^({'|'.join(roles.ROLES)})$")]
 
 
 class _Section(BaseModel):

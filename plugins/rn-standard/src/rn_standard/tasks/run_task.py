@@ -9,7 +9,6 @@ from typing import Any, Literal, cast
 
 from pydantic import Field
 
-from rn_standard.direct_path.feature import gate_of
 from rn_standard.direct_path.fields import check_path, load_type
 from rn_standard.tasks.approval import Approval
 from rn_standard.tasks.arbiter import TaskArbiter
@@ -42,7 +41,7 @@ from roboneuron import (
     StateError,
     Tool,
 )
-from roboneuron.feature import MAX_INSTRUCTION_LENGTH, Stage, build, check_instruction, check_topic
+from roboneuron.feature import Stage, build, check_instruction, check_topic, settings
 
 HOLD, STOP = "hold", "stop"
 """What is done when a task has ended, besides the names of postures and places."""
@@ -55,7 +54,8 @@ class RunTask(Arguments):
     """Arguments of run_task."""
 
     instruction: str = Field(
-        max_length=MAX_INSTRUCTION_LENGTH, description='What to do, such as "pick up the red cube".'
+        max_length=settings.MAX_INSTRUCTION_LENGTH,
+        description='What to do, such as "pick up the red cube".',
     )
     until: dict[str, Any] | None = Field(
         default=None,
@@ -150,7 +150,7 @@ class TaskTool:
         topics = {} if predicate is None else topics_of(predicate)
         judge = None if predicate is None else self._judge(predicate, instruction, profile)
         for kind in ("robot", "control"):
-            self._host.supervisor.require_running(cast("Any", kind))
+            self._host.modules.require_running(cast("Any", kind))
         await self._approval.ask("run_task", f"Let the robot carry out {instruction!r}?", context)
         plan = TaskPlan(
             instruction=instruction,
@@ -241,7 +241,7 @@ def profile_of(host: Host) -> RobotProfile | None:
     """
     name = host.config.robot.name
     try:
-        exposed = gate_of(host).exposed
+        exposed = host.gate.exposed
     except StateError:
         return None
     return next((e.profile for e in exposed if e.profile is not None and e.robot == name), None)

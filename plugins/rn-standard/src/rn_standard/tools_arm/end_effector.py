@@ -15,10 +15,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field
 
-from rn_standard.direct_path.delivery import Command
-from rn_standard.direct_path.exposed import Exposed, gate_request
-from rn_standard.direct_path.feature import gate_of
-from rn_standard.direct_path.request import GateRequest
+from rn_standard.direct_path.exposed import gate_request
 from rn_standard.tools_arm.ee_line import (
     F64,
     STEP_S,
@@ -47,7 +44,7 @@ from roboneuron import (
     RobotProfile,
     StateError,
 )
-from roboneuron.feature import Stage
+from roboneuron.feature import ExposedEndpoint, GateRequest, Stage, TimedCommand
 
 _FURTHEST_M, _FURTHEST_RAD = 0.5, 1.6
 _REACHED_M, _REACHED_RAD = 0.002, 0.01
@@ -135,7 +132,7 @@ class EndEffectorMover:
 
     def __init__(
         self,
-        exposed: Exposed,
+        exposed: ExposedEndpoint,
         profile: RobotProfile,
         host: Host,
         options: ArmToolsOptions,
@@ -143,7 +140,7 @@ class EndEffectorMover:
     ) -> None:
         self._exposed = exposed
         self._profile = profile
-        self._gate = gate_of(host)
+        self._gate = host.gate
         self._host = host
         self._options = options
         self._tcp = tcp
@@ -170,7 +167,7 @@ class EndEffectorMover:
     def check(self) -> None:
         """Raise unless the arm could be moved now. Raises RefusedError, StateError."""
         self._gate.check_free(self._exposed)
-        self._host.supervisor.require_running("control")
+        self._host.modules.require_running("control")
 
     def pose(self) -> Pose:
         """The measured TCP; blocks. Raises as `MeasuredPose.wait`."""
@@ -285,7 +282,7 @@ class EndEffectorMover:
         lost = is_lost(line.held, holding, line.order.gripper_open, line.kept)
         return {"holding": holding, "lost_on_the_way": lost}
 
-    def _actions(self, line: _Line, stage: Stage) -> Iterator[Command]:
+    def _actions(self, line: _Line, stage: Stage) -> Iterator[TimedCommand]:
         """Follow the line by the measured pose; ends when the arm is there.
 
         Raises:
@@ -308,7 +305,9 @@ class EndEffectorMover:
         for sent, (fraction, distance_m, delta) in enumerate(deltas):
             if sent % 5 == 0:
                 stage(f"{100 * fraction:.0f} % of the way, {distance_m * 1000:.0f} mm to go")
-            yield Command(message=self._message(delta, gripper), due_s=time.monotonic() + STEP_S)
+            yield TimedCommand(
+                message=self._message(delta, gripper), due_s=time.monotonic() + STEP_S
+            )
 
     def _predict(self, order: Order, forecast: _Forecast) -> None:
         """Raise RefusedError unless control would bring the arm there; its path is that of
@@ -378,7 +377,7 @@ class EndEffectorMover:
 
     def _note(self) -> str:
         """What control is doing, in its own words."""
-        report = self._host.supervisor.view("control").report
+        report = self._host.modules.view("control").report
         return report.note if report is not None else ""
 
     def _where(self, line: _Line) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from rn_standard.direct_path.feature import gate_of
 from rn_standard.tools_arm.measured import MeasuredPose
 from rn_standard.tools_arm.options import ArmToolsOptions
 from rn_standard.tools_arm.placing import GripHeight
@@ -31,12 +30,12 @@ class ArmTools(Feature[ArmToolsOptions]):
 
         def watch(kind: ModuleKind) -> None:
             """From the start of control on, see how high the hand closes, whoever closes it."""
-            if kind == "control" and host.supervisor.view("control").phase == "running":
+            if kind == "control" and host.modules.view("control").phase == "running":
                 for grip in list(grips.values()):
                     grip.watch()
 
         host.events.change.listen(watch)
 
-        gate_of(host).on_change(derive)
+        host.gate.on_change(derive)
         derive()
         return ()

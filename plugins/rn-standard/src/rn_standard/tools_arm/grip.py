@@ -7,10 +7,8 @@ from __future__ import annotations
 import math
 import time
 
-from rn_standard.direct_path.exposed import Exposed
-from rn_standard.direct_path.motion_gate import MotionGate
 from roboneuron import GripperProfile, Host, NotReadyError
-from roboneuron.feature import GRIPPER_COMMANDED, Report
+from roboneuron.feature import ExposedEndpoint, MotionGate, Report, settings
 
 _MEASURED_S = 2.0
 _BLOCKED = 0.03
@@ -30,7 +28,7 @@ class Grip:
     direct call did it.
     """
 
-    def __init__(self, host: Host, gate: MotionGate, exposed: Exposed) -> None:
+    def __init__(self, host: Host, gate: MotionGate, exposed: ExposedEndpoint) -> None:
         self._host = host
         self._gate = gate
         self._exposed = exposed
@@ -45,7 +43,7 @@ class Grip:
         robot started.
         """
         report = self._report()
-        text = "" if report is None else report.metrics.get(GRIPPER_COMMANDED, "")
+        text = "" if report is None else report.metrics.get(settings.GRIPPER_COMMANDED, "")
         try:
             opening = float(text)
         except ValueError:
@@ -112,7 +110,7 @@ class Grip:
         """What the module of this very robot reports."""
         if self._exposed.namespace != self._host.config.namespace:
             return None
-        return self._host.supervisor.view("robot").report
+        return self._host.modules.view("robot").report
 
 
 def is_lost(

@@ -12,10 +12,9 @@ from typing import Any
 
 from pydantic import Field
 
-from rn_standard.direct_path.delivery import TRAJECTORY, Command
+from rn_standard.direct_path.delivery import TRAJECTORY
 from rn_standard.direct_path.derived import Derived
-from rn_standard.direct_path.exposed import Exposed, gate_request
-from rn_standard.direct_path.motion_gate import MotionGate
+from rn_standard.direct_path.exposed import gate_request
 from rn_standard.direct_path.speeds import shortest_s
 from rn_standard.tools_arm.grip import Grip, is_lost
 from roboneuron import (
@@ -29,7 +28,15 @@ from roboneuron import (
     StateError,
     Tool,
 )
-from roboneuron.feature import JointLimit, Schema, Stage, joint_limits, unknown_name
+from roboneuron.feature import (
+    ExposedEndpoint,
+    MotionGate,
+    Schema,
+    Stage,
+    TimedCommand,
+    joint_space,
+    schema,
+)
 
 _EASY, _EASY_ACCELERATION = 0.4, 0.5
 """Shares of the velocity and acceleration limits that a move uses when it is given no duration."""
@@ -72,14 +79,16 @@ class JointMove(Result):
     lost_on_the_way: bool = False
 
 
-def joint_tools(host: Host, endpoints: Iterable[Exposed], gate: MotionGate) -> list[Tool[Any]]:
+def joint_tools(
+    host: Host, endpoints: Iterable[ExposedEndpoint], gate: MotionGate
+) -> list[Tool[Any]]:
     """move_joints for the first endpoint that takes trajectories of a robot with known limits."""
     found = next(
         (e for e in endpoints if e.endpoint.joint_limited and e.endpoint.type == TRAJECTORY), None
     )
     if found is None or found.profile is None:
         return []
-    limits = joint_limits(found.profile)
+    limits = joint_space.joint_limits(found.profile)
     mover = _JointMover(found, limits, gate, host)
     joints: Schema = {
         "properties": {
@@ -118,7 +127,11 @@ class _JointMover:
     """The handler of move_joints."""
 
     def __init__(
-        self, exposed: Exposed, limits: Mapping[str, JointLimit], gate: MotionGate, host: Host
+        self,
+        exposed: ExposedEndpoint,
+        limits: Mapping[str, joint_space.JointLimit],
+        gate: MotionGate,
+        host: Host,
     ) -> None:
         self._exposed = exposed
         self._limits = limits
@@ -130,7 +143,7 @@ class _JointMover:
         """Raises InvalidInputError, RefusedError, NotReadyError, StateError."""
         for name, value in arguments.positions.items():
             if name not in self._limits:
-                raise unknown_name("positions", name, list(self._limits))
+                raise schema.unknown_name("positions", name, list(self._limits))
             limit = self._limits[name]
             if not limit.lower <= value <= limit.upper:
                 raise InvalidInputError(
@@ -192,7 +205,7 @@ class _JointMover:
 
     def _unmeasured(self) -> NotReadyError:
         """Why there are no joints: the robot is not running, or its states do not come through."""
-        robot = self._host.supervisor.view("robot")
+        robot = self._host.modules.view("robot")
         if robot.phase != "running" or self._exposed.namespace != self._host.config.namespace:
             return NotReadyError("The joints are not measured.", hint="Call start_robot first.")
         return NotReadyError(
@@ -233,7 +246,7 @@ class _JointMover:
 
     def _commands(
         self, target: Mapping[str, float], message: Any, duration_s: float, stage: Stage
-    ) -> Iterator[Command]:
+    ) -> Iterator[TimedCommand]:
         """The trajectory, then waiting until the arm is measured at its end, at rest.
 
         Raises:
@@ -241,7 +254,7 @@ class _JointMover:
         """
         began_s = told_s = time.monotonic()
         rest = _Rest(target)
-        yield Command(message=message, due_s=began_s)
+        yield TimedCommand(message=message, due_s=began_s)
         while True:
             now_s = time.monotonic()
             joints = self._gate.newest_joints(self._exposed)
@@ -267,7 +280,7 @@ class _JointMover:
                     f"{now_s - began_s:.1f} of {duration_s:.1f} s, {_error(target, joints):.3f} "
                     "to go"
                 )
-            yield Command(message=None, due_s=now_s + 0.02)
+            yield TimedCommand(message=None, due_s=now_s + 0.02)
 
     def _answer(
         self,

@@ -12,11 +12,10 @@ from contextlib import suppress
 from functools import partial
 from typing import Any
 
-from rn_standard.direct_path.feature import gate_of
 from rn_standard.tools_arm.limits_tools import limits_tools
 from rn_standard.tools_arm.tightening import FILE_NAME, Record, Tightening, TighteningFile
 from roboneuron import Feature, Host, NotReadyError, RoboNeuronError, RobotProfile, Tool
-from roboneuron.feature import LIMITS_PARAMETER, AuditRecord, ModuleKind, Slot, load_profile
+from roboneuron.feature import AuditRecord, ModuleKind, Slot, load_profile, settings
 
 log = logging.getLogger(__name__)
 _LOOK_S = 0.5
@@ -102,11 +101,11 @@ class LimitsFeature(Feature[None]):
         direct motion ends.
         """
         assert self._profile is not None
-        supervisor, loop = self._host.supervisor, self._host.loop
+        loop = self._host.loop
         limits = record.tightening.applied(loop.base.limits, self._profile)
-        supervisor.tightened = None if record.tightening.is_empty else limits
+        loop.supervisor.tightened = None if record.tightening.is_empty else limits
         self._record = record
-        gate = gate_of(self._host)
+        gate = self._host.gate
         gate.relimit()
         gate.end_motions(
             "The limits have changed.", _END_S, lambda exposed: exposed.endpoint.joint_limited
@@ -118,7 +117,7 @@ class LimitsFeature(Feature[None]):
         Raises:
             NotReadyError: one did not take them.
         """
-        supervisor = self._host.supervisor
+        supervisor = self._host.loop.supervisor
         text = "" if supervisor.tightened is None else supervisor.tightened.model_dump_json()
         for slot in list(supervisor.slots["control"]):
             supervisor.changes.wait_for(partial(_has_started, slot), _START_S)
@@ -127,7 +126,9 @@ class LimitsFeature(Feature[None]):
                 continue
             node = f"/{choice.settings.status_name}"
             try:
-                refused = supervisor.parameters(node, process).set({LIMITS_PARAMETER: text}, _SET_S)
+                refused = supervisor.parameters(node, process).set(
+                    {settings.LIMITS_PARAMETER: text}, _SET_S
+                )
             except RoboNeuronError as error:
                 refused = error.message
             if refused:
@@ -139,10 +140,10 @@ class LimitsFeature(Feature[None]):
 
     def _on_change(self, kind: ModuleKind) -> None:
         """A control that was being started while the limits changed has the old ones."""
-        view = self._host.supervisor.view(kind)
+        view = self._host.modules.view(kind)
         if kind != "control" or view.phase != "running" or view.choice is None:
             return
-        if view.choice.settings.tightened != self._host.supervisor.tightened:
+        if view.choice.settings.tightened != self._host.loop.supervisor.tightened:
             threading.Thread(target=self._tell_quietly, name="limits-control", daemon=True).start()
 
     def _tell_quietly(self) -> None:

@@ -18,7 +18,7 @@ from roboneuron import (
     Result,
     Tool,
 )
-from roboneuron.feature import ADMIN
+from roboneuron.feature import roles
 
 
 class TightenLimits(Arguments):
@@ -88,7 +88,7 @@ def limits_tools(
             lower_m=limits.workspace_lower_m,
             upper_m=limits.workspace_upper_m,
             keep_out={zone.name: [zone.lower_m, zone.upper_m] for zone in limits.zones},
-            is_tightened=host.supervisor.tightened is not None,
+            is_tightened=host.loop.is_tightened,
         )
 
     async def tighten_limits(arguments: TightenLimits, context: CallContext) -> LimitsResult:
@@ -98,13 +98,10 @@ def limits_tools(
 
     async def loosen_limits(_: NoArguments, context: CallContext) -> LimitsResult:
         who = context.who
-        if (
-            host.config.server.reset_emergency_stop == "person"
-            and host.supervisor.tightened is not None
-        ):
+        if host.config.server.reset_emergency_stop == "person" and host.loop.is_tightened:
             await _ask(host, context)
             who = f"a person asked by {who}"
-        if host.supervisor.tightened is not None:
+        if host.loop.is_tightened:
             await context.run(lambda _: loosen(who, context.role))
         return answer()
 
@@ -133,7 +130,7 @@ def limits_tools(
             idempotent=True,
             open_world=True,
             listed=False,  # a person's decision, and every byte of the list is read by every agent
-            role=ADMIN,
+            role=roles.ADMIN,
         ),
     ]
 

@@ -8,8 +8,6 @@ from typing import Any
 
 from pydantic import Field
 
-from rn_standard.direct_path.exposed import Exposed
-from rn_standard.direct_path.motion_gate import MotionGate
 from rn_standard.tools_arm.end_effector import EndEffectorMove, EndEffectorMover, MoveEndEffector
 from rn_standard.tools_arm.grip import Grip
 from rn_standard.tools_arm.measured import MeasuredPose
@@ -24,6 +22,7 @@ from roboneuron import (
     StateError,
     Tool,
 )
+from roboneuron.feature import ExposedEndpoint, MotionGate
 
 log = logging.getLogger(__name__)
 _CLEAR_M = 0.08
@@ -66,7 +65,9 @@ class Placed(Result):
 class GripHeight(Grip):
     """Knows how high the TCP was when the hand last closed, whoever closed it."""
 
-    def __init__(self, host: Host, gate: MotionGate, exposed: Exposed, tcp: MeasuredPose) -> None:
+    def __init__(
+        self, host: Host, gate: MotionGate, exposed: ExposedEndpoint, tcp: MeasuredPose
+    ) -> None:
         super().__init__(host, gate, exposed)
         self._tcp = tcp
         self._opening: float | None = None

@@ -5,12 +5,11 @@ follow at once.
 from __future__ import annotations
 
 from rn_standard.direct_path.allow_list import ArmPaths
-from rn_standard.direct_path.exposed import Exposed
 from roboneuron import Action, Controller, Hold, Host, JointCommand, JointSample, Pose
-from roboneuron.feature import MotionLimiter, inspector_of
+from roboneuron.feature import ExposedEndpoint, MotionLimiter, inspector_of
 
 
-def control_of(host: Host, exposed: Exposed) -> tuple[Controller, MotionLimiter]:
+def control_of(host: Host, exposed: ExposedEndpoint) -> tuple[Controller, MotionLimiter]:
     """Controller and limits as control has them, for one user, who closes the controller.
 
     Raises:

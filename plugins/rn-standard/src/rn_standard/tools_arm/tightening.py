@@ -15,7 +15,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from roboneuron import ConfigurationError, InvalidInputError, RefusedError, RobotProfile
-from roboneuron.feature import LimitsConfig, ZoneConfig, motion_rules
+from roboneuron.feature import models, motion_rules
 
 FILE_NAME = "limits.tightened.json"
 _MOST_ZONES = 16
@@ -70,7 +70,9 @@ class Tightening(BaseModel):
                 made[name] = (max if name.endswith("_min_m") else min)(values, default=None)
         return Tightening.model_validate(made)
 
-    def applied(self, configured: LimitsConfig, profile: RobotProfile) -> LimitsConfig:
+    def applied(
+        self, configured: models.LimitsConfig, profile: RobotProfile
+    ) -> models.LimitsConfig:
         """The configured limits with these; never wider than either, or than the robot's workspace.
 
         Raises:
@@ -82,7 +84,7 @@ class Tightening(BaseModel):
             lower[index] = max(lower[index], -_FAR_M if low is None else low)
             upper[index] = min(upper[index], _FAR_M if high is None else high)
         boxes = [
-            ZoneConfig(name=f"kept out {number}", lower_m=box.lower_m, upper_m=box.upper_m)
+            models.ZoneConfig(name=f"kept out {number}", lower_m=box.lower_m, upper_m=box.upper_m)
             for number, box in enumerate(self.keep_out, 1)
         ]
         changes: dict[str, Any] = {
@@ -174,7 +176,9 @@ def _frozen(box: Box) -> tuple[tuple[float, ...], tuple[float, ...]]:
     return tuple(box.lower_m), tuple(box.upper_m)
 
 
-def _workspace(configured: LimitsConfig, profile: RobotProfile) -> tuple[list[float], list[float]]:
+def _workspace(
+    configured: models.LimitsConfig, profile: RobotProfile
+) -> tuple[list[float], list[float]]:
     """The configured corners, or the robot's own."""
     own = profile.workspace
     lower = configured.workspace_lower_m or ([-_FAR_M] * 3 if own is None else own.lower_m.tolist())

@@ -6,7 +6,6 @@ from typing import Any
 
 from rn_standard.direct_path.derived import Derived
 from rn_standard.direct_path.exposed import ACTION_LABEL
-from rn_standard.direct_path.feature import gate_of
 from rn_standard.tools_arm.end_effector import EndEffectorMove, EndEffectorMover, MoveEndEffector
 from rn_standard.tools_arm.joints import joint_tools
 from rn_standard.tools_arm.measured import MeasuredPose
@@ -26,7 +25,7 @@ def arm_tools(
 
     `poses` and `grips` keep what is measured, by namespace.
     """
-    gate = gate_of(host)
+    gate = host.gate
     listed = gate.exposed
     tools = joint_tools(host, [e for e in listed if not e.hidden], gate)
     action = next((e for e in listed if e.hidden and e.label == ACTION_LABEL), None)

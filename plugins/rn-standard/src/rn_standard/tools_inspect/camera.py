@@ -104,9 +104,7 @@ def read_frame(host: Host, camera: str, timeout_s: float) -> Frame:
 
     topic = f"/{host.config.namespace}/camera/{camera}/image"
     changes, deadline_s = Changes(), time.monotonic() + timeout_s
-    publishers = changes.wait_for(
-        lambda: graph.get_publishers_info_by_topic(topic) or None, timeout_s
-    )
+    publishers = changes.wait_for(lambda: graph.publishers(topic) or None, timeout_s)
     if not publishers:
         raise NotReadyError(
             f"Nobody publishes images of camera {camera!r} on {topic}.", hint=_hint(host)
@@ -159,7 +157,7 @@ def check_camera(host: Host, camera: str) -> None:
 
 
 def _hint(host: Host) -> str:
-    view = host.supervisor.view("perception")
+    view = host.modules.view("perception")
     if view.phase == "running" and view.choice is not None:
         return f"Perception runs with the cameras: {view.choice.names.get('cameras', 'none')}."
     if view.phase in ("starting", "stopping"):

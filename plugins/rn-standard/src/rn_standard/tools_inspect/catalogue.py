@@ -21,7 +21,7 @@ from roboneuron import (
     RuntimeSpec,
     Tool,
 )
-from roboneuron.feature import Offer, Registry, RobotConfig
+from roboneuron.feature import Offer, Registry, models
 
 
 class Entry(Result):
@@ -231,7 +231,7 @@ def controllers(registry: Registry) -> Controllers:
     )
 
 
-def robots(registry: Registry, configured: RobotConfig) -> Robots:
+def robots(registry: Registry, configured: models.RobotConfig) -> Robots:
     """All robots; which one, by which driver, `configured` says."""
     return Robots(
         robots=[

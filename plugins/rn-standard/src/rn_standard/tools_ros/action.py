@@ -13,7 +13,6 @@ from pydantic import Field
 
 from rn_standard.direct_path.derived import Derived
 from rn_standard.direct_path.exposed import gate_request
-from rn_standard.direct_path.motion_gate import MotionGate
 from rn_standard.tools_ros.calls import Judged, SendingCall, Value, encode_argument, verdict_fields
 from rn_standard.tools_ros.exposed_types import action_of
 from rn_standard.tools_ros.goals import GoalEnd, send_goal
@@ -21,7 +20,7 @@ from rn_standard.tools_ros.interfaces import ActionInterface
 from rn_standard.tools_ros.schemas import decoded_schema
 from rn_standard.tools_ros.targets import Targets
 from roboneuron import CallContext, StateError
-from roboneuron.feature import Stage
+from roboneuron.feature import MotionGate, Stage
 
 _FEEDBACK_PERIOD_S = 0.1
 _LONGEST_S = 60.0

@@ -10,9 +10,9 @@ from typing import Any
 
 from pydantic import Field
 
-from rn_standard.direct_path.request import Verdict
 from rn_standard.tools_ros.interfaces import MessageInterface
 from roboneuron import Arguments, InvalidInputError, Result
+from roboneuron.feature import Verdict
 
 Value = dict[str, Any]
 """A ROS message as an agent gives it, or reads it."""

@@ -6,8 +6,6 @@ from collections.abc import Collection, Iterable
 from typing import Any
 
 from rn_standard.direct_path.derived import Derived
-from rn_standard.direct_path.exposed import Exposed
-from rn_standard.direct_path.feature import gate_of
 from rn_standard.tools_ros.action import GoalSending, SendGoal, goal_model
 from rn_standard.tools_ros.exposed_types import action_of, message_of, service_of
 from rn_standard.tools_ros.naming import tool_name
@@ -18,13 +16,13 @@ from rn_standard.tools_ros.sequence import PublishSequence, Sequencing
 from rn_standard.tools_ros.service import Calling, CallService, served_model
 from rn_standard.tools_ros.targets import Targets
 from roboneuron import Host, Tool
-from roboneuron.feature import Schema
+from roboneuron.feature import ExposedEndpoint, Schema
 
 _SENT = "Fails when nobody subscribes."
 
 
 def derive_tools(
-    endpoints: Iterable[Exposed], host: Host, taken: Collection[str]
+    endpoints: Iterable[ExposedEndpoint], host: Host, taken: Collection[str]
 ) -> list[Tool[Any]]:
     """The tools of the endpoints, in their order; those of one label, kind and type are one tool
     for all robots.
@@ -34,7 +32,7 @@ def derive_tools(
         host: what they read and send through.
         taken: names that other tools have.
     """
-    groups: dict[tuple[str, str, str], list[Exposed]] = {}
+    groups: dict[tuple[str, str, str], list[ExposedEndpoint]] = {}
     for exposed in endpoints:
         groups.setdefault((exposed.endpoint.kind, exposed.label, exposed.endpoint.type), []).append(
             exposed
@@ -63,7 +61,7 @@ def _make(use: str, name: str, noun: str, targets: Targets, host: Host) -> Tool[
 
 
 def _publish(name: str, noun: str, targets: Targets, host: Host) -> Tool[Any]:
-    gate = gate_of(host)
+    gate = host.gate
     message = message_schema(
         message_of(targets.first), hull([e.endpoint for e in targets.endpoints])
     )
@@ -94,7 +92,7 @@ def _publish(name: str, noun: str, targets: Targets, host: Host) -> Tool[Any]:
 
 
 def _sequence(name: str, noun: str, targets: Targets, host: Host) -> Tool[Any]:
-    gate = gate_of(host)
+    gate = host.gate
     needed = [
         *(["message"] if message_of(targets.first).fields else []),
         *([] if targets.trajectory else ["duration_s"]),
@@ -187,13 +185,13 @@ def _service(name: str, noun: str, targets: Targets, host: Host) -> Tool[Any]:
             required=_required(targets, "request", interface.request.fields),
         ),
         result=served_model(targets),
-        handler=Calling(gate_of(host), targets, name),
+        handler=Calling(host.gate, targets, name),
         open_world=True,
     )
 
 
 def _action(name: str, noun: str, targets: Targets, host: Host) -> Tool[Any]:
-    gate = gate_of(host)
+    gate = host.gate
     interface = action_of(targets.first)
     sending = GoalSending(gate, targets, name)
     properties = {

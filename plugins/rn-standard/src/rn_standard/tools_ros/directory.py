@@ -11,7 +11,7 @@ from typing import Any
 from pydantic import Field
 
 from roboneuron import Arguments, CallContext, InvalidInputError, Reply, Result, Tool
-from roboneuron.feature import VIEWER, Schema, check_role, may_call
+from roboneuron.feature import Schema, access, roles
 
 
 class FindTools(Arguments):
@@ -59,7 +59,7 @@ def directory_tools(tools: Callable[[], Mapping[str, Tool[Any]]]) -> list[Tool[A
     """The pair, over whatever `tools` returns, by name, at the time of the call."""
 
     async def find(arguments: FindTools, context: CallContext) -> FoundTools:
-        mine = [tool for tool in tools().values() if may_call(context.role, tool)]
+        mine = [tool for tool in tools().values() if access.may_call(context.role, tool)]
         ranked = _rank(mine, _words(arguments.query))
         found = [_found(tool, arguments.schemas) for tool in ranked[: arguments.limit]]
         return FoundTools(tools=found, matching=len(ranked), total=len(mine))
@@ -71,7 +71,7 @@ def directory_tools(tools: Callable[[], Mapping[str, Tool[Any]]]) -> list[Tool[A
             near = [tool.name for tool in _rank(list(tools().values()), _words(name))[:3]]
             hint = f"Nearest: {', '.join(near)}." if near else "See find_tools."
             raise InvalidInputError(f"There is no endpoint tool {name!r}.", hint=hint, path="tool")
-        check_role(found, context)
+        access.check_role(found, context)
         answer = await found.call(arguments.arguments, context)
         return Reply(
             result=EndpointResult(tool=name, result=dict(answer.structured)),
@@ -102,7 +102,7 @@ def directory_tools(tools: Callable[[], Mapping[str, Tool[Any]]]) -> list[Tool[A
             result=EndpointResult,
             handler=call,
             open_world=True,
-            role=VIEWER,  # what it calls has a role of its own
+            role=roles.VIEWER,  # what it calls has a role of its own
         ),
     ]
 

@@ -8,7 +8,6 @@ import math
 from collections.abc import Iterable
 from dataclasses import replace
 
-from rn_standard.direct_path.exposed import Exposed
 from rn_standard.direct_path.joints import JOINT_TYPES
 from rn_standard.direct_path.limits import check_endpoint
 from rn_standard.tools_ros.exposed_types import is_joint_limited, is_velocity_type, number_fields
@@ -17,6 +16,7 @@ from rn_standard.tools_ros.options import DiscoverConfig
 from rn_standard.tools_ros.pattern_limits import OTHERS
 from rn_standard.tools_ros.tightening import ConfiguredLimits, tighten
 from roboneuron import ConfigurationError
+from roboneuron.feature import ExposedEndpoint
 
 
 def check_patterns(discover: Iterable[DiscoverConfig]) -> None:
@@ -41,7 +41,9 @@ def check_patterns(discover: Iterable[DiscoverConfig]) -> None:
                     )
 
 
-def limit(discovered: Exposed, entry: DiscoverConfig, known: Iterable[Exposed]) -> Exposed:
+def limit(
+    discovered: ExposedEndpoint, entry: DiscoverConfig, known: Iterable[ExposedEndpoint]
+) -> ExposedEndpoint:
     """Give a discovered endpoint the limits of its robot, tightened by those of the pattern.
 
     Args:
@@ -91,7 +93,7 @@ def limit(discovered: Exposed, entry: DiscoverConfig, known: Iterable[Exposed]) 
     )
 
 
-def _lends(known: Exposed, discovered: Exposed) -> bool:
+def _lends(known: ExposedEndpoint, discovered: ExposedEndpoint) -> bool:
     same = (known.robot, known.endpoint.kind, known.endpoint.type) == (
         discovered.robot, discovered.endpoint.kind, discovered.endpoint.type,
     )  # fmt: skip

@@ -7,14 +7,14 @@ import logging
 import re
 from collections.abc import Callable, Mapping, Sequence
 
-from rn_standard.direct_path.exposed import Exposed, check_reserved, check_stop
+from rn_standard.direct_path.exposed import check_reserved, check_stop
 from rn_standard.direct_path.limits import check_endpoint
 from rn_standard.tools_ros.discovered_limits import limit
-from rn_standard.tools_ros.graph import RosGraph
+from rn_standard.tools_ros.graph import GraphNames
 from rn_standard.tools_ros.naming import to_label
 from rn_standard.tools_ros.options import DiscoverConfig
 from roboneuron import Endpoint, RoboNeuronError, RobotProfile
-from roboneuron.feature import Config, Periodic
+from roboneuron.feature import Config, ExposedEndpoint, Periodic
 
 log = logging.getLogger(__name__)
 Kinds = Mapping[str, Mapping[str, str]]
@@ -39,10 +39,10 @@ class LiveGraph:
         self,
         discover: Sequence[DiscoverConfig],
         config: Config,
-        graph: RosGraph,
-        known: Callable[[], tuple[Exposed, ...]],
+        graph: GraphNames,
+        known: Callable[[], tuple[ExposedEndpoint, ...]],
         profile: Callable[[str], RobotProfile | None],
-        on_discovered: Callable[[tuple[Exposed, ...]], None],
+        on_discovered: Callable[[tuple[ExposedEndpoint, ...]], None],
     ) -> None:
         """Args:
         discover: what is looked for.
@@ -84,8 +84,8 @@ class LiveGraph:
             self._seen = live
             self._on_discovered(self._match(live))
 
-    def _match(self, live: Kinds) -> tuple[Exposed, ...]:
-        found: dict[tuple[str, str], Exposed] = {}
+    def _match(self, live: Kinds) -> tuple[ExposedEndpoint, ...]:
+        found: dict[tuple[str, str], ExposedEndpoint] = {}
         for entry in self._discover:
             count = 0
             for kind in entry.kinds:
@@ -100,7 +100,7 @@ class LiveGraph:
 
     def _expose(
         self, entry: DiscoverConfig, kind: str, name: str, type_name: str
-    ) -> Exposed | None:
+    ) -> ExposedEndpoint | None:
         robot = entry.robot or self._config.robot.name
         namespace = (
             self._config.namespace if robot == self._config.robot.name else robot.replace("-", "_")
@@ -116,7 +116,7 @@ class LiveGraph:
         )
         try:
             check_endpoint(endpoint)
-            bare = Exposed(
+            bare = ExposedEndpoint(
                 robot=robot,
                 namespace=namespace,
                 label=label,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from rn_standard.direct_path.exposed import Exposed
 from rn_standard.direct_path.fields import FLOATS, INTEGERS, walk_fields
 from rn_standard.direct_path.joints import JOINT_TYPES
 from rn_standard.direct_path.limits import sent_type
@@ -16,31 +15,32 @@ from rn_standard.tools_ros.interfaces import (
     load_interface,
 )
 from roboneuron import Endpoint, RobotProfile
+from roboneuron.feature import ExposedEndpoint
 
 _VELOCITIES = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
 _TIMES = ("builtin_interfaces/Time", "builtin_interfaces/Duration", "std_msgs/Header")
 
 
-def interface_of(exposed: Exposed) -> Interface:
+def interface_of(exposed: ExposedEndpoint) -> Interface:
     """The derived type of an endpoint. Raises ConfigurationError."""
     return load_interface(exposed.endpoint.type, nonfinite=exposed.nonfinite)
 
 
-def message_of(exposed: Exposed) -> MessageInterface:
+def message_of(exposed: ExposedEndpoint) -> MessageInterface:
     """The derived type of a topic."""
     interface = interface_of(exposed)
     assert isinstance(interface, MessageInterface)
     return interface
 
 
-def service_of(exposed: Exposed) -> ServiceInterface:
+def service_of(exposed: ExposedEndpoint) -> ServiceInterface:
     """The derived type of a service."""
     interface = interface_of(exposed)
     assert isinstance(interface, ServiceInterface)
     return interface
 
 
-def action_of(exposed: Exposed) -> ActionInterface:
+def action_of(exposed: ExposedEndpoint) -> ActionInterface:
     """The derived type of an action."""
     interface = interface_of(exposed)
     assert isinstance(interface, ActionInterface)
@@ -85,6 +85,6 @@ def is_joint_limited(kind: str, type_name: str, profile: RobotProfile | None) ->
     )
 
 
-def renamed(exposed: Exposed, name: str) -> Exposed:
+def renamed(exposed: ExposedEndpoint, name: str) -> ExposedEndpoint:
     """The same endpoint under another name in the allow list."""
     return replace(exposed, endpoint=replace(exposed.endpoint, name=name))

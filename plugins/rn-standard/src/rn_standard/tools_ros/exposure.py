@@ -9,7 +9,6 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from rn_standard.direct_path.exposed import (
-    Exposed,
     Use,
     by_topic,
     check_reserved,
@@ -32,14 +31,14 @@ from rn_standard.tools_ros.parameter_nodes import ParameterNode, parameter_node,
 from rn_standard.tools_ros.pattern_limits import pattern_limits
 from rn_standard.tools_ros.tightening import ConfiguredLimits, tighten
 from roboneuron import ConfigurationError, Endpoint, InvalidInputError, RobotProfile
-from roboneuron.feature import Config, Registry, load_profile
+from roboneuron.feature import Config, ExposedEndpoint, Registry, load_profile
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Exposure:
     """Everything that the configuration exposes."""
 
-    endpoints: tuple[Exposed, ...] = ()
+    endpoints: tuple[ExposedEndpoint, ...] = ()
     nodes: tuple[ParameterNode, ...] = ()
 
 
@@ -49,7 +48,7 @@ class _Robot:
     namespace: str
     profile: RobotProfile | None
 
-    def endpoints(self) -> list[Exposed]:
+    def endpoints(self) -> list[ExposedEndpoint]:
         return profile_endpoints(self.name, self.namespace, self.profile)
 
 
@@ -70,7 +69,7 @@ def exposure(
         PluginError, MissingDependencyError: a profile cannot be loaded.
     """
     robots: dict[str, _Robot] = {}
-    known: dict[Use, list[Exposed]] = {}
+    known: dict[Use, list[ExposedEndpoint]] = {}
     """All that was said about topics, also by profiles and under a name that was given to
     another topic since.
     """
@@ -94,7 +93,7 @@ def exposure(
             )
         return found
 
-    drafts: dict[tuple[str, str, str], Exposed] = {}
+    drafts: dict[tuple[str, str, str], ExposedEndpoint] = {}
     nodes: list[ParameterNode] = []
 
     def take(entry: ExposeConfig, patterns: Iterable[DiscoverConfig]) -> None:
@@ -124,7 +123,7 @@ def exposure(
     return Exposure(endpoints=made, nodes=tuple(same_for_each_node(nodes, namespaces)))
 
 
-def unique(drafts: Iterable[Exposed]) -> Iterator[Exposed]:
+def unique(drafts: Iterable[ExposedEndpoint]) -> Iterator[ExposedEndpoint]:
     """Give the endpoints of a robot names of their own where a label is used for two kinds;
     check each.
     """
@@ -141,11 +140,11 @@ def unique(drafts: Iterable[Exposed]) -> Iterator[Exposed]:
         yield made
 
 
-def _key(exposed: Exposed) -> tuple[str, str, str]:
+def _key(exposed: ExposedEndpoint) -> tuple[str, str, str]:
     return exposed.robot, exposed.label, exposed.endpoint.kind
 
 
-def _whole_profile(entry: ExposeConfig, robot: _Robot) -> list[Exposed]:
+def _whole_profile(entry: ExposeConfig, robot: _Robot) -> list[ExposedEndpoint]:
     if robot.profile is None:
         raise ConfigurationError(
             f"[[expose]] for robot {robot.name!r} names no endpoint, and no installed plugin "
@@ -158,10 +157,10 @@ def _whole_profile(entry: ExposeConfig, robot: _Robot) -> list[Exposed]:
 def _merge(
     entry: ExposeConfig,
     robot: _Robot,
-    drafts: dict[tuple[str, str, str], Exposed],
-    known: Mapping[Use, Iterable[Exposed]],
+    drafts: dict[tuple[str, str, str], ExposedEndpoint],
+    known: Mapping[Use, Iterable[ExposedEndpoint]],
     patterns: Iterable[DiscoverConfig],
-) -> Exposed:
+) -> ExposedEndpoint:
     """The endpoint of an entry: limits on one of the profile, or a new one, within what is
     known about the topic.
     """
@@ -221,7 +220,7 @@ def _merge(
         raise ConfigurationError(
             f"Endpoint {entry.name!r}: a {bare.kind} cannot be of {bare.type}."
         )
-    return Exposed(
+    return ExposedEndpoint(
         robot=robot.name,
         namespace=robot.namespace,
         label=entry.name,
@@ -249,8 +248,8 @@ def _stop_text(entry: ExposeConfig, type_name: str) -> str:
 
 
 def _not_looser(
-    drafts: Iterable[Exposed], before: Mapping[Use, Sequence[Exposed]]
-) -> Iterator[Exposed]:
+    drafts: Iterable[ExposedEndpoint], before: Mapping[Use, Sequence[ExposedEndpoint]]
+) -> Iterator[ExposedEndpoint]:
     """Run time may neither free a topic of the configuration of the policy, nor let it hold
     more than it did.
     """

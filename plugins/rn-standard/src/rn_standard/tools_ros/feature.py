@@ -9,8 +9,6 @@ from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
-from rn_standard.direct_path.exposed import Exposed
-from rn_standard.direct_path.feature import gate_of
 from rn_standard.tools_ros.derive import derive_tools
 from rn_standard.tools_ros.directory import directory_tools
 from rn_standard.tools_ros.discovered_limits import check_patterns
@@ -18,7 +16,7 @@ from rn_standard.tools_ros.discovery import LiveGraph
 from rn_standard.tools_ros.exposing import Admin, ExposureChange, exposing_tools
 from rn_standard.tools_ros.exposure import Exposure, exposure, unique
 from rn_standard.tools_ros.generic import generic_tools
-from rn_standard.tools_ros.graph import RosGraph
+from rn_standard.tools_ros.graph import GraphNames
 from rn_standard.tools_ros.options import ExposeConfig, RosToolsOptions
 from rn_standard.tools_ros.parameter_calls import parameter_endpoints
 from rn_standard.tools_ros.parameters import parameter_tools
@@ -32,7 +30,7 @@ from roboneuron import (
     RobotProfile,
     Tool,
 )
-from roboneuron.feature import AuditRecord, Config, load_profile
+from roboneuron.feature import AuditRecord, Config, ExposedEndpoint, load_profile
 
 log = logging.getLogger(__name__)
 _END_S = 2.0
@@ -59,8 +57,8 @@ class RosTools(Feature[RosToolsOptions]):
         self._added: tuple[ExposeConfig, ...] = ()
         self._hidden: frozenset[Use] = frozenset()
         self._withdrawn: frozenset[tuple[str, str]] = frozenset()
-        self._named: tuple[Exposed, ...] = ()
-        self._discovered: tuple[Exposed, ...] = ()
+        self._named: tuple[ExposedEndpoint, ...] = ()
+        self._discovered: tuple[ExposedEndpoint, ...] = ()
 
     def tools(self, host: Host) -> Sequence[Tool[Any]]:
         """The tools that are there whatever is exposed; the derived ones are added beside them.
@@ -70,7 +68,7 @@ class RosTools(Feature[RosToolsOptions]):
         """
         self._host = host
         check_patterns(self.options.discover)
-        tools = generic_tools(lambda: self.exposed, RosGraph(host))
+        tools = generic_tools(lambda: self.exposed, GraphNames(host))
         if host.identifies_clients or self.options.direct.expose_without_token:
             tools += exposing_tools(self, self.options.direct.expose_without_token)
         self._derive(self._configured(), taken={tool.name for tool in tools})
@@ -82,7 +80,7 @@ class RosTools(Feature[RosToolsOptions]):
         self._graph = LiveGraph(
             self.options.discover,
             host.config,
-            RosGraph(host),
+            GraphNames(host),
             lambda: self._named,
             self._profile,
             self._on_discovered,
@@ -142,7 +140,7 @@ class RosTools(Feature[RosToolsOptions]):
                 e for e in self._added if not _is_about(e, whose, name, kind, self._host.config)
             )
             change = self._change(kept, self._hidden | meant, admin)
-            gate_of(self._host).end_motions(
+            self._host.gate.end_motions(
                 f"{name!r} was withdrawn.", _END_S, lambda exposed: use_of(exposed) in meant
             )
             return change
@@ -212,14 +210,14 @@ class RosTools(Feature[RosToolsOptions]):
             ]
             endpoints = tuple(unique([*configured.endpoints, *new]))
             nodes = parameter_endpoints(configured.nodes)
-            gate_of(self._host).expose(FEATURE.name, [*endpoints, *nodes], instead_of_profile=True)
+            self._host.gate.expose(FEATURE.name, [*endpoints, *nodes], instead_of_profile=True)
             self.exposed = Exposure(endpoints=endpoints, nodes=configured.nodes)
             self._host.tools.replace_derived(FEATURE.name, self._make(endpoints, configured, taken))
 
     def _make(
-        self, endpoints: Iterable[Exposed], configured: Exposure, taken: Iterable[str]
+        self, endpoints: Iterable[ExposedEndpoint], configured: Exposure, taken: Iterable[str]
     ) -> list[Tool[Any]]:
-        settings = parameter_tools(configured.nodes, gate_of(self._host))
+        settings = parameter_tools(configured.nodes, self._host.gate)
         names = {
             *self._host.tools.names(besides=FEATURE.name),
             *taken,
@@ -240,7 +238,7 @@ class RosTools(Feature[RosToolsOptions]):
         registry = self._host.registry
         return load_profile(registry, robot) if robot in registry.specs("robot") else None
 
-    def _on_discovered(self, discovered: tuple[Exposed, ...]) -> None:
+    def _on_discovered(self, discovered: tuple[ExposedEndpoint, ...]) -> None:
         self._discovered = discovered
         self.refresh()
 
@@ -250,7 +248,7 @@ class RosTools(Feature[RosToolsOptions]):
             self.refresh()
 
 
-def use_of(exposed: Exposed) -> Use:
+def use_of(exposed: ExposedEndpoint) -> Use:
     """What an admin names: whose, which, for what."""
     return exposed.robot, exposed.label, exposed.endpoint.kind
 

@@ -9,9 +9,8 @@ from typing import Any
 
 from pydantic import Field
 
-from rn_standard.direct_path.exposed import Exposed
 from rn_standard.tools_ros.exposure import Exposure
-from rn_standard.tools_ros.graph import RosGraph
+from rn_standard.tools_ros.graph import GraphNames
 from rn_standard.tools_ros.interfaces import (
     ActionInterface,
     Interface,
@@ -20,6 +19,7 @@ from rn_standard.tools_ros.interfaces import (
     load_interface,
 )
 from roboneuron import Arguments, CallContext, ConfigurationError, InvalidInputError, Result, Tool
+from roboneuron.feature import ExposedEndpoint
 
 _MOST_NAMES = 300
 
@@ -98,7 +98,7 @@ class NodeList(Result):
     )
 
 
-def generic_tools(exposure: Callable[[], Exposure], graph: RosGraph) -> list[Tool[Any]]:
+def generic_tools(exposure: Callable[[], Exposure], graph: GraphNames) -> list[Tool[Any]]:
     """The four tools, over whatever is exposed at the time of the call."""
 
     async def interfaces(arguments: ListInterfaces, context: CallContext) -> InterfaceNames:
@@ -210,7 +210,7 @@ def _describe(interface: Interface) -> InterfaceDescription:
     return InterfaceDescription(name=interface.name, kind=interface.kind, parts=schemas)
 
 
-def _topics(endpoints: Iterable[Exposed], graph: RosGraph) -> list[TopicStatus]:
+def _topics(endpoints: Iterable[ExposedEndpoint], graph: GraphNames) -> list[TopicStatus]:
     live = {"service": graph.services(), "action": graph.actions()}
     topics = graph.topics()
     listed = []
@@ -235,7 +235,7 @@ def _topics(endpoints: Iterable[Exposed], graph: RosGraph) -> list[TopicStatus]:
     return listed
 
 
-def _nodes(exposure: Exposure, graph: RosGraph) -> list[str]:
+def _nodes(exposure: Exposure, graph: GraphNames) -> list[str]:
     spaces = {f"/{exposed.namespace}/" for exposed in exposure.endpoints}
     named = {node.node for node in exposure.nodes}
     return [n for n in graph.nodes() if n in named or any(n.startswith(space) for space in spaces)]

@@ -9,11 +9,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
-from rn_standard.direct_path.arbiter import Ending, Motion, MotionEnd
-from rn_standard.direct_path.exposed import Exposed
-from rn_standard.direct_path.motion_gate import MotionGate
-from rn_standard.direct_path.request import GateRequest, Verdict
+from rn_standard.direct_path.arbiter import Ending, MotionEnd
 from roboneuron import NotReadyError, RoboNeuronError, StateError
+from roboneuron.feature import ExposedEndpoint, GateRequest, MotionClaim, MotionGate, Verdict
 
 _POLL_S = 0.01
 _STATUS_WORDS = {4: "succeeded", 5: "canceled", 6: "aborted"}
@@ -93,7 +91,7 @@ class GoalEnd:
 
 def send_goal(
     gate: MotionGate,
-    exposed: Exposed,
+    exposed: ExposedEndpoint,
     request: GateRequest,
     *,
     timeout_s: float,
@@ -128,9 +126,9 @@ def send_goal(
 
 def _follow(
     gate: MotionGate,
-    exposed: Exposed,
+    exposed: ExposedEndpoint,
     request: GateRequest,
-    motion: Motion,
+    motion: MotionClaim,
     timeout_s: float,
     server_s: float,
     on_feedback: Callable[[Any], None],

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from roboneuron import Section
-from roboneuron.feature import Name, Namespace
+from roboneuron.feature import models
 
 EndpointName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,47}$")]
 Range = Annotated[list[float], Field(min_length=2, max_length=2)]
@@ -18,10 +18,10 @@ class ExposeConfig(Section):
     robot's profile exposes.
     """
 
-    robot: Name | None = Field(
+    robot: models.Name | None = Field(
         default=None, description="whose it is; the configured robot when not given"
     )
-    namespace: Namespace | None = Field(
+    namespace: models.Namespace | None = Field(
         default=None,
         description="ROS namespace of that robot; by default its name with underscores",
     )
@@ -84,7 +84,7 @@ class DiscoverConfig(Section):
     kinds: tuple[Literal["read", "publish", "service", "action"], ...] = Field(
         default=("read",), strict=False, description="what agents may do with what matches"
     )
-    robot: Name | None = Field(
+    robot: models.Name | None = Field(
         default=None, description="whose it is; the configured robot when not given"
     )
     rate_hz: Annotated[float, Field(gt=0, le=1000)] | None = Field(

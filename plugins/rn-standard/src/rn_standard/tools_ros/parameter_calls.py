@@ -8,8 +8,7 @@ from typing import Any
 
 from pydantic import Field
 
-from rn_standard.direct_path.exposed import SET_PARAMETERS, Exposed, gate_request
-from rn_standard.direct_path.motion_gate import MotionGate
+from rn_standard.direct_path.exposed import SET_PARAMETERS, gate_request
 from rn_standard.tools_ros.interfaces import Plain, load_message
 from rn_standard.tools_ros.parameter_nodes import ParameterNode
 from rn_standard.tools_ros.parameter_values import (
@@ -21,7 +20,7 @@ from rn_standard.tools_ros.parameter_values import (
 )
 from rn_standard.tools_ros.service_calls import Response, call
 from roboneuron import Arguments, CallContext, Endpoint, InvalidInputError, RefusedError, Result
-from roboneuron.feature import Stage
+from roboneuron.feature import ExposedEndpoint, MotionGate, Stage
 
 MOST = 100
 """Most parameters of one call."""
@@ -71,7 +70,7 @@ class Setting(Parameters):
     reason: str
 
 
-def parameter_endpoints(nodes: Sequence[ParameterNode]) -> list[Exposed]:
+def parameter_endpoints(nodes: Sequence[ParameterNode]) -> list[ExposedEndpoint]:
     """The gate's entries: the four services of each node."""
     made = []
     for node in nodes:
@@ -90,7 +89,7 @@ def parameter_endpoints(nodes: Sequence[ParameterNode]) -> list[Exposed]:
                 rate_hz=node.rate_hz if kind == "service" else 0.0,
             )
             made.append(
-                Exposed(
+                ExposedEndpoint(
                     robot=node.robot,
                     namespace=node.namespace,
                     label=endpoint.name,

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import Any
 
 from rn_standard.direct_path.derived import Derived
-from rn_standard.direct_path.motion_gate import MotionGate
 from rn_standard.tools_ros.parameter_calls import (
     ListParameters,
     NamedParameters,
@@ -18,7 +17,7 @@ from rn_standard.tools_ros.parameter_calls import (
 )
 from rn_standard.tools_ros.parameter_nodes import ParameterNode
 from roboneuron import Tool
-from roboneuron.feature import Schema
+from roboneuron.feature import MotionGate, Schema
 
 
 def parameter_tools(nodes: Sequence[ParameterNode], gate: MotionGate) -> list[Tool[Any]]:

@@ -10,9 +10,7 @@ from typing import Any
 
 from pydantic import Field
 
-from rn_standard.direct_path.delivery import Sent
-from rn_standard.direct_path.exposed import Exposed, gate_request
-from rn_standard.direct_path.motion_gate import MotionGate
+from rn_standard.direct_path.exposed import gate_request
 from rn_standard.tools_ros.calls import (
     Judged,
     PublishingCall,
@@ -25,7 +23,7 @@ from rn_standard.tools_ros.exposed_types import message_of
 from rn_standard.tools_ros.steps import Step, publish_steps
 from rn_standard.tools_ros.targets import Targets
 from roboneuron import CallContext, InvalidInputError, Result
-from roboneuron.feature import Stage
+from roboneuron.feature import ExposedEndpoint, MotionGate, Sent, Stage
 
 
 class ClampedValue(Result):
@@ -113,7 +111,7 @@ class Publishing:
         return to_delivery(exposed, await context.run(work, on_cancel=halt.set, on_leave=halt.set))
 
 
-def encode_step(exposed: Exposed, value: Mapping[str, Any], duration_s: float) -> Step:
+def encode_step(exposed: ExposedEndpoint, value: Mapping[str, Any], duration_s: float) -> Step:
     """The message of a call, encoded. Raises InvalidInputError with the path inside the
     arguments.
     """
@@ -121,7 +119,7 @@ def encode_step(exposed: Exposed, value: Mapping[str, Any], duration_s: float) -
     return Step(message=message, duration_s=duration_s, stamped=is_stamp_omitted(exposed, value))
 
 
-def is_stamp_omitted(exposed: Exposed, value: Mapping[str, Any]) -> bool:
+def is_stamp_omitted(exposed: ExposedEndpoint, value: Mapping[str, Any]) -> bool:
     """Whether the message has a header whose stamp the agent left to us."""
     if not any(field.name == "header" for field in message_of(exposed).fields):
         return False
@@ -129,7 +127,7 @@ def is_stamp_omitted(exposed: Exposed, value: Mapping[str, Any]) -> bool:
     return not (isinstance(header, Mapping) and header.get("stamp") is not None)
 
 
-def to_delivery(exposed: Exposed, sent: Sent) -> Delivery:
+def to_delivery(exposed: ExposedEndpoint, sent: Sent) -> Delivery:
     """What was sent."""
     return Delivery(
         robot=exposed.robot,

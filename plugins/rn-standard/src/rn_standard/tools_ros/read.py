@@ -10,14 +10,14 @@ from typing import Any
 from pydantic import Field
 
 from rn_standard.direct_path.derived import Derived
-from rn_standard.direct_path.exposed import Exposed, gate_request
-from rn_standard.direct_path.feature import gate_of
+from rn_standard.direct_path.exposed import gate_request
 from rn_standard.tools_ros.calls import RobotCall, Value
 from rn_standard.tools_ros.exposed_types import message_of
 from rn_standard.tools_ros.reading import read_messages
 from rn_standard.tools_ros.schemas import decoded_schema
 from rn_standard.tools_ros.targets import Targets
 from roboneuron import CallContext, Host, InvalidInputError, NotReadyError, Picture, Reply, Result
+from roboneuron.feature import ExposedEndpoint
 
 _PICTURES = 4
 _MOST_TEXT = 30_000
@@ -64,14 +64,16 @@ class Reading:
     async def __call__(self, arguments: Read, context: CallContext) -> Reply:
         """Raises InvalidInputError, RefusedError, NotReadyError, ConfigurationError."""
         exposed = self._targets.of(arguments.robot)
-        gate_of(self._host).check(gate_request(context, self._tool, exposed, (), arguments.given()))
+        self._host.gate.check(gate_request(context, self._tool, exposed, (), arguments.given()))
         halt = threading.Event()
         return await context.run(
             lambda _: self._read(exposed, arguments.count, arguments.timeout_s, halt),
             on_cancel=halt.set,
         )
 
-    def _read(self, exposed: Exposed, count: int, timeout_s: float, halt: threading.Event) -> Reply:
+    def _read(
+        self, exposed: ExposedEndpoint, count: int, timeout_s: float, halt: threading.Event
+    ) -> Reply:
         part = message_of(exposed)
         got = read_messages(self._host, exposed, count=count, timeout_s=timeout_s, halt=halt)
         if not got.messages:
@@ -121,7 +123,7 @@ def newest(messages: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return kept[::-1]
 
 
-def _pictures(exposed: Exposed, messages: list[Any]) -> tuple[tuple[Picture, ...], str]:
+def _pictures(exposed: ExposedEndpoint, messages: list[Any]) -> tuple[tuple[Picture, ...], str]:
     """Pictures of the newest messages; what cannot be shown is said in the note."""
     found: list[Picture] = []
     notes: list[str] = []

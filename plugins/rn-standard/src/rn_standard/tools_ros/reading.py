@@ -8,8 +8,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from rn_standard.direct_path.exposed import Exposed
+from rn_standard.direct_path.fields import load_type
 from roboneuron import ConfigurationError, Host, StateError
+from roboneuron.feature import ExposedEndpoint
 
 _POLL_S = 0.02
 
@@ -28,7 +29,7 @@ class Heard:
 
 
 def read_messages(
-    host: Host, exposed: Exposed, *, count: int, timeout_s: float, halt: threading.Event
+    host: Host, exposed: ExposedEndpoint, *, count: int, timeout_s: float, halt: threading.Event
 ) -> Heard:
     """Subscribe, take the latched message or the next `count` that come in time, and unsubscribe;
     blocks.
@@ -54,7 +55,7 @@ def read_messages(
 
     try:
         while True:
-            infos = [] if heard.messages else host.graph.get_publishers_info_by_topic(exposed.topic)
+            infos = [] if heard.messages else host.graph.publishers(exposed.topic)
             foreign = [
                 info.topic_type for info in infos if info.topic_type != exposed.endpoint.type
             ]
@@ -72,7 +73,11 @@ def read_messages(
                     if unsubscribe is not None:
                         unsubscribe()
                     unsubscribe = host.subscribe(
-                        exposed.ros_type, exposed.topic, take, depth=count, latched=True
+                        load_type(exposed.endpoint.type),
+                        exposed.topic,
+                        take,
+                        depth=count,
+                        latched=True,
                     )
                     subscribed = offered
             remaining_s = deadline_s - time.monotonic()

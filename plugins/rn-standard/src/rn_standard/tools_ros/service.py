@@ -9,14 +9,13 @@ from pydantic import Field
 
 from rn_standard.direct_path.derived import Derived
 from rn_standard.direct_path.exposed import gate_request
-from rn_standard.direct_path.motion_gate import MotionGate
 from rn_standard.tools_ros.calls import Judged, SendingCall, Value, encode_argument, verdict_fields
 from rn_standard.tools_ros.exposed_types import service_of
 from rn_standard.tools_ros.schemas import decoded_schema
 from rn_standard.tools_ros.service_calls import Response, call
 from rn_standard.tools_ros.targets import Targets
 from roboneuron import CallContext
-from roboneuron.feature import Stage
+from roboneuron.feature import MotionGate, Stage
 
 
 class CallService(SendingCall):

@@ -9,11 +9,8 @@ import time
 from dataclasses import dataclass, replace
 from typing import Any
 
-from rn_standard.direct_path.exposed import Exposed
-from rn_standard.direct_path.motion_gate import MotionGate
-from rn_standard.direct_path.request import GateRequest, Verdict
 from roboneuron import NotReadyError, StateError
-from roboneuron.feature import Changes
+from roboneuron.feature import Changes, ExposedEndpoint, GateRequest, MotionGate, Verdict
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -27,7 +24,7 @@ class Response:
 
 def call(
     gate: MotionGate,
-    exposed: Exposed,
+    exposed: ExposedEndpoint,
     request: GateRequest,
     timeout_s: float,
     halt: threading.Event,

@@ -8,11 +8,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from rn_standard.direct_path.delivery import Command, Sent
-from rn_standard.direct_path.exposed import Exposed
-from rn_standard.direct_path.motion_gate import MotionGate
-from rn_standard.direct_path.request import GateRequest
-from roboneuron.feature import Stage
+from roboneuron.feature import ExposedEndpoint, GateRequest, MotionGate, Sent, Stage, TimedCommand
 
 
 @dataclass(kw_only=True, slots=True)
@@ -28,7 +24,7 @@ class Step:
 
 def publish_steps(
     gate: MotionGate,
-    exposed: Exposed,
+    exposed: ExposedEndpoint,
     request: GateRequest,
     steps: Sequence[Step],
     *,
@@ -57,7 +53,7 @@ def publish_steps(
     return gate.play(exposed, request, commands, total_s=total_s, timeout_s=timeout_s, halt=halt)
 
 
-def commands_of(steps: Sequence[Step], repeat_hz: float, stage: Stage) -> Iterator[Command]:
+def commands_of(steps: Sequence[Step], repeat_hz: float, stage: Stage) -> Iterator[TimedCommand]:
     """The commands of steps that follow each other, each repeated while it lasts."""
     period_s = 1.0 / repeat_hz if repeat_hz else float("inf")
     total_s = sum(step.duration_s for step in steps)
@@ -66,7 +62,7 @@ def commands_of(steps: Sequence[Step], repeat_hz: float, stage: Stage) -> Iterat
         stage(f"step {number} of {len(steps)}, {due_s - began_s:.1f} of {total_s:.1f} s")
         end_s = due_s + step.duration_s
         while True:
-            yield Command(
+            yield TimedCommand(
                 message=step.message,
                 due_s=min(end_s, time.monotonic() + period_s),
                 stamped=step.stamped,

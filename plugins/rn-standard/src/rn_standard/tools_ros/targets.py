@@ -5,19 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from rn_standard.direct_path.delivery import TRAJECTORY
-from rn_standard.direct_path.exposed import Exposed
-from roboneuron.feature import Schema
+from roboneuron.feature import ExposedEndpoint, Schema
 
 
 class Targets:
     """Endpoints of the same label, kind and type, one per robot."""
 
-    def __init__(self, endpoints: Sequence[Exposed]) -> None:
+    def __init__(self, endpoints: Sequence[ExposedEndpoint]) -> None:
         self.endpoints = tuple(endpoints)
         self._by_robot = {exposed.robot: exposed for exposed in endpoints}
 
     @property
-    def first(self) -> Exposed:
+    def first(self) -> ExposedEndpoint:
         """Any of them, for what they share."""
         return self.endpoints[0]
 
@@ -49,7 +48,7 @@ class Targets:
             return {}
         return {"robot": {"enum": list(self._by_robot)}}
 
-    def of(self, robot: str) -> Exposed:
+    def of(self, robot: str) -> ExposedEndpoint:
         """The endpoint that a call is about; of the only robot when there is one."""
         return self.first if len(self.endpoints) == 1 else self._by_robot[robot]
 
@@ -58,7 +57,7 @@ class Targets:
         return " ".join(_describe(e, len(self.endpoints) > 1) for e in self.endpoints)
 
 
-def _describe(exposed: Exposed, named: bool) -> str:
+def _describe(exposed: ExposedEndpoint, named: bool) -> str:
     endpoint = exposed.endpoint
     parts = [
         f"{exposed.robot}: {endpoint.summary}" if named else endpoint.summary,

@@ -10,6 +10,7 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rn_testing.cases import BackendCase
 from rn_testing.effects import check_quick
@@ -18,7 +19,6 @@ from rn_testing.rule import NotApplicable, Rule, Violation, require
 from rn_testing.rules.continuing import ContinuingRules
 from rn_testing.snapshots import snapshot
 from roboneuron import ActionChunk, Backend, Frame, Observation, RoboNeuronError, UngroundedError
-from roboneuron.feature import U8
 
 MAX_TRANSLATION_M, MAX_ROTATION_RAD = 0.25, 1.0
 """Largest single action that is no mistake of unit: policies act at 5 Hz and more, arms move
@@ -90,7 +90,9 @@ LIFECYCLE: Lifecycle[BackendCase, Backend] = Lifecycle(
 loaded = LIFECYCLE.running
 
 
-def with_images(observation: Observation, change: Callable[[Frame], U8]) -> Observation:
+def with_images(
+    observation: Observation, change: Callable[[Frame], NDArray[np.uint8]]
+) -> Observation:
     """The observation with other pictures."""
     frames = {
         role: replace(frame, image=change(frame)) for role, frame in observation.frames.items()
@@ -245,7 +247,7 @@ def _check_repeats(case: BackendCase) -> None:
     )
 
 
-def _shaded(frame: Frame, shade: int) -> U8:
+def _shaded(frame: Frame, shade: int) -> NDArray[np.uint8]:
     return np.full_like(frame.image, shade)
 
 

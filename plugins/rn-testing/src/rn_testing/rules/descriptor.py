@@ -11,7 +11,7 @@ from rn_testing import case_options
 from rn_testing.cases import Case
 from rn_testing.rule import NotApplicable, Rule, Violation, require
 from roboneuron import CONTRACT_VERSION, DriverSpec, RobotSpec, Spec
-from roboneuron.feature import check_spec, load_attribute, load_options_model, load_target
+from roboneuron.feature import descriptor, loading
 
 AnyCase = Case[Any]
 
@@ -20,7 +20,7 @@ SUMMARY_LENGTH = 120
 
 
 def _check_well_formed(case: AnyCase) -> None:
-    check_spec(case.spec, type(case.spec))
+    descriptor.check_spec(case.spec, type(case.spec))
 
 
 def _check_compatible(case: AnyCase) -> None:
@@ -48,7 +48,7 @@ def _described(case: AnyCase) -> tuple[Spec | DriverSpec, ...]:
 
 
 def _check_target(case: AnyCase) -> None:
-    target = load_target(case.spec)
+    target = loading.load_target(case.spec)
     require(
         callable(target),
         f"`target` {case.spec.target!r} names {target!r}, expected a class or function",
@@ -69,7 +69,7 @@ def _check_target(case: AnyCase) -> None:
 
 
 def _check_config(case: AnyCase) -> None:
-    models = [load_options_model(spec) for spec in _described(case)]
+    models = [loading.load_options_model(spec) for spec in _described(case)]
     if not any(models):
         raise NotApplicable("there are no options")
     for model in models:
@@ -82,7 +82,11 @@ def _check_config(case: AnyCase) -> None:
 
 
 def _check_option_descriptions(case: AnyCase) -> None:
-    models = [model for spec in _described(case) if (model := load_options_model(spec)) is not None]
+    models = [
+        model
+        for spec in _described(case)
+        if (model := loading.load_options_model(spec)) is not None
+    ]
     if not models:
         raise NotApplicable("there are no options")
     for model in models:
@@ -91,7 +95,11 @@ def _check_option_descriptions(case: AnyCase) -> None:
 
 
 def _check_defaults(case: AnyCase) -> None:
-    models = [model for spec in _described(case) if (model := load_options_model(spec)) is not None]
+    models = [
+        model
+        for spec in _described(case)
+        if (model := loading.load_options_model(spec)) is not None
+    ]
     if not models:
         raise NotApplicable("there are no options")
     for model in models:
@@ -113,7 +121,7 @@ def _check_defaults(case: AnyCase) -> None:
 def _check_case(case: AnyCase) -> None:
     if case.spec.case is None:
         raise NotApplicable("it names no case")
-    function = load_attribute(case.spec.case, f"`case` of {case.spec.name!r}")
+    function = loading.load_attribute(case.spec.case, f"`case` of {case.spec.name!r}")
     require(
         callable(function), f"`case` {case.spec.case!r} names {function!r}, expected a function"
     )

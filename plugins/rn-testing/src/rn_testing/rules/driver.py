@@ -26,7 +26,7 @@ from roboneuron import (
     RobotDriver,
     RobotState,
 )
-from roboneuron.feature import F64, load_options_model, load_target
+from roboneuron.feature import F64, loading
 
 READ_LIMIT_S = 0.02
 """Median time of a `read`: the contract says a millisecond; the rest is for busy machines."""
@@ -124,8 +124,8 @@ LIFECYCLE: Lifecycle[RobotCase, RobotDriver] = Lifecycle(
 
 def _check_target(case: RobotCase) -> None:
     spec = case.driver_spec()
-    load_options_model(spec)
-    require(callable(load_target(spec)), f"`target` of driver {spec.name!r} is no class")
+    loading.load_options_model(spec)
+    require(callable(loading.load_target(spec)), f"`target` of driver {spec.name!r} is no class")
 
 
 def _check_topics_untouched(case: RobotCase) -> None:

@@ -16,6 +16,7 @@ from importlib.metadata import (
 import roboneuron
 from rn_testing.cases import PackageCase
 from rn_testing.distribution import (
+    PROJECT,
     find_distribution,
     find_entry_points,
     find_package,
@@ -32,7 +33,7 @@ from rn_testing.kinds import named_by
 from rn_testing.rule import Rule, require
 from rn_testing.unsafe_calls import unsafe_calls
 from roboneuron import CommandSpec, DriverSpec, FeatureSpec, RobotSpec, Spec
-from roboneuron.feature import PROJECT, discover
+from roboneuron.feature import discover
 
 SENDING_NAME = "RosLink"
 """What joins the ROS graph and could send past the gate: for commands, which are processes of their

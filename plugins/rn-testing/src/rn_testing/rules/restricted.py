@@ -11,7 +11,7 @@ from rn_standard.selection.restricted import looks_restricted, marks
 from rn_testing.cases import Case
 from rn_testing.rule import NotApplicable, Rule, require
 from roboneuron import DriverSpec, RobotSpec, Spec
-from roboneuron.feature import load_options_model
+from roboneuron.feature import loading
 
 
 def unmarked_options(model: type[BaseModel]) -> list[str]:
@@ -44,7 +44,7 @@ def _check_restricted_options(case: Case[Any]) -> None:
     specs: tuple[Spec | DriverSpec, ...] = (
         (spec, *spec.drivers) if isinstance(spec, RobotSpec) else (spec,)
     )
-    models = [model for part in specs if (model := load_options_model(part)) is not None]
+    models = [model for part in specs if (model := loading.load_options_model(part)) is not None]
     if not models:
         raise NotApplicable("there are no options")
     unmarked = [option for model in models for option in unmarked_options(model)]
