@@ -31,6 +31,20 @@ def pytest_configure(config: pytest.Config) -> None:
     os.environ["ROBONEURON_RECORDER"] = "off"
 
 
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, Any, Any]:
+    """Import and collect without garbage collection, which took a fifth of that time, and exclude
+    what is loaded then from all later collections.
+    """
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.enable()
+        gc.collect()
+        gc.freeze()
+
+
 @pytest.fixture(autouse=True, scope="module")
 def _pauses_of_the_interpreter() -> Iterator[None]:
     """Modules and servers freeze what they have loaded, since they live as long as their process;
@@ -39,10 +53,15 @@ def _pauses_of_the_interpreter() -> Iterator[None]:
     Frozen ROS contexts are never collected: they keep their sockets, threads and shared memory.
     """
     interval_s = sys.getswitchinterval()
+    frozen = gc.get_freeze_count()
     yield
     sys.setswitchinterval(interval_s)
+    if gc.get_freeze_count() == frozen:
+        gc.collect()
+        return
     gc.unfreeze()
     gc.collect()
+    gc.freeze()
 
 
 @pytest.hookimpl(wrapper=True)

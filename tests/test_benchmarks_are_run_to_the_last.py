@@ -7,11 +7,12 @@ from __future__ import annotations
 import runpy
 import subprocess
 import sys
-import time
 from pathlib import Path
 from typing import Any
 
 import pytest
+
+from rn_testing.waiting import wait_until
 
 FOLDER = Path(__file__).parents[1] / "benchmarks"
 
@@ -71,10 +72,7 @@ def test_what_it_has_started_ends_with_it_even_when_it_ignores_the_request(
         assert process.stdout is not None
         child = int(process.stdout.readline())
         all_of_them["_end"](process)
-    end_s = time.monotonic() + 60.0
-    while _lives(child):
-        assert time.monotonic() < end_s, "its child is still there"
-        time.sleep(0.05)
+    wait_until(lambda: not _lives(child), 60.0, "its child is still there")
 
 
 def _lives(pid: int) -> bool:

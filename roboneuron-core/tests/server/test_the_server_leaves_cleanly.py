@@ -8,13 +8,14 @@ import json
 import os
 import signal
 import subprocess
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Any
 
 import pytest
+
+from rn_testing.waiting import wait_until
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(180)]
 ServeCommand = Callable[..., list[str]]
@@ -95,13 +96,6 @@ def is_gone(pid: int) -> bool:
             return file.read().rsplit(")", 1)[1].split()[0] == "Z"
     except FileNotFoundError:
         return True
-
-
-def wait_until(fact: Callable[[], bool], timeout_s: float, what: str) -> None:
-    deadline_s = time.monotonic() + timeout_s
-    while not fact():
-        assert time.monotonic() < deadline_s, f"not within {timeout_s} s: {what}"
-        threading.Event().wait(0.02)
 
 
 @pytest.mark.parametrize(
