@@ -67,7 +67,7 @@ def test_a_server_that_is_down_at_the_start_joins_later_but_not_with_another_mod
     second.behaviour.served_name = "other@0123"
     second.start()
     assert not holds_within(
-        lambda: runtime.run(token_request()).metrics["served.servers_ready"] == 2.0, limit_s=0.3
+        lambda: runtime.run(token_request()).metrics["served.servers_ready"] == 2.0, timeout_s=0.3
     )
     assert second.seen.generated == []
     second.behaviour.served_name = first.behaviour.served_name
