@@ -1,4 +1,4 @@
-"""What every test leaves as it found it."""
+"""What every test leaves as it found it, and fixtures that tests of several packages share."""
 
 from __future__ import annotations
 
@@ -6,12 +6,17 @@ import gc
 import os
 import sys
 from collections.abc import Generator, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, settings
 
 from rn_testing.domain import free_ros_domain
+from rn_testing.fakes.wheels import Wheels
+from roboneuron.gate import AuditLog, EmergencyStopLatch
+from roboneuron.ros.environment import prepare_environment
 
 settings.register_profile(
     "busy-machine", deadline=None, suppress_health_check=[HealthCheck.too_slow]
@@ -31,6 +36,28 @@ def pytest_configure(config: pytest.Config) -> None:
     os.environ["ROBONEURON_RECORDER"] = "off"
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Give tests that take minutes a bound of their own against hangs."""
+    for item in items:
+        takes_minutes = item.get_closest_marker("slow") or item.get_closest_marker("release")
+        if takes_minutes and not item.get_closest_marker("timeout"):
+            item.add_marker(pytest.mark.timeout(600))
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, Any, Any]:
+    """Import and collect without garbage collection, which took a fifth of that time, and exclude
+    what is loaded then from all later collections.
+    """
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.enable()
+        gc.collect()
+        gc.freeze()
+
+
 @pytest.fixture(autouse=True, scope="module")
 def _pauses_of_the_interpreter() -> Iterator[None]:
     """Modules and servers freeze what they have loaded, since they live as long as their process;
@@ -39,10 +66,58 @@ def _pauses_of_the_interpreter() -> Iterator[None]:
     Frozen ROS contexts are never collected: they keep their sockets, threads and shared memory.
     """
     interval_s = sys.getswitchinterval()
+    frozen = gc.get_freeze_count()
     yield
     sys.setswitchinterval(interval_s)
+    if gc.get_freeze_count() == frozen:
+        gc.collect()
+        return
     gc.unfreeze()
     gc.collect()
+    gc.freeze()
+
+
+@dataclass
+class Clock:
+    """Monotonic seconds and wall-clock nanoseconds that only a test moves."""
+
+    now_s: float = 100.0
+    start_ns: int = 1_700_000_000_000_000_000
+    ticks: int = field(default=0)
+
+    def monotonic(self) -> float:
+        return self.now_s
+
+    def wall_ns(self) -> int:
+        self.ticks += 1
+        return self.start_ns + self.ticks
+
+
+@pytest.fixture
+def clock() -> Clock:
+    """A clock at rest."""
+    return Clock()
+
+
+@pytest.fixture
+def latch(tmp_path: Path, clock: Clock) -> EmergencyStopLatch:
+    """A latch in an empty directory."""
+    return EmergencyStopLatch(tmp_path / "state" / "stop", clock.wall_ns)
+
+
+@pytest.fixture
+def audit(tmp_path: Path, clock: Clock) -> AuditLog:
+    """An audit in an empty directory."""
+    return AuditLog(tmp_path / "state" / "audit.jsonl", clock.wall_ns)
+
+
+@pytest.fixture
+def wheels(server_environment: dict[str, str], tmp_path: Path) -> Iterator[Wheels]:
+    """What the wheels of the robot of `server_environment` are told."""
+    prepare_environment(tmp_path / "ros")
+    subscriber = Wheels(int(server_environment["ROS_DOMAIN_ID"]))
+    yield subscriber
+    subscriber.close()
 
 
 @pytest.hookimpl(wrapper=True)

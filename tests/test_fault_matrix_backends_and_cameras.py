@@ -8,7 +8,7 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -22,6 +22,8 @@ from roboneuron.server.results import ModuleStatus, module_status
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 from fault_loop import PARTS, JointWitness, fail, moving_cell
+
+from rn_testing.waiting import wait_until
 
 sys.path.pop(0)
 
@@ -60,14 +62,6 @@ class Cell:
 
     def dropped(self, kind: str, word: str) -> int:
         return self.status(kind).dropped_by.get(word, 0)
-
-
-def wait_until(fact: Callable[[], bool], timeout_s: float, what: str) -> float:
-    started_s = time.monotonic()
-    while not fact():
-        assert time.monotonic() - started_s < timeout_s, f"not within {timeout_s} s: {what}"
-        time.sleep(0.01)
-    return time.monotonic() - started_s
 
 
 @pytest.fixture(scope="module")

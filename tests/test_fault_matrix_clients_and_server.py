@@ -15,7 +15,7 @@ import sys
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -31,6 +31,8 @@ from roboneuron.ros.environment import prepare_environment
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 from fault_loop import JointWitness, config_text, environment
+
+from rn_testing.waiting import wait_until
 
 sys.path.pop(0)
 
@@ -66,14 +68,6 @@ async def main():
 
 anyio.run(main)
 """
-
-
-def wait_until(fact: Callable[[], bool], timeout_s: float, what: str) -> float:
-    started_s = time.monotonic()
-    while not fact():
-        assert time.monotonic() - started_s < timeout_s, f"not within {timeout_s} s: {what}"
-        time.sleep(0.01)
-    return time.monotonic() - started_s
 
 
 class Caller:

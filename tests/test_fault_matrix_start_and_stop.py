@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import itertools
 import sys
-import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -19,6 +18,8 @@ from roboneuron.server.loop import ClosedLoop
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 from fault_loop import JointWitness, standing_loop
+
+from rn_testing.waiting import wait_until
 
 sys.path.pop(0)
 
@@ -45,13 +46,6 @@ def covering_orders(size: int) -> list[Order]:
 def parts(order: Order, size: int) -> set[Order]:
     """Every `size` of the order, as they follow each other."""
     return set(itertools.combinations(order, size))
-
-
-def wait_until(fact: Callable[[], bool], timeout_s: float, what: str) -> None:
-    started_s = time.monotonic()
-    while not fact():
-        assert time.monotonic() - started_s < timeout_s, f"not within {timeout_s} s: {what}"
-        time.sleep(0.01)
 
 
 @pytest.fixture(scope="module")

@@ -133,7 +133,9 @@ def test_a_package_beside_those_that_are_installed_is_not_looked_for(tmp_path, i
     assert not [path for path in asked if "rn-" in path or "roboneuron" in path]
 
 
-@pytest.mark.parametrize("file", ["requirements.txt", "requirements-vla.txt"])
+@pytest.mark.parametrize(
+    "file", ["requirements.txt", pytest.param("requirements-vla.txt", marks=pytest.mark.slow)]
+)
 def test_no_package_of_the_project_is_asked_for_by_the_files_of_the_checkout(index, file) -> None:
     url, asked = index
     assert "Would install" in install(ROOT, url, file)

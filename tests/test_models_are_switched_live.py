@@ -20,7 +20,8 @@ from rn_standard.demo.agent import Agent
 from roboneuron.config import default_text
 from roboneuron.ros.environment import prepare_environment
 
-pytestmark = [pytest.mark.ros, pytest.mark.timeout(300)]
+# a minute; test_an_agent_switches_backends.py shows the switch itself
+pytestmark = [pytest.mark.ros, pytest.mark.slow, pytest.mark.timeout(300)]
 INSTRUCTION = "pick up the red cube"
 
 

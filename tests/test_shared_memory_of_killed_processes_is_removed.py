@@ -6,9 +6,7 @@ import os
 import signal
 import subprocess
 import sys
-import threading
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -17,6 +15,7 @@ import pytest
 
 from rn_standard.fastdds.feature import SharedMemoryRepair
 from rn_standard.fastdds.segments import SHARED_MEMORY, owned_segments
+from rn_testing.waiting import wait_until
 from roboneuron.config import Config, parse_config
 from roboneuron.supervisor.supervisor import Supervisor
 
@@ -37,13 +36,6 @@ SharedMemoryRepair(None).start(SimpleNamespace(modules=supervisor))
 print(supervisor.start("robot", parse_config({config!r})).process.pid, flush=True)
 time.sleep(60)
 """
-
-
-def wait_until(fact: Callable[[], bool], what: str) -> None:
-    deadline_s = time.monotonic() + 15.0
-    while not fact():
-        assert time.monotonic() < deadline_s, f"not in time: {what}"
-        threading.Event().wait(0.02)
 
 
 def left(names: frozenset[str]) -> list[str]:
@@ -85,7 +77,9 @@ def test_a_module_that_was_killed(supervisor: Supervisor, config: Config) -> Non
     assert process is not None
     segments = owned_segments(process.pid)
     os.kill(process.pid, signal.SIGKILL)
-    wait_until(lambda: supervisor.view("robot").phase == "exited", "the death is in the status")
+    wait_until(
+        lambda: supervisor.view("robot").phase == "exited", 15.0, "the death is in the status"
+    )
     assert left(segments) == []
 
 
@@ -98,7 +92,7 @@ def test_a_server_that_was_killed(tmp_path: Path) -> None:
         pid = int(server.stdout.readline())
         segments = owned_segments(server.pid)
         server.kill()
-    wait_until(lambda: not Path(f"/proc/{pid}").exists(), "the module is gone")
+    wait_until(lambda: not Path(f"/proc/{pid}").exists(), 15.0, "the module is gone")
     assert segments
     following, repair = (
         Supervisor(tmp_path, command=lambda python: COMMAND),

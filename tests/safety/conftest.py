@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from rn_testing.domain import free_ros_domain
+from rn_testing.waiting import wait_until
 from roboneuron.config import Config, parse_config
 from roboneuron.ros.environment import prepare_environment
 from roboneuron.supervisor.supervisor import Supervisor
@@ -184,19 +185,10 @@ class Arm:
         rclpy.try_shutdown(context=self.context)
 
 
-def _wait(condition: Callable[[], bool], timeout_s: float, what: str) -> float:
-    """Wait for a fact; returns how long it took [s]."""
-    start_s = time.monotonic()
-    while not condition():
-        assert time.monotonic() - start_s < timeout_s, f"not within {timeout_s:g} s: {what}"
-        time.sleep(0.005)
-    return time.monotonic() - start_s
-
-
 @pytest.fixture(scope="session")
 def wait() -> Callable[[Callable[[], bool], float, str], float]:
     """Bounded wait for a condition."""
-    return _wait
+    return wait_until
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,6 @@ import socket
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
@@ -31,6 +30,7 @@ from rn_backend_shared.options import SharedOptions
 from rn_backend_shared.plugin import BACKEND
 from rn_backend_shared.server import ModelServer
 from rn_testing.fakes.backend import make_observation
+from rn_testing.waiting import wait_until
 from roboneuron import (
     CheckpointError,
     ConfigurationError,
@@ -83,7 +83,7 @@ def served(tmp_path: Path) -> Iterator[Robot]:
                 started[path].start()
                 stack.callback(started[path].join, 60.0)
                 stack.callback(server.stop)
-                wait_until(path.exists, "the server listens")
+                wait_until(path.exists, 90.0, "the server listens")
             backend = SharedBackend(made)
             stack.callback(backend.close)
             backend.load()
@@ -116,13 +116,6 @@ def seen(number: int) -> Observation:
     return replace(
         SEEN, frames={"primary": replace(frame, image=image)}, instruction="x" * (number + 1)
     )
-
-
-def wait_until(fact: Callable[[], bool], what: str) -> None:
-    deadline_s = time.monotonic() + 90.0
-    while not fact():
-        assert time.monotonic() < deadline_s, what
-        time.sleep(0.02)
 
 
 def answers(robot: SharedBackend) -> bool:
@@ -174,9 +167,9 @@ def test_a_server_that_dies_is_a_clear_error_and_then_there_is_another(
     os.kill(pid, signal.SIGKILL)
     with pytest.raises(NotReadyError, match="shared model"):
         one.predict(SEEN)
-    wait_until(lambda: answers(one), "another server answers")
-    wait_until(lambda: answers(other), "the other robot has found it too")
-    wait_until(lambda: len(servers_in(tmp_path)) == 1, "there is one of them")
+    wait_until(lambda: answers(one), 90.0, "another server answers")
+    wait_until(lambda: answers(other), 90.0, "the other robot has found it too")
+    wait_until(lambda: len(servers_in(tmp_path)) == 1, 90.0, "there is one of them")
     assert servers_in(tmp_path) != [pid]
 
 
@@ -185,9 +178,11 @@ def test_with_a_replica_the_death_of_a_server_costs_no_more_than_the_chunk_under
     robot: Robot, tmp_path: Path
 ) -> None:
     one = robot(replicas=2)
-    wait_until(lambda: len(list((tmp_path / "run").glob("*.sock"))) == 2, "both have a socket")
+    wait_until(
+        lambda: len(list((tmp_path / "run").glob("*.sock"))) == 2, 90.0, "both have a socket"
+    )
     ready = Links(one._options)
-    wait_until(lambda: all(ready._is_ready(path) for path in ready._paths), "both are ready")
+    wait_until(lambda: all(ready._is_ready(path) for path in ready._paths), 90.0, "both are ready")
     ready.close()
     expected = one.predict(SEEN).actions
     told = one._links
@@ -195,7 +190,7 @@ def test_with_a_replica_the_death_of_a_server_costs_no_more_than_the_chunk_under
     used = told._greet(told._paths[0])
     assert used is not None
     os.kill(used["pid"], signal.SIGKILL)
-    wait_until(lambda: used["pid"] not in servers_in(tmp_path), "it is gone")
+    wait_until(lambda: used["pid"] not in servers_in(tmp_path), 90.0, "it is gone")
     lost = 0
     for _ in range(20):
         try:
@@ -203,7 +198,7 @@ def test_with_a_replica_the_death_of_a_server_costs_no_more_than_the_chunk_under
         except NotReadyError:
             lost += 1
     assert lost <= 1
-    wait_until(lambda: len(servers_in(tmp_path)) == 2, "it is replaced")
+    wait_until(lambda: len(servers_in(tmp_path)) == 2, 90.0, "it is replaced")
 
 
 @pytest.mark.slow
@@ -216,7 +211,7 @@ def test_a_server_that_hangs_costs_no_more_than_the_deadline(robot: Robot, tmp_p
             one.predict(SEEN)
     finally:
         os.kill(pid, signal.SIGCONT)
-    wait_until(lambda: answers(one), "it goes on; the late answer is thrown away")
+    wait_until(lambda: answers(one), 90.0, "it goes on; the late answer is thrown away")
     expected = [one.predict(seen(index)).actions for index in (1, 2)]
     assert not np.array_equal(*expected)
 
@@ -240,7 +235,7 @@ def test_a_server_without_robots_ends_and_leaves_no_socket(robot: Robot, tmp_pat
     one = robot(idle_s=1.0)
     assert answers(one)
     one.close()
-    wait_until(lambda: not servers_in(tmp_path), "it ends")
+    wait_until(lambda: not servers_in(tmp_path), 90.0, "it ends")
     assert list((tmp_path / "run").glob("*.sock")) == []
 
 
@@ -305,10 +300,7 @@ def test_a_server_without_handles_serves_again_when_it_has_some(
             for refused in crowd:
                 refused.connect(str(path))
             assert one.predict(SEEN).actions.size  # who is connected is served
-            deadline_s = time.monotonic() + 20
-            while "cannot connect" not in caplog.text:
-                assert time.monotonic() < deadline_s
-                time.sleep(0.01)
+            wait_until(lambda: "cannot connect" in caplog.text, 20)
         finally:
             resource.setrlimit(resource.RLIMIT_NOFILE, before)
     assert served().predict(SEEN).actions.size
@@ -355,7 +347,7 @@ def test_the_command_serves_robots_of_the_same_configuration_until_it_is_ended(
     words = [sys.executable, "-m", "roboneuron.cli.main", "shared-model", "--config", str(path)]
     process = subprocess.Popen(words, env={**os.environ, **environment})
     try:
-        wait_until(lambda: bool(list((tmp_path / "run").glob("*.sock"))), "it listens")
+        wait_until(lambda: bool(list((tmp_path / "run").glob("*.sock"))), 90.0, "it listens")
         assert answers(robot())
         assert servers_in(tmp_path) == [], "the robot has found it, and started none"
         process.send_signal(signal.SIGTERM)

@@ -8,7 +8,7 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,7 @@ from rn_robot_fr3.limits import ARM_JOINTS, FINGER_JOINT
 from rn_robot_fr3.profile import HOME_RAD, profile
 from rn_testing.domain import free_ros_domain
 from rn_testing.fakes import MemoryTopics
+from rn_testing.waiting import wait_until
 from roboneuron import InvalidInputError, JointCommand, NotReadyError, UnsafeError
 
 pytestmark = pytest.mark.ros
@@ -115,13 +116,6 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
     made.close()
 
 
-def wait_until(condition: Callable[[], object], limit_s: float = 30.0) -> None:
-    deadline_s = time.monotonic() + limit_s
-    while not condition():
-        assert time.monotonic() < deadline_s, "waited in vain"
-        time.sleep(0.02)
-
-
 def command(step: float = 0.2, duration_s: float = 0.5, **joints: float) -> JointCommand:
     position = [*HOME_RAD[:6], HOME_RAD[6] + step, *joints.values()]
     return JointCommand(
@@ -143,30 +137,30 @@ def test_targets_are_reached_replaced_and_held(bench, mode):
     driver = bench.driver(mode=mode, gripper="gripper-command")
     assert detail(driver, "controller") == "active"
     driver.send(command(0.2, **{FINGER_JOINT: 0.01}))
-    wait_until(lambda: abs(last_joint(driver) - 0.2) < 1e-3)
-    wait_until(lambda: detail(driver, "gripper") == "reached")
+    wait_until(lambda: abs(last_joint(driver) - 0.2) < 1e-3, 30.0)
+    wait_until(lambda: detail(driver, "gripper") == "reached", 30.0)
     assert driver.read().gripper_open == pytest.approx(0.25, abs=0.01)
     driver.send(command(1.2, 20.0))
     driver.send(command(0.0, 0.3))
-    wait_until(lambda: abs(last_joint(driver)) < 1e-3)
+    wait_until(lambda: abs(last_joint(driver)) < 1e-3, 30.0)
     driver.send(command(1.2, 20.0))
-    wait_until(lambda: last_joint(driver) > 0.02)
+    wait_until(lambda: last_joint(driver) > 0.02, 30.0)
     driver.hold()
-    wait_until(lambda: abs(driver.read().joints.velocity[6]) < 1e-6)
+    wait_until(lambda: abs(driver.read().joints.velocity[6]) < 1e-6, 30.0)
     rested = last_joint(driver)
     time.sleep(0.5)
     assert last_joint(driver) == pytest.approx(rested, abs=1e-4)
     assert rested < 1.0
     assert detail(driver, "fault") == ""
     if mode == "action":
-        wait_until(lambda: detail(driver, "goal").startswith("succeeded"))
+        wait_until(lambda: detail(driver, "goal").startswith("succeeded"), 30.0)
 
 
 def test_a_gripper_that_meets_something_says_so(bench):
     bench.controller("--object", "0.02")
     driver = bench.driver(gripper="gripper-command")
     driver.send(command(0.0, **{FINGER_JOINT: 0.0}))
-    wait_until(lambda: detail(driver, "gripper").startswith("stalled"))
+    wait_until(lambda: detail(driver, "gripper").startswith("stalled"), 30.0)
     assert driver.read().gripper_open == pytest.approx(0.5, abs=0.01)
 
 
@@ -177,13 +171,13 @@ def test_violated_tolerances_of_a_goal_are_a_fault_that_stays(bench):
     )
     bench.ask("block", True)
     driver.send(command(0.5, 2.0))
-    wait_until(lambda: "path tolerance violated" in detail(driver, "fault"))
+    wait_until(lambda: "path tolerance violated" in detail(driver, "fault"), 30.0)
     with pytest.raises(UnsafeError, match="path tolerance"):
         driver.send(command())
     bench.ask("block", False)
     driver.recover()
     driver.send(command(0.1))
-    wait_until(lambda: abs(last_joint(driver) - 0.1) < 1e-3)
+    wait_until(lambda: abs(last_joint(driver) - 0.1) < 1e-3, 30.0)
 
 
 def test_another_client_that_takes_the_controller_is_a_fault(bench):
@@ -191,7 +185,7 @@ def test_another_client_that_takes_the_controller_is_a_fault(bench):
     first, second = bench.driver(mode="action"), bench.driver(mode="action")
     first.send(command(1.0, 30.0))
     second.send(command(0.0, 0.3))
-    wait_until(lambda: "another client" in detail(first, "fault"))
+    wait_until(lambda: "another client" in detail(first, "fault"), 30.0)
     assert detail(second, "fault") == ""
 
 
@@ -200,13 +194,13 @@ def test_deactivation_and_death_of_the_controller_are_named(bench, mode):
     process = bench.controller()
     driver = bench.driver(mode=mode, state_timeout_s=1.0)
     bench.ask("activate", False)
-    wait_until(lambda: detail(driver, "controller") == "inactive")
+    wait_until(lambda: detail(driver, "controller") == "inactive", 30.0)
     with pytest.raises(NotReadyError, match="not active"):
         driver.send(command())
     bench.ask("activate", True)
-    wait_until(lambda: detail(driver, "controller") == "active")
+    wait_until(lambda: detail(driver, "controller") == "active", 30.0)
     driver.send(command(0.1))
-    wait_until(lambda: abs(last_joint(driver) - 0.1) < 1e-3)
+    wait_until(lambda: abs(last_joint(driver) - 0.1) < 1e-3, 30.0)
     process.kill()
     process.wait()
     time.sleep(1.2)

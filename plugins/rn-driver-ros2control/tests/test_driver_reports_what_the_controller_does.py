@@ -5,7 +5,6 @@ has looked.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -19,6 +18,7 @@ from rn_driver_ros2control.link import End
 from rn_driver_ros2control.standin import StandIn
 from rn_robot_fr3.limits import ARM_JOINTS
 from rn_robot_fr3.profile import HOME_RAD
+from rn_testing.waiting import wait_until
 from roboneuron import (
     ConfigurationError,
     InvalidInputError,
@@ -37,13 +37,6 @@ def command(step: float = 0.1, duration_s: float = 0.5, **joints: float) -> Join
     return JointCommand(names=names, position=np.array(position), duration_s=duration_s)
 
 
-def wait_until(condition: Callable[[], object], limit_s: float = 10.0) -> None:
-    deadline_s = time.monotonic() + limit_s
-    while not condition():
-        assert time.monotonic() < deadline_s, "waited in vain"
-        time.sleep(0.01)
-
-
 def fault(driver: Ros2ControlDriver) -> str:
     return str(driver.read().detail["fault"])
 
@@ -53,7 +46,7 @@ def test_a_blocked_arm_is_a_fault_that_stays(rig, mode):
     driver = rig.driver(mode=mode, **BLOCKED)
     rig.link.controller.blocked = True
     driver.send(command())
-    wait_until(lambda: "path tolerance violated" in fault(driver))
+    wait_until(lambda: "path tolerance violated" in fault(driver), 10.0)
     rig.link.controller.blocked = False
     with pytest.raises(UnsafeError, match=r"path tolerance violated.*recover_robot"):
         driver.send(command())
@@ -61,7 +54,7 @@ def test_a_blocked_arm_is_a_fault_that_stays(rig, mode):
     with pytest.raises(StateError, match="no fault"):
         driver.recover()
     driver.send(command())
-    wait_until(lambda: abs(driver.read().joints.position[6] - HOME_RAD[6] - 0.1) < 0.005)
+    wait_until(lambda: abs(driver.read().joints.position[6] - HOME_RAD[6] - 0.1) < 0.005, 10.0)
     assert fault(driver) == ""
 
 
@@ -70,12 +63,12 @@ def test_a_fault_is_not_forgotten_while_the_controller_is_not_active(rig):
     driver.send(command())
     rig.link.controller.active = False
     rig.link.end_from_outside(End.ABORTED, "deactivated")
-    wait_until(lambda: driver.read().detail["controller"] == "inactive")
+    wait_until(lambda: driver.read().detail["controller"] == "inactive", 10.0)
     with pytest.raises(RefusedError, match="switch_controllers --activate"):
         driver.recover()
     assert "aborted" in fault(driver)
     rig.link.controller.active = True
-    wait_until(lambda: driver.read().detail["controller"] == "active")
+    wait_until(lambda: driver.read().detail["controller"] == "active", 10.0)
     assert "aborted" in driver.recover()
 
 
@@ -83,7 +76,7 @@ def test_in_mode_topic_a_violated_path_makes_the_driver_hold(rig):
     driver = rig.driver(mode="topic", **BLOCKED)
     rig.link.controller.blocked = True
     driver.send(command())
-    wait_until(lambda: fault(driver))
+    wait_until(lambda: fault(driver), 10.0)
     assert len(rig.link.sent) == 2
     assert rig.link.sent[-1].points[0].velocities.tolist() == [0.0] * 7
 
@@ -93,14 +86,14 @@ def test_an_end_that_is_not_reached_is_a_fault(rig, mode):
     driver = rig.driver(mode=mode, goal_tolerance=0.02, goal_time_tolerance_s=0.2)
     rig.link.controller.blocked = True
     driver.send(command(duration_s=0.1))
-    wait_until(lambda: "goal tolerance violated" in fault(driver))
+    wait_until(lambda: "goal tolerance violated" in fault(driver), 10.0)
 
 
 def test_commands_may_go_on_after_a_fault_where_the_options_say_so(rig):
     driver = rig.driver(mode="action", resume_after_fault=True, **BLOCKED)
     rig.link.controller.blocked = True
     driver.send(command())
-    wait_until(lambda: fault(driver))
+    wait_until(lambda: fault(driver), 10.0)
     driver.send(command(step=0.0))
     assert fault(driver) == ""
 
@@ -109,7 +102,7 @@ def test_replacing_its_own_goal_is_no_fault(rig):
     driver = rig.driver(mode="action")
     for step in (0.1, 0.05, 0.0):
         driver.send(command(step))
-    wait_until(lambda: driver.read().detail["goal"].startswith("succeeded"))
+    wait_until(lambda: driver.read().detail["goal"].startswith("succeeded"), 10.0)
     assert fault(driver) == ""
 
 
@@ -138,7 +131,7 @@ def test_a_goal_that_others_end_is_a_fault(rig, end, text, word):
 def test_an_inactive_controller_is_named_with_the_command_that_activates_it(rig, mode):
     driver = rig.driver(mode=mode, state_timeout_s=0.2)
     rig.link.controller.active = False
-    wait_until(lambda: driver.read().detail["controller"] == "inactive")
+    wait_until(lambda: driver.read().detail["controller"] == "inactive", 10.0)
     with pytest.raises(
         NotReadyError,
         match=r"not active.*switch_controllers --activate joint_trajectory_controller",
@@ -194,7 +187,7 @@ def test_a_goal_without_answer_is_an_error(rig):
 def test_joint_states_that_cease_are_an_error_of_read_send_and_hold(rig):
     driver = rig.driver(state_timeout_s=0.1)
     rig.link.tells = False
-    wait_until(lambda: time.monotonic() - rig.link.joints()[ARM_JOINTS[0]].received_s > 0.15)
+    wait_until(lambda: time.monotonic() - rig.link.joints()[ARM_JOINTS[0]].received_s > 0.15, 10.0)
     for use in (driver.read, lambda: driver.send(command()), driver.hold):
         with pytest.raises(NotReadyError, match=r"silent|ceased"):
             use()
@@ -204,9 +197,9 @@ def test_states_that_cease_are_told_with_the_state_of_the_controller_and_its_fau
     driver = rig.driver(mode="action", state_timeout_s=0.1, **BLOCKED)
     rig.link.controller.blocked = True
     driver.send(command())
-    wait_until(lambda: "path tolerance violated" in fault(driver))
+    wait_until(lambda: "path tolerance violated" in fault(driver), 10.0)
     rig.link.tells = False
-    wait_until(lambda: time.monotonic() - rig.link.joints()[ARM_JOINTS[0]].received_s > 0.15)
+    wait_until(lambda: time.monotonic() - rig.link.joints()[ARM_JOINTS[0]].received_s > 0.15, 10.0)
     with pytest.raises(
         NotReadyError, match=r"silent.*/joint_trajectory_controller last reported .*path tolerance"
     ):
@@ -216,13 +209,13 @@ def test_states_that_cease_are_told_with_the_state_of_the_controller_and_its_fau
 def test_a_hold_brakes_evenly_within_the_acceleration_limits(rig):
     driver = rig.driver(interpolation="cubic")
     driver.send(command(step=1.0, duration_s=1.0))
-    wait_until(lambda: abs(driver.read().joints.velocity[6]) > 0.8)
+    wait_until(lambda: abs(driver.read().joints.velocity[6]) > 0.8, 10.0)
     driver.hold()
     point = rig.link.sent[-1].points[0]
     duration_s = point.time_from_start.sec + point.time_from_start.nanosec * 1e-9
     assert point.velocities.tolist() == [0.0] * 7
     assert duration_s >= 0.8 / 10.0  # from over 0.8 rad/s with less than 10 rad/s^2
-    wait_until(lambda: abs(driver.read().joints.position[6] - point.positions[6]) < 1e-3)
+    wait_until(lambda: abs(driver.read().joints.position[6] - point.positions[6]) < 1e-3, 10.0)
 
 
 def test_a_gripper_that_is_not_driven_is_left_out_and_told(rig):

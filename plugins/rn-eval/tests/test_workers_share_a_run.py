@@ -18,6 +18,7 @@ import psutil
 import pytest
 
 from rn_eval.ledger import FILE_NAME, read_records
+from rn_testing.waiting import wait_until
 
 pytest.importorskip("ray", reason="needs the extra rn-eval[ray]")
 KILLS = int(os.environ.get("ROBONEURON_EVAL_KILLS", "50"))
@@ -179,7 +180,9 @@ def test_kills_of_workers_driver_and_ray_lose_no_episode_and_run_none_twice(toy,
                 stderr=subprocess.DEVNULL,
             )
         count = len(_lines(tmp_path))
-        _await(lambda d=driver, c=count: len(_lines(tmp_path)) > c or d.poll() is not None)
+        wait_until(
+            lambda d=driver, c=count: len(_lines(tmp_path)) > c or d.poll() is not None, 600.0
+        )
         time.sleep(chance.uniform(0.0, 0.5))
         kind = chance.choices(("ray::EpisodeWorker", "driver", "raylet"), (10, 1, 1))[0]
         found = [psutil.Process(driver.pid)] if kind == "driver" else _processes(driver, kind)
@@ -212,13 +215,6 @@ def _lines(folder):
         if path.exists()
         else []
     )
-
-
-def _await(condition, limit_s=600.0):
-    end_s = time.monotonic() + limit_s
-    while not condition():
-        assert time.monotonic() < end_s
-        time.sleep(0.1)
 
 
 def test_a_shared_policy_answers_many_workers_at_once(toy, tmp_path):

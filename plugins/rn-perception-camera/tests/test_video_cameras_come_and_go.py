@@ -19,6 +19,7 @@ from rn_perception_camera import grabber
 from rn_perception_camera.options import VideoCamerasOptions
 from rn_perception_camera.video_source import VideoCameras
 from rn_testing.fakes import MemoryTopics
+from rn_testing.waiting import wait_until
 from roboneuron.contract import CameraProfile, Frame
 from roboneuron.errors import ConfigurationError, NotReadyError, StateError
 
@@ -166,10 +167,7 @@ def test_unplugged_camera_is_told_and_comes_back(build: Any, bus: Bus) -> None:
     read_until(source, lambda error: "Plug it in" in str(error))
     assert bus.held == 0
     bus.plugged.set()
-    deadline_s = time.monotonic() + 10.0
-    while bus.opened < 2:
-        assert time.monotonic() < deadline_s
-        time.sleep(0.005)
+    wait_until(lambda: bus.opened >= 2, 10.0)
     assert source.read(5.0).camera == "front"
     source.close()
     assert bus.held == 0

@@ -8,8 +8,6 @@ import json
 import os
 import signal
 import threading
-import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +18,7 @@ from rn_runs.reading import count_topics
 from rn_runs.settings import RecorderSettings, RulesSettings, spawn_recorder
 from rn_runs.store import Store
 from rn_testing.domain import free_ros_domain
+from rn_testing.waiting import wait_until
 from roboneuron.ros.environment import prepare_environment
 from roboneuron.ros.link import RosLink
 from roboneuron.ros.qos import NEWEST
@@ -48,13 +47,6 @@ class Publisher:
     def close(self) -> None:
         self._ends.set()
         self._thread.join(10.0)
-
-
-def wait_until(is_so: Callable[[], bool]) -> None:
-    deadline_s = time.monotonic() + 60.0
-    while not is_so():
-        assert time.monotonic() < deadline_s, "it did not come"
-        time.sleep(0.05)
 
 
 @pytest.mark.ros
@@ -102,16 +94,16 @@ def test_what_came_while_it_was_stopped_is_counted(
     publisher = Publisher(link)
     try:
         order(do="start", number=1, name="demo", facts={})
-        wait_until(lambda: received() > 100)
+        wait_until(lambda: received() > 100, 60.0)
         os.kill(child.pid, signal.SIGSTOP)
         before = publisher.sent
-        wait_until(lambda: publisher.sent > before + FROZEN)
+        wait_until(lambda: publisher.sent > before + FROZEN, 60.0)
         os.kill(child.pid, signal.SIGCONT)
         here = received()
-        wait_until(lambda: received() > here + 300)  # it hears them again
+        wait_until(lambda: received() > here + 300, 60.0)  # it hears them again
         publisher.close()
         order(do="stop", number=2, facts={})
-        wait_until(lambda: any(answer.get("re") == 2 for answer in answers))
+        wait_until(lambda: any(answer.get("re") == 2 for answer in answers), 60.0)
         told = next(answer["run"] for answer in answers if answer.get("re") == 2)
         order(do="leave")
         assert child.wait(30) == 0

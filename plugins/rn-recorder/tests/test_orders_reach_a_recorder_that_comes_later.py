@@ -9,7 +9,6 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -19,6 +18,7 @@ from rn_recorder import process as module
 from rn_recorder.feature import Recorder
 from rn_recorder.options import RecorderOptions
 from rn_recorder.process import RecorderProcess
+from rn_testing.waiting import wait_until
 from roboneuron import NotReadyError
 
 DIES = """
@@ -93,10 +93,7 @@ def test_a_recorder_that_is_stopped_is_replaced(
     assert process.wait_for_status()
     stopped = process.pid
     os.kill(stopped, signal.SIGSTOP)
-    deadline_s = time.monotonic() + 60.0
-    while process.starts < 2:
-        assert time.monotonic() < deadline_s
-        time.sleep(0.02)
+    wait_until(lambda: process.starts >= 2, 60.0)
     assert process.wait_for_status()
     assert process.pid != stopped
 

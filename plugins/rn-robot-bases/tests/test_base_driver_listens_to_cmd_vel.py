@@ -25,17 +25,11 @@ from rn_robot_bases.profile import (
     racecar_profile,
 )
 from rn_testing.fakes import MemoryTopics, gantry_profile
+from rn_testing.waiting import wait_until
 from roboneuron.contract import JointCommand, RobotProfile
 from roboneuron.errors import ConfigurationError, InvalidInputError, StateError
 
 PROFILES = (diffdrive_profile, husky_profile, racecar_profile)
-
-
-def wait_for(condition: Callable[[], bool], limit_s: float = 20.0) -> None:
-    deadline_s = time.monotonic() + limit_s
-    while not condition():
-        assert time.monotonic() < deadline_s, "the condition did not come true"
-        time.sleep(0.005)
 
 
 def twist(linear: float = 0.0, angular: float = 0.0, *, sideways: float = 0.0) -> Twist:
@@ -76,10 +70,10 @@ def test_base_drives_while_commanded_and_stops_by_itself(
         topics.deliver(CMD_VEL, twist(0.5, 0.2))
         return float(json.loads(detail(driver, "true_pose"))["x_m"]) > 0.2
 
-    wait_for(has_moved)
+    wait_until(has_moved)
     assert detail(driver, "motion") == "driving"
-    wait_for(lambda: detail(driver, "motion") == "stopping: no command for 0.3 s")
-    wait_for(lambda: bool(np.abs(driver.read().joints.velocity).max() < 0.05))  # type: ignore[arg-type]
+    wait_until(lambda: detail(driver, "motion") == "stopping: no command for 0.3 s")
+    wait_until(lambda: bool(np.abs(driver.read().joints.velocity).max() < 0.05))  # type: ignore[arg-type]
     driver.close()
     odometry = [m for m in topics.published(ODOMETRY) if isinstance(m, Odometry)]
     assert odometry[0].header.frame_id == "odom"
@@ -112,13 +106,13 @@ def test_refused_command_stops_the_base_and_is_reported(
     car: SimulatedBase, topics: MemoryTopics, message: Twist, reason: str
 ) -> None:
     topics.deliver(CMD_VEL, twist(0.5, 0.2))
-    wait_for(lambda: detail(car, "motion") == "driving")
+    wait_until(lambda: detail(car, "motion") == "driving")
     topics.deliver(CMD_VEL, message)
-    wait_for(lambda: detail(car, "motion") == "stopping: a command was refused")
+    wait_until(lambda: detail(car, "motion") == "stopping: a command was refused")
     assert reason in detail(car, "refused")
     assert detail(car, "refused_count") == "1"
     topics.deliver(CMD_VEL, twist(0.5, 0.2))
-    wait_for(lambda: detail(car, "motion") == "driving")
+    wait_until(lambda: detail(car, "motion") == "driving")
     assert detail(car, "refused") == ""
 
 
@@ -127,10 +121,10 @@ def test_hold_brakes_before_the_deadman_would(car: SimulatedBase, topics: Memory
         topics.deliver(CMD_VEL, twist(1.0))
         return float(json.loads(detail(car, "odometry"))["x_m"]) > 0.5
 
-    wait_for(is_fast)
+    wait_until(is_fast)
     car.hold()
-    wait_for(lambda: detail(car, "motion") == "stopping: held")
-    wait_for(lambda: bool(np.abs(car.read().joints.velocity).max() < 0.1))  # type: ignore[arg-type]
+    wait_until(lambda: detail(car, "motion") == "stopping: held")
+    wait_until(lambda: bool(np.abs(car.read().joints.velocity).max() < 0.1))  # type: ignore[arg-type]
 
 
 def test_joint_command_is_refused(car: SimulatedBase) -> None:
@@ -141,7 +135,7 @@ def test_joint_command_is_refused(car: SimulatedBase) -> None:
 
 def test_simulated_time_keeps_up_with_the_wall_clock(car: SimulatedBase) -> None:
     started_s, sim_s = time.monotonic(), float(detail(car, "sim_time_s"))
-    wait_for(lambda: float(detail(car, "sim_time_s")) > sim_s + 1.0)
+    wait_until(lambda: float(detail(car, "sim_time_s")) > sim_s + 1.0)
     # Loose above: the machine may be busy. Racing ahead is what must not happen.
     assert 0.7 < time.monotonic() - started_s < 10.0
 
@@ -178,7 +172,7 @@ def test_two_bases_move_independently() -> None:
         worlds[0].deliver(CMD_VEL, twist(0.4))
         return float(json.loads(detail(bases[0], "true_pose"))["x_m"]) > 0.1
 
-    wait_for(first_has_moved)
+    wait_until(first_has_moved)
     assert abs(json.loads(detail(bases[1], "true_pose"))["x_m"]) < 1e-3
     for base in bases:
         base.close()

@@ -4,7 +4,6 @@ open.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator
 from types import SimpleNamespace
 from typing import Any
@@ -13,6 +12,7 @@ import pytest
 
 from rn_robot_fr3.fci.gripper import FciGripper
 from rn_robot_fr3.fci.options import FciDriverOptions
+from rn_testing.waiting import wait_until
 
 OBJECT_M = 0.04
 
@@ -79,10 +79,7 @@ def make() -> Iterator[Make]:
 
 
 def await_note(gripper: FciGripper, note: str) -> None:
-    deadline_s = time.monotonic() + 10.0
-    while gripper.note != note:
-        assert time.monotonic() < deadline_s, gripper.note
-        time.sleep(0.005)
+    wait_until(lambda: gripper.note == note, 10.0, f"the note {note!r}")
 
 
 def test_what_is_held_stays_held_when_the_measured_width_is_commanded(make: Make) -> None:

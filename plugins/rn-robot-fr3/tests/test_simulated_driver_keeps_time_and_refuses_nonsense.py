@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -18,15 +18,9 @@ from rn_robot_fr3.profile import HOME_RAD, profile
 from rn_robot_fr3.state_message import TOPIC, from_message, to_message
 from rn_simulation.engine import Engine
 from rn_testing.fakes import MemoryTopics, gantry_profile
+from rn_testing.waiting import wait_until
 from roboneuron.contract import JointCommand
 from roboneuron.errors import ConfigurationError, InvalidInputError, StateError
-
-
-def wait_for(condition: Callable[[], bool], limit_s: float = 20.0) -> None:
-    deadline_s = time.monotonic() + limit_s
-    while not condition():
-        assert time.monotonic() < deadline_s, "the condition did not come true"
-        time.sleep(0.005)
 
 
 @pytest.fixture
@@ -66,12 +60,12 @@ def test_command_moves_the_named_joints_and_is_returned_as_sent(driver: Simulate
     assert sent.names == command.names
     assert sent.duration_s > 0.1
     assert sent.residual_m == 1e-5
-    wait_for(lambda: abs(driver.read().joints.position[6] - 1.0) < 2e-3)
-    wait_for(lambda: abs((driver.read().gripper_open or 0.0) - 0.25) < 0.02)
+    wait_until(lambda: abs(driver.read().joints.position[6] - 1.0) < 2e-3)
+    wait_until(lambda: abs((driver.read().gripper_open or 0.0) - 0.25) < 0.02)
 
 
 def test_simulated_time_keeps_up_with_the_wall_clock(driver: SimulatedDriver) -> None:
-    wait_for(lambda: float(driver.read().detail["sim_time_s"]) > 2.2)
+    wait_until(lambda: float(driver.read().detail["sim_time_s"]) > 2.2)
     # Loose: the machine may be busy. Racing ahead would show as a factor over 1.
     assert 0.02 < float(driver.read().detail["real_time_factor"]) < 1.05
 
@@ -82,19 +76,19 @@ def test_real_time_factor_speeds_up_the_simulation(topics: MemoryTopics) -> None
     )
     driver.open()
     started_s = time.monotonic()
-    wait_for(lambda: float(driver.read().detail["sim_time_s"]) > 3.0)
+    wait_until(lambda: float(driver.read().detail["sim_time_s"]) > 3.0)
     elapsed_s = time.monotonic() - started_s
     if elapsed_s > 3.0:  # the machine was busy: look for one second in which it was not
-        wait_for(lambda: float(driver.read().detail["real_time_factor"]) > 1.5, 60.0)
+        wait_until(lambda: float(driver.read().detail["real_time_factor"]) > 1.5, 60.0)
     driver.close()
     assert elapsed_s > 0.9
 
 
 def test_hold_stops_the_arm(driver: SimulatedDriver) -> None:
     driver.send(JointCommand(names=("fr3_joint1",), position=np.array([2.0]), duration_s=1.0))
-    wait_for(lambda: driver.read().joints.position[0] > 0.3)
+    wait_until(lambda: driver.read().joints.position[0] > 0.3)
     driver.hold()
-    wait_for(lambda: abs(driver.read().joints.velocity[0]) < 1e-3)  # type: ignore[index]
+    wait_until(lambda: abs(driver.read().joints.velocity[0]) < 1e-3)  # type: ignore[index]
     assert driver.read().joints.position[0] < 1.5
 
 
@@ -107,7 +101,7 @@ def test_wrong_name_and_nan_are_refused(driver: SimulatedDriver, name: str, valu
 def test_states_are_published_in_order_with_stamps(
     driver: SimulatedDriver, topics: MemoryTopics
 ) -> None:
-    wait_for(lambda: len(topics.published(TOPIC)) > 20)
+    wait_until(lambda: len(topics.published(TOPIC)) > 20)
     states = [from_message(m) for m in topics.published(TOPIC) if isinstance(m, Float64MultiArray)]
     stamps = [state.stamp_ns for state in states]
     assert stamps == sorted(stamps)

@@ -7,19 +7,11 @@ import time
 import pytest
 
 from rn_runtime_sglang.case import token_request
+from rn_testing.waiting import holds_within
 from roboneuron.errors import NotReadyError, RoboNeuronError, UnsafeError
 
 AT_ONCE_S = 10.0
 """Long for a busy machine, short beside the minute of what is not waited for."""
-
-
-def until(condition, limit_s=20.0) -> bool:
-    deadline_s = time.monotonic() + limit_s
-    while not condition():
-        if time.monotonic() > deadline_s:
-            return False
-        time.sleep(0.005)
-    return True
 
 
 @pytest.mark.parametrize(
@@ -63,7 +55,7 @@ def test_a_late_answer_is_dropped_aborted_and_counted(launch, connect):
         runtime.run(token_request())
     assert time.monotonic() - started_s < AT_ONCE_S
     late = server.seen.generated[-1]
-    assert until(lambda: late in server.seen.aborted)
+    assert holds_within(lambda: late in server.seen.aborted)
     server.behaviour.delay_s = 0.0
     reply = runtime.run(token_request())
     assert reply.metrics["served.late"] == 1.0
@@ -152,7 +144,7 @@ def test_abort_ends_a_request_at_once_here_and_there(launch, connect):
     runtime.abort()
     assert "abort was called" in str(error())
     assert time.monotonic() - started_s < AT_ONCE_S
-    assert until(lambda: server.seen.generated[-1] in server.seen.aborted)
+    assert holds_within(lambda: server.seen.generated[-1] in server.seen.aborted)
     server.behaviour.delay_s = 0.0
     assert runtime.run(token_request()).metrics["served.aborted"] == 1.0
 
@@ -181,7 +173,7 @@ def _run_until_sent(runtime, server):
 
     thread = threading.Thread(target=work)
     thread.start()
-    assert until(lambda: len(server.seen.generated) > before)
+    assert holds_within(lambda: len(server.seen.generated) > before)
 
     def join() -> BaseException:
         thread.join(5.0)

@@ -9,7 +9,9 @@ import pytest
 LOOP = Path(__file__).parents[1] / "interop" / "loop.py"
 
 
+# test_sglang_faults_hold_the_arm.py shows how the runtime fails and recovers
 @pytest.mark.ros
+@pytest.mark.slow
 def test_the_closed_loop_is_served_loses_its_server_and_goes_on_in_process(tmp_path):
     """What `make interop-sglang` plays with real SGLang; about half a minute without it."""
     command = [sys.executable, str(LOOP), "--stand-in", "--watch-s", "2"]

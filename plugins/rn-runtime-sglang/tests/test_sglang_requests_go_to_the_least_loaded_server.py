@@ -1,23 +1,14 @@
 from __future__ import annotations
 
 import os
-import time
 from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
 
 from rn_runtime_sglang.case import token_request
+from rn_testing.waiting import holds_within
 from roboneuron.errors import CheckpointError, NotReadyError
-
-
-def until(condition, limit_s=20.0) -> bool:
-    deadline_s = time.monotonic() + limit_s
-    while not condition():
-        if time.monotonic() > deadline_s:
-            return False
-        time.sleep(0.005)
-    return True
 
 
 def test_requests_go_to_the_ready_server_with_the_least_load(launch, connect):
@@ -29,7 +20,7 @@ def test_requests_go_to_the_ready_server_with_the_least_load(launch, connect):
     assert len(idle.seen.generated) == sent + 3
     busy.behaviour.running = busy.behaviour.queued = 0.0
     idle.behaviour.running = 5.0
-    assert until(lambda: runtime.run(token_request()).metrics["served.running"] == 5.0)
+    assert holds_within(lambda: runtime.run(token_request()).metrics["served.running"] == 5.0)
     sent = len(busy.seen.generated)
     runtime.run(token_request())
     assert len(busy.seen.generated) == sent + 1
@@ -75,12 +66,12 @@ def test_a_server_that_is_down_at_the_start_joins_later_but_not_with_another_mod
     assert runtime.run(token_request()).metrics["served.servers_ready"] == 1.0
     second.behaviour.served_name = "other@0123"
     second.start()
-    assert not until(
-        lambda: runtime.run(token_request()).metrics["served.servers_ready"] == 2.0, limit_s=0.3
+    assert not holds_within(
+        lambda: runtime.run(token_request()).metrics["served.servers_ready"] == 2.0, timeout_s=0.3
     )
     assert second.seen.generated == []
     second.behaviour.served_name = first.behaviour.served_name
-    assert until(lambda: runtime.run(token_request()).metrics["served.servers_ready"] == 2.0)
+    assert holds_within(lambda: runtime.run(token_request()).metrics["served.servers_ready"] == 2.0)
     runtime.run(token_request())
     assert second.seen.generated
 
@@ -93,7 +84,7 @@ def test_a_server_that_is_replaced_by_another_model_gets_no_more_requests(launch
     with pytest.raises(NotReadyError):
         runtime.run(token_request())
     server.start()
-    assert until(lambda: _refused(runtime))
+    assert holds_within(lambda: _refused(runtime))
     sent = len(server.seen.generated)
     with pytest.raises(NotReadyError, match="serves 'other@0123'"):
         runtime.run(token_request())

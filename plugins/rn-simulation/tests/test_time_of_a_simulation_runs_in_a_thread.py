@@ -6,23 +6,16 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
 from contextlib import nullcontext
 
 import pytest
 
 from rn_simulation.pace import Pace
 from rn_simulation.real_time import RealTimeThread
+from rn_testing.waiting import wait_until
 from roboneuron.errors import ConfigurationError, NotReadyError, StateError, UnsafeError
 
 STEP_S = 1.0 / 240.0
-
-
-def wait_for(condition: Callable[[], bool], limit_s: float = 20.0) -> None:
-    deadline_s = time.monotonic() + limit_s
-    while not condition():
-        assert time.monotonic() < deadline_s, "the condition did not come true"
-        time.sleep(0.002)
 
 
 def made(rate_hz: float = 60.0) -> RealTimeThread:
@@ -34,7 +27,7 @@ def test_steps_are_made_and_only_some_of_them_are_published() -> None:
     thread = made(rate_hz=20.0)
     thread.start(nullcontext(), lambda steps, factor, publish: calls.append((steps, publish)))
     assert calls[0] == (0, True)
-    wait_for(lambda: sum(publish for _, publish in calls) > 3)
+    wait_until(lambda: sum(publish for _, publish in calls) > 3)
     thread.stop()
     assert all(steps > 0 for steps, _ in calls[1:])
     assert sum(publish for _, publish in calls) < len(calls)
@@ -86,7 +79,7 @@ def test_what_fails_later_is_told_whenever_it_is_asked() -> None:
 
     thread = made()
     thread.start(nullcontext(), fail_later)
-    wait_for(lambda: not thread.is_running)
+    wait_until(lambda: not thread.is_running)
     with pytest.raises(UnsafeError, match="the cube exploded"):
         thread.check_running()
     thread.stop()

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
+
+from rn_testing import waiting
 
 PIXEL = """() => {
   const found = [...document.querySelectorAll('img')].find(i => /^(blob:|data:image.jpeg)/.test(i.src));
@@ -17,9 +18,6 @@ PIXEL = """() => {
 """Red of the first picture's first pixel; -1 while there is none."""
 
 
-def wait_until(is_so: Callable[[], bool], *, timeout_s: float = 90.0) -> None:
+def wait_until(is_so: Callable[[], bool]) -> None:
     """Wait for a condition; a page draws with the processor here, which others use too."""
-    deadline_s = time.monotonic() + timeout_s
-    while not is_so():
-        assert time.monotonic() < deadline_s, "it did not come"
-        time.sleep(0.05)
+    waiting.wait_until(is_so, 90.0, poll_s=0.05)

@@ -7,7 +7,6 @@ from __future__ import annotations
 import os
 import shutil
 import threading
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,7 @@ from typing import Any
 import pytest
 
 from rn_testing.domain import free_ros_domain
+from rn_testing.waiting import holds_within
 from roboneuron.config import parse_config
 from roboneuron.modules.settings import ModuleKind, ModuleSettings
 from roboneuron.ros.environment import prepare_environment
@@ -33,16 +33,6 @@ instruction = "go"
 controller = "adder"
 action_timeout_s = 0.3
 """
-
-
-def wait_until(condition: Callable[[], bool], timeout_s: float = 5.0) -> bool:
-    """Poll a condition; True as soon as it holds."""
-    end_s = time.monotonic() + timeout_s
-    while time.monotonic() < end_s:
-        if condition():
-            return True
-        time.sleep(0.005)
-    return condition()
 
 
 class World:
@@ -74,7 +64,7 @@ class World:
     def run(self, function: Callable[[], Any]) -> Any:
         """Call `function` on the executor's thread, as ROS callbacks are, and return its result."""
         task = self.executor.create_task(function)
-        assert wait_until(task.done, 10.0), "the executor did not run the task"
+        assert holds_within(task.done, 10.0), "the executor did not run the task"
         return task.result()
 
     def permit(self, node: Any) -> None:
@@ -144,7 +134,7 @@ class World:
     def publisher(self, message_type: Any, topic: str) -> Any:
         """A publisher that has found its subscriber."""
         publisher = self.node.create_publisher(message_type, topic, 1)
-        assert wait_until(lambda: publisher.get_subscription_count() > 0), (
+        assert holds_within(lambda: publisher.get_subscription_count() > 0), (
             f"nobody listens on {topic}"
         )
         return publisher
@@ -190,8 +180,3 @@ def status(node: Any) -> dict[str, str]:
 @pytest.fixture(name="status_of")
 def _status_of() -> Callable[[Any], dict[str, str]]:
     return status
-
-
-@pytest.fixture(name="wait_until")
-def _wait_until() -> Callable[..., bool]:
-    return wait_until

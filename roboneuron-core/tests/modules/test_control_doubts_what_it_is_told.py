@@ -15,6 +15,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
+from rn_testing.waiting import holds_within
 from roboneuron.contract import JointSample
 from roboneuron.modules import control as control_module
 from roboneuron.modules.settings import SERVER_SILENT
@@ -31,9 +32,8 @@ class Cell:
     policy and a stranger.
     """
 
-    def __init__(self, world: Any, wait_until: Callable[..., bool], **options: Any) -> None:
+    def __init__(self, world: Any, **options: Any) -> None:
         self.world = world
-        self.wait_until = wait_until
         self.position = np.array([0.5, -0.5])
         self.names: tuple[str, ...] = ("a", "b")
         self.shift_ns = 0
@@ -44,7 +44,7 @@ class Cell:
         self.stranger = world.publisher(JointState, "joint_states")
         self.actions = world.publisher(Float64MultiArray, "action")
         self.timer = world.node.create_timer(0.01, self.send_state)
-        assert wait_until(lambda: self.value("ready") == "true")
+        assert holds_within(lambda: self.value("ready") == "true")
 
     def state(self, **changes: Any) -> JointState:
         now_ns = self.frozen_ns or self.world.node.get_clock().now().nanoseconds + self.shift_ns
@@ -73,8 +73,8 @@ class Cell:
 
 
 @pytest.fixture
-def cell(world: Any, wait_until: Callable[..., bool]) -> Cell:
-    return Cell(world, wait_until)
+def cell(world: Any) -> Cell:
+    return Cell(world)
 
 
 FAULTS: dict[str, Callable[[Cell], None]] = {
@@ -101,14 +101,14 @@ def test_joint_states_with_a_fault_end_the_commands_until_the_arm_can_be_held_wh
 ) -> None:
     # it goes on; only the states are at fault
     policy = cell.world.node.create_timer(0.03, cell.act)
-    assert cell.wait_until(lambda: len(cell.commands) > 1)
+    assert holds_within(lambda: len(cell.commands) > 1)
     assert cell.last()[0] > 0.5
     FAULTS[fault](cell)
-    assert cell.wait_until(lambda: cell.value("hold_code") == "stale_joint_state", 2.0)
+    assert holds_within(lambda: cell.value("hold_code") == "stale_joint_state", 2.0)
     time.sleep(0.05)
     count = len(cell.commands)
-    assert cell.wait_until(lambda: cell.count("dropped.stale_joint_state") > 0)
-    assert not cell.wait_until(lambda: len(cell.commands) > count, 0.2), (
+    assert holds_within(lambda: cell.count("dropped.stale_joint_state") > 0)
+    assert not holds_within(lambda: len(cell.commands) > count, 0.2), (
         "nothing leads back to an old posture"
     )
     policy.cancel()
@@ -121,7 +121,7 @@ def test_joint_states_with_a_fault_end_the_commands_until_the_arm_can_be_held_wh
         0,
     )
     cell.timer.reset()
-    assert cell.wait_until(lambda: len(cell.commands) == count + 1)
+    assert holds_within(lambda: len(cell.commands) == count + 1)
     assert cell.last() == pytest.approx([0.51, -0.5])
 
 
@@ -142,9 +142,9 @@ def test_bad_joint_states_of_a_stranger_are_counted_and_do_not_matter(
     for _ in range(20):
         cell.stranger.publish(cell.state(**STRANGE[fault]))
         time.sleep(0.005)
-    assert cell.wait_until(lambda: cell.count("dropped.bad_joint_state") > 0)
+    assert holds_within(lambda: cell.count("dropped.bad_joint_state") > 0)
     cell.act()
-    assert cell.wait_until(lambda: len(cell.commands) == 1)
+    assert holds_within(lambda: len(cell.commands) == 1)
     assert cell.last() == pytest.approx([0.51, -0.5], abs=1e-6)
 
 
@@ -157,9 +157,9 @@ def test_reordered_joint_states_do_not_bring_an_old_posture_back(cell: Cell) -> 
             cell.state(position=np.array([0.48, -0.5]), stamp_ns=now_ns - 100_000_000)
         )
         time.sleep(0.005)
-    assert cell.wait_until(lambda: cell.count("dropped.bad_joint_state") > 0)
+    assert holds_within(lambda: cell.count("dropped.bad_joint_state") > 0)
     cell.act()
-    assert cell.wait_until(lambda: len(cell.commands) == 1)
+    assert holds_within(lambda: len(cell.commands) == 1)
     assert cell.last() == pytest.approx([0.53, -0.5], abs=1e-6)
 
 
@@ -168,12 +168,12 @@ def test_stamps_of_a_robot_whose_clock_jumps_stop_the_arm_for_one_timeout_only(
     cell: Cell, jump_s: float
 ) -> None:
     cell.act()
-    assert cell.wait_until(lambda: len(cell.commands) == 1)
+    assert holds_within(lambda: len(cell.commands) == 1)
     cell.shift_ns = int(jump_s * 1e9)
     time.sleep(2 * TIMEOUT_S)
     before = len(cell.commands)
     cell.act()
-    assert cell.wait_until(lambda: len(cell.commands) == before + 1)
+    assert holds_within(lambda: len(cell.commands) == before + 1)
 
 
 def test_server_that_is_frozen_stops_the_arm_until_it_asks_for_motion_again(cell: Cell) -> None:
@@ -181,54 +181,51 @@ def test_server_that_is_frozen_stops_the_arm_until_it_asks_for_motion_again(cell
     limits = cell.control.module._limits
     cell.control.module._limits = limits.model_copy(update={"server_timeout_s": 0.3})
     policy = cell.world.node.create_timer(0.03, cell.act)
-    assert cell.wait_until(lambda: len(cell.commands) > 20)
+    assert holds_within(lambda: len(cell.commands) > 20)
     for _ in range(2):
         cell.control.note_beat()
         if cell.control.needs_start:
             count = len(cell.commands)
-            assert not cell.wait_until(lambda count=count: len(cell.commands) > count, 0.2), (
+            assert not holds_within(lambda count=count: len(cell.commands) > count, 0.2), (
                 "its life starts nothing"
             )
             cell.control.note_beat()
             cell.world.permit(cell.control)
         before, dropped = len(cell.commands), cell.count("dropped.server_silent")
-        assert cell.wait_until(lambda before=before: len(cell.commands) > before + 3)
-        assert cell.wait_until(
+        assert holds_within(lambda before=before: len(cell.commands) > before + 3)
+        assert holds_within(
             lambda dropped=dropped: cell.count("dropped.server_silent") > dropped + 5
         )
         assert cell.value("hold_code") == "server_silent"
         count = len(cell.commands)
-        assert not cell.wait_until(lambda count=count: len(cell.commands) > count, 0.2)
+        assert not holds_within(lambda count=count: len(cell.commands) > count, 0.2)
     policy.cancel()
 
 
 def test_a_control_that_was_frozen_needs_a_new_start_though_the_server_is_heard_first(
-    world, wait_until
+    world,
 ) -> None:
     """The thread that reads the signs of life goes on before the executor does."""
     cell = Cell(
         world,
-        wait_until,
         replace={"action_timeout_s = 0.3": "action_timeout_s = 0.3\nserver_timeout_s = 0.4"},
     )
     beats = cell.world.node.create_timer(0.03, cell.control.note_beat)
     policy = cell.world.node.create_timer(0.03, cell.act)
-    assert cell.wait_until(lambda: len(cell.commands) > 5)
+    assert holds_within(lambda: len(cell.commands) > 5)
 
     def freeze() -> None:
         time.sleep(0.8)
         cell.control.note_beat()
 
     cell.world.run(freeze)
-    assert cell.wait_until(lambda: cell.control.needs_start == SERVER_SILENT), (
-        "it goes on by itself"
-    )
+    assert holds_within(lambda: cell.control.needs_start == SERVER_SILENT), "it goes on by itself"
     count = len(cell.commands)
-    assert not cell.wait_until(lambda: len(cell.commands) > count + 1, 0.4), (
+    assert not holds_within(lambda: len(cell.commands) > count + 1, 0.4), (
         "one command may have been on its way"
     )
     cell.world.permit(cell.control)
-    assert cell.wait_until(lambda: len(cell.commands) > count + 5)
+    assert holds_within(lambda: len(cell.commands) > count + 5)
     beats.cancel()
     policy.cancel()
 
@@ -282,16 +279,16 @@ def test_clock_that_jumps_stops_actions_and_lets_them_through_once_it_is_right(
     cell: Cell, clock: Callable[[float], None], jump_s: float, word: str
 ) -> None:
     cell.act()
-    assert cell.wait_until(lambda: len(cell.commands) == 1)
+    assert holds_within(lambda: len(cell.commands) == 1)
     clock(jump_s)
     cell.act()
-    assert cell.wait_until(lambda: cell.count(f"dropped.{word}") > 0)
-    assert cell.wait_until(lambda: len(cell.commands) == 2, 2.0)
+    assert holds_within(lambda: cell.count(f"dropped.{word}") > 0)
+    assert holds_within(lambda: len(cell.commands) == 2, 2.0)
     assert cell.value("hold_code") == "no_action"
     assert cell.last() == pytest.approx([0.5, -0.5])
     clock(0.0)
     cell.act()
-    assert cell.wait_until(lambda: len(cell.commands) == 3)
+    assert holds_within(lambda: len(cell.commands) == 3)
 
 
 def test_clock_set_back_on_the_whole_machine_does_not_forbid_newer_actions(cell: Cell) -> None:
@@ -300,15 +297,13 @@ def test_clock_set_back_on_the_whole_machine_does_not_forbid_newer_actions(cell:
     """
     cell.control.module._action_ns = time.time_ns() + 3_600_000_000_000
     cell.act()
-    assert cell.wait_until(lambda: len(cell.commands) == 1)
+    assert holds_within(lambda: len(cell.commands) == 1)
 
 
-def test_limits_are_applied_counted_reported_and_audited(
-    world: Any, wait_until: Callable[..., bool]
-) -> None:
-    cell = Cell(world, wait_until, extra="[limits]\nvelocity_fraction = 0.05\n")
+def test_limits_are_applied_counted_reported_and_audited(world: Any) -> None:
+    cell = Cell(world, extra="[limits]\nvelocity_fraction = 0.05\n")
     cell.act(np.array([0.09, 0, 0, 0, 0, 0, 1.0]))
-    assert wait_until(lambda: len(cell.commands) == 1)
+    assert holds_within(lambda: len(cell.commands) == 1)
     moved = cell.last()[0] - 0.5
     assert 0.0 < moved <= 0.05 * 0.1 + 1e-9
     assert cell.count("limited.velocity") == 1
@@ -321,29 +316,23 @@ def test_limits_are_applied_counted_reported_and_audited(
     assert record["arguments"]["asked"]["joint_speed"] > record["arguments"]["sent"]["joint_speed"]
 
 
-def test_limit_that_holds_commands_the_measured_posture(
-    world: Any, wait_until: Callable[..., bool]
-) -> None:
-    cell = Cell(
-        world, wait_until, extra='[limits]\nvelocity_fraction = 0.5\non_velocity = "hold"\n'
-    )
+def test_limit_that_holds_commands_the_measured_posture(world: Any) -> None:
+    cell = Cell(world, extra='[limits]\nvelocity_fraction = 0.5\non_velocity = "hold"\n')
     cell.act(np.array([0.01, 0, 0, 0, 0, 0, 1.0]))
-    assert wait_until(lambda: len(cell.commands) == 1)
+    assert holds_within(lambda: len(cell.commands) == 1)
     cell.position = np.array([0.505, -0.5])
     time.sleep(0.05)
     cell.act(np.array([0.09, 0, 0, 0, 0, 0, 1.0]))
-    assert wait_until(lambda: len(cell.commands) == 2)
+    assert holds_within(lambda: len(cell.commands) == 2)
     assert cell.last() == pytest.approx([0.505, -0.5])
     assert cell.count("dropped.limit_velocity") == 1
     assert cell.value("hold_code") == "limit_velocity"
 
 
-def test_limit_that_refuses_sends_nothing(world: Any, wait_until: Callable[..., bool]) -> None:
-    cell = Cell(
-        world, wait_until, extra='[limits]\nvelocity_fraction = 0.5\non_velocity = "refuse"\n'
-    )
+def test_limit_that_refuses_sends_nothing(world: Any) -> None:
+    cell = Cell(world, extra='[limits]\nvelocity_fraction = 0.5\non_velocity = "refuse"\n')
     cell.act(np.array([0.09, 0, 0, 0, 0, 0, 1.0]))
-    assert wait_until(lambda: cell.count("dropped.limit_velocity") == 1)
+    assert holds_within(lambda: cell.count("dropped.limit_velocity") == 1)
     assert not cell.commands
 
 

@@ -15,6 +15,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
+from rn_testing.waiting import holds_within
 from roboneuron.contract import JointSample
 from roboneuron.gate.audit import AuditLog
 from roboneuron.gate.estop import ESTOP_FILE, EmergencyStopLatch
@@ -28,9 +29,8 @@ FORWARD = np.array([0.01, 0, 0, 0, 0, 0, 1.0])
 class Cell:
     """Control, fed with joint states by a timer, and a publisher of actions."""
 
-    def __init__(self, world: Any, wait_until: Callable[..., bool], **options: Any) -> None:
+    def __init__(self, world: Any, **options: Any) -> None:
         self.world = world
-        self.wait_until = wait_until
         self.position = np.array([0.5, -0.5])
         self.names: tuple[str, ...] = ("a", "b")
         self.commands = world.listen(JointTrajectory, "joint_trajectory")
@@ -38,13 +38,13 @@ class Cell:
         self.states = world.publisher(JointState, "joint_states")
         self.actions = world.publisher(Float64MultiArray, "action")
         self.timer = world.node.create_timer(0.01, self.send_state)
-        assert wait_until(lambda: self.value("ready") == "true")
+        assert holds_within(lambda: self.value("ready") == "true")
         topic = (
             "joint_command"
             if self.control.settings.config.control.command == "joint_state"
             else "joint_trajectory"
         )
-        assert wait_until(lambda: self.value(f"listeners.{topic}") == "1")
+        assert holds_within(lambda: self.value(f"listeners.{topic}") == "1")
 
     def send_state(self) -> None:
         now_ns = self.world.node.get_clock().now().nanoseconds
@@ -66,31 +66,31 @@ class Cell:
 
 
 @pytest.fixture
-def cell(world: Any, wait_until: Callable[..., bool]) -> Cell:
-    return Cell(world, wait_until)
+def cell(world: Any) -> Cell:
+    return Cell(world)
 
 
 def test_action_becomes_a_command_from_the_measured_joints(cell: Cell) -> None:
     cell.actions.publish(to_action_message(FORWARD))
-    assert cell.wait_until(lambda: len(cell.commands) == 1)
+    assert holds_within(lambda: len(cell.commands) == 1)
     assert cell.last() == pytest.approx([0.51, -0.5])
 
 
 def test_actions_that_stop_are_followed_by_one_hold_at_the_measured_joints(cell: Cell) -> None:
     cell.actions.publish(to_action_message(FORWARD))
-    assert cell.wait_until(lambda: len(cell.commands) == 1)
+    assert holds_within(lambda: len(cell.commands) == 1)
     cell.position = np.array([0.505, -0.5])
-    assert cell.wait_until(lambda: len(cell.commands) == 2, 2.0)
+    assert holds_within(lambda: len(cell.commands) == 2, 2.0)
     assert cell.last() == pytest.approx([0.505, -0.5])
     assert cell.value("note") == "holding: No action for 0.3 s."
-    assert not cell.wait_until(lambda: len(cell.commands) > 2, 0.5)
+    assert not holds_within(lambda: len(cell.commands) > 2, 0.5)
 
 
 def test_joint_states_that_stop_forbid_acting(cell: Cell) -> None:
     cell.timer.cancel()
-    assert cell.wait_until(lambda: cell.control.module._why_not(0.0, 0) == "stale_joint_state")
+    assert holds_within(lambda: cell.control.module._why_not(0.0, 0) == "stale_joint_state")
     cell.actions.publish(to_action_message(FORWARD))
-    assert cell.wait_until(lambda: cell.dropped("stale_joint_state") == 1)
+    assert holds_within(lambda: cell.dropped("stale_joint_state") == 1)
     assert not cell.commands
 
 
@@ -111,15 +111,15 @@ def test_bad_action_is_counted_and_moves_nothing(
     cell: Cell, values: list[float], word: str
 ) -> None:
     cell.actions.publish(Float64MultiArray(data=values))
-    assert cell.wait_until(lambda: cell.dropped(word) == 1)
+    assert holds_within(lambda: cell.dropped(word) == 1)
     assert not cell.commands
 
 
 def test_refused_action_ends_a_motion_at_once(cell: Cell) -> None:
     cell.actions.publish(to_action_message(FORWARD))
-    assert cell.wait_until(lambda: len(cell.commands) == 1)
+    assert holds_within(lambda: len(cell.commands) == 1)
     cell.actions.publish(Float64MultiArray(data=[0.2, 0, 0, 0, 0, 0, 1.0]))
-    assert cell.wait_until(lambda: len(cell.commands) == 2, 0.2)
+    assert holds_within(lambda: len(cell.commands) == 2, 0.2)
     assert cell.last() == pytest.approx([0.5, -0.5])
 
 
@@ -131,7 +131,7 @@ def test_late_action_is_dropped(cell: Cell) -> None:
 
 def test_reordered_action_is_dropped(cell: Cell) -> None:
     cell.actions.publish(to_action_message(FORWARD))
-    assert cell.wait_until(lambda: len(cell.commands) == 1)
+    assert holds_within(lambda: len(cell.commands) == 1)
     assert cell.control.module._why_not(0.0, 1) == "reordered_action"
 
 
@@ -145,10 +145,10 @@ def test_reordered_action_is_dropped(cell: Cell) -> None:
 )
 def test_damaged_joint_states_count_as_none(cell: Cell, damage: Callable[[Cell], None]) -> None:
     damage(cell)
-    assert cell.wait_until(lambda: cell.control.module._why_not(0.0, 0) == "stale_joint_state")
+    assert holds_within(lambda: cell.control.module._why_not(0.0, 0) == "stale_joint_state")
     assert cell.value("error_code") in ("unsafe", "invalid_input")
     cell.actions.publish(to_action_message(FORWARD))
-    assert cell.wait_until(lambda: cell.dropped("stale_joint_state") == 1)
+    assert holds_within(lambda: cell.dropped("stale_joint_state") == 1)
     assert not cell.commands
 
 
@@ -157,11 +157,11 @@ def test_damaged_joint_states_count_as_none(cell: Cell, damage: Callable[[Cell],
 )
 def test_any_node_may_stop_and_the_latch_outlives_it(cell: Cell, qos: QoSProfile) -> None:
     publisher = cell.world.node.create_publisher(Bool, "emergency_stop", qos)
-    assert cell.wait_until(lambda: publisher.get_subscription_count() > 0)
+    assert holds_within(lambda: publisher.get_subscription_count() > 0)
     publisher.publish(Bool(data=True))
-    assert cell.wait_until(lambda: cell.value("emergency_stop") == "true")
+    assert holds_within(lambda: cell.value("emergency_stop") == "true")
     latch = EmergencyStopLatch(cell.world.state_directory / ESTOP_FILE, time.time_ns)
-    assert cell.wait_until(lambda: "topic" in latch.read_state().who), (
+    assert holds_within(lambda: "topic" in latch.read_state().who), (
         "it stops first, and writes then"
     )
 
@@ -176,30 +176,30 @@ def reset(cell: Cell) -> None:
 def test_emergency_stop_holds_and_refuses_until_it_is_reset(cell: Cell) -> None:
     stop = cell.world.node.create_publisher(Bool, "emergency_stop", LATCHED)
     cell.actions.publish(to_action_message(FORWARD))
-    assert cell.wait_until(lambda: len(cell.commands) == 1)
+    assert holds_within(lambda: len(cell.commands) == 1)
     stop.publish(Bool(data=True))
-    assert cell.wait_until(lambda: cell.value("emergency_stop") == "true")
-    assert cell.wait_until(lambda: len(cell.commands) == 2)
+    assert holds_within(lambda: cell.value("emergency_stop") == "true")
+    assert holds_within(lambda: len(cell.commands) == 2)
     cell.actions.publish(to_action_message(FORWARD))
-    assert cell.wait_until(lambda: cell.dropped("emergency_stop") == 1)
+    assert holds_within(lambda: cell.dropped("emergency_stop") == 1)
     assert len(cell.commands) == 2
     stop.publish(Bool(data=False))
-    assert not cell.wait_until(lambda: cell.value("emergency_stop") == "false", 0.2), (
+    assert not holds_within(lambda: cell.value("emergency_stop") == "false", 0.2), (
         "released without the latch"
     )
     (cell.world.state_directory / ESTOP_FILE).unlink()
-    assert not cell.wait_until(lambda: cell.value("emergency_stop") == "false", 0.2), (
+    assert not holds_within(lambda: cell.value("emergency_stop") == "false", 0.2), (
         "released without a reset"
     )
     reset(cell)
-    assert cell.wait_until(lambda: cell.value("emergency_stop") == "false")
+    assert holds_within(lambda: cell.value("emergency_stop") == "false")
     cell.actions.publish(to_action_message(FORWARD))
-    assert cell.wait_until(lambda: cell.dropped("needs_new_start") == 1), "a release starts nothing"
+    assert holds_within(lambda: cell.dropped("needs_new_start") == 1), "a release starts nothing"
     assert len(cell.commands) == 2
     assert cell.value("needs_start") == "the emergency stop"
     cell.world.permit(cell.control)
     cell.actions.publish(to_action_message(FORWARD))
-    assert cell.wait_until(lambda: len(cell.commands) == 3)
+    assert holds_within(lambda: len(cell.commands) == 3)
 
 
 def test_whoever_asked_for_motion_before_a_stop_starts_none_after_it(cell: Cell) -> None:
@@ -214,50 +214,50 @@ def test_whoever_asked_for_motion_before_a_stop_starts_none_after_it(cell: Cell)
     assert not answer.successful
     assert "a stop came since" in answer.reason
     cell.actions.publish(to_action_message(FORWARD))
-    assert cell.wait_until(lambda: cell.dropped("needs_new_start") == 1)
+    assert holds_within(lambda: cell.dropped("needs_new_start") == 1)
     assert not cell.commands
 
 
 def test_latch_file_stops_without_any_message_until_it_is_reset(cell: Cell) -> None:
     cell.actions.publish(to_action_message(FORWARD))
-    assert cell.wait_until(lambda: len(cell.commands) == 1)
+    assert holds_within(lambda: len(cell.commands) == 1)
     latch = cell.world.state_directory / ESTOP_FILE
     latch.parent.mkdir(parents=True, exist_ok=True)
     latch.touch()
-    assert cell.wait_until(lambda: len(cell.commands) == 2)
+    assert holds_within(lambda: len(cell.commands) == 2)
     cell.world.node.create_publisher(Bool, "emergency_stop", LATCHED).publish(Bool(data=False))
-    assert not cell.wait_until(lambda: cell.value("emergency_stop") == "false", 0.2)
+    assert not holds_within(lambda: cell.value("emergency_stop") == "false", 0.2)
     reset(cell)
-    assert cell.wait_until(lambda: cell.value("emergency_stop") == "false")
+    assert holds_within(lambda: cell.value("emergency_stop") == "false")
     assert len(cell.commands) == 2
 
 
 def test_deactivation_holds_and_silences(cell: Cell) -> None:
     cell.actions.publish(to_action_message(FORWARD))
-    assert cell.wait_until(lambda: len(cell.commands) == 1)
+    assert holds_within(lambda: len(cell.commands) == 1)
     cell.world.run(cell.control.trigger_deactivate)
-    assert cell.wait_until(lambda: len(cell.commands) == 2)
+    assert holds_within(lambda: len(cell.commands) == 2)
     cell.actions.publish(to_action_message(FORWARD))
-    assert not cell.wait_until(lambda: len(cell.commands) > 2, 0.3)
+    assert not holds_within(lambda: len(cell.commands) > 2, 0.3)
 
 
-def test_commands_can_be_joint_states(world: Any, wait_until: Callable[..., bool]) -> None:
+def test_commands_can_be_joint_states(world: Any) -> None:
     received = world.listen(JointState, "joint_command")
-    cell = Cell(world, wait_until, extra='command = "joint_state"\n')
+    cell = Cell(world, extra='command = "joint_state"\n')
     cell.actions.publish(to_action_message(FORWARD))
-    assert wait_until(lambda: len(received) >= 1)  # a hold follows
+    assert holds_within(lambda: len(received) >= 1)  # a hold follows
     assert list(received[0].position) == pytest.approx([0.51, -0.5])
 
 
 def test_a_command_that_would_outlive_a_frozen_control_is_not_sent(
-    cell: Cell, monkeypatch: pytest.MonkeyPatch, wait_until: Callable[..., bool]
+    cell: Cell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Between two commands nobody but control could end the motion."""
     controller = cell.control.module._controller
     compute = controller.compute
     monkeypatch.setattr(controller, "compute", lambda *a: replace(compute(*a), duration_s=2.5))
     cell.actions.publish(to_action_message(FORWARD))
-    assert wait_until(lambda: cell.dropped("long_command") == 1)
+    assert holds_within(lambda: cell.dropped("long_command") == 1)
     assert cell.value("hold_code") == "long_command"
     assert not cell.commands
 
@@ -274,12 +274,12 @@ def test_a_command_that_was_ready_too_late_is_not_sent(
 
     monkeypatch.setattr(controller, "compute", linger)
     cell.actions.publish(to_action_message(FORWARD))
-    assert cell.wait_until(lambda: cell.dropped("stale_action") == 1, 2.0)
+    assert holds_within(lambda: cell.dropped("stale_action") == 1, 2.0)
     assert cell.value("note").startswith("holding: A command was ready only 0.4")
     assert not cell.commands
     monkeypatch.undo()
     cell.actions.publish(to_action_message(FORWARD))
-    assert cell.wait_until(lambda: len(cell.commands) == 1)
+    assert holds_within(lambda: len(cell.commands) == 1)
     assert cell.last() == pytest.approx([0.51, -0.5])
 
 
@@ -296,7 +296,7 @@ def test_limits_are_tightened_while_it_runs_and_never_widened(cell: Cell) -> Non
     assert cell.value("limits") == "tightened"
     for _ in range(20):
         cell.actions.publish(to_action_message(FORWARD))
-        if cell.wait_until(lambda: cell.value("limited.velocity") != "", 0.1):
+        if holds_within(lambda: cell.value("limited.velocity") != "", 0.1):
             break
     assert cell.value("limited.velocity") != ""
     wide = configured.model_copy(update={"max_speed_m_s": configured.max_speed_m_s * 2})

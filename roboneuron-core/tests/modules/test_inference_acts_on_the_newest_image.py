@@ -16,6 +16,7 @@ from rclpy.parameter import Parameter
 from sensor_msgs.msg import Image, JointState
 from std_msgs.msg import Float64MultiArray, String
 
+from rn_testing.waiting import holds_within
 from roboneuron.contract import Frame, JointSample, Pose
 from roboneuron.ros.messages import to_image, to_joint_state, to_pose_stamped
 
@@ -28,17 +29,16 @@ class Cell:
     def __init__(
         self,
         world: Any,
-        wait_until: Callable[..., bool],
         status_of: Any,
         backend: str,
         **options: Any,
     ) -> None:
-        self.world, self.wait_until, self._status_of = world, wait_until, status_of
+        self.world, self._status_of = world, status_of
         self.actions = world.listen(Float64MultiArray, "action")
         replace = {'backend = "instant"': f'backend = "{backend}"'} | options.pop("replace", {})
         self.inference = world.start("inference", replace=replace, **options)
         self.images = world.publisher(Image, "camera/front/image")
-        assert wait_until(lambda: world.node.count_publishers("/pair/action") == 1)
+        assert holds_within(lambda: world.node.count_publishers("/pair/action") == 1)
 
     def send_image(self, *, age_s: float = 0.0, **changes: Any) -> int:
         stamp_ns = self.world.node.get_clock().now().nanoseconds - int(age_s * 1e9)
@@ -66,18 +66,18 @@ class Cell:
 
 
 @pytest.fixture
-def build(world: Any, wait_until: Callable[..., bool], status_of: Any) -> Callable[..., Cell]:
-    return lambda backend, **options: Cell(world, wait_until, status_of, backend, **options)
+def build(world: Any, status_of: Any) -> Callable[..., Cell]:
+    return lambda backend, **options: Cell(world, status_of, backend, **options)
 
 
 def test_an_image_becomes_one_labelled_action(build: Callable[..., Cell]) -> None:
     cell = build("instant")
     assert cell.status()["ready"] == "false"
     cell.send_image()
-    assert cell.wait_until(lambda: len(cell.actions) == 1)
+    assert holds_within(lambda: len(cell.actions) == 1)
     assert list(cell.actions[0].data) == [0.01, 0, 0, 0, 0, 0, 1.0]
     assert cell.actions[0].layout.dim[0].label == "ee_delta_base"
-    assert cell.wait_until(lambda: cell.status()["ready"] == "true")
+    assert holds_within(lambda: cell.status()["ready"] == "true")
     assert cell.status()["backend.tokens_kept"] == "3"
 
 
@@ -87,23 +87,23 @@ def test_what_is_missing_is_named(build: Callable[..., Cell]) -> None:
         "images on camera/front/image and joint states on joint_states and the "
         "end-effector pose on ee_pose"
     )
-    assert cell.wait_until(lambda: cell.status()["waiting_for"].startswith(expected))
+    assert holds_within(lambda: cell.status()["waiting_for"].startswith(expected))
 
 
 def test_old_image_is_never_acted_on(build: Callable[..., Cell]) -> None:
     cell = build("instant")
     cell.send_image(age_s=0.6)
-    assert cell.wait_until(lambda: cell.status().get("dropped.old_image") == "1")
+    assert holds_within(lambda: cell.status().get("dropped.old_image") == "1")
     assert not cell.actions
 
 
 def test_image_from_the_future_is_never_acted_on(build: Callable[..., Cell]) -> None:
     cell = build("instant")
     cell.send_image(age_s=-3600.0)
-    assert cell.wait_until(lambda: cell.status().get("dropped.future_image") == "1")
+    assert holds_within(lambda: cell.status().get("dropped.future_image") == "1")
     assert not cell.actions
     cell.send_image(age_s=-0.05)
-    assert cell.wait_until(lambda: len(cell.actions) == 1), (
+    assert holds_within(lambda: len(cell.actions) == 1), (
         "clocks of two machines are never quite the same"
     )
 
@@ -134,16 +134,16 @@ def test_old_proprioception_is_never_acted_on(
         time.sleep(0.02)
         cell.send_image()
 
-    assert cell.wait_until(lambda: send_all() is None and len(cell.actions) > 0)
+    assert holds_within(lambda: send_all() is None and len(cell.actions) > 0)
     time.sleep(0.1)
     sent = len(cell.actions)
     refused = f"dropped.old_{old}"
-    assert cell.wait_until(
+    assert holds_within(
         lambda: send_all(0.6) is None and f"No usable {said} for" in cell.status()["message"], 4.0
     )
     assert int(cell.status()[refused]) > 2
     assert len(cell.actions) == sent
-    assert cell.wait_until(lambda: send_all() is None and len(cell.actions) > sent)
+    assert holds_within(lambda: send_all() is None and len(cell.actions) > sent)
 
 
 def test_answer_that_comes_too_late_for_its_image_is_dropped_and_reported(
@@ -152,7 +152,7 @@ def test_answer_that_comes_too_late_for_its_image_is_dropped_and_reported(
     old, new = 'instruction = "go"', 'instruction = "go"\nmax_image_age_s = 0.2'
     cell = build("slow", replace={old: new})
     cell.send_image()
-    assert cell.wait_until(lambda: cell.status().get("dropped.late_action") == "1")
+    assert holds_within(lambda: cell.status().get("dropped.late_action") == "1")
     assert "The image behind row 1 of 1 was 0." in cell.status()["message"]
     assert "max_image_age_s = 0.2 are allowed" in cell.status()["message"]
     assert cell.status()["ready"] == "false"
@@ -163,7 +163,7 @@ def test_deactivation_gives_up_what_a_runtime_works_on(build: Callable[..., Cell
     cell = build("served")
     cell.send_image()
     runtime = cell.inference.module.runtime
-    assert cell.wait_until(lambda: runtime.running)
+    assert holds_within(lambda: runtime.running)
     started_s = time.monotonic()
     assert cell.world.run(cell.inference.trigger_deactivate) is TransitionCallbackReturn.SUCCESS
     assert time.monotonic() - started_s < 10.0, "the request would have taken a minute"
@@ -175,12 +175,12 @@ def test_deactivation_gives_up_what_a_runtime_works_on(build: Callable[..., Cell
 def test_images_that_stop_are_an_error_and_end_the_actions(build: Callable[..., Cell]) -> None:
     cell = build("instant")
     cell.send_image()
-    assert cell.wait_until(lambda: len(cell.actions) == 1)
-    assert cell.wait_until(lambda: cell.status()["error_code"] == "not_ready", 3.0)
+    assert holds_within(lambda: len(cell.actions) == 1)
+    assert holds_within(lambda: cell.status()["error_code"] == "not_ready", 3.0)
     assert len(cell.actions) == 1
     cell.send_image()
-    assert cell.wait_until(lambda: len(cell.actions) == 2)
-    assert cell.wait_until(lambda: cell.status()["error_code"] == "")
+    assert holds_within(lambda: len(cell.actions) == 2)
+    assert holds_within(lambda: cell.status()["error_code"] == "")
 
 
 @pytest.mark.parametrize(
@@ -191,13 +191,11 @@ def test_image_of_a_wrong_encoding_or_size_is_an_error(
 ) -> None:
     cell = build("instant")
     cell.send_image(**{field: value})
-    assert cell.wait_until(lambda: cell.status()["error_code"] == "invalid_input")
+    assert holds_within(lambda: cell.status()["error_code"] == "invalid_input")
     assert not cell.actions
 
 
-def test_topic_of_a_wrong_type_is_refused_at_activation(
-    world: Any, wait_until: Callable[..., bool]
-) -> None:
+def test_topic_of_a_wrong_type_is_refused_at_activation(world: Any) -> None:
     context = rclpy.Context()
     context.init()
     stranger = rclpy.create_node("stranger", namespace="pair", context=context)
@@ -205,7 +203,7 @@ def test_topic_of_a_wrong_type_is_refused_at_activation(
     node = world.module("inference")
     assert world.run(node.trigger_configure) is TransitionCallbackReturn.SUCCESS
     topic = "/pair/camera/front/image"
-    assert wait_until(
+    assert holds_within(
         lambda: "std_msgs/msg/String" in dict(node.get_topic_names_and_types())[topic]
     )
     assert world.run(node.trigger_activate) is TransitionCallbackReturn.FAILURE
@@ -233,11 +231,11 @@ def test_slow_backend_skips_to_the_newest_image(
 
     monkeypatch.setattr(module.backend, "predict", think)
     cell.send_image()
-    assert cell.wait_until(lambda: len(seen) == 1)
+    assert holds_within(lambda: len(seen) == 1)
     stamps_ns = [cell.send_image() for _ in range(5)]
-    assert cell.wait_until(lambda: module._inputs._frames["primary"].stamp_ns == stamps_ns[-1])
+    assert holds_within(lambda: module._inputs._frames["primary"].stamp_ns == stamps_ns[-1])
     may_answer.set()
-    assert cell.wait_until(lambda: len(seen) == 2)
+    assert holds_within(lambda: len(seen) == 2)
     assert seen[1] == stamps_ns[-1]
 
 
@@ -245,10 +243,10 @@ def test_chunk_is_played_out_one_action_per_step(build: Callable[..., Cell]) -> 
     cell = build("chunked")
     started_s = time.monotonic()
     cell.send_image()
-    assert cell.wait_until(lambda: len(cell.actions) == 5)
+    assert holds_within(lambda: len(cell.actions) == 5)
     assert time.monotonic() - started_s >= 4 * 0.05
     assert [round(a.data[0] * 1000) for a in cell.actions] == [0, 1, 2, 3, 4]
-    assert cell.wait_until(
+    assert holds_within(
         lambda: (cell.status()["chunk_row"], cell.status()["chunk_rows"]) == ("5", "5")
     )
 
@@ -258,23 +256,23 @@ def test_new_instruction_cuts_a_chunk_short_and_resets_the_backend(
 ) -> None:
     cell = build("chunked")
     cell.send_image()
-    assert cell.wait_until(lambda: len(cell.actions) == 1)
+    assert holds_within(lambda: len(cell.actions) == 1)
     resets = cell.inference.module.backend.resets
     assert cell.instruct("something else").successful
-    assert not cell.wait_until(lambda: len(cell.actions) >= 5, 0.3)
+    assert not holds_within(lambda: len(cell.actions) >= 5, 0.3)
     assert cell.status()["actions_for_instruction"] == "0"
     cell.send_image()
-    assert cell.wait_until(lambda: cell.inference.module.backend.resets == resets + 1)
+    assert holds_within(lambda: cell.inference.module.backend.resets == resets + 1)
 
 
 def test_without_an_instruction_it_is_ready_and_still(build: Callable[..., Cell]) -> None:
     cell = build("instant", replace={'instruction = "go"': 'instruction = ""'})
     cell.send_image()
-    assert cell.wait_until(lambda: cell.status()["ready"] == "true")
+    assert holds_within(lambda: cell.status()["ready"] == "true")
     assert not cell.actions
     assert cell.instruct("go").successful
     cell.send_image()
-    assert cell.wait_until(lambda: len(cell.actions) == 1)
+    assert holds_within(lambda: len(cell.actions) == 1)
 
 
 @pytest.mark.parametrize("value", ["x" * 1001, 7])
@@ -303,10 +301,10 @@ def test_instruction_that_cannot_be_grounded_is_an_error_without_motion(
         cell.send_image()
         return cell.status()["error_code"] == "ungrounded"
 
-    assert cell.wait_until(send_all)
+    assert holds_within(send_all)
     assert not cell.actions
     assert cell.instruct("the red one").successful
-    assert cell.wait_until(lambda: not send_all() and len(cell.actions) > 0)
+    assert holds_within(lambda: not send_all() and len(cell.actions) > 0)
 
 
 def test_backend_that_produces_nan_publishes_nothing_and_says_so(
@@ -314,7 +312,7 @@ def test_backend_that_produces_nan_publishes_nothing_and_says_so(
 ) -> None:
     cell = build("nan")
     cell.send_image()
-    assert cell.wait_until(lambda: cell.status()["error_code"] == "unsafe")
+    assert holds_within(lambda: cell.status()["error_code"] == "unsafe")
     assert not cell.actions
 
 
@@ -331,11 +329,11 @@ def test_backend_that_does_not_load_leaves_the_module_unconfigured(
 def test_deactivation_silences_within_a_step(build: Callable[..., Cell]) -> None:
     cell = build("chunked")
     cell.send_image()
-    assert cell.wait_until(lambda: len(cell.actions) == 1)
+    assert holds_within(lambda: len(cell.actions) == 1)
     cell.world.run(cell.inference.trigger_deactivate)
     count = len(cell.actions)
     cell.send_image()
-    assert not cell.wait_until(lambda: len(cell.actions) > count + 1, 0.3)
+    assert not holds_within(lambda: len(cell.actions) > count + 1, 0.3)
 
 
 def test_in_shadow_it_predicts_and_reports_but_publishes_nothing(
@@ -344,7 +342,7 @@ def test_in_shadow_it_predicts_and_reports_but_publishes_nothing(
     cell = build("instant")
     cell.set(act_from_ns=2**62)
     cell.send_image()
-    assert cell.wait_until(lambda: cell.status()["ready"] == "true")
+    assert holds_within(lambda: cell.status()["ready"] == "true")
     assert cell.inference.handover.withheld[0].actions[0].tolist() == [0.01, 0, 0, 0, 0, 0, 1]
     assert not cell.actions
     assert not cell.inference.handover.sent
@@ -357,24 +355,24 @@ def test_its_turn_begins_and_ends_with_the_capture_time_of_the_image(
     now_ns = cell.world.node.get_clock().now().nanoseconds
     cell.set(act_from_ns=now_ns, act_until_ns=now_ns + 300_000_000)
     cell.send_image(age_s=0.2)
-    assert cell.wait_until(lambda: cell.status().get("note") == "in shadow")
+    assert holds_within(lambda: cell.status().get("note") == "in shadow")
     assert not cell.actions
     cell.send_image()
-    assert cell.wait_until(lambda: len(cell.actions) == 1)
-    assert cell.wait_until(
+    assert holds_within(lambda: len(cell.actions) == 1)
+    assert holds_within(
         lambda: cell.world.node.get_clock().now().nanoseconds > now_ns + 300_000_000
     )
     cell.send_image()
-    assert cell.wait_until(lambda: cell.status().get("note") == "handed over to the successor")
+    assert holds_within(lambda: cell.status().get("note") == "handed over to the successor")
     assert len(cell.actions) == 1
 
 
 def test_a_chunk_ends_when_the_successor_begins(build: Callable[..., Cell]) -> None:
     cell = build("chunked")
     cell.send_image()
-    assert cell.wait_until(lambda: len(cell.actions) == 2)
+    assert holds_within(lambda: len(cell.actions) == 2)
     cell.set(play_until_ns=1)
-    assert not cell.wait_until(lambda: len(cell.actions) > 3, 0.3)
+    assert not holds_within(lambda: len(cell.actions) > 3, 0.3)
 
 
 def test_a_parameter_of_another_type_is_refused(build: Callable[..., Cell]) -> None:
@@ -394,4 +392,4 @@ def test_a_parameter_that_its_feature_refuses_changes_nothing(build: Callable[..
     assert not result.successful
     assert result.reason == "no ROS time"
     cell.send_image()
-    assert cell.wait_until(lambda: len(cell.actions) == 1)
+    assert holds_within(lambda: len(cell.actions) == 1)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -14,6 +13,7 @@ from sensor_msgs.msg import Image, JointState
 from std_msgs.msg import Bool
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from rn_testing.waiting import holds_within
 from roboneuron.contract import JointCommand
 from roboneuron.errors import NotReadyError
 from roboneuron.modules import robot as robot_module
@@ -35,46 +35,47 @@ def robot(world: Any) -> Any:
 
 
 def test_joint_states_flow_at_the_configured_rate(
-    world: Any, robot: Any, wait_until: Callable[..., bool]
+    world: Any,
+    robot: Any,
 ) -> None:
     received = world.listen(JointState, "joint_states")
-    assert wait_until(lambda: len(received) > 100)
+    assert holds_within(lambda: len(received) > 100)
     assert robot.status.output.rate_hz() == pytest.approx(120, rel=0.2)  # a shared machine
     assert list(received[-1].name) == ["a", "b"]
 
 
-def test_driver_facts_are_reported(
-    robot: Any, wait_until: Callable[..., bool], status_of: Any
-) -> None:
-    assert wait_until(lambda: status_of(robot).get("detail.mood") == "fine")
+def test_driver_facts_are_reported(robot: Any, status_of: Any) -> None:
+    assert holds_within(lambda: status_of(robot).get("detail.mood") == "fine")
     assert status_of(robot)["gripper_open"] == "0.5"
 
 
 def test_driver_facts_are_forgotten_while_the_driver_cannot_read_the_robot(
-    robot: Any, wait_until: Callable[..., bool], status_of: Any, monkeypatch: pytest.MonkeyPatch
+    robot: Any, status_of: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert wait_until(lambda: "detail.mood" in status_of(robot))
+    assert holds_within(lambda: "detail.mood" in status_of(robot))
 
     def read() -> None:
         raise NotReadyError("The joint states have ceased.")
 
     with monkeypatch.context() as patch:
         patch.setattr(robot.module.driver, "read", read)
-        assert wait_until(lambda: "detail.mood" not in status_of(robot))
+        assert holds_within(lambda: "detail.mood" not in status_of(robot))
         assert "gripper_open" not in status_of(robot)
         assert "have ceased" in status_of(robot)["error"]
-    assert wait_until(lambda: status_of(robot).get("detail.mood") == "fine")
+    assert holds_within(lambda: status_of(robot).get("detail.mood") == "fine")
 
 
 def test_command_reaches_the_driver(
-    world: Any, robot: Any, wait_until: Callable[..., bool]
+    world: Any,
+    robot: Any,
 ) -> None:
     world.publisher(JointTrajectory, "joint_trajectory").publish(command(0.3))
-    assert wait_until(lambda: robot.module.driver.position[0] == 0.3)
+    assert holds_within(lambda: robot.module.driver.position[0] == 0.3)
 
 
 def test_trajectory_is_played_point_by_point_and_replaced_by_a_newer_one(
-    world: Any, robot: Any, wait_until: Callable[..., bool]
+    world: Any,
+    robot: Any,
 ) -> None:
     publisher = world.publisher(JointTrajectory, "joint_trajectory")
     message = command(0.1, 0.2)
@@ -86,20 +87,21 @@ def test_trajectory_is_played_point_by_point_and_replaced_by_a_newer_one(
         message.points.append(point)
     publisher.publish(message)
     driver = robot.module.driver
-    assert wait_until(lambda: len(driver.sent) == 2)
+    assert holds_within(lambda: len(driver.sent) == 2)
     publisher.publish(command(-0.9))
-    assert wait_until(lambda: driver.position[0] == -0.9, 0.15)
-    assert not wait_until(lambda: len(driver.sent) > 3, 0.4)
+    assert holds_within(lambda: driver.position[0] == -0.9, 0.15)
+    assert not holds_within(lambda: len(driver.sent) > 3, 0.4)
 
 
 def test_commands_that_cease_are_followed_by_one_hold(
-    world: Any, robot: Any, wait_until: Callable[..., bool]
+    world: Any,
+    robot: Any,
 ) -> None:
     driver = robot.module.driver
     publisher = world.publisher(JointTrajectory, "joint_trajectory")
     publisher.publish(command(0.1))
-    assert wait_until(lambda: driver.holds == 1, 2.0)
-    assert not wait_until(lambda: driver.holds > 1, 0.5)
+    assert holds_within(lambda: driver.holds == 1, 2.0)
+    assert not holds_within(lambda: driver.holds > 1, 0.5)
 
 
 @pytest.mark.parametrize(
@@ -108,12 +110,12 @@ def test_commands_that_cease_are_followed_by_one_hold(
     ids=["not-finite", "too-few", "too-many"],
 )
 def test_damaged_command_is_counted_and_moves_nothing(
-    world: Any, robot: Any, wait_until: Callable[..., bool], status_of: Any, positions: list[float]
+    world: Any, robot: Any, status_of: Any, positions: list[float]
 ) -> None:
     message = command(0.1)
     message.points[0].positions = positions
     world.publisher(JointTrajectory, "joint_trajectory").publish(message)
-    assert wait_until(lambda: status_of(robot).get("dropped.malformed_command") == "1")
+    assert holds_within(lambda: status_of(robot).get("dropped.malformed_command") == "1")
     assert not robot.module.driver.sent
 
 
@@ -123,7 +125,6 @@ def test_damaged_command_is_counted_and_moves_nothing(
 def test_robot_whose_clock_is_wrong_takes_no_commands_until_it_is_right(
     world: Any,
     robot: Any,
-    wait_until: Callable[..., bool],
     status_of: Any,
     monkeypatch: pytest.MonkeyPatch,
     jump_s: float,
@@ -144,21 +145,21 @@ def test_robot_whose_clock_is_wrong_takes_no_commands_until_it_is_right(
     with monkeypatch.context() as patch:
         patch.setattr(robot_module, "time", Shifted)
         publisher.publish(command(0.1))
-        assert wait_until(lambda: status_of(robot).get(f"dropped.{word}") == "1")
+        assert holds_within(lambda: status_of(robot).get(f"dropped.{word}") == "1")
     assert not robot.module.driver.sent
     publisher.publish(command(0.2))
-    assert wait_until(lambda: robot.module.driver.position[0] == 0.2)
+    assert holds_within(lambda: robot.module.driver.position[0] == 0.2)
 
 
 def test_emergency_stop_holds_the_driver_and_refuses_commands(
-    world: Any, robot: Any, wait_until: Callable[..., bool], status_of: Any
+    world: Any, robot: Any, status_of: Any
 ) -> None:
     publisher = world.publisher(JointTrajectory, "joint_trajectory")
     world.node.create_publisher(Bool, "emergency_stop", LATCHED).publish(Bool(data=True))
     driver = robot.module.driver
-    assert wait_until(lambda: driver.holds == 1)
+    assert holds_within(lambda: driver.holds == 1)
     publisher.publish(command(0.1))
-    assert wait_until(lambda: status_of(robot).get("dropped.emergency_stop") == "1")
+    assert holds_within(lambda: status_of(robot).get("dropped.emergency_stop") == "1")
     assert not driver.sent
 
 
@@ -174,7 +175,7 @@ def long_trajectory(points: int, step_s: float) -> JointTrajectory:
 
 
 def test_a_trajectory_ends_in_a_hold_when_its_server_falls_silent_and_is_not_taken_up_again(
-    world: Any, wait_until: Callable[..., bool], status_of: Any
+    world: Any, status_of: Any
 ) -> None:
     robot = world.start(
         "robot",
@@ -183,7 +184,7 @@ def test_a_trajectory_ends_in_a_hold_when_its_server_falls_silent_and_is_not_tak
     driver = robot.module.driver
     publisher = world.publisher(JointTrajectory, "joint_trajectory")
     publisher.publish(long_trajectory(3, 0.15))
-    assert wait_until(lambda: len(driver.sent) == 3), (
+    assert holds_within(lambda: len(driver.sent) == 3), (
         "a module without a server has no server to wait for"
     )
     for silences in (1, 2):
@@ -191,18 +192,18 @@ def test_a_trajectory_ends_in_a_hold_when_its_server_falls_silent_and_is_not_tak
             world.permit(robot)
         robot.note_beat()
         sent, holds = len(driver.sent), driver.holds
-        assert wait_until(lambda: not robot.module._is_server_silent)
+        assert holds_within(lambda: not robot.module._is_server_silent)
         publisher.publish(long_trajectory(40, 0.1))
-        assert wait_until(lambda holds=holds: driver.holds == holds + 1, 2.0), (
+        assert holds_within(lambda holds=holds: driver.holds == holds + 1, 2.0), (
             "held though the trajectory lasts 4 s"
         )
         played = len(driver.sent)
         assert sent < played < sent + 20
         publisher.publish(command(0.9))
-        assert wait_until(
+        assert holds_within(
             lambda n=silences: int(status_of(robot)["dropped.server_silent"]) == 2 * n
         )
-        assert not wait_until(lambda played=played: len(driver.sent) > played, 0.3)
+        assert not holds_within(lambda played=played: len(driver.sent) > played, 0.3)
         assert "no sign of life of the server" in status_of(robot)["note"]
 
     def refuses() -> bool:
@@ -211,18 +212,17 @@ def test_a_trajectory_ends_in_a_hold_when_its_server_falls_silent_and_is_not_tak
         return "dropped.needs_new_start" in status_of(robot)
 
     played = len(driver.sent)
-    assert wait_until(refuses)
+    assert holds_within(refuses)
     assert len(driver.sent) == played, "a server that lives again starts nothing"
     world.permit(robot)
     robot.note_beat()
     publisher.publish(command(0.5))
-    assert wait_until(lambda: driver.position[0] == 0.5)
+    assert holds_within(lambda: driver.position[0] == 0.5)
 
 
 def test_a_fault_of_the_robot_ends_what_was_asked_for_even_when_it_heals(
     world: Any,
     robot: Any,
-    wait_until: Callable[..., bool],
     status_of: Any,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -230,18 +230,16 @@ def test_a_fault_of_the_robot_ends_what_was_asked_for_even_when_it_heals(
     read = driver.read
     monkeypatch.setattr(driver, "read", lambda: replace(read(), detail={"fault": fault[0]}))
     publisher = world.publisher(JointTrajectory, "joint_trajectory")
-    assert wait_until(lambda: "reflex" in status_of(robot).get("needs_start", ""))
+    assert holds_within(lambda: "reflex" in status_of(robot).get("needs_start", ""))
     fault[0] = ""
     publisher.publish(command(0.5))
-    assert wait_until(lambda: status_of(robot).get("dropped.needs_new_start") == "1")
+    assert holds_within(lambda: status_of(robot).get("dropped.needs_new_start") == "1")
     world.permit(robot)
     publisher.publish(command(0.5))
-    assert wait_until(lambda: driver.position[0] == 0.5)
+    assert holds_within(lambda: driver.position[0] == 0.5)
 
 
-def test_a_driver_s_own_topics_are_closed_while_the_server_is_silent(
-    world: Any, wait_until: Callable[..., bool]
-) -> None:
+def test_a_driver_s_own_topics_are_closed_while_the_server_is_silent(world: Any) -> None:
     """A mobile base takes its velocities from a topic of its own."""
     robot = world.start("robot", replace={"command_timeout_s = 0.3": "server_timeout_s = 0.2"})
     heard: list[bool] = []
@@ -252,18 +250,17 @@ def test_a_driver_s_own_topics_are_closed_while_the_server_is_silent(
     )
     publisher = world.publisher(Bool, "cmd")
     publisher.publish(Bool(data=True))
-    assert wait_until(lambda: heard == [True])
+    assert holds_within(lambda: heard == [True])
     robot.note_beat()
-    assert wait_until(lambda: robot.module.driver.holds == 1)
+    assert holds_within(lambda: robot.module.driver.holds == 1)
     publisher.publish(Bool(data=True))
-    assert not wait_until(lambda: len(heard) > 1, 0.3)
+    assert not holds_within(lambda: len(heard) > 1, 0.3)
 
 
 @pytest.mark.parametrize("cause", ["stop", "silence"])
 def test_a_command_that_was_taken_before_a_stop_does_not_outlive_it(
     world: Any,
     robot: Any,
-    wait_until: Callable[..., bool],
     monkeypatch: pytest.MonkeyPatch,
     cause: str,
 ) -> None:
@@ -287,14 +284,13 @@ def test_a_command_that_was_taken_before_a_stop_does_not_outlive_it(
     monkeypatch.setattr(robot, "_check_stop", lambda: None)
     robot.server_silence_s = lambda: 1e9 * robot.module._is_server_silent
     world.publisher(JointTrajectory, "joint_trajectory").publish(command(0.5, 5.0))
-    assert wait_until(lambda: "send" in events)
-    assert wait_until(lambda: events[-1] == "hold", 1.0), events
+    assert holds_within(lambda: "send" in events)
+    assert holds_within(lambda: events[-1] == "hold", 1.0), events
 
 
 def test_a_trajectory_that_was_frozen_is_not_taken_up_again(
     world: Any,
     robot: Any,
-    wait_until: Callable[..., bool],
     status_of: Any,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -307,15 +303,15 @@ def test_a_trajectory_that_was_frozen_is_not_taken_up_again(
 
     publisher = world.publisher(JointTrajectory, "joint_trajectory")
     publisher.publish(long_trajectory(5, 0.05))
-    assert wait_until(lambda: len(driver.sent) == 5), "without it the whole trajectory is played"
+    assert holds_within(lambda: len(driver.sent) == 5), "without it the whole trajectory is played"
     monkeypatch.setattr(driver, "send", frozen)
     publisher.publish(long_trajectory(5, 0.05))
-    assert wait_until(lambda: driver.holds == 1, 2.0)
+    assert holds_within(lambda: driver.holds == 1, 2.0)
     assert len(driver.sent) == 6
     assert int(status_of(robot)["dropped.stale_command"]) == 1
     monkeypatch.undo()
     publisher.publish(command(0.5))
-    assert wait_until(lambda: driver.position[0] == 0.5)
+    assert holds_within(lambda: driver.position[0] == 0.5)
     assert len(driver.sent) == 7
 
 
@@ -334,12 +330,10 @@ def test_unknown_robot_or_driver_names_the_choices(world: Any) -> None:
         assert says in node.status.to_message().message
 
 
-def test_images_carry_capture_time_frame_and_encoding(
-    world: Any, wait_until: Callable[..., bool]
-) -> None:
+def test_images_carry_capture_time_frame_and_encoding(world: Any) -> None:
     received = world.listen(Image, "camera/front/image")
     world.start("perception")
-    assert wait_until(lambda: len(received) > 2)
+    assert holds_within(lambda: len(received) > 2)
     image = received[-1]
     assert (image.encoding, image.width, image.height, image.step) == ("rgb8", 8, 6, 24)
     assert image.header.frame_id == "optical"
@@ -347,11 +341,11 @@ def test_images_carry_capture_time_frame_and_encoding(
 
 
 def test_camera_that_never_delivers_is_an_error_that_says_what_to_do(
-    world: Any, wait_until: Callable[..., bool], status_of: Any
+    world: Any, status_of: Any
 ) -> None:
     node = world.start("perception", replace={'source = "noise"': 'source = "silent"'})
     assert status_of(node)["waiting_for"] == "the first image of camera 'front'"
-    assert wait_until(lambda: status_of(node)["error_code"] == "not_ready", 6.0)
+    assert holds_within(lambda: status_of(node)["error_code"] == "not_ready", 6.0)
     assert status_of(node)["message"] == "The camera does not deliver. Is it plugged in?"
     assert status_of(node)["ready"] == "false"
 

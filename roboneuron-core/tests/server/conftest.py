@@ -14,10 +14,8 @@ import pytest
 from rn_testing.domain import free_ros_domain
 from rn_testing.fakes import fake_registry
 from rn_testing.fakes.site import PluginSite
-from rn_testing.fakes.wheels import Wheels
 from roboneuron.config import parse_config
 from roboneuron.plugins.specs import BackendSpec
-from roboneuron.ros.environment import prepare_environment
 from roboneuron.server.app import Application
 from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.supervisor.supervisor import Supervisor
@@ -93,11 +91,3 @@ def serve_command(tmp_path: Path) -> Callable[..., list[str]]:
         ]
 
     return make
-
-
-@pytest.fixture
-def wheels(server_environment: dict[str, str], tmp_path: Path) -> Iterator[Wheels]:
-    prepare_environment(tmp_path / "ros")
-    subscriber = Wheels(int(server_environment["ROS_DOMAIN_ID"]))
-    yield subscriber
-    subscriber.close()

@@ -9,7 +9,6 @@ import os
 import random
 import re
 import subprocess
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -18,6 +17,8 @@ from typing import Any
 
 import psutil
 import pytest
+
+from rn_testing.waiting import wait_until
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(1200)]
 AXES = ", ".join(
@@ -286,10 +287,7 @@ def throw(wire: Wire, wheels: Any, calls: int) -> None:
         {"name": "publish_velocity", "arguments": {"message": TWIST, "duration_s": 0.1}},
     )
     assert not answer["result"].get("isError"), answer
-    deadline_s = time.monotonic() + 5
-    while len(wheels.speeds) < 2:
-        assert time.monotonic() < deadline_s
-        threading.Event().wait(0.01)
+    wait_until(lambda: len(wheels.speeds) >= 2, 5)
     assert wheels.speeds == [0.1, 0.0]
     with suppress(BrokenPipeError):
         assert wire.process.stdin is not None

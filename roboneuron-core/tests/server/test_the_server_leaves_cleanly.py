@@ -8,13 +8,14 @@ import json
 import os
 import signal
 import subprocess
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Any
 
 import pytest
+
+from rn_testing.waiting import wait_until
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(180)]
 ServeCommand = Callable[..., list[str]]
@@ -97,13 +98,6 @@ def is_gone(pid: int) -> bool:
         return True
 
 
-def wait_until(fact: Callable[[], bool], timeout_s: float, what: str) -> None:
-    deadline_s = time.monotonic() + timeout_s
-    while not fact():
-        assert time.monotonic() < deadline_s, f"not within {timeout_s} s: {what}"
-        threading.Event().wait(0.02)
-
-
 @pytest.mark.parametrize(
     ("end", "is_frozen"),
     [
@@ -157,7 +151,7 @@ def test_a_client_that_leaves_during_a_start_is_not_waited_for(
         assert "python" not in children.stdout
 
 
-@pytest.mark.parametrize("end", ["stdin", "SIGTERM"])
+@pytest.mark.parametrize("end", ["stdin", pytest.param("SIGTERM", marks=pytest.mark.slow)])
 def test_what_hangs_on_the_way_out_keeps_neither_modules_nor_the_server(
     serve_command: ServeCommand, server_environment: dict[str, str], end: str
 ) -> None:

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from rn_testing.waiting import wait_until
 from roboneuron.config import Config
 from roboneuron.errors import NotReadyError, StateError
 from roboneuron.supervisor import bringup
@@ -23,13 +24,6 @@ pytestmark = [pytest.mark.ros, pytest.mark.timeout(60)]
 MakeConfig = Callable[..., Config]
 PATIENCE_S = 15.0
 """Two seconds on an idle machine; the bound only has to tell a slow end from a hang."""
-
-
-def wait_until(fact: Callable[[], bool], timeout_s: float, what: str) -> None:
-    deadline_s = time.monotonic() + timeout_s
-    while not fact():
-        assert time.monotonic() < deadline_s, f"not within {timeout_s} s: {what}"
-        threading.Event().wait(0.02)
 
 
 def is_gone(pid: int) -> bool:

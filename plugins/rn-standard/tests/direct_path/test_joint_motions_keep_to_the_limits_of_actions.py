@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rn_standard.direct_path.gate import Gate
@@ -236,34 +236,35 @@ def test_a_way_that_would_take_too_long_to_judge_is_refused(move: Any) -> None:
         move(*points)
 
 
-@settings(
-    max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
-@given(
-    st.lists(st.tuples(st.floats(-2.9, 2.9), st.floats(-1.9, 1.9)), min_size=1, max_size=3),
-    st.floats(0.002, 0.2),
-)
-def test_nothing_that_passes_meets_a_zone(
-    move: Any, targets: list[tuple[float, float]], thickness: float
-) -> None:
+@pytest.mark.parametrize("count", [30, pytest.param(100, marks=pytest.mark.slow)])
+def test_nothing_that_passes_meets_a_zone(move: Any, count: int) -> None:
     """Against a fine walk along the way, zones of any thickness."""
-    zone = {
-        "name": "box",
-        "lower_m": [0.3, 0.2, 0.0],
-        "upper_m": [0.3 + thickness, 0.2 + thickness, 1.0],
-    }
-    points = [(SLOW_S * (i + 1), list(q)) for i, q in enumerate(targets)]
-    try:
-        move(*points, zones=[zone], max_speed_m_s=3.0, max_turn_rad_s=10.0)
-    except RefusedError:
-        return
-    here = np.array([0.0, 0.5])
-    for target in targets:
-        for s in np.linspace(0.0, 1.0, 2000):
-            x, y, _ = inspect(at(*(here + (np.array(target) - here) * s))).pose.position_m
-            depth = min(x - 0.3, 0.3 + thickness - x, y - 0.2, 0.2 + thickness - y)
-            assert depth < 5e-4  # what a way bends between two postures 2 cm apart
-        here = np.array(target)
+
+    @settings(max_examples=count, deadline=None)
+    @given(
+        st.lists(st.tuples(st.floats(-2.9, 2.9), st.floats(-1.9, 1.9)), min_size=1, max_size=3),
+        st.floats(0.002, 0.2),
+    )
+    def check(targets: list[tuple[float, float]], thickness: float) -> None:
+        zone = {
+            "name": "box",
+            "lower_m": [0.3, 0.2, 0.0],
+            "upper_m": [0.3 + thickness, 0.2 + thickness, 1.0],
+        }
+        points = [(SLOW_S * (i + 1), list(q)) for i, q in enumerate(targets)]
+        try:
+            move(*points, zones=[zone], max_speed_m_s=3.0, max_turn_rad_s=10.0)
+        except RefusedError:
+            return
+        here = np.array([0.0, 0.5])
+        for target in targets:
+            for s in np.linspace(0.0, 1.0, 2000):
+                x, y, _ = inspect(at(*(here + (np.array(target) - here) * s))).pose.position_m
+                depth = min(x - 0.3, 0.3 + thickness - x, y - 0.2, 0.2 + thickness - y)
+                assert depth < 5e-4  # what a way bends between two postures 2 cm apart
+            here = np.array(target)
+
+    check()
 
 
 def test_levers_bound_how_far_the_arm_moves() -> None:

@@ -5,7 +5,6 @@ open.
 from __future__ import annotations
 
 import socket
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ from mcp import Client
 from rn_standard.http.feature import HttpFeature
 from rn_standard.http.plugin import FEATURE
 from rn_testing.fakes import fake_registry
+from rn_testing.waiting import wait_until
 from roboneuron.config import parse_config
 from roboneuron.errors import ConfigurationError
 from roboneuron.server.app import Application
@@ -81,10 +81,7 @@ def test_motion_ends_and_people_are_told_when_the_lease_lapses(
     lease = application.host.feature("http", HttpFeature).lease
     assert lease is not None
     lease.take_over("ann", "operator")
-    deadline_s = time.monotonic() + 30.0
-    while not ended:
-        assert time.monotonic() < deadline_s
-        time.sleep(0.01)
+    wait_until(lambda: bool(ended), 30.0)
     lease.close()  # returns when the lapse is dealt with
     assert faults == ([("inference", "lease")] if is_moving else [])
     assert "The lease of 'ann' has lapsed" in ended[0]

@@ -24,6 +24,7 @@ from rn_standard.http.origins import HostRules
 from rn_standard.http.peers import peer_process
 from rn_standard.http.server import listen, make_server
 from rn_standard.http.tokens import TokenTable
+from rn_testing.waiting import wait_until
 from roboneuron.errors import StateError
 from roboneuron.server.access import Holder
 from roboneuron.server.app import Application
@@ -99,10 +100,7 @@ def serving(
             target=lambda: asyncio.run(server.serve(sockets=[listener])), daemon=True
         )
         thread.start()
-        deadline_s = time.monotonic() + 30
-        while not server.started:
-            assert time.monotonic() < deadline_s
-            time.sleep(0.01)
+        wait_until(lambda: server.started, 30)
         try:
             yield Server(listener.getsockname()[1])
         finally:
@@ -309,10 +307,7 @@ def test_a_repeated_id_is_refused_and_the_first_call_can_be_cancelled(
         )
         assert sent.status_code == 202
         assert cancelled.wait(30)
-    deadline_s = time.monotonic() + 30
-    while "error" in (answer := server.call(session, again, "get_status")):
-        assert time.monotonic() < deadline_s, answer
-        time.sleep(0.02)
+    wait_until(lambda: "error" not in server.call(session, again, "get_status"), 30)
 
 
 def test_a_page_that_is_allowed_may_read_the_answers(server: Server) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import threading
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -12,6 +11,7 @@ import pytest
 
 from rn_standard.ops.options import OpsOptions
 from rn_standard.ops.restarts import Restarts
+from rn_testing.waiting import wait_until
 from roboneuron.config import Config
 from roboneuron.modules.settings import ModuleKind
 from roboneuron.supervisor.health import Watch
@@ -42,17 +42,6 @@ def make_restarts(supervisor: Supervisor) -> Iterator[Make]:
     yield make
     for end in ended:
         end()
-
-
-def wait_until(fact: Callable[[], bool], timeout_s: float, what: str) -> None:
-    deadline = threading.Event()
-    timer = threading.Timer(timeout_s, deadline.set)
-    timer.start()
-    try:
-        while not fact():
-            assert not deadline.wait(0.02), f"not within {timeout_s} s: {what}"
-    finally:
-        timer.cancel()
 
 
 def pid_of(supervisor: Supervisor, kind: ModuleKind) -> int:

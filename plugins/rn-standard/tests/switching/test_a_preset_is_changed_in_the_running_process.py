@@ -9,7 +9,7 @@ import signal
 import statistics
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 
@@ -30,6 +30,8 @@ sys.path.insert(0, str(Path(__file__).parents[4] / "benchmarks"))
 from plugin_site import installed
 from preset_plugin import MODEL_BYTES, SHARES, STEP_S
 from switch_loop import Witness, quiet
+
+from rn_testing.waiting import wait_until
 
 sys.path.pop(0)
 
@@ -82,7 +84,7 @@ def cell(built: tuple[Switching, Witness]) -> tuple[Switching, Witness]:
     switching, witness = built
     if inference(switching).report.metrics["acceleration"]:  # type: ignore[union-attr]
         switch(switching, None)
-    wait_until(lambda: share(switching) == 1.0, "the whole model is executed")
+    wait_until(lambda: share(switching) == 1.0, what="the whole model is executed")
     witness.forget()
     return built
 
@@ -103,13 +105,6 @@ def share(switching: Switching) -> float:
 
 def switch(switching: Switching, name: str | None) -> Switched:
     return switching.switch("inference", StartInference(acceleration=name), "warm", quiet)
-
-
-def wait_until(fact: Callable[[], bool], what: str, timeout_s: float = 20.0) -> None:
-    deadline_s = time.monotonic() + timeout_s
-    while not fact():
-        assert time.monotonic() < deadline_s, f"not within {timeout_s} s: {what}"
-        time.sleep(0.01)
 
 
 def late_rows(witness: Witness, since_ns: int) -> tuple[int, int]:
@@ -148,7 +143,7 @@ def test_50_changes_during_motion_cost_no_period_and_no_reload(
         assert told["backend.loads"] == "1"
     wait_until(
         lambda: share(switching) == SHARES.get(NAMES[(CHANGES - 1) % len(NAMES)] or "", 1.0),
-        "the last preset",
+        what="the last preset",
     )
     late, rows = late_rows(witness, changing_ns)
     # A loaded machine starves rows now and then, with changes and without them.
@@ -225,11 +220,14 @@ def test_a_restart_after_a_crash_uses_the_new_preset(cell: tuple[Switching, Witn
     assert process is not None
     os.kill(process.pid, signal.SIGKILL)
     wait_until(
-        lambda: supervisor.view("inference").phase == "exited", "the end of the process is noticed"
+        lambda: supervisor.view("inference").phase == "exited",
+        what="the end of the process is noticed",
     )
     choice = supervisor.view("inference").choice
     assert choice is not None
     # What a restart does: see rn_standard.ops.restarts.
     supervisor.start("inference", choice.settings.config, names=choice.names, plan=choice.plan)
-    wait_until(lambda: share(switching) == SHARES["quarter"], "the new preset after the restart")
+    wait_until(
+        lambda: share(switching) == SHARES["quarter"], what="the new preset after the restart"
+    )
     assert report(switching).metrics["acceleration"] == "quarter"

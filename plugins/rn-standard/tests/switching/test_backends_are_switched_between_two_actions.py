@@ -19,16 +19,11 @@ from roboneuron.errors import NotReadyError, RefusedError, RoboNeuronError, Stat
 sys.path.insert(0, str(Path(__file__).parents[4] / "benchmarks"))
 from switch_loop import Sent, Witness, moving_loop, quiet
 
+from rn_testing.waiting import wait_until
+
 sys.path.pop(0)
 
 pytestmark = [pytest.mark.ros, pytest.mark.timing, pytest.mark.timeout(150)]
-
-
-def wait_until(fact: Callable[[], bool], timeout_s: float, what: str) -> None:
-    deadline_s = time.monotonic() + timeout_s
-    while not fact():
-        assert time.monotonic() < deadline_s, f"not within {timeout_s} s: {what}"
-        time.sleep(0.01)
 
 
 def change_overs(actions: list[Sent]) -> list[tuple[Sent, Sent]]:

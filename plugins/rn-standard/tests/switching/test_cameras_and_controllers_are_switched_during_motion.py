@@ -8,7 +8,6 @@ import os
 import re
 import signal
 import sys
-import time
 from collections.abc import Callable, Iterator
 from itertools import pairwise
 from pathlib import Path
@@ -32,6 +31,8 @@ from roboneuron.server.loop import ClosedLoop
 sys.path.insert(0, str(Path(__file__).parents[4] / "benchmarks"))
 from switch_loop import Witness, moving_loop, quiet
 
+from rn_testing.waiting import wait_until
+
 sys.path.pop(0)
 
 pytestmark = [pytest.mark.ros, pytest.mark.timing, pytest.mark.timeout(150)]
@@ -51,13 +52,6 @@ def cell(built: tuple[Switching, Witness]) -> tuple[Switching, Witness]:
     """
     built[1].forget()
     return built
-
-
-def wait_until(fact: Callable[[], bool], timeout_s: float, what: str) -> None:
-    deadline_s = time.monotonic() + timeout_s
-    while not fact():
-        assert time.monotonic() < deadline_s, f"not within {timeout_s} s: {what}"
-        time.sleep(0.01)
 
 
 def refused(

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import json
 import sys
-import time
 from argparse import ArgumentParser
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -22,6 +21,7 @@ from rn_standard.tools_arm.limits_feature import LimitsFeature
 from rn_standard.tools_arm.plugin import LIMITS
 from rn_standard.tools_arm.tightening import FILE_NAME
 from rn_testing.fakes import fake_registry
+from rn_testing.waiting import wait_until
 from roboneuron.config import parse_config
 from roboneuron.errors import ConfigurationError, InvalidInputError, RefusedError
 from roboneuron.server.app import Application
@@ -161,10 +161,8 @@ def test_a_person_in_a_terminal_is_asked_and_a_running_server_notices(
     monkeypatch.setattr(sys.stdin, "isatty", lambda: True, raising=False)
     monkeypatch.setattr("builtins.input", lambda prompt: answer)
     assert command(tmp_path, "--loosen") == status
-    deadline_s = time.monotonic() + 10.0
-    while status == 0 and application.supervisor.tightened is not None:
-        assert time.monotonic() < deadline_s
-        time.sleep(0.02)
+    if status == 0:
+        wait_until(lambda: application.supervisor.tightened is None, 10.0)
     assert (application.supervisor.tightened is None) == (status == 0)
 
 

@@ -22,6 +22,7 @@ from rn_standard.tools_arm.plugin import FEATURE as ARM_FEATURE
 from rn_standard.tools_ros.plugin import FEATURE
 from rn_testing.domain import free_ros_domain
 from rn_testing.fakes import fake_registry
+from rn_testing.waiting import holds_within
 from roboneuron.config import parse_config
 from roboneuron.plugins.registry import Registry
 from roboneuron.ros.environment import prepare_environment
@@ -108,16 +109,6 @@ topic = "robot_node"
 parameters = ["label", "nothing"]
 bounds = { "gain" = [0, 10] }
 """
-
-
-def wait_until(condition: Callable[[], bool], timeout_s: float = 5.0) -> bool:
-    """Poll a condition; True as soon as it holds."""
-    end_s = time.monotonic() + timeout_s
-    while time.monotonic() < end_s:
-        if condition():
-            return True
-        time.sleep(0.002)
-    return condition()
 
 
 class Rover:
@@ -309,7 +300,7 @@ def rover(_domain: None) -> Iterator[Rover]:
 def ask(application: Application, rover: Rover) -> Callable[..., None]:
     """Run a scenario with a client while the robot is there and the server has discovered it."""
     node = application.supervisor.link.node
-    assert wait_until(
+    assert holds_within(
         lambda: ("robot_node", "/rover") in node.get_node_names_and_namespaces(), 10.0
     )
     return lambda scenario, mode="auto": run_agent(application, scenario, mode)

@@ -6,33 +6,26 @@ from __future__ import annotations
 
 import base64
 import threading
-import time
 from collections.abc import Callable
 from typing import Any
 
 import pytest
 from mcp import types
 
+from rn_testing.waiting import holds_within
 from roboneuron.server.app import Application
 
 pytestmark = [pytest.mark.ros, pytest.mark.timing, pytest.mark.timeout(60)]
 Ask = Callable[[Callable[[Any], Any]], None]
 
 
-def until(condition: Callable[[], bool]) -> bool:
-    end_s = time.monotonic() + 5.0
-    while not condition() and time.monotonic() < end_s:
-        time.sleep(0.005)
-    return condition()
-
-
 def test_a_message_arrives_exactly_and_the_answer_says_to_how_many(ask: Ask, rover: Any) -> None:
     async def scenario(agent: Any) -> None:
         first = await agent.do("publish_speech", message={"data": "hello é"})
         assert (first["sent"], first["subscribers"], first["topic"]) == (1, 1, "/rover/say")
-        assert until(lambda: [m.data for m in rover.on("say")] == ["hello é"])
+        assert holds_within(lambda: [m.data for m in rover.on("say")] == ["hello é"])
         await agent.do("publish_speech", message={"data": "again"})
-        assert until(lambda: [m.data for m in rover.on("say")] == ["hello é", "again"])
+        assert holds_within(lambda: [m.data for m in rover.on("say")] == ["hello é", "again"])
 
     ask(scenario)
 
@@ -42,7 +35,7 @@ def test_a_latching_subscription_is_matched_by_its_own_quality_of_service(
 ) -> None:
     async def scenario(agent: Any) -> None:
         assert (await agent.do("publish_latched", message={"data": 7}))["subscribers"] == 1
-        assert until(lambda: [m.data for m in rover.on("mode")] == [7])
+        assert holds_within(lambda: [m.data for m in rover.on("mode")] == [7])
 
     ask(scenario)
 
@@ -54,7 +47,7 @@ def test_a_velocity_lasts_is_repeated_and_ends_in_zero(ask: Ask, rover: Any) -> 
         )
         assert result["stopped"]
         assert 0.3 <= result["duration_s"] < 0.5
-        assert until(lambda: len(rover.on("cmd_vel")) == result["sent"])
+        assert holds_within(lambda: len(rover.on("cmd_vel")) == result["sent"])
         speeds = [m.linear.x for m in rover.on("cmd_vel")]
         assert speeds[-1] == 0.0
         assert set(speeds[:-1]) == {0.25}
@@ -62,7 +55,7 @@ def test_a_velocity_lasts_is_repeated_and_ends_in_zero(ask: Ask, rover: Any) -> 
         await agent.do(
             "publish_velocity", robot="second", message={"linear": {"x": 0.1}}, duration_s=0.1
         )
-        assert until(lambda: rover.on("/second/cmd_vel")[-1].linear.x == 0.0)
+        assert holds_within(lambda: rover.on("/second/cmd_vel")[-1].linear.x == 0.0)
         assert rover.on("/second/cmd_vel")[0].linear.x == 0.1
 
     ask(scenario)
@@ -85,7 +78,7 @@ def test_limits_are_those_of_the_robot_that_is_chosen(ask: Ask, rover: Any) -> N
             "publish_velocity", robot="rover", message={"angular": {"z": 5}}, duration_s=0.1
         )
         assert clamped["clamped"] == [{"path": "angular.z", "asked": 5.0, "sent": 1.0}]
-        assert until(lambda: rover.on("cmd_vel")[0].angular.z == 1.0)
+        assert holds_within(lambda: rover.on("cmd_vel")[0].angular.z == 1.0)
         assert not rover.on("/second/cmd_vel")
 
     ask(scenario)
@@ -173,7 +166,7 @@ def test_a_best_effort_and_a_latched_publisher_are_both_heard(
         assert (await agent.do("read_battery"))["messages"][0]["voltage"] == 2.0
         # Whoever publishes at the same time decides for no longer than it is there.
         other = rover.node.create_publisher(BatteryState, "battery", QoSProfile(depth=1))
-        assert until(
+        assert holds_within(
             lambda: application.supervisor.link.node.count_publishers("/rover/battery") == 2
         )
         threading.Timer(0.5, rover.node.destroy_publisher, [other]).start()
@@ -298,7 +291,7 @@ def test_a_topic_of_another_type_is_named(ask: Ask, rover: Any, application: App
 
     async def scenario(agent: Any) -> None:
         rover.node.create_subscription(Bool, "nobody", lambda message: None, 1)
-        assert until(
+        assert holds_within(
             lambda: application.supervisor.link.node.count_subscribers("/rover/nobody") == 1
         )
         code, text = await agent.fail("publish_lonely", message={})

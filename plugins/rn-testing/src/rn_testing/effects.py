@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from rn_testing.rule import NotApplicable, Violation
+from rn_testing.waiting import holds_within
 from roboneuron import RoboNeuronError
 
 T = TypeVar("T")
@@ -188,16 +189,6 @@ def within(limit_s: float, action: Callable[[], T], what: str) -> T:
     return outcome[0]
 
 
-def wait_until(condition: Callable[[], bool], limit_s: float) -> bool:
-    """Poll until `condition` holds or `limit_s` is over; returns whether it holds."""
-    deadline_s = time.monotonic() + limit_s
-    while not condition():
-        if time.monotonic() > deadline_s:
-            return False
-        time.sleep(0.005)
-    return True
-
-
 def running() -> frozenset[str]:
     """Names of what a closed plugin must not leave behind: Python threads and child processes
     of this process.
@@ -239,7 +230,7 @@ def check_releases(run: Callable[[], object], what: str) -> None:
         files = open_files()
         kept = run()
         check_released(before, what)
-        if wait_until(lambda files=files: open_files() <= files, RELEASE_S):  # type: ignore[misc]
+        if holds_within(lambda files=files: open_files() <= files, RELEASE_S):  # type: ignore[misc]
             return
         left = sorted(open_files() - files)
         if trial:
@@ -251,7 +242,7 @@ def check_released(before: frozenset[str], what: str) -> None:
     """Raise Violation when threads or child processes that were not `before` are still there
     after RELEASE_S.
     """
-    if not wait_until(lambda: running() <= before, RELEASE_S):
+    if not holds_within(lambda: running() <= before, RELEASE_S):
         raise Violation(f"{what} leaves behind: {', '.join(sorted(running() - before))}")
 
 

@@ -229,7 +229,7 @@ def written_to(self: Any, call: Callable[..., object], *arguments: object) -> ob
 
 
 def slowly(self: Any, call: Callable[..., object], *arguments: object, **named: object) -> None:
-    time.sleep(1.2)
+    time.sleep(0.4)
     call(*arguments, **named)
 
 
@@ -296,7 +296,7 @@ MUTANTS: dict[str, Mutant] = {
     "driver_opens_a_file_with_every_read": of_a_handle("driver", "memory-bounded", "read"),
     "driver_opens_a_file_with_every_send": of_a_handle("driver", "close-releases", "send"),
     **{
-        f"{kind}_constructor_takes_a_second": Mutant(
+        f"{kind}_constructor_sleeps": Mutant(
             rule=f"{kind}/constructor-pure", words="takes", target=mutate(base, __init__=slowly)
         )
         for kind, (base, _, _) in BASES.items()

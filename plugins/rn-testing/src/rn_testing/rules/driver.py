@@ -13,11 +13,12 @@ import numpy as np
 
 from rn_testing.attempts import attempt
 from rn_testing.cases import RobotCase
-from rn_testing.effects import check_quick, expect_refusal, wait_until
+from rn_testing.effects import check_quick, expect_refusal
 from rn_testing.fakes import MemoryTopics
 from rn_testing.lifecycle import Lifecycle, started
 from rn_testing.rule import NotApplicable, Rule, Violation, require
 from rn_testing.rules.perception import FUTURE_S, PAST_S, ros_clock
+from rn_testing.waiting import holds_within
 from roboneuron import (
     InvalidInputError,
     JointCommand,
@@ -62,7 +63,8 @@ def read_state(case: RobotCase, driver: RobotDriver) -> RobotState:
         return len(state.joints.names) > 0
 
     require(
-        wait_until(has_state, case.settle_s), f"no joint state within {case.settle_s:g} s of open()"
+        holds_within(has_state, case.settle_s),
+        f"no joint state within {case.settle_s:g} s of open()",
     )
     return found[0]
 
@@ -233,7 +235,7 @@ def _check_bad_command(case: RobotCase) -> None:
         }
         for name, command in bad.items():
             expect_refusal(lambda c=command: driver.send(c), f"send of {name}", InvalidInputError)  # type: ignore[misc]
-        wait_until(lambda: False, 0.2)
+        holds_within(lambda: False, 0.2)
         moved = float(np.abs(arm_position(case, driver) - position).max())
     require(moved <= case.tolerance, f"after refused commands a joint has moved by {moved:.4f}")
 

@@ -11,7 +11,6 @@ from dataclasses import replace
 import numpy as np
 
 from rn_testing.cases import RobotCase
-from rn_testing.effects import wait_until
 from rn_testing.rule import NotApplicable, Rule, Violation, require
 from rn_testing.rules.driver import (
     arm_command,
@@ -22,6 +21,7 @@ from rn_testing.rules.driver import (
     read_state,
 )
 from rn_testing.rules.perception import ros_clock
+from rn_testing.waiting import holds_within
 from roboneuron import JointCommand, RoboNeuronError, RobotDriver
 from roboneuron.feature import F64
 
@@ -87,7 +87,7 @@ def _check_arrival(
     case: RobotCase, driver: RobotDriver, goal: F64, sent: JointCommand, what: str
 ) -> None:
     limit_s = case.settle_s + sent.duration_s
-    arrived = wait_until(
+    arrived = holds_within(
         lambda: bool(np.abs(arm_position(case, driver) - goal).max() <= case.tolerance), limit_s
     )
     error = float(np.abs(arm_position(case, driver) - goal).max())
@@ -179,7 +179,7 @@ def _check_gripper(case: RobotCase) -> None:
                 measured = read_state(case, driver).gripper_open
                 return measured is not None and abs(measured - wanted) <= OPENING_TOLERANCE
 
-            arrived = wait_until(is_there, case.settle_s)
+            arrived = holds_within(is_there, case.settle_s)
             measured = read_state(case, driver).gripper_open
             require(arrived, f"sent to an opening of {opening:g}, the gripper is at {measured}")
 
@@ -205,13 +205,13 @@ def _check_hold(case: RobotCase) -> None:
         with suppress(RoboNeuronError):
             driver.send(arm_command(case, goal, duration_s))
             # away from where it stood
-            wait_until(lambda: _moved(case, driver, start) >= case.step, case.settle_s)
+            holds_within(lambda: _moved(case, driver, start) >= case.step, case.settle_s)
         before, opening = arm_position(case, driver), read_state(case, driver).gripper_open
         driver.hold()
-        wait_until(lambda: False, HOLD_S)  # braking takes a moment
+        holds_within(lambda: False, HOLD_S)  # braking takes a moment
         held = [arm_position(case, driver)]
         for _ in range(3):
-            wait_until(lambda: False, HOLD_S / 2)
+            holds_within(lambda: False, HOLD_S / 2)
             held.append(arm_position(case, driver))
         held_opening = read_state(case, driver).gripper_open
     if opening is not None and held_opening is not None:
@@ -249,7 +249,7 @@ def _check_open_still(case: RobotCase) -> None:
     arm_limits(case)
     with opened(case) as driver:
         start = arm_position(case, driver)
-        wait_until(lambda: False, HOLD_S)
+        holds_within(lambda: False, HOLD_S)
         moved = _moved(case, driver, start)
     require(
         moved <= case.tolerance,
@@ -277,7 +277,7 @@ def _velocity_samples(case: RobotCase, driver: RobotDriver, duration_s: float) -
             )
         return False
 
-    wait_until(look, duration_s)
+    holds_within(look, duration_s)
     return np.array([found[stamp] for stamp in sorted(found)]).reshape(-1, 3)
 
 
@@ -306,7 +306,7 @@ def _check_velocity(case: RobotCase) -> None:
 
 def _stands(case: RobotCase, driver: RobotDriver) -> bool:
     before = arm_position(case, driver)
-    wait_until(lambda: False, 0.05)
+    holds_within(lambda: False, 0.05)
     return _moved(case, driver, before) < 0.05 * case.step
 
 
@@ -315,19 +315,19 @@ def _check_fresh(case: RobotCase) -> None:
     delays_s: list[float] = []
     with opened(case) as driver:
         for _ in range(STARTS):
-            wait_until(lambda: _stands(case, driver), case.settle_s)
+            holds_within(lambda: _stands(case, driver), case.settle_s)
             start = arm_position(case, driver)
             goal = _shifted(case, start, 2)
             begun_ns = ros_clock()
             sent = driver.send(arm_command(case, goal, 0.2))
-            wait_until(lambda s=start: _moved(case, driver, s) > 0.2 * case.step, case.settle_s)  # type: ignore[misc]
+            holds_within(lambda s=start: _moved(case, driver, s) > 0.2 * case.step, case.settle_s)  # type: ignore[misc]
             late_s = (
                 read_state(case, driver).joints.stamp_ns - begun_ns
             ) / 1e9 - 0.5 * sent.duration_s
             delays_s.append(late_s)
             if late_s <= STALE_S:
                 return
-            wait_until(lambda g=goal: _moved(case, driver, g) <= case.tolerance, case.settle_s)  # type: ignore[misc]
+            holds_within(lambda g=goal: _moved(case, driver, g) <= case.tolerance, case.settle_s)  # type: ignore[misc]
     told = f"by the stamps of its states every motion begins {min(delays_s):.2f} s late or later"
     raise Violation(f"{told}; a state is stamped when it was measured")
 

@@ -1,0 +1,38 @@
+"""Bounded waits for conditions, for tests: a wait ends as soon as its condition holds."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+
+def holds_within(
+    condition: Callable[[], object], timeout_s: float = 20.0, *, poll_s: float = 0.005
+) -> bool:
+    """Whether `condition` returns something true before `timeout_s` is over; returns as soon as
+    it does.
+    """
+    deadline_s = time.monotonic() + timeout_s
+    while not condition():
+        if time.monotonic() > deadline_s:
+            return False
+        time.sleep(poll_s)
+    return True
+
+
+def wait_until(
+    condition: Callable[[], object],
+    timeout_s: float = 20.0,
+    what: str = "the condition",
+    *,
+    poll_s: float = 0.01,
+) -> float:
+    """Wait until `condition` returns something true; returns how long that took [s].
+
+    Raises:
+        AssertionError: it did not within `timeout_s`; the text says `what` was waited for.
+    """
+    begun_s = time.monotonic()
+    if not holds_within(condition, timeout_s, poll_s=poll_s):
+        raise AssertionError(f"not within {timeout_s:g} s: {what}")
+    return time.monotonic() - begun_s
