@@ -1,15 +1,13 @@
 """Mutation tests of the code that keeps a robot safe: does a test notice when one operation of it
 changes?
 
-    make test-mutations                                  # every part; goes on where it was
-    make test-mutations ARGS="gate --only estop"         # mutants with "estop" in their names,
-    tried again make test-mutations ARGS="direct-path --list"        # what is known so far, with
-    the survivors; runs nothing
+    make test-mutations                                 # every part; goes on where it was
+    make test-mutations ARGS="gate --only estop"        # tries those with "estop" in the name again
+    make test-mutations ARGS="direct-path --list"       # what is known, with the survivors
 
 mutmut makes the mutants, picks the tests by what they call and forks for each mutant;
 tools/mutation_operators.py says which mutants count. A mutant is killed by time when it computes
-for 12 s and six times what its tests take otherwise,
-or sleeps for 20 s: a busy machine kills none.
+for 12 s and six times what its tests take otherwise, or sleeps for 20 s: a busy machine kills none.
 Survivors belong into tools/mutation_survivors.toml, each with a reason: `equivalent`, when no test
 could notice it, or `accepted`, which still counts as survived. The lane fails for one that is not
 listed, and for a part below 95 % of the mutants that are not equivalent.
@@ -21,7 +19,6 @@ changes everything that was not killed; `--fresh` tries everything again.
 from __future__ import annotations
 
 import argparse
-import difflib
 import hashlib
 import json
 import os
@@ -36,6 +33,7 @@ from importlib import metadata
 from pathlib import Path
 
 import mutation_operators
+from mutation_identity import describe_change
 from mutmut.mutation.data import MutantLineSpans, SourceFileMutationData
 from mutmut.stats import status_by_exit_code
 
@@ -125,7 +123,8 @@ class Mutant:
     Attributes:
         file: from the package.
         function: its name, with the class.
-        change: the line before and after; numbered when the function has the same change twice.
+        change: the statement before and after, see `describe_change`; numbered when the function
+            has the same change twice.
         status: of mutmut: "killed", "timeout", "survived", "no tests", "not checked" and others; or
             "not run".
     """
@@ -312,7 +311,7 @@ def _read_mutants(part: Part, work: Path) -> Iterator[Mutant]:
                 after.replace(name, base, 1),
             )
             function = base.removeprefix("x_").removeprefix("xǁ").replace("ǁ", ".")
-            change = _change(before, after)
+            change = describe_change(before, after)
             changes[function, change] += 1
             number = changes[function, change]
             yield Mutant(
@@ -321,14 +320,6 @@ def _read_mutants(part: Part, work: Path) -> Iterator[Mutant]:
                 change=change if number == 1 else f"{change} [{number}]",
                 status="not run" if code == NOT_RUN else status_by_exit_code[code],
             )
-
-
-def _change(before: str, after: str) -> str:
-    """The changed lines of a function, each without its indentation: `before -> after`."""
-    lines = list(difflib.ndiff(before.splitlines(), after.splitlines()))
-    lost = " ".join(line[2:].strip() for line in lines if line.startswith("- "))
-    came = " ".join(line[2:].strip() for line in lines if line.startswith("+ "))
-    return f"{lost} -> {came}"
 
 
 def _report(name: str, mutants: list[Mutant]) -> bool:
