@@ -758,6 +758,15 @@ def test_it_holds_after_three_quarters_of_its_timeout(cell: Cell) -> None:
     assert cell.host.drops() == {"holds": 1}
 
 
+def test_it_holds_after_that_share_and_not_at_its_end(make_host: MakeHost) -> None:
+    """0.1875 s are exact in binary."""
+    cell = Cell(make_host, replace={"action_timeout_s = 0.3": "action_timeout_s = 0.25"})
+    cell.act()
+    cell.go(0.1875)
+    cell.watch()
+    assert cell.code == ""
+
+
 def test_after_a_hold_the_next_command_begins_at_rest_where_the_arm_is(cell: Cell) -> None:
     cell.act()
     cell.position = np.array([0.507, -0.5])

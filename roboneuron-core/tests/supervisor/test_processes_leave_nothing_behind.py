@@ -342,6 +342,22 @@ def test_sigkill_reaches_a_process_that_has_left_its_group(
         end_now(process)
 
 
+def test_sigkill_is_for_the_children_first_then_for_a_process_that_has_left_its_group(
+    start: Spawn, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its children end though it hangs in a driver itself."""
+    process = start("cat")
+    sent: list[tuple[str, int, int]] = []
+    with monkeypatch.context() as patch:
+        for name in ("killpg", "kill"):
+            patch.setattr(os, name, lambda pid, number, name=name: sent.append((name, pid, number)))
+        process.kill()
+    assert sent == [
+        ("killpg", process.pid, signal.SIGKILL),
+        ("kill", process.pid, signal.SIGKILL),
+    ]
+
+
 def test_no_signal_is_sent_to_a_process_that_was_reaped(
     start: Spawn, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -457,6 +473,18 @@ def test_a_process_is_frozen_when_the_kernel_has_stopped_it_for_a_while(
     assert not process.is_frozen()
     clock.now_s += 0.001
     assert process.is_frozen() == is_stopped
+
+
+def test_a_process_is_frozen_after_that_time_and_not_at_its_end(
+    start: Spawn, clock: Clock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(process_module, "_FROZEN_S", 0.25)
+    process = start("cat")
+    os.kill(process.pid, signal.SIGSTOP)
+    wait_until(lambda: state_of(process.pid) == "T", "it runs")
+    assert not process.is_frozen()
+    clock.now_s += 0.25
+    assert not process.is_frozen()
 
 
 def test_a_process_that_goes_on_in_between_is_not_frozen(start: Spawn, clock: Clock) -> None:
