@@ -1,15 +1,13 @@
 """Mutation tests of the code that keeps a robot safe: does a test notice when one operation of it
 changes?
 
-    make test-mutations                                  # every part; goes on where it was
-    make test-mutations ARGS="gate --only estop"         # mutants with "estop" in their names,
-    tried again make test-mutations ARGS="direct-path --list"        # what is known so far, with
-    the survivors; runs nothing
+    make test-mutations                                 # every part; goes on where it was
+    make test-mutations ARGS="gate --only estop"        # tries those with "estop" in the name again
+    make test-mutations ARGS="direct-path --list"       # what is known, with the survivors
 
 mutmut makes the mutants, picks the tests by what they call and forks for each mutant;
 tools/mutation_operators.py says which mutants count. A mutant is killed by time when it computes
-for 12 s and six times what its tests take otherwise,
-or sleeps for 20 s: a busy machine kills none.
+for 12 s and six times what its tests take otherwise, or sleeps for 20 s: a busy machine kills none.
 Survivors belong into tools/mutation_survivors.toml, each with a reason: `equivalent`, when no test
 could notice it, or `accepted`, which still counts as survived. The lane fails for one that is not
 listed, and for a part below 95 % of the mutants that are not equivalent.
@@ -21,7 +19,6 @@ changes everything that was not killed; `--fresh` tries everything again.
 from __future__ import annotations
 
 import argparse
-import difflib
 import hashlib
 import json
 import os
@@ -30,12 +27,13 @@ import sys
 import tomllib
 import traceback
 from collections import Counter
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from importlib import metadata
 from pathlib import Path
 
 import mutation_operators
+from mutation_identity import describe_change
 from mutmut.mutation.data import MutantLineSpans, SourceFileMutationData
 from mutmut.stats import status_by_exit_code
 
@@ -51,11 +49,9 @@ calls it a timeout.
 """
 UNKNOWN = ("not checked", "check was interrupted by user")
 CORE, STANDARD = "roboneuron-core/src/roboneuron", "plugins/rn-standard/src/rn_standard"
-CORE_TESTS = (
-    "roboneuron-core/tests/gate",
-    "roboneuron-core/tests/modules",
-    "roboneuron-core/tests/supervisor",
-)
+MODULE_TESTS = ("roboneuron-core/tests/modules",)
+SUPERVISOR_TESTS = ("roboneuron-core/tests/supervisor",)
+CORE_TESTS = ("roboneuron-core/tests/gate", *MODULE_TESTS, *SUPERVISOR_TESTS)
 DIRECT_TESTS = ("plugins/rn-standard/tests/direct_path",)
 ARM_TESTS = (
     *("plugins/rn-standard/tests/tools_arm", "plugins/rn-controller-urdf/tests"),
@@ -85,11 +81,24 @@ class Part:
         package: its folder, from the repository's root.
         files: what is mutated, from the package; a pattern takes in what it matches.
         tests: folders and files of tests, from the repository's root.
+        functions: of a file from which only these count, without their class.
     """
 
     package: str
     files: tuple[str, ...]
     tests: tuple[str, ...]
+    functions: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+
+    def patterns(self) -> tuple[str, ...]:
+        """What the names of its mutants are like, for mutmut; empty for all."""
+        if not self.functions:
+            return ()
+        found = []
+        for file in self.files:
+            module = file.removesuffix(".py").replace("/", ".")
+            for function in self.functions.get(file, ("",)):
+                found.append(f"*{module}.x*{function}__mutmut_*")
+        return tuple(found)
 
 
 PARTS = {
@@ -101,9 +110,23 @@ PARTS = {
     "modules": Part(
         package=CORE,
         files=("modules/control.py", "modules/motion.py", "modules/robot.py"),
-        tests=(*CORE_TESTS, *ARM_TESTS),
+        tests=MODULE_TESTS,
     ),
-    "supervisor": Part(package=CORE, files=("supervisor/process.py",), tests=CORE_TESTS),
+    "supervisor": Part(
+        package=CORE,
+        files=tuple(
+            f"supervisor/{name}.py" for name in ("process", "changes", "slot", "supervisor")
+        ),
+        tests=SUPERVISOR_TESTS,
+        functions={
+            "supervisor/changes.py": ("tell", "held_s", "wait_for"),
+            "supervisor/slot.py": ("begin_stop", "settle", "cancel", "note_exit"),
+            "supervisor/supervisor.py": (
+                *("stop", "end", "cancel", "stop_all", "close"),
+                *("_finish", "_deactivate", "_settle", "_await_settled", "_beat"),
+            ),
+        },
+    ),
     "direct-path": Part(
         package=STANDARD,
         files=tuple(
@@ -125,7 +148,8 @@ class Mutant:
     Attributes:
         file: from the package.
         function: its name, with the class.
-        change: the line before and after; numbered when the function has the same change twice.
+        change: the statement before and after, see `describe_change`; numbered when the function
+            has the same change twice.
         status: of mutmut: "killed", "timeout", "survived", "no tests", "not checked" and others; or
             "not run".
     """
@@ -195,7 +219,7 @@ def _run_in_a_fork(part: Part, work: Path, arguments: argparse.Namespace) -> Non
 
         mutation_operators.install()
         mutation_runs.install(part.tests)
-        _run((f"*{arguments.only}*",) if arguments.only else (), 1)
+        _run((f"*{arguments.only}*",) if arguments.only else part.patterns(), 1)
         status = 0
     except SystemExit as error:
         status = error.code if isinstance(error.code, int) else 1
@@ -302,33 +326,29 @@ def _read_mutants(part: Part, work: Path) -> Iterator[Mutant]:
         spans = MutantLineSpans.load(path)
         if spans is None:
             continue
+        file = str(path.relative_to(package))
+        wanted = part.functions.get(file)
         changes = Counter[tuple[str, str]]()
         for key, code in data.exit_code_by_key.items():
             name = key.rpartition(".")[2]
             base = name.rpartition("__mutmut_")[0]
+            function = base.removeprefix("x_").removeprefix("xǁ").replace("ǁ", ".")
+            if wanted is not None and function.rpartition(".")[2] not in wanted:
+                continue
             before, after = spans.read_function_sources([f"{base}__mutmut_orig", name])
             before, after = (
                 before.replace(f"{base}__mutmut_orig", base, 1),
                 after.replace(name, base, 1),
             )
-            function = base.removeprefix("x_").removeprefix("xǁ").replace("ǁ", ".")
-            change = _change(before, after)
+            change = describe_change(before, after)
             changes[function, change] += 1
             number = changes[function, change]
             yield Mutant(
-                file=str(path.relative_to(package)),
+                file=file,
                 function=function,
                 change=change if number == 1 else f"{change} [{number}]",
                 status="not run" if code == NOT_RUN else status_by_exit_code[code],
             )
-
-
-def _change(before: str, after: str) -> str:
-    """The changed lines of a function, each without its indentation: `before -> after`."""
-    lines = list(difflib.ndiff(before.splitlines(), after.splitlines()))
-    lost = " ".join(line[2:].strip() for line in lines if line.startswith("- "))
-    came = " ".join(line[2:].strip() for line in lines if line.startswith("+ "))
-    return f"{lost} -> {came}"
 
 
 def _report(name: str, mutants: list[Mutant]) -> bool:

@@ -4,10 +4,12 @@ rest of the world.
 
 from __future__ import annotations
 
+import importlib.metadata
 import os
 import shutil
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -91,10 +93,6 @@ class World:
         from roboneuron.modules.perception import PerceptionModule
         from roboneuron.modules.robot import RobotModule
 
-        text = BASE + extra
-        for old, new in (replace or {}).items():
-            assert old in text
-            text = text.replace(old, new)
         classes = {
             "control": ControlModule,
             "inference": InferenceModule,
@@ -104,7 +102,7 @@ class World:
         settings = ModuleSettings(
             kind=kind,
             node_name=kind,
-            config=parse_config(text),
+            config=parse_config(edited(extra, replace)),
             state_directory=str(self.state_directory),
             on_join=("loop_plugin:join",),
             shadow=shadow,
@@ -152,16 +150,164 @@ class World:
         rclpy.try_shutdown()
 
 
-@pytest.fixture
-def world(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[World]:
-    """A world with the plugin of loop_plugin.py installed."""
-    site = tmp_path / "site"
+class Clock:
+    """A clock of seconds and one of the calendar, which go when a test says so."""
+
+    def __init__(self) -> None:
+        self.now_s = 1000.0
+        self.wall_ns = 1_700_000_000_000_000_000
+
+    def monotonic(self) -> float:
+        return self.now_s
+
+    def time_ns(self) -> int:
+        return self.wall_ns
+
+    def go(self, seconds: float) -> None:
+        """Let both go on."""
+        self.now_s += seconds
+        self.wall_ns += round(seconds * 1e9)
+
+
+class Publisher:
+    """Keeps what is published."""
+
+    def __init__(self, message_type: type) -> None:
+        self.message_type = message_type
+        self.messages: list[Any] = []
+
+    def publish(self, message: Any) -> None:
+        self.messages.append(message)
+
+
+class Host:
+    """What a module sees of its node, without ROS: the test calls what the module subscribes.
+
+    Attributes:
+        publishers, subscribed, parameters: by topic or name, until they are released.
+        periods_s: of what is repeated.
+        silence_s: since the server's last sign of life.
+    """
+
+    def __init__(self, settings: ModuleSettings, clock: Clock) -> None:
+        from loop_plugin import Windows
+
+        from roboneuron.modules.status import StatusWriter
+
+        self.settings, self.clock = settings, clock
+        self.status = StatusWriter(settings.status_name)
+        self.handover = Windows(settings.shadow, self.status)
+        self.resources = ExitStack()
+        self.stopped = False
+        self.needs_start = ""
+        self.silence_s = 0.0
+        self.publishers: dict[str, Publisher] = {}
+        self.subscribed: dict[tuple[type, str], Callable[..., None]] = {}
+        self.parameters: dict[str, tuple[Any, Callable[..., Any], Callable[..., Any]]] = {}
+        self.repeated: list[tuple[float, Callable[[], None]]] = []
+
+    def now_ns(self) -> int:
+        return self.clock.wall_ns
+
+    def server_silence_s(self) -> float:
+        return self.silence_s
+
+    def advertise(self, message_type: type, topic: str) -> Publisher:
+        publisher = self.publishers[topic] = Publisher(message_type)
+        return publisher
+
+    def subscribe(self, message_type: type, topic: str, callback: Callable[..., None]) -> None:
+        self.subscribed[message_type, topic] = callback
+
+    def repeat(self, period_s: float, callback: Callable[[], None]) -> None:
+        self.repeated.append((period_s, callback))
+
+    def add_parameter(
+        self, name: str, value: Any, take: Callable[..., Any], refuse: Callable[..., Any]
+    ) -> Callable[[], None]:
+        self.parameters[name] = (value, take, refuse)
+        return lambda: self.parameters.__delitem__(name)
+
+    def require_start(self, reason: str) -> None:
+        self.needs_start = reason
+
+    def drops(self) -> dict[str, int]:
+        return self.status.dropped.items()
+
+    def values(self) -> dict[str, str]:
+        return status(self)
+
+
+def install_loop_plugin(folder: Path) -> Path:
+    """Install the plugin of loop_plugin.py below a folder; returns what to import it from."""
+    site = folder / "site"
     info = site / "rn_loop-1.0.dist-info"
     info.mkdir(parents=True)
     shutil.copy(HERE / "loop_plugin.py", site)
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: rn-loop\nVersion: 1.0\n")
     (info / "entry_points.txt").write_text("[roboneuron]\nrn-loop = loop_plugin\n")
-    monkeypatch.syspath_prepend(str(site))
+    return site
+
+
+@pytest.fixture(scope="session")
+def loop_site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return install_loop_plugin(tmp_path_factory.mktemp("loop"))
+
+
+@pytest.fixture
+def make_host(
+    loop_site: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[Callable[..., Host]]:
+    """Return a function that makes a host of a module of that kind; all are released in the end.
+
+    The clock of modules is that of the host.
+    """
+    from roboneuron.modules import control, module, robot
+    from roboneuron.plugins.discovery import discover_from
+
+    monkeypatch.syspath_prepend(str(loop_site))
+    points = [
+        point
+        for distribution in importlib.metadata.distributions(path=[str(loop_site)])
+        for point in distribution.entry_points
+    ]
+    monkeypatch.setattr(module, "discover", lambda disabled: discover_from(points, disabled))
+    clock = Clock()
+    for one in (control, robot):
+        monkeypatch.setattr(one, "time", clock)
+    made: list[Host] = []
+
+    def make(
+        kind: ModuleKind, *, extra: str = "", replace: dict[str, str] | None = None, **options: Any
+    ) -> Host:
+        settings = ModuleSettings(
+            kind=kind,
+            node_name=kind,
+            config=parse_config(edited(extra, replace)),
+            state_directory=str(tmp_path),
+            **options,
+        )
+        made.append(Host(settings, clock))
+        return made[-1]
+
+    yield make
+    for host in made:
+        host.resources.close()
+
+
+def edited(extra: str, replace: dict[str, str] | None) -> str:
+    """The configuration BASE with other words."""
+    text = BASE + extra
+    for old, new in (replace or {}).items():
+        assert old in text
+        text = text.replace(old, new)
+    return text
+
+
+@pytest.fixture
+def world(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[World]:
+    """A world with the plugin of loop_plugin.py installed."""
+    monkeypatch.syspath_prepend(str(install_loop_plugin(tmp_path)))
     for key in ("ROS_DOMAIN_ID", "ROS_LOG_DIR"):
         monkeypatch.setenv(key, "")
         monkeypatch.delenv(key)

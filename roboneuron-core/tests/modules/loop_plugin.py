@@ -37,6 +37,7 @@ from roboneuron.plugins.specs import (
     ControllerSpec,
     DriverSpec,
     PerceptionSpec,
+    Requirement,
     RobotSpec,
     RuntimeSpec,
 )
@@ -100,13 +101,19 @@ def roboneuron_controllers() -> Sequence[ControllerSpec]:
 @hookimpl
 def roboneuron_robots() -> Sequence[RobotSpec]:
     driver = DriverSpec(name="simulated", summary="x", target="loop_plugin:Driver")
+    elsewhere = DriverSpec(
+        name="elsewhere",
+        summary="x",
+        target="loop_plugin:Driver",
+        requires=(Requirement(module="no_such_module_here", install="nothing provides it"),),
+    )
     camera = CameraSpec(name="front", role="primary")
     return [
         RobotSpec(
             name="pair",
             summary="x",
             target="loop_plugin:profile",
-            drivers=(driver,),
+            drivers=(driver, elsewhere),
             cameras=(camera,),
         )
     ]

@@ -9,7 +9,8 @@ import time
 import pytest
 
 from roboneuron.errors import StateError
-from roboneuron.supervisor.changes import Changes, Lasting, Periodic
+from roboneuron.supervisor import changes as changes_module
+from roboneuron.supervisor.changes import Changes, Event, Lasting, Periodic
 
 SOON_S = 20.0
 
@@ -98,3 +99,85 @@ def test_a_fact_lasts_since_the_first_look_that_found_it() -> None:
     assert first_s < lasting.held_s(True)
     assert lasting.held_s(False) < 0.0
     assert lasting.held_s(True) == first_s == 0.0, "the time before the break does not count"
+
+
+def test_a_wait_takes_its_time_out_and_no_longer() -> None:
+    looks: list[int] = []
+    started_s = time.monotonic()
+    assert Changes().wait_for(lambda: looks.append(1), 0.12) is None
+    assert 0.12 <= time.monotonic() - started_s < SOON_S
+    assert 2 < len(looks) < 50, "a fact that nobody announces is looked at every 50 ms"
+
+
+@pytest.fixture
+def no_polls(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(changes_module, "_POLL_S", 3600.0)
+
+
+@pytest.mark.usefixtures("no_polls")
+def test_a_change_wakes_all_who_wait() -> None:
+    changes, facts, results = Changes(), list[str](), list[str | None]()
+    looked = threading.Semaphore(0)
+
+    def look() -> str | None:
+        looked.release()
+        return facts[0] if facts else None
+
+    threads = [
+        threading.Thread(target=lambda: results.append(changes.wait_for(look, SOON_S)), daemon=True)
+        for _ in range(2)
+    ]
+    for thread in threads:
+        thread.start()
+    for _ in threads:
+        assert looked.acquire(timeout=SOON_S)
+    started_s = time.monotonic()
+    facts.append("it is there")
+    changes.notify()
+    for thread in threads:
+        thread.join(SOON_S)
+    assert results == ["it is there"] * 2
+    assert time.monotonic() - started_s < SOON_S / 2
+
+
+@pytest.mark.usefixtures("no_polls")
+def test_a_change_during_a_look_is_not_lost() -> None:
+    changes, looks = Changes(), list[int]()
+
+    def look() -> bool:
+        looks.append(1)
+        changes.notify()
+        return len(looks) > 2
+
+    started_s = time.monotonic()
+    assert changes.wait_for(look, SOON_S)
+    assert time.monotonic() - started_s < SOON_S / 2
+
+
+@pytest.mark.usefixtures("no_polls")
+def test_a_wait_without_changes_ends_with_its_time_out() -> None:
+    started_s = time.monotonic()
+    assert Changes().wait_for(lambda: False, 0.05) is None
+    assert time.monotonic() - started_s < SOON_S / 2
+
+
+def test_a_fact_may_be_zero_or_empty() -> None:
+    assert Changes().wait_for(lambda: 0, 0.0) == 0
+    assert Changes().wait_for(lambda: "", 0.0) == ""
+
+
+def test_all_listeners_are_told_in_their_order_also_after_one_that_fails(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    event: Event[[int, str]] = Event()
+    told: list[object] = []
+
+    def fail(pid: int, name: str) -> None:
+        raise ValueError("a broken listener")
+
+    event.listen(lambda pid, name: told.append((pid, name)))
+    event.listen(fail)
+    event.listen(lambda pid, name: told.append(name))
+    event.tell(7, name="arm")
+    assert told == [(7, "arm"), "arm"]
+    assert "a broken listener" in caplog.text
