@@ -66,7 +66,7 @@ class Exposed:
         endpoint: the gate's entry; its name is unique among the robot's.
         profile: the robot's facts, None for a robot that no plugin knows.
         clamp, nonfinite: see `AllowedEndpoint`.
-        require_subscriber: a message that nobody receives is an error.
+        require_subscriber: without a subscriber a message is an error.
         moves: it moves the robot, so that it is refused while a policy does.
         hidden: no tools of its own; another tool uses it.
     """
