@@ -119,11 +119,11 @@ PICTURES = {
             "roboneuron estop --reason 'a person is in the cell'",
             "roboneuron estop --reset",
         ),
-        columns=120,
+        columns=124,
         fails=True,
     ),
     "eval": Picture(
-        before=(EVALUATION,), commands=("roboneuron eval report out/eval",), columns=150
+        before=(EVALUATION,), commands=("roboneuron eval report out/eval --by target",), columns=96
     ),
     "fr3-check": Picture(commands=("roboneuron fr3 check",), columns=104, fails=True),
 }

@@ -39,7 +39,7 @@ robot has `acts_on`: which robot, by which driver, and whether it is real or sim
 
 Before each description: whether the tool only reads or acts, and MCP's hints destructive and idempotent. In types `a|b`
 is a choice, `[]` an array. Arguments are optional unless marked as required. What means the same in several tools is
-explained at the first; fields inside of others that explain themselves are left out.
+explained at the first; fields of results that explain themselves are left out.
 """  # noqa: E501
 
 
@@ -115,26 +115,19 @@ def _section(
     other = seen.setdefault(tuple(_fields(output, output)), tool.name)
     if other != tool.name:
         return "\n".join([*lines, f"Result: as of [{other}](#{other}).", ""])
-    return "\n".join([*lines, "Result:", "", *answer, ""])
+    return "\n".join([*lines, *(["Result:", "", *answer, ""] if answer else [])])
 
 
 def _answer(output: Schema, told: set[tuple[str, str]]) -> Iterator[str]:
-    """A line for each field that needs an explanation and has not had it; the names of the others
-    on the first level.
-    """
-    plain: list[str] = []
+    """A line for each field that needs an explanation and has not had it."""
     for name, kind, meaning in _fields(output, output):
         leaf = name.rpartition(".")[2]
         values = kind.strip("`").split("|") if kind.startswith("`") else []
         is_told = not values or all(f"{value}: " in meaning for value in values)
         text = meaning if is_told else ": ".join(filter(None, (kind, meaning)))
-        if text and (leaf, text) not in told:
-            told.add((leaf, text))
+        if text and not {(leaf, text), (leaf, "" if meaning else kind)} & told:
+            told.update({(leaf, text), (leaf, kind)})
             yield f"- `{name}`: {text}"
-        elif "." not in name:
-            plain.append(f"`{name}`")
-    if plain:
-        yield f"- {', '.join(plain)}"
 
 
 def _fields(node: Schema, whole: Schema, prefix: str = "") -> Iterator[tuple[str, str, str]]:
