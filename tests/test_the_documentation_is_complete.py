@@ -106,11 +106,25 @@ def test_pages_that_stand_at_the_root_are_included(source: str, page: str) -> No
     assert f'--8<-- "{source}"' in (DOCS / page).read_text(encoding="utf-8")
 
 
-def test_the_figure_of_processes_is_current() -> None:
-    done = subprocess.run(
-        [sys.executable, str(ROOT / "tools" / "process_figure.py"), "--check"], check=False
-    )
-    assert done.returncode == 0, "run: python tools/process_figure.py"
+@pytest.mark.parametrize("tool", ["process_figure.py", "diagrams.py"])
+def test_drawn_figures_are_current(tool: str) -> None:
+    done = subprocess.run([sys.executable, str(ROOT / "tools" / tool), "--check"], check=False)
+    assert done.returncode == 0, f"run: python tools/{tool}"
+
+
+def test_every_picture_is_small_described_and_on_a_page() -> None:
+    pages = "".join(path.read_text(encoding="utf-8") for path in DOCS.rglob("*.md"))
+    described = set(re.findall(r"!\[[^\]]+\]\((?:\.\./)?assets/([^)]+)\)", pages))
+    pictures = {path.name: path for path in (DOCS / "assets").iterdir()}
+    assert described == pictures.keys()
+    assert len(pictures) >= 20
+    assert {name for name, path in pictures.items() if path.stat().st_size > 250_000} == set()
+
+
+def test_drawn_pictures_load_nothing() -> None:
+    for path in (DOCS / "assets").glob("*.svg"):
+        text = path.read_text(encoding="utf-8").replace("http://www.w3.org/", "")
+        assert re.findall(r"url\(\s*[\"']?http|href=|@import", text) == [], path.name
 
 
 def test_pictures_of_the_readme_are_there_and_small() -> None:

@@ -10,7 +10,7 @@ ROOT = Path(__file__).parents[2]
 
 def test_every_row_of_the_fault_matrix_names_tests_that_exist() -> None:
     lines = (ROOT / "docs" / "fault-matrix.md").read_text().splitlines()
-    tables = [line for line in lines if line.startswith("|") and line.count("|") == 5]
+    tables = [line for line in lines if line.startswith("|") and line.count("|") == 4]
     rows = [line for line in tables if not line.startswith(("| fault |", "|---"))]
     assert len(rows) > 20
     source = ""
@@ -22,8 +22,6 @@ def test_every_row_of_the_fault_matrix_names_tests_that_exist() -> None:
             path = ROOT / names.pop(0)
             assert path.exists(), path
             source = path.read_text()
-        else:
-            assert test.strip().startswith("same, "), row
         assert names, f"a row without a test: {row}"
         for name in names:
             function, _, case = name.partition("[")

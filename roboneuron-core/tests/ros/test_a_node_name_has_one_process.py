@@ -82,5 +82,5 @@ def test_domains_are_apart(
 
 def test_many_questions_do_not_free_a_node(node: str, other: subprocess.Popen[bytes]) -> None:
     assert {claimant(node) for _ in range(5000)} <= {other.pid, 0}
-    with pytest.raises(StateError, match=r"runs already, as a process of somebody else"):
+    with pytest.raises(StateError, match=r"runs already, as a process of another server"):
         claim(node)

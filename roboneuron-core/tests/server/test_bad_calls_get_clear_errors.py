@@ -99,5 +99,5 @@ def test_a_request_that_nothing_reads_is_not_passed_over(application: Applicatio
     class StartRobot(Arguments):
         robot: str = "other"
 
-    with pytest.raises(InternalError, match="Nothing here reads StartRobot"):
+    with pytest.raises(InternalError, match="cannot read the StartRobot"):
         application.loop.select("robot", StartRobot())

@@ -213,7 +213,7 @@ def test_a_module_of_another_server_is_neither_driven_nor_disturbed(
     assert first.process is not None
     other = Supervisor(tmp_path / "other", command=fake_command)
     try:
-        with pytest.raises(StateError, match=rf"as process {first.process.pid} of somebody else"):
+        with pytest.raises(StateError, match=rf"as process {first.process.pid} of another server"):
             other.start("robot", make_config())
     finally:
         other.close()

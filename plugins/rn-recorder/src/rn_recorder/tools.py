@@ -42,7 +42,7 @@ class StartRecording(Arguments):
         default=None,
         gt=0,
         le=86400,
-        description="It ends by itself then; the call returns at once.",
+        description="Ends after this time; the call returns at once.",
     )
 
 
@@ -75,7 +75,7 @@ class Stopped(Result):
 class ListRecordings(Arguments):
     """Arguments of list_recordings."""
 
-    entries: int = Field(default=20, ge=1, le=200, description="Most runs; the newest are given.")
+    entries: int = Field(default=20, ge=1, le=200, description="At most so many, the newest.")
 
 
 class Entry(Result):
@@ -92,7 +92,7 @@ class Entry(Result):
 
 
 class Recordings(Result):
-    """What is there, newest first, and how the recorder is."""
+    """What is there, newest first, and the recorder's state."""
 
     recorder: str = Field(description="ok, starting, stalled, ended, or off")
     recording: str = Field(description="id of the recording in progress; empty for none")
@@ -211,8 +211,7 @@ def recording_tools(
             title="Begin a recording",
             description=(
                 "Record images, actions, states and calls to MCAP files, for duration_s or until "
-                "stop_recording. The "
-                "last seconds before an incident are kept without it."
+                "stop_recording. Incidents are recorded without it."
             ),
             arguments=StartRecording,
             result=Started,
@@ -221,8 +220,7 @@ def recording_tools(
         Tool(
             name="stop_recording",
             title="End the recording",
-            description="Finish the files of the recording; say how it went, so that it can be "
-            "used as data.",
+            description="End the recording and label its outcome, for use as data.",
             arguments=StopRecording,
             result=Stopped,
             handler=stop_recording,
@@ -231,7 +229,7 @@ def recording_tools(
         Tool(
             name="list_recordings",
             title="What was recorded",
-            description="Recordings and incidents on disk, and how the recorder is.",
+            description="Recordings and incidents on disk, and the recorder's state.",
             arguments=ListRecordings,
             result=Recordings,
             handler=list_recordings,

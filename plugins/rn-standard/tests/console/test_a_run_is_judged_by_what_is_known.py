@@ -86,7 +86,7 @@ def test_a_short_fault_is_forgiven_and_a_lasting_one_ends_the_run() -> None:
     verdict = judge.look(status(health="silent"), 8.1)
     assert verdict is not None
     assert verdict.outcome is Outcome.NOT_DONE
-    assert verdict.reason == "inference: its process exists and says nothing"
+    assert verdict.reason == "inference: alive, but not reporting"
 
 
 def test_a_module_that_somebody_stopped_ends_the_run() -> None:

@@ -159,7 +159,7 @@ def test_control_that_never_holds_refuses_a_motion_and_leaves_the_robot_free(
     monkeypatch.setattr(arbiter, "_is_followed", lambda exposed: True)
     monkeypatch.setattr(arbiter, "_hold_s", 0.05)
     with (
-        pytest.raises(NotReadyError, match="still follows actions"),
+        pytest.raises(NotReadyError, match="still receives actions"),
         arbiter.claim(drive(application), "a test", threading.Event()),
     ):
         raise AssertionError

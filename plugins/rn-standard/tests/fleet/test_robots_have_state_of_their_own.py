@@ -109,7 +109,7 @@ def test_a_person_who_is_asked_is_told_which_robot(call: Call, fleet: Fleet) -> 
     fleet.robots["right-arm"]._is_joining = False
     answer = call(fleet, "reset_emergency_stop", {"robot": "right-arm"})
     assert answer.is_error
-    assert "nobody agreed" in answer.content[0].text
+    assert "the person did not agree" in answer.content[0].text
     assert asked[0].startswith("Robot right-arm: The emergency stop is latched since")
 
 

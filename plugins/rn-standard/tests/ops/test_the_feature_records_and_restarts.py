@@ -93,7 +93,7 @@ def fault(number: int) -> dict[str, Any]:
         "published": 9,
     }
     return {
-        "explanation": "its process has ended by itself",
+        "explanation": "its process ended by itself",
         "status": status,
         "log": [f"2026-01-01 00:00:00,000 INFO x: line {i} {'y' * 300}" for i in range(40)],
         "actions": [{"sent_ns": i, "values": [0.1] * 7} for i in range(30)],
@@ -110,7 +110,7 @@ def test_incidents_are_a_line_each_and_one_of_them_is_told_in_full(
     assert len(json.dumps(listed)) < 1500, "it was 22 kB"
     assert [i["module"] for i in listed["incidents"]] == ["control", "inference", "perception"]
     assert listed["more"] == 1
-    assert listed["incidents"][0]["explanation"] == "its process has ended by itself: fault 3"
+    assert listed["incidents"][0]["explanation"] == "its process ended by itself: fault 3"
     (whole,) = ask(application, "list_incidents", id=listed["incidents"][0]["id"])["incidents"]
     assert whole["status"] == {"health": "exited", "error": {"message": "fault 3"}, "published": 9}
     assert len(whole["actions"]) == 30

@@ -14,9 +14,15 @@ CHECK = CommandSpec(
     target="rn_testing.plugin_check:PluginsCheck",
 )
 """Descriptor of `roboneuron plugins check`."""
+RULES = CommandSpec(
+    name="plugins-rules",
+    summary="print the contract rules of each kind of plugin",
+    target="rn_testing.plugin_rules:PluginsRules",
+)
+"""Descriptor of `roboneuron plugins rules`."""
 
 
 @hookimpl
 def roboneuron_commands() -> tuple[CommandSpec, ...]:
     """The commands of this package."""
-    return (NEW, CHECK)
+    return (NEW, CHECK, RULES)

@@ -303,7 +303,7 @@ class _Content:
             start = gui.add_button_group("Start", _MODULES)
             stop = gui.add_button_group("Stop", (*_MODULES, "all"))
             take = gui.add_button(
-                "Take over", hint="become the operator: the one client that may call what acts"
+                "Take over", hint="become the operator: the only client that may act"
             )
         send.on_click(lambda _: form.submit())
         form.on_submit(lambda _: call("set_instruction", {"instruction": text.value}))

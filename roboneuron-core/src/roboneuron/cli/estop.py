@@ -130,7 +130,7 @@ def _reset(latch: EmergencyStopLatch, audit: AuditLog, who: str) -> int:
     _check_terminal("The emergency stop is released")
     print(f"Latched{f' by {state.cause}' if state.cause else ''} ({latch.path}).")
     print(
-        "Look at the robot. Nothing moves before somebody gives a new instruction or moves the arm."
+        "Look at the robot. Nothing moves until someone gives a new instruction or moves the arm."
     )
     try:
         answer = input("Release the emergency stop? [y/N] ")

@@ -69,8 +69,8 @@ class Spec:
         contract: the CONTRACT_VERSION the plugin was written for.
         case: "module:attribute" of a function without arguments that returns this descriptor's
             contract case: what `roboneuron plugins check` needs to try it (an observation it can
-                act on, a small checkpoint); None when its
-            options' defaults and synthetic input suffice. Never loaded otherwise.
+            act on, a small checkpoint); None when its options' defaults and synthetic input
+            suffice. Never loaded otherwise.
     """
 
     kind: ClassVar[str] = ""

@@ -75,7 +75,7 @@ def runs_already(node: str, pid: int | str) -> StateError:
     """The error for a node that somebody else runs; a `pid` of 0 is not known."""
     who = f"process {pid}" if pid else "a process"
     return StateError(
-        f"{node} runs already, as {who} of somebody else.",
+        f"{node} runs already, as {who} of another server.",
         hint="Stop that server, or give this one another [robot] namespace or ROS_DOMAIN_ID.",
     )
 

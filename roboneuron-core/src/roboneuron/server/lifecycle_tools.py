@@ -67,9 +67,9 @@ def _set_instruction(loop: ClosedLoop) -> Tool[Any]:
         name="set_instruction",
         title="Tell the robot what to do",
         description=(
-            "Give the running policy an instruction. Returns when it has sent its first action: "
-            "the robot is moving "
-            "then, not done; stop_inference ends it. If the policy cannot act on the instruction, "
+            "Give the running policy an instruction. Returns at its first action, not at the end "
+            "of the task; stop_inference ends the motion. If the policy cannot act on the "
+            "instruction, "
             "the error says why "
             "and nothing moves."
         ),
@@ -178,7 +178,7 @@ def emergency_tools(loop: ClosedLoop) -> list[Tool[Any]]:
         question = (  # the time makes a question about another stop another question
             f"The emergency stop is latched since {since}{f' by {cause}' if cause else ''}. "
             "Release it? "
-            "Look at the robot first. Nothing moves before somebody gives a new instruction or "
+            "Look at the robot first. Nothing moves until someone gives a new instruction or "
             "moves the arm."
         )
         typed = await context.ask_for(question, "PIN") if for_pin else ""
@@ -187,7 +187,7 @@ def emergency_tools(loop: ClosedLoop) -> list[Tool[Any]]:
         )
         if agreed and stop.file.read_state().time_ns == before.time_ns:
             return typed or ""
-        why = {None: "this client cannot ask one", False: "nobody agreed"}.get(
+        why = {None: "this client cannot ask one", False: "the person did not agree"}.get(
             agreed, "it was pressed again"
         )
         raise RefusedError(
@@ -227,9 +227,9 @@ def emergency_tools(loop: ClosedLoop) -> list[Tool[Any]]:
             name="emergency_stop",
             title="Emergency stop",
             description=(
-                "For danger: stop all motion at once. Nothing moves again, also after restarts, "
-                "until a person "
-                "releases it. For an ordinary stop use stop_inference or stop_all. Returns when "
+                "For danger: stop all motion at once. Nothing moves until a person releases it, "
+                "even after restarts. For an ordinary stop use stop_inference or stop_all. "
+                "Returns when "
                 "every running module "
                 "has confirmed it; an error names those that have not."
             ),
@@ -247,9 +247,9 @@ def emergency_tools(loop: ClosedLoop) -> list[Tool[Any]]:
             name="reset_emergency_stop",
             title="Release the emergency stop",
             description=(
-                "Release the emergency stop. A person decides: the client asks one, if it can; "
-                "otherwise the call is "
-                "refused and says what a person has to do. Nothing moves by itself: the policy "
+                "Release the emergency stop. A person must agree: the client asks, if it can; "
+                "otherwise the call is refused and says what a person has to do. Nothing moves "
+                "by itself: the policy "
                 "has forgotten its "
                 "instruction; set_instruction or run_task starts it again."
             ),

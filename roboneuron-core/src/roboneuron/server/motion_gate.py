@@ -32,7 +32,7 @@ class ExposedEndpoint:
         profile: the robot's facts, None for a robot that no plugin knows.
         clamp: field paths whose values are moved to the nearest bound instead of refused.
         nonfinite: field paths (without indices) that may hold NaN and infinities.
-        require_subscriber: a message that nobody receives is an error.
+        require_subscriber: without a subscriber a message is an error.
         moves: it moves the robot, so that it is refused while a policy does.
         hidden: no tools of its own; another tool uses it.
     """

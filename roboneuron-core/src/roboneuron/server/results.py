@@ -61,7 +61,7 @@ class ModuleStatus(ModuleSummary):
         description="how it is: "
         + "; ".join(f"{word}: {meaning}" for word, meaning in EXPLANATIONS.items()),
     )
-    ready: bool = Field(default=False, description="it has proved that it works and still reports")
+    ready: bool = Field(default=False, description="has proved that it works, and still reports")
     responding: bool = Field(default=False, description="its newest report is at most 1 s old")
     state: str = Field(
         default="", description="lifecycle state: unconfigured, configuring, inactive, active"
@@ -76,7 +76,7 @@ class ModuleStatus(ModuleSummary):
     age_ms: float | None = Field(default=None, description="age of its newest input or output")
     report_age_s: float | None = Field(default=None, description="time since its newest report")
     loop_age_s: float | None = Field(
-        default=None, description="time since its executor last turned; grows in a hang"
+        default=None, description="time since its executor last ran; grows when it hangs"
     )
     work_age_s: float | None = Field(
         default=None, description="time since its work last made progress"
@@ -92,7 +92,7 @@ class ModuleStatus(ModuleSummary):
     actions_for_instruction: int = Field(
         default=0, description="actions published for the present instruction"
     )
-    note: str = Field(default="", description="what it is doing, in its own words")
+    note: str = Field(default="", description="what it is doing, as text")
     error: Failure | None = None
     error_count: int = 0
     emergency_stop: bool | None = Field(

@@ -88,7 +88,7 @@ def choose_configured(
     """What is configured, with the instruction that a request names; whatever the role."""
     if not isinstance(request, KIND_ENTRIES[kind].request | None):
         raise InternalError(
-            f"Nothing here reads {type(request).__name__}, what a client said of {kind}."
+            f"This server cannot read the {type(request).__name__} that a client sent for {kind}."
         )
     if isinstance(request, StartInference) and request.instruction is not None:
         section = configured_section(kind, config, registry)

@@ -147,16 +147,16 @@ STUCK_S = 0.3
 """A module's executor turns every 0.02 s; the age it reports grows for up to one period more."""
 LOOK_S = 0.03
 EXPLANATIONS: dict[Health, str] = {
-    "stopped": "it does not run",
-    "starting": "it is being started",
-    "stopping": "it is being stopped",
-    "ok": "it works",
-    "waiting": "it runs, and something is missing",
-    "failing": "it runs and reports an error",
-    "stalled": "it reports, but its work makes no progress",
-    "stuck": "it reports, but takes no messages and no requests",
-    "silent": "its process exists and says nothing",
-    "exited": "its process has ended by itself",
+    "stopped": "not running",
+    "starting": "being started",
+    "stopping": "being stopped",
+    "ok": "working",
+    "waiting": "running, but something is missing",
+    "failing": "running, but reporting an error",
+    "stalled": "reporting, but making no progress",
+    "stuck": "reporting, but not handling messages and requests",
+    "silent": "alive, but not reporting",
+    "exited": "its process ended by itself",
 }
 
 

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import sys
 from argparse import Action, ArgumentParser, _SubParsersAction
-from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 from rn_standard.console.parsers import ONLY_ACTIONS, whole_parser
@@ -19,26 +18,11 @@ MARK = (
     "docs/command-line.md -->"
 )
 _EVERYWHERE = ("--help", "--verbose", "--quiet")
-_MANY = 3
-"""Commands from which on an option that means the same in all is explained once."""
 
 
 def command_reference() -> str:
-    """A section for each command: what it does, its arguments and options; those of many
-    commands come first.
-    """
-    parser = whole_parser()
-    counts = Counter(row for command in _commands(parser) for row in _rows(command))
-    meanings = {
-        _name(row): row
-        for row, count in sorted(counts.items(), key=lambda item: item[1])
-        if count >= _MANY
-    }
-    shared = [row for row in counts if row in meanings.values()]
-    first = ["## Options of many commands\n", "\n".join(shared) + "\n"]
-    return "\n".join(
-        [*first, *(_section(command, shared) for command in _commands(parser) if _about(command))]
-    )
+    """A section for each command: what it does, and the names of its arguments and options."""
+    return "\n".join(_section(command) for command in _commands(whole_parser()) if _about(command))
 
 
 def with_reference(page: str) -> str:
@@ -65,48 +49,28 @@ def _commands(parser: ArgumentParser) -> Iterator[ArgumentParser]:
 
 
 def _about(command: ArgumentParser) -> str:
-    """What a command does; empty for a word that only stands before its actions."""
-    about = " ".join((command.description or "").split()).rstrip(".")
-    return "" if about == ONLY_ACTIONS else about
+    """What a command does, by the first paragraph; empty for a word that only stands before its
+    actions.
+    """
+    about = " ".join((command.description or "").partition("\n\n")[0].split()).rstrip(".")
+    return "" if about == ONLY_ACTIONS else about[:1].upper() + about[1:]
 
 
-def _section(command: ArgumentParser, shared: Collection[str]) -> str:
-    rows = _rows(command)
+def _section(command: ArgumentParser) -> str:
+    names = [f"`{name}`" for action in command._actions for name in _name(action)]
     lines = [f"## {command.prog}\n", f"{_about(command)}.\n"]
-    own = [row for row in rows if row not in shared]
-    if own:
-        lines.append("\n".join(own) + "\n")
-    if len(own) < len(rows):
-        lines.append(f"Also {', '.join(_name(row) for row in rows if row in shared)}.\n")
-    return "\n".join(lines)
+    return "\n".join([*lines, *([f"{' '.join(names)}\n"] if names else [])])
 
 
-def _name(row: str) -> str:
-    return row[2:].partition(": ")[0]
-
-
-def _rows(command: ArgumentParser) -> list[str]:
-    return [row for argument in command._actions for row in _row(argument)]
-
-
-def _row(action: Action) -> Iterator[str]:
+def _name(action: Action) -> Iterator[str]:
     if isinstance(action, _SubParsersAction) or set(action.option_strings) & set(_EVERYWHERE):
         return
     metavar = action.metavar or (action.dest.upper() if action.nargs != 0 else "")
     value = " ".join(metavar) if isinstance(metavar, tuple) else metavar
-    if not action.option_strings:
-        name = f"`{value}`"
-    else:
-        name = ", ".join(
-            f"`{option}{f' {value}' if value else ''}`" for option in action.option_strings
-        )
-    choices = (
-        f" (one of: {', '.join(map(str, action.choices))})"
-        if action.choices and action.option_strings
-        else ""
-    )
-    meaning = (action.help or "").replace("%(default)s", str(action.default))
-    yield f"- {name}: {meaning}{choices}"
+    if action.choices and action.option_strings:
+        value = "|".join(map(str, action.choices))
+    option = max(action.option_strings, key=len, default="")
+    yield (" " if isinstance(metavar, tuple) else "=").join(filter(None, (option, value)))
 
 
 if __name__ == "__main__":

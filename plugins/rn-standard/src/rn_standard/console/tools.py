@@ -38,8 +38,13 @@ class Tools:
             return 0
         width = max(len(tool.name) for tool in listing)
         for tool in listing:
-            print(f"{tool.name:<{width}}  {tool.title}")
+            print(f"{tool.name:<{width}}  {tool.title or _first_sentence(tool)}")
         return 0
+
+
+def _first_sentence(tool: Tool) -> str:
+    """Of the description: a title that repeats the name is not listed."""
+    return (tool.description or "").partition(". ")[0].rstrip(".")
 
 
 def _listing(arguments: Namespace) -> list[Tool]:

@@ -250,7 +250,7 @@ class MotionArbiter:
         while self._is_followed(motion.exposed):
             if time.monotonic() > deadline_s:
                 raise NotReadyError(
-                    "Control still follows actions that somebody sends; nothing was sent.",
+                    "Control still receives actions from another sender; nothing was sent.",
                     hint="Call stop_inference, or see get_status.",
                 )
             motion.sleep_until(time.monotonic() + POLL_S)

@@ -23,8 +23,8 @@ TAKE_OVER, HEARTBEAT = "take_over", "heartbeat"
 class OperatorResult(Result):
     """Who operates the robot now."""
 
-    operator: str = Field(description="the client that may call what acts")
-    before: str = Field(default="", description="who did before; empty when nobody else")
+    operator: str = Field(description="the only client that may act")
+    before: str = Field(default="", description="previous operator; empty if there was none")
     lease_s: float | None = Field(
         default=None, description="motion ends when the operator is silent for this long"
     )
@@ -96,7 +96,7 @@ class OperatorLease:
         with self._lock:
             before = "" if self._is_vacant else self._operator
             if before != who:
-                reason = f"took over from {before}" if before else "nobody operated"
+                reason = f"took over from {before}" if before else "there was no operator"
                 self._audit.write(
                     AuditRecord(
                         who=who, role=role, tool=TAKE_OVER, verdict="allowed", reason=reason
@@ -200,9 +200,9 @@ class OperatorLease:
                 name=TAKE_OVER,
                 title="Operate the robot",
                 description=(
-                    "Become the operator: the one client that may call what acts; everybody may "
-                    "look on and stop. The "
-                    "first client that acts is the operator by itself. What runs goes on."
+                    "Become the operator: the only client that may act; all others may read and "
+                    "stop. The first client that acts becomes it by itself. What runs keeps "
+                    "running."
                 ),
                 arguments=NoArguments,
                 result=OperatorResult,
@@ -214,9 +214,8 @@ class OperatorLease:
                 name=HEARTBEAT,
                 title="Renew the lease",
                 description=(
-                    "Say that you are alive. Every call of the operator does; an operator silent "
-                    "for longer than "
-                    "[http] lease_s loses the robot: the policy is stopped and the arm holds."
+                    "Renew the operator's lease. Every call of the operator does so too; if it "
+                    "is silent for [http] lease_s, the policy is stopped and the arm holds."
                 ),
                 arguments=NoArguments,
                 result=OperatorResult,

@@ -25,7 +25,7 @@ class RealRobotOptions(Section):
         default="ask",
         description="ask: the person behind the client, if it can ask one; require: no start "
         "without a person's "
-        "agreement; never: nobody is asked",
+        "agreement; never: no question",
     )
 
 

@@ -32,9 +32,7 @@ class GetLogs(Arguments):
     """Arguments of get_logs."""
 
     module: Source = Field(description="Whose log; server: the log of this server itself.")
-    entries: int = Field(
-        default=50, ge=1, le=500, description="Most entries; the newest are given."
-    )
+    entries: int = Field(default=50, ge=1, le=500, description="At most so many, the newest.")
     level: Level = Field(default="debug", description="Leave out entries below this level.")
     contains: str = Field(default="", max_length=200, description="Only entries with this text.")
 
@@ -65,9 +63,7 @@ class LogsResult(Result):
 class ListIncidents(Arguments):
     """Arguments of list_incidents."""
 
-    entries: int = Field(
-        default=10, ge=1, le=100, description="Most records; the newest are given."
-    )
+    entries: int = Field(default=10, ge=1, le=100, description="At most so many, the newest.")
     module: ModuleKind | None = Field(default=None, description="Only of this module.")
     id: str | None = Field(
         default=None, max_length=200, description="This one alone, with status, log and actions."
@@ -228,7 +224,7 @@ def record_tools(modules: Modules, incidents: Incidents) -> list[Tool[Any]]:
         Tool(
             name="get_logs",
             title="Log of a module or of the server",
-            description="The newest entries of a module's log, also after it has ended, or of the "
+            description="The newest entries of a module's log, even after it has ended, or of the "
             "server's log.",
             arguments=GetLogs,
             result=LogsResult,

@@ -76,7 +76,7 @@ def _tool(host: Host) -> Tool[Any]:
 
 async def _ask(context: CallContext) -> None:
     agreed = await context.ask(
-        "Recover the robot from its fault? Look at the arm first. Nothing moves before somebody "
+        "Recover the robot from its fault? Look at the arm first. Nothing moves until someone "
         "asks for it anew."
     )
     if agreed:

@@ -14,8 +14,8 @@ Options = Annotated[
     dict[str, Any],
     Field(
         default_factory=dict,
-        description="Options of the plugin, over those in the configuration; addresses and files "
-        "stand only there.",
+        description="Plugin options, overriding the configuration's; addresses and files only "
+        "from there.",
     ),
 ]
 

@@ -24,7 +24,7 @@ class Switch(Arguments):
         description="warm: try the new one beside the old one first; cold: stop the old one first.",
     )
     rollback: bool = Field(
-        default=False, description="Back to what ran before; then nothing else may be named."
+        default=False, description="Return to what ran before; allows no other argument."
     )
 
     @model_validator(mode="after")
@@ -97,20 +97,21 @@ _TEXTS: Mapping[ModuleKind, _Text] = {
     "inference": _Text(
         arguments=SwitchInference,
         title="Replace the policy",
-        description="Replace the running policy; robot, cameras and controller go on. What is not "
-        "named comes from the "
-        "configuration; the instruction is kept. warm: the new policy is loaded beside the old "
+        description="Replace the running policy; robot, cameras and controller keep running. "
+        "Omitted arguments come from the configuration; the instruction is kept. warm: the new "
+        "policy is loaded beside the old "
         "one, tried without "
         "moving anything, and takes over between two actions; if it fails, or would move very "
-        "differently, the old one "
-        "goes on. cold: the arm holds meanwhile; after a failure no policy runs.",
+        "differently, the old one stays. cold: the arm holds meanwhile; after a failure no "
+        "policy runs.",
     ),
     "perception": _Text(
         arguments=SwitchPerception,
         title="Replace the cameras' source",
-        description="Replace the running source of images; everything else goes on. warm: the new "
+        description="Replace the running image source; everything else keeps running. warm: the "
+        "new "
         "one must deliver "
-        "images of the same size before it takes over; otherwise the old one goes on. cold (for a "
+        "images of the same size before it takes over; otherwise the old one stays. cold (for a "
         "device that only one "
         "process can open): there are no images meanwhile; after a failure no source runs.",
     ),
@@ -120,8 +121,8 @@ _TEXTS: Mapping[ModuleKind, _Text] = {
         description="Replace the running controller, or change its options. warm: the new one "
         "answers the same actions "
         "without moving anything before it takes over; if it fails, or its commands differ too "
-        "much, the old one goes "
-        "on. cold: the arm holds meanwhile; after a failure no controller runs.",
+        "much, the old one stays. cold: the arm holds meanwhile; after a failure no controller "
+        "runs.",
     ),
 }
 

@@ -79,8 +79,8 @@ def start_all_tool(host: Host) -> Tool[Any]:
         name="start_all",
         title="Start everything",
         description="Start everything that is configured and does not run yet: robot, cameras, "
-        "controller and policy, "
-        f"side by side. The robot is the {host.loop.robot_facts}. Returns when everything works; "
+        "controller and policy, in parallel. The robot is the {host.loop.robot_facts}. Returns "
+        "when everything works; "
         "if something fails, "
         "what this call started is stopped again. Then call run_task.",
         arguments=StartAll,

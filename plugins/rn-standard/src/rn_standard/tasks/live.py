@@ -195,7 +195,7 @@ class LiveCell:
         if self._starts.stops != self._stops:
             return f"there was a stop: {self._starts.reason}"
         if self._instruction and self._starts.ticket != self._ticket:
-            return f"somebody else gave the instruction {self._starts.instruction!r}"
+            return f"another client gave the instruction {self._starts.instruction!r}"
         return ""
 
     def look(self) -> Snapshot:

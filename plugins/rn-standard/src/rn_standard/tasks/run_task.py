@@ -59,8 +59,8 @@ class RunTask(Arguments):
     )
     until: dict[str, Any] | None = Field(
         default=None,
-        description=f"What is true when it is done, a predicate P: {UNTIL}. Without it nothing is "
-        "judged.",
+        description=f"What is true when it is done, a predicate P: {UNTIL}. Without it success "
+        "is not judged.",
     )
     max_s: float | None = Field(
         default=None, gt=0, le=86400, description="Longest time of one attempt [s]."
@@ -87,9 +87,9 @@ class TaskResult(Result):
     """How a task ended; images from before and after come beside it, in this order."""
 
     outcome: Literal["succeeded", "failed", "timed_out", "stopped", "unclear"] = Field(
-        description="succeeded: the predicate was true, also with the arm at rest; failed: all "
-        "attempts ended without; "
-        "timed_out: the last one for want of time; stopped: by somebody; unclear: it cannot be "
+        description="succeeded: the predicate was true, also with the arm at rest; failed: no "
+        "attempt succeeded; timed_out: the last one ran out of time; stopped: by someone; "
+        "unclear: it cannot be "
         "judged, see the images"
     )
     attempts: int = Field(description="0: it was done before anything moved")
@@ -303,9 +303,9 @@ def run_task_tool(handler: TaskTool) -> Tool[Any]:
     return Tool(
         name="run_task",
         title="Carry out a task",
-        description="Have the robot carry out an instruction; returns when that has ended and the "
-        "policy moves nothing "
-        "any more. The outcome is succeeded, failed, timed_out, stopped (by somebody) or unclear "
+        description="Have the robot carry out an instruction; returns when that has ended and "
+        "the policy no longer moves it. The outcome is succeeded, failed, timed_out, stopped (by "
+        "someone) or unclear "
         "(judge by the "
         "images). Needs start_all. Cancelling the call, or losing the connection, stops the arm.",
         arguments=RunTask,

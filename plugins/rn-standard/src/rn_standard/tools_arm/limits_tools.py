@@ -26,7 +26,7 @@ class TightenLimits(Arguments):
 
     max_speed_m_s: float | None = Field(default=None, gt=0, le=3, description="Of the TCP.")
     acceleration: float | None = Field(
-        default=None, gt=0, le=1, description="Share of the joints' own."
+        default=None, gt=0, le=1, description="Share of the joints' limits."
     )
     x_min_m: float | None = Field(
         default=None, description="The TCP stays in this box; y is left, z up."
@@ -109,9 +109,9 @@ def limits_tools(
         Tool(
             name="tighten_limits",
             title="Tighten the limits",
-            description="Slower, or out of a place, from now on: for policies and direct motion, "
-            "after restarts too. "
-            "Limits only become tighter; a person loosens them (tool loosen_limits).",
+            description="Slow motion down, or keep it out of an area: of policies and tools, "
+            "also after restarts. Limits can only be tightened; a person loosens them (tool "
+            "loosen_limits).",
             arguments=TightenLimits,
             result=LimitsResult,
             handler=tighten_limits,
@@ -146,7 +146,7 @@ async def _ask(host: Host, context: CallContext) -> None:
     )
     if agreed:
         return
-    why = "this client cannot ask one" if agreed is None else "nobody agreed"
+    why = "this client cannot ask one" if agreed is None else "the person did not agree"
     raise RefusedError(
         f"Only a person loosens the limits, and {why}. They stay.",
         hint="Ask a person to run, in a terminal on this machine: roboneuron limits --loosen "

@@ -18,7 +18,7 @@ from rn_standard.tools_ros.targets import Targets
 from roboneuron import Host, Tool
 from roboneuron.feature import ExposedEndpoint, Schema
 
-_SENT = "Fails when nobody subscribes."
+_SENT = "Fails without a subscriber."
 
 
 def derive_tools(
@@ -74,7 +74,7 @@ def _publish(name: str, noun: str, targets: Targets, host: Host) -> Tool[Any]:
             ", then the stop message is sent; returns after that. " if stops else ". "
         )
     elif targets.trajectory:
-        lasts = "Returns when its time is over; cancelling the call ends it, the joints hold then. "
+        lasts = "Returns when its time is over; if cancelled, the joints hold. "
     properties |= {"timeout_s": {}, "dry_run": {}}
     return Tool(
         name=name,
@@ -157,7 +157,7 @@ def _read(name: str, noun: str, targets: Targets, host: Host) -> Tool[Any]:
     return Tool(
         name=name,
         title=f"Read {noun}",
-        description=f"{targets.describe()} The latched message, or the next one that comes; with "
+        description=f"{targets.describe()} Returns the latched message, or the next one; with "
         "`count` the next n.",
         arguments=Derived(
             model=Read,

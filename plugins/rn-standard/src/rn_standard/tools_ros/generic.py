@@ -65,10 +65,10 @@ class TopicStatus(Result):
     kind: str
     topic: str
     type: str
-    live_type: str = Field(description="type in the graph; empty when nobody uses it")
+    live_type: str = Field(description="type in the graph; empty when unused")
     publishers: int | None = Field(description="None for services and actions")
     subscribers: int | None
-    served: bool | None = Field(description="whether somebody serves it; None for topics")
+    served: bool | None = Field(description="whether it has a server; None for topics")
 
 
 class ListNames(Arguments):

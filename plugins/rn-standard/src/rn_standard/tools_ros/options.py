@@ -66,7 +66,7 @@ class ExposeConfig(Section):
         default=None, description="a lasting value is sent again this often"
     )
     require_subscriber: bool = Field(
-        default=True, description="a message that nobody receives is an error"
+        default=True, description="without a subscriber a message is an error"
     )
     moves: bool = Field(
         default=True, description="false: it moves nothing and may be used while a policy runs"
