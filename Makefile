@@ -163,11 +163,11 @@ demo-fleet: $(VENV)/.demo-fleet ## one MCP client, two FR3s and a base: both arm
 
 test: test-units test-ros ## the default test suite, in two lanes: units and ROS; test-timing is a third
 
+# Without --max-worker-restart=0 pytest-xdist may wait for ever when a worker crashes (seen with 3.8.0).
 test-units: $(VENV)/.develop ## its tests without ROS processes, UNIT_JOBS at a time
-	$(BIN)/python -m pytest -n $(UNIT_JOBS) --dist worksteal \
+	$(BIN)/python -m pytest -n $(UNIT_JOBS) --dist worksteal --max-worker-restart=0 \
 	  -m "not ros and not gpu and not hardware and not slow and not release" $(ARGS)
 
-# Without --max-worker-restart=0 pytest-xdist may wait for ever when a worker crashes under loadfile (seen with 3.8.0).
 test-ros: $(VENV)/.develop ## its tests with ROS processes, JOBS at a time
 	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile --no-loadscope-reorder --max-worker-restart=0 $(RERUN) \
 	  -m "ros and not timing and not gpu and not hardware and not slow" $(ARGS)
@@ -209,6 +209,9 @@ format: $(VENV)/.develop ## put the code into shape
 
 bench: $(VENV)/.develop ## every benchmark of the closed loop (ARGS=--quick: only whether they work); what was missed comes last
 	$(BIN)/python benchmarks/run_all.py $(ARGS)
+
+bench-guard: $(VENV)/.develop ## the hot paths beside their floors, a minute: fails when one of them has become slow
+	$(BIN)/python benchmarks/guard.py $(ARGS)
 
 soak: $(VENV)/.develop ## the loop for 30 minutes with switches and random faults: nothing grows, everything recovers
 	$(BIN)/python benchmarks/soak.py $(ARGS)
