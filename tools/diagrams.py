@@ -131,9 +131,9 @@ def stops() -> str:
         180,
         104,
         "control",
-        "holds without actions: 0.5 s,",
-        "joint states: 0.25 s,",
-        "a living server: 2 s",
+        "holds without",
+        "actions 0.5 s, joint",
+        "states 0.25 s, server 2 s",
         fill=AMBER,
     )
     s.box(
@@ -143,8 +143,8 @@ def stops() -> str:
         104,
         "robot module",
         "the driver brakes without",
-        "commands: 1 s,",
-        "a living server: 2 s",
+        "commands 1 s,",
+        "the server 2 s",
         fill=GREEN,
     )
     s.box(770, 70, 140, 104, "arm", "its own safety", "functions", fill=WHITE)
@@ -173,7 +173,7 @@ def gate() -> str:
     s.text(470, 36, "the gate: the first rule that fails refuses the message", bold=True)
     groups = (
         ("may it?", "allow list, role"), ("is it valid?", "type, finite"),
-        ("within limits?", "bounds, joints, path"), ("now?", "stop, rate, audit"),
+        ("within limits?", "bounds, path"), ("now?", "stop, rate, audit"),
     )  # fmt: skip
     for number, lines in enumerate(groups):
         s.box(190 + 145 * number, 80, 130, 80, *lines, fill=RED)
