@@ -121,7 +121,7 @@ def start_to_message(folder: Path, rounds: int) -> tuple[float, float]:
                 assert process.stdout is not None
                 process.stdout.readline()
                 floor.append((time.monotonic() - begun_s) * 1e3)
-                process.communicate()
+                process.communicate(timeout=bench_direct.CALL_S)
             ours.append(anyio.run(bench_direct.measure_start, 3, listener, folder)[2] * 1e3)
     finally:
         listener.close()

@@ -17,13 +17,11 @@ import pytest
 
 from rn_standard.direct_path import motion_gate as motion_gate_module
 from rn_standard.direct_path.arbiter import Ending, MotionArbiter, MotionEnd
-from rn_standard.direct_path.delivery import Command
-from rn_standard.direct_path.exposed import Exposed
 from rn_standard.direct_path.gate import Gate
-from rn_standard.direct_path.motion_gate import MotionGate
-from rn_standard.direct_path.request import GateRequest
+from rn_standard.direct_path.motion_gate import DirectGate
 from roboneuron.contract import Endpoint, JointSample
 from roboneuron.errors import NotReadyError, RefusedError, StateError
+from roboneuron.feature import ExposedEndpoint, GateRequest, TimedCommand
 
 Ask = Callable[..., GateRequest]
 FORWARD = {"linear": {"x": 0.25}}
@@ -85,30 +83,30 @@ class Traffic:
         self.goals: list[tuple[Any, dict[str, Any]]] = []
         self.served = [True]
 
-    def known_writer(self, exposed: Exposed) -> Writer | None:
+    def known_writer(self, exposed: ExposedEndpoint) -> Writer | None:
         return self.made if self.is_known else None
 
-    def writer(self, exposed: Exposed) -> Writer:
+    def writer(self, exposed: ExposedEndpoint) -> Writer:
         return self.made
 
-    def newest_joints(self, exposed: Exposed) -> JointSample | None:
-        assert isinstance(exposed, Exposed)
+    def newest_joints(self, exposed: ExposedEndpoint) -> JointSample | None:
+        assert isinstance(exposed, ExposedEndpoint)
         return self.now_joints
 
-    def joints(self, exposed: Exposed, timeout_s: float) -> JointSample | None:
+    def joints(self, exposed: ExposedEndpoint, timeout_s: float) -> JointSample | None:
         self.waits_s.append(timeout_s)
         return self.newest_joints(exposed)
 
-    def is_served(self, exposed: Exposed) -> bool:
-        assert isinstance(exposed, Exposed)
+    def is_served(self, exposed: ExposedEndpoint) -> bool:
+        assert isinstance(exposed, ExposedEndpoint)
         return self.served.pop(0) if len(self.served) > 1 else self.served[0]
 
-    def cancel_goal(self, exposed: Exposed, goal_id: object) -> None: ...
+    def cancel_goal(self, exposed: ExposedEndpoint, goal_id: object) -> None: ...
 
     def link(self) -> Any:
         return SimpleNamespace(call=lambda *told: self.calls.append(told) or "the call")
 
-    def action_client(self, exposed: Exposed) -> Any:
+    def action_client(self, exposed: ExposedEndpoint) -> Any:
         def send(goal: Any, **options: Any) -> str:
             self.goals.append((goal, options))
             return "the future"
@@ -136,7 +134,7 @@ class Bench:
         self.on_permit: Callable[[], object] = lambda: None
         self.is_still = False
         self.listed = SimpleNamespace(exposed=("one",), expose=None, on_change=None, relimit=None)
-        self.motion_gate = MotionGate(
+        self.motion_gate = DirectGate(
             gate,
             self.arbiter,
             self.traffic,  # type: ignore[arg-type]
@@ -154,7 +152,7 @@ class Bench:
         self.next.append(request)
         self._check_next(request)
 
-    def permit(self, exposed: Exposed) -> None:
+    def permit(self, exposed: ExposedEndpoint) -> None:
         self.permitted.append(exposed.label)
         self.on_permit()
 
@@ -174,21 +172,23 @@ def bench(make_gate: Callable[..., Gate], monkeypatch: pytest.MonkeyPatch) -> Be
     return Bench(make_gate(), clock)
 
 
-def exposed(endpoint: Endpoint, **changes: Any) -> Exposed:
-    return Exposed(robot="arm", namespace="arm", label=endpoint.name, endpoint=endpoint, **changes)
+def exposed(endpoint: Endpoint, **changes: Any) -> ExposedEndpoint:
+    return ExposedEndpoint(
+        robot="arm", namespace="arm", label=endpoint.name, endpoint=endpoint, **changes
+    )
 
 
 @pytest.fixture
-def drive(endpoints: dict[str, Endpoint]) -> Exposed:
+def drive(endpoints: dict[str, Endpoint]) -> ExposedEndpoint:
     return exposed(endpoints["velocity"])
 
 
 @pytest.fixture
-def move(endpoints: dict[str, Endpoint]) -> Exposed:
+def move(endpoints: dict[str, Endpoint]) -> ExposedEndpoint:
     return exposed(endpoints["joints"])
 
 
-def send_one(bench: Bench, place: Exposed, request: GateRequest, how: str) -> Any:
+def send_one(bench: Bench, place: ExposedEndpoint, request: GateRequest, how: str) -> Any:
     """Send one message: without blocking, with, or as a motion."""
     if how == "now":
         return bench.motion_gate.publish_now(place, request)
@@ -221,9 +221,9 @@ def test_what_features_are_given_is_the_gates_the_arbiters_and_the_allow_lists(
 
 
 def test_a_gate_without_a_say_permits_everything_and_is_never_still(
-    bench: Bench, drive: Exposed, ask: Ask
+    bench: Bench, drive: ExposedEndpoint, ask: Ask
 ) -> None:
-    gate = MotionGate(
+    gate = DirectGate(
         bench.gate,
         bench.arbiter,
         bench.traffic,  # type: ignore[arg-type]
@@ -237,7 +237,7 @@ def test_a_gate_without_a_say_permits_everything_and_is_never_still(
 # A question
 
 
-def test_a_question_is_answered_by_the_gate(bench: Bench, drive: Exposed, ask: Ask) -> None:
+def test_a_question_is_answered_by_the_gate(bench: Bench, drive: ExposedEndpoint, ask: Ask) -> None:
     verdict = bench.motion_gate.ask(drive, ask(drive.endpoint, FORWARD, dry_run=True))
     assert (verdict.allowed, verdict.dry_run, verdict.may_send) == (True, True, False)
     far = ask(drive.endpoint, {"linear": {"x": 9.0}}, dry_run=True)
@@ -245,7 +245,7 @@ def test_a_question_is_answered_by_the_gate(bench: Bench, drive: Exposed, ask: A
 
 
 def test_a_question_while_a_policy_moves_the_robot_is_answered_no(
-    bench: Bench, drive: Exposed, ask: Ask
+    bench: Bench, drive: ExposedEndpoint, ask: Ask
 ) -> None:
     bench.policy = "The policy 'instant' moves 'arm'."
     request = ask(drive.endpoint, FORWARD, dry_run=True)
@@ -259,7 +259,7 @@ def test_a_question_while_a_policy_moves_the_robot_is_answered_no(
 
 @pytest.mark.parametrize("is_motion", [False, True])
 def test_a_dry_run_sends_nothing_and_tells_who_listens(
-    bench: Bench, drive: Exposed, ask: Ask, is_motion: bool
+    bench: Bench, drive: ExposedEndpoint, ask: Ask, is_motion: bool
 ) -> None:
     request = ask(drive.endpoint, FORWARD, dry_run=True)
     bench.writer.listeners = 3
@@ -276,7 +276,9 @@ def test_a_dry_run_sends_nothing_and_tells_who_listens(
 # One message
 
 
-def test_a_message_that_is_allowed_is_sent_once(bench: Bench, drive: Exposed, ask: Ask) -> None:
+def test_a_message_that_is_allowed_is_sent_once(
+    bench: Bench, drive: ExposedEndpoint, ask: Ask
+) -> None:
     request = ask(drive.endpoint, FORWARD)
     sent = bench.motion_gate.publish(drive, request, timeout_s=1.5)
     assert bench.sent == [request.messages[0]]
@@ -288,7 +290,9 @@ def test_a_message_that_is_allowed_is_sent_once(bench: Bench, drive: Exposed, as
     assert len(bench.checked) == 1
 
 
-def test_the_time_that_sending_takes_is_told(bench: Bench, drive: Exposed, ask: Ask) -> None:
+def test_the_time_that_sending_takes_is_told(
+    bench: Bench, drive: ExposedEndpoint, ask: Ask
+) -> None:
     bench.writer.takes_s = 0.125
     publish = bench.writer.publish
 
@@ -306,7 +310,7 @@ def test_the_time_that_sending_takes_is_told(bench: Bench, drive: Exposed, ask: 
 
 @pytest.mark.parametrize("how", ["now", "later", "motion"])
 def test_a_message_that_is_refused_is_not_sent(
-    bench: Bench, drive: Exposed, ask: Ask, how: str
+    bench: Bench, drive: ExposedEndpoint, ask: Ask, how: str
 ) -> None:
     request = ask(drive.endpoint, {"linear": {"x": 9.0}})
     with pytest.raises(RefusedError, match=r"linear\.x"):
@@ -316,7 +320,7 @@ def test_a_message_that_is_refused_is_not_sent(
 
 @pytest.mark.parametrize("how", ["now", "later", "motion"])
 def test_a_message_is_not_sent_while_a_policy_moves_the_robot(
-    bench: Bench, drive: Exposed, ask: Ask, how: str
+    bench: Bench, drive: ExposedEndpoint, ask: Ask, how: str
 ) -> None:
     bench.policy = "The policy 'instant' moves 'arm'."
     with pytest.raises(RefusedError, match="instant"):
@@ -326,7 +330,7 @@ def test_a_message_is_not_sent_while_a_policy_moves_the_robot(
 
 @pytest.mark.parametrize("how", ["now", "later", "motion"])
 def test_a_message_is_not_sent_while_the_emergency_stop_is_latched(
-    bench: Bench, drive: Exposed, ask: Ask, how: str
+    bench: Bench, drive: ExposedEndpoint, ask: Ask, how: str
 ) -> None:
     bench.gate.latch.press(who="a person", reason="a test")
     with pytest.raises(RefusedError, match="Nothing was sent"):
@@ -335,7 +339,7 @@ def test_a_message_is_not_sent_while_the_emergency_stop_is_latched(
 
 
 def test_what_keeps_the_robot_still_keeps_a_message_from_being_sent(
-    bench: Bench, drive: Exposed, ask: Ask
+    bench: Bench, drive: ExposedEndpoint, ask: Ask
 ) -> None:
     def refuse() -> None:
         raise RefusedError("Motion needs a new start.")
@@ -362,7 +366,7 @@ def test_a_message_carries_the_time_of_sending_when_it_is_to(
 
 
 def test_a_gate_that_only_answers_sends_nothing(
-    make_gate: Callable[..., Gate], drive: Exposed, ask: Ask
+    make_gate: Callable[..., Gate], drive: ExposedEndpoint, ask: Ask
 ) -> None:
     bench = Bench(make_gate(dry_run=True), Clock())
     bench.writer.listeners = 3
@@ -378,7 +382,7 @@ def test_a_gate_that_only_answers_sends_nothing(
 
 
 def test_a_message_is_sent_at_once_when_nothing_has_to_be_waited_for(
-    bench: Bench, drive: Exposed, ask: Ask
+    bench: Bench, drive: ExposedEndpoint, ask: Ask
 ) -> None:
     request = ask(drive.endpoint, FORWARD)
     sent = bench.motion_gate.publish_now(drive, request)
@@ -391,7 +395,7 @@ def test_a_message_is_sent_at_once_when_nothing_has_to_be_waited_for(
 
 @pytest.mark.parametrize("why", ["no writer", "dry run", "joints", "still", "no subscriber"])
 def test_what_has_to_be_waited_for_is_left_to_a_thread(
-    bench: Bench, drive: Exposed, move: Exposed, ask: Ask, why: str
+    bench: Bench, drive: ExposedEndpoint, move: ExposedEndpoint, ask: Ask, why: str
 ) -> None:
     place, request = drive, ask(drive.endpoint, FORWARD)
     if why == "no writer":
@@ -413,7 +417,7 @@ def test_what_has_to_be_waited_for_is_left_to_a_thread(
 
 @pytest.mark.parametrize("how", ["later", "motion"])
 def test_a_message_that_nobody_would_receive_is_not_sent(
-    bench: Bench, drive: Exposed, ask: Ask, how: str
+    bench: Bench, drive: ExposedEndpoint, ask: Ask, how: str
 ) -> None:
     bench.writer.subscribers = bench.writer.listeners = 0
     request = ask(drive.endpoint, FORWARD)
@@ -438,7 +442,7 @@ def test_a_message_that_needs_no_subscriber_waits_only_for_one_that_is_there(
 
 
 def test_after_a_quarter_of_a_second_the_gate_is_asked_again(
-    bench: Bench, drive: Exposed, ask: Ask
+    bench: Bench, drive: ExposedEndpoint, ask: Ask
 ) -> None:
     bench.writer.takes_s = 0.25
     bench.motion_gate.publish(drive, ask(drive.endpoint, FORWARD), timeout_s=1.0)
@@ -451,7 +455,7 @@ def test_after_a_quarter_of_a_second_the_gate_is_asked_again(
 
 @pytest.mark.parametrize("how", ["later", "motion"])
 def test_a_stop_while_it_waits_for_a_subscriber_keeps_a_message_from_being_sent(
-    bench: Bench, drive: Exposed, ask: Ask, how: str
+    bench: Bench, drive: ExposedEndpoint, ask: Ask, how: str
 ) -> None:
     bench.writer.takes_s = 0.3
     bench.writer.on_connect = lambda: bench.gate.latch.press(who="a person", reason="a test")
@@ -461,7 +465,7 @@ def test_a_stop_while_it_waits_for_a_subscriber_keeps_a_message_from_being_sent(
 
 
 def test_a_policy_that_starts_meanwhile_keeps_a_message_from_being_sent(
-    bench: Bench, drive: Exposed, ask: Ask
+    bench: Bench, drive: ExposedEndpoint, ask: Ask
 ) -> None:
     bench.writer.takes_s = 0.3
     bench.writer.on_connect = lambda: setattr(bench, "policy", "The policy 'late' moves 'arm'.")
@@ -471,13 +475,15 @@ def test_a_policy_that_starts_meanwhile_keeps_a_message_from_being_sent(
 
 
 def test_an_owned_motion_is_not_in_its_own_way_after_a_wait(
-    bench: Bench, drive: Exposed, ask: Ask
+    bench: Bench, drive: ExposedEndpoint, ask: Ask
 ) -> None:
     bench.writer.takes_s = 0.3
     assert play(bench, drive, ask(drive.endpoint, FORWARD)).messages == 1
 
 
-def test_the_joints_are_measured_again_after_a_wait(bench: Bench, move: Exposed, ask: Ask) -> None:
+def test_the_joints_are_measured_again_after_a_wait(
+    bench: Bench, move: ExposedEndpoint, ask: Ask
+) -> None:
     """The arm may have been moved meanwhile: what was near may be far by now."""
     bench.writer.takes_s = 0.3
     there = replace(HERE, position=np.array([0.9, 0.2, 0.0]))
@@ -493,7 +499,9 @@ def test_the_joints_are_measured_again_after_a_wait(bench: Bench, move: Exposed,
 # Joints
 
 
-def test_joints_are_measured_when_a_request_has_none(bench: Bench, move: Exposed, ask: Ask) -> None:
+def test_joints_are_measured_when_a_request_has_none(
+    bench: Bench, move: ExposedEndpoint, ask: Ask
+) -> None:
     value = {"name": ["j1", "j2"], "position": [0.11, 0.2]}
     request = ask(move.endpoint, value, joints=None)
     assert bench.motion_gate.publish(move, request, timeout_s=0.75).messages == 1
@@ -502,7 +510,7 @@ def test_joints_are_measured_when_a_request_has_none(bench: Bench, move: Exposed
 
 
 def test_joints_that_a_request_has_are_not_measured_again(
-    bench: Bench, move: Exposed, ask: Ask
+    bench: Bench, move: ExposedEndpoint, ask: Ask
 ) -> None:
     value = {"name": ["j1", "j2"], "position": [0.01, 0.0]}
     bench.motion_gate.publish(move, ask(move.endpoint, value), timeout_s=0.75)
@@ -510,7 +518,7 @@ def test_joints_that_a_request_has_are_not_measured_again(
 
 
 def test_joints_are_not_measured_for_what_moves_none(
-    bench: Bench, drive: Exposed, ask: Ask
+    bench: Bench, drive: ExposedEndpoint, ask: Ask
 ) -> None:
     bench.motion_gate.publish(drive, ask(drive.endpoint, FORWARD, joints=None), timeout_s=0.75)
     assert bench.traffic.waits_s == []
@@ -521,7 +529,7 @@ def test_joints_are_not_measured_for_what_moves_none(
 
 def play(
     bench: Bench,
-    place: Exposed,
+    place: ExposedEndpoint,
     request: GateRequest,
     *,
     commands: Any = None,
@@ -531,7 +539,7 @@ def play(
     **options: Any,
 ) -> Any:
     """Send the request's messages, each due at once."""
-    due = [Command(message=message, due_s=0.0) for message in request.messages]
+    due = [TimedCommand(message=message, due_s=0.0) for message in request.messages]
     return bench.motion_gate.play(
         place,
         request,
@@ -544,7 +552,7 @@ def play(
 
 
 def test_a_motion_sends_its_commands_and_tells_what_it_sent(
-    bench: Bench, drive: Exposed, ask: Ask
+    bench: Bench, drive: ExposedEndpoint, ask: Ask
 ) -> None:
     request = ask(drive.endpoint, FORWARD)
     sent = play(bench, drive, request, timeout_s=0.75)
@@ -557,14 +565,16 @@ def test_a_motion_sends_its_commands_and_tells_what_it_sent(
     bench.motion_gate.check_free(drive)
 
 
-def test_a_motion_of_joints_measures_them_first(bench: Bench, move: Exposed, ask: Ask) -> None:
+def test_a_motion_of_joints_measures_them_first(
+    bench: Bench, move: ExposedEndpoint, ask: Ask
+) -> None:
     request = ask(move.endpoint, {"name": ["j1", "j2"], "position": [0.11, 0.2]}, joints=None)
     assert play(bench, move, request, timeout_s=0.75).messages == 1
     assert bench.traffic.waits_s == [0.75]
     assert bench.checked[0].joints is HERE
 
 
-def test_a_motion_has_its_robot_to_itself(bench: Bench, drive: Exposed, ask: Ask) -> None:
+def test_a_motion_has_its_robot_to_itself(bench: Bench, drive: ExposedEndpoint, ask: Ask) -> None:
     request = ask(drive.endpoint, FORWARD)
     refusals: list[str] = []
 
@@ -572,13 +582,15 @@ def test_a_motion_has_its_robot_to_itself(bench: Bench, drive: Exposed, ask: Ask
         with pytest.raises(RefusedError) as caught:
             bench.motion_gate.check_free(drive)
         refusals.append(caught.value.message)
-        yield Command(message=request.messages[0], due_s=0.0)
+        yield TimedCommand(message=request.messages[0], due_s=0.0)
 
     play(bench, drive, request, commands=commands())
     assert refusals == ["publish_velocity moves 'arm' now."]
 
 
-def test_a_motion_that_is_refused_waits_for_nobody(bench: Bench, drive: Exposed, ask: Ask) -> None:
+def test_a_motion_that_is_refused_waits_for_nobody(
+    bench: Bench, drive: ExposedEndpoint, ask: Ask
+) -> None:
     with pytest.raises(RefusedError, match=r"linear\.x"):
         play(bench, drive, ask(drive.endpoint, {"linear": {"x": 9.0}}))
     assert (bench.sent, bench.writer.waits_s, bench.permitted) == ([], [], [])
@@ -586,7 +598,7 @@ def test_a_motion_that_is_refused_waits_for_nobody(bench: Bench, drive: Exposed,
 
 
 def test_a_gate_that_only_answers_plays_nothing(
-    make_gate: Callable[..., Gate], drive: Exposed, ask: Ask
+    make_gate: Callable[..., Gate], drive: ExposedEndpoint, ask: Ask
 ) -> None:
     bench = Bench(make_gate(dry_run=True), Clock())
     bench.writer.listeners = 3
@@ -596,7 +608,7 @@ def test_a_gate_that_only_answers_plays_nothing(
 
 
 def test_what_keeps_the_robot_still_keeps_a_motion_from_beginning(
-    bench: Bench, drive: Exposed, ask: Ask
+    bench: Bench, drive: ExposedEndpoint, ask: Ask
 ) -> None:
     def refuse() -> None:
         raise RefusedError("Motion needs a new start.")
@@ -609,11 +621,14 @@ def test_what_keeps_the_robot_still_keeps_a_motion_from_beginning(
 
 
 def test_a_message_that_was_not_known_beforehand_is_judged_before_it_is_sent(
-    bench: Bench, drive: Exposed, ask: Ask
+    bench: Bench, drive: ExposedEndpoint, ask: Ask
 ) -> None:
     request = ask(drive.endpoint, FORWARD)
     far = ask(drive.endpoint, {"linear": {"x": 9.0}}).messages[0]
-    commands = [Command(message=request.messages[0], due_s=0.0), Command(message=far, due_s=0.0)]
+    commands = [
+        TimedCommand(message=request.messages[0], due_s=0.0),
+        TimedCommand(message=far, due_s=0.0),
+    ]
     with pytest.raises(RefusedError, match=r"linear\.x"):
         play(bench, drive, request, commands=commands)
     assert bench.sent == [request.messages[0]]
@@ -628,9 +643,9 @@ def test_a_motion_that_is_cancelled_ends_with_its_stop_message_and_says_so(
     halt = threading.Event()
 
     def commands() -> Any:
-        yield Command(message=request.messages[0], due_s=0.0)
+        yield TimedCommand(message=request.messages[0], due_s=0.0)
         halt.set()
-        yield Command(message=request.messages[0], due_s=0.0)
+        yield TimedCommand(message=request.messages[0], due_s=0.0)
 
     with pytest.raises(
         StateError, match=r"of 2\.00 s, the stop message was sent \(it is near\): The call was"
@@ -649,16 +664,16 @@ def test_a_motion_that_comes_to_its_end_with_a_stop_message_says_so(
 
 
 def test_joints_of_a_motion_that_is_cancelled_hold_where_they_are(
-    bench: Bench, move: Exposed, ask: Ask
+    bench: Bench, move: ExposedEndpoint, ask: Ask
 ) -> None:
     request = ask(move.endpoint, {"name": ["j1", "j2"], "position": [0.11, 0.2]}, joints=HERE)
     halt = threading.Event()
 
     def commands() -> Any:
-        yield Command(message=request.messages[0], due_s=0.0)
+        yield TimedCommand(message=request.messages[0], due_s=0.0)
         bench.traffic.now_joints = replace(HERE, position=np.array([0.105, 0.2, 0.0]))
         halt.set()
-        yield Command(message=request.messages[0], due_s=0.0)
+        yield TimedCommand(message=request.messages[0], due_s=0.0)
 
     with pytest.raises(StateError, match=r"s, the joints were told to hold: The call was"):
         play(bench, move, request, commands=commands(), halt=halt)
@@ -666,7 +681,7 @@ def test_joints_of_a_motion_that_is_cancelled_hold_where_they_are(
 
 
 def test_what_a_motion_did_not_send_does_not_count_against_the_rate(
-    bench: Bench, drive: Exposed, ask: Ask
+    bench: Bench, drive: ExposedEndpoint, ask: Ask
 ) -> None:
     released: list[GateRequest] = []
     bench.gate.release = released.append  # type: ignore[method-assign]
@@ -889,7 +904,7 @@ def test_the_joints_of_a_goal_are_measured_again_after_a_wait(
 
 
 def test_only_a_refusal_of_a_later_message_is_written_down(
-    make_gate: Callable[..., Gate], ask: Ask, drive: Exposed
+    make_gate: Callable[..., Gate], ask: Ask, drive: ExposedEndpoint
 ) -> None:
     gate = make_gate()
     request = ask(drive.endpoint, FORWARD)
@@ -904,7 +919,7 @@ def test_only_a_refusal_of_a_later_message_is_written_down(
 
 
 def test_a_later_message_does_not_count_against_the_rate_and_one_of_a_new_request_does(
-    make_gate: Callable[..., Gate], ask: Ask, drive: Exposed
+    make_gate: Callable[..., Gate], ask: Ask, drive: ExposedEndpoint
 ) -> None:
     gate = make_gate()
     request = ask(drive.endpoint, FORWARD)
@@ -917,7 +932,7 @@ def test_a_later_message_does_not_count_against_the_rate_and_one_of_a_new_reques
 
 
 def test_a_later_message_that_a_dry_gate_refuses_is_recorded_as_refused(
-    make_gate: Callable[..., Gate], ask: Ask, drive: Exposed
+    make_gate: Callable[..., Gate], ask: Ask, drive: ExposedEndpoint
 ) -> None:
     gate = make_gate(dry_run=True)
     with pytest.raises(RefusedError):
@@ -927,7 +942,7 @@ def test_a_later_message_that_a_dry_gate_refuses_is_recorded_as_refused(
 
 
 def test_released_messages_count_no_more(
-    make_gate: Callable[..., Gate], ask: Ask, drive: Exposed
+    make_gate: Callable[..., Gate], ask: Ask, drive: ExposedEndpoint
 ) -> None:
     gate = make_gate()
     message = ask(drive.endpoint, FORWARD).messages[0]
@@ -959,13 +974,13 @@ class Path:
         return self.answer
 
 
-def joint_request(ask: Ask, move: Exposed, **changes: Any) -> GateRequest:
+def joint_request(ask: Ask, move: ExposedEndpoint, **changes: Any) -> GateRequest:
     value = {"name": ["j1", "j2"], "position": [0.11, 0.2]}
     return ask(move.endpoint, value, **({"joints": HERE} | changes))
 
 
 def test_how_much_more_time_a_path_needs_is_asked_of_the_path(
-    make_gate: Callable[..., Gate], ask: Ask, move: Exposed
+    make_gate: Callable[..., Gate], ask: Ask, move: ExposedEndpoint
 ) -> None:
     path = Path(2.5)
     gate = make_gate(path=lambda: path)
@@ -976,7 +991,7 @@ def test_how_much_more_time_a_path_needs_is_asked_of_the_path(
 
 
 def test_without_joints_a_path_or_an_endpoint_no_more_time_is_needed(
-    make_gate: Callable[..., Gate], ask: Ask, move: Exposed
+    make_gate: Callable[..., Gate], ask: Ask, move: ExposedEndpoint
 ) -> None:
     path = Path(2.5)
     gate = make_gate(path=lambda: path)
@@ -988,7 +1003,7 @@ def test_without_joints_a_path_or_an_endpoint_no_more_time_is_needed(
 
 
 def test_a_path_that_cannot_be_judged_is_refused(
-    make_gate: Callable[..., Gate], ask: Ask, move: Exposed
+    make_gate: Callable[..., Gate], ask: Ask, move: ExposedEndpoint
 ) -> None:
     gate = make_gate(path=lambda: Path(NotReadyError("no description", hint="Start it.")))
     with pytest.raises(RefusedError, match="cannot be judged: no description") as caught:
@@ -1027,7 +1042,7 @@ def test_a_motion_that_ended_early_raises_its_cause_with_what_became_of_it() -> 
 
 
 def test_the_emergency_stop_sends_what_ends_each_motion_and_wakes_its_thread(
-    bench: Bench, drive: Exposed, endpoints: dict[str, Endpoint]
+    bench: Bench, drive: ExposedEndpoint, endpoints: dict[str, Endpoint]
 ) -> None:
     sent: list[str] = []
     other = exposed(endpoints["scan"], moves=False)
