@@ -303,7 +303,7 @@ def test_without_such_a_feature_there_is_no_gate_and_the_error_says_what_to_inst
 
 def test_two_gates_are_refused_by_the_names_of_their_features(make):
     with pytest.raises(
-        ConfigurationError, match=r"'one' and 'two' lend a gate each.*disabled_plugins"
+        ConfigurationError, match=r"'one' and 'two' each offer a gate.*disabled_plugins"
     ):
         make(spec(Sender, "two"), spec(Sender, "one"))
 

@@ -46,7 +46,7 @@ def test_a_viewer_with_all_its_slots_taken_leaves_those_of_the_others() -> None:
                 group.start_soon(registry.call, "look", {}, context("viewer"))
             await anyio.wait_all_tasks_blocked()
             refused = await registry.call("look", {}, context("viewer"))
-            assert "3 calls are at work already for the role 'viewer'" in refused.content[0].text  # type: ignore[union-attr]
+            assert "3 calls are already running for the role 'viewer'" in refused.content[0].text  # type: ignore[union-attr]
             for role in ("operator", "admin"):
                 assert not (await registry.call("act", {}, context(role))).is_error
             assert not (await registry.call("stop", {}, context("viewer"))).is_error

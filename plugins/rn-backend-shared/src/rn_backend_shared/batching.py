@@ -81,8 +81,8 @@ class Batcher:
         with self._changed:
             if self._is_over or len(self._waiting) >= self._most_waiting:
                 raise NotReadyError(
-                    f"The shared model has {len(self._waiting)} observations waiting, no more are "
-                    "taken.",
+                    f"The shared model has {len(self._waiting)} observations waiting; no more are "
+                    "accepted.",
                     hint="Fewer robots, a faster model, or more replicas.",
                 )
             self._waiting.append(waiting)

@@ -18,7 +18,7 @@ from roboneuron.errors import ConfigurationError, RefusedError
         (
             ConfigurationError("There is no controller."),
             "path",
-            "cannot be judged: There is no controller.",
+            "cannot be checked: There is no controller.",
         ),
     ],
 )

@@ -78,7 +78,7 @@ def test_joint_states_are_judged_by_how_long_they_last(make_gate, ask, endpoints
     with pytest.raises(RefusedError, match="cannot go"):
         gate.check(spin)
     assert gate.check(replace(spin, durations_s=(0.2,))).may_send
-    with pytest.raises(RefusedError, match="not known how long"):
+    with pytest.raises(RefusedError, match="duration of the velocities is not known"):
         gate.check(replace(spin, durations_s=()))
 
 

@@ -205,7 +205,7 @@ def test_an_arm_without_kinematics_is_refused_not_unlimited(
     value = {"joint_names": ["j1"], "points": [{"positions": [0.1], "time_from_start": 5.0}]}
     request = ask(endpoints["trajectory"], value, joints=at(0.0, 0.5))
     with pytest.raises(
-        RefusedError, match=r"cannot be judged: There is no controller\. Install one\."
+        RefusedError, match=r"cannot be checked: There is no controller\. Install one\."
     ):
         gate.check(request)
     assert gate.check(replace(request, dry_run=True)).rule == "kinematics"
@@ -218,7 +218,7 @@ def test_distances_that_nobody_tells_are_refused() -> None:
         profile,
         lambda joints: replace(inspect(joints), near=None),
     )
-    with pytest.raises(RefusedError, match="tells no distances"):
+    with pytest.raises(RefusedError, match="reports no distances"):
         blind.check([Leg(names=("j1",), position=np.array([0.1]), duration_s=5.0)], at(0.0, 0.5))
 
 
@@ -232,7 +232,7 @@ def test_an_unmeasured_joint_of_the_arm_is_refused() -> None:
 
 def test_a_way_that_would_take_too_long_to_judge_is_refused(move: Any) -> None:
     points = [(SLOW_S * (i + 1), [2.9 * (-1) ** i, 0.5]) for i in range(200)]
-    with pytest.raises(RefusedError, match="too long to be judged"):
+    with pytest.raises(RefusedError, match="too long to be checked"):
         move(*points)
 
 

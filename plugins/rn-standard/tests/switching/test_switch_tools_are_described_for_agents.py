@@ -74,7 +74,7 @@ def test_a_switch_takes_what_a_start_takes(
         ({"rollback": True}, "inference is not running"),
         (
             {"rollback": True, "backend": "instant"},
-            "with rollback nothing else may be named, got backend",
+            "rollback allows no other argument, got backend",
         ),
         ({"mode": "hot"}, "Choose one of: warm, cold."),
     ],

@@ -115,7 +115,7 @@ def test_a_place_without_orientation_keeps_the_one_there_is(arm: Arm) -> None:
 
 def test_what_does_not_come_about_is_an_error(arm: Arm) -> None:
     arm.is_stuck = True
-    with pytest.raises(NotReadyError, match="does not come to 'shelf'"):
+    with pytest.raises(NotReadyError, match="does not reach 'shelf'"):
         arm.move_to("shelf")
     arm.answer = {"allowed": False, "reason": "outside of the workspace"}
     for name in ("shelf", "home"):

@@ -92,7 +92,7 @@ def test_nobody_listening_is_an_error_unless_that_is_configured(ask: Ask, rover:
         )
         code, text = await agent.fail("publish_speech", message={"data": "x"}, timeout_s=0.3)
         assert code == "not_ready"
-        assert "Nobody subscribes to /rover/say (std_msgs/msg/String): nothing was sent." in text
+        assert "/rover/say (std_msgs/msg/String) has no subscriber: nothing was sent." in text
 
     ask(scenario)
 
@@ -181,7 +181,7 @@ def test_a_service_answers_and_an_absent_one_is_an_error(ask: Ask, rover: Any) -
         assert answer["response"] == {"success": True, "message": "on"}
         assert answer["service"] == "/rover/light"
         code, text = await agent.fail("call_absent", timeout_s=0.3)
-        assert (code, "Nobody serves /rover/absent" in text) == ("not_ready", True)
+        assert (code, "/rover/absent had no server" in text) == ("not_ready", True)
         assert (await agent.fail("call_light", request={"data": 1}))[0] == "invalid_input"
         assert (await agent.fail("call_light"))[1].startswith("Argument 'request' is missing")
 

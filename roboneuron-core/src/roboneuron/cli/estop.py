@@ -158,7 +158,7 @@ def _check_terminal(what: str) -> None:
 
     if not sys.stdin.isatty():
         raise RefusedError(
-            f"{what} by a person in a terminal, and this is none.",
+            f"{what} only by a person in a terminal, and this is no terminal.",
             hint="Run the same command in a terminal (over ssh: `ssh -t`).",
         )
 

@@ -114,7 +114,7 @@ class AuditLog:
                 raise RefusedError(
                     f"The audit {self.path} cannot be written: {error.strerror or error}. Nothing "
                     "moves without it.",
-                    hint="Free disk space or mend the permissions of the state directory.",
+                    hint="Free disk space or fix the permissions of the state directory.",
                 ) from error
             self.failed = False
         self.on_record(record)

@@ -275,8 +275,8 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
     def _configure(self) -> None:
         if self.settings.shadow and type(self.handover) is Handover:
             raise ConfigurationError(
-                "This process was started beside a running module, and nothing here tells when it "
-                "takes over.",
+                "This process was started to replace a running module, but nothing here says when "
+                "it takes over.",
                 hint="Install the package of the feature that replaces modules in this "
                 "interpreter's environment too.",
             )

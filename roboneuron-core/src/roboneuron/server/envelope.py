@@ -70,7 +70,9 @@ def repeated(request_id: int | str) -> EnvelopeError:
     tell which is meant.
     """
     return EnvelopeError(
-        INVALID_REQUEST, "A request with this id is still at work; use another id.", request_id
+        INVALID_REQUEST,
+        "A request with this id is still being handled; use another id.",
+        request_id,
     )
 
 

@@ -170,7 +170,7 @@ class Host:
             raise StateError("No feature sends messages for others here.", hint=hint)
         if len(gates) > 1:
             raise ConfigurationError(
-                f"The features {' and '.join(map(repr, sorted(gates)))} lend a gate each; a "
+                f"The features {' and '.join(map(repr, sorted(gates)))} each offer a gate; a "
                 "server has one.",
                 hint="Name the plugin of one of them in disabled_plugins.",
             )

@@ -209,7 +209,7 @@ class MotionStarts:
         if self.ticket != ticket and self._set(
             slot, {INSTRUCTION_PARAMETER: self.instruction}, _PERMITTED_S
         ):
-            raise StateError("The policy does not take its instruction back.")
+            raise StateError("The policy did not drop its instruction.")
 
     def settle(self) -> None:
         """Wait until instructions that a stop has ended are taken back."""
@@ -243,7 +243,7 @@ class MotionStarts:
         for slot in self._running("inference"):
             try:
                 if self._set(slot, {INSTRUCTION_PARAMETER: ""}, _TOLD_S):
-                    raise StateError("The policy does not take its instruction back.")
+                    raise StateError("The policy did not drop its instruction.")
             except RoboNeuronError as error:
                 log.error("The policy is ended, because it could not be told to stop: %s", error)
                 with suppress(StateError):
@@ -268,5 +268,6 @@ class MotionStarts:
 
         if not self._supervisor.changes.wait_for(obeys, _PERMITTED_S):
             raise NotReadyError(
-                f"{slot.kind} has not said that it obeys again.", hint="See get_status."
+                f"{slot.kind} has not confirmed that it accepts commands again.",
+                hint="See get_status.",
             )

@@ -212,8 +212,8 @@ class ToolRegistry:
         try:
             if self._calls[context.role] > self._most_calls and not tool.always:
                 raise NotReadyError(
-                    f"{self._most_calls} calls are at work already for the role {context.role!r}, "
-                    "no more are taken.",
+                    f"{self._most_calls} calls are already running for the role {context.role!r}; "
+                    "no more are accepted.",
                     hint="Wait for one to end; max_concurrent_calls in [server] sets how many "
                     "there may be.",
                 )

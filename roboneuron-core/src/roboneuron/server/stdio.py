@@ -218,7 +218,7 @@ class MessageReader(ObjectReceiveStream[SessionMessage]):
                 len(self._waiting[lane]) >= _MOST_WAITING
                 or self._waiting_bytes + size > _MOST_WAITING_BYTES
             ):
-                raise EnvelopeError(BUSY, "Too many requests wait for their turn.", message.id)
+                raise EnvelopeError(BUSY, "Too many requests are waiting.", message.id)
             self._ids[key] = lane
         self._waiting[lane].append((message, size))
         self._waiting_bytes += size

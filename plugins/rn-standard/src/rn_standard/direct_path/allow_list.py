@@ -105,7 +105,8 @@ class ArmPaths:
         names = sorted(self._registry().specs("controller"))
         if len(names) != 1:
             raise ConfigurationError(
-                f"Nothing tells where the joints would bring {robot!r}: the configuration names "
+                f"Nothing can compute where the joints would move {robot!r}: the configuration "
+                "names "
                 "no controller"
                 + (f", installed are {', '.join(names)}." if names else " and none is installed."),
                 hint="Install one (rn-controller-urdf) and name it in [control].",

@@ -180,7 +180,7 @@ def check_reserved(exposed: ExposedEndpoint, namespaces: Mapping[str, str]) -> N
     is_setting = exposed.hidden and exposed.endpoint.type == SET_PARAMETERS
     if is_setting and owner and is_module(topic.rpartition("/")[0], owner):
         raise ConfigurationError(
-            f"{where} is of a module of RoboNeuron, which the supervisor alone sets."
+            f"{where} belongs to a module of RoboNeuron; only the supervisor sets it."
         )
     if kind == "service" and not is_setting and _SERVICE_OF_A_NODE.search(topic):
         raise ConfigurationError(

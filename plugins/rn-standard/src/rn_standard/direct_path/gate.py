@@ -277,7 +277,7 @@ def _judging() -> Iterator[None]:
         raise
     except RoboNeuronError as error:
         raise RefusedError(
-            f"The path of the arm cannot be judged: {error.message}", hint=error.hint
+            f"The path of the arm cannot be checked: {error.message}", hint=error.hint
         ) from error
 
 

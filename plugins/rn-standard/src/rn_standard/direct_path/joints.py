@@ -164,7 +164,7 @@ class _JointMotion:
         if not len(ends):
             if lasts_s is None:
                 raise RefusedError(
-                    "It is not known how long the velocities last, so that they cannot be checked."
+                    "The duration of the velocities is not known, so they cannot be checked."
                 )
             ends = np.array(self._starts(names)) + np.array(message.velocity) * lasts_s
             for name, end in zip(names, ends.tolist(), strict=True):
@@ -270,13 +270,13 @@ class _JointMotion:
     def _starts(self, names: Sequence[str]) -> list[float]:
         if not self._is_measured:
             raise RefusedError(
-                "The joints were not measured yet, so that the first step cannot be checked.",
+                "The joints were not measured yet, so the first step cannot be checked.",
                 hint="Start the robot first.",
             )
         missing = [name for name in names if name not in self._position]
         if missing:
             raise RefusedError(
-                f"Joint {missing[0]!r} is not among the measured ones, so that the step cannot be "
+                f"Joint {missing[0]!r} is not among the measured ones, so the step cannot be "
                 "checked."
             )
         return [self._position[name] for name in names]

@@ -120,7 +120,7 @@ class DirectGate:
             while not self.is_served(exposed):
                 if time.monotonic() >= deadline_s:
                     raise NotReadyError(
-                        f"Nobody serves the action {exposed.topic}: nothing was sent.",
+                        f"The action {exposed.topic} has no server: nothing was sent.",
                         hint="Start it.",
                     )
                 motion.sleep_until(min(deadline_s, time.monotonic() + _LOOK_S))
@@ -256,8 +256,7 @@ class DirectGate:
         matched = writer.connect(timeout_s if needed or writer.listening() else 0.0)
         if needed and not matched:
             raise NotReadyError(
-                f"Nobody subscribes to {exposed.topic} ({exposed.endpoint.type}): nothing was "
-                "sent.",
+                f"{exposed.topic} ({exposed.endpoint.type}) has no subscriber: nothing was sent.",
                 hint="Start the robot, or look at list_topics.",
             )
         if time.monotonic() - started_s > _LATE_S:

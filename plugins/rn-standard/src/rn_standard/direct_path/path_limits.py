@@ -87,7 +87,7 @@ class PathLimiter:
                 for name, told in self._task.places(before.pose, there, partial(_given, before)):
                     if name != "singularity":
                         raise LimitError(
-                            name, f"{leg.where}{told}", hint="Choose another way or another target."
+                            name, f"{leg.where}{told}", hint="Choose another path or target."
                         )
                 for times, told in self._speeds(before, there, duration_s):
                     if times > ratio:
@@ -121,7 +121,7 @@ class PathLimiter:
                 yield
             except UnsafeError as error:
                 raise LimitError(
-                    "kinematics", f"The motion cannot be judged: {error.message}"
+                    "kinematics", f"The motion cannot be checked: {error.message}"
                 ) from error
 
     def _speeds(
@@ -167,7 +167,7 @@ class PathLimiter:
                 if left < 0:
                     raise LimitError(
                         "length",
-                        "The way is too long to be judged.",
+                        "The path is too long to be checked.",
                         hint="Send it in several calls.",
                     )
                 before = start
@@ -181,7 +181,7 @@ class PathLimiter:
         posture = self._inspect(JointSample(names=names, position=position))
         if self._needs_distances and posture.near is None:
             raise UnsafeError(
-                "the controller tells no distances between links; see limits.collision"
+                "the controller reports no distances between links; see limits.collision"
             )
         return posture
 

@@ -82,8 +82,8 @@ class OperatorLease:
                 self._renew()
             elif acts:
                 raise RefusedError(
-                    f"{self._operator!r} operates the robot, {context.who!r} may look on and stop "
-                    "it.",
+                    f"{self._operator!r} operates the robot, {context.who!r} may only read and "
+                    "stop.",
                     hint=f"Call {TAKE_OVER} if that is agreed.",
                 )
 

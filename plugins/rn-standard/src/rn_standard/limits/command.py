@@ -84,7 +84,7 @@ def _loosen(file: object) -> int:
     assert isinstance(file, TighteningFile)
     if not sys.stdin.isatty():
         raise RefusedError(
-            "Limits are loosened by a person in a terminal, and this is none.",
+            "Only a person in a terminal can loosen limits, and this is no terminal.",
             hint="Run the same command in a terminal (over ssh: `ssh -t`).",
         )
     try:

@@ -128,7 +128,7 @@ def check_may_load(config: Config, checkpoint: str) -> None:
         ) from error
     raise RefusedError(
         f"The configuration does not allow the checkpoint {checkpoint!r}.",
-        hint=f"Allowed is what lies in: {', '.join(allowed) or 'nothing yet'}. A person can add a "
+        hint=f"Allowed folders: {', '.join(allowed) or 'nothing yet'}. A person can add a "
         "folder of models to "
         "checkpoint_roots in [server].",
     )

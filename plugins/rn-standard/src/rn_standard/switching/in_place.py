@@ -126,7 +126,7 @@ class AccelerationSwitch:
             with suppress(RoboNeuronError):
                 parameters.set({ACCELERATION_PARAMETER: former}, _TOLD_S)
             raise NotReadyError(
-                f"The backend ended no prediction within {_DONE_S:g} s, so its acceleration was "
+                f"The backend finished no prediction within {_DONE_S:g} s, so its acceleration was "
                 "not changed.",
                 hint="It may hang: see work_age_s in get_status.",
             )

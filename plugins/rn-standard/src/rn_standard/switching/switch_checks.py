@@ -223,8 +223,8 @@ class ControlCheck(SwitchCheck):
         metrics = shadow().metrics
         if "shadow_tcp_difference" not in metrics:
             raise NotReadyError(
-                "The new controller and the running one were not seen to tell the pose of one "
-                "joint state within "
+                "The new controller and the running one did not report a pose for the same joint "
+                "state within "
                 f"{_SHADOW_S:g} s; nothing was replaced.",
                 hint="Do joint states come, and does control publish ee_pose? See get_status.",
             )

@@ -31,7 +31,7 @@ class Switch(Arguments):
     def _check_rollback(self: S) -> S:
         others = sorted(self.model_fields_set - {"mode", "rollback"})
         if self.rollback and others:
-            raise ValueError(f"with rollback nothing else may be named, got {', '.join(others)}")
+            raise ValueError(f"rollback allows no other argument, got {', '.join(others)}")
         return self
 
 

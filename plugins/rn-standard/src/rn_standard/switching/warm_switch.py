@@ -185,7 +185,7 @@ class WarmSwitch:
 
         if not self._supervisor.changes.wait_for(lambda: not lacking(), _FIND_S):
             raise NotReadyError(
-                f"The new {self._check.noun} was found by too few listeners within {_FIND_S:g} s: "
+                f"Too few subscribers discovered the new {self._check.noun} within {_FIND_S:g} s: "
                 f"{', '.join(lacking().values())}. Nothing was replaced.",
                 hint="Try again when the machine is less busy.",
             )
@@ -325,7 +325,7 @@ class WarmSwitch:
         report = self._supervisor.report_of(slot)
         if report is None:
             raise NotReadyError(
-                f"The new {self._check.noun} has fallen silent; nothing was replaced."
+                f"The new {self._check.noun} stopped reporting; nothing was replaced."
             )
         failure = report.failure()
         # it may still be in time for the next input

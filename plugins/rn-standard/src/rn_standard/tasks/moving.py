@@ -137,9 +137,7 @@ class Mover:
             axes = ("dx_m", "dy_m", "dz_m", "rx_rad", "ry_rad", "rz_rad")
             part = dict(zip(axes, (share * np.concatenate([delta, turn])).tolist(), strict=True))
             took_s += (await self._call("move_ee", part, context))["duration_s"]
-        raise NotReadyError(
-            f"The TCP does not come to {name!r}; it stands {far_m * 1000:.0f} mm off."
-        )
+        raise NotReadyError(f"The TCP does not reach {name!r}; it is {far_m * 1000:.0f} mm away.")
 
     def _left(self, place: PlaceOptions, position: F64, rotation: F64) -> tuple[F64, F64]:
         delta: F64 = np.array(place.position_m) - position

@@ -51,7 +51,7 @@ def call(
 
     if not changes.wait_for(is_served, timeout_s):
         raise NotReadyError(
-            f"Nobody serves {exposed.topic} within {timeout_s:g} s: nothing was sent.",
+            f"{exposed.topic} had no server within {timeout_s:g} s: nothing was sent.",
             hint="Start what serves it.",
         )
     verdict, pending = gate.send_request(exposed, request, changes.notify)
