@@ -17,6 +17,7 @@ import pytest
 
 from rn_standard.direct_path import motion_gate as motion_gate_module
 from rn_standard.direct_path.arbiter import Ending, MotionArbiter, MotionEnd
+from rn_standard.direct_path.fields import load_type
 from rn_standard.direct_path.gate import Gate
 from rn_standard.direct_path.motion_gate import DirectGate
 from roboneuron.contract import Endpoint, JointSample
@@ -421,7 +422,7 @@ def test_a_message_that_nobody_would_receive_is_not_sent(
 ) -> None:
     bench.writer.subscribers = bench.writer.listeners = 0
     request = ask(drive.endpoint, FORWARD)
-    with pytest.raises(NotReadyError, match="Nobody subscribes to /arm/cmd_vel"):
+    with pytest.raises(NotReadyError, match=r"/arm/cmd_vel .* has no subscriber"):
         send_one(bench, drive, request, how)
     assert (bench.sent, bench.writer.waits_s, bench.permitted) == ([], [0.5], [])
 
@@ -710,7 +711,9 @@ def test_a_request_is_sent_to_its_service(
     verdict, call = bench.motion_gate.send_request(enable, request, done.set)
     assert verdict.may_send
     assert call == "the call"
-    assert bench.traffic.calls == [(enable.ros_type, "/arm/enable", request.messages[0], done.set)]
+    assert bench.traffic.calls == [
+        (load_type(enable.endpoint.type), "/arm/enable", request.messages[0], done.set)
+    ]
     assert bench.permitted == ["enable"]
 
 
@@ -775,7 +778,7 @@ class Goals:
     def __init__(self, make_gate: Callable[..., Gate], ask: Ask, endpoint: Endpoint = GO) -> None:
         self.bench = Bench(make_gate(endpoint), Clock())
         self.place = exposed(endpoint)
-        goal = self.place.ros_type.Goal(order=3)
+        goal = load_type(endpoint.type).Goal(order=3)
         self.request = replace(ask(endpoint), messages=(goal,))
         self.feedback: list[Any] = []
         self.slept_s: list[float] = []
@@ -858,7 +861,7 @@ def test_a_goal_waits_for_its_server_and_is_judged_again(goals: Goals) -> None:
 
 def test_a_goal_that_nobody_serves_is_not_sent(goals: Goals) -> None:
     goals.bench.traffic.served = [False]
-    with pytest.raises(NotReadyError, match="Nobody serves the action /arm/go: nothing was sent"):
+    with pytest.raises(NotReadyError, match="The action /arm/go has no server: nothing was sent"):
         goals.send(0.05)
     assert goals.slept_s == [0.02, 0.02, 0.01]
     assert (goals.sent, goals.bench.permitted) == ([], [])
@@ -1006,7 +1009,7 @@ def test_a_path_that_cannot_be_judged_is_refused(
     make_gate: Callable[..., Gate], ask: Ask, move: ExposedEndpoint
 ) -> None:
     gate = make_gate(path=lambda: Path(NotReadyError("no description", hint="Start it.")))
-    with pytest.raises(RefusedError, match="cannot be judged: no description") as caught:
+    with pytest.raises(RefusedError, match="cannot be checked: no description") as caught:
         gate.slowdown(joint_request(ask, move))
     assert caught.value.hint == "Start it."
     gate = make_gate(path=lambda: Path(RefusedError("it is too far")))
