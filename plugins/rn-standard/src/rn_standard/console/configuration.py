@@ -161,7 +161,8 @@ def _tables(root: type[BaseModel]) -> Iterator[tuple[str, type[BaseModel]]]:
 
 
 def _page_table(heading: str, section: type[BaseModel]) -> list[str]:
-    purpose = (section.__doc__ or "").split(": ", 1)[-1].strip().splitlines()[0].rstrip(".")
+    paragraph = (section.__doc__ or "").split(": ", 1)[-1].partition("\n\n")[0]
+    purpose = " ".join(paragraph.split()).rstrip(".")
     lines = [f"## `{heading}`: {purpose}", ""]
     for option in describe_options(section):
         default = f", default `{option.default}`" if option.default not in (None, UNSET) else ""
