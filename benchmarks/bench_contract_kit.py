@@ -19,7 +19,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from rn_testing import FeatureCase, Verdict, effects, verify
+from rn_testing import FeatureCase, RuleVerdict, effects, verify
 from rn_testing.automatic import make_case
 from rn_testing.rules import RULES, rules_of
 from roboneuron.plugins.discovery import discover
@@ -34,7 +34,7 @@ FOUND, MISSED = 0, 7
 def finds(case: Any, named: str, kind: str) -> bool:
     """Whether any rule of the kind fails, the named one first."""
     rules = sorted(RULES[kind], key=lambda rule: rule.id != named)
-    return any(verify(rule, case).verdict is Verdict.FAILED for rule in rules)
+    return any(verify(rule, case).verdict is RuleVerdict.FAILED for rule in rules)
 
 
 def try_apart(work: Any) -> bool:
@@ -88,7 +88,7 @@ def count_mutants(word: str) -> None:
 
 def count_false_alarms() -> int:
     """Print what rules say against installed plugins; returns how often."""
-    outcomes: Counter[Verdict] = Counter()
+    outcomes: Counter[RuleVerdict] = Counter()
     for offer in discover().all_offers:
         if offer.status is not Status.READY:
             continue
@@ -101,17 +101,17 @@ def count_false_alarms() -> int:
         for rule in rules_of(offer.spec.kind):
             outcome = verify(rule, case)
             outcomes[outcome.verdict] += 1
-            if outcome.verdict is Verdict.FAILED:
+            if outcome.verdict is RuleVerdict.FAILED:
                 print(
                     f"false alarm: {offer.spec.kind} {offer.spec.name}: {rule.id}: "
                     f"{outcome.detail[:200]}",
                     flush=True,
                 )
     print(
-        f"{outcomes[Verdict.FAILED]} of {sum(outcomes.values())} rules fail, "
-        f"{outcomes[Verdict.SKIPPED]} skipped"
+        f"{outcomes[RuleVerdict.FAILED]} of {sum(outcomes.values())} rules fail, "
+        f"{outcomes[RuleVerdict.SKIPPED]} skipped"
     )
-    return outcomes[Verdict.FAILED]
+    return outcomes[RuleVerdict.FAILED]
 
 
 def main() -> None:

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from rn_testing import Rule, Verdict, verify
+from rn_testing import Rule, RuleVerdict, verify
 from rn_testing.automatic import make_case
 from rn_testing.rules import rules_of
 from roboneuron.plugins.discovery import discover
@@ -77,9 +77,11 @@ def test_every_installed_plugin_is_tried_by_contract_tests_of_its_own(plugin: Pl
 )
 def test_every_installed_offer_keeps_the_rules_of_its_kind(spec: Spec, rule: Rule[Any]):
     outcome = verify(rule, make_case(spec, {}))
-    if outcome.verdict is Verdict.SKIPPED:
+    if outcome.verdict is RuleVerdict.SKIPPED:
         pytest.skip(outcome.detail)
-    assert outcome.verdict is Verdict.PASSED, f"{rule.text} {outcome.detail}\n{outcome.traceback}"
+    assert outcome.verdict is RuleVerdict.PASSED, (
+        f"{rule.text} {outcome.detail}\n{outcome.traceback}"
+    )
 
 
 @pytest.mark.parametrize("plugin", REGISTRY.plugins, ids=lambda plugin: plugin.name)

@@ -20,7 +20,7 @@ from rn_eval.contract_cases import RULES, SuiteCase
 from rn_eval.hooks import SuiteSpec
 from rn_eval.suite import Setup
 from rn_testing.fakes import gantry_profile
-from rn_testing.rule import Verdict, verify
+from rn_testing.rule import RuleVerdict, verify
 from roboneuron import CameraProfile
 from roboneuron.config import load_config
 
@@ -259,14 +259,14 @@ def own(name: str) -> Any:
 )
 def test_the_toy_keeps_every_rule(rule, monkeypatch):
     outcome = verify(rule, make_case(Good, monkeypatch))
-    assert outcome.verdict is Verdict.PASSED, outcome
+    assert outcome.verdict is RuleVerdict.PASSED, outcome
 
 
 @pytest.mark.parametrize("name", MUTANTS)
 def test_a_broken_suite_fails_its_rule(name, monkeypatch):
     rule_name, target = MUTANTS[name]
     outcome = verify(own(rule_name), make_case(target, monkeypatch))
-    assert outcome.verdict is Verdict.FAILED, outcome
+    assert outcome.verdict is RuleVerdict.FAILED, outcome
     assert outcome.detail
 
 

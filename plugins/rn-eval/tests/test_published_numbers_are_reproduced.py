@@ -13,7 +13,7 @@ import math
 import pytest
 
 from rn_eval.plan import Key
-from rn_eval.record import Measured, Outcome, Record
+from rn_eval.record import EpisodeOutcome, Measured, Record
 from rn_eval.statistics import proportion
 from rn_eval.summary import summarise
 from rn_eval.tables import paper_table
@@ -45,7 +45,7 @@ def records(shares, preset="none", inference_ms=100.0):
                 task=f"task-{number % 10}",
                 seed=number // 10,
             )
-            outcome = Outcome(status="success" if number < solved else "failure")
+            outcome = EpisodeOutcome(status="success" if number < solved else "failure")
             found.append(
                 Record(
                     key=key,

@@ -13,7 +13,7 @@ from rn_eval.evaluate import evaluate
 from rn_eval.plan import Key, Variant
 from rn_eval.pools import InProcess
 from rn_eval.progress import label
-from rn_eval.record import Measured, Outcome, Record
+from rn_eval.record import EpisodeOutcome, Measured, Record
 from rn_eval.report import load, write_report
 from rn_eval.statistics import mcnemar, proportion, spread
 from rn_eval.summary import summarise
@@ -68,7 +68,7 @@ def made_records():
                 suite=suite, preset=preset, execution="sequential", latency="0", task="t", seed=seed
             )
             times = [900.0] + [60.0 if preset == "none" else 40.0] * 4
-            outcome = Outcome(
+            outcome = EpisodeOutcome(
                 status="success" if seed < won else "failure", metrics={"tokens_kept": 64.0}
             )
             records.append(
@@ -126,7 +126,7 @@ def told(**facts_of_seed):
                 Record(
                     key=key,
                     instruction="i",
-                    outcome=Outcome(status="success" if won else "failure", facts=facts),
+                    outcome=EpisodeOutcome(status="success" if won else "failure", facts=facts),
                 )
             )
     return summarise(records)
@@ -192,7 +192,7 @@ def test_reasons_that_differ_in_numbers_only_are_one_line():
                 suite="s", preset="none", execution="sequential", latency="0", task="t", seed=seed
             ),
             instruction="i",
-            outcome=Outcome(status="failure", reason=text),
+            outcome=EpisodeOutcome(status="failure", reason=text),
         )
         for seed, text in enumerate(texts)
     ]

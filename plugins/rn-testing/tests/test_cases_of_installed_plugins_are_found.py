@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import pytest
 
-from rn_testing import BackendCase, RobotCase, Verdict, check, fakes, verify
+from rn_testing import BackendCase, RobotCase, RuleVerdict, check, fakes, verify
 from rn_testing.automatic import make_case
 from rn_testing.rules import RULES
 from roboneuron.errors import PluginError
@@ -67,11 +67,11 @@ def test_what_cannot_start_is_skipped_for_an_automatic_case_and_fails_for_an_aut
     automatic = verify(
         rule, BackendCase(spec=fakes.FAKE_BACKEND, options=options, is_automatic=True)
     )
-    assert automatic.verdict is Verdict.SKIPPED
+    assert automatic.verdict is RuleVerdict.SKIPPED
     assert "plugins.instant.horizon is 999" in automatic.detail
     assert (
         verify(rule, BackendCase(spec=fakes.FAKE_BACKEND, options=options)).verdict
-        is Verdict.FAILED
+        is RuleVerdict.FAILED
     )
 
 
@@ -79,7 +79,7 @@ def test_an_automatic_robot_case_moves_nothing_but_a_simulation():
     drivers = (replace(fakes.FAKE_ROBOT.drivers[0], name="hardware"),)
     case = make_case(replace(fakes.FAKE_ROBOT, drivers=drivers), {})
     outcomes = [verify(rule, case) for rule in RULES["robot"] if rule.id.startswith("driver/")]
-    assert {o.verdict for o in outcomes} == {Verdict.SKIPPED}
+    assert {o.verdict for o in outcomes} == {RuleVerdict.SKIPPED}
 
 
 def test_the_worker_writes_a_line_before_and_after_each_rule(monkeypatch):

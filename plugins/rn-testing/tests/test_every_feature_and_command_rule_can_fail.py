@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from rn_testing import Case, CommandCase, FeatureCase, Verdict, verify
+from rn_testing import Case, CommandCase, FeatureCase, RuleVerdict, verify
 from rn_testing.rules import RULES
 from roboneuron import CommandSpec, FeatureSpec
 
@@ -67,10 +67,10 @@ def test_a_broken_plugin_fails_its_rule_and_the_good_one_passes(
     kind: str, rule_id: str, changes: Any
 ) -> None:
     rule = next(rule for rule in RULES[kind] if rule.id == rule_id)
-    assert verify(rule, GOOD[kind]).verdict is Verdict.PASSED
+    assert verify(rule, GOOD[kind]).verdict is RuleVerdict.PASSED
     case = replace(GOOD[kind], spec=replace(GOOD[kind].spec, **changes))
     outcome = verify(rule, case)
-    assert outcome.verdict is Verdict.FAILED, outcome
+    assert outcome.verdict is RuleVerdict.FAILED, outcome
     assert outcome.detail
 
 

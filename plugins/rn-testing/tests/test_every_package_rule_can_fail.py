@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from rn_testing import PackageCase, PackageContract, Verdict, verify
+from rn_testing import PackageCase, PackageContract, RuleVerdict, verify
 from rn_testing.rules import RULES, package
 from rn_testing.unsafe_calls import unsafe_calls
 from roboneuron import BackendSpec, FeatureSpec
@@ -264,7 +264,7 @@ def test_a_broken_package_fails_its_rule(sample, site, fault):
     damage(sample)
     rule = next(r for r in RULES["package"] if r.id == rule_id)
     outcome = verify(rule, sample.case())
-    assert outcome.verdict is Verdict.FAILED, outcome
+    assert outcome.verdict is RuleVerdict.FAILED, outcome
 
 
 @pytest.mark.parametrize(
@@ -297,7 +297,7 @@ def test_the_module_of_a_case_may_import_the_kit(sample, monkeypatch):
     monkeypatch.setattr(package, "discover", lambda: Registry(plugins=(), all_offers=(offer,)))
     (sample.info / "METADATA").write_text(IN_AN_EXTRA)
     (sample.package / "policy.py").write_text("from rn_testing import BackendCase\n")
-    assert {verify(r, sample.case()).verdict for r in RULES["package"]} == {Verdict.PASSED}
+    assert {verify(r, sample.case()).verdict for r in RULES["package"]} == {RuleVerdict.PASSED}
 
 
 def test_a_package_with_features_may_import_what_features_may_use(sample, monkeypatch):
@@ -308,11 +308,11 @@ def test_a_package_with_features_may_import_what_features_may_use(sample, monkey
         "from roboneuron import Feature\nfrom roboneuron.feature import Config\n"
     )
     rule = next(r for r in RULES["package"] if r.id == "package/import-direction")
-    assert verify(rule, sample.case()).verdict is Verdict.PASSED
+    assert verify(rule, sample.case()).verdict is RuleVerdict.PASSED
     (sample.package / "policy.py").write_text("from roboneuron.server import events\n")
-    assert verify(rule, sample.case()).verdict is Verdict.FAILED
+    assert verify(rule, sample.case()).verdict is RuleVerdict.FAILED
     (sample.package / "policy.py").write_text("from roboneuron.feature import RosLink\n")
-    assert verify(rule, sample.case()).verdict is Verdict.FAILED
+    assert verify(rule, sample.case()).verdict is RuleVerdict.FAILED
 
 
 def test_a_subpackage_that_another_program_loads_may_import_what_that_has(sample):
@@ -325,7 +325,7 @@ def test_a_subpackage_that_another_program_loads_may_import_what_that_has(sample
     )
     (sample.info / "entry_points.txt").write_text(points)
     rule = next(r for r in RULES["package"] if r.id == "package/imports-declared")
-    assert verify(rule, sample.case()).verdict is Verdict.PASSED
+    assert verify(rule, sample.case()).verdict is RuleVerdict.PASSED
 
 
 def test_a_distribution_that_is_not_installed_is_named(sample):

@@ -29,11 +29,11 @@ from rn_testing import (
     BackendCase,
     Case,
     ControllerCase,
-    Outcome,
     PerceptionCase,
     RobotCase,
+    RuleResult,
+    RuleVerdict,
     RuntimeCase,
-    Verdict,
     effects,
     fakes,
     lifecycle,
@@ -122,7 +122,7 @@ def make_case(name: str) -> Case[Any]:
 
 
 @cache
-def outcome_of_the_good(rule_id: str) -> Outcome:
+def outcome_of_the_good(rule_id: str) -> RuleResult:
     kind = kind_of(rule_id)
     return verify(next(rule for rule in RULES[kind] if rule.id == rule_id), GOOD[kind])
 
@@ -145,12 +145,12 @@ def _what_mutants_leave(tmp_path, monkeypatch):
 def test_a_mutant_fails_the_rule_for_its_mistake(name, monkeypatch):
     mutant = MUTANTS[name]
     good = outcome_of_the_good(mutant.rule)
-    assert good.verdict is not Verdict.FAILED, good
+    assert good.verdict is not RuleVerdict.FAILED, good
     monkeypatch.setattr(effects, "RELEASE_S", 0.3)  # what a mutant leaves behind stays for seconds
     monkeypatch.setattr(lifecycle, "CONSTRUCTOR_S", QUICK_S)
     rule = next(rule for rule in RULES[kind_of(mutant.rule)] if rule.id == mutant.rule)
     outcome = verify(rule, make_case(name))
-    assert outcome.verdict is Verdict.FAILED, outcome
+    assert outcome.verdict is RuleVerdict.FAILED, outcome
     assert mutant.words in outcome.detail, outcome
     assert outcome.detail
 
@@ -171,7 +171,7 @@ def test_a_backend_that_continues_rows_passes_what_its_mutants_fail(declared, ru
     outcome = verify(
         next(found for found in RULES["backend"] if found.id == f"backend/{rule}"), case
     )
-    assert outcome.verdict is Verdict.PASSED, outcome
+    assert outcome.verdict is RuleVerdict.PASSED, outcome
 
 
 def test_every_rule_of_a_kind_has_a_mutant_that_breaks_it_quickly():

@@ -12,7 +12,7 @@ from pathlib import Path
 import mutants_backend
 import pytest
 
-from rn_testing import BackendCase, RobotCase, Verdict, deadline, fakes, verify
+from rn_testing import BackendCase, RobotCase, RuleVerdict, deadline, fakes, verify
 from rn_testing.rules import RULES
 
 NEVER = threading.Event()
@@ -30,11 +30,11 @@ def test_a_predict_that_blocks_fails_its_rules_and_the_others_are_decided():
     outcomes = {rule.id: verify(rule, case) for rule in RULES["backend"]}
     blocked = outcomes["backend/predict-within-horizon"]
     assert (blocked.verdict, blocked.detail) == (
-        Verdict.FAILED,
+        RuleVerdict.FAILED,
         "predict did not return within 0.1 s",
     )
-    assert outcomes["backend/close-before-load"].verdict is Verdict.PASSED
-    assert outcomes["descriptor/well-formed"].verdict is Verdict.PASSED
+    assert outcomes["backend/close-before-load"].verdict is RuleVerdict.PASSED
+    assert outcomes["descriptor/well-formed"].verdict is RuleVerdict.PASSED
 
 
 def test_a_factory_of_the_case_that_blocks_is_bounded_too(monkeypatch):
@@ -73,7 +73,8 @@ def test_a_file_that_the_profile_reads_is_not_blamed_on_the_driver(monkeypatch):
     monkeypatch.setattr(fakes.robot, "read_profile", reading_profile, raising=False)
     spec = replace(fakes.FAKE_ROBOT, target="rn_testing.fakes.robot:read_profile")
     assert (
-        verify(rule_of("driver/constructor-pure"), RobotCase(spec=spec)).verdict is Verdict.PASSED
+        verify(rule_of("driver/constructor-pure"), RobotCase(spec=spec)).verdict
+        is RuleVerdict.PASSED
     )
 
 
@@ -82,4 +83,4 @@ def test_a_file_that_a_factory_reads_is_not_blamed_on_the_backend(option):
     case = BackendCase(
         spec=fakes.FAKE_BACKEND, **{option: lambda: Path(__file__).read_text() and None}
     )
-    assert verify(rule_of("backend/constructor-pure"), case).verdict is Verdict.PASSED
+    assert verify(rule_of("backend/constructor-pure"), case).verdict is RuleVerdict.PASSED

@@ -12,7 +12,7 @@ from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
-from rn_testing import PerceptionCase, Verdict, fakes, verify
+from rn_testing import PerceptionCase, RuleVerdict, fakes, verify
 from rn_testing.rules import RULES
 
 SPEC = replace(fakes.FAKE_PERCEPTION, config="mutants_descriptors:Demanding")
@@ -20,14 +20,16 @@ SPEC = replace(fakes.FAKE_PERCEPTION, config="mutants_descriptors:Demanding")
 
 def test_a_case_without_a_required_option_fails_one_rule_that_says_what_to_write():
     outcomes = [verify(rule, PerceptionCase(spec=SPEC)) for rule in RULES["perception"]]
-    [failed] = [outcome for outcome in outcomes if outcome.verdict is Verdict.FAILED]
+    [failed] = [outcome for outcome in outcomes if outcome.verdict is RuleVerdict.FAILED]
     assert failed.rule == "descriptor/case-options"
     assert failed.detail == (
         "Demanding requires topic, which the case does not set. Write "
         'PerceptionCase(spec=..., options={"topic": ...}) (topic: topic of the images)'
     )
     assert not any(outcome.traceback for outcome in outcomes)
-    reasons = Counter(outcome.detail for outcome in outcomes if outcome.verdict is Verdict.SKIPPED)
+    reasons = Counter(
+        outcome.detail for outcome in outcomes if outcome.verdict is RuleVerdict.SKIPPED
+    )
     assert reasons["the case lacks options, see descriptor/case-options"] > 10
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from rn_testing import PackageCase, Verdict, verify
+from rn_testing import PackageCase, RuleVerdict, verify
 from rn_testing.distribution import find_entry_points, plugin_package, source_files
 from rn_testing.rules import RULES
 
@@ -70,17 +70,17 @@ def test_the_files_are_those_of_the_plugin(site):
 def test_a_fault_of_one_is_none_of_the_other(site):
     (site / "rn_pair" / "left" / "policy.py").write_text("from roboneuron.server import app\n")
     direction = RULE["import-direction"]
-    assert verify(direction, case(site, "rn-left")).verdict is Verdict.FAILED
-    assert verify(direction, case(site, "rn-right")).verdict is Verdict.PASSED
+    assert verify(direction, case(site, "rn-left")).verdict is RuleVerdict.FAILED
+    assert verify(direction, case(site, "rn-right")).verdict is RuleVerdict.PASSED
 
 
 def test_a_plugin_module_that_loads_the_one_beside_it_is_not_light(site):
     light = RULE["plugin-module-light"]
-    assert verify(light, case(site, "rn-right")).verdict is Verdict.PASSED
+    assert verify(light, case(site, "rn-right")).verdict is RuleVerdict.PASSED
     other = PLUGIN.format(name="left", line="import rn_pair.right")
     (site / "rn_pair" / "left" / "plugin.py").write_text(other)
     outcome = verify(light, case(site, "rn-left"))
-    assert outcome.verdict is Verdict.FAILED
+    assert outcome.verdict is RuleVerdict.FAILED
     assert "imports rn_pair.right" in outcome.detail
 
 

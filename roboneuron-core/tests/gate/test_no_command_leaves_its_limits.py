@@ -28,7 +28,7 @@ from roboneuron.contract import (
 )
 from roboneuron.contract.rotation import matrix_from_rotvec, quaternion_from_matrix
 from roboneuron.errors import ConfigurationError, UnsafeError
-from roboneuron.gate.motion import LIMITS, MotionLimiter, MotionRules, Verdict, motion_rules
+from roboneuron.gate.motion import LIMITS, LimitedCommand, MotionLimiter, MotionRules, motion_rules
 from roboneuron.gate.motion.joint_space import braking_velocity, joint_limits
 
 NAMES = ("a", "b")
@@ -96,12 +96,12 @@ def limiter(rules: MotionRules | None = None, **options: bool) -> MotionLimiter:
     )
 
 
-def sent(verdict: Verdict) -> JointCommand:
+def sent(verdict: LimitedCommand) -> JointCommand:
     assert isinstance(verdict.command, JointCommand), verdict
     return verdict.command
 
 
-def hold(verdict: Verdict) -> Hold:
+def hold(verdict: LimitedCommand) -> Hold:
     assert isinstance(verdict.command, Hold), verdict
     assert verdict.sent is None
     return verdict.command
@@ -456,7 +456,7 @@ def test_limits_of_a_configuration_can_only_be_tightened() -> None:
         motion_rules(LimitsConfig.model_validate({"zones": zones}), robot)
 
 
-def fastest_m_s(verdict: Verdict, measured: np.ndarray) -> float:
+def fastest_m_s(verdict: LimitedCommand, measured: np.ndarray) -> float:
     """Of the TCP, from where it really is to the end of the command in the command's time."""
     answer = sent(verdict)
     return float(np.linalg.norm(place(answer.position) - place(measured)) / answer.duration_s)

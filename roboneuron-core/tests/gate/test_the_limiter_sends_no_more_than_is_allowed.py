@@ -26,7 +26,7 @@ from roboneuron.contract import (
     RobotProfile,
 )
 from roboneuron.errors import UnsafeError
-from roboneuron.gate.motion import LIMITS, MotionLimiter, MotionRules, Verdict
+from roboneuron.gate.motion import LIMITS, LimitedCommand, MotionLimiter, MotionRules
 
 ARM = ("x", "z", "turn")
 SCALE = MotionRules(reactions=dict.fromkeys(LIMITS, "scale"))
@@ -99,16 +99,16 @@ def to(*position: float, duration_s: float = STEP_S) -> JointCommand:
     return JointCommand(names=ARM, position=at(*position).position, duration_s=duration_s)
 
 
-def sent(verdict: Verdict) -> JointCommand:
+def sent(verdict: LimitedCommand) -> JointCommand:
     assert isinstance(verdict.command, JointCommand), verdict
     return verdict.command
 
 
-def place(verdict: Verdict) -> list[float]:
+def place(verdict: LimitedCommand) -> list[float]:
     return sent(verdict).position.tolist()
 
 
-def hold(verdict: Verdict, name: str, reason: str = "") -> None:
+def hold(verdict: LimitedCommand, name: str, reason: str = "") -> None:
     assert isinstance(verdict.command, Hold), verdict
     assert verdict.command.code == name
     assert verdict.command.reason == verdict.reason
@@ -545,7 +545,7 @@ def test_new_rules_take_their_shares_of_the_joints_limits() -> None:
 # Behind the setpoint
 
 
-def behind(max_speed_m_s: float = 0.1, acceleration: float = 1e3, **options: Any) -> Verdict:
+def behind(max_speed_m_s: float = 0.1, acceleration: float = 1e3, **options: Any) -> LimitedCommand:
     """The arm was sent 10 mm on, stood still, and is to go 10 mm farther: 20 mm in 0.1 s."""
     rules = replace(SCALE, max_speed_m_s=max_speed_m_s)
     judge = limiter(rules, profile(acceleration=acceleration), **options)

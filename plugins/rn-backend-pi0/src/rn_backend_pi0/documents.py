@@ -137,7 +137,7 @@ class OpenpiConfig(DimensionsDocument):
     max_token_len: PromptLength = 48
 
 
-class Step(_Document):
+class ProcessorStep(_Document):
     """One step of policy_preprocessor.json or policy_postprocessor.json."""
 
     registry_name: Name
@@ -156,7 +156,7 @@ class StepConfig(_Document):
 class Pipeline(_Document):
     """policy_preprocessor.json or policy_postprocessor.json."""
 
-    steps: Annotated[tuple[Step, ...], Field(max_length=64)]
+    steps: Annotated[tuple[ProcessorStep, ...], Field(max_length=64)]
 
 
 class Moments(_Document):

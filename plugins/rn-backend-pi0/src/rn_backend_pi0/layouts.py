@@ -17,8 +17,8 @@ from rn_backend_pi0.documents import (
     NormStatsDocument,
     OpenpiConfig,
     Pipeline,
+    ProcessorStep,
     ProfileDocument,
-    Step,
     StepConfig,
 )
 from rn_backend_pi0.statistics import ZScore
@@ -161,9 +161,9 @@ def _lerobot(directory: Path, config: LerobotConfig) -> Checkpoint:
     )
 
 
-def _steps(path: Path) -> dict[str, Step]:
+def _steps(path: Path) -> dict[str, ProcessorStep]:
     """Step by registry name. Raises CheckpointError for a step this backend does not know."""
-    steps: dict[str, Step] = {}
+    steps: dict[str, ProcessorStep] = {}
     for step in read_schema(path, Pipeline).steps:
         if step.registry_name not in _KNOWN_STEPS:
             raise CheckpointError(
@@ -176,11 +176,11 @@ def _steps(path: Path) -> dict[str, Step]:
     return steps
 
 
-def _settings(step: Step, path: Path) -> StepConfig:
+def _settings(step: ProcessorStep, path: Path) -> StepConfig:
     return check_schema(step.config, TypeAdapter(StepConfig), path)
 
 
-def _is_relative(steps: dict[str, Step], path: Path) -> bool:
+def _is_relative(steps: dict[str, ProcessorStep], path: Path) -> bool:
     enabled = False
     for name in ("relative_actions_processor", "absolute_actions_processor"):
         if name in steps:
@@ -195,7 +195,7 @@ def _is_relative(steps: dict[str, Step], path: Path) -> bool:
 
 
 def _lerobot_statistics(
-    directory: Path, path: Path, steps: dict[str, Step], name: str, feature: str
+    directory: Path, path: Path, steps: dict[str, ProcessorStep], name: str, feature: str
 ) -> ZScore:
     if name not in steps:
         raise CheckpointError(

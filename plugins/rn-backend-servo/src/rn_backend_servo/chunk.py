@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from rn_backend_servo.policy import Motion, PickPolicy
+from rn_backend_servo.policy import PickPolicy, ServoMotion
 from roboneuron import Ahead, matrix_from_rotvec
 
 F64 = NDArray[np.float64]
@@ -50,7 +50,7 @@ def rows_done(pose_ns: int, captured_ns: int, step_s: float) -> float:
     return max(0.0, (pose_ns - captured_ns) / 1e9 / step_s - _HALF_A_ROW)
 
 
-def chunk_rows(policy: PickPolicy, motion: Motion, start: F64, kept: F64, count: int) -> F64:
+def chunk_rows(policy: PickPolicy, motion: ServoMotion, start: F64, kept: F64, count: int) -> F64:
     """Rows (`count`, 7): `kept`, then `motion` from `start` (4, 4), then on towards the same
     goal.
     """

@@ -76,7 +76,7 @@ class Target:
 
 
 @dataclass(kw_only=True, slots=True)
-class Episode:
+class ServoEpisode:
     """What is remembered within one attempt to follow one instruction.
 
     Attributes:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from rn_backend_servo.geometry import downward, rotation_between, yaw_of
 from rn_backend_servo.options import ServoOptions
-from rn_backend_servo.phases import CLOSED, OPEN, Episode, Phase, Target
+from rn_backend_servo.phases import CLOSED, OPEN, Phase, ServoEpisode, Target
 from rn_backend_servo.sight import Sighting
 from roboneuron import UngroundedError
 
@@ -42,7 +42,7 @@ _MOST_STEPS_RELEASE = 120
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Motion:
+class ServoMotion:
     """One small motion.
 
     Attributes:
@@ -64,12 +64,12 @@ class PickPolicy:
 
     def __init__(self, options: ServoOptions) -> None:
         self._options = options
-        self.episode = Episode()
+        self.episode = ServoEpisode()
         self._start = np.eye(4)
 
     def reset(self) -> None:
         """Start anew."""
-        self.episode = Episode()
+        self.episode = ServoEpisode()
 
     def step(
         self,
@@ -77,7 +77,7 @@ class PickPolicy:
         T_base_tcp: F64,
         gripper_open: float,
         start: F64 | None = None,
-    ) -> Motion:
+    ) -> ServoMotion:
         """Return the next motion.
 
         What has happened is judged by the measured pose; the motion leads on from where the arm
@@ -112,14 +112,14 @@ class PickPolicy:
         }[episode.phase]
         return action(sighting, T_base_tcp, gripper_open)
 
-    def continued(self, motion: Motion, start: F64) -> Motion:
+    def continued(self, motion: ServoMotion, start: F64) -> ServoMotion:
         """The motion after `motion`, from `start` (4, 4) on towards the same goal with the same
         opening.
         """
         self._start = start
         return motion if motion.goal is None else self._towards(motion.goal, motion.gripper_open)
 
-    def _search(self, sighting: Sighting | None, tcp: F64, gripper_open: float) -> Motion:
+    def _search(self, sighting: Sighting | None, tcp: F64, gripper_open: float) -> ServoMotion:
         episode = self.episode
         assert sighting is not None
         if episode.steps == 1 and self._options.holding_open < gripper_open < _FULLY_OPEN:
@@ -128,9 +128,9 @@ class PickPolicy:
         self._see(sighting, tcp)
         if episode.steps >= _SEEN_TWICE:
             episode.enter(Phase.APPROACH, tcp)
-        return Motion(translation_m=np.zeros(3), rotation_rad=np.zeros(3), gripper_open=OPEN)
+        return ServoMotion(translation_m=np.zeros(3), rotation_rad=np.zeros(3), gripper_open=OPEN)
 
-    def _approach(self, sighting: Sighting | None, tcp: F64, gripper_open: float) -> Motion:
+    def _approach(self, sighting: Sighting | None, tcp: F64, gripper_open: float) -> ServoMotion:
         self._see(sighting, tcp)
         target, options = self._target(), self._options
         goal = self._goal(target.x_m, target.y_m, options.hover_m, target.yaw_rad)
@@ -143,7 +143,7 @@ class PickPolicy:
             return self._failed("the arm did not get above the cube", tcp)
         return self._towards(goal, OPEN)
 
-    def _descend(self, sighting: Sighting | None, tcp: F64, gripper_open: float) -> Motion:
+    def _descend(self, sighting: Sighting | None, tcp: F64, gripper_open: float) -> ServoMotion:
         options = self._options
         if tcp[2, 3] > options.table_m + _BLIND_M:
             self._see(sighting, tcp)
@@ -158,7 +158,7 @@ class PickPolicy:
             goal[2, 3] = self._start[2, 3]
         return self._towards(goal, OPEN)
 
-    def _grasp(self, sighting: Sighting | None, tcp: F64, gripper_open: float) -> Motion:
+    def _grasp(self, sighting: Sighting | None, tcp: F64, gripper_open: float) -> ServoMotion:
         episode, target = self.episode, self._target()
         goal = self._goal(target.x_m, target.y_m, self._options.grasp_m, target.yaw_rad)
         recent = episode.openings[-_STEADY_STEPS:]
@@ -171,7 +171,7 @@ class PickPolicy:
             episode.enter(Phase.LIFT, tcp)
         return self._towards(goal, CLOSED)
 
-    def _lift(self, sighting: Sighting | None, tcp: F64, gripper_open: float) -> Motion:
+    def _lift(self, sighting: Sighting | None, tcp: F64, gripper_open: float) -> ServoMotion:
         if gripper_open <= self._options.holding_open:
             return self._failed("the cube slipped out", tcp)
         anchor = self.episode.anchor
@@ -187,13 +187,13 @@ class PickPolicy:
             return self._failed("the arm did not lift the cube", tcp)
         return self._towards(goal, CLOSED)
 
-    def _hold(self, sighting: Sighting | None, tcp: F64, gripper_open: float) -> Motion:
+    def _hold(self, sighting: Sighting | None, tcp: F64, gripper_open: float) -> ServoMotion:
         if gripper_open <= self._options.holding_open:
             return self._failed("the cube was dropped", tcp)
         self.episode.openings.clear()
-        return Motion(translation_m=np.zeros(3), rotation_rad=np.zeros(3), gripper_open=CLOSED)
+        return ServoMotion(translation_m=np.zeros(3), rotation_rad=np.zeros(3), gripper_open=CLOSED)
 
-    def _retreat(self, sighting: Sighting | None, tcp: F64, gripper_open: float) -> Motion:
+    def _retreat(self, sighting: Sighting | None, tcp: F64, gripper_open: float) -> ServoMotion:
         anchor = self.episode.anchor
         goal = self._goal(anchor[0, 3], anchor[1, 3], _RETREAT_M, yaw_of(anchor))
         if goal[2, 3] - tcp[2, 3] < _NEAR_HEIGHT_M and gripper_open > _FULLY_OPEN:
@@ -203,7 +203,7 @@ class PickPolicy:
             self.episode.failure = "The arm does not move up as it is told to."
         return self._towards(goal, OPEN)
 
-    def _release(self, sighting: Sighting | None, tcp: F64, gripper_open: float) -> Motion:
+    def _release(self, sighting: Sighting | None, tcp: F64, gripper_open: float) -> ServoMotion:
         """Straight down with the gripper closed, then open it: what was lifted goes back where
         it came from.
         """
@@ -245,12 +245,12 @@ class PickPolicy:
     def _is_late(self) -> bool:
         return self.episode.steps > _MOST_STEPS[self.episode.phase]
 
-    def _towards(self, goal: F64, gripper_open: float) -> Motion:
+    def _towards(self, goal: F64, gripper_open: float) -> ServoMotion:
         """A share of the way from the start to `goal`, bounded; proportional control."""
         options = self._options
         way = goal[:3, 3] - self._start[:3, 3]
         turn = rotation_between(self._start[:3, :3], goal[:3, :3])
-        return Motion(
+        return ServoMotion(
             translation_m=_shortened(options.gain * way, options.max_step_m),
             rotation_rad=_shortened(options.gain * turn, options.max_turn_rad),
             gripper_open=gripper_open,
@@ -258,7 +258,7 @@ class PickPolicy:
             goal=goal,
         )
 
-    def _failed(self, reason: str, tcp: F64) -> Motion:
+    def _failed(self, reason: str, tcp: F64) -> ServoMotion:
         """Count a failed attempt; go up and look again, or give up."""
         episode = self.episode
         episode.attempts += 1
@@ -268,7 +268,7 @@ class PickPolicy:
             )
             raise UngroundedError(episode.failure, hint="Give the instruction again to start anew.")
         episode.enter(Phase.RETREAT, tcp)
-        return Motion(translation_m=np.zeros(3), rotation_rad=np.zeros(3), gripper_open=OPEN)
+        return ServoMotion(translation_m=np.zeros(3), rotation_rad=np.zeros(3), gripper_open=OPEN)
 
 
 def _shortened(vector: F64, longest: float) -> F64:

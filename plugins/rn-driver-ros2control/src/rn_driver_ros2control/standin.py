@@ -53,7 +53,7 @@ class Tolerances:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Verdict:
+class TrajectoryEnd:
     """How the active trajectory ended: a code of FollowJointTrajectory.Result and its text."""
 
     code: int
@@ -161,7 +161,7 @@ class StandIn:
         self.reference, self.reference_velocity = self.measured.copy(), np.zeros_like(self.measured)
         self._points, self._is_done = [], True
 
-    def update(self, now_s: float) -> Verdict | None:
+    def update(self, now_s: float) -> TrajectoryEnd | None:
         """One cycle at ROS time `now_s`; returns how the trajectory ended, once."""
         step_s, self._now_s = now_s - self._now_s, now_s
         if not self.active:
@@ -192,20 +192,24 @@ class StandIn:
             return position, v0 + (2 * square * t + 3 * cube * t**2) / span_s
         return self._points[-1][1].copy(), np.zeros_like(self.measured)
 
-    def _judge(self, now_s: float) -> Verdict | None:
+    def _judge(self, now_s: float) -> TrajectoryEnd | None:
         error = dict(zip(self.joints, np.abs(self.reference - self.measured).tolist(), strict=True))
         end_s, active = self._points[-1][0], self._tolerances
         if now_s < end_s:
             if any(0.0 < bound < error[name] for name, bound in active.path.items()):
                 self.hold()
-                return Verdict(code=PATH_VIOLATED, text="Aborted due to path tolerance violation")
+                return TrajectoryEnd(
+                    code=PATH_VIOLATED, text="Aborted due to path tolerance violation"
+                )
             return None
         if all(bound <= 0.0 or error[name] <= bound for name, bound in active.goal.items()):
             self._is_done = True
-            return Verdict(code=SUCCESSFUL, text="Goal successfully reached!")
+            return TrajectoryEnd(code=SUCCESSFUL, text="Goal successfully reached!")
         if active.goal_time_s and now_s - end_s > active.goal_time_s:
             self.hold()
-            return Verdict(code=GOAL_VIOLATED, text="Aborted due to goal_time_tolerance exceeding")
+            return TrajectoryEnd(
+                code=GOAL_VIOLATED, text="Aborted due to goal_time_tolerance exceeding"
+            )
         return None
 
 

@@ -26,10 +26,16 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory
 
-from rn_driver_ros2control.standin import INVALID_GOAL, SUCCESSFUL, StandIn, Tolerances, Verdict
+from rn_driver_ros2control.standin import (
+    INVALID_GOAL,
+    SUCCESSFUL,
+    StandIn,
+    Tolerances,
+    TrajectoryEnd,
+)
 
 _FINGER_M_S = 0.05
-_CANCELLED = Verdict(code=SUCCESSFUL, text="")
+_CANCELLED = TrajectoryEnd(code=SUCCESSFUL, text="")
 
 
 class StandInNode(Node):  # type: ignore[misc]
@@ -105,7 +111,7 @@ class StandInNode(Node):  # type: ignore[misc]
 
     def _on_accepted(self, handle: Any) -> None:
         self._finish(
-            Verdict(code=INVALID_GOAL, text="Current goal preempted by new incoming action.")
+            TrajectoryEnd(code=INVALID_GOAL, text="Current goal preempted by new incoming action.")
         )
         goal = handle.request
         bounds = self.controller.defaults.with_goal(
@@ -127,7 +133,7 @@ class StandInNode(Node):  # type: ignore[misc]
     async def _execute(self, handle: Any) -> FollowJointTrajectory.Result:
         done = self._done
         assert done is not None
-        verdict: Verdict = await done
+        verdict: TrajectoryEnd = await done
         if verdict is _CANCELLED:
             handle.canceled()
         elif verdict.code == SUCCESSFUL:
@@ -136,7 +142,7 @@ class StandInNode(Node):  # type: ignore[misc]
             handle.abort()
         return FollowJointTrajectory.Result(error_code=int(verdict.code), error_string=verdict.text)
 
-    def _finish(self, verdict: Verdict) -> None:
+    def _finish(self, verdict: TrajectoryEnd) -> None:
         """Tell the client of the active goal, if there is one."""
         done, self._goal, self._done = self._done, None, None
         if done is not None and not done.done():
@@ -147,7 +153,7 @@ class StandInNode(Node):  # type: ignore[misc]
     ) -> SetBool.Response:
         if not request.data:
             self._finish(
-                Verdict(
+                TrajectoryEnd(
                     code=INVALID_GOAL, text="Current goal cancelled during deactivate transition."
                 )
             )

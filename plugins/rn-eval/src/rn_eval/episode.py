@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from rn_eval.film import Film
 from rn_eval.latency import Draw
 from rn_eval.policy import Policy
-from rn_eval.record import Outcome
+from rn_eval.record import EpisodeOutcome
 from rn_eval.suite import Episode, Judgement, Scene
 from rn_standard.execution.adaptive import AdaptiveExecutor
 from roboneuron import ActionChunk, NotReadyError, RoboNeuronError
@@ -50,7 +50,7 @@ class Played:
         film: images that the policy saw.
     """
 
-    outcome: Outcome
+    outcome: EpisodeOutcome
     inference_ms: list[float]
     film: Film
 
@@ -199,11 +199,11 @@ class EpisodeClock:
         since = self._refused_tick
         return since is not None and (self._tick - since) * self.scene.tick_s > PATIENCE_S
 
-    def _outcome(self, judgement: Judgement) -> Outcome:
+    def _outcome(self, judgement: Judgement) -> EpisodeOutcome:
         reason = "" if judgement.success else judgement.reason
         if not judgement.is_over and self._has_given_up():
             reason = f"The policy refused: {self._refusal}"
-        return Outcome(
+        return EpisodeOutcome(
             status="success" if judgement.success else "failure",
             reason=reason,
             duration_s=round(self._now_s, 4),

@@ -11,7 +11,7 @@ from types import TracebackType
 from typing import Any, NamedTuple, Protocol
 
 from rn_eval.plan import EvalPlan, Job
-from rn_eval.record import Outcome, Record
+from rn_eval.record import EpisodeOutcome, Record
 from rn_eval.runner import Runner
 from roboneuron import ConfigurationError, MissingDependencyError, StateError
 
@@ -227,7 +227,7 @@ def _lost(job: Job, cause: str) -> Record:
     return Record(
         key=job.key,
         instruction=job.episode.instruction,
-        outcome=Outcome(status="error", reason=reason),
+        outcome=EpisodeOutcome(status="error", reason=reason),
     )
 
 

@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from rn_eval.plan import Key
 
 
-class Outcome(BaseModel):
+class EpisodeOutcome(BaseModel):
     """What repeats bit for bit on a stepped clock or with injected latency.
 
     Attributes:
@@ -78,7 +78,7 @@ class Record(BaseModel):
 
     key: Key
     instruction: str
-    outcome: Outcome
+    outcome: EpisodeOutcome
     measured: Measured = Measured()
     strip: str = ""
     host: str = ""

@@ -18,7 +18,7 @@ from rn_eval.episode import EpisodeClock
 from rn_eval.latency import parse_latency
 from rn_eval.plan import EvalPlan, Job, with_body
 from rn_eval.policy import Policy, load_backend
-from rn_eval.record import Measured, Outcome, Record
+from rn_eval.record import EpisodeOutcome, Measured, Record
 from rn_eval.suite import Setup
 from rn_eval.versions import installed_versions
 from rn_standard.execution.adaptive import AdaptiveExecutor
@@ -98,7 +98,7 @@ class Runner:
             self._is_cold = False
         except Exception as error:  # the border to simulator and policy: the other episodes go on
             lines = "".join(traceback.format_exception(error)).strip().splitlines()
-            outcome = Outcome(
+            outcome = EpisodeOutcome(
                 status="error", reason=" | ".join(line.strip() for line in lines[-_ERROR_LINES:])
             )
         record = Record(
@@ -113,7 +113,7 @@ class Runner:
         )
         return record, strip
 
-    def _play(self, job: Job, policy: Policy) -> tuple[Outcome, list[float], bytes | None]:
+    def _play(self, job: Job, policy: Policy) -> tuple[EpisodeOutcome, list[float], bytes | None]:
         random = np.random.default_rng([job.key.seed, crc32(job.key.task.encode())])
         policy.reset()
         scene = self._suite.open(job.episode, self._setup)

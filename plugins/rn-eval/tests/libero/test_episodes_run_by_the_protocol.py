@@ -99,7 +99,7 @@ def test_a_simulator_that_hangs_is_ended(stand_in):
     process.ask(pipe.Open(suite="libero_goal", task=0, state=0, image_px=64), pipe.State)
     process._answer_s = 0.3
     with pytest.raises(NotReadyError, match="no answer within"):
-        process.ask(pipe.Step(action=np.array([-1.0, 0, 0, 0, 0, 0, 1])), pipe.State)
+        process.ask(pipe.PipeStep(action=np.array([-1.0, 0, 0, 0, 0, 0, 1])), pipe.State)
     assert process._process.poll() is not None
 
 
@@ -186,4 +186,4 @@ def test_messages_arrive_as_they_were_sent():
 def test_what_is_too_large_is_not_sent():
     sink = SimpleNamespace(write=None, flush=None)
     with pytest.raises(pipe.PipeError, match="too large"):
-        pipe.send(sink, pipe.Step(action=np.zeros(pipe.MOST_PAYLOAD_BYTES // 8 + 1)))
+        pipe.send(sink, pipe.PipeStep(action=np.zeros(pipe.MOST_PAYLOAD_BYTES // 8 + 1)))

@@ -49,7 +49,7 @@ class Row:
 
 
 @dataclass(slots=True)
-class Episode:
+class RecordedEpisode:
     """What was done for one instruction."""
 
     instruction: str
@@ -138,7 +138,7 @@ def read_streams(files: Sequence[Path]) -> Streams:
 
 def read_episodes(
     run: str, files: Sequence[Path], facts: dict[str, Any]
-) -> tuple[list[Episode], Streams]:
+) -> tuple[list[RecordedEpisode], Streams]:
     """The episodes of a run, oldest first; those without an action are left out.
 
     Raises:
@@ -156,7 +156,7 @@ def read_episodes(
         for e in streams.events
         if e["what"] == EPISODE_END
     )
-    episodes: list[Episode] = []
+    episodes: list[RecordedEpisode] = []
     for number, (begin_ns, instruction) in enumerate(cuts):
         until_ns = cuts[number + 1][0] if number + 1 < len(cuts) else 2**63
         end = next(((at, word) for at, word in ends if begin_ns <= at < until_ns), None)
@@ -165,7 +165,7 @@ def read_episodes(
         )
         rows = _rows(streams, begin_ns, min(last_ns, until_ns))
         if rows:
-            episodes.append(Episode(instruction, outcome, run, rows))
+            episodes.append(RecordedEpisode(instruction, outcome, run, rows))
     return episodes, streams
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rn_runs import lerobot_meta as meta
-from rn_runs.episodes import Episode, stamp_of
+from rn_runs.episodes import RecordedEpisode, stamp_of
 from rn_runs.files import Record, read_records
 from rn_runs.images import pixels_of
 from rn_runs.lerobot_meta import Source
@@ -163,7 +163,7 @@ def _export(
     return Written(len(episodes), begin, rate, tuple(skipped))
 
 
-def _rate(episodes: Sequence[Episode]) -> int:
+def _rate(episodes: Sequence[RecordedEpisode]) -> int:
     gaps = [
         np.diff([row.sent_ns for row in episode.rows])
         for episode in episodes
@@ -220,7 +220,9 @@ def _write_videos(
     return samples
 
 
-def _columns(episode: Episode, index: int, begin: int, task: int, fps: int) -> dict[str, list[Any]]:
+def _columns(
+    episode: RecordedEpisode, index: int, begin: int, task: int, fps: int
+) -> dict[str, list[Any]]:
     rows = episode.rows
     leading = next(iter(rows[0].images))
     columns: dict[str, list[Any]] = {}
@@ -246,7 +248,7 @@ def _matrix(values: list[Any]) -> NDArray[np.float64]:
 
 
 def _episode_entry(
-    episode: Episode,
+    episode: RecordedEpisode,
     index: int,
     begin: int,
     fps: int,

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from rn_runs.episodes import Episode
+from rn_runs.episodes import RecordedEpisode
 from rn_runs.files import read_about
 from rn_runs.store import Run
 from rn_runs.video import CameraVideo, Codec
@@ -24,7 +24,7 @@ class Source:
     """A run and its episodes."""
 
     run: Run
-    episodes: list[Episode]
+    episodes: list[RecordedEpisode]
     joint_names: tuple[str, ...]
     cameras: tuple[str, ...]
 
@@ -117,7 +117,7 @@ def tasks(pa: Any, tasks: Sequence[str]) -> Any:
 def info(
     source: Source,
     features: dict[str, Any],
-    episodes: Sequence[Episode],
+    episodes: Sequence[RecordedEpisode],
     tasks: Sequence[str],
     fps: int,
 ) -> dict[str, Any]:
@@ -139,7 +139,7 @@ def info(
     }
 
 
-def origin(sources: Sequence[Source], episodes: Sequence[Episode]) -> dict[str, Any]:
+def origin(sources: Sequence[Source], episodes: Sequence[RecordedEpisode]) -> dict[str, Any]:
     """Units, frames and where each episode comes from."""
     about = read_about(sources[0].run.files[0])
     contract = json.loads(about.get("contract", "{}"))

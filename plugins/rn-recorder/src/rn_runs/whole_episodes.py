@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from rn_runs.episodes import Episode, read_episodes, stamp_of
+from rn_runs.episodes import RecordedEpisode, read_episodes, stamp_of
 from rn_runs.files import DAMAGE, read_records
 from rn_runs.images import pixels_of
 from rn_runs.lerobot_meta import Source
@@ -52,9 +52,9 @@ def whole_sources(runs: Sequence[Run], outcome: str | None) -> tuple[list[Source
         except (InvalidInputError, OSError, *DAMAGE) as error:
             skipped.append(Skipped(run.id, "", str(error).rstrip(".")))
     kinds = Counter[Kind]()
-    kept: list[tuple[Source, list[tuple[Episode, Kind]]]] = []
+    kept: list[tuple[Source, list[tuple[RecordedEpisode, Kind]]]] = []
     for source, sizes in read:
-        whole: list[tuple[Episode, Kind]] = []
+        whole: list[tuple[RecordedEpisode, Kind]] = []
         for episode in source.episodes:
             kind = _kind(source, episode, sizes)
             if isinstance(kind, str):
@@ -83,7 +83,7 @@ def whole_sources(runs: Sequence[Run], outcome: str | None) -> tuple[list[Source
     return sources, skipped
 
 
-def _kind(source: Source, episode: Episode, sizes: Sizes) -> Kind | str:
+def _kind(source: Source, episode: RecordedEpisode, sizes: Sizes) -> Kind | str:
     """What decides whether episodes fit together, or why this one cannot be written."""
     shapes: dict[str, tuple[int, ...]] = {}
     for camera in source.cameras:

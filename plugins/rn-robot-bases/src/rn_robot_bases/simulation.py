@@ -11,7 +11,7 @@ from rn_robot_bases.drivetrain import BaseVelocity, JointValues
 from rn_robot_bases.odometry import PlanarPose, integrate
 from rn_robot_bases.platform import Platform, in_engine
 from rn_robot_bases.profile import check_twist
-from rn_robot_bases.world import World, build_world
+from rn_robot_bases.world import BaseWorld, build_world
 from rn_simulation.engine import EngineChoice, choose_engine
 from roboneuron import StateError
 
@@ -65,7 +65,7 @@ class Simulation:
         self.engine = choose_engine(engine)
         self.platform = in_engine(platform, self.engine)
         self._timeout_s = command_timeout_s
-        self._world: World | None = None
+        self._world: BaseWorld | None = None
         self._reset()
 
     def _reset(self) -> None:
@@ -167,7 +167,7 @@ class Simulation:
             motion=self._motion,
         )
 
-    def _opened(self) -> World:
+    def _opened(self) -> BaseWorld:
         if self._world is None:
             raise StateError(
                 f"The simulated {self.platform.name} is not open.",

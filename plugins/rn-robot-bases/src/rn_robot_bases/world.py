@@ -15,7 +15,7 @@ HINGE_TORQUE_NM = 10.0
 START_HEIGHT_M = 0.002
 
 
-class World(Protocol):
+class BaseWorld(Protocol):
     """One base in one physics engine; from one thread only."""
 
     def step(self, targets: JointTargets) -> None:
@@ -37,7 +37,7 @@ class World(Protocol):
         ...
 
 
-def build_world(engine: Engine, platform: Platform, step_s: float) -> World:
+def build_world(engine: Engine, platform: Platform, step_s: float) -> BaseWorld:
     """A world with `platform` in `engine`."""
     if engine == "mujoco":
         from rn_robot_bases.mujoco_world import MujocoWorld  # heavy, and perhaps not installed

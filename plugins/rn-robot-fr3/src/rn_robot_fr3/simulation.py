@@ -27,7 +27,7 @@ from rn_robot_fr3.limits import (
 from rn_robot_fr3.profile import HOME_RAD
 from rn_robot_fr3.scene import DEFAULT_COLOURS, random_cubes
 from rn_robot_fr3.setpoint import JointSetpoint
-from rn_robot_fr3.world import JOINTS, World, build_world
+from rn_robot_fr3.world import JOINTS, ArmWorld, build_world
 from rn_simulation.engine import EngineChoice, choose_engine
 from roboneuron import InvalidInputError, JointCommand, Pose, StateError, quaternion_from_matrix
 
@@ -71,7 +71,7 @@ class Simulation:
         self.scene = random_cubes(seed, colours)
         self._gui = gui
         self._cameras = {camera.name: camera for camera in cameras()}
-        self._world: World | None = None
+        self._world: ArmWorld | None = None
         self._lower = np.array([*LOWER_RAD, 0.0])
         self._upper = np.array([*UPPER_RAD, FINGER_OPEN_M])
         self._reset_clock()
@@ -118,7 +118,7 @@ class Simulation:
             self._world = None
 
     @property
-    def world(self) -> World:
+    def world(self) -> ArmWorld:
         """The world while it is open. Raises StateError otherwise."""
         if self._world is None:
             raise StateError(

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from rn_robot_fr3.scene import Cube
 from rn_robot_fr3.state_message import SceneState
-from rn_robot_fr3.world import World, build_world
+from rn_robot_fr3.world import ArmWorld, build_world
 from roboneuron import CameraCalibration, StateError
 
 
@@ -18,7 +18,7 @@ class RenderTwin:
 
     def __init__(self) -> None:
         """Does nothing yet; the world is built from the first state."""
-        self._world: World | None = None
+        self._world: ArmWorld | None = None
         self._scene: tuple[object, ...] | None = None
 
     def show(self, state: SceneState) -> None:

@@ -37,7 +37,7 @@ FINGER_FRICTION = (1.2, 0.02, 0.0)
 CUBE_FRICTION = (1.0, 0.005, 0.0005)
 
 
-class World(Protocol):
+class ArmWorld(Protocol):
     """Robot, table and cubes in one physics engine; from one thread only."""
 
     engine: Engine
@@ -85,7 +85,7 @@ class World(Protocol):
         ...
 
 
-def build_world(engine: Engine, cubes: Sequence[Cube], *, gui: bool = False) -> World:
+def build_world(engine: Engine, cubes: Sequence[Cube], *, gui: bool = False) -> ArmWorld:
     """A world with `cubes` in `engine`.
 
     Raises:

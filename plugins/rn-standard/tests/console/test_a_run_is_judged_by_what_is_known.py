@@ -8,8 +8,8 @@ import json
 
 import pytest
 
-from rn_standard.console.judge import Judge, Outcome
-from rn_standard.console.status import ModuleStatus, ServerStatus
+from rn_standard.console.judge import Judge, RunOutcome
+from rn_standard.console.status import ReportedModule, ServerStatus
 
 INSTRUCTION = "Pick up the red cube."
 
@@ -30,8 +30,8 @@ def status(
         emergency_stop=stopped,
         emergency_stop_cause="ada: smoke",
         modules=(
-            ModuleStatus(module="robot", health="ok", pid=1, detail=detail),
-            ModuleStatus(module="inference", health=health, pid=2, metrics=metrics),
+            ReportedModule(module="robot", health="ok", pid=1, detail=detail),
+            ReportedModule(module="inference", health=health, pid=2, metrics=metrics),
         ),
     )
 
@@ -42,7 +42,7 @@ def status(
         (
             status(lifted={"red": 1.2, "blue": 0.0}),
             5.0,
-            Outcome.DONE,
+            RunOutcome.DONE,
             "the simulator says that red is lifted by 20 cm",
         ),
         (status(lifted={"red": 0.4}), 5.0, None, ""),
@@ -50,24 +50,24 @@ def status(
         (
             status(lifted={"red": 0.0}),
             60.0,
-            Outcome.NOT_DONE,
+            RunOutcome.NOT_DONE,
             "60 s are over and red is not lifted",
         ),
-        (status(done="1"), 5.0, Outcome.DONE, "the backend reports that it has finished"),
+        (status(done="1"), 5.0, RunOutcome.DONE, "the backend reports that it has finished"),
         (status(done="0"), 5.0, None, ""),
-        (status(done="0"), 60.0, Outcome.NOT_DONE, "the backend has not finished"),
+        (status(done="0"), 60.0, RunOutcome.NOT_DONE, "the backend has not finished"),
         (status(done="nonsense"), 5.0, None, ""),
-        (status(), 60.0, Outcome.UNKNOWN, "neither the backend nor a simulator tells"),
+        (status(), 60.0, RunOutcome.UNKNOWN, "neither the backend nor a simulator tells"),
         (
             status(stopped=True),
             1.0,
-            Outcome.NOT_DONE,
+            RunOutcome.NOT_DONE,
             "the emergency stop was latched by ada: smoke",
         ),
     ],
 )
 def test_one_look_decides(
-    seen: ServerStatus, elapsed_s: float, outcome: Outcome | None, reason: str
+    seen: ServerStatus, elapsed_s: float, outcome: RunOutcome | None, reason: str
 ) -> None:
     verdict = Judge(INSTRUCTION, 60.0).look(seen, elapsed_s)
     if outcome is None:
@@ -85,7 +85,7 @@ def test_a_short_fault_is_forgiven_and_a_lasting_one_ends_the_run() -> None:
     assert judge.look(status(health="silent"), 7.9) is None
     verdict = judge.look(status(health="silent"), 8.1)
     assert verdict is not None
-    assert verdict.outcome is Outcome.NOT_DONE
+    assert verdict.outcome is RunOutcome.NOT_DONE
     assert verdict.reason == "inference: alive, but not reporting"
 
 
@@ -94,7 +94,7 @@ def test_a_module_that_somebody_stopped_ends_the_run() -> None:
     assert judge.look(status(health="stopped"), 1.0) is None
     verdict = judge.look(status(health="stopped"), 6.0)
     assert verdict is not None
-    assert verdict.outcome is Outcome.NOT_DONE
+    assert verdict.outcome is RunOutcome.NOT_DONE
 
 
 def test_the_backends_word_does_not_outweigh_the_simulators() -> None:
@@ -102,11 +102,12 @@ def test_the_backends_word_does_not_outweigh_the_simulators() -> None:
     assert judge.look(status(lifted={"red": 0.0}, done="1"), 1.0) is None
     verdict = judge.look(status(lifted={"red": 0.0}, done="1"), 6.0)
     assert verdict is not None
-    assert verdict.outcome is Outcome.NOT_DONE
+    assert verdict.outcome is RunOutcome.NOT_DONE
     assert "the simulator that red is lifted by 0 cm" in verdict.reason
 
 
 def test_exit_statuses_tell_the_outcomes_apart() -> None:
     assert [
-        int(o) for o in (Outcome.DONE, Outcome.NOT_DONE, Outcome.UNKNOWN, Outcome.INTERRUPTED)
+        int(o)
+        for o in (RunOutcome.DONE, RunOutcome.NOT_DONE, RunOutcome.UNKNOWN, RunOutcome.INTERRUPTED)
     ] == [0, 1, 3, 130]

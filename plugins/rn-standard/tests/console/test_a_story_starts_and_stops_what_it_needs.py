@@ -13,7 +13,7 @@ import pytest
 from rich.console import Console
 
 from rn_standard.console import story as story_module
-from rn_standard.console.judge import Outcome, Verdict
+from rn_standard.console.judge import RunEnd, RunOutcome
 from rn_standard.console.screen import Screen
 from rn_standard.console.session import Session
 from rn_standard.console.status import ServerStatus
@@ -76,11 +76,11 @@ def _fast(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(story_module, "_LOOK_PERIOD_S", 0.0)
 
 
-def play(session: FakeSession, is_quiet: bool = False) -> tuple[Verdict, str]:
+def play(session: FakeSession, is_quiet: bool = False) -> tuple[RunEnd, str]:
     output = io.StringIO()
     screen = Screen(Console(file=output, width=200, highlight=False, markup=False), is_quiet)
 
-    async def run() -> Verdict:
+    async def run() -> RunEnd:
         story = Story(session, "wave", 60.0, screen)
         try:
             return await story.play()
@@ -101,7 +101,7 @@ STOPS = ["stop_inference", "stop_control", "stop_perception", "stop_robot"]
 def test_everything_is_started_in_order_and_stopped_in_the_reverse_order() -> None:
     session = FakeSession()
     verdict, text = play(session)
-    assert verdict.outcome is Outcome.DONE
+    assert verdict.outcome is RunOutcome.DONE
     assert names(session) == [*STARTS, *STOPS]
     assert session.calls[3] == ("start_inference", {"instruction": "wave"})
     assert [line.split("  ")[1] for line in text.splitlines()][:2] == [
@@ -128,7 +128,7 @@ def test_a_failed_start_stops_what_was_started() -> None:
 
 def test_a_failed_stop_is_shown_and_does_not_hide_the_verdict() -> None:
     verdict, text = play(FakeSession(fails="stop_control"))
-    assert verdict.outcome is Outcome.DONE
+    assert verdict.outcome is RunOutcome.DONE
     assert "stop_control failed." in text
 
 

@@ -13,13 +13,13 @@ import pytest
 from rich.console import Console
 
 from rn_standard.console.diagnostics import DiagnosticsListener
-from rn_standard.console.status import ModuleError, ModuleStatus, ServerStatus
+from rn_standard.console.status import ModuleError, ReportedModule, ServerStatus
 from rn_standard.console.status_command import exit_status
 from rn_standard.console.table import duration, status_view
 
 
-def module(name: str = "control", health: str = "ok", **facts: Any) -> ModuleStatus:
-    return ModuleStatus(module=name, health=health, pid=7, **facts)
+def module(name: str = "control", health: str = "ok", **facts: Any) -> ReportedModule:
+    return ReportedModule(module=name, health=health, pid=7, **facts)
 
 
 def shown(*statuses: ServerStatus, encoding: str = "utf-8", width: int = 80) -> str:
@@ -52,7 +52,7 @@ FULL = ServerStatus(
         module(
             "inference", "waiting", waiting_for="ee_pose", instruction="pick [red]", note="looking"
         ),
-        ModuleStatus(module="robot", health="stopped"),
+        ReportedModule(module="robot", health="stopped"),
     ),
 )
 
@@ -118,7 +118,7 @@ def test_the_emergency_stop_stands_out() -> None:
         (ServerStatus(modules=(module(health="waiting"),)), 0),
         (ServerStatus(modules=(module(health="stuck"),)), 1),
         (ServerStatus(modules=(module(),), emergency_stop=True), 1),
-        (ServerStatus(modules=(ModuleStatus(module="robot", health="stopped"),)), 1),
+        (ServerStatus(modules=(ReportedModule(module="robot", health="stopped"),)), 1),
         (ServerStatus(), 1),
     ],
 )

@@ -14,7 +14,7 @@ from types import SimpleNamespace
 import pytest
 
 from rn_standard.doctor import checks
-from rn_standard.doctor.finding import Finding, Verdict
+from rn_standard.doctor.finding import Finding, Severity
 from rn_standard.doctor.images import ImageTransport
 from rn_testing.domain import free_ros_domain
 from roboneuron.config import Config, parse_config
@@ -47,7 +47,7 @@ def _quick(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_state_directory_that_cannot_be_written_fails(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     finding = find("state", config_in(tmp_path / "file" / "state"))
-    assert finding.verdict is Verdict.FAILED
+    assert finding.verdict is Severity.FAILED
     assert str(tmp_path / "file" / "state") in finding.text
     assert "supervisor.state_directory" in finding.hint
 
@@ -59,16 +59,16 @@ def test_little_space_for_shared_memory_fails(
         checks.shutil, "disk_usage", lambda _: SimpleNamespace(free=64 * MIB, total=64 * MIB)
     )
     finding = find("shared-memory", config_in(tmp_path))
-    assert finding.verdict is Verdict.FAILED
+    assert finding.verdict is Severity.FAILED
     assert "--shm-size" in finding.hint
-    assert find("state", config_in(tmp_path)).verdict is Verdict.WARNING
+    assert find("state", config_in(tmp_path)).verdict is Severity.WARNING
 
 
 def test_a_latched_emergency_stop_is_told_with_its_cause(tmp_path: Path) -> None:
-    assert find("emergency-stop", config_in(tmp_path)).verdict is Verdict.OK
+    assert find("emergency-stop", config_in(tmp_path)).verdict is Severity.OK
     EmergencyStopLatch(tmp_path / ESTOP_FILE, time.time_ns).latch(who="the test", reason="a finger")
     finding = find("emergency-stop", config_in(tmp_path))
-    assert finding.verdict is Verdict.WARNING
+    assert finding.verdict is Severity.WARNING
     assert "the test: a finger" in finding.text
 
 
@@ -99,33 +99,33 @@ def test_the_build_of_torch_is_told_where_there_is_no_gpu(
     monkeypatch.setattr(checks.importlib, "import_module", lambda name: torch)
     monkeypatch.setattr(checks.importlib.util, "find_spec", lambda name: object())
     finding = checks._gpu(config_in(tmp_path))
-    assert finding.verdict is Verdict.WARNING
+    assert finding.verdict is Severity.WARNING
     assert finding.text == said
     assert ("the CPU build, which is smaller" in finding.hint) == (cuda is not None)
 
 
 def test_a_configuration_that_names_what_is_not_installed_fails(tmp_path: Path) -> None:
     finding = find("configuration", config_in(tmp_path))
-    assert finding.verdict is Verdict.FAILED
+    assert finding.verdict is Severity.FAILED
     assert "'nobody'" in finding.text
 
 
 @pytest.mark.parametrize(
     ("seen", "verdict", "words"),
     [
-        ({"received": 0}, Verdict.FAILED, "none arrived"),
-        ({"median_ms": 80.0}, Verdict.WARNING, "80.0 ms"),
-        ({"received": 5}, Verdict.WARNING, "5 of 20"),
+        ({"received": 0}, Severity.FAILED, "none arrived"),
+        ({"median_ms": 80.0}, Severity.WARNING, "80.0 ms"),
+        ({"received": 5}, Severity.WARNING, "5 of 20"),
         (
             {"neighbours": ("/roboneuron_doctor_1", "/fr3/control")},
-            Verdict.WARNING,
+            Severity.WARNING,
             "1 other nodes",
         ),
     ],
 )
 def test_images_that_do_not_come_or_come_late_are_told(
     seen: dict[str, object],
-    verdict: Verdict,
+    verdict: Severity,
     words: str,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -147,7 +147,7 @@ def test_an_error_of_a_check_is_a_finding_and_the_others_go_on(
 
     monkeypatch.setattr(checks, "measure_image_transport", broken)
     findings = {check.id: finding for check, finding in checks.run_checks(config_in(tmp_path))}
-    assert findings["images"].verdict is Verdict.FAILED
+    assert findings["images"].verdict is Severity.FAILED
     assert "hung" in findings["images"].text
     assert "configuration" in findings
 
@@ -160,9 +160,9 @@ def test_a_check_that_breaks_is_a_finding_and_what_needs_it_is_left_out(
         checks, "measure_image_transport", lambda: pytest.fail("ROS cannot be used")
     )
     findings = {check.id: finding for check, finding in checks.run_checks(config_in(tmp_path))}
-    assert findings["ros"].verdict is Verdict.FAILED
+    assert findings["ros"].verdict is Severity.FAILED
     assert "ZeroDivisionError: division by zero" in findings["ros"].text
-    assert findings["images"].verdict is Verdict.WARNING
+    assert findings["images"].verdict is Severity.WARNING
     assert "Not tried: the check 'ros' failed." in findings["images"].text
     assert "configuration" in findings
 

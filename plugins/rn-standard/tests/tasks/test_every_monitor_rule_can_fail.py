@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from rn_standard.tasks.contract_cases import RULES, MonitorCase, lifted_case
 from rn_standard.tasks.detectors import ColourLifted
 from rn_standard.tasks.monitor import Score
-from rn_testing.rule import Verdict, verify
+from rn_testing.rule import RuleVerdict, verify
 
 
 class Ignored(BaseModel):
@@ -199,9 +199,9 @@ def broken_case(
 )
 def test_a_broken_monitor_fails_its_rule(name, target, spec, monkeypatch):
     rule = next(rule for rule in RULES if rule.id == f"monitor/{name}")
-    assert verify(rule, lifted_case()).verdict is Verdict.PASSED
+    assert verify(rule, lifted_case()).verdict is RuleVerdict.PASSED
     outcome = verify(rule, broken_case(target, spec, monkeypatch))
-    assert outcome.verdict is Verdict.FAILED, outcome
+    assert outcome.verdict is RuleVerdict.FAILED, outcome
     assert outcome.detail
 
 

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
         RobotContract,
         RuntimeContract,
     )
-    from rn_testing.rule import NotApplicable, Outcome, Rule, Verdict, Violation, verify
+    from rn_testing.rule import NotApplicable, Rule, RuleResult, RuleVerdict, Violation, verify
 
 __all__ = [
     "AccelerationCase",
@@ -57,7 +57,6 @@ __all__ = [
     "FeatureCase",
     "FeatureContract",
     "NotApplicable",
-    "Outcome",
     "PackageCase",
     "PackageContract",
     "PerceptionCase",
@@ -65,9 +64,10 @@ __all__ = [
     "RobotCase",
     "RobotContract",
     "Rule",
+    "RuleResult",
+    "RuleVerdict",
     "RuntimeCase",
     "RuntimeContract",
-    "Verdict",
     "Violation",
     "verify",
 ]

@@ -18,7 +18,7 @@ from typing import Any, TextIO, TypedDict
 
 from rn_testing.automatic import make_case
 from rn_testing.cases import PackageCase
-from rn_testing.rule import Outcome, Rule, Verdict, verify
+from rn_testing.rule import Rule, RuleResult, RuleVerdict, verify
 from rn_testing.rules import RULES, rules_of
 from roboneuron import RoboNeuronError
 from roboneuron.feature import discover
@@ -54,11 +54,11 @@ def subjects(request: Request) -> Iterator[tuple[str, Any, tuple[Rule[Any], ...]
             yield label, error, rules_of(kind)
 
 
-def decide(rule: Rule[Any], case: object) -> Outcome:
+def decide(rule: Rule[Any], case: object) -> RuleResult:
     """Verify one rule; without a case it fails for the reason the case could not be made."""
     if isinstance(case, RoboNeuronError):
-        return Outcome(
-            rule=rule.id, verdict=Verdict.FAILED, detail=f"there is no case to try: {case}"
+        return RuleResult(
+            rule=rule.id, verdict=RuleVerdict.FAILED, detail=f"there is no case to try: {case}"
         )
     return verify(rule, case)
 

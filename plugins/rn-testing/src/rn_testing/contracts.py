@@ -10,7 +10,7 @@ import pytest
 
 from rn_testing.cases import CASES, PackageCase
 from rn_testing.kinds import kind_of
-from rn_testing.rule import Rule, Verdict, verify
+from rn_testing.rule import Rule, RuleVerdict, verify
 from rn_testing.rules import RULES
 from roboneuron import PluginError, Spec
 
@@ -18,9 +18,9 @@ from roboneuron import PluginError, Spec
 def _report(rule: Rule[Any], case: Any) -> None:
     __tracebackhide__ = True
     outcome = verify(rule, case)
-    if outcome.verdict is Verdict.SKIPPED:
+    if outcome.verdict is RuleVerdict.SKIPPED:
         pytest.skip(f"{rule.id}: {outcome.detail}")
-    if outcome.verdict is Verdict.FAILED:
+    if outcome.verdict is RuleVerdict.FAILED:
         text = (
             f"{rule.id}: {outcome.detail}\n  rule: {rule.text}\n  source: "
             f"{rule.source}\n{outcome.traceback}"

@@ -23,7 +23,7 @@ class NotApplicable(Exception):
     """
 
 
-class Verdict(StrEnum):
+class RuleVerdict(StrEnum):
     """Outcome of one rule for one case."""
 
     PASSED = "passed"
@@ -50,7 +50,7 @@ class Rule(Generic[CaseT]):
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Outcome:
+class RuleResult:
     """What came of one rule.
 
     Attributes:
@@ -61,12 +61,12 @@ class Outcome:
     """
 
     rule: str
-    verdict: Verdict
+    verdict: RuleVerdict
     detail: str = ""
     traceback: str = ""
 
 
-def verify(rule: Rule[CaseT], case: CaseT) -> Outcome:
+def verify(rule: Rule[CaseT], case: CaseT) -> RuleResult:
     """Run one rule, every call bounded; what the plugin raises and the rule does not expect is a
     failure.
 
@@ -76,23 +76,28 @@ def verify(rule: Rule[CaseT], case: CaseT) -> Outcome:
     from rn_testing.case_options import RULE_ID, missing_options  # which needs this module
 
     if not rule.id.startswith("descriptor/") and missing_options(case):
-        return Outcome(
-            rule=rule.id, verdict=Verdict.SKIPPED, detail=f"the case lacks options, see {RULE_ID}"
+        return RuleResult(
+            rule=rule.id,
+            verdict=RuleVerdict.SKIPPED,
+            detail=f"the case lacks options, see {RULE_ID}",
         )
     try:
         run_bounded(lambda: rule.check(case))
     except Overdue as overdue:
-        return Outcome(rule=rule.id, verdict=Verdict.FAILED, detail=str(overdue))
+        return RuleResult(rule=rule.id, verdict=RuleVerdict.FAILED, detail=str(overdue))
     except NotApplicable as reason:
-        return Outcome(rule=rule.id, verdict=Verdict.SKIPPED, detail=str(reason))
+        return RuleResult(rule=rule.id, verdict=RuleVerdict.SKIPPED, detail=str(reason))
     except Violation as violation:
-        return Outcome(rule=rule.id, verdict=Verdict.FAILED, detail=str(violation))
+        return RuleResult(rule=rule.id, verdict=RuleVerdict.FAILED, detail=str(violation))
     except Exception as error:  # the border to a plugin's own code
         detail = f"raised {type(error).__name__}: {error}"
-        return Outcome(
-            rule=rule.id, verdict=Verdict.FAILED, detail=detail, traceback=traceback.format_exc()
+        return RuleResult(
+            rule=rule.id,
+            verdict=RuleVerdict.FAILED,
+            detail=detail,
+            traceback=traceback.format_exc(),
         )
-    return Outcome(rule=rule.id, verdict=Verdict.PASSED)
+    return RuleResult(rule=rule.id, verdict=RuleVerdict.PASSED)
 
 
 def require(condition: bool, message: str) -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from rn_standard.console.diagnostics import DiagnosticsListener
-from rn_standard.console.status import ModuleStatus, ServerStatus
+from rn_standard.console.status import ReportedModule, ServerStatus
 from rn_view.happenings import AuditTail, Happenings, add_record
 from rn_view.live import robot_profile
 from rn_view.source import ModuleRow, Snapshot
@@ -142,7 +142,7 @@ class AttachedSource:
         audit.close()
         return "Latched in the file that every module looks at 50 times a second."
 
-    def _modules(self) -> tuple[ModuleStatus, ...]:
+    def _modules(self) -> tuple[ReportedModule, ...]:
         """Those of the robot; a server of one robot may run another one than the configuration
         names.
         """
@@ -151,7 +151,7 @@ class AttachedSource:
         return (own or ([] if self._is_one_of_several else found) or [ServerStatus()])[0].modules
 
 
-def _row(kind: str, module: ModuleStatus | None) -> ModuleRow:
+def _row(kind: str, module: ReportedModule | None) -> ModuleRow:
     if module is None:
         return ModuleRow(kind=kind, health="stopped")
     error = module.error.message if module.error is not None else ""

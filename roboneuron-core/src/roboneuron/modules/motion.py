@@ -25,7 +25,7 @@ from roboneuron.contract.arrays import F64
 from roboneuron.contract.profile import prismatic_joints
 from roboneuron.errors import InvalidInputError, NotReadyError, RefusedError, UnsafeError
 from roboneuron.gate.audit import AUDIT_FILE, AuditLog, AuditRecord
-from roboneuron.gate.motion import Motion, MotionLimiter, Verdict, inspector_of, motion_rules
+from roboneuron.gate.motion import LimitedCommand, Motion, MotionLimiter, inspector_of, motion_rules
 from roboneuron.gate.motion.command import pick
 from roboneuron.modules.status import StatusWriter
 
@@ -218,7 +218,7 @@ class MotionGuard:
         if motion.smallest_singular_value is not None:
             self._status.set_value(f"{word}_singular_value", motion.smallest_singular_value)
 
-    def _record(self, verdict: Verdict, now_s: float) -> None:
+    def _record(self, verdict: LimitedCommand, now_s: float) -> None:
         """One line in the audit when the limits begin to act, act otherwise, or go on acting."""
         outcome = _outcome(verdict)
         state = (outcome, *verdict.acted) if verdict.reason else ()
@@ -256,7 +256,7 @@ class MotionGuard:
             log.error("%s", error)
 
 
-def _outcome(verdict: Verdict) -> str:
+def _outcome(verdict: LimitedCommand) -> str:
     if verdict.command is None:
         return "refused"
     return "held" if isinstance(verdict.command, Hold) else "scaled"

@@ -203,7 +203,7 @@ class LiberoScene:
                 self._idle += 1
                 action = np.concatenate([_REST, [self._gripper]])
             self._gripper = float(action[6])
-            self._state = self._simulator.ask(pipe.Step(action=action), pipe.State)
+            self._state = self._simulator.ask(pipe.PipeStep(action=action), pipe.State)
 
     def judge(self) -> Judgement:
         """By the simulator, in every step."""

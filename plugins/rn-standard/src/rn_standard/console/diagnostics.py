@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rn_standard.console.log_runs import log_runs
-from rn_standard.console.status import ModuleStatus, ServerStatus
+from rn_standard.console.status import ReportedModule, ServerStatus
 from roboneuron.feature import (
     MODULE_KINDS,
     Health,
@@ -145,7 +145,7 @@ class DiagnosticsListener:
         found = []
         for namespace in sorted({key[0] for key in reports}) or [""]:
             modules = [
-                ModuleStatus.from_report(node, pid, _health(node, pid, report, now_s), report)
+                ReportedModule.from_report(node, pid, _health(node, pid, report, now_s), report)
                 for (place, node, pid), report in sorted(reports.items(), key=_in_order)
                 if place == namespace
             ]

@@ -23,7 +23,7 @@ finished, 0 not yet.
 """
 
 
-class Outcome(IntEnum):
+class RunOutcome(IntEnum):
     """How a run went; the value is the exit status."""
 
     DONE = 0
@@ -33,14 +33,14 @@ class Outcome(IntEnum):
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Verdict:
+class RunEnd:
     """The end of a run.
 
     Attributes:
         reason: one sentence, without its full stop.
     """
 
-    outcome: Outcome
+    outcome: RunOutcome
     reason: str
 
 
@@ -71,7 +71,7 @@ class Judge:
         ]
         return named[0] if len(named) == 1 else None
 
-    def look(self, status: ServerStatus, elapsed_s: float) -> Verdict | None:
+    def look(self, status: ServerStatus, elapsed_s: float) -> RunEnd | None:
         """The verdict at `elapsed_s` after the first action, or None while the run goes on."""
         if status.emergency_stop:
             cause = f" by {status.emergency_stop_cause}" if status.emergency_stop_cause else ""
@@ -81,8 +81,8 @@ class Judge:
             lift = (
                 f"lifted by {target[1].lifted_m * 100:.0f} cm and held for {target[1].held_s:.1f} s"
             )
-            return Verdict(
-                outcome=Outcome.DONE, reason=f"the simulator says that {target[0]} is {lift}"
+            return RunEnd(
+                outcome=RunOutcome.DONE, reason=f"the simulator says that {target[0]} is {lift}"
             )
         if (fault := self._fault(status, elapsed_s)) is not None:
             return fault
@@ -90,7 +90,9 @@ class Judge:
         claims = inference is not None and _is_one(inference.metrics.get(DONE_METRIC, ""))
         self._claimed_since_s = min(self._claimed_since_s, elapsed_s) if claims else math.inf
         if claims and target is None:
-            return Verdict(outcome=Outcome.DONE, reason="the backend reports that it has finished")
+            return RunEnd(
+                outcome=RunOutcome.DONE, reason="the backend reports that it has finished"
+            )
         if elapsed_s - self._claimed_since_s > PATIENCE_S and target is not None:
             lift = f"lifted by {target[1].lifted_m * 100:.0f} cm"
             return _not_done(
@@ -107,9 +109,9 @@ class Judge:
             f"{self._timeout_s:g} s are over; neither the backend nor a simulator tells "
             "whether it is done"
         )
-        return Verdict(outcome=Outcome.UNKNOWN, reason=reason)
+        return RunEnd(outcome=RunOutcome.UNKNOWN, reason=reason)
 
-    def _fault(self, status: ServerStatus, elapsed_s: float) -> Verdict | None:
+    def _fault(self, status: ServerStatus, elapsed_s: float) -> RunEnd | None:
         for kind in ("robot", "perception", "control", "inference"):
             module = next((m for m in status.modules if m.module == kind), None)
             if module is None or not (module.is_faulty or module.health == "stopped"):
@@ -121,8 +123,8 @@ class Judge:
         return None
 
 
-def _not_done(reason: str) -> Verdict:
-    return Verdict(outcome=Outcome.NOT_DONE, reason=reason)
+def _not_done(reason: str) -> RunEnd:
+    return RunEnd(outcome=RunOutcome.NOT_DONE, reason=reason)
 
 
 def _is_one(text: str) -> bool:

@@ -23,7 +23,7 @@ class ModuleError(BaseModel):
     hint: str = ""
 
 
-class ModuleStatus(BaseModel):
+class ReportedModule(BaseModel):
     """One module; the fields are those of `get_status`, None when the source does not say."""
 
     model_config = ConfigDict(frozen=True, extra="ignore")
@@ -51,7 +51,7 @@ class ModuleStatus(BaseModel):
         return self.health in FAULTS
 
     @classmethod
-    def from_report(cls, module: str, pid: int, health: Health, report: Report) -> ModuleStatus:
+    def from_report(cls, module: str, pid: int, health: Health, report: Report) -> ReportedModule:
         """What a module says of itself on /diagnostics."""
         failure = ModuleError(code=report.error_code, message=report.error, hint=report.error_hint)
         names = set(cls.model_fields) & {
@@ -95,14 +95,14 @@ class ServerStatus(BaseModel):
     emergency_stop: bool = False
     emergency_stop_cause: str = ""
     log_directory: str = ""
-    modules: tuple[ModuleStatus, ...] = ()
+    modules: tuple[ReportedModule, ...] = ()
 
-    def module(self, name: str) -> ModuleStatus | None:
+    def module(self, name: str) -> ReportedModule | None:
         """The module of that name that has a process, or None."""
         return next((m for m in self.modules if m.module == name and m.pid is not None), None)
 
     @property
-    def running(self) -> tuple[ModuleStatus, ...]:
+    def running(self) -> tuple[ReportedModule, ...]:
         """Modules that run, and those that have ended by themselves."""
         return tuple(m for m in self.modules if m.health != "stopped")
 
@@ -126,7 +126,7 @@ class SimulatedObject(BaseModel):
     held_s: float
 
 
-def simulated_objects(robot: ModuleStatus | None) -> dict[str, SimulatedObject]:
+def simulated_objects(robot: ReportedModule | None) -> dict[str, SimulatedObject]:
     """Objects by name, of a robot whose driver reports them; empty for any other.
 
     A driver reports them as JSON in one of its details:

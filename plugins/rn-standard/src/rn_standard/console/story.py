@@ -13,10 +13,10 @@ from anyio.abc import TaskStatus
 from mcp.shared.exceptions import MCPError
 
 from rn_standard.console import connection
-from rn_standard.console.judge import Judge, Outcome, Verdict
+from rn_standard.console.judge import Judge, RunEnd, RunOutcome
 from rn_standard.console.screen import Screen
 from rn_standard.console.session import Session
-from rn_standard.console.status import ModuleStatus, ServerStatus
+from rn_standard.console.status import ReportedModule, ServerStatus
 from rn_standard.console.table import fault_text
 from roboneuron import NotReadyError, RefusedError
 
@@ -32,7 +32,7 @@ async def run_instruction(arguments: Namespace, screen: Screen) -> int:
     async with connection.connect(arguments) as client:
         session = Session(client, arguments.url or "a server of its own")
         story = Story(session, arguments.instruction, arguments.timeout_s, screen)
-        verdict = Verdict(outcome=Outcome.INTERRUPTED, reason="interrupted")
+        verdict = RunEnd(outcome=RunOutcome.INTERRUPTED, reason="interrupted")
         try:
             async with anyio.create_task_group() as group:
                 await group.start(_cancel_when_interrupted, group.cancel_scope)
@@ -41,10 +41,10 @@ async def run_instruction(arguments: Namespace, screen: Screen) -> int:
         finally:
             with anyio.CancelScope(shield=True), anyio.move_on_after(_STOP_S):
                 await story.stop()
-    words = {Outcome.DONE: "done", Outcome.NOT_DONE: "not done", Outcome.UNKNOWN: "ended"}
+    words = {RunOutcome.DONE: "done", RunOutcome.NOT_DONE: "not done", RunOutcome.UNKNOWN: "ended"}
     head = words.get(verdict.outcome)
     screen.end(
-        verdict.outcome is Outcome.DONE,
+        verdict.outcome is RunOutcome.DONE,
         f"{head}: {verdict.reason}" if head else f"{verdict.reason}, stopped",
     )
     return int(verdict.outcome)
@@ -73,7 +73,7 @@ class Story:
         self._judge = Judge(instruction, timeout_s)
         self._started: list[str] = []
 
-    async def play(self) -> Verdict:
+    async def play(self) -> RunEnd:
         """Everything but the stop.
 
         Raises:
@@ -102,7 +102,7 @@ class Story:
             await self._session.call(tool, {"instruction": self._instruction}, on_progress=update)
         return await self._watch()
 
-    async def _watch(self) -> Verdict:
+    async def _watch(self) -> RunEnd:
         started_s = time.monotonic()
         note = ""
         health: dict[str, str] = {}
@@ -123,7 +123,7 @@ class Story:
                 update(self._now(status, elapsed_s, note))
                 await anyio.sleep(_LOOK_PERIOD_S)
 
-    def _tell_health(self, module: ModuleStatus) -> None:
+    def _tell_health(self, module: ReportedModule) -> None:
         if module.is_faulty:
             self._screen.warn(f"{module.module}: {fault_text(module)}")
         elif module.health == "ok":

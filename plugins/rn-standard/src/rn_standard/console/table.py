@@ -9,7 +9,7 @@ from rich.measure import Measurement
 from rich.table import Table
 from rich.text import Text
 
-from rn_standard.console.status import ModuleStatus, ServerStatus
+from rn_standard.console.status import ReportedModule, ServerStatus
 from roboneuron.feature import EXPLANATIONS
 
 _COLOURS = {
@@ -70,7 +70,7 @@ class _ModuleTable:
     whole or not at all.
     """
 
-    def __init__(self, modules: Sequence[ModuleStatus]) -> None:
+    def __init__(self, modules: Sequence[ReportedModule]) -> None:
         self._modules = modules
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
@@ -101,7 +101,7 @@ class _ModuleTable:
         return table
 
 
-def _cells(module: ModuleStatus) -> list[str]:
+def _cells(module: ReportedModule) -> list[str]:
     if module.health == "stopped":
         return ["-"] * len(_COLUMNS)
     uptime = duration(module.uptime_s) if module.uptime_s is not None else "-"
@@ -110,7 +110,7 @@ def _cells(module: ModuleStatus) -> list[str]:
     return [str(module.pid or "-"), uptime, *cells, str(module.published), str(module.dropped)]
 
 
-def _remarks(module: ModuleStatus) -> list[Text]:
+def _remarks(module: ReportedModule) -> list[Text]:
     """What the numbers do not say, one line each."""
     words = []
     if module.instruction:
@@ -124,7 +124,7 @@ def _remarks(module: ModuleStatus) -> list[Text]:
     return words
 
 
-def fault_text(module: ModuleStatus) -> str:
+def fault_text(module: ReportedModule) -> str:
     """What is wrong with a module, in one line."""
     if module.error is not None and module.error.message:
         return " ".join(f"{module.error.message} {module.error.hint}".split())

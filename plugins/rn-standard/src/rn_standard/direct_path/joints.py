@@ -104,7 +104,7 @@ class _JointMotion:
             self._trajectory(message, lasts_s) if is_trajectory else self._state(message, lasts_s)
         ):
             if leg.duration_s is not None:
-                self._go(leg, is_velocity)
+                self._commit(leg, is_velocity)
             self._position.update(zip(leg.names, leg.position.tolist(), strict=True))
             legs.append(leg)
         is_followed_at_once = not is_last and (lasts_s or 0.0) <= sum(
@@ -176,7 +176,7 @@ class _JointMotion:
                     )
         yield Leg(names=names, position=ends, duration_s=lasts_s)
 
-    def _go(self, leg: Leg, is_velocity: bool) -> None:
+    def _commit(self, leg: Leg, is_velocity: bool) -> None:
         """Whether the joints can follow a leg: their velocities, and the accelerations that
         these imply.
         """

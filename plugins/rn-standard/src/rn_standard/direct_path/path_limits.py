@@ -149,7 +149,7 @@ class PathLimiter:
             name for name, good in zip(joints.names, finite.tolist(), strict=True) if good
         )
         here = np.asarray(joints.position, dtype=np.float64)[finite]
-        velocity, left, start = np.zeros_like(here), MAX_POSTURES, self._look(names, here)
+        velocity, left, start = np.zeros_like(here), MAX_POSTURES, self._evaluate(names, here)
         for leg in legs:
             target, end_velocity = _target(leg, names, here)
             change, duration_s = target - here, leg.duration_s or 0.0
@@ -172,12 +172,12 @@ class PathLimiter:
                     )
                 before = start
                 for position in here + _shape(change, bend, count):
-                    there = self._look(names, position)
+                    there = self._evaluate(names, position)
                     yield leg, before, there, duration_s / count
                     before = there
             here, velocity, start = target, end_velocity, before
 
-    def _look(self, names: tuple[str, ...], position: F64) -> Posture:
+    def _evaluate(self, names: tuple[str, ...], position: F64) -> Posture:
         posture = self._inspect(JointSample(names=names, position=position))
         if self._needs_distances and posture.near is None:
             raise UnsafeError(

@@ -14,7 +14,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from rn_standard.doctor.finding import Check, Finding, Verdict, failed, ok, warning
+from rn_standard.doctor.finding import Check, Finding, Severity, failed, ok, warning
 from rn_standard.doctor.images import measure_image_transport
 from roboneuron import RoboNeuronError, RobotSpec
 from roboneuron.feature import Config, Registry, Status, availability, discover, environment, estop
@@ -44,7 +44,7 @@ def run_checks(config: Config) -> Iterator[tuple[Check, Finding]]:
             )
             continue
         finding = _answer(check, config)
-        if finding.verdict is Verdict.FAILED:
+        if finding.verdict is Severity.FAILED:
             lost.add(check.id)
         yield check, finding
 

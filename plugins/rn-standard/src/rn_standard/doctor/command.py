@@ -28,12 +28,16 @@ class Doctor:
         import json
 
         from rn_standard.doctor.checks import run_checks
-        from rn_standard.doctor.finding import Finding, Verdict
+        from rn_standard.doctor.finding import Finding, Severity
         from roboneuron.feature import load_config
 
         config = load_config(arguments.config)
         has_colour = sys.stdout.isatty() and "NO_COLOR" not in os.environ
-        marks = {Verdict.OK: ("✓", "32"), Verdict.WARNING: ("!", "33"), Verdict.FAILED: ("✗", "31")}
+        marks = {
+            Severity.OK: ("✓", "32"),
+            Severity.WARNING: ("!", "33"),
+            Severity.FAILED: ("✗", "31"),
+        }
 
         def show(finding: Finding) -> None:
             mark, colour = marks[finding.verdict]
@@ -58,4 +62,4 @@ class Doctor:
                 for c, f in found
             ]
             print(json.dumps({"findings": rows}, indent=2))
-        return int(any(finding.verdict is Verdict.FAILED for _, finding in found))
+        return int(any(finding.verdict is Severity.FAILED for _, finding in found))

@@ -9,7 +9,7 @@ from enum import StrEnum
 from roboneuron.feature import Config
 
 
-class Verdict(StrEnum):
+class Severity(StrEnum):
     """How bad it is: only FAILED keeps RoboNeuron from working."""
 
     OK = "ok"
@@ -27,7 +27,7 @@ class Finding:
         hint: what to do; empty when nothing is to be done.
     """
 
-    verdict: Verdict
+    verdict: Severity
     text: str
     hint: str = ""
 
@@ -51,14 +51,14 @@ class Check:
 
 def ok(text: str) -> Finding:
     """All is well."""
-    return Finding(verdict=Verdict.OK, text=text)
+    return Finding(verdict=Severity.OK, text=text)
 
 
 def warning(text: str, hint: str) -> Finding:
     """It works, but something is to be known."""
-    return Finding(verdict=Verdict.WARNING, text=text, hint=hint)
+    return Finding(verdict=Severity.WARNING, text=text, hint=hint)
 
 
 def failed(text: str, hint: str) -> Finding:
     """It will not work."""
-    return Finding(verdict=Verdict.FAILED, text=text, hint=hint)
+    return Finding(verdict=Severity.FAILED, text=text, hint=hint)

@@ -20,7 +20,7 @@ from rn_standard.tools_ros.calls import (
 )
 from rn_standard.tools_ros.calls import duration_s as trajectory_s
 from rn_standard.tools_ros.exposed_types import message_of
-from rn_standard.tools_ros.steps import Step, publish_steps
+from rn_standard.tools_ros.steps import MessageStep, publish_steps
 from rn_standard.tools_ros.targets import Targets
 from roboneuron import CallContext, InvalidInputError, Result
 from roboneuron.feature import ExposedEndpoint, MotionGate, Sent, Stage
@@ -111,12 +111,16 @@ class Publishing:
         return to_delivery(exposed, await context.run(work, on_cancel=halt.set, on_leave=halt.set))
 
 
-def encode_step(exposed: ExposedEndpoint, value: Mapping[str, Any], duration_s: float) -> Step:
+def encode_step(
+    exposed: ExposedEndpoint, value: Mapping[str, Any], duration_s: float
+) -> MessageStep:
     """The message of a call, encoded. Raises InvalidInputError with the path inside the
     arguments.
     """
     message = encode_argument(message_of(exposed), value, "message")
-    return Step(message=message, duration_s=duration_s, stamped=is_stamp_omitted(exposed, value))
+    return MessageStep(
+        message=message, duration_s=duration_s, stamped=is_stamp_omitted(exposed, value)
+    )
 
 
 def is_stamp_omitted(exposed: ExposedEndpoint, value: Mapping[str, Any]) -> bool:

@@ -12,7 +12,7 @@ from rn_standard.direct_path.exposed import gate_request
 from rn_standard.tools_ros.calls import PublishingCall, Value, duration_s
 from rn_standard.tools_ros.exposed_types import message_of
 from rn_standard.tools_ros.publish import Delivery, encode_step, to_delivery
-from rn_standard.tools_ros.steps import Step, publish_steps
+from rn_standard.tools_ros.steps import MessageStep, publish_steps
 from rn_standard.tools_ros.targets import Targets
 from roboneuron import Arguments, CallContext, InvalidInputError
 from roboneuron.feature import ExposedEndpoint, MotionGate, Sent, Stage
@@ -91,7 +91,7 @@ class Sequencing:
 
         return to_delivery(exposed, await context.run(work, on_cancel=halt.set, on_leave=halt.set))
 
-    def _step(self, exposed: ExposedEndpoint, entry: SequenceStep, index: int) -> Step:
+    def _step(self, exposed: ExposedEndpoint, entry: SequenceStep, index: int) -> MessageStep:
         try:
             if message_of(exposed).fields and "message" not in entry.model_fields_set:
                 raise InvalidInputError("Argument 'message' is missing.", path="message")

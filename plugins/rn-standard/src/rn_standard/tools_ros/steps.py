@@ -12,7 +12,7 @@ from roboneuron.feature import ExposedEndpoint, GateRequest, MotionGate, Sent, S
 
 
 @dataclass(kw_only=True, slots=True)
-class Step:
+class MessageStep:
     """A message and how long it lasts [s]; `stamped` when its header is to carry the time of
     sending.
     """
@@ -26,7 +26,7 @@ def publish_steps(
     gate: MotionGate,
     exposed: ExposedEndpoint,
     request: GateRequest,
-    steps: Sequence[Step],
+    steps: Sequence[MessageStep],
     *,
     timeout_s: float,
     stage: Stage,
@@ -53,7 +53,9 @@ def publish_steps(
     return gate.play(exposed, request, commands, total_s=total_s, timeout_s=timeout_s, halt=halt)
 
 
-def commands_of(steps: Sequence[Step], repeat_hz: float, stage: Stage) -> Iterator[TimedCommand]:
+def commands_of(
+    steps: Sequence[MessageStep], repeat_hz: float, stage: Stage
+) -> Iterator[TimedCommand]:
     """The commands of steps that follow each other, each repeated while it lasts."""
     period_s = 1.0 / repeat_hz if repeat_hz else float("inf")
     total_s = sum(step.duration_s for step in steps)

@@ -2,7 +2,7 @@
 computation, numpy only.
 """
 
-from roboneuron.gate.motion.command import Verdict
+from roboneuron.gate.motion.command import LimitedCommand
 from roboneuron.gate.motion.limiter import MotionLimiter
 from roboneuron.gate.motion.rules import (
     LIMITS,
@@ -16,10 +16,10 @@ from roboneuron.gate.motion.task_space import Motion
 
 __all__ = [
     "LIMITS",
+    "LimitedCommand",
     "Motion",
     "MotionLimiter",
     "MotionRules",
-    "Verdict",
     "check_tighter",
     "collision_of",
     "inspector_of",

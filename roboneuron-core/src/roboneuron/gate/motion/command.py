@@ -130,7 +130,7 @@ class Step:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Verdict:
+class LimitedCommand:
     """Result of the limiter for one command of control.
 
     Attributes:

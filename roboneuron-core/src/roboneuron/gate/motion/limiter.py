@@ -15,7 +15,7 @@ from roboneuron.contract import Hold, JointCommand, JointSample, Pose, Posture, 
 from roboneuron.contract.arrays import F64
 from roboneuron.contract.profile import prismatic_joints
 from roboneuron.errors import UnsafeError
-from roboneuron.gate.motion.command import Setpoint, Step, Verdict, pick, pick_others
+from roboneuron.gate.motion.command import LimitedCommand, Setpoint, Step, pick, pick_others
 from roboneuron.gate.motion.joint_space import JointLimit, JointSpace, joint_limits
 from roboneuron.gate.motion.path import Reach
 from roboneuron.gate.motion.rules import MotionRules
@@ -103,7 +103,7 @@ class MotionLimiter:
         )
         self._task = TaskSpace(rules)
 
-    def limit(self, command: JointCommand, joints: JointSample, now_s: float) -> Verdict:
+    def limit(self, command: JointCommand, joints: JointSample, now_s: float) -> LimitedCommand:
         """Apply all limits to a command that is to be sent now.
 
         Args:
@@ -117,7 +117,7 @@ class MotionLimiter:
                 f"The controller's command lasts {command.duration_s:.3g} s, at most "
                 f"{self._longest_s:g} s are allowed."
             )
-            return Verdict(
+            return LimitedCommand(
                 command=Hold(code="long_command", reason=reason), reason=reason, share=0.0
             )
         step: Step | None = None
@@ -132,7 +132,7 @@ class MotionLimiter:
                     (*(step.acted if step else ()), error.name),
                     replace(hold, code=f"limit_{error.name}"),
                 )
-            return Verdict(
+            return LimitedCommand(
                 command=None if isinstance(error, _Stop) and error.refuse else hold,
                 acted=tuple(dict.fromkeys(acted)),
                 reason=hold.reason,
@@ -141,8 +141,8 @@ class MotionLimiter:
                 reference_lost=step is not None and step.is_lost,
             )
         way, length = step.target - step.start, float(np.linalg.norm(wanted))
-        self._go(step, now_s)
-        return Verdict(
+        self._commit(step, now_s)
+        return LimitedCommand(
             command=self._command(command, step),
             acted=tuple(dict.fromkeys(step.acted)),
             reason=step.reason,
@@ -159,7 +159,7 @@ class MotionLimiter:
         After an invalid one there is no setpoint: the next command starts from the measured joints.
         """
         try:
-            self._go(self._step(command, joints, sent_s), sent_s)
+            self._commit(self._step(command, joints, sent_s), sent_s)
         except UnsafeError:
             self._sent = None
 
@@ -178,7 +178,7 @@ class MotionLimiter:
                 immediate=self._immediate,
             )
 
-    def _go(self, step: Step, now_s: float) -> None:
+    def _commit(self, step: Step, now_s: float) -> None:
         way = step.target - step.start
         self._sent = Setpoint(
             start=step.start,
@@ -224,12 +224,12 @@ class MotionLimiter:
         here = start = self._forward(self._sample(step, step.measured))
         if step.start is not step.measured:
             start = self._forward(self._sample(step, step.start))
-        there = self._look(step, step.target)
+        there = self._evaluate(step, step.target)
         step.asked = self._motion(step, here, start, there)
-        self._pace(step, step.asked, here, there)
+        self._apply_joint_limits(step, step.asked, here, there)
         if step.acted:
-            there = self._look(step, step.target)
-        there = self._place(step, here, there)
+            there = self._evaluate(step, step.target)
+        there = self._apply_cartesian_limits(step, here, there)
         if not step.acted:
             return (
                 self._motion(step, here, start, there)
@@ -280,7 +280,7 @@ class MotionLimiter:
             (times for name, times, _ in self._task.excess(motion) if name == "speed"), default=1.0
         )
 
-    def _pace(self, step: Step, asked: Motion, here: Pose, there: Posture) -> None:
+    def _apply_joint_limits(self, step: Step, asked: Motion, here: Pose, there: Posture) -> None:
         """Scale the step to the limits of joints, TCP step and TCP speed."""
         way, share = step.target - step.start, 1.0
         if self._immediate and (times := self._behind(here, there, _STATE_STEP_S)) > 1.0:
@@ -310,8 +310,8 @@ class MotionLimiter:
         if step.acted:
             step.target = step.start + velocity * step.duration_s
 
-    def _place(self, step: Step, here: Pose, there: Posture) -> Posture:
-        """Scale the step to the limits of place, to 1/64 of its length; returns the posture at
+    def _apply_cartesian_limits(self, step: Step, here: Pose, there: Posture) -> Posture:
+        """Scale the step to the Cartesian limits, to 1/64 of its length; returns the posture at
         its end.
         """
         broken = list(self._broken(step, here, there))
@@ -323,29 +323,29 @@ class MotionLimiter:
         for _ in range(_HALVINGS):
             middle = (good + bad) / 2.0
             step.target = step.start + middle * way
-            if next(self._broken(step, here, self._look(step, step.target)), None) is None:
+            if next(self._broken(step, here, self._evaluate(step, step.target)), None) is None:
                 good = middle
             else:
                 bad = middle
         step.target = step.start + good * way
-        return self._look(step, step.target)
+        return self._evaluate(step, step.target)
 
     def _broken(self, step: Step, here: Pose, there: Posture) -> Iterator[tuple[str, str]]:
-        """Limits of place that the path from the measured posture to the step's target
+        """Cartesian limits that the path from the measured posture to the step's target
         violates: name, reason.
         """
 
-        def look_here() -> Posture:
-            return self._look(step, step.measured)
+        def evaluate_start() -> Posture:
+            return self._evaluate(step, step.measured)
 
-        yield from self._task.places(here, there, look_here)
+        yield from self._task.places(here, there, evaluate_start)
         if not self._checks_way:
             return
         way = step.target - step.measured
         count = self._reach.count(self._names, np.abs(way))
         for number in range(1, count):
-            passed = self._look(step, step.measured + way * (number / count))
-            for broken in self._task.collisions(passed, look_here):
+            passed = self._evaluate(step, step.measured + way * (number / count))
+            for broken in self._task.collisions(passed, evaluate_start):
                 yield broken
                 return
 
@@ -361,7 +361,7 @@ class MotionLimiter:
         speed = float(np.abs(step.target - step.start).max(initial=0.0)) / step.duration_s
         return self._task.motion(here, start, there, step.duration_s, speed)
 
-    def _look(self, step: Step, position: F64) -> Posture:
+    def _evaluate(self, step: Step, position: F64) -> Posture:
         return self._inspect(self._sample(step, position))
 
     def _sample(self, step: Step, position: F64) -> JointSample:

@@ -51,7 +51,7 @@ def answer(request: pipe.Message, world: Any) -> pipe.Message:
             request.suite, request.task, request.state, request.image_px
         )
         return opened
-    if isinstance(request, pipe.Step):
+    if isinstance(request, pipe.PipeStep):
         stepped: pipe.Message = world.step(request.action)
         return stepped
     if isinstance(request, pipe.Render):
@@ -91,9 +91,9 @@ def main() -> None:
     os.dup2(2, 1)
     with tempfile.TemporaryDirectory(prefix="roboneuron-libero-") as folder:
         os.environ["LIBERO_CONFIG_PATH"] = folder  # else it asks or writes into the home
-        from rn_eval.libero.simulator.world import World  # heavy
+        from rn_eval.libero.simulator.world import LiberoWorld  # heavy
 
-        world = World()
+        world = LiberoWorld()
         try:
             serve(sys.stdin.buffer, sink, world)
         finally:

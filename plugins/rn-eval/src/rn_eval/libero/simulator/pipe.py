@@ -57,7 +57,7 @@ class Open:
 
 
 @dataclass(frozen=True)
-class Step:
+class PipeStep:
     """One control period with an action of the simulator: float64 (7,), gripper -1 open, 1
     closed.
     """
@@ -67,7 +67,7 @@ class Step:
 
 @dataclass(frozen=True)
 class State:
-    """Answer to `Open` and `Step`: what the simulator's observation says.
+    """Answer to `Open` and `PipeStep`: what the simulator's observation says.
 
     Attributes:
         instruction: the task's sentence.
@@ -107,9 +107,9 @@ class Failed:
     reason: str
 
 
-Message = Hello | Ready | Open | Step | State | Render | Image | Failed
+Message = Hello | Ready | Open | PipeStep | State | Render | Image | Failed
 _KINDS: dict[str, type[Any]] = {
-    cls.__name__: cls for cls in (Hello, Ready, Open, Step, State, Render, Image, Failed)
+    cls.__name__: cls for cls in (Hello, Ready, Open, PipeStep, State, Render, Image, Failed)
 }
 
 

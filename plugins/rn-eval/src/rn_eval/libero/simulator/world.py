@@ -76,7 +76,7 @@ def _camera_sensors(environment: Any, cam_name: str, *_: Any, **__: Any) -> Any:
     return [keep], [f"{cam_name}_image"]
 
 
-class World:
+class LiberoWorld:
     """An environment and the episode in it. Holds one task at a time."""
 
     def __init__(self) -> None:
