@@ -8,8 +8,10 @@ import threading
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import psutil
+from mutmut.runners.harness import PytestRunner
 from mutmut.state import state
 from mutmut.workers import isolation
 
@@ -45,6 +47,18 @@ def install(folders: Sequence[str]) -> None:
 
         submit(self, mutant, sorted(tests, key=place), limit_s, estimate_s)
 
+    run_tests = PytestRunner.run_tests
+
+    def run_and_notice(self: PytestRunner, **options: Any) -> int:
+        try:
+            return int(run_tests(self, **options))
+        except Exception as error:
+            # a thread of the last test has failed: pytest raises that at its own end
+            if type(error).__name__ != "PytestUnhandledThreadExceptionWarning":
+                raise
+            return 1
+
+    PytestRunner.run_tests = run_and_notice
     isolation.ForkServerRunner.submit = submit_in_order
     isolation.register_timeout = _watch
 

@@ -488,6 +488,13 @@ def test_actions_that_were_held_up_have_the_time_between_their_sendings(cell: Ce
     assert [step_s for _, _, step_s in cell.asked[1:]] == pytest.approx([0.06, 0.061])
 
 
+def test_the_time_between_sendings_is_exact(cell: Cell) -> None:
+    sent_ns = cell.clock.wall_ns - 120_000_000
+    cell.act(sent_ns=sent_ns)
+    cell.act(sent_ns=sent_ns + 62_500_000)
+    assert cell.asked[1][2] == 0.0625
+
+
 def test_the_time_between_sendings_counts_as_a_first_step_at_most(cell: Cell) -> None:
     sent_ns = cell.clock.wall_ns - 250_000_000
     cell.act(sent_ns=sent_ns)
@@ -507,6 +514,12 @@ def test_an_action_exactly_at_the_timeout_counts(make_host: MakeHost) -> None:
     cell = Cell(make_host, replace={"action_timeout_s = 0.3": "action_timeout_s = 0.25"})
     cell.act(age_s=0.25)
     assert len(cell.commands) == 1
+
+
+def test_an_action_that_is_a_nanosecond_too_old_is_stale(make_host: MakeHost) -> None:
+    cell = Cell(make_host, replace={"action_timeout_s = 0.3": "action_timeout_s = 2.0"})
+    cell.act(sent_ns=cell.clock.wall_ns - 2_000_000_001)
+    assert cell.drops() == {"stale_action": 1}
 
 
 def test_an_action_may_come_from_a_clock_that_is_a_little_ahead(cell: Cell) -> None:
