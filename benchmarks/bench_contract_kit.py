@@ -4,8 +4,8 @@
 
 Every mutant of plugins/rn-testing/tests/mutants runs in a process of its own (many of them change
 the process), first under the rule that is named for it, then under the others of its kind until one
-fails. `--good` counts false alarms
-instead: every rule on everything that is installed, as `roboneuron plugins check` runs it.
+fails. `--good` counts false alarms instead: every rule on everything that is installed, as
+`roboneuron plugins check` runs it.
 """
 
 from __future__ import annotations

@@ -165,8 +165,8 @@ SERVE = (
 
 
 def server(path: Path) -> StdioServerParameters:
-    """Our server, quiet; the check that the robot's plugin is installed is left out, because
-    the robot is none.
+    """Our server, quiet; the check that the robot's plugin is installed is left out, because the
+    robot is none.
     """
     return StdioServerParameters(
         command=sys.executable, args=["-c", SERVE, str(path)], env=dict(os.environ)
@@ -207,8 +207,8 @@ def publisher() -> Iterator[Any]:
 
 
 def percentile(values: list[float], share: float) -> float:
-    """The smallest value that this share of them does not exceed: of 100 values, p99 is the
-    second largest.
+    """The smallest value that this share of them does not exceed: of 100 values, p99 is the second
+    largest.
     """
     return sorted(values)[max(0, math.ceil(share * len(values)) - 1)]
 
@@ -275,8 +275,8 @@ async def measure(
 async def measure_stops(
     count: int, listener: Listener, folder: Path
 ) -> tuple[list[float], list[float]]:
-    """Milliseconds from the call of emergency_stop, and from cancelling the sequence, to the
-    zero message.
+    """Milliseconds from the call of emergency_stop, and from cancelling the sequence, to the zero
+    message.
     """
     stops: list[float] = []
     cancels: list[float] = []

@@ -43,8 +43,8 @@ def plan_of(episodes: int) -> EvalPlan:
 
 
 def plain_episode(runner: Runner, episode: Episode, *, with_limits: bool) -> int:
-    """Play an episode without the evaluation's clock, ledger and statistics; returns the number
-    of steps.
+    """Play an episode without the evaluation's clock, ledger and statistics; returns the number of
+    steps.
     """
     policy, setup = runner._policy_of("none"), runner._setup
     policy.reset()

@@ -131,8 +131,8 @@ class Bench:
         )
 
     def driver_held_s(self, since_s: float) -> float:
-        """When the driver's hold was reported; reports come every 0.2 s, so that older ones
-        tell of the time before.
+        """When the driver's hold was reported; reports come every 0.2 s, so that older ones tell of
+        the time before.
         """
 
         def holding() -> bool:

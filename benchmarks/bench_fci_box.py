@@ -32,8 +32,7 @@ OUT = Path("out/bench-fci/box")
 TURN_S = 30.0
 _LOOK_S = 0.25
 STANDS_S = 6.0
-"""The policy never stands so long by itself: on a busy machine modules end, and are started
-again.
+"""The policy never stands so long by itself: on a busy machine modules end, and are started again.
 """
 SUMS = ("commands", "extrapolated", "violations", "late", "repeated", "states")
 WORST = ("longest_gap", "worst_velocity", "worst_acceleration", "worst_jerk")

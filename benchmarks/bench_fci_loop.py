@@ -52,8 +52,8 @@ LATENCY_TRIALS = 30
 AFTER_SWITCH_S = 2.0
 """The old backend's process ends in this time."""
 LEAST_MOVING = 0.1
-"""Of the time; an arm that stands keeps every limit. Control holds it while images are late, as
-on a busy machine.
+"""Of the time; an arm that stands keeps every limit. Control holds it while images are late, as on
+a busy machine.
 """
 _TICK_S = 1.0 / os.sysconf("SC_CLK_TCK")
 BUSY = "import os\np = os.getppid()\nwhile os.getppid() == p:\n    for _ in range(100000): pass"
@@ -91,8 +91,8 @@ class Ledger:
         return [row for row in self.rows if row["event"] == event]
 
     def goes(self) -> list[tuple[Path, float, float]]:
-        """Of each run in which the arm moved: its folder, when it began, and when the last
-        thing was noted [s].
+        """Of each run in which the arm moved: its folder, when it began, and when the last thing
+        was noted [s].
         """
         found, folder, began_s = list[tuple[Path, float, float]](), "", 0.0
         for row in self.rows:
@@ -128,8 +128,8 @@ class Ledger:
 
 
 def stolen_s() -> float:
-    """Time that the hypervisor gave to others while this machine wanted to run, all cores
-    together (proc(5), steal).
+    """Time that the hypervisor gave to others while this machine wanted to run, all cores together
+    (proc(5), steal).
     """
     return int(Path("/proc/stat").read_text().split(maxsplit=9)[8]) * _TICK_S
 

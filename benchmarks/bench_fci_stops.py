@@ -65,8 +65,8 @@ def presses(cell: FciCell) -> dict[str, Callable[[], object]]:
 
 
 def braking(record: Record, pressed_s: float) -> tuple[float, float]:
-    """When the fastest joint began to only slow down after the stop was pressed, and when the
-    arm was at rest.
+    """When the fastest joint began to only slow down after the stop was pressed, and when the arm
+    was at rest.
     """
     speed = np.abs(record.velocity).max(axis=1)
     window = 5

@@ -180,8 +180,8 @@ class Rows:
 
 
 async def stop_once(agent: Agent, bases: list[Base]) -> list[float | None]:
-    """Drive all, stop all, release all; ms until each base was told to stand, None for one that
-    was not.
+    """Drive all, stop all, release all; ms until each base was told to stand, None for one that was
+    not.
     """
     before = {base.name: base.count() for base in bases}
 
@@ -225,8 +225,8 @@ async def stop_once(agent: Agent, bases: list[Base]) -> list[float | None]:
 
 
 async def drive_for(agent: Agent, base: Base, begin_s: float, end_s: float, rows: Rows) -> None:
-    """Sequences until the time is over; robots begin one after the other, as they would, not
-    all in one instant.
+    """Sequences until the time is over; robots begin one after the other, as they would, not all in
+    one instant.
     """
     await anyio.sleep(begin_s)
     while (left_s := end_s - time.monotonic()) > 1.0:

@@ -7,12 +7,11 @@ Two sets of targets, each at most 5 cm and 0.15 rad from the posture the control
     postures within
 0.5 rad of home ("work") and postures uniform within the joint limits ("uniform"). A target counts
 as reached when the forward kinematics of the command lies within 0.1 mm and 1 mrad; a command that
-does not is wrong, everything else must
-be a refusal with a reason. The floor is one pinocchio forward kinematics with Jacobian and one 6x6
-solve: what the cheapest possible iteration costs. Times are wall times of one call: "solve" is the
-inverse kinematics alone, "compute" the whole step with every check. A slower median is told as
-missed; exit status 1 when too few targets are reached, a command is wrong, or a refusal has no
-numbers.
+does not is wrong, everything else must be a refusal with a reason. The floor is one pinocchio
+forward kinematics with Jacobian and one 6x6 solve: what the cheapest possible iteration costs.
+Times are wall times of one call: "solve" is the inverse kinematics alone, "compute" the whole step
+with every check. A slower median is told as missed; exit status 1 when too few targets are reached,
+a command is wrong, or a refusal has no numbers.
 """
 
 from __future__ import annotations

@@ -99,8 +99,8 @@ class Camera:
         sys.exit("the other process was not found within 30 s")
 
     def wait_until_alone(self) -> None:
-        """Until nobody publishes actions any more; an ended process stays in the graph for up
-        to 20 s.
+        """Until nobody publishes actions any more; an ended process stays in the graph for up to 20
+        s.
         """
         end_s = time.monotonic() + 60
         while self.node.count_publishers("/bench/action"):
@@ -109,8 +109,8 @@ class Camera:
             time.sleep(0.02)
 
     def run(self, height: int, width: int, frames: int) -> tuple[np.ndarray, float, int]:
-        """Publish at RATE_HZ; returns latencies [s], the oldest image acted on [s], and the
-        number of answers.
+        """Publish at RATE_HZ; returns latencies [s], the oldest image acted on [s], and the number
+        of answers.
         """
         from roboneuron.contract import Frame
         from roboneuron.ros.messages import to_image

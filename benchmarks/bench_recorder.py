@@ -3,8 +3,8 @@ recorder, in turns.
 
 A source publishes images and joint states, a relay answers each image of the first camera with an
 action, and the source takes the time from an image's stamp to its action. Every other turn a
-recorder (JPEG) runs beside them and
-records. At the end the files are read: messages that the publishers counted and the files lack.
+recorder (JPEG) runs beside them and records. At the end the files are read: messages that the
+publishers counted and the files lack.
 
     python benchmarks/bench_recorder.py                   # 2 minutes
     python benchmarks/bench_recorder.py --minutes 10      # the figure that is asked for

@@ -4,11 +4,10 @@ see.
     python benchmarks/bench_requests.py [--only 3 5] [--engine pybullet] [--record-s 5]
 
 The client reads tools/list once; each request then uses listed tools and their answers only. A
-request has five
-checks, one point each: that there is a tool for it, that its calls work, that the answers say what
-a person asked for, and what the simulator says (`detail.cubes` of get_status), which an agent does
-not look at. Printed are the score and the bytes of the answers of each request, and the bytes of
-tools/list. Exit status 1 when a request has less than 4.
+request has five checks, one point each: that there is a tool for it, that its calls work, that the
+answers say what a person asked for, and what the simulator says (`detail.cubes` of get_status),
+which an agent does not look at. Printed are the score and the bytes of the answers of each request,
+and the bytes of tools/list. Exit status 1 when a request has less than 4.
 
 Requests follow each other on one robot, as in a conversation. Where a person has to agree, the
 client's person does.

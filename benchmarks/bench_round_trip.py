@@ -6,8 +6,8 @@ seen by one client.
 The client validates each answer against the listed output schema, as clients of the MCP 1.x SDK do:
     it checks the
 schema and compiles a validator with every call. The minimal server answers one field and does
-nothing else, so the
-ratio is what RoboNeuron adds: checks of arguments, a status of four modules, and its larger answer.
+nothing else, so the ratio is what RoboNeuron adds: checks of arguments, a status of four modules,
+and its larger answer.
 """
 
 from __future__ import annotations

@@ -238,8 +238,8 @@ def play_at_once(episode: Episode) -> None:
 
 
 def play_overlapped(episode: Episode, added_latency_s: float) -> AdaptiveExecutor:
-    """Answers come late; the executor decides, by simulated time, when to predict and which row
-    to send.
+    """Answers come late; the executor decides, by simulated time, when to predict and which row to
+    send.
     """
     job, simulation = episode.job, episode.simulation
     abilities = Abilities(conditions_on_rows=roboneuron_backends()[0].conditions_on_rows)

@@ -3,9 +3,8 @@
     python benchmarks/bench_start_stop.py [--cycles 10]
 
 Counts what belongs to the server (child processes, sockets) and Fast DDS files in shared memory
-after each cycle; run
-it on a machine where nothing else speaks DDS. The floor is a bare rclpy process: spawn, import,
-create a node, leave.
+after each cycle; run it on a machine where nothing else speaks DDS. The floor is a bare rclpy
+process: spawn, import, create a node, leave.
 """
 
 from __future__ import annotations
@@ -39,8 +38,8 @@ BARE_NODE = (
 
 
 def left_behind(server: psutil.Process) -> dict[str, int]:
-    """What exists now: the server's children, their and its sockets, files in shared memory,
-    the server's threads.
+    """What exists now: the server's children, their and its sockets, files in shared memory, the
+    server's threads.
     """
     family = [server, *server.children(recursive=True)]
     return {

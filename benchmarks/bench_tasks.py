@@ -6,9 +6,9 @@ random.
 Each run is a scene of its own (its seed decides everything) by the clock of the simulation: the
 servo, the controller and its limits, the task's runner, its predicates and its detectors are those
 of a running robot; processes and ROS are left out. Pictures are small (--image-px; a robot's are
-224). A grasp fails with the probability --fail in one of two
-ways: the fingers jam before they touch the cube, so that the policy believes that it holds
-something; or they let go on the way up. The ledger --out is continued.
+224). A grasp fails with the probability --fail in one of two ways: the fingers jam before they
+touch the cube, so that the policy believes that it holds something; or they let go on the way up.
+The ledger --out is continued.
 
 Judged: how many tasks succeed within three attempts (truth: the cube is 10 cm up when the task has
 ended), how many outcomes say what the simulator says, false successes, and the time from the

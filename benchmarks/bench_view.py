@@ -119,8 +119,8 @@ def table(title: str, rows: dict[str, list[float]], digits: int = 0) -> None:
 
 
 def measure(seconds: float, clicks: int) -> int:
-    """Print the tables; returns the exit status. What the machine lacks or is too busy for is
-    told as missed.
+    """Print the tables; returns the exit status. What the machine lacks or is too busy for is told
+    as missed.
     """
     chromium = shutil.which("chromium")
     if chromium is None:

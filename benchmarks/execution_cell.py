@@ -1,5 +1,5 @@
-"""The camera and the arm of bench_execution.py: what the real inference process sees, and what
-it is measured by.
+"""The camera and the arm of bench_execution.py: what the real inference process sees, and what it
+is measured by.
 """
 
 from __future__ import annotations

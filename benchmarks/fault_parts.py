@@ -97,8 +97,8 @@ class SteadyBackendOptions(HungryBackendOptions):
 
 
 class SteadyBackend(HungryBackend):
-    """Follows the protocol `Backend`: swings 60 mm to and fro in 8 s by what is measured, so
-    that it never drifts.
+    """Follows the protocol `Backend`: swings 60 mm to and fro in 8 s by what is measured, so that
+    it never drifts.
     """
 
     def __init__(
@@ -126,8 +126,8 @@ class SteadyBackend(HungryBackend):
 
 
 def set_clock(mode: str, process: str) -> None:
-    """Set this process's wall clock, as Python sees it, when `mode` says so of `process`, and
-    right otherwise.
+    """Set this process's wall clock, as Python sees it, when `mode` says so of `process`, and right
+    otherwise.
     """
     word = f"{process}-clock"
     if mode.startswith(word):
@@ -196,8 +196,8 @@ class JumpingController(GantryController):
         self._mode_file = (config or FaultOptions()).mode_file
 
     def forward(self, joints: JointSample) -> Pose:
-        """As the gantry's; it is asked with every joint state, and so sets the clock even when
-        no action comes.
+        """As the gantry's; it is asked with every joint state, and so sets the clock even when no
+        action comes.
         """
         set_clock(read_mode(self._mode_file), "control")
         return super().forward(joints)

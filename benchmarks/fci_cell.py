@@ -40,8 +40,8 @@ PYTHON = Path(
 )
 HOME = np.array(HOME_RAD)
 STILL_RAD_S = 0.02
-"""Every joint slower than this: the arm stands. The simulated servo creeps for 0.1 s over the
-last 0.01 rad/s.
+"""Every joint slower than this: the arm stands. The simulated servo creeps for 0.1 s over the last
+0.01 rad/s.
 """
 _COLUMNS = 15
 CONFIG = """

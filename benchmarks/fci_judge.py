@@ -2,9 +2,8 @@
 loop, missed cycles.
 
 Acceleration and jerk are those of a cubic fitted to 61 ms of positions, where the simulator itself
-was never late by
-more than 2 ms: it reads the commands by a clock of its own, so what it does within a few
-milliseconds says more of the machine than of the arm.
+was never late by more than 2 ms: it reads the commands by a clock of its own, so what it does
+within a few milliseconds says more of the machine than of the arm.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""The plugin that the served FR3 of `fci_cell` is moved with: a cheap camera, one policy under
-two names.
+"""The plugin that the served FR3 of `fci_cell` is moved with: a cheap camera, one policy under two
+names.
 """
 
 from __future__ import annotations
@@ -63,8 +63,8 @@ class BlankCamera:
 
 
 class Sway:
-    """Follows the protocol `Backend`: leads the TCP along a curve before the arm, by where it
-    is measured.
+    """Follows the protocol `Backend`: leads the TCP along a curve before the arm, by where it is
+    measured.
     """
 
     def __init__(

@@ -1,5 +1,5 @@
-"""A served FR3 that may stop by itself, its agent, a witness of the simulator's joints, and
-ways to stop and go on.
+"""A served FR3 that may stop by itself, its agent, a witness of the simulator's joints, and ways to
+stop and go on.
 """
 
 from __future__ import annotations
@@ -76,8 +76,8 @@ REFLEX = 21
 KINDS = ("robot", "perception", "control", "inference")
 NEVER = {"kind": "tcp_in", "lower_m": [9, 9, 9], "upper_m": [10, 10, 10]}
 MOVED_RAD = 0.02
-"""A joint that is farther than this from where the arm came to rest has been moved: it sags by
-less than 0.002.
+"""A joint that is farther than this from where the arm came to rest has been moved: it sags by less
+than 0.002.
 """
 STILL_RAD_S = 0.02
 WATCH_S = 1.5
@@ -85,8 +85,8 @@ BRAKE_S = 3.0
 
 
 class Witness:
-    """The joints of a simulation (7,) and their velocities, with the time of arrival
-    [monotonic s].
+    """The joints of a simulation (7,) and their velocities, with the time of arrival [monotonic
+    s].
     """
 
     def __init__(self) -> None:
@@ -124,8 +124,8 @@ class Witness:
         return bool(self.states) and np.abs(self.states[-1][2]).max() > 3 * STILL_RAD_S
 
     def moved_rad(self, since_s: float) -> float:
-        """Farthest that any joint got from where it was at that time [rad]; a new simulation
-        begins anew.
+        """Farthest that any joint got from where it was at that time [rad]; a new simulation begins
+        anew.
         """
         base, farthest, before_s = None, 0.0, since_s
         for at_s, position, _ in self.states:
@@ -231,8 +231,8 @@ class Cell:
         os.replace(latch, latch.with_name(latch.name + RESET_SUFFIX))
 
     def everything_runs(self) -> None:
-        """Start what does not run, as an agent does, without an instruction for the policy that
-        was not there.
+        """Start what does not run, as an agent does, without an instruction for the policy that was
+        not there.
         """
         for kind in KINDS:
             deadline_s = time.monotonic() + 60.0

@@ -5,11 +5,10 @@ without a new start.
 
 Each sequence asks for motion (set_instruction, run_task, start_inference), may switch a module
 meanwhile, stops the arm (emergency stop by tool, topic, file or signal; a fault of the robot; a
-module killed or stopped), and then does all
-that ends a stop: reset, recovery, starts and restarts of modules, switches. From standstill on
-until somebody asks for motion again, no joint of the simulation may move by more than 0.02 rad.
-Then motion is asked for, and the arm has to move. What a busy machine hinders (a restart by a
-time-out, a late image) is counted apart; it breaks no rule.
+module killed or stopped), and then does all that ends a stop: reset, recovery, starts and restarts
+of modules, switches. From standstill on until somebody asks for motion again, no joint of the
+simulation may move by more than 0.02 rad. Then motion is asked for, and the arm has to move. What a
+busy machine hinders (a restart by a time-out, a late image) is counted apart; it breaks no rule.
 
 Results are lines in FOLDER/ENGINE.jsonl: a run that was ended goes on there.
 """

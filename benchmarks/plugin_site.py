@@ -54,8 +54,8 @@ def installed(folder: Path, distribution: str, modules: tuple[str, ...]) -> Iter
 
 
 def chunks(rows: int, delay_ms: float, rate_hz: float) -> str:
-    """Options of a backend that answers so late with so many rows, one each period of the
-    camera; none for one row.
+    """Options of a backend that answers so late with so many rows, one each period of the camera;
+    none for one row.
     """
     return (
         "" if rows == 1 else f"rows = {rows}\nstep_s = {1 / rate_hz}\ndelay_s = {delay_ms / 1e3}\n"

@@ -33,8 +33,8 @@ from roboneuron.server.loop import ClosedLoop
 sys.path.pop(0)
 
 GONE_S, MOVES_S, ANSWER_S = 15.0, 30.0, 60.0
-"""Bounds: server and modules are gone after their client's death; the arm moves again; a tool
-call is answered.
+"""Bounds: server and modules are gone after their client's death; the arm moves again; a tool call
+is answered.
 """
 LONGEST_START_S = 2.5
 """The client dies at a random time up to this one after it asked for the start."""

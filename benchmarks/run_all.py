@@ -4,10 +4,9 @@ again at the end.
     python benchmarks/run_all.py [--quick] [--only bench_ik bench_loop]
 
 A benchmark that takes longer than its bound is ended with all processes of its session. A line
-"missed: ..." of a
-benchmark says that a limit of time was missed: on a loaded machine that says little, so it is told
-again at the end and is no failure. Exit status 1 when a benchmark failed or was ended, 0 otherwise.
-`--quick` makes each as short as it can be.
+"missed: ..." of a benchmark says that a limit of time was missed: on a loaded machine that says
+little, so it is told again at the end and is no failure. Exit status 1 when a benchmark failed or
+was ended, 0 otherwise. `--quick` makes each as short as it can be.
 """
 
 from __future__ import annotations

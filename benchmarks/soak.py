@@ -34,8 +34,8 @@ from soak_cell import served_cell, until
 sys.path.pop(0)
 
 GROWTH = {"memory_mb": 8.0, "handles": 6.0, "threads": 4.0, "shm_files": 12.0, "shm_mb": 40.0}
-"""Most that each may grow by over the time after the warm-up, by the fitted line; noise of a
-minute stays below.
+"""Most that each may grow by over the time after the warm-up, by the fitted line; noise of a minute
+stays below.
 """
 MOVES_AGAIN_S = 30.0
 """A module that has to be started again is, within this time, on a machine that is busy."""

@@ -1,5 +1,5 @@
-"""What a soak runs on: a served loop with the faulty gantry, its agent, its faults, and samples
-of its processes.
+"""What a soak runs on: a served loop with the faulty gantry, its agent, its faults, and samples of
+its processes.
 """
 
 from __future__ import annotations
@@ -106,8 +106,8 @@ class Cell:
         self.swing()
 
     def killed(self, kind: str, agent_starts: bool) -> None:
-        """A process dies; perception comes back by itself, what moves the arm when the agent
-        says so.
+        """A process dies; perception comes back by itself, what moves the arm when the agent says
+        so.
         """
         pid = self.pid(kind)
         os.kill(pid, signal.SIGKILL)
@@ -125,8 +125,8 @@ class Cell:
         self.swing()
 
     def swing(self) -> None:
-        """No restart, release or recovery starts motion; this does, where something has taken
-        the instruction.
+        """No restart, release or recovery starts motion; this does, where something has taken the
+        instruction.
         """
         inference = self.agent.modules()["inference"]
         if inference["phase"] == "running" and not inference["instruction"]:
@@ -213,8 +213,8 @@ def _size(path: Path) -> int | None:
 
 
 def _mapped(pid: int) -> set[str]:
-    """Names of the shared-memory files that a process maps; what one that was killed leaves
-    behind is among them.
+    """Names of the shared-memory files that a process maps; what one that was killed leaves behind
+    is among them.
     """
     names: set[str] = set()
     with contextlib.suppress(OSError):

@@ -1,5 +1,5 @@
-"""A closed loop in this process's control plane around `switch_plugin`, and a witness of the
-action topic.
+"""A closed loop in this process's control plane around `switch_plugin`, and a witness of the action
+topic.
 """
 
 from __future__ import annotations

@@ -5,8 +5,7 @@ drives a square.
     blue]
 
 Each robot is a cell of `demo_fleet.toml` with its own processes, gate, limits and emergency stop.
-The agent is an
-ordinary MCP client: `start_all` for each robot, `run_task` for each arm,
+The agent is an ordinary MCP client: `start_all` for each robot, `run_task` for each arm,
 `publish_velocity_sequence` for the base, all at the same time. Each robot's own simulator is the
 judge: the named cube is 10 cm up and has been held for a second; the base stands where its path
 ends and has driven all of it. Exit status 0 means that every judge says yes and that all three were
@@ -53,8 +52,8 @@ LOOK_S = 0.5
 """Period of the agent's looks, which also make the film."""
 ATTEMPT_S, ATTEMPTS = 50.0, 3
 REST_S, HELD_S = 1.5, 5.0
-"""The base slows down at its own acceleration; a cube that was lifted a moment ago is soon held
-for long enough.
+"""The base slows down at its own acceleration; a cube that was lifted a moment ago is soon held for
+long enough.
 """
 LEAST_LENGTH = 0.9
 """Share of the path's length that the base must have driven: the path ends where it began."""
@@ -81,8 +80,8 @@ class Work:
 
 
 def lifted(colour: str) -> dict[str, Any]:
-    """The predicate of run_task: the gripper holds something, and the cube has been seen lifted
-    for a second.
+    """The predicate of run_task: the gripper holds something, and the cube has been seen lifted for
+    a second.
     """
     seen = {
         "kind": "monitor",
@@ -94,8 +93,8 @@ def lifted(colour: str) -> dict[str, Any]:
 
 
 def judge_arm(work: Work, colour: str) -> None:
-    """By the simulator of the arm: the cube is up and has been held; the tool must not say
-    anything else.
+    """By the simulator of the arm: the cube is up and has been held; the tool must not say anything
+    else.
     """
     thing = next((t for t in simulated_objects(work.status) if t.name == colour), None)
     if thing is None:
@@ -114,8 +113,8 @@ def true_pose(status: Mapping[str, Any]) -> PlanarPose | None:
 
 
 def judge_base(work: Work, track: Sequence[PlanarPose]) -> None:
-    """By the simulator of the base: it stands at the end of its path, and has driven the length
-    of it.
+    """By the simulator of the base: it stands at the end of its path, and has driven the length of
+    it.
     """
     if not track:
         work.truth, work.is_done = "no answer", False

@@ -1,5 +1,5 @@
-"""The film of several robots: their pictures side by side, as an animated GIF and as a sheet of
-six moments.
+"""The film of several robots: their pictures side by side, as an animated GIF and as a sheet of six
+moments.
 """
 
 from __future__ import annotations
@@ -47,8 +47,8 @@ class FleetFilm:
         self.frames.append((at_s, shown, dict(captions)))
 
     def save(self, directory: Path) -> tuple[Path, Path]:
-        """Write `film-strip.png` and `film.gif`; returns their paths. There must be at least
-        one frame.
+        """Write `film-strip.png` and `film.gif`; returns their paths. There must be at least one
+        frame.
         """
         strip, gif = directory / "film-strip.png", directory / "film.gif"
         sheet = self._strip()
@@ -118,8 +118,8 @@ class FleetFilm:
 def draw_from_above(
     planned: Sequence[PlanarPose], track: Sequence[PlanarPose], size_px: int = PANEL_PX
 ) -> Image.Image:
-    """The floor from above with a grid of 0.5 m: the path as planned, as driven, and the base
-    at its end.
+    """The floor from above with a grid of 0.5 m: the path as planned, as driven, and the base at
+    its end.
     """
     size = size_px * SMOOTHING
     xs, ys = [pose.x_m for pose in planned], [pose.y_m for pose in planned]

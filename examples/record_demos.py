@@ -1,5 +1,5 @@
-"""Record demonstrations of the classical policy in simulation as a LeRobotDataset:
-`make record-demos`.
+"""Record demonstrations of the classical policy in simulation as a LeRobotDataset: `make
+record-demos`.
 
 Episodes are played by rn-eval on the clock of the simulation, so 50 take minutes. Each becomes a
 run of its own: images, joint states, TCP poses, predictions and actions on the topics of a real

@@ -1,5 +1,5 @@
-"""Fixtures for tests that cross packages: every test runs on a ROS graph and with a state
-directory of its own.
+"""Fixtures for tests that cross packages: every test runs on a ROS graph and with a state directory
+of its own.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ ROOT = Path(__file__).parents[1]
 
 @pytest.fixture
 def environment(tmp_path: Path) -> dict[str, str]:
-    """Environment for child processes: own ROS domain, own state, the interpreter's scripts
-    first on PATH.
+    """Environment for child processes: own ROS domain, own state, the interpreter's scripts first
+    on PATH.
     """
     scripts = str(Path(sys.executable).parent)
     return {

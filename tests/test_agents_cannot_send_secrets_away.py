@@ -1,5 +1,5 @@
-"""An agent's options cannot make a module send an environment secret to a listener of the
-agent's choice.
+"""An agent's options cannot make a module send an environment secret to a listener of the agent's
+choice.
 """
 
 from __future__ import annotations

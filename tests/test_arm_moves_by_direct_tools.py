@@ -1,5 +1,5 @@
-"""The simulated FR3 moved by direct tools only: joint targets, a trajectory, end-effector
-deltas, refusals.
+"""The simulated FR3 moved by direct tools only: joint targets, a trajectory, end-effector deltas,
+refusals.
 """
 
 from __future__ import annotations

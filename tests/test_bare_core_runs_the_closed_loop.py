@@ -1,5 +1,5 @@
-"""Core with a robot, a controller and a backend runs the closed loop over stdio; every feature
-is left out.
+"""Core with a robot, a controller and a backend runs the closed loop over stdio; every feature is
+left out.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""`make bench` goes on whatever becomes of a benchmark, and tells at its end what went wrong
-and what was missed.
+"""`make bench` goes on whatever becomes of a benchmark, and tells at its end what went wrong and
+what was missed.
 """
 
 from __future__ import annotations

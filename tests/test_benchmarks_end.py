@@ -1,5 +1,5 @@
-"""Every wait in benchmarks/ has a bound: what never comes is an error, not a benchmark that
-never ends.
+"""Every wait in benchmarks/ has a bound: what never comes is an error, not a benchmark that never
+ends.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ ONE_ARGUMENT = {"wait_for": 2}
 POOLS = {"imap", "imap_unordered", "map", "starmap"}
 """Of a pool of processes: they wait for a worker that has died."""
 WATCHDOGS = ("threading.Timer(", "daemon=True")
-"""A script that reads another process's output line by line has one of these: a pipe alone has
-no bound.
+"""A script that reads another process's output line by line has one of these: a pipe alone has no
+bound.
 """
 BOUNDS = ("deadline", "end_s", "timeout", "duration_s", "fail_after", "cancelled", "_stop")
 

@@ -1,5 +1,5 @@
-"""Rows of the fault matrix: backends, cameras, clocks, joint states and processes that fail
-while the arm moves.
+"""Rows of the fault matrix: backends, cameras, clocks, joint states and processes that fail while
+the arm moves.
 """
 
 from __future__ import annotations
@@ -171,8 +171,8 @@ def test_joint_states_that_cannot_be_true_make_the_arm_stand(cell: Cell, fault: 
 
 
 def test_joint_states_out_of_order_do_not_bring_an_old_posture_back(cell: Cell) -> None:
-    """Every second one is older by 0.1 s and lies 50 mm away: those are counted, and the arm
-    moves on by the others.
+    """Every second one is older by 0.1 s and lies 50 mm away: those are counted, and the arm moves
+    on by the others.
     """
     before, since_s = cell.dropped("control", "bad_joint_state"), time.monotonic()
     cell.fail("gantry", "reordered")

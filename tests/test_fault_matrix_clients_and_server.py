@@ -1,5 +1,5 @@
-"""Rows of the fault matrix: clients that race, flood, fall silent and vanish, a frozen server,
-a full disk.
+"""Rows of the fault matrix: clients that race, flood, fall silent and vanish, a frozen server, a
+full disk.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""A row of the fault matrix: modules are started and stopped in every order, without waiting
-for one another.
+"""A row of the fault matrix: modules are started and stopped in every order, without waiting for
+one another.
 """
 
 from __future__ import annotations

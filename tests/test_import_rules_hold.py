@@ -38,8 +38,8 @@ ALLOWED: dict[str, set[str]] = {
     "supervisor": CONTRACT | {"plugins", "planning", "config", "gate", "ros", "modules"},
     "server": CONTRACT | {"plugins", "planning", "config", "gate", "ros", "modules", "supervisor"},
 }
-"""Rooms of the core by the rooms they may import (and `log_files`, all of them); `cli` may
-import all.
+"""Rooms of the core by the rooms they may import (and `log_files`, all of them); `cli` may import
+all.
 """
 ROS_ROOMS = {"ros", "modules"}
 """Where rclpy may be imported."""
@@ -158,8 +158,8 @@ def test_the_core_names_no_installed_plugin_in_code():
 
 
 def _plugins() -> Iterator[tuple[str, tuple[Path, ...]]]:
-    """Each plugin or library by name, with its packages: all of a distribution, in rn-standard
-    each by itself.
+    """Each plugin or library by name, with its packages: all of a distribution, in rn-standard each
+    by itself.
     """
     for sources in sorted(PLUGINS.glob("*/src")):
         if sources != STANDARD.parent:
@@ -298,8 +298,8 @@ def test_the_tables_name_packages_and_modules_that_are_there():
 
 
 def _reaches_ros(path: Path) -> Iterator[str]:
-    """What only the core and the direct path do in the server's process: publishing, making
-    nodes and clients.
+    """What only the core and the direct path do in the server's process: publishing, making nodes
+    and clients.
     """
     for name, line in _imports(path):
         if name.split(".")[0] == "rclpy" or name.startswith(SENDING):
@@ -315,8 +315,8 @@ def _reaches_ros(path: Path) -> Iterator[str]:
 
 
 def test_features_send_only_through_the_gate():
-    """No publisher, client or node beside `host.gate`; a command is a process of its own and
-    may join the graph.
+    """No publisher, client or node beside `host.gate`; a command is a process of its own and may
+    join the graph.
     """
     breaches = []
     looked_at = set()

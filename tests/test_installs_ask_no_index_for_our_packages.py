@@ -86,8 +86,8 @@ def words_of(names: Iterable[str]) -> list[str]:
 
 
 def test_a_package_that_is_named_by_its_folder_is_not_looked_for(tmp_path, index) -> None:
-    """What the install lines of README and docs rely on, and that the index would have been
-    asked otherwise.
+    """What the install lines of README and docs rely on, and that the index would have been asked
+    otherwise.
     """
     url, asked = index
     for name, needs in (
@@ -103,8 +103,8 @@ def test_a_package_that_is_named_by_its_folder_is_not_looked_for(tmp_path, index
 
 
 def test_files_of_requirements_name_every_package_by_its_folder(tmp_path, index) -> None:
-    """The shape of requirements.txt: its constraints lie beside it, its folders below the
-    working directory.
+    """The shape of requirements.txt: its constraints lie beside it, its folders below the working
+    directory.
     """
     url, asked = index
     for name, needs in (

@@ -1,5 +1,5 @@
-"""Perception, control and robot do not notice which model works: servo, OpenVLA, OFT with
-FastV, pi0 in turns.
+"""Perception, control and robot do not notice which model works: servo, OpenVLA, OFT with FastV,
+pi0 in turns.
 """
 
 from __future__ import annotations
@@ -62,8 +62,8 @@ def graph(
 
 
 def contract_topics(graph: Any) -> dict[str, tuple[str, tuple[str, ...]]]:
-    """Type and publishers' names of every topic of the contract; the two places of inference
-    count as one.
+    """Type and publishers' names of every topic of the contract; the two places of inference count
+    as one.
     """
     return {
         name: (

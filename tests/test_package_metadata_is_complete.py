@@ -1,5 +1,5 @@
-"""What the packages say of themselves on an index: versions of Python, bounds, and no address
-that leads nowhere.
+"""What the packages say of themselves on an index: versions of Python, bounds, and no address that
+leads nowhere.
 """
 
 from __future__ import annotations

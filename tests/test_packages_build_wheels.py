@@ -1,5 +1,5 @@
-"""Each package of the workspace builds a wheel that holds what it needs and works from the
-wheel alone, beside core.
+"""Each package of the workspace builds a wheel that holds what it needs and works from the wheel
+alone, beside core.
 """
 
 from __future__ import annotations

@@ -33,8 +33,8 @@ def folder_of_tests(plugin: PluginRecord) -> Path:
 
 
 def contract_classes(plugin: PluginRecord) -> list[str]:
-    """The kind of each contract class in a plugin's tests; one whose fixture has parameters
-    counts for all offers.
+    """The kind of each contract class in a plugin's tests; one whose fixture has parameters counts
+    for all offers.
     """
     found: list[str] = []
     own = folder_of_tests(plugin)

@@ -1,5 +1,5 @@
-"""Every agent reads the whole list of tools: it fits a bound, and answers fit the schemas that
-it shows.
+"""Every agent reads the whole list of tools: it fits a bound, and answers fit the schemas that it
+shows.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from roboneuron.plugins.discovery import discover
 from roboneuron.server.app import Application
 
 MOST_BYTES = 44_500
-"""Of the default configuration with the packages that `[standard]` (recorder and view with it)
-and a robot bring.
+"""Of the default configuration with the packages that `[standard]` (recorder and view with it) and
+a robot bring.
 """
 OPTIONAL = ("rn-eval-libero", "rn-backend-shared")
 """Packages with tools or backends of their own that are installed beside the standard ones."""

@@ -1,5 +1,5 @@
-"""OFT and pi0 write the same rotation for the same pose, and it is that of the public
-evaluation code.
+"""OFT and pi0 write the same rotation for the same pose, and it is that of the public evaluation
+code.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ BRIDGE_REFERENCE = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]
 points down.
 """
 LINK_IN_TCP = np.diag([1.0, -1.0, -1.0]) @ BRIDGE_REFERENCE
-"""The WidowX link (x out of the gripper) as seen from a TCP (z out of the gripper), both
-pointing down.
+"""The WidowX link (x out of the gripper) as seen from a TCP (z out of the gripper), both pointing
+down.
 """
 
 
@@ -48,8 +48,8 @@ def _state(plugin: str, platform: str, quaternion: np.ndarray) -> np.ndarray:
 
 
 def _quat2axisangle(quaternion: np.ndarray) -> np.ndarray:
-    """The formula of robosuite's transform_utils, for the sign that MuJoCo's body quaternion
-    has near gripper-down.
+    """The formula of robosuite's transform_utils, for the sign that MuJoCo's body quaternion has
+    near gripper-down.
     """
     w = float(np.clip(quaternion[3], -1.0, 1.0))
     return quaternion[:3] * 2.0 * math.acos(w) / math.sqrt(1.0 - w * w)

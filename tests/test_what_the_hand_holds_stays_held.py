@@ -38,8 +38,7 @@ state_directory = "{state}"
 """
 LEFT_M = 0.15
 NEAR_M = 0.02
-"""A cube that is let go 2 mm above the table, by fingers that open one after the other, may
-slide.
+"""A cube that is let go 2 mm above the table, by fingers that open one after the other, may slide.
 """
 
 

@@ -59,8 +59,8 @@ class _Page(HTMLParser):
 
 
 def external_resources(site: Path) -> list[str]:
-    """One line for each resource that a page or style sheet would load from another host, with
-    its file.
+    """One line for each resource that a page or style sheet would load from another host, with its
+    file.
     """
     found = []
     for path in sorted(site.rglob("*.html")):

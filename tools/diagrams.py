@@ -3,8 +3,8 @@
     python tools/diagrams.py           write them
     python tools/diagrams.py --check   exit status 1 unless the committed files are current
 
-Numbers of plots come from the tables of docs/benchmarks.md. Each panel has a background of its
-own, so that it can be read on light and dark pages. tools/process_figure.py draws processes.svg.
+Numbers of plots come from the tables of docs/benchmarks.md. Each panel has a background of its own,
+so that it can be read on light and dark pages. tools/process_figure.py draws processes.svg.
 """
 
 from __future__ import annotations

@@ -9,8 +9,8 @@ import difflib
 def describe_change(before: str, after: str) -> str:
     """The statements in which two sources of a function differ: `before -> after`.
 
-    They are compared as `ast.unparse` writes them, each on one line and without comments, so that
-    a change of the line width changes nothing.
+    They are compared as `ast.unparse` writes them, each on one line and without comments, so that a
+    change of the line width changes nothing.
     """
     lost, came = _statements(before), _statements(after)
     match = difflib.SequenceMatcher(a=lost, b=came, autojunk=False)

@@ -22,8 +22,8 @@ from mutmut.mutation import file_mutation, mutators
 TEXT_NAMES = frozenset({"hint", "note", "reason"})
 """Arguments, variables and attributes that hold a text for people, wherever they occur."""
 UNWRAPPED = frozenset({"contextmanager", "property"})
-"""Decorators that can be called after the function is made: mutmut makes no mutants of a
-decorated function.
+"""Decorators that can be called after the function is made: mutmut makes no mutants of a decorated
+function.
 """
 _SAME_AS_INVERTED = (cst.Equal, cst.NotEqual, cst.Is, cst.IsNot, cst.In, cst.NotIn)
 """Comparisons that mutmut inverts itself."""
@@ -79,8 +79,8 @@ def is_text(node: cst.CSTNode) -> bool:
 
 
 def unwrap_decorators(source: str) -> str:
-    """The same module with `@property` and `@contextmanager` applied by a call after the
-    function; lines stay.
+    """The same module with `@property` and `@contextmanager` applied by a call after the function;
+    lines stay.
     """
     lines = source.splitlines()
     functions = [node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.FunctionDef)]

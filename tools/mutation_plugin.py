@@ -6,8 +6,8 @@ from __future__ import annotations
 
 
 def pytest_collection() -> None:
-    """Try the same examples of a property for every mutant, and end at the first that fails:
-    nobody reads it.
+    """Try the same examples of a property for every mutant, and end at the first that fails: nobody
+    reads it.
     """
     # later than pytest's own plugins, which pytest rewrites
     from hypothesis import HealthCheck, Phase, settings

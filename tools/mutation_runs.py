@@ -92,8 +92,8 @@ def _end_sleeper(process: int) -> None:
 
 
 def _thread_states(process: int) -> list[str]:
-    """The states of a process's threads, as in proc(5): R runs or would like to, S sleeps, Z
-    has ended.
+    """The states of a process's threads, as in proc(5): R runs or would like to, S sleeps, Z has
+    ended.
     """
     states = []
     for path in Path(f"/proc/{process}/task").glob("*/stat"):

@@ -44,8 +44,8 @@ OUT = ROOT / "out" / "mutations"
 SURVIVORS = ROOT / "tools" / "mutation_survivors.toml"
 LEAST_PERCENT = 95.0
 NOT_RUN = 255
-"""Exit code of mutmut when pytest refuses to run, as for a test that it does not find; mutmut
-calls it a timeout.
+"""Exit code of mutmut when pytest refuses to run, as for a test that it does not find; mutmut calls
+it a timeout.
 """
 UNKNOWN = ("not checked", "check was interrupted by user")
 CORE, STANDARD = "roboneuron-core/src/roboneuron", "plugins/rn-standard/src/rn_standard"
@@ -195,8 +195,8 @@ def _parse_arguments() -> argparse.Namespace:
 
 
 def _run_in_a_fork(part: Part, work: Path, arguments: argparse.Namespace) -> None:
-    """mutmut keeps its state in its modules and changes directory: each part has a process of
-    its own.
+    """mutmut keeps its state in its modules and changes directory: each part has a process of its
+    own.
     """
     process = os.fork()
     if process:
@@ -231,8 +231,8 @@ def _run_in_a_fork(part: Part, work: Path, arguments: argparse.Namespace) -> Non
 
 
 def _prepare(part: Part, work: Path, *, is_fresh: bool) -> None:
-    """Lay out what mutmut works on: src/PACKAGE, which it copies to mutants/ with mutants in
-    it, and the tests.
+    """Lay out what mutmut works on: src/PACKAGE, which it copies to mutants/ with mutants in it,
+    and the tests.
     """
     rules = f"{metadata.version('mutmut')} {_digest([Path(mutation_operators.__file__)])}"
     if is_fresh or _read_text(work / "rules") != rules:

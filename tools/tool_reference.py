@@ -44,8 +44,8 @@ explained at the first; fields of results that explain themselves are left out.
 
 
 def tools_reference() -> str:
-    """The page: the core and those features of the project that are installed, without any
-    other plugin.
+    """The page: the core and those features of the project that are installed, without any other
+    plugin.
     """
     config = Config.model_validate({"robot": {"name": "none"}})
     features = tuple(
@@ -131,8 +131,8 @@ def _answer(output: Schema, told: set[tuple[str, str]]) -> Iterator[str]:
 
 
 def _fields(node: Schema, whole: Schema, prefix: str = "") -> Iterator[tuple[str, str, str]]:
-    """Name, type and meaning of each field of an answer; fields of nested objects after them,
-    by path.
+    """Name, type and meaning of each field of an answer; fields of nested objects after them, by
+    path.
     """
     for name, entry in node.get("properties", {}).items():
         shown = next((a for a in entry.get("anyOf", ()) if a.get("type") != "null"), entry)

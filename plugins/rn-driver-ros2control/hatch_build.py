@@ -35,15 +35,15 @@ class CustomBuildHook(BuildHookInterface):  # type: ignore[type-arg]
     """
 
     def dependencies(self) -> list[str]:
-        """The ROS wheels, unless the environment that the wheel is for has them: then nothing
-        is downloaded twice.
+        """The ROS wheels, unless the environment that the wheel is for has them: then nothing is
+        downloaded twice.
         """
         typesupport = _typesupport()
         return [] if typesupport.find_wheels() is not None else list(typesupport.REQUIRED)
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
-        """Build before the files of the wheel are collected; pip asks twice, so what is built
-        is kept in `build`.
+        """Build before the files of the wheel are collected; pip asks twice, so what is built is
+        kept in `build`.
         """
         typesupport = _typesupport()
         try:

@@ -19,8 +19,8 @@ CHANGELOG = Path(__file__).parents[2] / "CHANGELOG.md"
 
 
 def _describe(name: str) -> object:
-    """What a user of the name relies on: fields of a dataclass, methods of a class, arguments
-    of a function.
+    """What a user of the name relies on: fields of a dataclass, methods of a class, arguments of a
+    function.
     """
     value = getattr(roboneuron, name)
     if isinstance(value, type):

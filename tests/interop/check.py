@@ -1,9 +1,9 @@
 """Clients that were not written here against our server: the MCP Inspector and the public
 conformance suite.
 
-Run by `make interop`; it needs npm and a registry. The server is
-`roboneuron serve --transport http` on a free port with the embedded default configuration and a
-state directory that is thrown away; nothing moves.
+Run by `make interop`; it needs npm and a registry. The server is `roboneuron serve --transport
+http` on a free port with the embedded default configuration and a state directory that is thrown
+away; nothing moves.
 """
 
 from __future__ import annotations

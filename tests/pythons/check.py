@@ -4,10 +4,10 @@ fresh environment each.
     make test-pythons                                       # python3.11, python3.12 and python3.13
     make test-pythons PYTHONS="/opt/python3.12/bin/python"
 
-For each interpreter: pip installs the packages (wheels only: nothing is compiled),
-`roboneuron doctor` finds the engine that is expected there, `roboneuron demo` lifts a cube by the
-simulator's own judgement, and the three bases drive their paths. Exit status 0 means that all of it
-worked everywhere. Takes about three minutes for each, most of it for pip.
+For each interpreter: pip installs the packages (wheels only: nothing is compiled), `roboneuron
+doctor` finds the engine that is expected there, `roboneuron demo` lifts a cube by the simulator's
+own judgement, and the three bases drive their paths. Exit status 0 means that all of it worked
+everywhere. Takes about three minutes for each, most of it for pip.
 """
 
 from __future__ import annotations

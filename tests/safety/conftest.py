@@ -1,5 +1,5 @@
-"""A simulated FR3 with its modules in processes of their own, and a stranger on the same ROS
-graph who watches it.
+"""A simulated FR3 with its modules in processes of their own, and a stranger on the same ROS graph
+who watches it.
 """
 
 from __future__ import annotations

@@ -33,8 +33,8 @@ LIMIT_M_S = 0.15
 STALL_S = 0.125
 LATENCY_S, WAY_S = 0.01, 0.003
 TOLERANCE = 1.02
-"""A straight line in joint space is a curve in task space, and a joint that accelerates is
-faster later in its step.
+"""A straight line in joint space is a curve in task space, and a joint that accelerates is faster
+later in its step.
 """
 LONGEST_S = 8.0
 pytestmark = pytest.mark.parametrize(

@@ -1,5 +1,5 @@
-"""Faults on the action topic, from a stranger beside a policy that works, judged at the
-simulated FR3's joints.
+"""Faults on the action topic, from a stranger beside a policy that works, judged at the simulated
+FR3's joints.
 """
 
 from __future__ import annotations

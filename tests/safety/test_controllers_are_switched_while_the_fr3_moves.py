@@ -1,5 +1,5 @@
-"""A controller takes the place of another while the FR3 moves: judged at the joints, where
-nothing may jerk or stop.
+"""A controller takes the place of another while the FR3 moves: judged at the joints, where nothing
+may jerk or stop.
 """
 
 from __future__ import annotations

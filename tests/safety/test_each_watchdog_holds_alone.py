@@ -1,5 +1,5 @@
-"""Watchdogs in depth, judged at the simulated FR3's joints: each layer holds with the layer
-above it dead or frozen.
+"""Watchdogs in depth, judged at the simulated FR3's joints: each layer holds with the layer above
+it dead or frozen.
 """
 
 from __future__ import annotations

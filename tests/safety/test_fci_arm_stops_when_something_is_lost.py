@@ -42,8 +42,8 @@ STOP_S = {"control": 2.5, "robot": 1.5, "server": SERVER_TIMEOUT_S + 2.5}
 machine.
 """
 FASTEST_STOP_RAD_S2 = 60.0
-"""Mean over 20 ms. The simulated arm follows a broken stream of commands harder than a real
-one; a jump is far more.
+"""Mean over 20 ms. The simulated arm follows a broken stream of commands harder than a real one; a
+jump is far more.
 """
 
 
@@ -126,8 +126,8 @@ HERE, THERE = "10.213.37.1", "10.213.37.2"
 
 @pytest.fixture
 def cut_cell(tmp_path: Path) -> Iterator[tuple[FciCell, str]]:
-    """A cell whose simulator is behind a cable of its own, and the cable's name; both go with
-    the namespace.
+    """A cell whose simulator is behind a cable of its own, and the cable's name; both go with the
+    namespace.
     """
     if reason := network():
         pytest.skip(reason)

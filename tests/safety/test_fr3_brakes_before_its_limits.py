@@ -1,5 +1,5 @@
-"""The FR3's position-dependent velocity limits, as its package states them and as core applies
-them on both paths.
+"""The FR3's position-dependent velocity limits, as its package states them and as core applies them
+on both paths.
 """
 
 from __future__ import annotations

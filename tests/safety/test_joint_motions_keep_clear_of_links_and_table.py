@@ -153,8 +153,8 @@ def test_move_joints_does_not_press_link_6_into_the_base(
 def test_tilting_the_hand_at_low_height_does_not_press_a_link_onto_the_table(
     make_ask: Any, simulation: Simulation
 ) -> None:
-    """TCP 27 mm above the table; joint 6 tilts the hand over the fingertips until its flange
-    comes down.
+    """TCP 27 mm above the table; joint 6 tilts the hand over the fingertips until its flange comes
+    down.
     """
     low = np.array([0.0, 0.2, 0.0, -2.42, 0.0, 2.62, 0.785, 0.04])
     tilted = low + np.array([0.0, 0.52, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0])
@@ -226,8 +226,8 @@ def test_no_permitted_motion_penetrates_anything_on_its_way(
 def test_no_permitted_motion_penetrates_anything_while_it_is_carried_out(
     make_ask: Any, simulation: Simulation, count: int
 ) -> None:
-    """The same with the simulator's motors, as fast as the gate lets a move be: joints do not
-    start all alike.
+    """The same with the simulator's motors, as fast as the gate lets a move be: joints do not start
+    all alike.
     """
     ask, rng = make_ask("max_speed_m_s = 0.5"), np.random.default_rng(11)
     start, moves = HOME, 0

@@ -1,5 +1,5 @@
-"""A few of the random sequences of benchmarks/new_starts.py: no stop, release, recovery or
-restart starts motion.
+"""A few of the random sequences of benchmarks/new_starts.py: no stop, release, recovery or restart
+starts motion.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""docs/safety.md: its example is a valid configuration, and its table names every limit with
-its default.
+"""docs/safety.md: its example is a valid configuration, and its table names every limit with its
+default.
 """
 
 from __future__ import annotations

@@ -103,8 +103,8 @@ def test_each_row_of_a_batch_is_the_answer_alone(backend, count):
 
 
 def test_observations_of_a_batch_do_not_disturb_each_other(backend):
-    """What the others see and are told moves no answer by more than rounding; their order is
-    that of the questions.
+    """What the others see and are told moves no answer by more than rounding; their order is that
+    of the questions.
     """
     first, *others = OBSERVATIONS
     whole = backend.predict_batch([first, *others])

@@ -20,7 +20,8 @@ LOGIT_TOLERANCE = 1e-4
 INT8_TOLERANCE = {"float32": 0.01, "bfloat16": 0.03}
 """Of the largest logit. Products with int8 weights take their rows as bfloat16, which rounds by
 2^-9, and so are outputs in bfloat16; 0.0017 and 0.0095 were seen with AVX-512, AVX2 and SSE4.1
-kernels."""
+kernels.
+"""
 
 
 def _request(golden, pixel_values=None):

@@ -1,5 +1,5 @@
-"""Fixtures: the golden checkpoint, a tiny checkpoint of our own, observations, and a stand-in
-for openpi's server.
+"""Fixtures: the golden checkpoint, a tiny checkpoint of our own, observations, and a stand-in for
+openpi's server.
 """
 
 from __future__ import annotations
@@ -93,8 +93,8 @@ def observe() -> Callable[..., Observation]:
 
 
 def encode(value: Any) -> dict[bytes, Any]:
-    """numpy as openpi puts it on the wire; written from the format's description, not with the
-    code under test.
+    """numpy as openpi puts it on the wire; written from the format's description, not with the code
+    under test.
     """
     if isinstance(value, np.ndarray):
         return {

@@ -1,5 +1,5 @@
-"""Parity with what openpi's and LeRobot's own code compute; data/pi0-tiny/README.md says how
-they were made.
+"""Parity with what openpi's and LeRobot's own code compute; data/pi0-tiny/README.md says how they
+were made.
 """
 
 from __future__ import annotations

@@ -390,8 +390,8 @@ def test_predict_is_refused_before_load_and_after_close(
 
 
 class _Relay:
-    """Passes bytes between a client and the stand-in until it is frozen; then it leaves
-    everything lying.
+    """Passes bytes between a client and the stand-in until it is frozen; then it leaves everything
+    lying.
     """
 
     def __init__(self, url: str) -> None:

@@ -1,5 +1,5 @@
-"""Servo, controller "urdf" and simulated FR3 in one process at 10 Hz of simulated time; only
-the simulator judges.
+"""Servo, controller "urdf" and simulated FR3 in one process at 10 Hz of simulated time; only the
+simulator judges.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""Chunks of several rows: what is played meanwhile is kept, and the rest leads from there to
-the same goal.
+"""Chunks of several rows: what is played meanwhile is kept, and the rest leads from there to the
+same goal.
 """
 
 from __future__ import annotations

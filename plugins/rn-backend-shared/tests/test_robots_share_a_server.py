@@ -1,5 +1,5 @@
-"""Real server processes: several robots on one, batches that are exact, and servers that die,
-fail or hang.
+"""Real server processes: several robots on one, batches that are exact, and servers that die, fail
+or hang.
 """
 
 from __future__ import annotations

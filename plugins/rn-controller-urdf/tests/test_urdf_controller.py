@@ -1,5 +1,5 @@
-"""The controller "urdf" on four small arms: it reaches what it accepts and refuses the rest
-with a reason.
+"""The controller "urdf" on four small arms: it reaches what it accepts and refuses the rest with a
+reason.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""Faults of the controller are states with one clear error; commands are refused until somebody
-has looked.
+"""Faults of the controller are states with one clear error; commands are refused until somebody has
+looked.
 """
 
 from __future__ import annotations

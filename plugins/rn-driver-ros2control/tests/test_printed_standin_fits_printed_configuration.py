@@ -1,5 +1,5 @@
-"""The page about ros2_control prints a configuration and a stand-in for it: they are run as
-they are printed.
+"""The page about ros2_control prints a configuration and a stand-in for it: they are run as they
+are printed.
 """
 
 from __future__ import annotations

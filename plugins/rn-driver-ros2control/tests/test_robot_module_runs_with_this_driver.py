@@ -1,5 +1,5 @@
-"""The robot module of RoboNeuron, the driver inside it and the stand-in controller: two
-processes on one graph.
+"""The robot module of RoboNeuron, the driver inside it and the stand-in controller: two processes
+on one graph.
 """
 
 from __future__ import annotations

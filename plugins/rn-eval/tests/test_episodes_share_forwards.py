@@ -1,5 +1,5 @@
-"""One model for many episodes: questions that are there at the same time become one forward of
-the shipped backend.
+"""One model for many episodes: questions that are there at the same time become one forward of the
+shipped backend.
 """
 
 from __future__ import annotations

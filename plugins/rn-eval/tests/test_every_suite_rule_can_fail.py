@@ -1,5 +1,5 @@
-"""For each rule of suites there is a suite that breaks it; the toy suite they are made from
-keeps all.
+"""For each rule of suites there is a suite that breaks it; the toy suite they are made from keeps
+all.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 """Ledgers with published counts give the published tables.
 
 The per-episode files of vla-eval's repository are Git LFS pointers in the public copies of it, so
-counts are taken
-from what is published: vla-eval docs/reproductions/{openvla,oft,openpi}.md (500 episodes a suite),
-and the RoboNeuron paper's Case IV.
+counts are taken from what is published: vla-eval docs/reproductions/{openvla,oft,openpi}.md (500
+episodes a suite), and the RoboNeuron paper's Case IV.
 """
 
 from __future__ import annotations
@@ -69,8 +68,8 @@ def test_published_reproductions_come_out_to_the_digit(name):
 
 
 def test_the_published_margin_is_that_of_the_interval():
-    """docs/reproductions/README.md: +-1.9 points at 95 % of 500 episodes (normal); Wilson's is
-    as wide.
+    """docs/reproductions/README.md: +-1.9 points at 95 % of 500 episodes (normal); Wilson's is as
+    wide.
     """
     share = proportion(475, 500)
     assert round(100 * 1.96 * math.sqrt(0.95 * 0.05 / 500), 1) == 1.9

@@ -1,5 +1,5 @@
-"""One line for each episode, on disk before it counts; a cut line is run again; nothing is
-there twice.
+"""One line for each episode, on disk before it counts; a cut line is run again; nothing is there
+twice.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ def record(seed, status="success"):
 
 
 def test_every_prefix_of_a_ledger_can_be_continued(plan, tmp_path):
-    """A crash may cut the file anywhere: what is whole stays, what is not is run again, and the
-    end is the same.
+    """A crash may cut the file anywhere: what is whole stays, what is not is run again, and the end
+    is the same.
     """
     made = plan(episodes=3)
     quiet = Console(file=io.StringIO())
@@ -61,8 +61,8 @@ def test_a_finished_episode_is_not_run_twice(plan, tmp_path):
 
 @pytest.fixture
 def sigterm():
-    """Puts back what SIGTERM did; Ctrl-C works, as it does not in a process that a shell has
-    put in the background.
+    """Puts back what SIGTERM did; Ctrl-C works, as it does not in a process that a shell has put in
+    the background.
     """
     before, interrupt = (
         signal.getsignal(signal.SIGTERM),

@@ -1,5 +1,5 @@
-"""The board for Grafana and the alert rules for Prometheus ask only for metrics, labels and
-values that there are.
+"""The board for Grafana and the alert rules for Prometheus ask only for metrics, labels and values
+that there are.
 """
 
 from __future__ import annotations

@@ -99,8 +99,8 @@ class Cell:
         self.opened: list[RosCameras] = []
 
     def source(self, *, calibrated: bool = True, **tables: dict[str, Any]) -> RosCameras:
-        """An open source; one keyword with options for each camera, the topic being the
-        camera's name.
+        """An open source; one keyword with options for each camera, the topic being the camera's
+        name.
         """
         options = {name: {"topic": name, **table} for name, table in tables.items()}
         config = RosCamerasOptions.model_validate({"cameras": options})

@@ -1,5 +1,5 @@
-"""Crop, letterbox and undistortion move pixels and intrinsics alike; OpenCV is the oracle of
-lens models.
+"""Crop, letterbox and undistortion move pixels and intrinsics alike; OpenCV is the oracle of lens
+models.
 """
 
 from __future__ import annotations

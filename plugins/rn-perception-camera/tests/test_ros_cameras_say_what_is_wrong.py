@@ -1,5 +1,5 @@
-"""Absent drivers, other types, unknown encodings, bad stamps and calibrations: which one, and
-what to do.
+"""Absent drivers, other types, unknown encodings, bad stamps and calibrations: which one, and what
+to do.
 """
 
 from __future__ import annotations

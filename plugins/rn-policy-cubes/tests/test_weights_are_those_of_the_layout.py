@@ -1,5 +1,5 @@
-"""Packed weights become a public checkpoint; the backend computes from it what the trained
-network computed.
+"""Packed weights become a public checkpoint; the backend computes from it what the trained network
+computed.
 """
 
 from __future__ import annotations
@@ -85,8 +85,8 @@ def test_rows_that_were_left_out_are_zero(packed: Packed, checkpoint: Path) -> N
 def test_the_backend_computes_what_the_network_computes(
     network: CubesNetwork, backend: OftPrimaryBackend
 ) -> None:
-    """With pictures, state and words of its own making: preprocessing, tokens and normalisation
-    are compared too.
+    """With pictures, state and words of its own making: preprocessing, tokens and normalisation are
+    compared too.
     """
     random = np.random.default_rng(0)
     picture = random.integers(0, 256, (224, 224, 3), dtype=np.uint8)

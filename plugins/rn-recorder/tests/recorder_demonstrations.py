@@ -1,5 +1,5 @@
-"""Small recorded runs for tests: two cameras, joints, poses, predictions and actions of a
-made-up arm.
+"""Small recorded runs for tests: two cameras, joints, poses, predictions and actions of a made-up
+arm.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ JOINTS = ("shoulder", "elbow", "finger")
 
 
 def picture(camera: str, number: int, size: int = 64) -> np.ndarray:
-    """A smooth picture that differs from number to number, so that a wrong frame is seen behind
-    any codec.
+    """A smooth picture that differs from number to number, so that a wrong frame is seen behind any
+    codec.
     """
     ramp = np.linspace(0, 120, size)
     level = (number * 37) % 130

@@ -1,5 +1,5 @@
-"""What a data set must hold of a recorded demonstration, read by MCAP's own reader and none of
-the exporter's code.
+"""What a data set must hold of a recorded demonstration, read by MCAP's own reader and none of the
+exporter's code.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""A recorder that was stopped (SIGSTOP) and goes on: it hears its publishers again, and counts
-what it missed.
+"""A recorder that was stopped (SIGSTOP) and goes on: it hears its publishers again, and counts what
+it missed.
 """
 
 from __future__ import annotations

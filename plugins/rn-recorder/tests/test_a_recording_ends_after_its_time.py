@@ -1,5 +1,5 @@
-"""A recording for a time ends by itself, once, and a newer one or the end of the server takes
-the time back.
+"""A recording for a time ends by itself, once, and a newer one or the end of the server takes the
+time back.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""A server with real modules and a real recorder: what is in the file, and what the robot
-notices of its end.
+"""A server with real modules and a real recorder: what is in the file, and what the robot notices
+of its end.
 """
 
 from __future__ import annotations

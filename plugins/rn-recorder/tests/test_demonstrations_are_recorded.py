@@ -1,5 +1,5 @@
-"""`make record-demos`: a demonstration in simulation, its data set, and its replay by the
-policy that made it.
+"""`make record-demos`: a demonstration in simulation, its data set, and its replay by the policy
+that made it.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""Files that are cut short, full disks, directories that cannot be written; ring, parts, quota
-and incidents.
+"""Files that are cut short, full disks, directories that cannot be written; ring, parts, quota and
+incidents.
 """
 
 from __future__ import annotations

@@ -48,8 +48,8 @@ SLOW = "import time; time.sleep(1.0)\n" + OBEYS
 
 @pytest.fixture
 def keep(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., RecorderProcess]]:
-    """Return a function that keeps recorders made of these programs, one after the other, the
-    last one again.
+    """Return a function that keeps recorders made of these programs, one after the other, the last
+    one again.
     """
     monkeypatch.setattr(module, "_BACKOFF_S", (0.01,))
     kept: list[RecorderProcess] = []

@@ -1,5 +1,5 @@
-"""Programs that know nothing of RoboNeuron read what was recorded: the rosbags library, and
-MCAP's own reader.
+"""Programs that know nothing of RoboNeuron read what was recorded: the rosbags library, and MCAP's
+own reader.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from rn_runs.reading import iterate
 Read = Callable[[Path], Iterator[tuple[str, int, Any]]]
 ROWS = 6
 PADDED = "/toy/joint_states"
-"""The serializer of rclpy, which makes this test's messages, leaves bytes behind some; those on
-the wire have none.
+"""The serializer of rclpy, which makes this test's messages, leaves bytes behind some; those on the
+wire have none.
 """
 
 

@@ -1,5 +1,5 @@
-"""Recorded actions in a simulation: what was recorded is done again, and what no client might
-send is refused.
+"""Recorded actions in a simulation: what was recorded is done again, and what no client might send
+is refused.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""Replay: a deterministic backend repeats itself to the last bit, another one is told apart at
-its first difference.
+"""Replay: a deterministic backend repeats itself to the last bit, another one is told apart at its
+first difference.
 """
 
 from __future__ import annotations
@@ -156,8 +156,8 @@ class Counting:
 
 
 def test_what_the_run_lacks_is_told(tmp_path: Path) -> None:
-    """One lost image and one lost prediction: the others are compared, and the answer says what
-    is missing.
+    """One lost image and one lost prediction: the others are compared, and the answer says what is
+    missing.
     """
     run = record_run(store_in(tmp_path), "demo", INSTRUCTIONS)
     gappy = without(run, tmp_path / "gaps.mcap", predictions=(9,), images=(4,))

@@ -1,5 +1,5 @@
-"""The recorder's process stays behind the control loop: by its priority, and by when it takes
-and encodes messages.
+"""The recorder's process stays behind the control loop: by its priority, and by when it takes and
+encodes messages.
 """
 
 from __future__ import annotations

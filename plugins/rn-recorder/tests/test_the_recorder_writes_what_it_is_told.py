@@ -1,5 +1,5 @@
-"""The recorder's process without ROS: what the server tells it and what the audit holds comes
-into the files.
+"""The recorder's process without ROS: what the server tells it and what the audit holds comes into
+the files.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""The process that answers the arm: it brakes without its parent, and moves nothing after an
-error until a recovery.
+"""The process that answers the arm: it brakes without its parent, and moves nothing after an error
+until a recovery.
 """
 
 from __future__ import annotations

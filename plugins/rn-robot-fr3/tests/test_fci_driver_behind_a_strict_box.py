@@ -1,5 +1,5 @@
-"""The driver `fci` behind a control box that loses packets, refuses and judges; with
-franka-sim, skipped without it.
+"""The driver `fci` behind a control box that loses packets, refuses and judges; with franka-sim,
+skipped without it.
 """
 
 from __future__ import annotations

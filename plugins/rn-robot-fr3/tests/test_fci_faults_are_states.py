@@ -1,5 +1,5 @@
-"""Every fault of the arm has one code and says what to do; the driver refuses motion until a
-person recovered it.
+"""Every fault of the arm has one code and says what to do; the driver refuses motion until a person
+recovered it.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""What the arm counts as commanded stays within its limits, whichever packets are lost; in
-virtual time.
+"""What the arm counts as commanded stays within its limits, whichever packets are lost; in virtual
+time.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""The shipped URDF against an independent evaluation of the official joint table, and against
-the profile.
+"""The shipped URDF against an independent evaluation of the official joint table, and against the
+profile.
 """
 
 from __future__ import annotations

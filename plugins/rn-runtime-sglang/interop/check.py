@@ -229,8 +229,8 @@ def run(options: argparse.Namespace, directory: Path) -> bool:
 
 
 def end_with(server: ManagedServer) -> None:
-    """End this process when the server ends by itself: nobody else would notice until the
-    start's time-out.
+    """End this process when the server ends by itself: nobody else would notice until the start's
+    time-out.
     """
     while not (failure := server.failure()):
         time.sleep(0.5)

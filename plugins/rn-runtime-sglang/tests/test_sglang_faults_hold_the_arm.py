@@ -159,8 +159,8 @@ def test_close_ends_a_request_at_once(launch, connect):
 
 
 def _run_until_sent(runtime, server):
-    """Start a request on a thread and wait until it has reached the server; returns a function
-    that gives its error.
+    """Start a request on a thread and wait until it has reached the server; returns a function that
+    gives its error.
     """
     errors: list[BaseException] = []
     before = len(server.seen.generated)

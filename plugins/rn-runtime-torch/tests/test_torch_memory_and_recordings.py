@@ -179,8 +179,8 @@ def test_lengths_outside_the_recorded_ones_run_and_are_not_recorded(toy, monkeyp
 
 
 def with_fake_graphs(toy, monkeypatch, config=CPU) -> Engine:
-    """An engine on the CPU that records with a fake and has recorded a prompt of 9 tokens
-    without a preset.
+    """An engine on the CPU that records with a fake and has recorded a prompt of 9 tokens without a
+    preset.
     """
     engine = Engine(toy.model(), config, None)
     monkeypatch.setattr(graph_module.torch, "cuda", FakeCuda())
@@ -260,8 +260,8 @@ class EqualSelection(EveryOtherToken):
 
 
 def test_recordings_belong_to_the_preset_that_they_were_made_with(toy, monkeypatch):
-    """Recordings are fakes that compute nothing when replayed, so a wrong one would give
-    another request's tokens.
+    """Recordings are fakes that compute nothing when replayed, so a wrong one would give another
+    request's tokens.
     """
     plain, pruned = (Engine(toy.model(), CPU, preset) for preset in (None, EqualSelection()))
     engine = Engine(toy.model(), CPU, EqualSelection())

@@ -80,8 +80,8 @@ class _Copies(TorchDispatchMode):
 
 @pytest.mark.parametrize("dtype", ["float32", "bfloat16"])
 def test_no_pass_copies_the_output_head(toy, dtype):
-    """A product of a three-dimensional slice copied the whole head: 2.6 s of each request at
-    real size in bfloat16.
+    """A product of a three-dimensional slice copied the whole head: 2.6 s of each request at real
+    size in bfloat16.
     """
     engine = Engine(toy.model(), TorchRuntimeConfig(device="cpu", dtype=dtype), None)
     hidden = torch.randn(1, 9, toy.shape.hidden).to(engine._dtype)[:, -1:]

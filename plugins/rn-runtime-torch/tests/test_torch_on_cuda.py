@@ -47,8 +47,8 @@ def _plain_float32():
 
 @pytest.fixture(params=["openvla", "oft"])
 def model(request, tmp_path) -> PolicyModel:
-    """A tiny checkpoint with both vision towers; the other one with two cameras, proprioception
-    and the L1 head.
+    """A tiny checkpoint with both vision towers; the other one with two cameras, proprioception and
+    the L1 head.
     """
     path = tmp_path / "checkpoint"
     if request.param == "openvla":
@@ -97,8 +97,8 @@ def _engine(
 @pytest.mark.parametrize("share", [0.0, 0.5])
 @pytest.mark.parametrize("dtype", ["float32", "bfloat16"])
 def test_graphs_answer_as_the_plain_loop_does(model, dtype, share):
-    """Vision front, decoder and L1 head, with FastV and without, at recorded lengths and
-    others, several times over.
+    """Vision front, decoder and L1 head, with FastV and without, at recorded lengths and others,
+    several times over.
     """
     presets = [FastV(FastVConfig(k=1, r=share)) if share else None for _ in range(2)]
     recorded, plain = (_engine(model, dtype=dtype, graphs=graphs, preset=preset)
@@ -176,8 +176,8 @@ def test_a_selection_works_inside_a_recording(toy):
 
 
 def test_memory_stays_below_what_was_foreseen(model, monkeypatch):
-    """Reserved bytes over the whole life of an engine, against the estimate that decides
-    whether it fits.
+    """Reserved bytes over the whole life of an engine, against the estimate that decides whether it
+    fits.
     """
     seen = []
     monkeypatch.setattr(

@@ -1,5 +1,5 @@
-"""The thread in which a simulation runs: it keeps pace, publishes, and its failures reach
-whoever asks the driver.
+"""The thread in which a simulation runs: it keeps pace, publishes, and its failures reach whoever
+asks the driver.
 """
 
 from __future__ import annotations

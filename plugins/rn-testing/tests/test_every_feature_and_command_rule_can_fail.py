@@ -1,5 +1,5 @@
-"""For each rule of features and commands there is a plugin that breaks it, and the good one
-keeps it.
+"""For each rule of features and commands there is a plugin that breaks it, and the good one keeps
+it.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""The kit catches what it is made for: each mutant of a good plugin fails the rule that is to
-catch its mistake.
+"""The kit catches what it is made for: each mutant of a good plugin fails the rule that is to catch
+its mistake.
 """
 
 from __future__ import annotations

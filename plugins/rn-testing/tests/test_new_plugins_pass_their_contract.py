@@ -1,5 +1,5 @@
-"""`roboneuron new KIND NAME` writes a package that passes its own contract tests, as generated,
-for every kind.
+"""`roboneuron new KIND NAME` writes a package that passes its own contract tests, as generated, for
+every kind.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""A call that hangs fails its rule with its name, and the rules after it are decided; blame
-goes to the right place.
+"""A call that hangs fails its rule with its name, and the rules after it are decided; blame goes to
+the right place.
 """
 
 from __future__ import annotations

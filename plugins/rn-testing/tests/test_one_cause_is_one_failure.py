@@ -1,5 +1,5 @@
-"""What concerns a whole case is told once, and what lies in the working directory is no fault
-of a plugin.
+"""What concerns a whole case is told once, and what lies in the working directory is no fault of a
+plugin.
 """
 
 from __future__ import annotations

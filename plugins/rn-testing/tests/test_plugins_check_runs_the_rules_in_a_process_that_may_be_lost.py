@@ -55,8 +55,8 @@ def _worker(monkeypatch, tmp_path, body):
 
 
 def _run_until(begun: Path):
-    """Results of a worker that was ended after it had written `begun`, which takes long on a
-    busy machine.
+    """Results of a worker that was ended after it had written `begun`, which takes long on a busy
+    machine.
     """
     for limit_s in (1.0, 5.0, 25.0, 125.0):
         results = plugin_check.run_worker("{}", limit_s)

@@ -1,5 +1,5 @@
-"""Of several plugins in one distribution each is examined by itself: its files, its
-descriptors, what it loads.
+"""Of several plugins in one distribution each is examined by itself: its files, its descriptors,
+what it loads.
 """
 
 from __future__ import annotations

@@ -14,8 +14,8 @@ KEPT_BYTES = 1024
 
 @pytest.fixture
 def calls(monkeypatch) -> list[float]:
-    """Times of all calls; a round may take long enough for MANY of them, however busy the
-    machine is.
+    """Times of all calls; a round may take long enough for MANY of them, however busy the machine
+    is.
     """
     monkeypatch.setattr(effects, "ROUND_S", 60.0)
     return []

@@ -1,5 +1,5 @@
-"""The kit is a plugin itself: its commands keep the contract of commands, and its package that
-of packages.
+"""The kit is a plugin itself: its commands keep the contract of commands, and its package that of
+packages.
 """
 
 import pytest

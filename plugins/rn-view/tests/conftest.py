@@ -63,8 +63,8 @@ def serve(source: FakeSource, operator: FakeOperator) -> Iterator[Callable[..., 
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    """A headless Chromium of this machine. For one module: playwright keeps an event loop in
-    this thread.
+    """A headless Chromium of this machine. For one module: playwright keeps an event loop in this
+    thread.
     """
     if importlib.util.find_spec("playwright") is None:
         pytest.skip("playwright is not installed: pip install playwright")

@@ -43,8 +43,8 @@ _HEAD_BYTES = 16
 
 
 def ask_stop(url: str, robot: str = "", **headers: str) -> str:
-    """What the button above the page does: a request; needs no page. Raises HTTPError when it
-    is refused.
+    """What the button above the page does: a request; needs no page. Raises HTTPError when it is
+    refused.
     """
     path = f"{STOP_PATH}?robot={quote(robot)}" if robot else STOP_PATH
     request = Request(url + path, headers={HEADER: HEADER_VALUE, **headers})
@@ -88,8 +88,8 @@ class PageClient:
         return "\n".join(unescape(re.sub(r"<[^>]*>", " ", content)) for content in contents)
 
     def health(self, kind: str) -> str:
-        """Health of a module, as the colour's tooltip explains it; empty while the page does
-        not show it.
+        """Health of a module, as the colour's tooltip explains it; empty while the page does not
+        show it.
         """
         shown = unescape("".join(str(props.get("content", "")) for _, props in self._snapshot()))
         found = re.search(rf'title="([^"]*)">[^<]*</span> <b>{kind}</b>', shown)

@@ -1,5 +1,5 @@
-"""A recorded run of a made-up robot: two seconds in which everything a page shows changes at
-known times.
+"""A recorded run of a made-up robot: two seconds in which everything a page shows changes at known
+times.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""The stop above the page in a real browser: large, never covered, by the keyboard, and with
-enough contrast.
+"""The stop above the page in a real browser: large, never covered, by the keyboard, and with enough
+contrast.
 """
 
 from __future__ import annotations

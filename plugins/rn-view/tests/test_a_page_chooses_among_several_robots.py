@@ -1,5 +1,5 @@
-"""Of several robots a page shows the one that was chosen on it; each has a stop of its own,
-beside the one of all.
+"""Of several robots a page shows the one that was chosen on it; each has a stop of its own, beside
+the one of all.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""`roboneuron serve --view` as a whole: a real server, its page, and what the stop pressed
-there does to modules.
+"""`roboneuron serve --view` as a whole: a real server, its page, and what the stop pressed there
+does to modules.
 """
 
 from __future__ import annotations

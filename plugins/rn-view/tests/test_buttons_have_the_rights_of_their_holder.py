@@ -1,5 +1,5 @@
-"""A button is a tool call like any client's: roles are checked by the server, not by what a
-page shows.
+"""A button is a tool call like any client's: roles are checked by the server, not by what a page
+shows.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""What a page shows of a recording at a moment: everything as it was then, whichever way one
-got there.
+"""What a page shows of a recording at a moment: everything as it was then, whichever way one got
+there.
 """
 
 from __future__ import annotations

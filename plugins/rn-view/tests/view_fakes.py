@@ -1,5 +1,5 @@
-"""A source and an operator without a server: a small arm, pictures with a number in them, and
-what was pressed.
+"""A source and an operator without a server: a small arm, pictures with a number in them, and what
+was pressed.
 """
 
 from __future__ import annotations

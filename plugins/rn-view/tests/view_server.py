@@ -1,5 +1,5 @@
-"""A server of its own process with its view switched on by the command line, as a client on
-stdio sees it.
+"""A server of its own process with its view switched on by the command line, as a client on stdio
+sees it.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ Call = Callable[..., dict[str, Any]]
 
 @contextmanager
 def served_view(folder: Path) -> Iterator[tuple[Call, str]]:
-    """`roboneuron serve --view` of the fakes: a function that calls its tools, and the address
-    of its page.
+    """`roboneuron serve --view` of the fakes: a function that calls its tools, and the address of
+    its page.
     """
     PluginSite(path=folder / "site").install("rn-view-tests", "", value="rn_testing.fakes.ticking")
     config, log = folder / "roboneuron.toml", folder / "server.log"

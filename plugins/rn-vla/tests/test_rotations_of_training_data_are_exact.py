@@ -1,5 +1,5 @@
-"""Roll-pitch-yaw and the forms near a gripper that points down: maps invert each other and have
-no jump.
+"""Roll-pitch-yaw and the forms near a gripper that points down: maps invert each other and have no
+jump.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ def test_roll_pitch_yaw_survive_the_way_through_a_matrix(rpy):
 
 
 def test_a_path_through_gripper_down_has_no_jump_in_either_form():
-    """Tilts of -9 .. 9 degrees about four axes: neighbours on the path stay neighbours (0.2
-    degrees a step).
+    """Tilts of -9 .. 9 degrees about four axes: neighbours on the path stay neighbours (0.2 degrees
+    a step).
     """
     for axis in np.array([[1, 0, 0], [0, 1, 0], [0.6, 0.8, 0], [0.5, -0.5, 0.7]]):
         path = [

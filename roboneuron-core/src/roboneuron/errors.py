@@ -66,8 +66,8 @@ class PlanningError(ConfigurationError):
 
 
 class CheckpointError(ConfigurationError):
-    """A model checkpoint is missing, truncated, of another family, or holds values that cannot
-    be used.
+    """A model checkpoint is missing, truncated, of another family, or holds values that cannot be
+    used.
     """
 
     code = "checkpoint"
@@ -94,24 +94,24 @@ class InvalidInputError(RoboNeuronError):
 
 
 class StateError(RoboNeuronError):
-    """The call is valid but not now (a second start, a stop of what is not running); look at
-    the status first.
+    """The call is valid but not now (a second start, a stop of what is not running); look at the
+    status first.
     """
 
     code = "wrong_state"
 
 
 class NotReadyError(RoboNeuronError):
-    """Something did not become ready in time (no image, no joint state, no answer); mend what
-    is named and retry.
+    """Something did not become ready in time (no image, no joint state, no answer); mend what is
+    named and retry.
     """
 
     code = "not_ready"
 
 
 class RefusedError(RoboNeuronError):
-    """The gate refused: not allowed, outside a limit, or the emergency stop is latched. Nothing
-    was sent.
+    """The gate refused: not allowed, outside a limit, or the emergency stop is latched. Nothing was
+    sent.
     """
 
     code = "refused"

@@ -1,5 +1,5 @@
-"""What features may use of the core, by the modules that define it; `feature.py` reads this at
-run time.
+"""What features may use of the core, by the modules that define it; `feature.py` reads this at run
+time.
 """
 
 # ruff: noqa: I001

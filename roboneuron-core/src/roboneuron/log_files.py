@@ -1,5 +1,5 @@
-"""Log files: who may read them, and nothing in them that acts on a terminal or passes for an
-entry of its own.
+"""Log files: who may read them, and nothing in them that acts on a terminal or passes for an entry
+of its own.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ FILE_MODE, DIRECTORY_MODE = 0o640, 0o750
 _RAW = re.compile(
     "[\x00-\x08\x0b-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2066-\u2069\ufeff\ud800-\udfff]"
 )
-"""Control characters but tab and newline, and what turns or hides text. Source: Unicode,
-categories Cc and Cf.
+"""Control characters but tab and newline, and what turns or hides text. Source: Unicode, categories
+Cc and Cf.
 """
 
 

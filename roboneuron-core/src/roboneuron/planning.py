@@ -71,8 +71,7 @@ def check_plan(
             wanted", except that the backend's default runtime is taken when `runtime` is None.
         cameras: camera name by role, where the robot's own roles are not to be used.
         elsewhere: which of "driver", "perception", "controller" and "backend" (with its runtime and
-            acceleration) run
-            under another interpreter: modules that they need may be absent here.
+            acceleration) run under another interpreter: modules that they need may be absent here.
 
     Raises:
         ConfigurationError: a name is not installed or cannot be used.
@@ -248,8 +247,8 @@ def _check_acceleration(
     backend: BackendSpec,
     runtime: RuntimeSpec | None,
 ) -> None:
-    """The capability is offered by what executes the decoder: the runtime, or the backend when
-    it runs without one.
+    """The capability is offered by what executes the decoder: the runtime, or the backend when it
+    runs without one.
     """
     if not backend.family or (
         acceleration.families and backend.family not in acceleration.families

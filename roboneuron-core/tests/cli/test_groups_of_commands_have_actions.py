@@ -1,5 +1,5 @@
-"""Commands in groups, `roboneuron plugins check`: whose options are whose, and what is said of
-an absent one.
+"""Commands in groups, `roboneuron plugins check`: whose options are whose, and what is said of an
+absent one.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""Commands of plugins are listed and run beside core's own; a broken one says what is wrong in
-one line.
+"""Commands of plugins are listed and run beside core's own; a broken one says what is wrong in one
+line.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""The optional PIN of a release: asked for on every way, counted, delayed, audited, and kept as
-a hash only.
+"""The optional PIN of a release: asked for on every way, counted, delayed, audited, and kept as a
+hash only.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""What the latch's file holds and who may read it, what is recorded, who is told when, and what
-the disk may refuse.
+"""What the latch's file holds and who may read it, what is recorded, who is told when, and what the
+disk may refuse.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""The audit's lines byte by byte, the size at which it rotates, its lock, and what it does with
-its descriptor.
+"""The audit's lines byte by byte, the size at which it rotates, its lock, and what it does with its
+descriptor.
 """
 
 from __future__ import annotations

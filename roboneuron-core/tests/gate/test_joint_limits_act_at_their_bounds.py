@@ -1,5 +1,5 @@
-"""Limits of the joints at their bounds: just inside, exactly at, just outside; numbers worked
-out by hand.
+"""Limits of the joints at their bounds: just inside, exactly at, just outside; numbers worked out
+by hand.
 """
 
 from __future__ import annotations

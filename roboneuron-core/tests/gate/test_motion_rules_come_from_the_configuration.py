@@ -1,5 +1,5 @@
-"""Rules of motion: each number of `[limits]` arrives where it belongs, and nothing is ever
-wider than before.
+"""Rules of motion: each number of `[limits]` arrives where it belongs, and nothing is ever wider
+than before.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""The limits on control's commands, judged with a planar arm of two joints whose kinematics fit
-on two lines.
+"""The limits on control's commands, judged with a planar arm of two joints whose kinematics fit on
+two lines.
 """
 
 from __future__ import annotations

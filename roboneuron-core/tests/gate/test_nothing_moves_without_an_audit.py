@@ -126,8 +126,8 @@ def test_a_deleted_file_is_begun_again(audit) -> None:
 
 @contextmanager
 def room_for(size_bytes: int) -> Iterator[None]:
-    """Files of this process end at that size, as on a disk that is full: the last write is a
-    short one.
+    """Files of this process end at that size, as on a disk that is full: the last write is a short
+    one.
     """
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size_bytes, hard))

@@ -1,5 +1,5 @@
-"""The latch: across processes and restarts, closed when in doubt, reset by an admin only and
-never without a record.
+"""The latch: across processes and restarts, closed when in doubt, reset by an admin only and never
+without a record.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""The PIN's file, its length, what each wrong one costs, and what is recorded, with numbers of
-its own.
+"""The PIN's file, its length, what each wrong one costs, and what is recorded, with numbers of its
+own.
 """
 
 from __future__ import annotations

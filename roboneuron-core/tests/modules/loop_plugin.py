@@ -1,5 +1,5 @@
-"""A robot with two joints, a camera, a controller and backends with faults, as one plugin for
-tests of the modules.
+"""A robot with two joints, a camera, a controller and backends with faults, as one plugin for tests
+of the modules.
 """
 
 from __future__ import annotations

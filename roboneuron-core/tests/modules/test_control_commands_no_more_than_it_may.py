@@ -1,5 +1,5 @@
-"""The control module on a clock of the test: which action moves the arm, for how long, and when
-the arm is held.
+"""The control module on a clock of the test: which action moves the arm, for how long, and when the
+arm is held.
 """
 
 from __future__ import annotations

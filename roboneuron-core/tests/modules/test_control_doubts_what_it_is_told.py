@@ -28,8 +28,8 @@ TIMEOUT_S = 0.25
 
 
 class Cell:
-    """Control, fed with joint states by a timer that a test can change, and publishers of a
-    policy and a stranger.
+    """Control, fed with joint states by a timer that a test can change, and publishers of a policy
+    and a stranger.
     """
 
     def __init__(self, world: Any, **options: Any) -> None:

@@ -1,5 +1,5 @@
-"""What `NodeTopics` lends a plugin: subscriptions that follow their publishers' reliability,
-and who publishes what.
+"""What `NodeTopics` lends a plugin: subscriptions that follow their publishers' reliability, and
+who publishes what.
 """
 
 from __future__ import annotations

@@ -130,8 +130,8 @@ def test_robot_whose_clock_is_wrong_takes_no_commands_until_it_is_right(
     jump_s: float,
     word: str,
 ) -> None:
-    """A command from the future may be an old one: as long as the clocks are apart, its age is
-    not known.
+    """A command from the future may be an old one: as long as the clocks are apart, its age is not
+    known.
     """
 
     class Shifted:
@@ -264,8 +264,8 @@ def test_a_command_that_was_taken_before_a_stop_does_not_outlive_it(
     monkeypatch: pytest.MonkeyPatch,
     cause: str,
 ) -> None:
-    """The stop comes between taking a command and sending it: its hold reaches the driver
-    before the command.
+    """The stop comes between taking a command and sending it: its hold reaches the driver before
+    the command.
     """
     driver, events = robot.module.driver, []
     send, hold = driver.send, driver.hold

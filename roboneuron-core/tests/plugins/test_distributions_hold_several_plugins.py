@@ -99,8 +99,8 @@ def test_a_conflict_names_plugin_and_distribution(site):
 
 
 def test_what_a_disabled_plugin_may_hold_is_not_said_to_be_absent(site):
-    """The hint of a package that is installed would be wrong: rn-standard holds the tools, and
-    they are disabled.
+    """The hint of a package that is installed would be wrong: rn-standard holds the tools, and they
+    are disabled.
     """
     install(site, "rn-standard", one=backend("first"), two=backend("second"))
     registry = site.discover(disabled=["rn-one"])

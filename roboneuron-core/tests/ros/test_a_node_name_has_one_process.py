@@ -1,5 +1,5 @@
-"""A node's name is held by one process of the machine, and free again when that ends, however
-it ends.
+"""A node's name is held by one process of the machine, and free again when that ends, however it
+ends.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""An application in this process without ROS, and a site with plugins for servers in processes
-of their own.
+"""An application in this process without ROS, and a site with plugins for servers in processes of
+their own.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""A real MCP client, a real server, real module processes over real ROS; robot, camera and
-policy are fakes.
+"""A real MCP client, a real server, real module processes over real ROS; robot, camera and policy
+are fakes.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""Calls that cannot be served: refused before anything is spawned, with a code, a message and
-what to do.
+"""Calls that cannot be served: refused before anything is spawned, with a code, a message and what
+to do.
 """
 
 from __future__ import annotations

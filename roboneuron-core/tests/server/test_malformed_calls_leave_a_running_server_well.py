@@ -1,5 +1,5 @@
-"""Ten thousand malformed calls over MCP to a server process: each is an error, nothing is on
-the bus, it serves on.
+"""Ten thousand malformed calls over MCP to a server process: each is an error, nothing is on the
+bus, it serves on.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""A foreign node may call a module's services; only what its own server asks for is done, the
-rest is reported.
+"""A foreign node may call a module's services; only what its own server asks for is done, the rest
+is reported.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ def test_what_was_announced_is_taken_once_and_in_any_pieces() -> None:
 def test_the_server_s_own_requests_are_known_whoever_reads_their_announcements_and_when(
     supervisor: Supervisor, make_config: MakeConfig, fault: str
 ) -> None:
-    """The thread that reads stdin may not get the processor in time; what a plugin starts may
-    read its stdin too.
+    """The thread that reads stdin may not get the processor in time; what a plugin starts may read
+    its stdin too.
     """
     view = supervisor.start("inference", make_config(inference=fault))
     assert view.process is not None

@@ -15,8 +15,8 @@ class PresetConfig(BaseModel):
     k: Annotated[int, Field(ge=1)] = 2
     """Layers that see all visual tokens; the attention of the last of them decides."""
     query: Literal["last", "actions"] = "last"
-    """Whose attention counts: the last position (as published), or the mean over the action
-    rows of OpenVLA-OFT.
+    """Whose attention counts: the last position (as published), or the mean over the action rows of
+    OpenVLA-OFT.
     """
 
 

@@ -1,5 +1,5 @@
-"""What this package offers: the presets `fastv-p25`, `fastv-p50`, `fastv-p75`, and `fastv` with
-a free share.
+"""What this package offers: the presets `fastv-p25`, `fastv-p50`, `fastv-p75`, and `fastv` with a
+free share.
 """
 
 from __future__ import annotations

@@ -50,8 +50,8 @@ class AttendedTokens:
         )
 
     def _attention(self, view: AttentionView) -> Tensor:
-        """Mean attention (positions,) of the rows that count; the last row sees everything,
-        causal or not.
+        """Mean attention (positions,) of the rows that count; the last row sees everything, causal
+        or not.
         """
         count = view.query.shape[2]
         if self.query == "last":

@@ -233,8 +233,8 @@ class OftBackend:
         )
 
     def _to_normalized(self, values: F32) -> tuple[F64, dict[str, float], str]:
-        """Normalised actions (chunk, width), metrics of the tokens they were decoded from, and
-        a note on them.
+        """Normalised actions (chunk, width), metrics of the tokens they were decoded from, and a
+        note on them.
         """
         shape = (self._constants.chunk, self._constants.action_width)
         if values.size != shape[0] * shape[1]:

@@ -1,5 +1,5 @@
-"""The files beside the base checkpoint: action head and proprio projector, and those that
-cannot be used.
+"""The files beside the base checkpoint: action head and proprio projector, and those that cannot be
+used.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ def _files(checkpoint: Path, component: str) -> list[Path]:
 
 
 def check_components(checkpoint: Path, *, head: bool, proprio: bool) -> None:
-    """Raise CheckpointError when a component is there that would be left out, or one that is
-    not implemented.
+    """Raise CheckpointError when a component is there that would be left out, or one that is not
+    implemented.
     """
     for component, reason in _REFUSED.items():
         for path in _files(checkpoint, component):

@@ -37,8 +37,8 @@ class OftConfig(ModelOptions):
     own_constants: OwnConstants | None = None
     """The fields of `constants = "own"`."""
     head: Literal["l1", "tokens"] = "l1"
-    """`l1` reads action_head--*_checkpoint.pt; `tokens` is for checkpoints without a head,
-    which decode bins.
+    """`l1` reads action_head--*_checkpoint.pt; `tokens` is for checkpoints without a head, which
+    decode bins.
     """
     proprio: bool
     """The checkpoint has a proprio projector and was trained with proprioception."""
@@ -48,11 +48,12 @@ class OftConfig(ModelOptions):
     """Travel of each finger joint when open, for the state layout of LIBERO (Panda hand: 0.04)."""
     state_rotation: Literal["by_down", "quaternion"] = "by_down"
     """Which of a rotation's two vectors the state has: the one near a gripper that points down, or,
-    in the simulator of the training data, the one that the sign of the measured quaternion
-    tells."""
+    in the simulator of the training data, the one that the sign of the measured quaternion tells.
+    """
     finger_joints: tuple[str, str] | None = None
     """Names of both finger joints, when the state's last two values are to be what was measured of
-    them; None derives them from the opening."""
+    them; None derives them from the opening.
+    """
     state_origin_m: tuple[Finite, Finite, Finite] = (0.0, 0.0, 0.0)
     """Position of the robot's base in the world frame of the training data; added to the TCP
     position.

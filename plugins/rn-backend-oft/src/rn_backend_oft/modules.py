@@ -28,8 +28,8 @@ class OftFront(OpenVlaFront):
     def forward(
         self, arrays: dict[str, Tensor], ids: Tensor, embed: Callable[[Tensor], Tensor]
     ) -> Tensor:
-        """Arrays {"pixel_values", "proprio"?} and ids (b, n) with placeholders -> (b, patches +
-        0 or 1 + n, hidden).
+        """Arrays {"pixel_values", "proprio"?} and ids (b, n) with placeholders -> (b, patches + 0
+        or 1 + n, hidden).
         """
         words = embed(ids)
         end = words.shape[1] - 1

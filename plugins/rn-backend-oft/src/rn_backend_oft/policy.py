@@ -1,5 +1,5 @@
-"""From a checkpoint to what a runtime loads, and from an observation to what it runs; no units,
-no robot.
+"""From a checkpoint to what a runtime loads, and from an observation to what it runs; no units, no
+robot.
 """
 
 from __future__ import annotations

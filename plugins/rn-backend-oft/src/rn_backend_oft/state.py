@@ -21,8 +21,8 @@ STATE_WIDTHS: Mapping[StateLayout, int] = MappingProxyType(
 
 
 def state_width(layout: StateLayout) -> int:
-    """Values of the layout. Raises ConfigurationError for one that a single arm's state does
-    not give.
+    """Values of the layout. Raises ConfigurationError for one that a single arm's state does not
+    give.
     """
     if layout not in STATE_WIDTHS:
         raise ConfigurationError(

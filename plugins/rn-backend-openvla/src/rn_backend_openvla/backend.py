@@ -172,8 +172,8 @@ class OpenVlaTcpBackend(OpenVlaBackend):
 
 
 def _check_no_components(checkpoint: Checkpoint) -> None:
-    """An OFT checkpoint also loads as OpenVLA, but its language model no longer decodes one
-    token after the other.
+    """An OFT checkpoint also loads as OpenVLA, but its language model no longer decodes one token
+    after the other.
     """
     found = sorted(checkpoint.path.glob("*--*checkpoint.pt"))
     if found:

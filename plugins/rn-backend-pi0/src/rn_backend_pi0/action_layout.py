@@ -118,8 +118,8 @@ class ActionLayout:
         return raw
 
     def _rotation_vectors(self, rotations: F64) -> F64:
-        """(H, 3) as the checkpoint writes them -> (H, 3) rotation vectors; those up to pi long
-        stay as they are.
+        """(H, 3) as the checkpoint writes them -> (H, 3) rotation vectors; those up to pi long stay
+        as they are.
         """
         if self.rotation == "rotvec" and (np.linalg.norm(rotations, axis=1) <= np.pi).all():
             return rotations
@@ -128,8 +128,8 @@ class ActionLayout:
     def _follow(
         self, out: F64, translations: F64, rotations: F64, pose: Pose, base_position_m: F64
     ) -> None:
-        """Write base-frame deltas into `out`, each from where the one before it leads, starting
-        at `pose`.
+        """Write base-frame deltas into `out`, each from where the one before it leads, starting at
+        `pose`.
         """
         position, orientation = pose.position_m, matrix_from_quaternion(pose.quaternion_xyzw)
         for row, translation, rotation in zip(out, translations, rotations, strict=True):

@@ -11,8 +11,8 @@ _VISION = _PALIGEMMA + "model.vision_tower.vision_model."
 _PREFIX = _PALIGEMMA + "model.language_model."
 _EXPERT = "paligemma_with_expert.gemma_expert."
 EMBEDDING_KEYS = (_PALIGEMMA + "lm_head.weight", _PREFIX + "embed_tokens.weight")
-"""The token embedding is tied to the head: a checkpoint holds it under one of these names, or
-under both.
+"""The token embedding is tied to the head: a checkpoint holds it under one of these names, or under
+both.
 """
 
 

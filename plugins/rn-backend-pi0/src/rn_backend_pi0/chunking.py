@@ -84,8 +84,8 @@ def prefix_weights(committed: int, end: int, total: int, schedule: Schedule) -> 
 
 
 def guidance_weights(times: Sequence[float], max_weight: float) -> tuple[float, ...]:
-    """Weight of the guidance at each Euler step: (tau^2 + (1-tau)^2) / (tau (1-tau)), clipped
-    at `max_weight`.
+    """Weight of the guidance at each Euler step: (tau^2 + (1-tau)^2) / (tau (1-tau)), clipped at
+    `max_weight`.
     """
     weights = []
     for time in times:

@@ -1,5 +1,5 @@
-"""A client of openpi's websocket policy server: one request at a time, bounded waits,
-reconnects by itself.
+"""A client of openpi's websocket policy server: one request at a time, bounded waits, reconnects by
+itself.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""Images as pi0 takes them: 224 x 224, aspect kept, black bars, resized the way the
-checkpoint's own code does.
+"""Images as pi0 takes them: 224 x 224, aspect kept, black bars, resized the way the checkpoint's
+own code does.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ Flip = Literal["none", "rotate-180", "mirror"]
 
 
 def flip_image(image: U8, flip: Flip) -> U8:
-    """Turn an upright image (H, W, 3) into what the checkpoint was trained on ("mirror" swaps
-    left and right).
+    """Turn an upright image (H, W, 3) into what the checkpoint was trained on ("mirror" swaps left
+    and right).
     """
     if flip == "rotate-180":
         return image[::-1, ::-1]
@@ -26,8 +26,8 @@ def flip_image(image: U8, flip: Flip) -> U8:
 
 
 def _fitted(height: int, width: int, side: int) -> tuple[int, int, int, int]:
-    """Height and width inside the square, and the top and left margin. Source: openpi and
-    LeRobot alike.
+    """Height and width inside the square, and the top and left margin. Source: openpi and LeRobot
+    alike.
     """
     ratio = max(height / side, width / side)
     inner_height, inner_width = int(height / ratio), int(width / ratio)

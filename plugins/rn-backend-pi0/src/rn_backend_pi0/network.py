@@ -22,8 +22,8 @@ from rn_backend_pi0.layers import Gemma, KeyValue, Rotary, VisionTower
 
 
 class Pi0Network(nn.Module):
-    """The whole model. Parameters are named as in `architecture.module_keys`; projections at
-    the border are float32.
+    """The whole model. Parameters are named as in `architecture.module_keys`; projections at the
+    border are float32.
     """
 
     def __init__(self, dims: Pi0Dims) -> None:
@@ -132,8 +132,8 @@ class Pi0Network(nn.Module):
         return angles.cos().to(dtype), angles.sin().to(dtype)
 
     def _fill_prefix(self, x: Tensor, rotary: Rotary) -> list[KeyValue]:
-        """Run the language model over the prefix; returns each layer's cache with room for
-        state and actions.
+        """Run the language model over the prefix; returns each layer's cache with room for state
+        and actions.
         """
         dims = self.dims.prefix
         room = 1 + self.dims.chunk
@@ -147,8 +147,8 @@ class Pi0Network(nn.Module):
         return cache
 
     def _fill_state(self, x: Tensor, rotary: Rotary, cache: list[KeyValue], position: int) -> None:
-        """Run the expert over the state token, which sees the prefix and itself, and write its
-        keys and values.
+        """Run the expert over the state token, which sees the prefix and itself, and write its keys
+        and values.
         """
         for index, layer in enumerate(self.expert.blocks()):
             normed = layer.input_layernorm(x)

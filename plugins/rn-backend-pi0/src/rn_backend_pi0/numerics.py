@@ -17,9 +17,8 @@ def flow_times(family: Family, steps: int) -> tuple[float, ...]:
     float32.
 
     The highest frequency of the time embedding is 1571 rad, so a rounding of 1e-7 in time is 2e-4
-    in the embedding.
-    Source: openpi subtracts 1/steps again and again in float32; LeRobot computes 1 - k/steps and
-    then rounds.
+    in the embedding. Source: openpi subtracts 1/steps again and again in float32; LeRobot computes
+    1 - k/steps and then rounds.
     """
     if family == "lerobot":
         return tuple(float(np.float32(1.0 + k * (-1.0 / steps))) for k in range(steps))

@@ -1,5 +1,5 @@
-"""What this package offers RoboNeuron: the backends "pi0" (native) and "pi0-remote" (openpi
-policy server).
+"""What this package offers RoboNeuron: the backends "pi0" (native) and "pi0-remote" (openpi policy
+server).
 """
 
 from __future__ import annotations

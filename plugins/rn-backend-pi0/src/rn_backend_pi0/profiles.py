@@ -72,6 +72,6 @@ controllers/osc.py, LIBERO env_wrapper.py (control_freq 20), openpi examples/lib
 "libero-openpi": the same, but the network's output is relative to the state. Source: openpi
 training/config.py, extra_delta_transform of pi0_libero. openpi's policy server adds the state
 itself, so the remote backend uses "libero". "bridge": metres and radians at 5 Hz, rotation as roll,
-pitch, yaw, gripper 1 open; the rotation of the state is taken
-against a gripper that points down. Source: see `rn_vla.rotation.rpy_by_down`.
+pitch, yaw, gripper 1 open; the rotation of the state is taken against a gripper that points down.
+Source: see `rn_vla.rotation.rpy_by_down`.
 """

@@ -32,8 +32,8 @@ if TYPE_CHECKING:
     from rn_backend_pi0.client import PolicyClient
 
 _FRESH_S = 0.2
-"""When reconnecting took longer than this, the images at hand are old and the caller is asked
-for newer ones.
+"""When reconnecting took longer than this, the images at hand are old and the caller is asked for
+newer ones.
 """
 _DOWN_XYZW = (1.0, 0.0, 0.0, 0.0)
 log = logging.getLogger(__name__)
@@ -202,8 +202,8 @@ def _nominal(config: Pi0RemoteOptions, profile: Profile) -> Observation:
 
 
 def _actions(reply: dict[Any, Any]) -> NDArray[np.float64]:
-    """float64 (H, 7) of a reply. Raises ConfigurationError for anything else; non-finite values
-    are left to others.
+    """float64 (H, 7) of a reply. Raises ConfigurationError for anything else; non-finite values are
+    left to others.
     """
     actions = reply.get("actions")
     if not isinstance(actions, np.ndarray):

@@ -51,8 +51,8 @@ _ACTIVATION = "gelu_pytorch_tanh"
 
 
 def make_tokenizer(vocabulary: int) -> Tokenizer:
-    """A byte-complete BPE tokenizer with PaliGemma's special tokens, trained on six sentences
-    of our own.
+    """A byte-complete BPE tokenizer with PaliGemma's special tokens, trained on six sentences of
+    our own.
     """
     tokenizer = Tokenizer(models.BPE(byte_fallback=False))
     tokenizer.normalizer = normalizers.NFC()

@@ -1,5 +1,5 @@
-"""Weights from safetensors files into a network: every tensor is accounted for, one tensor in
-host memory at a time.
+"""Weights from safetensors files into a network: every tensor is accounted for, one tensor in host
+memory at a time.
 """
 
 from __future__ import annotations

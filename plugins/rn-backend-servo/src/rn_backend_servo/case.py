@@ -1,5 +1,5 @@
-"""The backend's contract case: a painted table with one cube, seen by a calibrated camera;
-loaded by the kit only.
+"""The backend's contract case: a painted table with one cube, seen by a calibrated camera; loaded
+by the kit only.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ def overhead_camera() -> CameraCalibration:
 def paint_table(
     cubes: dict[str, tuple[float, float, float]], edge_m: float = 0.044
 ) -> NDArray[np.uint8]:
-    """An image (SIDE_PX, SIDE_PX, 3) of cubes, colour -> x_m, y_m, yaw_rad: filled outlines and
-    a hint of noise.
+    """An image (SIDE_PX, SIDE_PX, 3) of cubes, colour -> x_m, y_m, yaw_rad: filled outlines and a
+    hint of noise.
     """
     noise = np.random.default_rng(0).integers(-4, 5, (SIDE_PX, SIDE_PX, 3))
     image = np.asarray(TABLE_RGB) + noise
@@ -93,8 +93,8 @@ def observe(
 
 
 def _grained(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """The image with one grey value changed by the time, as a camera never gives the same
-    picture twice.
+    """The image with one grey value changed by the time, as a camera never gives the same picture
+    twice.
     """
     grained = image.copy()
     grained[0, time.time_ns() // 1000 % SIDE_PX] ^= 1

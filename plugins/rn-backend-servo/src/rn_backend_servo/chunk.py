@@ -1,5 +1,5 @@
-"""Several rows from one prediction: what is under way is kept, then the way to the goal goes on
-row by row.
+"""Several rows from one prediction: what is under way is kept, then the way to the goal goes on row
+by row.
 """
 
 from __future__ import annotations

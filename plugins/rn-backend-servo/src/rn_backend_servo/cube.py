@@ -24,8 +24,8 @@ _NUDGES = np.array([1e-4, 1e-4, 1e-3, 1e-4])
 _DAMPING = np.array([1.0, 1.0, 0.1, 1.0])
 _CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (0.0, 1.0)])
 _POOR_PX, _POOR_SHARE = 0.9, 0.05
-"""An outline that misses the model by more than this, or this share of its size, is hidden in
-part or is no cube.
+"""An outline that misses the model by more than this, or this share of its size, is hidden in part
+or is no cube.
 """
 
 
@@ -50,8 +50,8 @@ class CubeEstimate:
 
 
 def cube_corners(parameters: F64, table_m: float) -> F64:
-    """Corners (..., 8, 3) in the base frame of cubes on the table; parameters (..., 4): x, y,
-    yaw, edge.
+    """Corners (..., 8, 3) in the base frame of cubes on the table; parameters (..., 4): x, y, yaw,
+    edge.
     """
     x, y, yaw, edge = (parameters[..., i, None] for i in range(4))
     c, s = np.cos(yaw), np.sin(yaw)
@@ -60,8 +60,8 @@ def cube_corners(parameters: F64, table_m: float) -> F64:
 
 
 class _OutlineFit:
-    """Gauss-Newton on the differences between the outline of a cube and one seen, for several
-    cubes at once.
+    """Gauss-Newton on the differences between the outline of a cube and one seen, for several cubes
+    at once.
     """
 
     def __init__(
@@ -74,8 +74,8 @@ class _OutlineFit:
         self._edge_m, self._edge_spread_m = edge_m, edge_spread_m
 
     def residuals(self, parameters: F64) -> F64:
-        """Parameters (..., 4) -> how much farther the cubes' outlines reach in each direction
-        [px], then the prior.
+        """Parameters (..., 4) -> how much farther the cubes' outlines reach in each direction [px],
+        then the prior.
         """
         reach = (self._view.project(cube_corners(parameters, self._table_m)) @ self._normals).max(
             axis=-2

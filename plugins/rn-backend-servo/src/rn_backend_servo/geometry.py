@@ -21,8 +21,8 @@ def matrix_of(pose: Pose) -> F64:
 
 
 def downward(yaw_rad: float) -> F64:
-    """Rotation (3, 3) of a TCP that points straight down (z along -z of the base), its x axis
-    at `yaw_rad` from x.
+    """Rotation (3, 3) of a TCP that points straight down (z along -z of the base), its x axis at
+    `yaw_rad` from x.
     """
     c, s = np.cos(yaw_rad), np.sin(yaw_rad)
     return np.array([[c, s, 0.0], [s, -c, 0.0], [0.0, 0.0, -1.0]])
@@ -34,8 +34,8 @@ def yaw_of(rotation: F64) -> float:
 
 
 def quarter_turn_near(angle_rad: float, reference_rad: float) -> float:
-    """The angle nearest to `reference_rad` that differs from `angle_rad` by quarter turns: a
-    cube looks the same.
+    """The angle nearest to `reference_rad` that differs from `angle_rad` by quarter turns: a cube
+    looks the same.
     """
     quarter = np.pi / 2
     return float(angle_rad + quarter * np.round((reference_rad - angle_rad) / quarter))

@@ -31,8 +31,8 @@ class PoseHistory:
         self._poses.clear()
 
     def add(self, pose: Pose) -> None:
-        """Note a measured pose; one no newer than the last is ignored, after a clock set back
-        all start anew.
+        """Note a measured pose; one no newer than the last is ignored, after a clock set back all
+        start anew.
         """
         if self._poses and pose.stamp_ns < self._poses[-1].stamp_ns:
             self._poses.clear()
@@ -40,8 +40,8 @@ class PoseHistory:
             self._poses.append(pose)
 
     def at(self, stamp_ns: int) -> F64 | None:
-        """TCP pose (4, 4) in the base frame at `stamp_ns`, interpolated; None when the motion
-        then is not known.
+        """TCP pose (4, 4) in the base frame at `stamp_ns`, interpolated; None when the motion then
+        is not known.
         """
         poses = self._poses
         if not poses or stamp_ns > poses[-1].stamp_ns + _AHEAD_NS:

@@ -59,8 +59,8 @@ class Target:
         )
 
     def updated(self, estimate: CubeEstimate) -> Target:
-        """After another view: clear ones are averaged, a clear one far away or after unclear
-        ones replaces.
+        """After another view: clear ones are averaged, a clear one far away or after unclear ones
+        replaces.
         """
         if not estimate.is_clear:
             return self

@@ -20,8 +20,7 @@ _NEAR_M, _NEAR_HEIGHT_M, _NEAR_RAD = 0.004, 0.006, 0.04
 _STRAY_M = 0.008
 """The descent waits while the TCP is farther than this beside its line."""
 _BLIND_M = 0.09
-"""Below this height of the TCP above the table the fingers hide the cube: its place is
-remembered.
+"""Below this height of the TCP above the table the fingers hide the cube: its place is remembered.
 """
 _RETREAT_M = 0.30
 """Height above the table from which the hand hides nothing."""
@@ -204,8 +203,8 @@ class PickPolicy:
         return self._towards(goal, OPEN)
 
     def _release(self, sighting: Sighting | None, tcp: F64, gripper_open: float) -> ServoMotion:
-        """Straight down with the gripper closed, then open it: what was lifted goes back where
-        it came from.
+        """Straight down with the gripper closed, then open it: what was lifted goes back where it
+        came from.
         """
         episode, anchor = self.episode, self.episode.anchor
         goal = self._goal(anchor[0, 3], anchor[1, 3], self._options.grasp_m, yaw_of(anchor))

@@ -25,8 +25,8 @@ LEAST_VALUE = 0.15
 LEAST_AREA_PX = 16
 """Smaller regions are noise."""
 LEAST_FILL = 0.45
-"""Share of its bounding box that a compact region fills: a cube's outline fills at least half,
-seen from anywhere.
+"""Share of its bounding box that a compact region fills: a cube's outline fills at least half, seen
+from anywhere.
 """
 
 
@@ -83,8 +83,8 @@ def _runs(mask: Mask) -> list[tuple[int, int, int]]:
 
 
 def regions(mask: Mask) -> list[list[tuple[int, int, int]]]:
-    """Connected regions (four neighbours) as lists of horizontal runs (row, first column,
-    column after the last).
+    """Connected regions (four neighbours) as lists of horizontal runs (row, first column, column
+    after the last).
     """
     runs = _runs(mask)
     parent = list(range(len(runs)))

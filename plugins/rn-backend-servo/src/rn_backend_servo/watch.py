@@ -19,8 +19,8 @@ _EVEN = 1.5
 """An image whose values spread less than this (standard deviation, of 255) shows nothing."""
 _STRIDE = 4
 _FROZEN_M, _FROZEN_UNSYNCHRONISED_M = 0.02, 0.10
-"""The TCP has moved this far between two identical images: by the images' times, or where those
-are not comparable.
+"""The TCP has moved this far between two identical images: by the images' times, or where those are
+not comparable.
 """
 _OLD_POSE_NS = 500_000_000
 """A pose this much older than the image belongs to another moment; going on would move the arm

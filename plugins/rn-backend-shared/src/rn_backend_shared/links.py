@@ -1,5 +1,5 @@
-"""A robot's connection to the servers of its model: started when there is none, left for
-another when one dies.
+"""A robot's connection to the servers of its model: started when there is none, left for another
+when one dies.
 """
 
 from __future__ import annotations
@@ -148,8 +148,8 @@ class Links:
         return told is not None and told["state"] == READY
 
     def _greet(self, path: Path) -> wire.Document | None:
-        """What the server there says of itself; a ready one is connected from now on. None:
-        there is none.
+        """What the server there says of itself; a ready one is connected from now on. None: there
+        is none.
         """
         connected = socket.socket(socket.AF_UNIX)
         try:
@@ -182,8 +182,8 @@ class Links:
                 self._start(path)
 
     def _start(self, path: Path) -> None:
-        """Start a server in the background, unless it was just started; one that runs already
-        makes it end at once.
+        """Start a server in the background, unless it was just started; one that runs already makes
+        it end at once.
         """
         now_s = time.monotonic()
         if now_s - self._started_s.get(path, -_AGAIN_S) < _AGAIN_S:

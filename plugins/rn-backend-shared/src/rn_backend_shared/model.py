@@ -1,5 +1,5 @@
-"""The backend that a server holds, built as the inference module builds it, and asked for
-several robots at once.
+"""The backend that a server holds, built as the inference module builds it, and asked for several
+robots at once.
 """
 
 from __future__ import annotations
@@ -24,7 +24,8 @@ from roboneuron.feature import build, discover
 Many = Callable[[Sequence[Observation]], Sequence[ActionChunk]]
 METHOD = "predict_batch"
 """What a backend may offer beside `Backend`: one chunk for each observation, in their order, from
-one forward. Offering it says that predictions depend on the observation alone."""
+one forward. Offering it says that predictions depend on the observation alone.
+"""
 
 
 class SharedModel:

@@ -18,8 +18,8 @@ Table = Annotated[dict[str, Any], ConfigurationOnly()]
 
 
 class SharedOptions(BaseModel):
-    """Which model is shared, and how it is asked. Robots with the same model options use the
-    same server.
+    """Which model is shared, and how it is asked. Robots with the same model options use the same
+    server.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
@@ -41,7 +41,8 @@ class SharedOptions(BaseModel):
     stateless: Annotated[bool, ConfigurationOnly()] = False
     """Share a backend that cannot answer several observations at once: it is asked one by one. Only
     for a backend that remembers nothing from one observation to the next, because it would mix the
-    robots up."""
+    robots up.
+    """
     most: Annotated[int, Field(ge=1, le=256)] = 8
     """Most observations in one batch."""
     waiting: Annotated[int, Field(ge=1, le=4096)] = 64
@@ -49,8 +50,8 @@ class SharedOptions(BaseModel):
     linger_s: Annotated[float, Field(ge=0, le=0.1, allow_inf_nan=False)] = 0.003
     """How long an idle server waits for other robots before it answers the first one alone."""
     replicas: Annotated[int, Field(ge=1, le=8)] = 1
-    """Servers, each with a copy of the model; when one dies, its robots go on with another
-    within the same chunk.
+    """Servers, each with a copy of the model; when one dies, its robots go on with another within
+    the same chunk.
     """
     timeout_s: Annotated[float, Field(gt=0, le=60, allow_inf_nan=False)] = 1.5
     """An answer that takes longer is of no use: the deadline of each observation."""

@@ -146,8 +146,8 @@ class ModelServer:
         self._robots.pop(robot, None)
 
     def _accept(self, listener: socket.socket) -> None:
-        """Take connections until the end; a robot that has asked nothing yet gives way when
-        there are too many.
+        """Take connections until the end; a robot that has asked nothing yet gives way when there
+        are too many.
         """
         while not self._end.is_set():
             try:

@@ -1,5 +1,5 @@
-"""Messages between robots and server: a JSON document and the arrays it refers to, in one frame
-of bounded size.
+"""Messages between robots and server: a JSON document and the arrays it refers to, in one frame of
+bounded size.
 """
 
 from __future__ import annotations
@@ -104,8 +104,8 @@ def _filled(value: Any, arrays: list[NDArray[Any]]) -> Any:
 
 
 class Channel:
-    """Frames over a connected socket. One thread reads; `send` from any thread that holds no
-    other `send`.
+    """Frames over a connected socket. One thread reads; `send` from any thread that holds no other
+    `send`.
     """
 
     def __init__(self, connected: socket.socket) -> None:
@@ -157,8 +157,8 @@ class Channel:
 
 
 def from_observation(observation: Observation) -> Document:
-    """What is sent of an observation; rows ahead stay at home, since no shared backend
-    continues them.
+    """What is sent of an observation; rows ahead stay at home, since no shared backend continues
+    them.
     """
     joints, pose = observation.joints, observation.ee_pose
     return {
@@ -187,8 +187,8 @@ def _from_frame(frame: Frame) -> Document:
 
 
 def to_observation(document: Document) -> Observation:
-    """The observation that was sent. Raises KeyError, TypeError, ValueError or RoboNeuronError
-    for anything else.
+    """The observation that was sent. Raises KeyError, TypeError, ValueError or RoboNeuronError for
+    anything else.
     """
     joints, pose = document["joints"], document["ee_pose"]
     return Observation(

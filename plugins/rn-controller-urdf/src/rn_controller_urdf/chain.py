@@ -1,5 +1,5 @@
-"""The serial chain between two links of a URDF: kinematics only, without meshes, masses and
-side branches.
+"""The serial chain between two links of a URDF: kinematics only, without meshes, masses and side
+branches.
 """
 
 from __future__ import annotations

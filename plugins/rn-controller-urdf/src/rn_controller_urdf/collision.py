@@ -32,9 +32,9 @@ class CollisionModel:
 
     Links of one joint and links that a joint connects are not compared, nor fingers of one hand,
     nor links that touch each other at the profile's home posture, nor a base that stands on an
-    obstacle: these overlap by construction.
-    Only boxes, cylinders, spheres and capsules count: meshes are refused. Joints that a sample does
-    not name stay at zero, or at the limit next to it; mimic joints follow.
+    obstacle: these overlap by construction. Only boxes, cylinders, spheres and capsules count:
+    meshes are refused. Joints that a sample does not name stay at zero, or at the limit next to it;
+    mimic joints follow.
     """
 
     def __init__(self, profile: RobotProfile, collision: CollisionProfile) -> None:

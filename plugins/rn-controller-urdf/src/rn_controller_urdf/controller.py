@@ -101,8 +101,8 @@ class UrdfController:
         return _pose(viewer, position, joints.stamp_ns)
 
     def inspect(self, joints: JointSample) -> Posture:
-        """TCP pose, smallest singular value and, where the profile asks, what is too near.
-        Raises as `forward`.
+        """TCP pose, smallest singular value and, where the profile asks, what is too near. Raises
+        as `forward`.
         """
         viewer, position = self._viewed(joints)
         return Posture(

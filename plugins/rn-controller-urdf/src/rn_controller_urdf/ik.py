@@ -14,8 +14,8 @@ from rn_controller_urdf.model import ArmModel
 F64 = NDArray[np.float64]
 
 _DAMPING = 1e-8
-"""Smallest squared damping: far below the squares of the singular values of a usable posture
-(about 0.1 each).
+"""Smallest squared damping: far below the squares of the singular values of a usable posture (about
+0.1 each).
 """
 _DAMPING_BY_ERROR = 1e-2
 """Squared damping per squared error: careful steps far away, undamped ones close by. Source:
@@ -72,8 +72,8 @@ class InverseKinematics:
         return values if values[3] >= 0.0 else -values
 
     def smallest_singular_value(self, position: F64, *, track_rotation: bool = True) -> float:
-        """Distance of a posture (n,) from a singularity: of the TCP's Jacobian, in m and rad
-        per joint unit.
+        """Distance of a posture (n,) from a singularity: of the TCP's Jacobian, in m and rad per
+        joint unit.
         """
         model, pin = self._model, self._pin
         pin.computeJointJacobians(model.kinematics, self._data, self._chain_positions(position))
@@ -150,8 +150,8 @@ class InverseKinematics:
     def _linearise(
         self, position: F64, target: Any, track_rotation: bool
     ) -> tuple[F64, F64, float, float]:
-        """Error (k,), Jacobian (k, n), both in axes of the TCP frame, and the distances [m],
-        [rad]; k is 6 or 3.
+        """Error (k,), Jacobian (k, n), both in axes of the TCP frame, and the distances [m], [rad];
+        k is 6 or 3.
         """
         model, pin = self._model, self._pin
         pin.computeJointJacobians(model.kinematics, self._data, self._chain_positions(position))

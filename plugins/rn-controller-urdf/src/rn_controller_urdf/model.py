@@ -1,5 +1,5 @@
-"""The arm as the solver needs it: pinocchio model of the chain, limits, and the map from arm
-joints to chain joints.
+"""The arm as the solver needs it: pinocchio model of the chain, limits, and the map from arm joints
+to chain joints.
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ class ArmModel:
 
 
 def _arm_joints(profile: RobotProfile, moving: list[ChainJoint]) -> list[ChainJoint]:
-    """The joints that the profile commands, in chain order; every other moving joint must
-    follow one of them.
+    """The joints that the profile commands, in chain order; every other moving joint must follow
+    one of them.
     """
     arm = [joint for joint in moving if joint.name in profile.arm_joints]
     missing = set(profile.arm_joints) - {joint.name for joint in arm}

@@ -1,5 +1,5 @@
-"""What a user may set under `[plugins.urdf]` of the controllers: bounds of one step and
-tolerances of the solution.
+"""What a user may set under `[plugins.urdf]` of the controllers: bounds of one step and tolerances
+of the solution.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""The driver `ros2-control`: joint commands -> a joint_trajectory_controller, its states and
-faults -> the robot's.
+"""The driver `ros2-control`: joint commands -> a joint_trajectory_controller, its states and faults
+-> the robot's.
 """
 
 from __future__ import annotations
@@ -284,8 +284,8 @@ class Ros2ControlDriver:
                 self._fault = worded(end, text)
 
     def _judge(self, link: ControllerLink) -> None:
-        """In mode topic nobody reports violated tolerances: compare the controller's own error
-        with the options.
+        """In mode topic nobody reports violated tolerances: compare the controller's own error with
+        the options.
         """
         report = link.report()
         if self._options.mode != "topic" or report is None or self._fault:

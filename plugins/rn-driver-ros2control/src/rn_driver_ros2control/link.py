@@ -1,5 +1,5 @@
-"""What lies between the driver and a controller: a small protocol, so that the driver's rules
-need no ROS graph.
+"""What lies between the driver and a controller: a small protocol, so that the driver's rules need
+no ROS graph.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""Whether the controller and its joint states are there: asked at the start, and before
-everything that is sent.
+"""Whether the controller and its joint states are there: asked at the start, and before everything
+that is sent.
 """
 
 from __future__ import annotations
@@ -67,8 +67,8 @@ class ControllerWatch:
             )
 
     def check_topics(self) -> None:
-        """Two publishers of one robot's joint states: this driver would read what its own
-        module repeats.
+        """Two publishers of one robot's joint states: this driver would read what its own module
+        repeats.
         """
         if self._topics.publisher_types("joint_states"):
             raise ConfigurationError(
@@ -196,8 +196,8 @@ class ControllerWatch:
         return position, np.where(np.isfinite(velocity), velocity, 0.0)
 
     def _stamp(self, joints: Sequence[Measured]) -> int:
-        """When the oldest of `joints` was measured, in ROS time here; never before what was
-        told earlier.
+        """When the oldest of `joints` was measured, in ROS time here; never before what was told
+        earlier.
         """
         now_ns, oldest = self._topics.now_ns(), min(joints, key=lambda joint: joint.received_s)
         stamp_ns = oldest.stamp_ns

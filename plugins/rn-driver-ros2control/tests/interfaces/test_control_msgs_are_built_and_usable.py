@@ -1,5 +1,5 @@
-"""control_msgs is built from its definitions, serialises, is found by its definitions, and
-fails with what to do.
+"""control_msgs is built from its definitions, serialises, is found by its definitions, and fails
+with what to do.
 """
 
 from __future__ import annotations
@@ -124,8 +124,8 @@ def test_a_folder_without_definitions_is_refused(tmp_path):
 
 @pytest.mark.ros
 def test_messages_services_and_actions_pass_the_middleware():
-    """Creating endpoints needs more of the typesupport than serialising: rmw_fastrtps describes
-    the type as well.
+    """Creating endpoints needs more of the typesupport than serialising: rmw_fastrtps describes the
+    type as well.
     """
     import rclpy
     from control_msgs.action import FollowJointTrajectory

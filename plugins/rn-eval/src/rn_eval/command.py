@@ -26,8 +26,8 @@ def _names(text: str) -> tuple[str, ...]:
 
 
 class Eval:
-    """Measure how often a policy succeeds: many simulated episodes, a ledger that survives
-    crashes, a report.
+    """Measure how often a policy succeeds: many simulated episodes, a ledger that survives crashes,
+    a report.
     """
 
     def configure(self, parser: ArgumentParser) -> None:

@@ -409,8 +409,8 @@ RULES: tuple[Rule[SuiteCase], ...] = (
     *cast("tuple[Rule[SuiteCase], ...]", OF_EVERY_DESCRIPTOR),
     *_OWN,
 )
-"""Rules of a suite: those of every descriptor (no agent sets its options, so that none is
-marked), and its own.
+"""Rules of a suite: those of every descriptor (no agent sets its options, so that none is marked),
+and its own.
 """
 KIND = Kind(case=SuiteCase, rules=RULES)
 """What the kit needs to try suites."""

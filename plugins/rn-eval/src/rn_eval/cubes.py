@@ -1,5 +1,5 @@
-"""The suite "cubes": the simulated FR3 is told to pick up one of several cubes, which the
-simulator judges.
+"""The suite "cubes": the simulated FR3 is told to pick up one of several cubes, which the simulator
+judges.
 """
 
 from __future__ import annotations
@@ -101,8 +101,8 @@ class Cubes:
         return self._options.colours[seed % len(self._options.colours)]
 
     def _on_table(self, seed: int, target: str) -> tuple[str, ...]:
-        """Colours on the table, in the order of the option; with all of them the scene is that
-        of `roboneuron demo`.
+        """Colours on the table, in the order of the option; with all of them the scene is that of
+        `roboneuron demo`.
         """
         others = [colour for colour in self._options.colours if colour != target]
         drawn = np.random.default_rng([_DRAW, seed]).permutation(others)[
@@ -236,8 +236,8 @@ class CubesScene:
         self._simulation.close()
 
     def _turn_to_target(self) -> float:
-        """Between the fingers and the nearest side of the named cube, 0 .. pi / 4 [rad]; both
-        hang level at first.
+        """Between the fingers and the nearest side of the named cube, 0 .. pi / 4 [rad]; both hang
+        level at first.
         """
         hand = matrix_from_quaternion(self._controller.forward(self._joints(0)).quaternion_xyzw)
         cube = next(cube for cube in self._simulation.scene if cube.name == self._target)

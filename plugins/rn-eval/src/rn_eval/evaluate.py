@@ -85,8 +85,8 @@ def evaluate(
 
 @contextmanager
 def _exit_on_sigterm() -> Iterator[None]:
-    """Let SIGTERM end the run as Ctrl-C does; Ray, which is begun by then, would abort with a
-    stack trace.
+    """Let SIGTERM end the run as Ctrl-C does; Ray, which is begun by then, would abort with a stack
+    trace.
     """
     if threading.current_thread() is not threading.main_thread():
         yield

@@ -13,8 +13,8 @@ _SHOWN = 6
 _HEIGHT_PX, _CAPTION_PX, _MARGIN_PX = 160, 18, 3
 _FONT_PX, _GAP_PX = 12, 10
 _COLOURS = 256
-"""Chosen to cover what there is: by the number of pixels, a small yellow cube becomes as grey
-as the table.
+"""Chosen to cover what there is: by the number of pixels, a small yellow cube becomes as grey as
+the table.
 """
 
 

@@ -1,5 +1,5 @@
-"""How long a prediction takes on the episode's clock: nothing, what was measured, or drawn from
-a distribution.
+"""How long a prediction takes on the episode's clock: nothing, what was measured, or drawn from a
+distribution.
 """
 
 from __future__ import annotations

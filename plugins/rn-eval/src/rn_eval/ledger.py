@@ -75,10 +75,8 @@ class Ledger:
     """The ledger of one run, held by one process at a time. Use it as a context manager."""
 
     def __init__(self, directory: Path, *, other_versions: bool = False) -> None:
-        """Args:
-        directory: its folder.
-        other_versions: packages may have other versions than when the run was begun; the plan and
-        each line say so.
+        """Args: directory: its folder. other_versions: packages may have other versions than when
+        the run was begun; the plan and each line say so.
         """
         self.directory = directory
         self.plan: EvalPlan | None = None
@@ -221,8 +219,8 @@ def _check_same(old: EvalPlan, new: EvalPlan, directory: Path) -> None:
 
 
 def _write_durably(path: Path, data: bytes) -> None:
-    """Replace the file in one step, so that a crash or a full disk leaves the old or the new
-    one. Raises StateError.
+    """Replace the file in one step, so that a crash or a full disk leaves the old or the new one.
+    Raises StateError.
     """
     temporary = path.with_name(f".{path.name}.new")
     with _told(path):

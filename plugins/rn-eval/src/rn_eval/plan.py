@@ -1,5 +1,5 @@
-"""What is to be evaluated: the plan, its variants, and the key of each episode. Kept as JSON
-beside the ledger.
+"""What is to be evaluated: the plan, its variants, and the key of each episode. Kept as JSON beside
+the ledger.
 """
 
 from __future__ import annotations

@@ -150,8 +150,8 @@ def _latency_ms(row: Row) -> float:
 
 
 def _speed(axes: Any, rows: Sequence[Row]) -> None:
-    """Names stand in the legend: presets are often equally fast and equally good, and labels
-    would cover each other.
+    """Names stand in the legend: presets are often equally fast and equally good, and labels would
+    cover each other.
     """
     for row, marker in zip(rows, cycle(_MARKERS)):
         share = [row.success]

@@ -88,8 +88,8 @@ def _about(plans: Sequence[EvalPlan], records: Sequence[Record]) -> list[tuple[s
 
 
 def _versions(plans: Sequence[EvalPlan]) -> str:
-    """Each package with every version that had a part in the runs, those that they were begun
-    with first.
+    """Each package with every version that had a part in the runs, those that they were begun with
+    first.
     """
     found: dict[str, list[str]] = {}
     for versions in (each for plan in plans for each in (plan.versions, *plan.later_versions)):

@@ -27,8 +27,8 @@ class Request(NamedTuple):
 
 
 class PolicyActor:
-    """Holds a backend; an asynchronous actor of Ray. Observations that arrive during a forward
-    form the next batch.
+    """Holds a backend; an asynchronous actor of Ray. Observations that arrive during a forward form
+    the next batch.
     """
 
     def __init__(self, plan: str) -> None:

@@ -118,8 +118,8 @@ class Suite(Protocol):
     """Tasks in one simulated world. Built as `target(config)`; used from one thread."""
 
     def episodes(self, count: int, first_seed: int) -> Sequence[Episode]:
-        """The episodes of a run, in the order in which they run best; more of them contain the
-        same ones.
+        """The episodes of a run, in the order in which they run best; more of them contain the same
+        ones.
         """
         ...
 

@@ -1,5 +1,5 @@
-"""Versions of everything that an episode's outcome depends on, and what became of them since a
-run was begun.
+"""Versions of everything that an episode's outcome depends on, and what became of them since a run
+was begun.
 """
 
 from __future__ import annotations

@@ -19,8 +19,8 @@ def golden():
 
 @pytest.fixture
 def stand_in(tmp_path):
-    """An "interpreter" that answers like the simulator, without one: a task is done after so
-    many closing actions.
+    """An "interpreter" that answers like the simulator, without one: a task is done after so many
+    closing actions.
     """
     script = tmp_path / "python"
     script.write_text(f'#!/bin/sh\nexec "{sys.executable}" "{HERE / "stand_in.py"}"\n')

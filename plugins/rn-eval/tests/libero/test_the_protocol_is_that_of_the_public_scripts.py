@@ -36,8 +36,8 @@ def options_of(suite, backend):
     ("raw", "expected"), [("agentview_raw", "full_cropped"), ("wrist_raw", "wrist_cropped")]
 )
 def test_images_are_preprocessed_alike(golden, at, raw, expected):
-    """JPEG and crop are exact; the resize sums in another order, so a value on the edge of
-    rounding may differ by 1.
+    """JPEG and crop are exact; the resize sums in another order, so a value on the edge of rounding
+    may differ by 1.
     """
     steps = options_of("libero-spatial", "oft")["image_steps"]
     tower = TowerPixels(mean=(0.5, 0.5, 0.5), std=(0.5, 0.5, 0.5))

@@ -76,8 +76,8 @@ def to_contract(action):
 
 def test_episodes_are_those_of_the_scripts(golden, suite):
     """1e-6: the same machine gives the same bits; another processor rounds otherwise, and 34 steps
-    carry that on.
-    Images: 2 levels of 255 on average, for another renderer."""
+    carry that on. Images: 2 levels of 255 on average, for another renderer.
+    """
     task = {"libero_spatial": 3, "libero_10": 2}[suite.name]
     # the second episode before the first
     for number in (1, 0) if suite.name == "libero_spatial" else (0,):

@@ -45,8 +45,8 @@ class Exposition:
     _lock: ClassVar[threading.Lock] = threading.Lock()
 
     def __init__(self, host: str, port: int, rules: HostRules, tokens: TokenTable) -> None:
-        """Listen. Raises ConfigurationError when the address cannot be used, NotReadyError when
-        it takes too long.
+        """Listen. Raises ConfigurationError when the address cannot be used, NotReadyError when it
+        takes too long.
         """
         self._address = (host, port)
         self._rules = rules

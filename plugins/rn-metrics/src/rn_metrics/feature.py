@@ -39,8 +39,8 @@ class MetricsFeature(Feature[MetricsOptions]):
     _looking: Periodic | None = None
 
     def check(self, config: Config) -> None:
-        """Check address and tokens when metrics are to be served, and the exporter when traces
-        are to be sent.
+        """Check address and tokens when metrics are to be served, and the exporter when traces are
+        to be sent.
         """
         if self.options.prometheus:
             http = cast(HttpOptions, feature_options(HTTP, config))

@@ -154,8 +154,8 @@ class Meters:
 
 
 def result_of(answer: Any) -> str:
-    """`ok`, or the code of the error of a tool call; middleware gets answers as they go over
-    the wire.
+    """`ok`, or the code of the error of a tool call; middleware gets answers as they go over the
+    wire.
     """
     if not (isinstance(answer, Mapping) and answer.get("isError")):
         return OK

@@ -45,8 +45,8 @@ def ros_case() -> PerceptionCase:
 
 
 def video_case() -> PerceptionCase:
-    """The fake robot's front camera, from a short video in a temporary directory that lasts as
-    long as the process.
+    """The fake robot's front camera, from a short video in a temporary directory that lasts as long
+    as the process.
     """
     import cv2  # heavy
 

@@ -52,8 +52,8 @@ class Fit:
         return whole
 
     def to_intrinsics(self, intrinsics: F64) -> F64:
-        """float64 (3, 3) [px] of the source -> of the target; pixel centres at integers + 0.5
-        in both.
+        """float64 (3, 3) [px] of the source -> of the target; pixel centres at integers + 0.5 in
+        both.
         """
         left, upper, right, lower = self.box
         x, y = self.scaled[0] / (right - left), self.scaled[1] / (lower - upper)

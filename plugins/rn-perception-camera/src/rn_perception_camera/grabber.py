@@ -16,8 +16,8 @@ Opener = Callable[[], tuple[Capture, float]]
 
 FIRST_RETRY_S = 0.5
 LAST_RETRY_S = 8.0
-"""A camera that is gone is tried again after 0.5 s, then each time twice as long, and at most
-this long, after.
+"""A camera that is gone is tried again after 0.5 s, then each time twice as long, and at most this
+long, after.
 """
 log = logging.getLogger(__name__)
 

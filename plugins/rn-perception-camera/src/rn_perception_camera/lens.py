@@ -23,8 +23,8 @@ MODELS: dict[str, tuple[int, ...]] = {
 }
 """Numbers of coefficients by distortion model of sensor_msgs/CameraInfo."""
 CELL_PX = 16
-"""The map is exact at the corners of such cells and bilinear between; under 0.1 px off for a
-lens with k1 = -0.3.
+"""The map is exact at the corners of such cells and bilinear between; under 0.1 px off for a lens
+with k1 = -0.3.
 """
 
 
@@ -69,8 +69,8 @@ class Undistortion:
         ]
 
     def apply(self, image: U8) -> U8:
-        """uint8 (H, W, 3) as the lens shows it -> uint8 (H, W, 3) as a pinhole would; black
-        where it saw nothing.
+        """uint8 (H, W, 3) as the lens shows it -> uint8 (H, W, 3) as a pinhole would; black where
+        it saw nothing.
         """
         picture = Image.fromarray(image)
         return np.asarray(

@@ -96,8 +96,8 @@ class VideoCameras:
         raise self._explain(timeout_s)
 
     def close(self) -> None:
-        """Stop grabbing and release the cameras; a `read` in progress ends with StateError. May
-        be called twice.
+        """Stop grabbing and release the cameras; a `read` in progress ends with StateError. May be
+        called twice.
         """
         self._arrivals.close()
         for grabber in self._grabbers.values():

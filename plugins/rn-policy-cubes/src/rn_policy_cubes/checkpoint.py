@@ -1,5 +1,5 @@
-"""From packed weights to a folder in the public OpenVLA-OFT layout, which rn-backend-oft loads
-as any other.
+"""From packed weights to a folder in the public OpenVLA-OFT layout, which rn-backend-oft loads as
+any other.
 """
 
 from __future__ import annotations

@@ -18,8 +18,8 @@ DEFAULT_DIRECTORY = Path("out/train-cubes")
 
 
 class CubesPolicy:
-    """A small learned policy for the suite "cubes": from nothing to a checkpoint in the
-    OpenVLA-OFT layout.
+    """A small learned policy for the suite "cubes": from nothing to a checkpoint in the OpenVLA-OFT
+    layout.
     """
 
     def configure(self, parser: ArgumentParser) -> None:

@@ -1,5 +1,5 @@
-"""From a recorded row to what the network is given and what it is to answer, for every colour
-that might be named.
+"""From a recorded row to what the network is given and what it is to answer, for every colour that
+might be named.
 """
 
 from __future__ import annotations

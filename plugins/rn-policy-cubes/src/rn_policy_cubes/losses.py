@@ -1,5 +1,5 @@
-"""What is minimised: the error of the actions, and three helpers whose heads are thrown away
-after training.
+"""What is minimised: the error of the actions, and three helpers whose heads are thrown away after
+training.
 """
 
 from __future__ import annotations
@@ -23,9 +23,8 @@ class Helpers(nn.Module):
     """Heads that only training has.
 
     `point`: whether a visual token shows the named cube, after the first and the second layer.
-    `spot`: where that cube
-    is, told by the tokens that show it. `place`: the same, told by the rows that the action head
-    reads.
+    `spot`: where that cube is, told by the tokens that show it. `place`: the same, told by the rows
+    that the action head reads.
     """
 
     def __init__(self, shape: Shape) -> None:
@@ -82,8 +81,8 @@ def losses(thought: Thought, helpers: Helpers, batch: Batch) -> Losses:
 
 
 def _pointing(logits: Tensor, batch: Batch) -> tuple[Tensor, Tensor]:
-    """Cross-entropy in which named, other cubes and background weigh alike; balanced accuracy
-    of the former two.
+    """Cross-entropy in which named, other cubes and background weigh alike; balanced accuracy of
+    the former two.
     """
     logits = logits.float()
     named, other = batch.shows_named.float(), batch.shows_other.float()

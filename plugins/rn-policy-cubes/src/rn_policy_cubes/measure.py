@@ -1,5 +1,5 @@
-"""Open-loop figures on held-out views, with all visual tokens: what decides whether a closed
-loop is worth trying.
+"""Open-loop figures on held-out views, with all visual tokens: what decides whether a closed loop
+is worth trying.
 """
 
 from __future__ import annotations

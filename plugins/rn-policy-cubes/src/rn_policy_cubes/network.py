@@ -50,8 +50,8 @@ class Look:
 
 
 def attend(query: Tensor, key: Tensor, value: Tensor, bias: Tensor | None) -> Tensor:
-    """Attention written out: on a CPU in bfloat16 its backward is several times faster than
-    that of the fused one.
+    """Attention written out: on a CPU in bfloat16 its backward is several times faster than that of
+    the fused one.
     """
     scores = (query * query.shape[-1] ** -0.5) @ key.transpose(-1, -2)
     if bias is not None:

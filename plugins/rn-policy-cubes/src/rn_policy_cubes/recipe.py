@@ -68,8 +68,8 @@ class Recipe(BaseModel):
     views: Size = 32
     """Views of a step; each gives one training pair for every colour."""
     tokens: Size = 24
-    """Visual tokens of a training step (of 256): those with cubes, and a sample that stands for
-    the others.
+    """Visual tokens of a training step (of 256): those with cubes, and a sample that stands for the
+    others.
     """
     full_from: Annotated[float, Field(ge=0, le=1)] = 0.97
     """Share of the steps after which all visual tokens are seen."""

@@ -1,9 +1,8 @@
 """The teacher: from the true state of the simulator to the next actions. It remembers nothing.
 
 Because it is a function of the present state alone, it labels any state with the actions it would
-take from there, and
-it can be asked for each cube of one picture: four colours named, four labels. It answers for many
-situations at once.
+take from there, and it can be asked for each cube of one picture: four colours named, four labels.
+It answers for many situations at once.
 """
 
 from __future__ import annotations
@@ -166,8 +165,8 @@ def _after(now: Situations, action: F64) -> Situations:
 
 
 def tilt_of(rotation: F64) -> F64:
-    """Turn about x and y, (n, 2) [rad], that points the z axis of TCP rotations (n, 3, 3)
-    straight down.
+    """Turn about x and y, (n, 2) [rad], that points the z axis of TCP rotations (n, 3, 3) straight
+    down.
     """
     axis = np.cross(rotation[..., 2], [0.0, 0.0, -1.0])
     sine = np.linalg.norm(axis, axis=-1, keepdims=True)

@@ -25,8 +25,8 @@ MOST_ORDERS = 2000
 STALLED_S = 10.0
 """Without a status for so long (it comes every 0.5 s), the recorder is ended and started again."""
 STARTING_S = 60.0
-"""So long it may take to its first status: it imports ROS and joins, on a machine that is busy
-with other starts.
+"""So long it may take to its first status: it imports ROS and joins, on a machine that is busy with
+other starts.
 """
 _LEAVE_S = 4.0
 _BACKOFF_S = (0.5, 2.0, 5.0, 15.0, 30.0)

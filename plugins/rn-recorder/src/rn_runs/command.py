@@ -121,8 +121,8 @@ class Runs:
 
 
 def open_store(arguments: Namespace) -> Store:
-    """The directory that the arguments name. Raises ConfigurationError for a configuration that
-    is wrong.
+    """The directory that the arguments name. Raises ConfigurationError for a configuration that is
+    wrong.
     """
     from rn_recorder.feature import runs_directory
     from rn_recorder.options import RecorderOptions
@@ -141,8 +141,8 @@ def open_store(arguments: Namespace) -> Store:
 
 
 def find_run(store: Store, name: str) -> Run:
-    """The run of that id, or the MCAP files at that path. Raises InvalidInputError when there
-    is none.
+    """The run of that id, or the MCAP files at that path. Raises InvalidInputError when there is
+    none.
     """
     from rn_runs.files import read_about
     from rn_runs.store import Run

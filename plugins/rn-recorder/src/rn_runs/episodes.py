@@ -60,8 +60,8 @@ class RecordedEpisode:
 
 @dataclass(frozen=True, slots=True)
 class Prediction:
-    """One line of the topic `predictions`; `facts` as `rn_runs.predictions` writes them,
-    `sequence` the publisher's.
+    """One line of the topic `predictions`; `facts` as `rn_runs.predictions` writes them, `sequence`
+    the publisher's.
     """
 
     at_ns: int
@@ -170,8 +170,8 @@ def read_episodes(
 
 
 def _cuts(streams: Streams, fallback: str) -> list[tuple[int, str]]:
-    """When each instruction began [ns]: by predictions, else by the calls that gave one, else
-    one for all.
+    """When each instruction began [ns]: by predictions, else by the calls that gave one, else one
+    for all.
     """
     found: list[tuple[int, str]] = []
     for prediction in streams.predictions:

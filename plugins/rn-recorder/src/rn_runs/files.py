@@ -59,8 +59,8 @@ class Record:
 
 
 class _Unbuffered:
-    """What the MCAP writer writes to: each chunk goes to the operating system at once, whole or
-    not at all counted.
+    """What the MCAP writer writes to: each chunk goes to the operating system at once, whole or not
+    at all counted.
     """
 
     def __init__(self, path: Path) -> None:
@@ -288,9 +288,8 @@ def copy_records(
     messages.
 
     A message that several files hold, as each holds the newest of latched topics, is written once.
-    Latched ones are
-    written whenever they came. `again_ns`: what came before that time [ns] is in the first source;
-    later ones may be in several.
+    Latched ones are written whenever they came. `again_ns`: what came before that time [ns] is in
+    the first source; later ones may be in several.
 
     Raises:
         OSError: it cannot be written; nothing is left of it then.

@@ -17,8 +17,7 @@ from rn_runs.transforms import DESCRIPTION, TF, TF_STATIC, RobotTransforms
 
 log = logging.getLogger(__name__)
 _PERIOD_NS = 30_000_000
-"""Between two messages on /tf: joint states come four times as often, and nobody looks so
-closely.
+"""Between two messages on /tf: joint states come four times as often, and nobody looks so closely.
 """
 _JOINT_STATE = "sensor_msgs/msg/JointState"
 

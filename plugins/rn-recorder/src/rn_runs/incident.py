@@ -13,8 +13,8 @@ from rn_runs.store import Store
 
 log = logging.getLogger(__name__)
 LATE_NS = 5_000_000_000
-"""A message may wait so long before it is written: it then is in the ring behind what the
-incident has already.
+"""A message may wait so long before it is written: it then is in the ring behind what the incident
+has already.
 """
 
 
@@ -34,8 +34,8 @@ class Incident:
         return self.kept_ns - LATE_NS if self.kept_ns else self.at_ns - round(ring_s * 1e9)
 
     def due_ns(self, ring_s: float, after_s: float) -> int:
-        """When it is to be written: soon for the first time, and then only once all has been
-        quiet for a while.
+        """When it is to be written: soon for the first time, and then only once all has been quiet
+        for a while.
         """
         if not self.kept_ns:
             return self.at_ns + round(after_s * 1e9)

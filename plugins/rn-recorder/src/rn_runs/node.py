@@ -167,8 +167,8 @@ class RecorderProcess:
         self.recording.tick()
 
     def describe(self, topic: str, metadata: Mapping[str, str]) -> None:
-        """Keep a topic's metadata for the files that begin later; its images may be recorded
-        under another name.
+        """Keep a topic's metadata for the files that begin later; its images may be recorded under
+        another name.
         """
         channels = self.recording.latched.channels
         for name in (topic, f"{topic}/compressed"):

@@ -1,5 +1,5 @@
-"""What a backend was asked and what it answered, as one line of JSON: by it a recording is
-replayed exactly.
+"""What a backend was asked and what it answered, as one line of JSON: by it a recording is replayed
+exactly.
 """
 
 from __future__ import annotations

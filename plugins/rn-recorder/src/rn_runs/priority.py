@@ -10,7 +10,8 @@ import sys
 
 _NICENESS = 10
 """On a busy machine this still leaves a tenth of each core, about what two cameras need. SCHED_IDLE
-would leave nothing, and a process without privileges cannot leave that policy again."""
+would leave nothing, and a process without privileges cannot leave that policy again.
+"""
 _SLICE_NS = 100_000_000
 _SCHED_ATTR = struct.Struct("=IIQiIQQQ")
 """size, policy, flags, nice, priority, runtime, deadline, period."""

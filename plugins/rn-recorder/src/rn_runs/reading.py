@@ -112,8 +112,8 @@ def count_topics(files: Sequence[Path]) -> dict[str, TopicCounts]:
 
 
 def camera_of(topic: str) -> str:
-    """The camera whose images a topic carries ("/ns/camera/<name>/image" or its
-    ".../compressed"); empty for others.
+    """The camera whose images a topic carries ("/ns/camera/<name>/image" or its ".../compressed");
+    empty for others.
     """
     parts = topic.removesuffix("/compressed").split("/")
     return parts[-2] if len(parts) >= 3 and parts[-1] == "image" and parts[-3] == CAMERA else ""

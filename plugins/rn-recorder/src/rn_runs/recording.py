@@ -113,8 +113,8 @@ class Recording:
         return self._active.id if self._active is not None else ""
 
     def adopt(self) -> None:
-        """Take over what a recorder that died has left: index its files, write its incident.
-        Raises OSError.
+        """Take over what a recorder that died has left: index its files, write its incident. Raises
+        OSError.
         """
         self.store.make()
         left = sorted(self.store.ring.glob("*.mcap"))
@@ -243,8 +243,7 @@ class Recording:
         """A fault: keep the ring's time before it and some time after it.
 
         Another fault before that time is over, or so soon after it that the ring reaches back to
-        it, joins the
-        incident: what goes on for minutes is one file.
+        it, joins the incident: what goes on for minutes is one file.
         """
         if self.rules.ring_s <= 0:
             return ""
@@ -325,8 +324,8 @@ class Recording:
         return self._active.folder / f"part-{self._active.parts:04d}.mcap"
 
     def _thin_ring(self, now_ns: int) -> None:
-        """Delete segments that ended before the ring begins; those of an incident in progress
-        are kept.
+        """Delete segments that ended before the ring begins; those of an incident in progress are
+        kept.
         """
         if self._cutting is not None and self._cutting.is_alive():
             return
@@ -337,8 +336,8 @@ class Recording:
             self._ring.popleft().unlink(missing_ok=True)
 
     def _finish_incident(self) -> None:
-        """Cut it out of the ring on a thread of its own, so that recording goes on; one that
-        goes on stays open.
+        """Cut it out of the ring on a thread of its own, so that recording goes on; one that goes
+        on stays open.
         """
         incident, self._incident = self._incident, None
         assert incident is not None

@@ -16,7 +16,8 @@ from roboneuron.feature import environment, log_files
 
 SWITCH, PLAY = "ROBONEURON_RECORDER", "play"
 """Environment variable of a server: with "off" nothing is recorded (tests, small machines); with
-PLAY neither, but the server offers play_recording."""
+PLAY neither, but the server offers play_recording.
+"""
 _SLOT = 14
 """Ports of the first recorder: those that modules use last, see `port_offset`."""
 

@@ -34,8 +34,8 @@ class Latched:
         self._held: dict[tuple[str, bytes], Record] = {}
 
     def note(self, record: Record) -> None:
-        """Keep a message if its topic is latched: of equal length and content once, at most a
-        few of a topic.
+        """Keep a message if its topic is latched: of equal length and content once, at most a few
+        of a topic.
         """
         if LATCHED not in self.channels.get(record.topic, {}):
             return
@@ -46,8 +46,8 @@ class Latched:
             del self._held[key]
 
     def records(self, before_ns: int) -> list[Record]:
-        """The newest messages that came before that time [ns], as of that time: a file's span
-        is not theirs.
+        """The newest messages that came before that time [ns], as of that time: a file's span is
+        not theirs.
         """
         return [
             replace(record, log_ns=before_ns)

@@ -124,8 +124,8 @@ class Store:
         return found[0]
 
     def repair(self) -> list[Path]:
-        """Give every file that was cut short an index, unless a recorder works here; returns
-        those that needed it.
+        """Give every file that was cut short an index, unless a recorder works here; returns those
+        that needed it.
         """
         held = None
         with suppress(OSError):

@@ -32,12 +32,13 @@ from roboneuron.feature import qos as core_qos
 log = logging.getLogger(__name__)
 LOOK_S = 0.1
 _IMAGES, _OTHERS = 30, 200
-"""Messages that may wait in the middleware while this process does not get on: about a second
-of each.
+"""Messages that may wait in the middleware while this process does not get on: about a second of
+each.
 """
 GIVE_WAY_S = 0.008
 """Head start of the control loop with an image: copying and encoding two of 640x480 take 8 ms of a
-core, and a loop at 30 Hz has both cores of a small machine for itself in the meantime."""
+core, and a loop at 30 Hz has both cores of a small machine for itself in the meantime.
+"""
 _TURN_S = 0.03
 
 
@@ -73,8 +74,8 @@ class Tap:
         self._early: list[Record] = []
 
     def run(self, leaving: threading.Event, taken: Callable[[], object]) -> None:
-        """Follow the graph and take messages until `leaving` is set; `taken` is called after
-        each turn.
+        """Follow the graph and take messages until `leaving` is set; `taken` is called after each
+        turn.
         """
         looked_s = 0.0
         while not leaving.is_set():
@@ -86,8 +87,8 @@ class Tap:
             taken()
 
     def _wait(self, leaving: threading.Event) -> None:
-        """Until an image has come and the control loop has had its head start; for a turn
-        without one.
+        """Until an image has come and the control loop has had its head start; for a turn without
+        one.
         """
         images = [
             subscription for qos, subscription in self._found.values() if qos.depth == _IMAGES
@@ -104,8 +105,8 @@ class Tap:
             leaving.wait(GIVE_WAY_S)
 
     def _turn(self) -> None:
-        """Hand on what came before this turn; what comes during it waits for the next one, for
-        the order of topics.
+        """Hand on what came before this turn; what comes during it waits for the next one, for the
+        order of topics.
         """
         begun_ns = time.time_ns()
         records, self._early = self._early, []

@@ -21,8 +21,8 @@ from rn_runs.reading import MessageDecoder
 from roboneuron import InvalidInputError
 
 _LARGE_BYTES = 8192
-"""Messages from this size on stay on disk: pictures do, and an hour of everything else fits
-into memory.
+"""Messages from this size on stay on disk: pictures do, and an hour of everything else fits into
+memory.
 """
 _CHUNKS = 8
 """Chunks that are kept unpacked, of about a megabyte each: playing goes through them in order."""
@@ -143,8 +143,8 @@ class Timeline:
         schemas: dict[int, str],
         channels: dict[int, Channel],
     ) -> None:
-        """Add the messages among the records that stand at one place, and remember what
-        describes them.
+        """Add the messages among the records that stand at one place, and remember what describes
+        them.
         """
         number = 0
         for part in parts:

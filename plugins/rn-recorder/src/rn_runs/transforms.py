@@ -2,9 +2,8 @@
 joint states.
 
 RoboNeuron's own processes publish none, and a file is to show the robot wherever it is opened.
-Nothing here knows ROS.
-Source: REP 105 and the URDF specification (a joint's origin is rpy about fixed axes; a joint's axis
-defaults to x).
+Nothing here knows ROS. Source: REP 105 and the URDF specification (a joint's origin is rpy about
+fixed axes; a joint's axis defaults to x).
 """
 
 from __future__ import annotations
@@ -30,8 +29,8 @@ _MOVING = frozenset({"revolute", "continuous", "prismatic"})
 
 
 class CameraMount(BaseModel):
-    """Where a camera's optical frame is, as the profile has it: position [m] and quaternion x y
-    z w in `parent`.
+    """Where a camera's optical frame is, as the profile has it: position [m] and quaternion x y z w
+    in `parent`.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)

@@ -18,8 +18,8 @@ _ENCODERS: dict[Codec, tuple[str, dict[str, str]]] = {
     "av1": ("libsvtav1", {"g": "2", "crf": "30", "preset": "12", "svtav1-params": "lp=1"}),
     "h264": ("libx264", {"g": "2", "crf": "23", "preset": "veryfast"}),
 }
-"""Source of the values for AV1: lerobot 0.6.1 (a key frame every other frame, so that any frame
-is decoded quickly).
+"""Source of the values for AV1: lerobot 0.6.1 (a key frame every other frame, so that any frame is
+decoded quickly).
 """
 _SAMPLED_FRAMES, _SAMPLED_PIXELS = 50, 400
 

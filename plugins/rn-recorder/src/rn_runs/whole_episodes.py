@@ -15,8 +15,7 @@ from rn_runs.store import Run
 from roboneuron import InvalidInputError
 
 Sizes = dict[str, dict[int, tuple[int, ...]]]
-"""Size (H, W) of each image that episodes need and that can be decoded, by camera and stamp
-[ns].
+"""Size (H, W) of each image that episodes need and that can be decoded, by camera and stamp [ns].
 """
 Kind = tuple[tuple[str, ...], tuple[tuple[str, tuple[int, ...]], ...], tuple[int, int]]
 """Joint names; size of images (H, W) by camera; values of joints and pose in a row."""

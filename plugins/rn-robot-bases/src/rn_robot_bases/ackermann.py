@@ -85,8 +85,8 @@ class AckermannDrivetrain:
         return JointTargets(velocity=rear, position=hinges)
 
     def measure(self, velocity: JointValues, position: JointValues) -> BaseVelocity:
-        """See `Drivetrain.measure`; speed by the rear wheels, curvature by the measured
-        steering angles.
+        """See `Drivetrain.measure`; speed by the rear wheels, curvature by the measured steering
+        angles.
         """
         own = self._geometry
         linear = own.wheel_radius_m * (velocity[own.rear_left] + velocity[own.rear_right]) / 2.0

@@ -1,5 +1,5 @@
-"""Drivetrain of bases that turn by driving their two sides at different speeds, with two wheels
-or with four.
+"""Drivetrain of bases that turn by driving their two sides at different speeds, with two wheels or
+with four.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ class DifferentialGeometry:
         track_m: distance between the sides that explains the measured turning; on skid-steer bases
             it is larger than the geometric one, since the wheels slip sideways.
         turning_centre_x_m: where on the longitudinal axis the base turns about, in the base frame;
-            0 without slip.
-            Source of both: Mandow et al. 2007, "Experimental kinematics for wheeled skid-steer
+            0 without slip. Source of both: Mandow et al. 2007, "Experimental kinematics for wheeled
+            skid-steer
                 mobile robots".
         acceleration_m_s2, angular_acceleration_rad_s2: of ordinary motion.
         braking_m_s2, angular_braking_rad_s2: of a stop.

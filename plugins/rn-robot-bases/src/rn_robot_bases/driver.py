@@ -36,10 +36,9 @@ class SimulatedBase:
     """Follows the protocol `RobotDriver`; every method may be called from any thread.
 
     Velocities come on `cmd_vel`, odometry goes out on `odom`. A twist that the base cannot carry
-    out is refused as a
-    whole, and the base brakes: whoever sent it is mistaken about the robot. The deadman counts
-    simulated time, the base's own clock, which runs with the wall clock unless the machine is
-    overloaded.
+    out is refused as a whole, and the base brakes: whoever sent it is mistaken about the robot. The
+    deadman counts simulated time, the base's own clock, which runs with the wall clock unless the
+    machine is overloaded.
     """
 
     def __init__(

@@ -1,5 +1,5 @@
-"""What turns a wanted velocity into wheel motion and wheel motion back into odometry, whatever
-the platform.
+"""What turns a wanted velocity into wheel motion and wheel motion back into odometry, whatever the
+platform.
 """
 
 from __future__ import annotations
@@ -40,13 +40,13 @@ class JointTargets:
 
 
 class Drivetrain(Protocol):
-    """A platform's motion controller; pure computation, advanced once per physics step, used
-    from one thread.
+    """A platform's motion controller; pure computation, advanced once per physics step, used from
+    one thread.
     """
 
     def aim(self, linear_m_s: float, angular_rad_s: float) -> None:
-        """Go for this velocity with the ordinary acceleration; the caller has checked that it
-        is possible.
+        """Go for this velocity with the ordinary acceleration; the caller has checked that it is
+        possible.
         """
         ...
 

@@ -1,5 +1,5 @@
-"""Pictures of a platform: one ray for each pixel, cast by MuJoCo on the CPU; its own renderer
-needs OpenGL.
+"""Pictures of a platform: one ray for each pixel, cast by MuJoCo on the CPU; its own renderer needs
+OpenGL.
 """
 
 from __future__ import annotations

@@ -17,12 +17,11 @@ from rn_simulation.mujoco_scene import read_urdf
 _SUBSTEPS = 4
 """Physics steps per step: contacts are springs, and a skidding wheel hops on soft ones."""
 _STIFFNESS_PER_NM, _DAMPING_PER_NM, _ARMATURE_PER_NM = 10.0, 0.2, 0.001
-"""A motor gives its whole torque 0.1 rad, or 5 rad/s, from where it is to be; critically damped
-for its own inertia.
+"""A motor gives its whole torque 0.1 rad, or 5 rad/s, from where it is to be; critically damped for
+its own inertia.
 """
 _CONTACT_SPRING, _CONTACT_IMPEDANCE = (0.0025, 1.0), (0.999, 0.9999, 0.001, 0.5, 2.0)
-"""Stiff enough that a wheel sinks in by less than 0.1 % of its radius, which odometry would
-notice.
+"""Stiff enough that a wheel sinks in by less than 0.1 % of its radius, which odometry would notice.
 """
 
 
@@ -65,8 +64,8 @@ class MujocoWorld:
         self._turned = dict.fromkeys(platform.driven_wheels, 0.0)
 
     def step(self, targets: JointTargets) -> None:
-        """See `World`; a wheel follows the angle that its velocity adds up to, so it is locked
-        at velocity 0.
+        """See `World`; a wheel follows the angle that its velocity adds up to, so it is locked at
+        velocity 0.
         """
         lead_s = _DAMPING_PER_NM / _STIFFNESS_PER_NM
         for name, velocity in targets.velocity.items():

@@ -1,5 +1,5 @@
-"""Dead reckoning: the pose of a base by summing up what its wheel encoders say. It drifts, as
-on a real base.
+"""Dead reckoning: the pose of a base by summing up what its wheel encoders say. It drifts, as on a
+real base.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ class PlanarPose:
 
 
 def integrate(pose: PlanarPose, velocity: BaseVelocity, step_s: float) -> PlanarPose:
-    """The pose after `step_s` at `velocity`; the heading in the middle of the step counts
-    (second order).
+    """The pose after `step_s` at `velocity`; the heading in the middle of the step counts (second
+    order).
     """
     turn = velocity.angular_z * step_s
     heading = pose.yaw_rad + turn / 2.0
@@ -42,8 +42,8 @@ def integrate(pose: PlanarPose, velocity: BaseVelocity, step_s: float) -> Planar
 def to_message(
     pose: PlanarPose, velocity: BaseVelocity, *, stamp_ns: int, base_link: str
 ) -> Odometry:
-    """nav_msgs/Odometry: pose in `odom`, twist in the base frame; covariances are zero, they
-    are not estimated.
+    """nav_msgs/Odometry: pose in `odom`, twist in the base frame; covariances are zero, they are
+    not estimated.
     """
     message = Odometry(child_frame_id=base_link)
     message.header.frame_id = ODOM_FRAME

@@ -129,8 +129,8 @@ Within a turn both wander with the heading.
 _HUSKY_IN_MUJOCO = replace(
     HUSKY, friction=0.5, geometry=replace(_HUSKY_GEOMETRY, track_m=0.96, turning_centre_x_m=-0.17)
 )
-"""Likewise in MuJoCo, where friction acts the same in every direction: a turn depends on the
-speed as well.
+"""Likewise in MuJoCo, where friction acts the same in every direction: a turn depends on the speed
+as well.
 """
 
 RACECAR = Platform(

@@ -1,5 +1,5 @@
-"""What this package offers: the robots "diffdrive", "husky" and "racecar", each with its
-simulated driver.
+"""What this package offers: the robots "diffdrive", "husky" and "racecar", each with its simulated
+driver.
 """
 
 from __future__ import annotations

@@ -39,8 +39,8 @@ def velocity_endpoint(platform: Platform) -> Endpoint:
 
 
 def check_twist(platform: Platform, linear_m_s: float, angular_rad_s: float) -> None:
-    """Raise RefusedError, with the reason, unless `platform` can drive at this speed and
-    turning rate.
+    """Raise RefusedError, with the reason, unless `platform` can drive at this speed and turning
+    rate.
     """
     check_endpoint_twist(
         velocity_endpoint(platform), {"linear.x": linear_m_s, "angular.z": angular_rad_s}

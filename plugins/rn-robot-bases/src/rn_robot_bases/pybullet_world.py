@@ -52,8 +52,8 @@ class PybulletWorld:
         return int(pybullet.getNumJoints(self._body, physicsClientId=self._client))
 
     def _prepare_physics(self, step_s: float) -> None:
-        """With the engine's friction cone a skid jitters by half its turning rate and a parked
-        car creeps 1 mm/s.
+        """With the engine's friction cone a skid jitters by half its turning rate and a parked car
+        creeps 1 mm/s.
         """
         pybullet.setGravity(0.0, 0.0, -9.81, physicsClientId=self._client)
         pybullet.setPhysicsEngineParameter(

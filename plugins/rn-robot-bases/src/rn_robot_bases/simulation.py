@@ -1,5 +1,5 @@
-"""A simulated base, stepped by hand: tests and benchmarks run it faster than real time, the
-driver in real time.
+"""A simulated base, stepped by hand: tests and benchmarks run it faster than real time, the driver
+in real time.
 """
 
 from __future__ import annotations
@@ -91,8 +91,8 @@ class Simulation:
         self.close()
 
     def open(self) -> None:
-        """Build the world and let the base settle on its wheels. Raises StateError when it is
-        open already.
+        """Build the world and let the base settle on its wheels. Raises StateError when it is open
+        already.
         """
         if self._world is not None:
             raise StateError(f"The simulated {self.platform.name} is open already.")
@@ -141,8 +141,8 @@ class Simulation:
             self._odometry = integrate(self._odometry, self._velocity, STEP_S)
 
     def run(self, linear_m_s: float, angular_rad_s: float, duration_s: float) -> BaseState:
-        """Drive for `duration_s`, commanding as often as a client would; returns the state at
-        the end.
+        """Drive for `duration_s`, commanding as often as a client would; returns the state at the
+        end.
         """
         for _ in range(round(duration_s / STEP_S)):
             self.drive(linear_m_s, angular_rad_s)

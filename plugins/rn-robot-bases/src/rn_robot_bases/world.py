@@ -1,5 +1,5 @@
-"""The simulated world as the rest of the package sees it: one base at the origin of a flat
-floor, looking along +x.
+"""The simulated world as the rest of the package sees it: one base at the origin of a flat floor,
+looking along +x.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ class BaseWorld(Protocol):
     """One base in one physics engine; from one thread only."""
 
     def step(self, targets: JointTargets) -> None:
-        """Let the motors follow `targets` for one physics step; wheels that are to stand still
-        are locked.
+        """Let the motors follow `targets` for one physics step; wheels that are to stand still are
+        locked.
         """
         ...
 

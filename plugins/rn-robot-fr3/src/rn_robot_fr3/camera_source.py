@@ -20,9 +20,8 @@ class SimulatedCameras:
     `PerceptionSource`.
 
     A frame's stamp is the time of the state it shows, so that its age is true. Each state is shown
-    at most once per
-    camera: when the simulation stops, so do the frames. It may start before or after the
-    simulation, and follows it to another scene.
+    at most once per camera: when the simulation stops, so do the frames. It may start before or
+    after the simulation, and follows it to another scene.
     """
 
     def __init__(
@@ -106,8 +105,8 @@ class SimulatedCameras:
         )
 
     def close(self) -> None:
-        """Stop listening and release the twin; a `read` in progress ends with StateError. May
-        be called twice.
+        """Stop listening and release the twin; a `read` in progress ends with StateError. May be
+        called twice.
         """
         with self._arrived:
             self._open = False

@@ -47,8 +47,8 @@ class Camera:
     vertical_view_rad: float
 
     def calibration(self, width: int, height: int) -> CameraCalibration:
-        """Calibration of an image of `width` x `height` [px]; the vertical angle of view stays
-        the same.
+        """Calibration of an image of `width` x `height` [px]; the vertical angle of view stays the
+        same.
         """
         focal_px = height / 2.0 / np.tan(self.vertical_view_rad / 2.0)
         intrinsics = np.array(
@@ -85,8 +85,8 @@ def _front() -> Camera:
 
 
 def _wrist() -> Camera:
-    """In front of the hand (+x of the TCP frame), looking along the fingers and tilted back
-    towards their tips.
+    """In front of the hand (+x of the TCP frame), looking along the fingers and tilted back towards
+    their tips.
     """
     eye = np.array([0.085, 0.0, -0.080])
     tilt = np.deg2rad(16.0)

@@ -13,8 +13,8 @@ TCP_LINK = "fr3_hand_tcp"
 
 @functools.cache
 def urdf() -> str:
-    """XML text of `data/fr3.urdf`: official kinematics and limits, shapes of cylinders and
-    boxes, no mesh files.
+    """XML text of `data/fr3.urdf`: official kinematics and limits, shapes of cylinders and boxes,
+    no mesh files.
     """
     return files("rn_robot_fr3").joinpath("data/fr3.urdf").read_text(encoding="utf-8")
 

@@ -1,5 +1,5 @@
-"""Whether there is a display to open a window on; PyBullet itself ends the process when there
-is none.
+"""Whether there is a display to open a window on; PyBullet itself ends the process when there is
+none.
 """
 
 from __future__ import annotations

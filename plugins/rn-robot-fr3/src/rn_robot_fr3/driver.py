@@ -26,8 +26,8 @@ from roboneuron import (
 )
 
 _CATCH_UP_S = 1.0 / 60.0
-"""An arm whose time was held up does not jump: by the wall clock its TCP would be faster than
-its limit.
+"""An arm whose time was held up does not jump: by the wall clock its TCP would be faster than its
+limit.
 """
 
 

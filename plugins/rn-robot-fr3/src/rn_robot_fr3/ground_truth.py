@@ -14,8 +14,7 @@ from rn_robot_fr3.world import RawPose
 F64 = NDArray[np.float64]
 
 LIFTED_M = 0.10
-"""A cube counts as lifted when its centre is at least this much above where it rests on the
-table.
+"""A cube counts as lifted when its centre is at least this much above where it rests on the table.
 """
 
 
@@ -53,8 +52,8 @@ class LiftClock:
         return pose[0][2] - self._edge_m[name] / 2
 
     def observe(self, now_s: float, poses: Mapping[str, RawPose]) -> None:
-        """Note the poses by cube name at simulated time `now_s`; to be called at least every
-        1/60 s.
+        """Note the poses by cube name at simulated time `now_s`; to be called at least every 1/60
+        s.
         """
         self._now_s = now_s
         for name, pose in poses.items():

@@ -14,8 +14,8 @@ _BACKDROP_BOTTOM_RGB = (122, 130, 142)
 
 
 def backdrop(height: int) -> NDArray[np.uint8]:
-    """Colour of the empty background by row, (height, 1, 3): a floor to fill it would cost 10
-    ms per image.
+    """Colour of the empty background by row, (height, 1, 3): a floor to fill it would cost 10 ms
+    per image.
     """
     blend = np.linspace(0.0, 1.0, height)[:, None, None]
     rows = (1.0 - blend) * np.array(_BACKDROP_TOP_RGB) + blend * np.array(_BACKDROP_BOTTOM_RGB)

@@ -60,8 +60,8 @@ def velocity_bounds(position_rad: F64) -> tuple[F64, F64]:
     `position_rad` (7,).
 
     The bound towards a limit is min(vmax, max(0, -offset + sqrt(2 * deceleration * distance to the
-    limit))); beyond
-    the limit it is 0. Source: libfranka rate_limiting.h, computeUpperLimitsJointVelocity.
+    limit))); beyond the limit it is 0. Source: libfranka rate_limiting.h,
+    computeUpperLimitsJointVelocity.
     """
     offset, deceleration = np.array(BRAKING_OFFSET_RAD_S), np.array(BRAKING_DECELERATION_RAD_S2)
     fastest = np.array(VELOCITY_RAD_S)

@@ -71,8 +71,8 @@ def _endpoints() -> tuple[Endpoint, ...]:
 
 
 def profile() -> RobotProfile:
-    """The profile of a Franka Research 3 with Franka Hand, a camera beside the table and one at
-    the wrist.
+    """The profile of a Franka Research 3 with Franka Hand, a camera beside the table and one at the
+    wrist.
     """
     return RobotProfile(
         name="fr3",

@@ -60,8 +60,8 @@ class PybulletWorld:
     engine: Engine = "pybullet"
 
     def __init__(self, cubes: Sequence[Cube], *, gui: bool = False) -> None:
-        """Connect and build. Raises ConfigurationError when a window is asked for and there is
-        no display.
+        """Connect and build. Raises ConfigurationError when a window is asked for and there is no
+        display.
         """
         self.client = _gui_client() if gui else int(pybullet.connect(pybullet.DIRECT))
         self._connected = True

@@ -1,5 +1,5 @@
-"""Pictures of a PyBullet world, drawn on the CPU (TinyRenderer) so that they need neither
-display nor GPU.
+"""Pictures of a PyBullet world, drawn on the CPU (TinyRenderer) so that they need neither display
+nor GPU.
 """
 
 from __future__ import annotations

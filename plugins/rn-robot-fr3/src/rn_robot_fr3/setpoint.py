@@ -1,5 +1,5 @@
-"""Joint setpoints that move smoothly: bounded velocity and acceleration, whenever and wherever
-the target changes.
+"""Joint setpoints that move smoothly: bounded velocity and acceleration, whenever and wherever the
+target changes.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ class JointSetpoint:
         self._remaining_s = np.zeros_like(self.position)
 
     def aim(self, target: F64, joints: Sequence[int], duration_s: float) -> None:
-        """Send `joints` to their entries of `target` (n,), within `duration_s` or as soon after
-        as the limits allow.
+        """Send `joints` to their entries of `target` (n,), within `duration_s` or as soon after as
+        the limits allow.
         """
         chosen = list(joints)
         self.target[chosen] = target[chosen]

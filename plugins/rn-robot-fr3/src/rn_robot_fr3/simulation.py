@@ -40,8 +40,8 @@ COMMANDED = (*ARM_JOINTS, FINGER_JOINT)
 _ARM = slice(0, 7)
 _FINGER_ACCELERATION_M_S2 = 1.0
 _FINGER_FORCE_N = 40.0
-"""Grasping force of the simulated gripper: well above what a wooden cube needs, below what
-squeezes it through.
+"""Grasping force of the simulated gripper: well above what a wooden cube needs, below what squeezes
+it through.
 """
 _JUDGE_EVERY = 4
 
@@ -185,8 +185,8 @@ class Simulation:
             )
 
     def hold(self) -> None:
-        """Brake the arm to a standstill and stay; the gripper keeps its target, so that nothing
-        is dropped.
+        """Brake the arm to a standstill and stay; the gripper keeps its target, so that nothing is
+        dropped.
         """
         self._setpoint.halt(_ARM)
 

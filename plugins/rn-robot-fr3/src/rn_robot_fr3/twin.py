@@ -1,5 +1,5 @@
-"""A render twin: a second world without physics that shows what the simulation in another
-process looks like.
+"""A render twin: a second world without physics that shows what the simulation in another process
+looks like.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ class RenderTwin:
         self._scene: tuple[object, ...] | None = None
 
     def show(self, state: SceneState) -> None:
-        """Put everything where `state` says; builds another world when scene or engine is
-        another one (about 50 ms).
+        """Put everything where `state` says; builds another world when scene or engine is another
+        one (about 50 ms).
         """
         scene = (state.engine, state.seed, state.cubes)
         if self._world is None or scene != self._scene:

@@ -30,8 +30,8 @@ TABLE_SIZE_M = (1.30, 1.20, 0.05)
 TABLE_CENTRE_M = (0.35, 0.0, -0.025)
 TABLE_RGBA = (0.80, 0.76, 0.70, 1.0)
 TABLE_FRICTION = 0.8
-"""Sliding friction; the other coefficients are sliding, spinning and rolling (spinning and
-rolling in m).
+"""Sliding friction; the other coefficients are sliding, spinning and rolling (spinning and rolling
+in m).
 """
 FINGER_FRICTION = (1.2, 0.02, 0.0)
 CUBE_FRICTION = (1.0, 0.005, 0.0005)
@@ -59,8 +59,8 @@ class ArmWorld(Protocol):
         ...
 
     def step(self, position: Sequence[float], velocity: Sequence[float]) -> None:
-        """Advance by one step, the motors aiming at these, in the order of `JOINTS` [rad, m,
-        per s].
+        """Advance by one step, the motors aiming at these, in the order of `JOINTS` [rad, m, per
+        s].
         """
         ...
 

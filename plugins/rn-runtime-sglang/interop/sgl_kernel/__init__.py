@@ -1,5 +1,5 @@
-"""Stands in for SGLang's CUDA kernels where there is no GPU: importable, and an error when one
-is really called.
+"""Stands in for SGLang's CUDA kernels where there is no GPU: importable, and an error when one is
+really called.
 """
 
 __version__ = "0.4.10"

@@ -13,15 +13,15 @@ Seconds = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 
 class SglangRuntimeConfig(BaseModel):
-    """Either `python` (a server of its own, launched and ended with the model) or `urls`
-    (servers that run anyway).
+    """Either `python` (a server of its own, launched and ended with the model) or `urls` (servers
+    that run anyway).
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
 
     python: Annotated[Path | None, ConfigurationOnly()] = None
-    """Managed: interpreter of the virtual environment that SGLang and this package are
-    installed in.
+    """Managed: interpreter of the virtual environment that SGLang and this package are installed
+    in.
     """
     urls: Annotated[
         tuple[Annotated[str, Field(pattern=r"^https?://[^/\s?#]+/?$")], ...], ConfigurationOnly()

@@ -1,5 +1,5 @@
-"""One HTTP connection that is kept open, held to a deadline as a whole, and can be cut from
-another thread.
+"""One HTTP connection that is kept open, held to a deadline as a whole, and can be cut from another
+thread.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""All servers of one model: each request goes to the ready one with the least load, and to
-another when that fails.
+"""All servers of one model: each request goes to the ready one with the least load, and to another
+when that fails.
 """
 
 from __future__ import annotations
@@ -140,8 +140,8 @@ class Fleet:
             server.cut()
 
     def metrics(self) -> Mapping[str, float]:
-        """Counters since the start, servers that are ready, and what the servers say of
-        themselves, summed up.
+        """Counters since the start, servers that are ready, and what the servers say of themselves,
+        summed up.
         """
         counted = {
             f"served.{word}": float(self._counts[word])

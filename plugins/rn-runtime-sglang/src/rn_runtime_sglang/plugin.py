@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from roboneuron import RuntimeSpec, hookimpl
 
 FAMILIES = ("openvla",)
-"""Model families whose requests it answers; why not OpenVLA-OFT and pi0 is said in
-docs/sglang.md.
+"""Model families whose requests it answers; why not OpenVLA-OFT and pi0 is said in docs/sglang.md.
 """
 CAPABILITIES = ("token-decode",)
 """Kinds of request it answers. It has no hook to drop visual tokens: see docs/sglang.md."""

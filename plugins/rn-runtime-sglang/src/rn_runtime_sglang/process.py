@@ -1,5 +1,5 @@
-"""Managed mode: a server of our own in its own virtual environment, process group and log,
-ended with this process.
+"""Managed mode: a server of our own in its own virtual environment, process group and log, ended
+with this process.
 """
 
 from __future__ import annotations
@@ -28,7 +28,8 @@ _PROBE_S = 60.0
 OURS = ("rn-runtime-sglang", "rn-vla", "roboneuron-core")
 NEEDED = ("lazy-loader", "simplejpeg")
 """What the served half of OURS imports and SGLang does not bring. OURS are installed without their
-requirements, which would bring ROS and MCP."""
+requirements, which would bring ROS and MCP.
+"""
 _PROBE = """
 import importlib.metadata as m, json, sys
 def v(name):

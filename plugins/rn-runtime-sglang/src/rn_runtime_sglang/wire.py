@@ -77,8 +77,8 @@ def encode_body(request: TokenRequest, image_format: str) -> bytes:
 
 
 def with_id(rid: str, body: bytes) -> bytes:
-    """The whole JSON of one attempt; each has an id of its own, so that one can be aborted
-    without another.
+    """The whole JSON of one attempt; each has an id of its own, so that one can be aborted without
+    another.
     """
     return b'{"rid":"' + rid.encode("ascii") + b'",' + body
 

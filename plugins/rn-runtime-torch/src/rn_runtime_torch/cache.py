@@ -1,5 +1,5 @@
-"""The static key-value cache: allocated once, filled per layer; layers may hold different
-lengths after pruning.
+"""The static key-value cache: allocated once, filled per layer; layers may hold different lengths
+after pruning.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ class KeyValueCache:
         self._used = [0] * shape.layers
 
     def start(self, layer: int, key: Tensor, value: Tensor) -> tuple[Tensor, Tensor]:
-        """Replace the contents of `layer` by (1, key-value heads, n, head width); return them
-        as they are kept.
+        """Replace the contents of `layer` by (1, key-value heads, n, head width); return them as
+        they are kept.
         """
         count = key.shape[2]
         self._keys[layer, :, :, :count] = key
@@ -34,8 +34,8 @@ class KeyValueCache:
         return self._keys[layer, :, :, :count], self._values[layer, :, :, :count]
 
     def append(self, layer: int, key: Tensor, value: Tensor) -> tuple[Tensor, Tensor]:
-        """Add one position; return all keys and values of `layer` (1, key-value heads, n + 1,
-        head width).
+        """Add one position; return all keys and values of `layer` (1, key-value heads, n + 1, head
+        width).
         """
         end = self._used[layer]
         self._keys[layer, :, :, end : end + 1] = key

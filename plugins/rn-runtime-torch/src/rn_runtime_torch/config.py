@@ -7,8 +7,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 MOST_RECORDINGS = 64
-"""CUDA graphs at most: each holds memory, and recording one takes about as long as three
-requests.
+"""CUDA graphs at most: each holds memory, and recording one takes about as long as three requests.
 """
 WARM_LENGTHS = 29
 """Prompt lengths that are recorded unless the options say which."""
@@ -24,21 +23,22 @@ class TorchRuntimeConfig(BaseModel):
     dtype: Literal["auto", "float32", "bfloat16", "float16"] = "auto"
     """`auto` is bfloat16 on CUDA and on processors with AMX, float32 on others."""
     decode_weights: Literal["same", "int8"] = "same"
-    """`int8` also holds the decoder's matrices as int8 and decodes with those, on the CPU: half
-    the bytes per token.
+    """`int8` also holds the decoder's matrices as int8 and decodes with those, on the CPU: half the
+    bytes per token.
     """
     cuda_graphs: bool = True
-    """Record each prompt length of `warm_prompt_tokens` once and replay it; without effect on
-    the CPU.
+    """Record each prompt length of `warm_prompt_tokens` once and replay it; without effect on the
+    CPU.
     """
     compile: bool = False
     """Compile each decoder layer with torch.compile during load."""
     warm_prompt_tokens: tuple[int, int] | None = None
     """Prompt lengths, first and last, recorded during load on CUDA, at most 64; None: the 29
-    shortest that the model's template makes. Others run unrecorded, and the status says so."""
+    shortest that the model's template makes. Others run unrecorded, and the status says so.
+    """
     record_at_change: bool = True
-    """On CUDA a changed preset records the prompt length in use at once, which takes about
-    three predictions.
+    """On CUDA a changed preset records the prompt length in use at once, which takes about three
+    predictions.
     """
     threads: Annotated[int, Field(ge=1)] | None = None
     """CPU threads of torch in this process; None leaves torch's own choice."""

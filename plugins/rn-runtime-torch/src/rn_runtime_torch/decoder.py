@@ -54,9 +54,8 @@ class DecoderLayer(nn.Module):
         n, width).
 
         `cos` and `sin` are (n, width) or (b, 1, n, width); `stepping` says that this is the one row
-        of a decoded token.
-        Query and key of one sequence are contiguous: attention on the CPU loses up to a quarter of
-        its speed to other layouts.
+        of a decoded token. Query and key of one sequence are contiguous: attention on the CPU loses
+        up to a quarter of its speed to other layouts.
         """
         batch, count, width = *hidden.shape[:2], self.head_width
         normed = functional.rms_norm(hidden, self.norm_in.shape, self.norm_in, self.epsilon)
@@ -75,8 +74,8 @@ class DecoderLayer(nn.Module):
     def attend(
         self, query: Tensor, key: Tensor, value: Tensor, causal: bool, seen: Tensor | None = None
     ) -> Tensor:
-        """Scaled dot-product attention -> (b, heads, n, width), to the positions that are
-        `seen` (b, 1, 1, n).
+        """Scaled dot-product attention -> (b, heads, n, width), to the positions that are `seen`
+        (b, 1, 1, n).
         """
         return functional.scaled_dot_product_attention(
             query,
@@ -90,8 +89,8 @@ class DecoderLayer(nn.Module):
     def merge(
         self, hidden: Tensor, attended: Tensor, scratch: Scratch, stepping: bool = False
     ) -> Tensor:
-        """Add attention and the gated layer to the residual stream (b, n, hidden), contiguous,
-        in place.
+        """Add attention and the gated layer to the residual stream (b, n, hidden), contiguous, in
+        place.
         """
         stream = hidden.view(-1, hidden.shape[-1])
         self._add(stream, attended.transpose(1, 2).reshape(stream.shape[0], -1), "out", stepping)
@@ -328,8 +327,8 @@ class Decoder(nn.Module):
         return torch.mm(hidden.flatten(0, 1), self.head.t()).view(*hidden.shape[:2], -1).float()
 
     def slots(self) -> Mapping[str, Tensor]:
-        """Where each tensor of the Hugging Face Llama layout goes: views on the fused
-        parameters, by its name.
+        """Where each tensor of the Hugging Face Llama layout goes: views on the fused parameters,
+        by its name.
         """
         slots: dict[str, Tensor] = {
             "model.embed_tokens.weight": self.embedding.data,

@@ -158,8 +158,8 @@ class Engine:
         )
 
     def _needs(self, config: TorchRuntimeConfig, parts: list[nn.Module], quantized: bool) -> Needs:
-        """Memory for the longest request, found by running it on the parts while they are on
-        the device "meta".
+        """Memory for the longest request, found by running it on the parts while they are on the
+        device "meta".
         """
         model, dtype = self._model, self._dtype
         parameters = [parameter for part in parts for parameter in part.parameters()]
@@ -231,8 +231,8 @@ class Engine:
             raise
 
     def _record_latest(self) -> None:
-        """Record what was asked last with the selection in force, unless it is or there are as
-        many as there may be.
+        """Record what was asked last with the selection in force, unless it is or there are as many
+        as there may be.
         """
         if self._graphs is None or self._latest is None or not self._records_at_change:
             return
@@ -245,8 +245,8 @@ class Engine:
             self._recording = False
 
     def _try_selection(self) -> None:
-        """Let the selection answer once, so that one which does not fit is refused here and not
-        by the next request.
+        """Let the selection answer once, so that one which does not fit is refused here and not by
+        the next request.
         """
         model = self._model
         request = model.example(min(_TRIAL_TOKENS, model.max_prompt_tokens - self._added_tokens()))
@@ -297,8 +297,8 @@ class Engine:
             return RowsReply(values=outputs["values"][0].cpu().numpy(), metrics=metrics, note=note)
 
     def _explain_eager(self, ids: int) -> str:
-        """Why a prompt of so many ids was not replayed from a recorded CUDA graph; tokens as
-        the options count.
+        """Why a prompt of so many ids was not replayed from a recorded CUDA graph; tokens as the
+        options count.
         """
         assert self._graphs is not None
         added = self._added_tokens()
@@ -443,8 +443,8 @@ class Engine:
 
 
 def _check_ids(ids: NDArray[np.int64], vocabulary: int) -> None:
-    """Raise InvalidInputError for an id without an embedding: on a GPU the look-up would break
-    the whole context.
+    """Raise InvalidInputError for an id without an embedding: on a GPU the look-up would break the
+    whole context.
     """
     if not ids.size or ids.min() < 0 or ids.max() >= vocabulary:
         span = f"{ids.min()} to {ids.max()}" if ids.size else "none"
@@ -454,8 +454,8 @@ def _check_ids(ids: NDArray[np.int64], vocabulary: int) -> None:
 
 
 def _compile(decoder: Decoder) -> None:
-    """Compile what surrounds attention in each layer; layers are alike, so one compilation
-    serves all.
+    """Compile what surrounds attention in each layer; layers are alike, so one compilation serves
+    all.
     """
     for layer in decoder.layers:
         for name in ("project", "merge"):

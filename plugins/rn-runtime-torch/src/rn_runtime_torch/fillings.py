@@ -1,5 +1,5 @@
-"""Several sequences in one pass: what fills up the shorter ones is seen by no other position
-and shifts none.
+"""Several sequences in one pass: what fills up the shorter ones is seen by no other position and
+shifts none.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from rn_vla.pruning import AttentionView, TokenSelection
 from roboneuron import PluginError
 
 State = tuple[Tensor, Tensor, Tensor, Tensor | None]
-"""Between two layers: hidden (b, n, hidden), rotary tables (n, width) or (b, 1, n, width), seen
-(b, 1, 1, n).
+"""Between two layers: hidden (b, n, hidden), rotary tables (n, width) or (b, 1, n, width), seen (b,
+1, 1, n).
 """
 
 

@@ -1,5 +1,5 @@
-"""CUDA graphs: a computation of fixed shapes is recorded once and replayed without Python or
-launch cost.
+"""CUDA graphs: a computation of fixed shapes is recorded once and replayed without Python or launch
+cost.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from torch import Tensor
 Computation = Callable[[dict[str, Tensor]], dict[str, Tensor]]
 
 _WARM_RUNS = 2
-"""Runs on a side stream before capture: libraries allocate their workspaces and choose kernels
-in them.
+"""Runs on a side stream before capture: libraries allocate their workspaces and choose kernels in
+them.
 """
 
 

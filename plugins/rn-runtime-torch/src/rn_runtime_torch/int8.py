@@ -1,5 +1,5 @@
-"""Weights as int8 with one scale for each output, for products with a single row: decoding
-reads half of bfloat16.
+"""Weights as int8 with one scale for each output, for products with a single row: decoding reads
+half of bfloat16.
 """
 
 from __future__ import annotations

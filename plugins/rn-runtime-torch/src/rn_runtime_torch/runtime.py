@@ -128,8 +128,8 @@ class TorchRuntime:
         ]
 
     def abort(self) -> None:
-        """Give up the `run` in progress before its next token; a recorded CUDA graph runs to
-        its end first.
+        """Give up the `run` in progress before its next token; a recorded CUDA graph runs to its
+        end first.
         """
         self._aborted.set()
 

@@ -11,9 +11,8 @@ class Scratch:
     """Named buffers that grow to the largest size asked for.
 
     A fresh temporary of megabytes costs the CPU a page fault for each 4 kB of it, every time. On
-    CUDA the allocator
-    keeps memory anyway, and a recorded graph must not refer to a buffer that grows later: there,
-    nothing is kept.
+    CUDA the allocator keeps memory anyway, and a recorded graph must not refer to a buffer that
+    grows later: there, nothing is kept.
     """
 
     def __init__(self, keep: bool = False) -> None:

@@ -1,5 +1,5 @@
-"""The smallest policy that exercises the runtime: written to disk on the spot, for tests and
-the contract kit.
+"""The smallest policy that exercises the runtime: written to disk on the spot, for tests and the
+contract kit.
 """
 
 from __future__ import annotations
@@ -105,8 +105,8 @@ class ToyPolicy:
         )
 
     def model(self, family: str = "openvla") -> PolicyModel:
-        """What `Runtime.load` takes; the family "openvla" decodes up to seven tokens, the other
-        one none.
+        """What `Runtime.load` takes; the family "openvla" decodes up to seven tokens, the other one
+        none.
         """
         decodes = family == "openvla"
         return PolicyModel(

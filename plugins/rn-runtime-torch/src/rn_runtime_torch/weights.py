@@ -1,5 +1,5 @@
-"""Weights from disk to the device, one tensor at a time: the host never holds more than the
-model and one shard.
+"""Weights from disk to the device, one tensor at a time: the host never holds more than the model
+and one shard.
 """
 
 from __future__ import annotations

@@ -1,12 +1,11 @@
-"""How many physics steps are due: keeps simulated time in step with the wall clock. Pure
-arithmetic on given times.
+"""How many physics steps are due: keeps simulated time in step with the wall clock. Pure arithmetic
+on given times.
 """
 
 from __future__ import annotations
 
 _TICK_S = 1.0 / 120.0
-"""Time between two wake-ups: two physics steps; one at a time cost 25 % of a core instead of 16
-%.
+"""Time between two wake-ups: two physics steps; one at a time cost 25 % of a core instead of 16 %.
 """
 _WINDOW_S = 1.0
 

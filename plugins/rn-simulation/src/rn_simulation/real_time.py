@@ -1,5 +1,5 @@
-"""A simulation that runs in real time in a thread of its own, as the driver of a simulated
-robot needs it.
+"""A simulation that runs in real time in a thread of its own, as the driver of a simulated robot
+needs it.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""A run ends with the simulator's word, else the backend's, else nobody's; faults end it when
-they last.
+"""A run ends with the simulator's word, else the backend's, else nobody's; faults end it when they
+last.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""What a run calls on a server, in which order, and what it leaves running: with a server that
-is none.
+"""What a run calls on a server, in which order, and what it leaves running: with a server that is
+none.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""Logs of a run come in order of time, are followed over rotation and new runs, and cannot act
-on the terminal.
+"""Logs of a run come in order of time, are followed over rotation and new runs, and cannot act on
+the terminal.
 """
 
 from __future__ import annotations

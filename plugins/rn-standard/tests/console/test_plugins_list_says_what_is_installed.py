@@ -1,5 +1,5 @@
-"""`roboneuron plugins list`: what it prints, its stable JSON, its exit status, and what it
-never imports.
+"""`roboneuron plugins list`: what it prints, its stable JSON, its exit status, and what it never
+imports.
 """
 
 from __future__ import annotations

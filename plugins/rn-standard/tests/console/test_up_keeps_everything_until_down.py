@@ -1,5 +1,5 @@
-"""`roboneuron up` and `down`: what they ask of the server, how they find each other, and what
-is left.
+"""`roboneuron up` and `down`: what they ask of the server, how they find each other, and what is
+left.
 """
 
 from __future__ import annotations
@@ -101,8 +101,8 @@ def config(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def kept(config: Path) -> Iterator[Callable[[], subprocess.Popen[str]]]:
-    """Return a function that starts `roboneuron up` in a process, and returns once everything
-    is up.
+    """Return a function that starts `roboneuron up` in a process, and returns once everything is
+    up.
     """
     processes: list[subprocess.Popen[str]] = []
 

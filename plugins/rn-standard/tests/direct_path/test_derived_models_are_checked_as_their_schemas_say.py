@@ -1,5 +1,5 @@
-"""What is known of a tool's arguments at run time only is in their schema, and calls are
-checked against it.
+"""What is known of a tool's arguments at run time only is in their schema, and calls are checked
+against it.
 """
 
 from __future__ import annotations

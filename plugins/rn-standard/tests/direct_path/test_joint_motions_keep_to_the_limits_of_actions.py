@@ -1,5 +1,5 @@
-"""Joint commands pass the same limits of place and speed as actions: forward kinematics along
-the way.
+"""Joint commands pass the same limits of place and speed as actions: forward kinematics along the
+way.
 """
 
 from __future__ import annotations
@@ -182,8 +182,8 @@ def test_a_singularity_does_not_limit_joint_motions(move: Any) -> None:
 
 
 def test_velocities_that_bend_the_way_are_followed_on_the_cubic(move: Any) -> None:
-    """With 3 rad/s at its end the cubic overshoots j2 by far, though both points are where they
-    may be.
+    """With 3 rad/s at its end the cubic overshoots j2 by far, though both points are where they may
+    be.
     """
     high = {"name": "ceiling", "lower_m": [-2.0, -2.0, 0.0], "upper_m": [2.0, 2.0, 0.3]}
     points = ((4.0, [0.0, 0.55]), (8.0, [0.0, 0.5]))

@@ -1,5 +1,5 @@
-"""The gate knows of a ROS type what its rosidl class tells: fields at every depth, and which
-values they can hold.
+"""The gate knows of a ROS type what its rosidl class tells: fields at every depth, and which values
+they can hold.
 """
 
 from __future__ import annotations

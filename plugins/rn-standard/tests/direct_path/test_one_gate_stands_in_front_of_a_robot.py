@@ -1,5 +1,5 @@
-"""The feature lends one gate, ends every motion that passed it, and lets nothing pass once it
-is closed.
+"""The feature lends one gate, ends every motion that passed it, and lets nothing pass once it is
+closed.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ DRIVE = Endpoint(
 
 @pytest.fixture
 def make(tmp_path: Path) -> Iterator[Make]:
-    """Return a function that builds an application for the fake arm; no module is started and
-    no ROS is touched.
+    """Return a function that builds an application for the fake arm; no module is started and no
+    ROS is touched.
     """
     made: list[Application] = []
 

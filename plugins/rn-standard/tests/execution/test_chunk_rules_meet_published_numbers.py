@@ -1,5 +1,5 @@
-"""Numbers of the original code (lerobot 0.6.1, VLASH's rule) for merging chunks and rolling
-states forward.
+"""Numbers of the original code (lerobot 0.6.1, VLASH's rule) for merging chunks and rolling states
+forward.
 """
 
 from __future__ import annotations

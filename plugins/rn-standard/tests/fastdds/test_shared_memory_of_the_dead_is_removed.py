@@ -1,5 +1,5 @@
-"""What killed processes leave in shared memory, and whose it is: only what nobody holds any
-more is removed.
+"""What killed processes leave in shared memory, and whose it is: only what nobody holds any more is
+removed.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""What a killed process leaves in shared-memory ports: locks are released, its own port
-swallows what comes.
+"""What a killed process leaves in shared-memory ports: locks are released, its own port swallows
+what comes.
 """
 
 from __future__ import annotations
@@ -66,8 +66,8 @@ def content() -> Iterator[tuple[str, bytes]]:
 
 @pytest.fixture
 def port(content: tuple[str, bytes], tmp_path: Path) -> Path:
-    """A copy of that port, as if its owner had just died: its lock file is there, and nobody
-    holds it.
+    """A copy of that port, as if its owner had just died: its lock file is there, and nobody holds
+    it.
     """
     path = tmp_path / content[0]
     path.write_bytes(content[1])
@@ -138,8 +138,8 @@ def test_the_number_of_a_dead_holder_may_be_given_to_somebody_else(port: Path) -
 def test_locks_that_strangers_left_are_released_before_a_process_starts(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """A process that opens such a port when it starts would hang there, and nobody looked
-    before another one ended.
+    """A process that opens such a port when it starts would hang there, and nobody looked before
+    another one ended.
     """
     calls: list[str] = []
     monkeypatch.setattr(processes, "release_dead_locks", lambda: calls.append("released"))

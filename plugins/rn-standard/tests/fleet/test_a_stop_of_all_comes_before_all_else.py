@@ -24,8 +24,8 @@ STOPS = [("stop", "left"), ("stop", "right-arm")]
 
 @pytest.fixture
 def order(fleet: Fleet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str]]:
-    """What happens while both robots move: a stop sent, a latch created, the topic told, a
-    thread woken, a sync.
+    """What happens while both robots move: a stop sent, a latch created, the topic told, a thread
+    woken, a sync.
     """
     seen: list[tuple[str, str]] = []
     create, sync = os.open, os.fsync

@@ -1,5 +1,5 @@
-"""Middleware that a robot's features have appended sees the calls of that robot, as in a server
-of one robot.
+"""Middleware that a robot's features have appended sees the calls of that robot, as in a server of
+one robot.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""Tools that few requests need are found by search; what the called robot checks, and who may
-call it, stays.
+"""Tools that few requests need are found by search; what the called robot checks, and who may call
+it, stays.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""The fakes with this feature: an application in this process without ROS, and servers in
-processes of their own.
+"""The fakes with this feature: an application in this process without ROS, and servers in processes
+of their own.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""A client over HTTP that is lost while its call moves the robot: it is stopped, in both eras
-of the protocol.
+"""A client over HTTP that is lost while its call moves the robot: it is stopped, in both eras of
+the protocol.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""Who releases the emergency stop: a person, in a terminal or asked by the client, or clients
-if so configured.
+"""Who releases the emergency stop: a person, in a terminal or asked by the client, or clients if so
+configured.
 """
 
 from __future__ import annotations
@@ -196,8 +196,8 @@ def test_the_configuration_may_leave_it_to_clients(
 
 
 def run_estop(state: Path, typed: str | None) -> subprocess.CompletedProcess[str]:
-    """`roboneuron estop --reset` in a terminal in which somebody types; without one when
-    `typed` is None.
+    """`roboneuron estop --reset` in a terminal in which somebody types; without one when `typed` is
+    None.
     """
     command = [*ESTOP, "--reset", "--state", str(state)]
     if typed is None:

@@ -1,5 +1,5 @@
-"""Clients are told when tools and resources change, and only while the feature is there that
-tells them.
+"""Clients are told when tools and resources change, and only while the feature is there that tells
+them.
 """
 
 from __future__ import annotations

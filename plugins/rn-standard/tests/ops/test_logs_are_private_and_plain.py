@@ -1,5 +1,5 @@
-"""Logs are not for everybody on the machine, and nothing that a client sends acts on the
-terminal that shows them.
+"""Logs are not for everybody on the machine, and nothing that a client sends acts on the terminal
+that shows them.
 """
 
 from __future__ import annotations

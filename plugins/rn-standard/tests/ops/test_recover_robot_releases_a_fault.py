@@ -87,8 +87,8 @@ class Served:
     audit: Path
 
     def ask(self, answer: str | None) -> types.CallToolResult:
-        """Call the tool as a client whose person accepts or declines; None: a client that
-        cannot ask.
+        """Call the tool as a client whose person accepts or declines; None: a client that cannot
+        ask.
         """
 
         async def person(context: Any, params: types.ElicitRequestParams) -> types.ElicitResult:

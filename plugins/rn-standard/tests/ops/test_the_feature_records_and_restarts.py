@@ -1,5 +1,5 @@
-"""What an agent reads of a server with this feature: incidents, logs, restarts; and the
-server's log as a file.
+"""What an agent reads of a server with this feature: incidents, logs, restarts; and the server's
+log as a file.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""Choices that cannot be: refused before anything is spawned, with a code, a message and what
-to do.
+"""Choices that cannot be: refused before anything is spawned, with a code, a message and what to
+do.
 """
 
 from __future__ import annotations

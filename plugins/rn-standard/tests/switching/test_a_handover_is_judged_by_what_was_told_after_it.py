@@ -1,5 +1,5 @@
-"""A handover on a busy machine: what a new module has done counts, however late it says so, and
-it may answer late.
+"""A handover on a busy machine: what a new module has done counts, however late it says so, and it
+may answer late.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""An acceleration is changed between two predictions while the arm moves: same process, same
-model, no pause.
+"""An acceleration is changed between two predictions while the arm moves: same process, same model,
+no pause.
 """
 
 from __future__ import annotations

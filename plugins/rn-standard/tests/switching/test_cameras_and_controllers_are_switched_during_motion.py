@@ -216,8 +216,8 @@ def test_a_controller_that_differs_leaves_the_old_one_at_work(
 
 
 def test_a_controller_takes_over_an_arm_whose_policy_pauses_just_then(tmp_path: Path) -> None:
-    """On a busy machine nothing may come for a second: the new one is not to blame for that,
-    and holds the arm.
+    """On a busy machine nothing may come for a second: the new one is not to blame for that, and
+    holds the arm.
     """
     mode = tmp_path / "camera"
 

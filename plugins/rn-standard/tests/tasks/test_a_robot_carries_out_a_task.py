@@ -1,5 +1,5 @@
-"""Real processes: everything at once, a task with an outcome, and tasks that are cancelled,
-stopped or left.
+"""Real processes: everything at once, a task with an outcome, and tasks that are cancelled, stopped
+or left.
 """
 
 from __future__ import annotations

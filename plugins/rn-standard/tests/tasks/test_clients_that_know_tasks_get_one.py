@@ -1,5 +1,5 @@
-"""MCP Tasks of 2025-11-25 by raw JSON-RPC messages: begin, look, wait, cancel; everybody else
-makes the plain call.
+"""MCP Tasks of 2025-11-25 by raw JSON-RPC messages: begin, look, wait, cancel; everybody else makes
+the plain call.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""Events as resources, told to those that subscribe; prompts, models, postures and approval,
-over MCP.
+"""Events as resources, told to those that subscribe; prompts, models, postures and approval, over
+MCP.
 """
 
 from __future__ import annotations

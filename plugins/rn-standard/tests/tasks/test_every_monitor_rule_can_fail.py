@@ -1,5 +1,5 @@
-"""For each rule of monitors there is a monitor that breaks it: one that guesses, lies,
-remembers or is slow.
+"""For each rule of monitors there is a monitor that breaks it: one that guesses, lies, remembers or
+is slow.
 """
 
 from __future__ import annotations

@@ -33,8 +33,8 @@ class FakeSelection:
 
 
 class FakeLoop:
-    """A closed loop that is its own supervisor and configuration; `begin` decides how each
-    start goes.
+    """A closed loop that is its own supervisor and configuration; `begin` decides how each start
+    goes.
     """
 
     def __init__(self, configured: tuple[str, ...] = tuple(MODULE_KINDS)) -> None:

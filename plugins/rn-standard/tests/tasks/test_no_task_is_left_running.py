@@ -1,5 +1,5 @@
-"""10,000 random sequences of start, cancel, disconnect and stop: no task is left, and no arm
-moves without an owner.
+"""10,000 random sequences of start, cancel, disconnect and stop: no task is left, and no arm moves
+without an owner.
 """
 
 from __future__ import annotations

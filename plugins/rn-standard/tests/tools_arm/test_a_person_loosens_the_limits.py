@@ -36,8 +36,8 @@ Make = Callable[[], Application]
 
 @pytest.fixture
 def make(tmp_path: Path) -> Iterator[Make]:
-    """Return a function that builds a server on one state directory; no module is started and
-    no ROS is touched.
+    """Return a function that builds a server on one state directory; no module is started and no
+    ROS is touched.
     """
     made: list[Application] = []
 

@@ -1,5 +1,5 @@
-"""Kept is what was commanded last, by whomever; blocked fingers hold something, and what they
-lose is told.
+"""Kept is what was commanded last, by whomever; blocked fingers hold something, and what they lose
+is told.
 """
 
 from __future__ import annotations

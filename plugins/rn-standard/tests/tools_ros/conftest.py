@@ -1,5 +1,5 @@
-"""A server in this process and a robot beside it: a node of a ROS context of its own with
-topics, services, actions.
+"""A server in this process and a robot beside it: a node of a ROS context of its own with topics,
+services, actions.
 """
 
 from __future__ import annotations

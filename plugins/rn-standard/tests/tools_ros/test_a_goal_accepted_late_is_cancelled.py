@@ -1,5 +1,5 @@
-"""A goal whose server takes its time: the call is over before the goal is accepted, and the
-goal ends all the same.
+"""A goal whose server takes its time: the call is over before the goal is accepted, and the goal
+ends all the same.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ pytestmark = [pytest.mark.ros, pytest.mark.timeout(60)]
 
 
 class SlowServer:
-    """Accepts a goal when it is told to, and follows it until it is cancelled or ten seconds
-    are over.
+    """Accepts a goal when it is told to, and follows it until it is cancelled or ten seconds are
+    over.
     """
 
     def __init__(self, rover: Any) -> None:

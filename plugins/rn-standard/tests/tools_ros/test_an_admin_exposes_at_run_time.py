@@ -1,5 +1,5 @@
-"""expose_endpoint and unexpose_endpoint: checked like the configuration, told to clients,
-audited, for admins only.
+"""expose_endpoint and unexpose_endpoint: checked like the configuration, told to clients, audited,
+for admins only.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""Trajectories and joint commands last as long as they take, follow each other within the
-limits, and can be ended.
+"""Trajectories and joint commands last as long as they take, follow each other within the limits,
+and can be ended.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""Random and hostile calls: an error with a reason each time, nothing on the bus, no internals
-in the text.
+"""Random and hostile calls: an error with a reason each time, nothing on the bus, no internals in
+the text.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""Endpoints found in the live graph: only what a pattern allows, told to clients of both eras
-when it changes.
+"""Endpoints found in the live graph: only what a pattern allows, told to clients of both eras when
+it changes.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""Names, schemas and descriptions of derived tools; what a configuration may expose; what is
-too many to be listed.
+"""Names, schemas and descriptions of derived tools; what a configuration may expose; what is too
+many to be listed.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""Endpoints that a pattern found: bounded by the robot's profile, by the pattern, or not
-exposed at all.
+"""Endpoints that a pattern found: bounded by the robot's profile, by the pattern, or not exposed at
+all.
 """
 
 from __future__ import annotations

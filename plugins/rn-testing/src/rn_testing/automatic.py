@@ -1,5 +1,5 @@
-"""The case of an installed descriptor: the one its author ships, or one made from the
-descriptor alone.
+"""The case of an installed descriptor: the one its author ships, or one made from the descriptor
+alone.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""Options that a case has to set: without them nothing can be built, and one rule says so
-instead of all that build.
+"""Options that a case has to set: without them nothing can be built, and one rule says so instead
+of all that build.
 """
 
 from __future__ import annotations

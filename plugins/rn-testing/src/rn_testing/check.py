@@ -86,8 +86,8 @@ def run(request: Request, out: TextIO) -> None:
 
 
 def main() -> None:
-    """Read the request, answer on the original standard output; what plugins print goes to
-    standard error.
+    """Read the request, answer on the original standard output; what plugins print goes to standard
+    error.
     """
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "w", encoding="utf-8")
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())

@@ -24,7 +24,8 @@ from roboneuron.feature import F64
 
 TRUTH_M, TRUTH_RAD = 5e-4, 5e-3
 """How far a command may end from what its residual says: the residual is compared, so this only
-covers rounding and solvers that stop early."""
+covers rounding and solvers that stop early.
+"""
 
 
 def home_sample(profile: RobotProfile) -> JointSample:

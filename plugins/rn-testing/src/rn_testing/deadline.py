@@ -1,5 +1,5 @@
-"""Bounds on the calls into a plugin: a call that hangs fails its rule, and the run goes on
-without it.
+"""Bounds on the calls into a plugin: a call that hangs fails its rule, and the run goes on without
+it.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ CALL_LIMITS_S: Mapping[str, float] = {
     "hold": 2.0,
     "send": 2.0,
 }
-"""Bound on one call by method name [s]; a case's `limits_s` go first. Generous: slow is judged
-by other rules.
+"""Bound on one call by method name [s]; a case's `limits_s` go first. Generous: slow is judged by
+other rules.
 """
 RULE_LIMIT_S = 600.0
-"""Bound on a whole rule, for what hangs outside of a plugin's methods (a factory of the case,
-an import).
+"""Bound on a whole rule, for what hangs outside of a plugin's methods (a factory of the case, an
+import).
 """
 
 
@@ -63,8 +63,8 @@ _watch: ContextVar[_Watch | None] = ContextVar("watched_calls", default=None)
 
 
 class _Bounded:
-    """Stands in for a plugin's object; tells the watch of its thread when a method is called
-    and when it returns.
+    """Stands in for a plugin's object; tells the watch of its thread when a method is called and
+    when it returns.
     """
 
     def __init__(self, subject: object, limits_s: Mapping[str, float]) -> None:

@@ -166,8 +166,8 @@ class RobotCase(Case[RobotSpec]):
         topics: MemoryTopics | None = None,
         configure: Callable[[object], object] = lambda options: options,
     ) -> Callable[[], Any]:
-        """As of every case, for the driver; the profile is made here, so that its files are not
-        the constructor's.
+        """As of every case, for the driver; the profile is made here, so that its files are not the
+        constructor's.
         """
         spec = self.driver_spec()
         target, options = (

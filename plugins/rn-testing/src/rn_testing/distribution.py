@@ -1,5 +1,5 @@
-"""An installed distribution as the package rules see it: metadata, source files, and what a
-fresh interpreter says.
+"""An installed distribution as the package rules see it: metadata, source files, and what a fresh
+interpreter says.
 """
 
 from __future__ import annotations
@@ -111,8 +111,8 @@ def find_entry_points(case: PackageCase) -> list[EntryPoint]:
 
 
 def find_package(case: PackageCase, module: str) -> str:
-    """Name of the package that is the plugin: the top-level one, or of several in one
-    distribution that of `module`.
+    """Name of the package that is the plugin: the top-level one, or of several in one distribution
+    that of `module`.
     """
     is_alone = len(_all_entry_points(case)) == 1
     return (
@@ -146,8 +146,8 @@ def find_package_directory(case: PackageCase, module: str) -> Path:
 
 
 def source_files(case: PackageCase) -> Iterator[Path]:
-    """Every Python file of the packages that the entry points name, without those of other
-    plugins inside of them.
+    """Every Python file of the packages that the entry points name, without those of other plugins
+    inside of them.
     """
     places = {find_package(case, p.module): _place(case, p.module) for p in find_entry_points(case)}
     others = [

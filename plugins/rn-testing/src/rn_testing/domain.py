@@ -10,13 +10,12 @@ from collections import deque
 from pathlib import Path
 
 DOMAINS = range(30, 101)
-"""Domains whose ports stay below Linux' ephemeral ports. Source: docs.ros.org, "The
-ROS_DOMAIN_ID".
+"""Domains whose ports stay below Linux' ephemeral ports. Source: docs.ros.org, "The ROS_DOMAIN_ID".
 """
 
 _POOL = 6
-"""Domains one process takes turns with, so that what an ended test left on the graph is not met
-by the next one.
+"""Domains one process takes turns with, so that what an ended test left on the graph is not met by
+the next one.
 """
 
 _held: deque[int] = deque()

@@ -32,7 +32,8 @@ PURE_CPU_S = 0.5
 MANY, QUICK_S, ROUND_S, TRIES = 200, 0.001, 0.25, 3
 """Most calls per round of the memory check, how quick a call must be for so many in any case, how
 long a round of others may take when the least number of calls takes less, and how many calls are
-timed."""
+timed.
+"""
 RELEASE_S = 3.0
 """How long what was closed may take to end."""
 ROUNDS = 4
@@ -44,7 +45,8 @@ OPEN_FILES = 0.05
 LEAK_BYTES, SLOW_LEAK_BYTES, RESIDENT_LEAK_BYTES = 256, 2048, 100_000
 """What each of MANY calls, each of the least number of calls (whose bounded histories are still
 filling) and, of memory that Python does not know, any call may keep; below is noise. Noise is a
-round's, so more calls show smaller leaks."""
+round's, so more calls show smaller leaks.
+"""
 
 _EVENTS = {
     "open": "opens the file",
@@ -95,8 +97,8 @@ def _install_hook() -> None:
 
 @contextmanager
 def watch_new_files(created: list[Path]) -> Iterator[None]:
-    """Notes in `created` what this thread makes in the folder of temporary files and in the
-    working folder.
+    """Notes in `created` what this thread makes in the folder of temporary files and in the working
+    folder.
     """
     _install_hook()
     # asked for the first time it writes a file, which the hook must not wait for
@@ -190,8 +192,8 @@ def within(limit_s: float, action: Callable[[], T], what: str) -> T:
 
 
 def running() -> frozenset[str]:
-    """Names of what a closed plugin must not leave behind: Python threads and child processes
-    of this process.
+    """Names of what a closed plugin must not leave behind: Python threads and child processes of
+    this process.
     """
     threads = {
         f"thread {t.name} ({t.native_id})"
@@ -239,8 +241,8 @@ def check_releases(run: Callable[[], object], what: str) -> None:
 
 
 def check_released(before: frozenset[str], what: str) -> None:
-    """Raise Violation when threads or child processes that were not `before` are still there
-    after RELEASE_S.
+    """Raise Violation when threads or child processes that were not `before` are still there after
+    RELEASE_S.
     """
     if not holds_within(lambda: running() <= before, RELEASE_S):
         raise Violation(f"{what} leaves behind: {', '.join(sorted(running() - before))}")
@@ -305,8 +307,8 @@ def check_memory(action: Callable[[], object], what: str, *, count: int = 20) ->
 
 
 def _kept_by_each_call(marks: list[tuple[int, int, int]], calls: int) -> tuple[float, ...] | None:
-    """Of what was marked after each round, the least that a round added, for each call; None
-    after the first round.
+    """Of what was marked after each round, the least that a round added, for each call; None after
+    the first round.
     """
     if len(marks) < 2:
         return None

@@ -30,8 +30,8 @@ class Kind:
 
 
 def named_by(spec: type[Spec]) -> str:
-    """Where a descriptor class says that its rules are, as "module:attribute"; empty when it
-    says nothing.
+    """Where a descriptor class says that its rules are, as "module:attribute"; empty when it says
+    nothing.
     """
     return str(getattr(spec, "rules", ""))
 

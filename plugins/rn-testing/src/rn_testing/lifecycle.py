@@ -37,8 +37,8 @@ ALONE = (
 )
 """Text of the rule `process-left-alone`."""
 CONSTRUCTOR_S = 1.0
-"""Bound on the quickest of some constructors: they return at once, and a busy machine slows
-one, not all.
+"""Bound on the quickest of some constructors: they return at once, and a busy machine slows one,
+not all.
 """
 
 

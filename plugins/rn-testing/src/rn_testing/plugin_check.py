@@ -142,8 +142,8 @@ def check(
 
 
 def run_worker(request: str, timeout_s: float) -> list[Result]:
-    """Run the worker in a process group of its own and read what it decided before it ended or
-    was ended.
+    """Run the worker in a process group of its own and read what it decided before it ended or was
+    ended.
     """
     with (
         tempfile.TemporaryFile("w+", encoding="utf-8") as errors,

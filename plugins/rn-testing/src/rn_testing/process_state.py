@@ -40,12 +40,12 @@ LIBRARY_VARIABLES = (
     "PYOPENGL_",
     "TOKENIZERS_",
 )
-"""Beginnings of environment variables that native libraries read and that have no other way to
-be set.
+"""Beginnings of environment variables that native libraries read and that have no other way to be
+set.
 """
 _SEEDS = (20_011, 40_013)
-"""Of the global generators in the first and in the second trial: a plugin that only draws ends
-in different states.
+"""Of the global generators in the first and in the second trial: a plugin that only draws ends in
+different states.
 """
 
 
@@ -191,8 +191,8 @@ def _seeded(seed: int) -> Iterator[None]:
 
 @contextmanager
 def _watched_handlers(asked: list[str]) -> Iterator[None]:
-    """Notes in `asked` for which signals a handler is set; in a thread, as the rules run,
-    Python would refuse it.
+    """Notes in `asked` for which signals a handler is set; in a thread, as the rules run, Python
+    would refuse it.
     """
     real = signal.signal
 
@@ -277,8 +277,8 @@ def _difference(then: object, now: object) -> str:
 
 
 def find_changes(action: Callable[[], object]) -> list[str]:
-    """Run `action` in this thread, once or twice; return a sentence part for each thing it
-    changes every time.
+    """Run `action` in this thread, once or twice; return a sentence part for each thing it changes
+    every time.
     """
     first = _try(action, _SEEDS[0])
     if not first.changes and not first.generators:

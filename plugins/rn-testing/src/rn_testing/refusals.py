@@ -1,5 +1,5 @@
-"""Errors as users meet them: of RoboNeuron's own classes for a file that is not there, short,
-and without secrets.
+"""Errors as users meet them: of RoboNeuron's own classes for a file that is not there, short, and
+without secrets.
 """
 
 from __future__ import annotations

@@ -18,8 +18,8 @@ class Violation(AssertionError):
 
 
 class NotApplicable(Exception):
-    """A rule says nothing about this case (a backend without state, a runtime without a request
-    to try).
+    """A rule says nothing about this case (a backend without state, a runtime without a request to
+    try).
     """
 
 

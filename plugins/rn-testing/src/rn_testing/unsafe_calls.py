@@ -1,5 +1,5 @@
-"""Calls that run code out of data, or hand text to a shell: what they are called, found in
-source text.
+"""Calls that run code out of data, or hand text to a shell: what they are called, found in source
+text.
 """
 
 from __future__ import annotations

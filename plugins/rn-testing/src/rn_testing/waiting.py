@@ -9,8 +9,8 @@ from collections.abc import Callable
 def holds_within(
     condition: Callable[[], object], timeout_s: float = 20.0, *, poll_s: float = 0.005
 ) -> bool:
-    """Whether `condition` returns something true before `timeout_s` is over; returns as soon as
-    it does.
+    """Whether `condition` returns something true before `timeout_s` is over; returns as soon as it
+    does.
     """
     deadline_s = time.monotonic() + timeout_s
     while not condition():

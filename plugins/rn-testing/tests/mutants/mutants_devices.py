@@ -1,5 +1,5 @@
-"""Drivers, sources and controllers whose numbers are plausible one by one and wrong over time
-or together.
+"""Drivers, sources and controllers whose numbers are plausible one by one and wrong over time or
+together.
 """
 
 from __future__ import annotations

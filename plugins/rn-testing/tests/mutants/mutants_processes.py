@@ -1,5 +1,5 @@
-"""Plugins of every kind that change the process, keep files open, or fail with an error that
-nobody should see.
+"""Plugins of every kind that change the process, keep files open, or fail with an error that nobody
+should see.
 """
 
 from __future__ import annotations

@@ -53,8 +53,8 @@ _draws = itertools.count()
 
 
 def noise(scale: float) -> float:
-    """A random number; successive ones are at least `scale` apart, since by chance two could be
-    too near to tell.
+    """A random number; successive ones are at least `scale` apart, since by chance two could be too
+    near to tell.
     """
     return scale * (2 * (next(_draws) % 11) + random.random())
 
@@ -71,8 +71,8 @@ def then(*steps: object) -> object:
 
 
 def remembered(self: Any, value: object) -> object:
-    """`value`, which `self` keeps for ever, with 8 kB: on a busy machine calls are few, and
-    less than 2 kB is noise.
+    """`value`, which `self` keeps for ever, with 8 kB: on a busy machine calls are few, and less
+    than 2 kB is noise.
     """
     self.memory = [*getattr(self, "memory", []), (value, bytes(8192))]
     return value

@@ -38,8 +38,8 @@ class Admission:
         )
 
     def allows(self, headers: Any) -> bool:
-        """Whether a connection may be: its Host is this machine, and its page comes from there
-        or an allowed place.
+        """Whether a connection may be: its Host is this machine, and its page comes from there or
+        an allowed place.
         """
         origin = headers.get("Origin")
         return self.rules.allows_host(headers.get_all("Host")) and (

@@ -86,8 +86,8 @@ class ViewFeature(Feature[ViewOptions]):
 
 
 class _SharedPage:
-    """The page of all robots of this process whose configuration names the same address: it can
-    be bound only once.
+    """The page of all robots of this process whose configuration names the same address: it can be
+    bound only once.
     """
 
     _in_use: ClassVar[dict[tuple[str, int], _SharedPage]] = {}

@@ -1,5 +1,5 @@
-"""What happened, for the list on the page: tool calls, faults, changes of health, decisions of
-the gate.
+"""What happened, for the list on the page: tool calls, faults, changes of health, decisions of the
+gate.
 """
 
 from __future__ import annotations
@@ -114,8 +114,8 @@ class ToolCalls:
 
 
 def failure_of(result: Any) -> str:
-    """The text of a failed call, as middleware gets it: as it goes over the wire. Empty when it
-    did not fail.
+    """The text of a failed call, as middleware gets it: as it goes over the wire. Empty when it did
+    not fail.
     """
     if not (isinstance(result, Mapping) and result.get("isError")):
         return ""
@@ -147,8 +147,8 @@ class AuditTail:
         self._rest = b""
 
     def read_new(self) -> list[dict[str, Any]]:
-        """Records since the last time; the end of the file the first time. Empty when there is
-        no file.
+        """Records since the last time; the end of the file the first time. Empty when there is no
+        file.
         """
         data = b""
         with contextlib.suppress(OSError):

@@ -13,15 +13,14 @@ from roboneuron import RobotProfile
 from roboneuron.feature import EXPLANATIONS, FAULTS
 
 _GOOD, _IDLE, _BAD, _STARTING = "#237032", "#555c63", "#b01e1e", "#9c5200"
-"""Each has a contrast of more than 5 on white. Source: WCAG 2.2, success criterion 1.4.3 (AA:
-4.5).
+"""Each has a contrast of more than 5 on white. Source: WCAG 2.2, success criterion 1.4.3 (AA: 4.5).
 """
 _SMALL = "font-size:12px;line-height:1.35"
 STYLE = (
     '<style>@media (max-width: 36em) {div[style*="width: 20em"] {width: 100% !important}}</style>'
 )
-"""On a phone viser 1.1 makes the panel 20em wide and leaves a strip beside it; with this it is
-as wide as the page.
+"""On a phone viser 1.1 makes the panel 20em wide and leaves a strip beside it; with this it is as
+wide as the page.
 """
 _NEAR = 0.05
 """Share of a joint's range within which it is shown as near its limit."""

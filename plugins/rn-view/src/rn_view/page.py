@@ -23,8 +23,8 @@ from roboneuron.feature import access, roles
 
 _LEFT_PX = 310
 _PHONE_PX, _WIDE_PX = 576, 1100
-"""Between these widths cameras, plots and joints are in the panel on the right: the robot has
-no room between two.
+"""Between these widths cameras, plots and joints are in the panel on the right: the robot has no
+room between two.
 """
 _LINES = 40
 _MODULES = ("robot", "perception", "control", "inference")
@@ -39,8 +39,8 @@ class Operator(Protocol):
     """Calls tools for a page; the page of a view without one has no buttons but the stop."""
 
     def call(self, holder: access.Holder, tool: str, arguments: dict[str, Any]) -> Future[str]:
-        """Call a tool as `holder`; the text of its failure, empty when it did what it says.
-        Returns at once.
+        """Call a tool as `holder`; the text of its failure, empty when it did what it says. Returns
+        at once.
         """
         ...
 
@@ -67,10 +67,9 @@ class Page:
         admit: Callable[[str], access.Holder | None],
         on_choice: Callable[[Page], object],
     ) -> None:
-        """Args:
-        sources: what can be shown by the robot's name, the first one first; of several one is
-        chosen. operators: call tools for the buttons, by the robot's name; of a robot without one
-        there are none. admit: whose token a text is; None for nobody's. on_choice: called when
+        """Args: sources: what can be shown by the robot's name, the first one first; of several one
+        is chosen. operators: call tools for the buttons, by the robot's name; of a robot without
+        one there are none. admit: whose token a text is; None for nobody's. on_choice: called when
         another robot was chosen.
         """
         self.client = client

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
 _BACK_S = 0.5
-"""Going back from so little after a mark leads to the one before it, so that a second press
-gets on while it plays.
+"""Going back from so little after a mark leads to the one before it, so that a second press gets on
+while it plays.
 """
 
 
@@ -90,8 +90,8 @@ class Playback:
             self._jumped = True
 
     def seek_mark(self, step: int) -> Mark | None:
-        """Jump to the next mark (1) or the one before (-1) and stay there; None, and no jump,
-        when there is none.
+        """Jump to the next mark (1) or the one before (-1) and stay there; None, and no jump, when
+        there is none.
         """
         here_s = self._position_s
         if step > 0:

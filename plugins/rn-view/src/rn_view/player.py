@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 _MOST_MARKS = 40
 """Dots below the slider; of more marks only some would be seen apart."""
 _HELD_S = 0.7
-"""After somebody moved the slider it is left alone for so long: it would be pulled from under
-the pointer.
+"""After somebody moved the slider it is left alone for so long: it would be pulled from under the
+pointer.
 """
 
 

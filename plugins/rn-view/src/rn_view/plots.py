@@ -23,8 +23,8 @@ _HEIGHT_PX = 130
 
 
 class History:
-    """Rates and latencies of the modules over the last seconds, taken from snapshots; shared by
-    all pages.
+    """Rates and latencies of the modules over the last seconds, taken from snapshots; shared by all
+    pages.
     """
 
     def __init__(self) -> None:

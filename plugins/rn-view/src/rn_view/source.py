@@ -1,5 +1,5 @@
-"""What a page shows, whichever way it is learnt: from the server itself, or from the ROS graph
-and its files.
+"""What a page shows, whichever way it is learnt: from the server itself, or from the ROS graph and
+its files.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""The bar above the page with the emergency stop: plain HTML and requests, so that it needs no
-seat and no WebGL.
+"""The bar above the page with the emergency stop: plain HTML and requests, so that it needs no seat
+and no WebGL.
 """
 
 from __future__ import annotations

@@ -79,8 +79,8 @@ class Viewer:
 
     @property
     def measured(self) -> Measured | None:
-        """What is measured of the first robot; None while nobody looks at it: nothing is
-        subscribed to then.
+        """What is measured of the first robot; None while nobody looks at it: nothing is subscribed
+        to then.
         """
         return next(iter(self._showings.values())).measured
 
@@ -157,8 +157,8 @@ class Viewer:
             server._websock_server.disconnect_all_clients()
 
     async def _check_connection(self, connection: Any) -> None:
-        """A websocket was opened: it has a while to become a page, before the oldest that did
-        not gives way to it.
+        """A websocket was opened: it has a while to become a page, before the oldest that did not
+        gives way to it.
         """
         assert self._server is not None
         live = self._server._websock_server._live_connections

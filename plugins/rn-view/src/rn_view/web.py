@@ -1,5 +1,5 @@
-"""What the view's port answers by itself: the page, the emergency stop and its state; and whom
-it lets in.
+"""What the view's port answers by itself: the page, the emergency stop and its state; and whom it
+lets in.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""A view of a robot that another process serves: from the ROS graph, the emergency stop's file
-and the audit.
+"""A view of a robot that another process serves: from the ROS graph, the emergency stop's file and
+the audit.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""What a run says of the server: tool calls, faults, health of modules, the gate, instructions,
-by their times.
+"""What a run says of the server: tool calls, faults, health of modules, the gate, instructions, by
+their times.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""A recorded run as the source of a view: its messages are delivered as the topics would, at
-the time that is shown.
+"""A recorded run as the source of a view: its messages are delivered as the topics would, at the
+time that is shown.
 """
 
 from __future__ import annotations
@@ -71,8 +71,8 @@ class RecordedSource:
         begin_ns, end_ns = self._timeline.begin_ns, self._timeline.end_ns
         self.playback = Playback(run, begin_ns / 1e9, (end_ns - begin_ns) / 1e9, self._log.marks)
         self._lock = threading.RLock()
-        """Guards the timeline and the fields below: pages, their thread of states, and the one
-        that plays.
+        """Guards the timeline and the fields below: pages, their thread of states, and the one that
+        plays.
         """
         self._callbacks: dict[str, list[Callable[[Any], None]]] = {}
         self._shown_ns = begin_ns

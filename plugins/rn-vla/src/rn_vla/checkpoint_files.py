@@ -22,8 +22,7 @@ T = TypeVar("T")
 M = TypeVar("M", bound=BaseModel)
 
 MAX_JSON_BYTES = 8 * 2**20
-"""Largest JSON file that describes a model; parsed, JSON takes up to 20 times its size in
-memory.
+"""Largest JSON file that describes a model; parsed, JSON takes up to 20 times its size in memory.
 """
 MAX_TOKENIZER_BYTES = 64 * 2**20
 """Largest tokenizer.json (PaliGemma's has 34 MB)."""
@@ -80,8 +79,8 @@ def check_file(path: Path, max_bytes: int | None = None) -> int:
 
 
 def check_safetensors(path: Path) -> None:
-    """Raise CheckpointError when a safetensors file is absent, not a regular file, or its
-    header is too long.
+    """Raise CheckpointError when a safetensors file is absent, not a regular file, or its header is
+    too long.
     """
     size = check_file(path)
     with reading(path, "safetensors"), path.open("rb") as file:
@@ -121,8 +120,8 @@ def reading(path: Path, what: str) -> Iterator[None]:
 
 
 def read_json(path: Path, max_bytes: int = MAX_JSON_BYTES) -> object:
-    """The parsed file. Raises CheckpointError when it is absent, too large, not a regular file
-    or not JSON.
+    """The parsed file. Raises CheckpointError when it is absent, too large, not a regular file or
+    not JSON.
     """
     check_file(path, max_bytes)
     with reading(path, "JSON"):
@@ -135,8 +134,8 @@ def read_schema(path: Path, model: type[M], max_bytes: int = MAX_JSON_BYTES) -> 
 
 
 def check_schema(raw: object, schema: TypeAdapter[T], source: Path) -> T:
-    """`raw`, which came from `source`, as the schema has it. Raises CheckpointError with the
-    first thing wrong.
+    """`raw`, which came from `source`, as the schema has it. Raises CheckpointError with the first
+    thing wrong.
     """
     if not isinstance(raw, dict):
         raise CheckpointError(

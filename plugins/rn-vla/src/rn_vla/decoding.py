@@ -225,8 +225,7 @@ class PolicyModel:
 LlamaRuntime: TypeAlias = Runtime[PolicyModel, Request, Reply, PrunableDecoder]
 """A runtime of Llama-shaped decoders that answers both kinds of request."""
 TokenRuntime: TypeAlias = Runtime[PolicyModel, TokenRequest, Reply, PrunableDecoder]
-"""One that answers at least `TokenRequest`: what a backend of the family "openvla" is built
-with.
+"""One that answers at least `TokenRequest`: what a backend of the family "openvla" is built with.
 """
 RowsRuntime: TypeAlias = Runtime[PolicyModel, RowsRequest, Reply, PrunableDecoder]
 """One that answers at least `RowsRequest`: what a backend of the family "openvla-oft" is built
@@ -239,8 +238,8 @@ class BatchRuntime(Protocol):
     """What a runtime may offer beside `run`."""
 
     def run_batch(self, requests: Sequence[RowsRequest]) -> Sequence[Reply]:
-        """One reply for each request, in their order, from one pass; raises what `run` raises,
-        for all of them.
+        """One reply for each request, in their order, from one pass; raises what `run` raises, for
+        all of them.
         """
         ...
 

@@ -45,8 +45,8 @@ class TokenSelection(Protocol):
         ...
 
     def select(self, view: AttentionView) -> Tensor | None:
-        """Return the positions to keep, int64, ascending; None keeps all. Only visual ones may
-        be dropped.
+        """Return the positions to keep, int64, ascending; None keeps all. Only visual ones may be
+        dropped.
         """
         ...
 
@@ -55,7 +55,7 @@ class PrunableDecoder(Protocol):
     """What an acceleration gets from a runtime with the capability "visual-token-pruning"."""
 
     def install_selection(self, selection: TokenSelection) -> None:
-        """Use `selection` in every later pass. Raises ConfigurationError when its layer is not
-        one of the decoder's.
+        """Use `selection` in every later pass. Raises ConfigurationError when its layer is not one
+        of the decoder's.
         """
         ...

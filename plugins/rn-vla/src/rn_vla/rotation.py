@@ -1,5 +1,5 @@
-"""Rotations as training data of VLA models write them: roll-pitch-yaw, and branches near a
-gripper that points down.
+"""Rotations as training data of VLA models write them: roll-pitch-yaw, and branches near a gripper
+that points down.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from roboneuron import matrix_from_rotvec, rotvec_from_matrix
 F64 = NDArray[np.float64]
 _SMALL_ANGLE_RAD = 1e-8
 DOWN_ROTVEC_RAD = (np.pi, 0.0, 0.0)
-"""Rotation vector [rad] of a gripper that points down, x forward; the z axis of the TCP points
-out of the gripper.
+"""Rotation vector [rad] of a gripper that points down, x forward; the z axis of the TCP points out
+of the gripper.
 """
 
 
@@ -30,8 +30,8 @@ def nearer_rotvec(rotvec_rad: F64, near_rad: F64) -> F64:
 
 
 def matrix_from_rpy(rpy_rad: F64) -> F64:
-    """Roll, pitch, yaw (3,) [rad] about fixed x, y, z -> rotation matrix (3, 3), Rz(yaw)
-    Ry(pitch) Rx(roll).
+    """Roll, pitch, yaw (3,) [rad] about fixed x, y, z -> rotation matrix (3, 3), Rz(yaw) Ry(pitch)
+    Rx(roll).
     """
     x, y, z = (
         matrix_from_rotvec(axis * angle) for axis, angle in zip(np.eye(3), rpy_rad, strict=True)
@@ -41,8 +41,8 @@ def matrix_from_rpy(rpy_rad: F64) -> F64:
 
 
 def rpy_from_matrix(matrix: F64) -> F64:
-    """Rotation matrix (3, 3) -> roll, pitch, yaw (3,) [rad]; pitch in [-pi/2, pi/2], roll 0
-    where it is ambiguous.
+    """Rotation matrix (3, 3) -> roll, pitch, yaw (3,) [rad]; pitch in [-pi/2, pi/2], roll 0 where
+    it is ambiguous.
     """
     cosine = np.hypot(matrix[0, 0], matrix[1, 0])
     pitch = np.arctan2(-matrix[2, 0], cosine)

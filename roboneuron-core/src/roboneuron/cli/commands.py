@@ -90,8 +90,8 @@ def named_command(words: Sequence[str]) -> tuple[str, list[str]]:
 
 
 def installed_commands(registry: Registry) -> dict[str, str]:
-    """Summary by name of the commands that plugins offer and that can be used; one of core's
-    name is left out.
+    """Summary by name of the commands that plugins offer and that can be used; one of core's name
+    is left out.
     """
     return {
         offer.spec.name: offer.spec.summary

@@ -1,5 +1,5 @@
-"""Serve MCP tools for a robot: on stdin and stdout for the agent that starts this, or over HTTP
-for several.
+"""Serve MCP tools for a robot: on stdin and stdout for the agent that starts this, or over HTTP for
+several.
 """
 
 from __future__ import annotations
@@ -134,8 +134,8 @@ def divert_standard_streams() -> tuple[int, int]:
 
 @contextmanager
 def quiet_streams() -> Iterator[None]:
-    """Within the block nothing reads from stdin or writes to stdout, which may be the wire of
-    an agent.
+    """Within the block nothing reads from stdin or writes to stdout, which may be the wire of an
+    agent.
     """
     stdout = sys.stdout
     streams = divert_standard_streams()

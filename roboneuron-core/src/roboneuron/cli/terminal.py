@@ -40,8 +40,8 @@ _PLAIN = {
 
 
 def accept_any_text() -> None:
-    """Let standard output and error show what their encoding lacks by something similar,
-    instead of failing.
+    """Let standard output and error show what their encoding lacks by something similar, instead of
+    failing.
     """
     codecs.register_error("roboneuron", _replace)
     for stream in (sys.stdout, sys.stderr):
@@ -58,8 +58,8 @@ def _replace(error: UnicodeError) -> tuple[str, int]:
 
 
 def add_verbosity(parser: ArgumentParser, default: object = 0) -> None:
-    """Add -v and -q to a command's parser and to those of its subcommands; options of the
-    command itself win.
+    """Add -v and -q to a command's parser and to those of its subcommands; options of the command
+    itself win.
     """
     for short, name, meaning in (("-v", "--verbose", "more"), ("-q", "--quiet", "less")):
         with suppress(ArgumentError):

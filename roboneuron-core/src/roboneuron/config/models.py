@@ -23,8 +23,8 @@ Interpreter = Annotated[
     str | None, Field(description="interpreter of the module's own environment")
 ]
 Reaction = Literal["hold", "scale", "refuse"]
-"""At a limit: stop where the arm is measured, shorten the command, or send nothing and let the
-last command end.
+"""At a limit: stop where the arm is measured, shorten the command, or send nothing and let the last
+command end.
 """
 CHECKPOINT_START_S = 900.0
 """15 GB from a slow disk, and the warm-up of a large model, take several minutes."""
@@ -278,8 +278,8 @@ class Config(Section):
     sections: dict[str, Any] = Field(default_factory=dict, exclude=True)
     """Sections of features by top-level key, as in the file; modules are not told them."""
     robots: dict[str, Config] = Field(default_factory=dict, exclude=True)
-    """Of a file with `[robots.<name>]`: the whole configuration of each by its name; the rest
-    is what all share.
+    """Of a file with `[robots.<name>]`: the whole configuration of each by its name; the rest is
+    what all share.
     """
 
     @property
@@ -288,8 +288,8 @@ class Config(Section):
         return self.robot.namespace or self.robot.name.replace("-", "_")
 
     def options(self, name: str) -> Mapping[str, object]:
-        """Options of the backend, source, controller, driver ... called `name`; empty when the
-        user set none.
+        """Options of the backend, source, controller, driver ... called `name`; empty when the user
+        set none.
         """
         return self.plugins.get(name, {})
 

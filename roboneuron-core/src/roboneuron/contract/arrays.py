@@ -1,5 +1,5 @@
-"""Read-only arrays of contract values: a buffer that a plugin uses again cannot change what it
-has handed over.
+"""Read-only arrays of contract values: a buffer that a plugin uses again cannot change what it has
+handed over.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ def freeze(value: object, *names: str, dtype: DTypeLike | None = np.float64) -> 
 
 
 def read_only_view(array: NDArray[Any]) -> NDArray[Any]:
-    """A view that cannot be written through; no pixel is copied, so the owner must leave the
-    memory alone.
+    """A view that cannot be written through; no pixel is copied, so the owner must leave the memory
+    alone.
     """
     if not array.flags.writeable:
         return array

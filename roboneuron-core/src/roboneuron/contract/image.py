@@ -1,5 +1,5 @@
-"""Images as the contract uses them: uint8 (H, W, 3), RGB. Conversions from raw buffers live
-here, without ROS.
+"""Images as the contract uses them: uint8 (H, W, 3), RGB. Conversions from raw buffers live here,
+without ROS.
 """
 
 from __future__ import annotations

@@ -45,8 +45,8 @@ class JointLimits:
         acceleration: [rad/s^2 or m/s^2].
         effort: [Nm or N].
         braking_offset, braking_deceleration: [rad/s], [rad/s^2] (or m) of robots that slow down
-            near a position
-            limit: towards it, velocity is at most -offset + sqrt(2 * deceleration * distance to the
+            near a position limit: towards it, velocity is at most -offset + sqrt(2 * deceleration *
+            distance to the
                 limit), and never
             negative. None where velocity does not depend on position.
     """
@@ -106,8 +106,8 @@ class CameraProfile:
     calibration: CameraCalibration | None = None
 
     def calibration_at(self, width: int, height: int) -> CameraCalibration | None:
-        """Calibration of an image of `width` x `height` [px]; None when the aspect ratio is not
-        the nominal one.
+        """Calibration of an image of `width` x `height` [px]; None when the aspect ratio is not the
+        nominal one.
         """
         if self.calibration is None or width * self.height != height * self.width:
             return None
@@ -194,8 +194,7 @@ class Endpoint:
         min_turning_radius_m: of a base that steers like a car; its twists are no sharper. 0: it
             turns on the spot.
         repeat_hz: a value that is to last is sent again this often, because the robot stops when
-            messages cease;
-            repetitions do not count against `rate_hz`. 0: it is sent once.
+            messages cease; repetitions do not count against `rate_hz`. 0: it is sent once.
     """
 
     name: str
@@ -230,8 +229,7 @@ class RobotProfile:
         collision: None when links and obstacles are not checked by default.
         endpoints: what the agent may use on the direct path.
         own_topics: topics in its namespace that its drivers and simulations write, besides those of
-            the contract and
-            those of `endpoints` that are read: nobody else is let publish them.
+            the contract and those of `endpoints` that are read: nobody else is let publish them.
     """
 
     name: str

@@ -61,8 +61,8 @@ class Topics(Protocol):
         ...
 
     def publisher_types(self, topic: str) -> tuple[str, ...]:
-        """Message type ("package/msg/Name") of each publisher of `topic` discovered so far;
-        from any thread.
+        """Message type ("package/msg/Name") of each publisher of `topic` discovered so far; from
+        any thread.
         """
         ...
 
@@ -117,14 +117,13 @@ class Runtime(Protocol[Model, Request, Answer, Decoder]):
     `target(config)`.
 
     What `load` takes and what requests look like is agreed per model family between the packages
-    concerned, in types that a package of the family binds here
-    (`Runtime[MyModel, MyRequest, MyAnswer, MyDecoder]`); the descriptor's `families` names them and
-    planning matches them.
+    concerned, in types that a package of the family binds here (`Runtime[MyModel, MyRequest,
+    MyAnswer, MyDecoder]`); the descriptor's `families` names them and planning matches them.
     """
 
     def load(self, model: Model, acceleration: Acceleration[Decoder] | None = None) -> None:
-        """Take the model (in process: read its weights; served: reach the server and check what
-        it serves).
+        """Take the model (in process: read its weights; served: reach the server and check what it
+        serves).
         """
         ...
 
@@ -160,8 +159,8 @@ class Acceleration(Protocol[Accelerated]):
 
 
 AnyRuntime: TypeAlias = Runtime[Never, Never, object, object]
-"""A runtime of a family that is not known here: it can be handed on, aborted and closed, but
-not used.
+"""A runtime of a family that is not known here: it can be handed on, aborted and closed, but not
+used.
 """
 AnyAcceleration: TypeAlias = Acceleration[Never]
 """Likewise an acceleration."""
@@ -193,8 +192,8 @@ class PerceptionSource(Protocol):
 
 @runtime_checkable
 class Controller(Protocol):
-    """Pure computation from action and measured joints to a joint command. Built as
-    `target(config, profile)`.
+    """Pure computation from action and measured joints to a joint command. Built as `target(config,
+    profile)`.
     """
 
     def load(self) -> None:
@@ -208,8 +207,8 @@ class Controller(Protocol):
         ...
 
     def compute(self, action: Action, joints: JointSample, step_s: float) -> JointCommand | Hold:
-        """Return where to go within `step_s`, or why the robot should hold. Never raises for
-        bad numbers.
+        """Return where to go within `step_s`, or why the robot should hold. Never raises for bad
+        numbers.
         """
         ...
 
@@ -239,8 +238,8 @@ class PostureInspector(Protocol):
 
 @runtime_checkable
 class RobotDriver(Protocol):
-    """Moves one robot. Built as `target(config, profile, topics)`; called from the robot
-    module's threads.
+    """Moves one robot. Built as `target(config, profile, topics)`; called from the robot module's
+    threads.
     """
 
     def open(self) -> None:

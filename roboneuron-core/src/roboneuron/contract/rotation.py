@@ -1,5 +1,5 @@
-"""Rotations as the contract uses them: rotation vectors [rad], 3x3 matrices, unit quaternions
-in x y z w order.
+"""Rotations as the contract uses them: rotation vectors [rad], 3x3 matrices, unit quaternions in x
+y z w order.
 """
 
 from __future__ import annotations

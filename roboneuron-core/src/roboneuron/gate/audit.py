@@ -65,8 +65,8 @@ _CUT = AuditRecord(
 
 
 class AuditLog:
-    """Append-only file of records, shared by several processes. Thread-safe. The constructor
-    opens nothing.
+    """Append-only file of records, shared by several processes. Thread-safe. The constructor opens
+    nothing.
     """
 
     def __init__(
@@ -120,8 +120,8 @@ class AuditLog:
         self.on_record(record)
 
     def write_if_possible(self, record: AuditRecord) -> None:
-        """`write` for what must happen without a record too, such as an emergency stop; a
-        failure is logged.
+        """`write` for what must happen without a record too, such as an emergency stop; a failure
+        is logged.
         """
         try:
             self.write(record)

@@ -90,8 +90,8 @@ class EmergencyStopLatch:
         self._telling: list[Callable[[], object]] = []
 
     def reserve(self) -> None:
-        """Keep a file handle for the latch's file: a process that has no other left still stops
-        the others.
+        """Keep a file handle for the latch's file: a process that has no other left still stops the
+        others.
         """
         with suppress(OSError):
             self._spare.append(os.open(os.devnull, os.O_RDONLY | os.O_CLOEXEC))
@@ -260,8 +260,8 @@ class EmergencyStopLatch:
             ) from error
 
     def _create(self, state: LatchState) -> None:
-        """Make the file with its cause; the latch holds without it, and the cause that came
-        first is kept.
+        """Make the file with its cause; the latch holds without it, and the cause that came first
+        is kept.
         """
         make_log_directory(self.path.parent)
         is_reserved = self.release()
@@ -340,9 +340,8 @@ def press_together(
     failed.
 
     What stops the last robot is sent before the first file is written, and every file is written
-    before a thread is
-    woken: each system call gives the interpreter away, and woken threads keep it for up to a
-    millisecond each time.
+    before a thread is woken: each system call gives the interpreter away, and woken threads keep it
+    for up to a millisecond each time.
     """
     pressed: list[tuple[EmergencyStopLatch, LatchState]] = []
     failures: list[UnsafeError] = []

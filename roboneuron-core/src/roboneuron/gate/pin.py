@@ -30,8 +30,8 @@ _LEAST, _MOST = 4, 64
 _N, _R, _P, _MEMORY = 2**15, 8, 1, 64 * 2**20
 """Cost of scrypt: about 0.1 s and 32 MiB. Source: RFC 7914."""
 _FREE, _MOST_WAIT_S = 3, 300.0
-"""So many wrong PINs cost nothing; each one after that doubles the wait for the next attempt,
-from 2 s on.
+"""So many wrong PINs cost nothing; each one after that doubles the wait for the next attempt, from
+2 s on.
 """
 
 

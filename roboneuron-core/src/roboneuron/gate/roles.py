@@ -2,8 +2,8 @@
 
 VIEWER, OPERATOR, ADMIN = "viewer", "operator", "admin"
 ROLES = (VIEWER, OPERATOR, ADMIN)
-"""Roles from least to most: read; also move; also expose and reset. Each includes the ones
-before it.
+"""Roles from least to most: read; also move; also expose and reset. Each includes the ones before
+it.
 """
 
 

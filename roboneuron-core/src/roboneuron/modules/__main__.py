@@ -1,5 +1,5 @@
-"""`python -m roboneuron.modules`: read ModuleSettings from stdin, run that module, leave with
-the parent.
+"""`python -m roboneuron.modules`: read ModuleSettings from stdin, run that module, leave with the
+parent.
 """
 
 from __future__ import annotations

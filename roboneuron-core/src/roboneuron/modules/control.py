@@ -1,5 +1,5 @@
-"""Control: actions and measured joints in, joint commands out; holds when actions stop or
-anything is doubtful.
+"""Control: actions and measured joints in, joint commands out; holds when actions stop or anything
+is doubtful.
 """
 
 from __future__ import annotations
@@ -149,8 +149,8 @@ class ControlModule(Module):
         return command
 
     def _limits_of(self, text: str) -> LimitsConfig:
-        """Raises ConfigurationError unless they fit the robot and are no wider than the
-        configured ones.
+        """Raises ConfigurationError unless they fit the robot and are no wider than the configured
+        ones.
         """
         if not text:
             return self.config.limits

@@ -23,11 +23,12 @@ from roboneuron.plugins.specs import BackendSpec
 
 _PACE = 0.8
 """The next image may be taken after this share of a step since the last row went out: the arm has
-then carried out most of it."""
+then carried out most of it.
+"""
 _LEAST_WAIT_S = 0.001
 _RESYNC = 0.5
-"""A row that is later than this share of a period starts the period anew; less is jitter, and
-the grid is kept.
+"""A row that is later than this share of a period starts the period anew; less is jitter, and the
+grid is kept.
 """
 
 
@@ -229,8 +230,8 @@ class ChunkExecutor:
             return row
 
     def note_sent(self, vector: F64, now_s: float, now_ns: int) -> None:
-        """Count a row that the predecessor of a handover sent; the next row is due a period
-        after it.
+        """Count a row that the predecessor of a handover sent; the next row is due a period after
+        it.
         """
         with self.changed:
             self._heard_s = now_s
@@ -240,8 +241,8 @@ class ChunkExecutor:
     # -- what interrupts
 
     def begin_epoch(self) -> None:
-        """Begin with another instruction, after a stop or a start: no row and no answer of
-        before is played.
+        """Begin with another instruction, after a stop or a start: no row and no answer of before
+        is played.
         """
         with self.changed:
             self._epoch += 1

@@ -1,5 +1,5 @@
-"""Inference: newest images and proprioception in, actions out, one for each step of the
-backend's chunks.
+"""Inference: newest images and proprioception in, actions out, one for each step of the backend's
+chunks.
 """
 
 from __future__ import annotations
@@ -332,8 +332,8 @@ class InferenceModule(Module):
 
 
 def _cameras(plan: Plan, profile: RobotProfile) -> dict[str, CameraProfile]:
-    """Camera by role. Raises ConfigurationError for one that the descriptor names and the
-    profile does not.
+    """Camera by role. Raises ConfigurationError for one that the descriptor names and the profile
+    does not.
     """
     cameras: dict[str, CameraProfile] = {}
     for role, name in plan.cameras.items():

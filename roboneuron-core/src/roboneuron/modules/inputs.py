@@ -195,8 +195,8 @@ class NewestInputs:
         return " and ".join(absent)
 
     def captured_ns(self, observation: Observation) -> int:
-        """Capture time of the first role's image: the one that paces the loop, the same for
-        every backend.
+        """Capture time of the first role's image: the one that paces the loop, the same for every
+        backend.
         """
         return observation.frames[self._leading].stamp_ns
 

@@ -137,8 +137,8 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
         self._reporter.start()
 
     def create_timer(self, period_s: float, callback: Callable[[], None], **options: Any) -> Any:
-        """As of Node, by the steady clock: a timer by ROS time stands still for an hour when
-        the clock is set back.
+        """As of Node, by the steady clock: a timer by ROS time stands still for an hour when the
+        clock is set back.
         """
         return super().create_timer(
             period_s, callback, **{"clock": Clock(clock_type=ClockType.STEADY_TIME)} | options
@@ -174,8 +174,8 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
     add_parameter = add_parameter
 
     def require_start(self, reason: str) -> None:
-        """A stop has come: nothing moves before somebody asks for it anew, whatever ends the
-        stop; from any thread.
+        """A stop has come: nothing moves before somebody asks for it anew, whatever ends the stop;
+        from any thread.
         """
         if self.settings.kind == "perception":
             return
@@ -237,8 +237,8 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
         self._requests.announcements.catch_up = watch_stdin(on_end, self.note_beat).read
 
     def note_beat(self, data: bytes = b"\n") -> None:
-        """The server has shown that it lives, or announced a request; called from the thread
-        that reads stdin.
+        """The server has shown that it lives, or announced a request; called from the thread that
+        reads stdin.
         """
         now_s = time.monotonic()
         if self._beat_s is not None and now_s - self._beat_s > self._silence_s:
@@ -383,8 +383,8 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
             self._check_stop()
 
     def press_stop(self, who: str) -> None:
-        """Stop this module at once, then latch it for every process and restart: from then on
-        the latch file counts.
+        """Stop this module at once, then latch it for every process and restart: from then on the
+        latch file counts.
         """
         self._told_to_stop = True
         self._check_stop()

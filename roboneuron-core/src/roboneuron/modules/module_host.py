@@ -114,15 +114,15 @@ class ModuleHost(Protocol):
         ...
 
     def require_start(self, reason: str) -> None:
-        """A stop has come, such as a recovery: nothing moves before somebody asks for it anew.
-        From any thread.
+        """A stop has come, such as a recovery: nothing moves before somebody asks for it anew. From
+        any thread.
         """
         ...
 
 
 def join(host: ModuleHost, reference: str) -> None:
-    """Call what a feature wants called in every module process, "module:attribute"; a failure
-    is logged.
+    """Call what a feature wants called in every module process, "module:attribute"; a failure is
+    logged.
     """
     try:
         cast("Callable[[ModuleHost], None]", load_attribute(reference, "`on_join` of a feature"))(

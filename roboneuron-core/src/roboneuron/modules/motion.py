@@ -1,5 +1,5 @@
-"""Which joint states control believes, and its last word before it publishes: the limits, and
-what they did.
+"""Which joint states control believes, and its last word before it publishes: the limits, and what
+they did.
 """
 
 from __future__ import annotations
@@ -30,15 +30,14 @@ from roboneuron.gate.motion.command import pick
 from roboneuron.modules.status import StatusWriter
 
 _RECORD_PERIOD_S = 1.0
-"""A limit that keeps acting is recorded this often; every change is recorded at once, at most
-ten a second.
+"""A limit that keeps acting is recorded this often; every change is recorded at once, at most ten a
+second.
 """
 _CHANGE_PERIOD_S = 0.1
 _SLACK, _SLACK_M = 0.05, 0.01
 """What noise and a late message may add to the way between two states [rad; m of slides]."""
 _HASTE = 2.0
-"""How many times its velocity limit a joint may seem to move: messages bunch up on a busy
-machine.
+"""How many times its velocity limit a joint may seem to move: messages bunch up on a busy machine.
 """
 log = logging.getLogger(__name__)
 

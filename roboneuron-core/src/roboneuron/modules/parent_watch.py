@@ -47,8 +47,8 @@ class Signals:
         self._pressed = False
 
     def listen(self) -> None:
-        """From now on SIGTERM, SIGINT and SIGHUP end the module, and SIGUSR1 presses the
-        emergency stop.
+        """From now on SIGTERM, SIGINT and SIGHUP end the module, and SIGUSR1 presses the emergency
+        stop.
         """
         for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
             signal.signal(number, lambda *_: self.leave())
@@ -138,8 +138,7 @@ def watch_stdin(
     """Call `on_beat` with what comes on stdin: the server lives.
 
     When stdin ends, call `on_end`, then leave the process the hard way after `grace_s` if it still
-    runs. `on_end` may
-    hang: by then SIGALRM is set, whose default action needs nobody's help.
+    runs. `on_end` may hang: by then SIGALRM is set, whose default action needs nobody's help.
 
     Returns:
         What this thread reads from; others may read too.

@@ -22,11 +22,8 @@ class RowPlayer:
     def __init__(
         self, node: ModuleNode, executor: ChunkExecutor, send: Callable[[Row], None]
     ) -> None:
-        """Args:
-        node: of the inference module.
-        executor: says which row is due.
-        send: publishes a row; the executor's lock is held, so that no instruction or stop comes
-        between.
+        """Args: node: of the inference module. executor: says which row is due. send: publishes a
+        row; the executor's lock is held, so that no instruction or stop comes between.
         """
         self._node = node
         self._executor = executor
@@ -49,8 +46,8 @@ class RowPlayer:
     def play_due(self, stop: threading.Event) -> None:
         """Send the row that is due, if one is, on the caller's thread.
 
-        The thread that has just predicted calls this, because waking the player's thread would
-        take longer than all else between an answer and its first action.
+        The thread that has just predicted calls this, because waking the player's thread would take
+        longer than all else between an answer and its first action.
 
         Args:
             stop: of the caller's work.

@@ -1,5 +1,5 @@
-"""What a module reports of itself: written as key-value pairs on /diagnostics, and read back by
-the same class.
+"""What a module reports of itself: written as key-value pairs on /diagnostics, and read back by the
+same class.
 """
 
 from __future__ import annotations
@@ -81,8 +81,8 @@ class StatusReport:
 
     @classmethod
     def from_values(cls, values: Mapping[str, str], **more: Any) -> Self:
-        """Read the pairs; what is malformed counts as not said. `more` are fields that are not
-        on the wire.
+        """Read the pairs; what is malformed counts as not said. `more` are fields that are not on
+        the wire.
         """
         return cls(
             **{name: parse(values[name]) for name, parse in _PLAIN.items() if name in values},

@@ -7,9 +7,8 @@ nodes that could have sent it. A foreign node that repeats an announced request 
 own arrives has done what the server wanted.
 
 The announcement lies in the pipe before the request is sent. Before it is judged the pipe is read
-to its present end,
-by the thread that judges: no thread has to be given the processor in time for that, and nothing has
-to be waited for.
+to its present end, by the thread that judges: no thread has to be given the processor in time for
+that, and nothing has to be waited for.
 """
 
 from __future__ import annotations
@@ -41,8 +40,8 @@ _REASON = "only the server of this module may do that; use its tools"
 
 
 def digest_of_transition(number: int, label: str) -> bytes:
-    """Of the request for the transition with that number and label; the node goes by the label
-    if there is one.
+    """Of the request for the transition with that number and label; the node goes by the label if
+    there is one.
     """
     return _digest(["change_state", number, label])
 
@@ -53,8 +52,8 @@ def digest_of_parameters(values: Mapping[str, object]) -> bytes:
 
 
 def _digest_of_messages(parameters: Sequence[ParameterMessage]) -> bytes:
-    """Empty when a type is none of ParameterType's: rclpy raises there, and the executor would
-    end with it.
+    """Empty when a type is none of ParameterType's: rclpy raises there, and the executor would end
+    with it.
     """
     try:
         return digest_of_parameters(

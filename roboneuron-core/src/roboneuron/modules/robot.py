@@ -1,5 +1,5 @@
-"""Robot: executes joint commands with a driver and publishes what it measures; holds when
-commands cease.
+"""Robot: executes joint commands with a driver and publishes what it measures; holds when commands
+cease.
 """
 
 from __future__ import annotations
@@ -94,21 +94,21 @@ class RobotModule(Module):
             raise NotReadyError("The driver hangs; the robot's own safety functions must hold it.")
 
     def emergency_stop(self, latched: bool) -> None:
-        """Hold at once and drop what was to be executed; refuse commands as long as the latch
-        is set.
+        """Hold at once and drop what was to be executed; refuse commands as long as the latch is
+        set.
         """
         if latched:
             self._drop_and_hold()
 
     def forget(self) -> None:
-        """Drop what was to be executed; see `Module.forget`. Commands are refused until
-        somebody asks for motion.
+        """Drop what was to be executed; see `Module.forget`. Commands are refused until somebody
+        asks for motion.
         """
         self._drop()
 
     def _watch(self) -> None:
-        """Hold while the server is silent: nobody could stop what is being executed, however
-        long it lasts.
+        """Hold while the server is silent: nobody could stop what is being executed, however long
+        it lasts.
         """
         bound_s = self.config.robot.server_timeout_s
         is_silent = self.node.server_silence_s() > bound_s
@@ -213,8 +213,8 @@ class RobotModule(Module):
                 )
 
     def _note_gripper(self, sent: JointCommand) -> None:
-        """Report the opening that was last commanded: it holds an object, and blocked fingers
-        do not tell it.
+        """Report the opening that was last commanded: it holds an object, and blocked fingers do
+        not tell it.
         """
         gripper = self._gripper
         if gripper is None or gripper.joint not in sent.names:
@@ -262,8 +262,8 @@ class RobotModule(Module):
                 self.status.set_value("gripper_open", float(state.gripper_open))
 
     def _check_fault(self, fault: str) -> None:
-        """A fault has stopped the robot: whoever clears it, also on the robot itself, sets
-        nothing in motion.
+        """A fault has stopped the robot: whoever clears it, also on the robot itself, sets nothing
+        in motion.
         """
         if fault and not self._has_fault:
             self.node.require_start(f"a fault of the robot: {fault}")

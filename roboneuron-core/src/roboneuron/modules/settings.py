@@ -58,26 +58,26 @@ INSTRUCTION_PARAMETER = "instruction"
 """ROS parameter of the inference node that sets the instruction without a restart."""
 START_PARAMETER = "start"
 """ROS parameter of robot and control: the number of stops that was known when somebody asked for
-motion; obeyed again when there was none since."""
+motion; obeyed again when there was none since.
+"""
 NEEDS_NEW_START = "needs_new_start"
 """Counted in `dropped`: what came after a stop, before somebody asked for motion."""
 EMERGENCY_STOP = "the emergency stop"
 SERVER_SILENT = "the server gave no sign of life"
 """Reasons in `needs_start`."""
 FAULT_DETAIL = "fault"
-"""Key of `RobotState.detail`: what has stopped the robot by itself, such as a reflex; empty
-when nothing has.
+"""Key of `RobotState.detail`: what has stopped the robot by itself, such as a reflex; empty when
+nothing has.
 """
 LIMITS_PARAMETER = "limits"
-"""ROS parameter of the control node: limits as JSON, tighter than the configured ones; empty
-for these themselves.
+"""ROS parameter of the control node: limits as JSON, tighter than the configured ones; empty for
+these themselves.
 """
 MAX_INSTRUCTION_LENGTH = 1000
 _BREAKS = "\t\n\r"
 """Control characters that may stand between the words of an instruction."""
 GRIPPER_COMMANDED = "gripper_commanded"
-"""Metric of the robot module: the opening that was last commanded, 0 closed .. 1 open, by
-whomever.
+"""Metric of the robot module: the opening that was last commanded, 0 closed .. 1 open, by whomever.
 """
 
 
@@ -98,8 +98,8 @@ def instruction_problem(text: str) -> str:
 
 
 FOREIGN_REQUEST = "foreign_request"
-"""Counted in `dropped`, and the newest one in words: a lifecycle or parameter request that is
-not the server's.
+"""Counted in `dropped`, and the newest one in words: a lifecycle or parameter request that is not
+the server's.
 """
 EMERGENCY_STOP_TOPIC = "emergency_stop"
 """std_msgs/Bool under the robot's namespace, reliable and transient local: True latches, False
@@ -109,12 +109,13 @@ FUTURE_S = 0.1
 """How far the clock of another machine may be ahead of this one."""
 SHORTEST_STEP_S, FIRST_STEP_S = 0.02, 0.1
 """Time that control gives the arm for an action: that since the one before, at least the first; the
-second one for an action after a pause."""
+second one for an action after a pause.
+"""
 HOLD_SHARE = 0.75
 """Control holds after this share of `action_timeout_s`, so that the arm stands within all of it."""
 FOLLOWING_NOTE = "following actions"
-"""Note of control from an action on until it holds; a hold replaces what others have sent to
-the joints.
+"""Note of control from an action on until it holds; a hold replaces what others have sent to the
+joints.
 """
 HOLD_DURATION_S = 0.05
 """Time that a hold gives the joints to be where they were measured."""

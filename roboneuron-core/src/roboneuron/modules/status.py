@@ -29,8 +29,8 @@ _SAMPLES = 256
 
 
 class RateMeter:
-    """Events per second over the last three seconds of monotonic time; `total` counts those
-    since the start.
+    """Events per second over the last three seconds of monotonic time; `total` counts those since
+    the start.
     """
 
     def __init__(self) -> None:

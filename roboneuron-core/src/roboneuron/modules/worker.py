@@ -13,8 +13,7 @@ from roboneuron.modules.status import StatusWriter
 _RETRY_S = 0.05
 _GIVE_UP_S = 0.1
 LIMIT_S = 0.4
-"""A step that takes longer than this makes the module count as stalled, unless it says
-otherwise.
+"""A step that takes longer than this makes the module count as stalled, unless it says otherwise.
 """
 log = logging.getLogger(__name__)
 

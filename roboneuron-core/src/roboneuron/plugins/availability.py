@@ -54,8 +54,8 @@ requirements.txt installs it.
 
 
 def package_of(kind: str, name: str) -> str | None:
-    """The project's own package that offers `name`, with the extra that it needs; None when no
-    such is known.
+    """The project's own package that offers `name`, with the extra that it needs; None when no such
+    is known.
     """
     package = _table().get(kind, {}).get(name)
     return package if isinstance(package, str) else None
@@ -70,8 +70,8 @@ def known_names(kind: str = "") -> dict[str, str]:
 
 
 def install_command(*packages: str) -> str:
-    """The command that installs packages of the project, with those that they need, from its
-    source folder.
+    """The command that installs packages of the project, with those that they need, from its source
+    folder.
     """
     needs = _table()["needs"]
     wanted = dict.fromkeys(packages)

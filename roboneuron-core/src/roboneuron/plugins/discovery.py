@@ -90,8 +90,8 @@ def _names(record: PluginRecord) -> tuple[str, str]:
 
 
 def _bringing_hooks(claim: _Claim) -> tuple[FeatureSpec | CommandSpec, ...]:
-    """Features and commands with hooks of their own; what else is wrong with the plugin is told
-    by `_examine`.
+    """Features and commands with hooks of their own; what else is wrong with the plugin is told by
+    `_examine`.
     """
     try:
         with redirect_stdout(sys.stderr):
@@ -198,8 +198,8 @@ def read_module(module: object, hooks: Hooks | None = None) -> tuple[Spec, ...]:
 
 
 def _check_hook_names(module: ModuleType, hooks: Sequence[str]) -> None:
-    """A function with the prefix of the hooks is one of them and decorated, whatever the
-    decorator says.
+    """A function with the prefix of the hooks is one of them and decorated, whatever the decorator
+    says.
     """
     for name, value in vars(module).items():
         marked = getattr(value, _MARK, None) is not None

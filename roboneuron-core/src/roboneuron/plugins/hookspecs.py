@@ -42,9 +42,9 @@ hookimpl = pluggy.HookimplMarker(PROJECT)
 def roboneuron_backends() -> Sequence[BackendSpec]:  # type: ignore[empty-body]
     """Offer policies: image and instruction to actions.
 
-    `target` follows the protocol `Backend`; it is built as
-    `target(config, runtime=..., acceleration=...)` in the inference module, in a process of its
-    own. The agent sees each as a choice of `start_inference`.
+    `target` follows the protocol `Backend`; it is built as `target(config, runtime=...,
+    acceleration=...)` in the inference module, in a process of its own. The agent sees each as a
+    choice of `start_inference`.
     """
 
 
@@ -70,8 +70,8 @@ def roboneuron_accelerations() -> Sequence[AccelerationSpec]:  # type: ignore[em
 def roboneuron_perceptions() -> Sequence[PerceptionSpec]:  # type: ignore[empty-body]
     """Offer sources of camera frames.
 
-    `target` follows the protocol `PerceptionSource`; it is built as
-    `target(config, topics, cameras)` in the perception module, in a process of its own.
+    `target` follows the protocol `PerceptionSource`; it is built as `target(config, topics,
+    cameras)` in the perception module, in a process of its own.
     """
 
 

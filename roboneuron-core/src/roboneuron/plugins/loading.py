@@ -1,5 +1,5 @@
-"""From a descriptor to what it describes: importing targets and validating options; the first
-heavy step.
+"""From a descriptor to what it describes: importing targets and validating options; the first heavy
+step.
 """
 
 from __future__ import annotations
@@ -68,8 +68,8 @@ def load_attribute(reference: str, who: str) -> object:
 
 
 def load_options_model(spec: Spec | DriverSpec) -> type[BaseModel] | None:
-    """Import the pydantic model of a descriptor's options, or None when it names none; raises
-    as `load_target`.
+    """Import the pydantic model of a descriptor's options, or None when it names none; raises as
+    `load_target`.
     """
     if spec.config is None:
         return None

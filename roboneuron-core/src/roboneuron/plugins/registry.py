@@ -16,8 +16,8 @@ S = TypeVar("S", bound=Spec)
 
 
 class Status(StrEnum):
-    """Whether something can be used. The order is the order of severity: a plugin has the worst
-    of its offers.
+    """Whether something can be used. The order is the order of severity: a plugin has the worst of
+    its offers.
     """
 
     READY = "ready"
@@ -87,8 +87,8 @@ class Registry:
     kinds: Mapping[str, type[Spec]] = field(default_factory=lambda: PLUGIN_KINDS)
 
     def offers(self, kind: str) -> tuple[Offer, ...]:
-        """Every descriptor of `kind`, also those that cannot be used; raises ConfigurationError
-        for another kind.
+        """Every descriptor of `kind`, also those that cannot be used; raises ConfigurationError for
+        another kind.
         """
         _check_kind(kind, self.kinds)
         return tuple(o for o in self.all_offers if o.spec.kind == kind)
@@ -98,8 +98,8 @@ class Registry:
     @overload
     def specs(self, kind: str) -> Mapping[str, Spec]: ...
     def specs(self, kind: str | type[Spec]) -> Mapping[str, Spec]:
-        """The usable descriptors of a kind or class by name, sorted; raises ConfigurationError
-        for another kind.
+        """The usable descriptors of a kind or class by name, sorted; raises ConfigurationError for
+        another kind.
         """
         offers = self.offers(kind if isinstance(kind, str) else kind.kind)
         return MappingProxyType({o.spec.name: o.spec for o in offers if o.status is Status.READY})

@@ -28,6 +28,6 @@ class ConfigurationOnly:
 
 @dataclass(frozen=True, slots=True)
 class AgentMaySet:
-    """Marks an option whose type or name looks restricted, but that names nothing outside of
-    the plugin.
+    """Marks an option whose type or name looks restricted, but that names nothing outside of the
+    plugin.
     """

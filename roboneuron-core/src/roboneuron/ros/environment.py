@@ -21,8 +21,8 @@ from roboneuron.log_files import make_log_directory
 
 BOOTSTRAP_GUARD = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
 CLIENT_TOKEN = "ROBONEURON_TOKEN"
-"""Environment variable with the bearer token of `roboneuron call --url` and alike, when no
-other is named.
+"""Environment variable with the bearer token of `roboneuron call --url` and alike, when no other is
+named.
 """
 PORT_OFFSET = "ROBONEURON_PORT_OFFSET"
 """How far the ports for a process's data lie above the first port of its domain; the shipped
@@ -181,9 +181,8 @@ def port_offset(domain: int, start: int) -> int:
     before it.
 
     A sender goes on opening the port of a killed process until its lease ends (20 s), and Fast DDS
-    2.14 can lose a port
-    that is opened again by a successor just then: the successor hears nothing from that sender,
-    ever.
+    2.14 can lose a port that is opened again by a successor just then: the successor hears nothing
+    from that sender, ever.
 
     Source: RTPS 2.2, 9.6.1.1 (port = 7400 + 250 * domain + offset + 2 * participant; the standard
     offset is 11).

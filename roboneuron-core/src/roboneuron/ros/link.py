@@ -1,5 +1,5 @@
-"""The control plane's place in the ROS graph: one context, one node, one executor thread;
-usable from any thread.
+"""The control plane's place in the ROS graph: one context, one node, one executor thread; usable
+from any thread.
 """
 
 from __future__ import annotations
@@ -70,8 +70,8 @@ class RosLink:
         self._lock = threading.Lock()
 
     def open(self) -> None:
-        """Join the graph (about 0.4 s); `roboneuron.ros.environment.prepare_environment` must
-        have run.
+        """Join the graph (about 0.4 s); `roboneuron.ros.environment.prepare_environment` must have
+        run.
         """
         self._is_closing = False
         self._context = rclpy.Context()

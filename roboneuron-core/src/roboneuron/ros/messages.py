@@ -1,5 +1,5 @@
-"""ROS messages <-> contract types. Every value is coerced: rclpy sends an int in a float64
-field as garbage.
+"""ROS messages <-> contract types. Every value is coerced: rclpy sends an int in a float64 field as
+garbage.
 """
 
 from __future__ import annotations

@@ -18,8 +18,8 @@ def _reliable(depth: int, durability: DurabilityPolicy = DurabilityPolicy.VOLATI
 
 
 NEWEST = _reliable(1)
-"""Images, actions, states, commands: reliable, and only the newest counts (best effort loses
-large images).
+"""Images, actions, states, commands: reliable, and only the newest counts (best effort loses large
+images).
 """
 
 LATCHED = _reliable(1, DurabilityPolicy.TRANSIENT_LOCAL)
@@ -27,7 +27,8 @@ LATCHED = _reliable(1, DurabilityPolicy.TRANSIENT_LOCAL)
 
 STOP_REQUESTS = (LATCHED, NEWEST)
 """To hear every emergency stop, subscribe with each: one that asks for the last value never matches
-a publisher that keeps none, such as `ros2 topic pub`."""
+a publisher that keeps none, such as `ros2 topic pub`.
+"""
 
 STATUS = _reliable(20)
 """/diagnostics: several modules write to one topic."""

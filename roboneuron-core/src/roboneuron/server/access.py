@@ -36,8 +36,8 @@ class Holder:
 LOCAL_AGENT = Holder(who="agent on stdio", role=ADMIN)
 """The client of a stdio server: whoever started the server, so it has every role."""
 LOCAL_PROCESS = Holder(who="local HTTP client", role=ADMIN)
-"""A client of a server on loopback that asks for no token: anybody on this machine, who could
-start one as well.
+"""A client of a server on loopback that asks for no token: anybody on this machine, who could start
+one as well.
 """
 NOBODY = Holder(who="unknown", role="")
 

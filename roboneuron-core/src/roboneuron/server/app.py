@@ -31,8 +31,7 @@ from roboneuron.supervisor.health import Watch
 from roboneuron.supervisor.supervisor import LEAVE_S, Supervisor
 
 SWITCH_S = 0.001
-"""How long a thread that computes keeps the others waiting; the interpreter's own default is 5
-ms.
+"""How long a thread that computes keeps the others waiting; the interpreter's own default is 5 ms.
 """
 
 
@@ -177,8 +176,8 @@ class Application:
         press_on_signal(partial(stop.latch, namespace, who=SIGNAL, reason=""))
 
     def close(self) -> None:
-        """Stop all motion, modules and threads; idempotent. What features move first, then
-        modules, then features.
+        """Stop all motion, modules and threads; idempotent. What features move first, then modules,
+        then features.
         """
         self._watch.close()
         if not self.end_direct_motion("The server is shutting down.", _MOTION_S):

@@ -154,8 +154,8 @@ class EmergencyStop:
             publish(is_latched)
 
     def _on_topic(self, topic: str, is_pressed: bool) -> None:
-        """Any node of the graph may stop; none may release. What this server has sent itself
-        comes here too.
+        """Any node of the graph may stop; none may release. What this server has sent itself comes
+        here too.
         """
         if is_pressed and not self.file.is_latched():
             try:

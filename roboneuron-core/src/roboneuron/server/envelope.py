@@ -66,8 +66,8 @@ def check_id(raw: Any) -> None:
 
 
 def repeated(request_id: int | str) -> EnvelopeError:
-    """The error for a request whose id is that of another one at work: cancelling it could not
-    tell which is meant.
+    """The error for a request whose id is that of another one at work: cancelling it could not tell
+    which is meant.
     """
     return EnvelopeError(
         INVALID_REQUEST,

@@ -1,5 +1,5 @@
-"""Features, what installed plugins add to the server: loaded as they need each other, isolated
-from others' faults.
+"""Features, what installed plugins add to the server: loaded as they need each other, isolated from
+others' faults.
 """
 
 from __future__ import annotations
@@ -67,8 +67,8 @@ class Feature(Generic[OptionsT]):
 
     @property
     def gate(self) -> MotionGate | None:
-        """What it lends the other features as `Host.gate`; None for all but the one that sends
-        for them.
+        """What it lends the other features as `Host.gate`; None for all but the one that sends for
+        them.
         """
         return None
 
@@ -113,8 +113,8 @@ class Feature(Generic[OptionsT]):
         """
 
     def end_motion(self, reason: str, timeout_s: float) -> bool:
-        """End all that it moves, and say whether it ended in time; at the end of the server
-        before modules stop.
+        """End all that it moves, and say whether it ended in time; at the end of the server before
+        modules stop.
         """
         return True
 

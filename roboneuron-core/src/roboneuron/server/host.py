@@ -1,5 +1,5 @@
-"""What a server lends its features: reading everything, and acting only through what every
-caller passes.
+"""What a server lends its features: reading everything, and acting only through what every caller
+passes.
 """
 
 from __future__ import annotations
@@ -194,8 +194,8 @@ class Host:
 
     @property
     def graph(self) -> RosGraph:
-        """What the server's node has discovered of the ROS graph. Raises RoboNeuronError when
-        ROS cannot be joined.
+        """What the server's node has discovered of the ROS graph. Raises RoboNeuronError when ROS
+        cannot be joined.
         """
         return RosGraph(self.loop.supervisor.link.node)
 

@@ -1,5 +1,5 @@
-"""The tools that start, instruct and stop the modules of the closed loop, and the emergency
-stop and its reset.
+"""The tools that start, instruct and stop the modules of the closed loop, and the emergency stop
+and its reset.
 """
 
 from __future__ import annotations
@@ -159,15 +159,15 @@ def emergency_tools(loop: ClosedLoop) -> list[Tool[Any]]:
     stop = loop.emergency_stop
 
     def press(arguments: Mapping[str, Any], context: CallContext) -> None:
-        """Latch before anything else: also when ROS is not joined yet, and when the arguments
-        are wrong.
+        """Latch before anything else: also when ROS is not joined yet, and when the arguments are
+        wrong.
         """
         with suppress(UnsafeError):  # told by the call itself, which tries again
             stop.file.press(who=context.who, reason=str(arguments.get("reason") or ""))
 
     async def ask_person(context: CallContext, *, for_pin: bool) -> str:
-        """The PIN that a person has typed; raises RefusedError unless one agreed to release
-        this very stop.
+        """The PIN that a person has typed; raises RefusedError unless one agreed to release this
+        very stop.
         """
         before, cause = stop.file.read_state(), stop.cause()
         since = (

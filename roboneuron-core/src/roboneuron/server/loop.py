@@ -1,5 +1,5 @@
-"""The closed loop as the agent operates it: choose, start, steer, stop. Calls block; any thread
-may call.
+"""The closed loop as the agent operates it: choose, start, steer, stop. Calls block; any thread may
+call.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ _KEPT_ACTIONS = 4096
 
 
 Sent: TypeAlias = tuple[int, tuple[float, ...]]
-"""DDS source time of an action [ns], when inference sent it, whatever the way to here took; and
-its values.
+"""DDS source time of an action [ns], when inference sent it, whatever the way to here took; and its
+values.
 """
 
 
 def _listen(link: RosLink, namespace: str) -> deque[Sent]:
-    """The newest actions of `/<namespace>/action`, oldest first, for as long as the link is
-    open; read a `copy`.
+    """The newest actions of `/<namespace>/action`, oldest first, for as long as the link is open;
+    read a `copy`.
     """
     from std_msgs.msg import Float64MultiArray  # heavy
 

@@ -1,5 +1,5 @@
-"""What features ask of the gate, and what it answers: all that moves a robot beside the closed
-loop passes it.
+"""What features ask of the gate, and what it answers: all that moves a robot beside the closed loop
+passes it.
 
 The core declares it; one installed feature implements it and lends it as `Host.gate`.
 """
@@ -233,8 +233,8 @@ class MotionGate(Protocol):
         """
 
     def ask(self, exposed: ExposedEndpoint, request: GateRequest) -> Verdict:
-        """Whether a request could be carried out now, and if not, by which rule. `request` is a
-        dry run.
+        """Whether a request could be carried out now, and if not, by which rule. `request` is a dry
+        run.
         """
 
     def slowdown(self, request: GateRequest) -> float:
@@ -245,8 +245,8 @@ class MotionGate(Protocol):
         """
 
     def check_free(self, exposed: ExposedEndpoint) -> None:
-        """Raise RefusedError while a policy or another call moves the robot; endpoints that
-        move nothing are free.
+        """Raise RefusedError while a policy or another call moves the robot; endpoints that move
+        nothing are free.
         """
 
     def claim(
@@ -271,21 +271,21 @@ class MotionGate(Protocol):
         timeout_s: float,
         which: Callable[[ExposedEndpoint], bool] = ...,
     ) -> bool:
-        """End every motion (through the endpoints that are meant) and wait; False when one did
-        not end in time.
+        """End every motion (through the endpoints that are meant) and wait; False when one did not
+        end in time.
         """
 
     def newest_joints(self, exposed: ExposedEndpoint) -> JointSample | None:
-        """The measured joints of the endpoint's robot, None when there are no recent ones;
-        never blocks.
+        """The measured joints of the endpoint's robot, None when there are no recent ones; never
+        blocks.
         """
 
     def joints(self, exposed: ExposedEndpoint, timeout_s: float) -> JointSample | None:
         """Like `newest_joints`, and waits for a recent measurement."""
 
     def is_served(self, exposed: ExposedEndpoint) -> bool:
-        """Whether somebody serves the service or action; blocks for a moment when that is new
-        of an action.
+        """Whether somebody serves the service or action; blocks for a moment when that is new of an
+        action.
         """
 
     def send_request(

@@ -2,9 +2,9 @@
 asks for it.
 
 The modules keep still by themselves after a stop (`ModuleNode.require_start`). Here the server
-knows the same of what
-no module can know: others that have died, were stopped or restarted. And it knows who has given the
-policy its instruction, so that whoever ends a task takes it back from every process that holds it.
+knows the same of what no module can know: others that have died, were stopped or restarted. And it
+knows who has given the policy its instruction, so that whoever ends a task takes it back from every
+process that holds it.
 """
 
 from __future__ import annotations

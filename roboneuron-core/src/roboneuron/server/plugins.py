@@ -15,8 +15,8 @@ from roboneuron.plugins.registry import Registry
 
 
 class PluginCatalogue:
-    """The registry of plugins, discovered on first use and whenever a folder of the import path
-    has changed.
+    """The registry of plugins, discovered on first use and whenever a folder of the import path has
+    changed.
     """
 
     def __init__(

@@ -22,20 +22,20 @@ from roboneuron.server.tool import Answer, CallContext, Tool, UnfinishedCallErro
 
 log = logging.getLogger(__name__)
 Admission = Callable[[Tool[Any], CallContext], None]
-"""Raises RoboNeuronError for a call that is not to be made now; called on the event loop, must
-not block.
+"""Raises RoboNeuronError for a call that is not to be made now; called on the event loop, must not
+block.
 """
 _MOST_TEXT = 2000
 """Characters of an error's text."""
 _MOST_ANSWER = 100_000
-"""Characters of what a tool that only reads may answer; a bound for those that have none of
-their own.
+"""Characters of what a tool that only reads may answer; a bound for those that have none of their
+own.
 """
 _FIXED = ""
 """Owner of the tools that were added; the others are derived ones."""
 ERROR_META = "roboneuron/error"
-"""Key in a failed call's `_meta`: code, message and hint (clients check `structuredContent` by
-the output schema).
+"""Key in a failed call's `_meta`: code, message and hint (clients check `structuredContent` by the
+output schema).
 """
 
 
@@ -148,8 +148,8 @@ class ToolRegistry:
     async def call(
         self, name: str, arguments: Mapping[str, Any], context: CallContext
     ) -> types.CallToolResult:
-        """Validate, run, and answer; every failure is an MCP error result. UnfinishedCallError
-        is none.
+        """Validate, run, and answer; every failure is an MCP error result. UnfinishedCallError is
+        none.
         """
         begun_s = time.monotonic()
         result = await self._answer(name, arguments, context)
@@ -225,8 +225,8 @@ class ToolRegistry:
 
 
 class _Entry:
-    """A tool, and how it is listed: described once, unless it has choices, which may change at
-    any time.
+    """A tool, and how it is listed: described once, unless it has choices, which may change at any
+    time.
     """
 
     def __init__(self, tool: Tool[Any]) -> None:

@@ -1,5 +1,5 @@
-"""What the agent sees of the server: get_status, and the same as an MCP resource beside those
-of features.
+"""What the agent sees of the server: get_status, and the same as an MCP resource beside those of
+features.
 """
 
 from __future__ import annotations

@@ -163,8 +163,8 @@ class RobotFacts(Result):
 
 
 class StatusResult(Result):
-    """Everything at once; what is not known is left out, and of a stopped module all that is
-    empty, 0 or false.
+    """Everything at once; what is not known is left out, and of a stopped module all that is empty,
+    0 or false.
     """
 
     sparse = True

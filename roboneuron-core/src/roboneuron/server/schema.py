@@ -28,8 +28,8 @@ class Shape(ABC, Generic[M_co]):
 
     @abstractmethod
     def schema(self, own: Schema) -> Schema:
-        """The strict JSON schema, from the model's own; a call may give `properties` and must
-        give `required`.
+        """The strict JSON schema, from the model's own; a call may give `properties` and must give
+        `required`.
         """
 
     @abstractmethod
@@ -54,8 +54,8 @@ def _own_schema(model: type[BaseModel], result: bool) -> Schema:
 
 
 def with_choices(schema: Schema, choices: Mapping[str, Mapping[str, str]]) -> Schema:
-    """The schema with {allowed value: one-line summary} of arguments: an enum, and summaries in
-    the description.
+    """The schema with {allowed value: one-line summary} of arguments: an enum, and summaries in the
+    description.
     """
     properties = dict(schema["properties"])
     for name, allowed in choices.items():
@@ -102,8 +102,8 @@ def _listed_field(entry: Schema) -> Schema:
 
 
 def _plain(node: Any, *, keep_null: bool) -> Any:
-    """Drop generated titles, class docstrings and empty defaults; for inputs also null of
-    optional arguments.
+    """Drop generated titles, class docstrings and empty defaults; for inputs also null of optional
+    arguments.
     """
     if isinstance(node, list):
         return [_plain(item, keep_null=keep_null) for item in node]

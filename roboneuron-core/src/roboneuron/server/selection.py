@@ -220,8 +220,8 @@ def _check_checkpoint(section: InferenceConfig, plan: Plan, config: Config) -> I
 def _check_options(
     spec: Spec | DriverSpec, options: Options, python: str | None, section: str | None = None
 ) -> None:
-    """Validate options here when the plugin can be imported here; a module with its own
-    environment does it itself.
+    """Validate options here when the plugin can be imported here; a module with its own environment
+    does it itself.
     """
     try:
         load_options(spec, options, section=section)

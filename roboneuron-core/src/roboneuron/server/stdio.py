@@ -43,8 +43,8 @@ _MOST_WAITING_BYTES = 64 * 1024 * 1024
 
 
 class LineWriter:
-    """Writes to a descriptor on a thread; what the client does not take is dropped when the
-    server ends.
+    """Writes to a descriptor on a thread; what the client does not take is dropped when the server
+    ends.
     """
 
     def __init__(self, descriptor: int) -> None:

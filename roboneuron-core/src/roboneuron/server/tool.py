@@ -61,8 +61,8 @@ class Reply:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Answer:
-    """What a client gets: JSON-able values that fit the tool's output schema, and pictures
-    beside them.
+    """What a client gets: JSON-able values that fit the tool's output schema, and pictures beside
+    them.
     """
 
     structured: Mapping[str, Any]
@@ -181,8 +181,8 @@ class Tool(Generic[A]):
         return model_schema(self.result, result=True)
 
     async def call(self, arguments: Mapping[str, Any], context: CallContext) -> Answer:
-        """Check the arguments and do it. Raises InvalidInputError for them, and what the
-        handler raises.
+        """Check the arguments and do it. Raises InvalidInputError for them, and what the handler
+        raises.
         """
         outcome = await self.handler(parse(self.arguments, arguments, self._choices()), context)
         reply = outcome if isinstance(outcome, Reply) else Reply(result=outcome)

@@ -1,3 +1,3 @@
-"""Module processes from the outside: spawned, driven through their lifecycle, watched, and
-ended without a trace.
+"""Module processes from the outside: spawned, driven through their lifecycle, watched, and ended
+without a trace.
 """

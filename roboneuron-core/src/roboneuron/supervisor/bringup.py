@@ -25,25 +25,25 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 _REASON_S = 1.0
-"""The reason of a refused transition is published just before the answer; it may arrive a
-little later.
+"""The reason of a refused transition is published just before the answer; it may arrive a little
+later.
 """
 _PROGRESS_S = 5.0
 _ABSENT_S = 3.0
-"""Modules may be started side by side, in any order: what a start needs may be started this
-much later.
+"""Modules may be started side by side, in any order: what a start needs may be started this much
+later.
 """
 _ROBOT_S = 1.0
 """Likewise the robot, for cameras that need its driver."""
 _PERSISTENT_S = 1.5
-"""An error that stays this long while a module is active but not ready ends the start; shorter
-ones may heal.
+"""An error that stays this long while a module is active but not ready ends the start; shorter ones
+may heal.
 """
 
 
 class Bringup:
-    """One start of one module, into a slot that was claimed for it; used once, on the thread of
-    the caller.
+    """One start of one module, into a slot that was claimed for it; used once, on the thread of the
+    caller.
     """
 
     _process: ModuleProcess
@@ -87,8 +87,8 @@ class Bringup:
             self._supervisor.on_change(slot.kind)
 
     def _check_robot(self) -> None:
-        """Refuse at once a source that shows what the robot's own driver moves, when no robot
-        is there to show.
+        """Refuse at once a source that shows what the robot's own driver moves, when no robot is
+        there to show.
         """
         plan = self._plan
         if (
@@ -289,8 +289,8 @@ class Bringup:
         self._tell_progress()
 
     def _tell_progress(self) -> None:
-        """Loading may take minutes: say for how long it has gone on, and how much is in memory
-        by now.
+        """Loading may take minutes: say for how long it has gone on, and how much is in memory by
+        now.
         """
         now_s = time.monotonic()
         if now_s - self._told_s >= _PROGRESS_S:

@@ -1,5 +1,5 @@
-"""Events; waiting with a bound, where every change wakes every waiter; and threads that repeat
-one step.
+"""Events; waiting with a bound, where every change wakes every waiter; and threads that repeat one
+step.
 """
 
 from __future__ import annotations
@@ -49,8 +49,8 @@ class Lasting:
         self._since_s = math.inf
 
     def held_s(self, fact: bool) -> float:
-        """Look once more: time since the first of the last looks that all found it [s], -inf
-        when it does not hold.
+        """Look once more: time since the first of the last looks that all found it [s], -inf when
+        it does not hold.
         """
         now_s = time.monotonic()
         self._since_s = min(self._since_s, now_s) if fact else math.inf

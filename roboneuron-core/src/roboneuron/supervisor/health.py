@@ -84,8 +84,8 @@ class StatusBoard:
         self._foreign: dict[str, tuple[str, float]] = {}
 
     def watch(self, name: str, pid: int) -> None:
-        """Accept reports of the process `pid` under the status name `name`; those of anybody
-        else are ignored.
+        """Accept reports of the process `pid` under the status name `name`; those of anybody else
+        are ignored.
         """
         with self.changes.lock:
             self._reports[name, str(pid)] = None
@@ -102,8 +102,8 @@ class StatusBoard:
             return self._reports.get((name, str(pid)))
 
     def foreign(self, name: str) -> str | None:
-        """Pid of a process of somebody else that reported under `name` within the last second,
-        or None.
+        """Pid of a process of somebody else that reported under `name` within the last second, or
+        None.
         """
         with self.changes.lock:
             pid, seen_s = self._foreign.get(name, ("", 0.0))

@@ -31,8 +31,8 @@ _AFTER = {
 }
 _STATE_CALL_S = 1.0
 _LOST_S = 1.0
-"""A request that is not answered by then, though the node answers others and is where it was,
-did not reach it.
+"""A request that is not answered by then, though the node answers others and is where it was, did
+not reach it.
 """
 
 

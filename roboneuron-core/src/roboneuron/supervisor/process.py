@@ -52,8 +52,8 @@ class ProcessEvents:
 
 
 def read_tail(path: Path, *, lines: int, offset: int = 0) -> tuple[str, ...]:
-    """The last `lines` lines after byte `offset`, of at most the last 64 KiB; empty when there
-    is no such file.
+    """The last `lines` lines after byte `offset`, of at most the last 64 KiB; empty when there is
+    no such file.
     """
     try:
         with path.open("rb") as file:
@@ -70,8 +70,8 @@ def read_tail(path: Path, *, lines: int, offset: int = 0) -> tuple[str, ...]:
 
 
 class ModuleProcess:
-    """A running child and, later, how it ended. Made by `spawn`; every method may be called
-    from any thread.
+    """A running child and, later, how it ended. Made by `spawn`; every method may be called from
+    any thread.
     """
 
     def __init__(
@@ -99,8 +99,8 @@ class ModuleProcess:
         return self._child.returncode if self._exited.is_set() else None
 
     def is_frozen(self) -> bool:
-        """Whether it has been stopped (SIGSTOP, a debugger) for a while: then it neither works
-        nor answers.
+        """Whether it has been stopped (SIGSTOP, a debugger) for a while: then it neither works nor
+        answers.
         """
         try:
             stat = Path(f"/proc/{self.pid}/stat").read_text(encoding="utf-8", errors="replace")
@@ -142,8 +142,8 @@ class ModuleProcess:
             )
 
     def _write(self, line: bytes) -> bool:
-        """Write all of it, or return False: the pipe is full (POSIX: up to PIPE_BUF bytes are
-        never cut).
+        """Write all of it, or return False: the pipe is full (POSIX: up to PIPE_BUF bytes are never
+        cut).
         """
         with self._reaping, suppress(OSError):
             if self._child.returncode is None and self._child.stdin is not None:

@@ -35,10 +35,11 @@ log = logging.getLogger(__name__)
 DEACTIVATE_S = 2.0
 _BEAT_S = 0.2
 """A module whose server has ended sees the end of stdin. One whose server is frozen, so that nobody
-could stop the arm, misses these signs of life on stdin; control holds then."""
+could stop the arm, misses these signs of life on stdin; control holds then.
+"""
 LEAVE_S = 1.5
-"""When the server ends, whatever the configuration says about stops: its modules are gone
-within 2 s.
+"""When the server ends, whatever the configuration says about stops: its modules are gone within 2
+s.
 """
 
 

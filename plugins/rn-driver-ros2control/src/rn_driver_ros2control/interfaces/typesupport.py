@@ -196,8 +196,8 @@ def _copy(source: Path, target: Path, patterns: Iterable[str]) -> None:
 
 
 def _share(folder: Path, generated: Path, share: Path, package: str) -> None:
-    """What other programs look interfaces up in: the definitions, and the package's entries in
-    the ament index.
+    """What other programs look interfaces up in: the definitions, and the package's entries in the
+    ament index.
     """
     place = share / package
     shutil.rmtree(place, ignore_errors=True)
@@ -227,8 +227,8 @@ def _run(command: Sequence[str], wheels: Wheels) -> None:
 def _compile(
     compiler: Sequence[str], wheels: Wheels, work: Path, package: str, output: Path
 ) -> None:
-    """Compile each generated source; link the typesupports into one library and the conversion
-    into the extension.
+    """Compile each generated source; link the typesupports into one library and the conversion into
+    the extension.
     """
     sources = sorted(work.rglob("*.c*"))
     if not sources:
@@ -290,8 +290,8 @@ _BASE = (
 
 
 def _libraries(prefix: Path, package: str) -> list[Path]:
-    """Libraries of the packages that the definitions may use: every interface package
-    installed, and the base.
+    """Libraries of the packages that the definitions may use: every interface package installed,
+    and the base.
     """
     lib = prefix / "lib"
     found = [lib / f"lib{name}.so" for name in (*_BASE, "rcutils", "rmw", "fastcdr")]

@@ -40,8 +40,8 @@ _OFT = (
 
 
 def _options(suite: str) -> tuple[str, ...]:
-    """Options by which the backends do what the scripts do. A key may also end in "_no_noops"
-    in the checkpoint.
+    """Options by which the backends do what the scripts do. A key may also end in "_no_noops" in
+    the checkpoint.
     """
     asked = {"openvla": _OPENVLA, "oft": _OFT, "oft-primary": _OFT}
     return tuple(

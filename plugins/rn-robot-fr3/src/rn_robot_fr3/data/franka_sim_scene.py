@@ -104,8 +104,8 @@ class SceneSim(backend.MujocoFrankaSim):
         backend.default_fr3_mjcf = lambda: pathlib.Path("fr3.urdf of rn-robot-fr3")
 
     def finger_control_force(self):
-        """As the parent's, and the two fingers keep together, as the one motor of the real hand
-        has it.
+        """As the parent's, and the two fingers keep together, as the one motor of the real hand has
+        it.
         """
         force = super().finger_control_force()
         apart = self.data.qpos[self.finger_qpos_adr[0]] - self.data.qpos[self.finger_qpos_adr[1]]

@@ -1,5 +1,5 @@
-"""Free addresses on this machine: the FCI has fixed ports, so each simulator gets an address of
-its own.
+"""Free addresses on this machine: the FCI has fixed ports, so each simulator gets an address of its
+own.
 """
 
 from __future__ import annotations

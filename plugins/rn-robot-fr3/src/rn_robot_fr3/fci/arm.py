@@ -1,5 +1,5 @@
-"""The arm as the driver sees it: a process of its own answers it at 1 kHz, this one only says
-where to go.
+"""The arm as the driver sees it: a process of its own answers it at 1 kHz, this one only says where
+to go.
 """
 
 from __future__ import annotations
@@ -200,8 +200,8 @@ class FciArm:
         return bool(self._newest and self._newest["realtime"])
 
     def go(self, plan: Plan) -> None:
-        """Go to the plan's target; replaces the motion before, without a jump in acceleration.
-        See `await_rest`.
+        """Go to the plan's target; replaces the motion before, without a jump in acceleration. See
+        `await_rest`.
         """
         factor = self._options.dynamics_factor
         self._is_stopping = False

@@ -130,8 +130,8 @@ def check_machine(
 
 
 def check_network(machine: Machine, host: str, seconds: float) -> list[Finding]:
-    """Round trips to the control box, whether FCI is active there, and the network card that
-    leads there.
+    """Round trips to the control box, whether FCI is active there, and the network card that leads
+    there.
     """
     return [_fci(host), judged_round_trips(round_trips(host, seconds)), card(machine, host)]
 
@@ -290,8 +290,8 @@ def _fci(host: str) -> Finding:
 
 
 def round_trips(host: str, seconds: float) -> list[float] | str:
-    """Times [s] of echo requests (ping) with the size of a state; why there are none where they
-    are not allowed.
+    """Times [s] of echo requests (ping) with the size of a state; why there are none where they are
+    not allowed.
     """
     try:
         link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM, socket.IPPROTO_ICMP)

@@ -1,5 +1,5 @@
-"""The process that answers the arm once a millisecond:
-`python -m rn_robot_fr3.fci.control_process DESCRIPTOR`.
+"""The process that answers the arm once a millisecond: `python -m rn_robot_fr3.fci.control_process
+DESCRIPTOR`.
 
 Started by `rn_robot_fr3.fci.arm`; nothing else runs in it, so that no pause of the driver's Python
 reaches the arm. It talks to the arm through pylibfranka, which cannot be imported beside franky

@@ -47,8 +47,8 @@ _JOIN_S = 5.0
 
 
 class FciDriver:
-    """Follows the protocol `RobotDriver`, and may be asked to `recover`; every method may be
-    called from any thread.
+    """Follows the protocol `RobotDriver`, and may be asked to `recover`; every method may be called
+    from any thread.
     """
 
     def __init__(

@@ -194,8 +194,8 @@ def settings_refused(text: str) -> Fault:
 
 
 def still(fault: Fault, error: Exception) -> RefusedError:
-    """The error for a recovery from `fault` that `error` ended; the fault stays as it is,
-    however often it is tried.
+    """The error for a recovery from `fault` that `error` ended; the fault stays as it is, however
+    often it is tried.
     """
     _, text = _named(error)
     reasons = (found.message for words, found in _BY_TEXT.items() if words in text)

@@ -40,8 +40,7 @@ LONGEST_GAP = 20
 docs/overview.rst.
 """
 LONGEST_UNHEARD = 100
-"""Commands in a row that the arm did not take, although states came: they are late, each of
-them.
+"""Commands in a row that the arm did not take, although states came: they are late, each of them.
 """
 _VELOCITY_SHARE = 0.97
 """Of the velocity that the arm allows where it is; beyond it the follower brakes."""

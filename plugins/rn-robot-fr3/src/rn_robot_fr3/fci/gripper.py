@@ -1,5 +1,5 @@
-"""The Franka Hand in a thread of its own: it answers when a motion has ended, and nothing else
-may wait for that.
+"""The Franka Hand in a thread of its own: it answers when a motion has ended, and nothing else may
+wait for that.
 """
 
 from __future__ import annotations
@@ -71,8 +71,8 @@ class FciGripper:
         """Go to a width [m]; a width of nothing grasps. Returns at once; the newest counts.
 
         What is held stays held with force until a width asks for more room than it needs. So does
-        what the hand held
-        before anything was commanded: to be where the fingers are is no command then.
+        what the hand held before anything was commanded: to be where the fingers are is no command
+        then.
         """
         with self._changed:
             if self._wanted_m is None and abs(width_m - self.width_m) <= _MISSED_M:

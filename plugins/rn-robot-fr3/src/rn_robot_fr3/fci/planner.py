@@ -1,8 +1,7 @@
 """How fast the arm may go to a target, so that ruckig's motion stays inside the limits of the arm.
 
 Pure computation. The follower interpolates with ruckig under constant limits; the FR3 accepts less
-speed near a joint's
-limit. Source of that envelope: see `rn_robot_fr3.limits.velocity_bounds`.
+speed near a joint's limit. Source of that envelope: see `rn_robot_fr3.limits.velocity_bounds`.
 """
 
 from __future__ import annotations
@@ -23,12 +22,12 @@ from rn_robot_fr3.limits import (
 F64 = NDArray[np.float64]
 
 VELOCITY_LIMIT_RAD_S = np.array([2.1, 2.1, 2.1, 2.1, 2.6, 2.6, 2.6])
-"""Below the official table, so that an arm that extrapolates through a gap of 20 cycles stays
-below it, too.
+"""Below the official table, so that an arm that extrapolates through a gap of 20 cycles stays below
+it, too.
 """
 STOP_ACCELERATION_RAD_S2 = np.full(7, 9.0)
-"""Of a stop. The room to the official 10 rad/s^2 is for states, whose 32-bit floats may be off
-by 0.5 rad/s^2.
+"""Of a stop. The room to the official 10 rad/s^2 is for states, whose 32-bit floats may be off by
+0.5 rad/s^2.
 """
 ACCELERATION_LIMIT_RAD_S2 = np.full(7, 7.4)
 """Of motions."""
@@ -46,8 +45,8 @@ _DECELERATION = np.minimum(
 )
 _OFFSET = np.array(BRAKING_OFFSET_RAD_S)
 MARGIN_RAD = (_OFFSET + 1.5 * _SLOWEST_RAD_S) ** 2 / (2.0 * _DECELERATION)
-"""Nearest that a target may come to a joint's limit: nearer the envelope leaves no speed to
-arrive with.
+"""Nearest that a target may come to a joint's limit: nearer the envelope leaves no speed to arrive
+with.
 """
 
 
@@ -105,7 +104,8 @@ def plan(position: F64, target: F64, duration_s: float, factor: float) -> Plan:
 
 def fastest_towards(room: F64, acceleration: F64) -> F64:
     """Cruising speed (7,) [rad/s] with which a joint, braking with `acceleration` to rest at `room`
-    (7,) [rad] before its limit, is nowhere faster than the envelope."""
+    (7,) [rad] before its limit, is nowhere faster than the envelope.
+    """
     away = _AWAY[:, None]
     envelope = np.sqrt(2.0 * _DECELERATION * (room + away)) - _OFFSET
     braking = np.sqrt(2.0 * acceleration * away)

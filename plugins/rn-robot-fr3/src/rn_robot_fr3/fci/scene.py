@@ -1,5 +1,5 @@
-"""What a simulator behind the network protocol tells of its scene: for cameras and judge, never
-for policies.
+"""What a simulator behind the network protocol tells of its scene: for cameras and judge, never for
+policies.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ _JOIN_S = 3.0
 
 
 class SceneFeed:
-    """Asks the simulator for its scene and publishes it on `sim/state`, where
-    `SimulatedCameras` look.
+    """Asks the simulator for its scene and publishes it on `sim/state`, where `SimulatedCameras`
+    look.
     """
 
     def __init__(self, address: str, topics: Topics) -> None:

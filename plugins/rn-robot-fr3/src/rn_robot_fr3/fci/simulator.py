@@ -1,5 +1,5 @@
-"""Starts franka-sim with our table and cubes, in an environment of its own:
-`python -m rn_robot_fr3.fci.simulator`.
+"""Starts franka-sim with our table and cubes, in an environment of its own: `python -m
+rn_robot_fr3.fci.simulator`.
 
 franka-sim 1.1.7 speaks protocol version 10 of the FCI and pins numpy 1.26, so it is installed apart
 (`make .venv-fr3sim`). What it runs there is `data/franka_sim_scene.py`.
@@ -148,8 +148,8 @@ class FrankaSim:
         return f"{self.host}:{self._port}"
 
     def tell(self, **what: int) -> dict[str, Any]:
-        """Ask for the scene; with mode= or error= play the person at the arm, or a reflex.
-        Raises OSError.
+        """Ask for the scene; with mode= or error= play the person at the arm, or a reflex. Raises
+        OSError.
         """
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asking:
             asking.settimeout(2.0)

@@ -125,8 +125,8 @@ def check_version() -> None:
 
 
 def end_with(parent: int) -> None:
-    """Ask the kernel for SIGKILL at the parent's death; SGLang's own children do the same with
-    this process.
+    """Ask the kernel for SIGKILL at the parent's death; SGLang's own children do the same with this
+    process.
     """
     libc = ctypes.CDLL(None, use_errno=True)
     if libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0) != 0:

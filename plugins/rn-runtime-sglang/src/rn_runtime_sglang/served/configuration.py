@@ -1,5 +1,5 @@
-"""The configuration and tokenizer classes that SGLang asks transformers for, made from the
-public checkpoint files.
+"""The configuration and tokenizer classes that SGLang asks transformers for, made from the public
+checkpoint files.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ ARCHITECTURE = "OpenVLAForActionPrediction"
 
 
 class OpenVlaServedConfig(PretrainedConfig):  # type: ignore[misc, no-untyped-call, unused-ignore]
-    """config.json of an OpenVLA checkpoint; the decoder's part is completed from the defaults
-    it was saved against.
+    """config.json of an OpenVLA checkpoint; the decoder's part is completed from the defaults it
+    was saved against.
     """
 
     model_type = MODEL_TYPE
@@ -50,8 +50,8 @@ def _llama(raw: dict[str, Any]) -> LlamaConfig:
 
 
 class OpenVlaTokenizer(PreTrainedTokenizerFast):  # type: ignore[misc, unused-ignore]
-    """tokenizer.json as it is. SGLang insists on a tokenizer; requests bring token ids, so it
-    is never asked.
+    """tokenizer.json as it is. SGLang insists on a tokenizer; requests bring token ids, so it is
+    never asked.
     """
 
 

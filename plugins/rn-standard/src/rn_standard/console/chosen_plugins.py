@@ -1,5 +1,5 @@
-"""Which plugins a command is about: those that a configuration does not disable, and those that
-a name means.
+"""Which plugins a command is about: those that a configuration does not disable, and those that a
+name means.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ def add_config(parser: ArgumentParser) -> None:
 
 
 def read_disabled(config: Path | None) -> tuple[str, ...]:
-    """`disabled_plugins` of a configuration file, read without the models that check the rest
-    of it.
+    """`disabled_plugins` of a configuration file, read without the models that check the rest of
+    it.
     """
     if config is None:
         return ()

@@ -14,8 +14,8 @@ class ConfigCheck:
         parser.add_argument("file", type=Path, help="the roboneuron.toml")
 
     def run(self, arguments: Namespace) -> int:
-        """Refuse what `roboneuron serve` would refuse at its start, but for ports, which a
-        running server may hold.
+        """Refuse what `roboneuron serve` would refuse at its start, but for ports, which a running
+        server may hold.
         """
         from roboneuron.feature import (
             check_configuration,

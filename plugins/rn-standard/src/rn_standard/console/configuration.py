@@ -46,8 +46,8 @@ class ConfigReference:
 
 
 def feature_text() -> str:
-    """The sections of the installed features with their defaults; see `ConfigShow` for what #
-    and ## mean.
+    """The sections of the installed features with their defaults; see `ConfigShow` for what # and
+    ## mean.
     """
     lines: list[str] = []
     for spec, tables in _feature_tables():
@@ -84,8 +84,8 @@ def _settings(section: type[BaseModel]) -> Iterator[str]:
 
 
 def reference() -> str:
-    """docs/configuration.md, generated from the configuration models of core and of the
-    installed features.
+    """docs/configuration.md, generated from the configuration models of core and of the installed
+    features.
     """
     from roboneuron.feature import Config, reading
 

@@ -2,9 +2,8 @@
 state directory.
 
 A server on stdio talks to the client that started it and to nobody else. Its modules report on
-/diagnostics five times
-a second, its process id is in the name of its log directory, and the emergency stop is a file: that
-is enough to show how the modules are, without disturbing anybody.
+/diagnostics five times a second, its process id is in the name of its log directory, and the
+emergency stop is a file: that is enough to show how the modules are, without disturbing anybody.
 """
 
 from __future__ import annotations
@@ -51,8 +50,8 @@ class FoundServer:
 
 
 def find_servers(state_directory: Path) -> list[FoundServer]:
-    """Servers that log below this state directory and are alive, the newest first; another
-    user's are left out.
+    """Servers that log below this state directory and are alive, the newest first; another user's
+    are left out.
     """
     found = []
     folders = [state_directory, *sorted(reading.robot_folder(state_directory).parent.glob("*"))]

@@ -1,5 +1,5 @@
-"""When a run is over, and how it went: decided from one status after the other, without any
-input or output.
+"""When a run is over, and how it went: decided from one status after the other, without any input
+or output.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from rn_standard.console.table import fault_text
 HELD_S = 1.0
 """A simulator's object that has been lifted for so long was picked up."""
 PATIENCE_S = 4.0
-"""A fault that is gone sooner does not end the run: a late image on a busy machine, a module
-that is started again.
+"""A fault that is gone sooner does not end the run: a late image on a busy machine, a module that
+is started again.
 """
 DONE_METRIC = "done"
 """A backend that knows when it has finished says so with this metric of its action chunks: 1

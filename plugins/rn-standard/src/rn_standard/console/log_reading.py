@@ -17,8 +17,8 @@ from roboneuron import ConfigurationError
 from roboneuron.feature import log_files
 
 _STAMP = re.compile(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d{3} ([A-Z]+) ")
-"""How an entry begins, see `roboneuron.log_files.FORMAT`; other lines belong to the entry
-before them.
+"""How an entry begins, see `roboneuron.log_files.FORMAT`; other lines belong to the entry before
+them.
 """
 _STYLES = {"WARNING": "yellow", "ERROR": "red", "CRITICAL": "bold red", "DEBUG": "dim"}
 _COLOURS = {
@@ -63,8 +63,8 @@ class _File:
     rest: bytes = b""
 
     def read_lines(self) -> Iterator[tuple[str, str, str]]:
-        """(time, module, line) of each whole line since the last call; from the beginning in a
-        file begun anew.
+        """(time, module, line) of each whole line since the last call; from the beginning in a file
+        begun anew.
         """
         try:
             with self.path.open("rb") as file:

@@ -29,8 +29,8 @@ class LogRun:
 
 
 def log_runs(state_directory: Path) -> list[LogRun]:
-    """All runs, the newest first; of two begun within one second the one that was written to
-    last comes first.
+    """All runs, the newest first; of two begun within one second the one that was written to last
+    comes first.
     """
     found = []
     for path in (state_directory / "log").glob("*/"):

@@ -22,8 +22,8 @@ ONLY_ACTIONS = "see its actions"
 
 
 def whole_parser() -> ArgumentParser:
-    """Every command with its arguments; one of a plugin that cannot be loaded is logged and
-    left out.
+    """Every command with its arguments; one of a plugin that cannot be loaded is logged and left
+    out.
     """
     registry = discover()
     parser = ArgumentParser(prog="roboneuron")

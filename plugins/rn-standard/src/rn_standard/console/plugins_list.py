@@ -113,8 +113,8 @@ def _offer_document(offer: Offer) -> dict[str, object]:
 
 
 def print_short(registry: Registry) -> None:
-    """Write what is ready by kind, then all that is not with what to do about it, then what is
-    not installed.
+    """Write what is ready by kind, then all that is not with what to do about it, then what is not
+    installed.
     """
     if not registry.plugins:
         command = availability.install_command(availability.WHOLE)

@@ -71,8 +71,8 @@ def show(registry: Registry, name: str, kind: str | None) -> int:
 
 
 def _options(offer: Offer) -> Iterator[str]:
-    """What may stand in `[plugins.<name>]`, of everything in the offer that takes options and
-    can be imported.
+    """What may stand in `[plugins.<name>]`, of everything in the offer that takes options and can
+    be imported.
     """
     if offer.status is not Status.READY:
         return

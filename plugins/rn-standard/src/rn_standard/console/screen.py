@@ -56,8 +56,8 @@ class Screen:
 
     @contextmanager
     def live(self, text: str) -> Iterator[Callable[[str], None]]:
-        """A line that is written anew again and again, on a terminal; call what is given with
-        its text.
+        """A line that is written anew again and again, on a terminal; call what is given with its
+        text.
         """
         if self._is_quiet or not self._console.is_terminal:
             yield lambda text: None

@@ -26,8 +26,8 @@ _KINDS = ("robot", "perception", "control", "inference")
 
 
 async def run_instruction(arguments: Namespace, screen: Screen) -> int:
-    """Do it all; returns the exit status. Raises as `connection.connect`, and NotReadyError for
-    a failed start.
+    """Do it all; returns the exit status. Raises as `connection.connect`, and NotReadyError for a
+    failed start.
     """
     async with connection.connect(arguments) as client:
         session = Session(client, arguments.url or "a server of its own")

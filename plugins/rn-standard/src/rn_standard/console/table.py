@@ -27,8 +27,8 @@ _DISPENSABLE = ("sent", "p99 ms", "pid", "up", "dropped", "age ms", "ms", "Hz")
 
 
 def make_console(*, stderr: bool = False) -> Console:
-    """A console for this terminal; without one, no colours and lines that are wide enough for
-    the table.
+    """A console for this terminal; without one, no colours and lines that are wide enough for the
+    table.
     """
     console = Console(highlight=False, stderr=stderr, emoji=False, markup=False)
     if not console.is_terminal:
@@ -66,8 +66,8 @@ def _body(status: ServerStatus) -> list[RenderableType]:
 
 
 class _ModuleTable:
-    """One line for each module, with as many columns as there is room for: a number is shown
-    whole or not at all.
+    """One line for each module, with as many columns as there is room for: a number is shown whole
+    or not at all.
     """
 
     def __init__(self, modules: Sequence[ReportedModule]) -> None:

@@ -20,8 +20,8 @@ _LOOK_S = 0.1
 
 
 class Up:
-    """Start everything that is configured, side by side, and keep it until Ctrl-C or
-    `roboneuron down`.
+    """Start everything that is configured, side by side, and keep it until Ctrl-C or `roboneuron
+    down`.
 
     With --url the server there starts it, keeps it, and the command ends.
     """

@@ -1,5 +1,5 @@
-"""The agent stand-in: a real MCP client that knows only what tools/list and the tools' answers
-tell it.
+"""The agent stand-in: a real MCP client that knows only what tools/list and the tools' answers tell
+it.
 """
 
 from __future__ import annotations

@@ -12,8 +12,8 @@ POLICIES = ("servo", "learned")
 
 
 class Demo:
-    """An agent stand-in picks up an object with the simulated robot, over MCP only; status 0
-    means it was lifted.
+    """An agent stand-in picks up an object with the simulated robot, over MCP only; status 0 means
+    it was lifted.
     """
 
     def configure(self, parser: ArgumentParser) -> None:

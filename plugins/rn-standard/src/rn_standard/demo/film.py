@@ -34,8 +34,8 @@ class Film:
         self.frames.append((at_s, caption, image))
 
     def save(self, directory: Path) -> tuple[Path, Path]:
-        """Write `film-strip.png` and `film.gif`; returns their paths. There must be at least
-        one frame.
+        """Write `film-strip.png` and `film.gif`; returns their paths. There must be at least one
+        frame.
         """
         directory.mkdir(parents=True, exist_ok=True)
         strip, gif = directory / "film-strip.png", directory / "film.gif"

@@ -1,5 +1,5 @@
-"""The allow list of direct motion: what the robot's profile and features expose, checked
-together, in force at once.
+"""The allow list of direct motion: what the robot's profile and features expose, checked together,
+in force at once.
 """
 
 from __future__ import annotations
@@ -86,8 +86,8 @@ class ArmPaths:
             return self._made[robot, name]
 
     def load(self, robot: str, profile: RobotProfile) -> tuple[Controller, RobotProfile]:
-        """A controller of an arm for one user, and the profile with the collisions in force.
-        Raises as `limiter`.
+        """A controller of an arm for one user, and the profile with the collisions in force. Raises
+        as `limiter`.
         """
         limited = replace(profile, collision=collision_of(self._limits(robot), profile))
         name = self._controller(robot)
@@ -184,8 +184,8 @@ class AllowList:
             self._paths.forget()
 
     def refresh(self) -> None:
-        """Expose the present robot's profile, unless a feature exposes others instead. Raises
-        as `expose`.
+        """Expose the present robot's profile, unless a feature exposes others instead. Raises as
+        `expose`.
         """
         with self._lock:
             if not self._instead:

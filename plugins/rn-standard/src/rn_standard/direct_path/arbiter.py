@@ -18,12 +18,10 @@ from roboneuron import NotReadyError, RefusedError, RoboNeuronError, StateError
 from roboneuron.feature import ExposedEndpoint, MotionStarts
 
 _FROZEN_S = 2.0
-"""Modules hold the robot after such a silence of the server; a motion looks at its end every 10
-ms.
+"""Modules hold the robot after such a silence of the server; a motion looks at its end every 10 ms.
 """
 POLL_S = 0.01
-"""How often lasting motion looks at the latch; together with one publish it is well within 50
-ms.
+"""How often lasting motion looks at the latch; together with one publish it is well within 50 ms.
 """
 
 
@@ -59,8 +57,8 @@ class MotionEnd:
     sent: int = 0
 
     def check(self) -> None:
-        """Raise an error of the cause's kind that tells how the motion ended, unless it came to
-        its end.
+        """Raise an error of the cause's kind that tells how the motion ended, unless it came to its
+        end.
         """
         if self.cause is None:
             return
@@ -96,7 +94,8 @@ class ActiveMotion:
         self.stop_now: Callable[[], object] = lambda: None
         """Sends the stop message; set while there is one to send. Whoever presses the emergency
         stop calls it, whether or not the thread that plays this gets to run, and the thread sends
-        it again when it does."""
+        it again when it does.
+        """
 
     def check(self) -> None:
         """Raise when it has to end.
@@ -104,8 +103,8 @@ class ActiveMotion:
         Raises:
             RefusedError: the emergency stop is latched, or the audit failed.
             StateError: the call was cancelled, a policy took over, the robot was stopped or has
-                lost a module since
-                this motion began, or this process was frozen: it is not resumed.
+                lost a module since this motion began, or this process was frozen: it is not
+                resumed.
         """
         self._gate.check_running()
         frozen_s, self._looked_s = time.monotonic() - self._looked_s, time.monotonic()
@@ -149,12 +148,10 @@ class MotionArbiter:
         is_followed: Callable[[ExposedEndpoint], bool] = lambda exposed: False,
         hold_s: float = 2.0,
     ) -> None:
-        """Args:
-        gate: asked whether motion may go on.
-        policy: says, in a sentence, which policy moves the endpoint's robot; empty when none does.
-        starts: knows of stops.
-        is_followed: whether control still follows actions: it will hold, and a hold would end
-        another motion. hold_s: longest wait for that hold.
+        """Args: gate: asked whether motion may go on. policy: says, in a sentence, which policy
+        moves the endpoint's robot; empty when none does. starts: knows of stops. is_followed:
+        whether control still follows actions: it will hold, and a hold would end another motion.
+        hold_s: longest wait for that hold.
         """
         self._is_followed, self._hold_s = is_followed, hold_s
         self._gate = gate
@@ -183,8 +180,8 @@ class MotionArbiter:
         return any(motion.exposed.moves for motion in list(self._moving.values()))
 
     def check_free(self, exposed: ExposedEndpoint) -> None:
-        """Raise RefusedError while a policy or another call moves the robot; endpoints that
-        move nothing are free.
+        """Raise RefusedError while a policy or another call moves the robot; endpoints that move
+        nothing are free.
         """
         if not exposed.moves:
             return
@@ -261,8 +258,8 @@ class MotionArbiter:
         timeout_s: float,
         which: Callable[[ExposedEndpoint], bool] = lambda exposed: True,
     ) -> bool:
-        """End every motion (through the endpoints that are meant) and wait; False when one did
-        not end in time.
+        """End every motion (through the endpoints that are meant) and wait; False when one did not
+        end in time.
         """
         with self._idle:
             ended = [motion for motion in self._moving.values() if which(motion.exposed)]

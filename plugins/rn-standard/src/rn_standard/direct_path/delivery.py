@@ -139,8 +139,8 @@ def _end(
 
 
 def _is_velocity(message: Any) -> bool:
-    """Whether a joint command is a JointState of velocities only, which a robot follows until
-    it gets another one.
+    """Whether a joint command is a JointState of velocities only, which a robot follows until it
+    gets another one.
     """
     return (
         hasattr(message, "velocity") and bool(len(message.velocity)) and not len(message.position)

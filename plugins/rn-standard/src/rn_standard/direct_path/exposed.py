@@ -1,5 +1,5 @@
-"""Endpoints that agents may use, each with its limits, which belong to the topic; some topics
-are never exposed.
+"""Endpoints that agents may use, each with its limits, which belong to the topic; some topics are
+never exposed.
 """
 
 from __future__ import annotations
@@ -153,8 +153,8 @@ def check_owner(topic: str, robot: str, namespaces: Mapping[str, str]) -> str:
 
 
 def is_module(node: str, owner: str) -> bool:
-    """Whether a node in a robot's namespace `owner` is a module of RoboNeuron, which the
-    supervisor alone sets.
+    """Whether a node in a robot's namespace `owner` is a module of RoboNeuron, which the supervisor
+    alone sets.
     """
     return node.removeprefix(f"/{owner}/") in {
         f"{kind}{end}" for kind in MODULE_KINDS for end in ("", "_b")
@@ -190,8 +190,8 @@ def check_reserved(exposed: ExposedEndpoint, namespaces: Mapping[str, str]) -> N
 
 
 def _is_own(topic: str, profile: RobotProfile | None) -> bool:
-    """Whether a topic in a robot's namespace is written by a module, a driver or a simulation
-    of RoboNeuron.
+    """Whether a topic in a robot's namespace is written by a module, a driver or a simulation of
+    RoboNeuron.
     """
     if _OWN_TOPICS.fullmatch(topic):
         return True

@@ -1,5 +1,5 @@
-"""The feature: builds the one gate of a server, lends it as `host.gate`, and ends every motion
-that passed it.
+"""The feature: builds the one gate of a server, lends it as `host.gate`, and ends every motion that
+passed it.
 """
 
 from __future__ import annotations
@@ -81,8 +81,8 @@ class DirectPath(Feature[None]):
         self.allow_list.refresh()
 
     def end_motion(self, reason: str, timeout_s: float) -> bool:
-        """End every motion that passed the gate with its stop message; False when one did not
-        end in time.
+        """End every motion that passed the gate with its stop message; False when one did not end
+        in time.
         """
         return self._gate is None or self.arbiter.end_all(reason, timeout_s)
 
@@ -109,8 +109,8 @@ class DirectPath(Feature[None]):
         return f"The policy {view.choice.names.get('backend', '')!r} moves {exposed.robot!r}."
 
     def _is_followed(self, exposed: ExposedEndpoint) -> bool:
-        """Whether control has acted since it held last; one that is frozen tells nothing, and
-        comes to no hold.
+        """Whether control has acted since it held last; one that is frozen tells nothing, and comes
+        to no hold.
         """
         view = self._host.modules.view("control")
         if (

@@ -74,8 +74,8 @@ def load_type(name: str) -> Any:
 
 
 def walk_fields(ros_type: Any, path: str = "") -> Iterator[tuple[str, str]]:
-    """Yield each field of a message class at every depth: dotted path without indices, type of
-    it or its elements.
+    """Yield each field of a message class at every depth: dotted path without indices, type of it
+    or its elements.
     """
     for name, text in ros_type.get_fields_and_field_types().items():
         here = f"{path}.{name}" if path else name
@@ -244,8 +244,8 @@ def _item_writer(values: Any, index: int) -> Callable[[float], None]:
 
 
 def find_nonfinite(message: Any, allowed: frozenset[str], plain: str = "", path: str = "") -> str:
-    """Return the path of the first NaN or infinity that is not allowed there; empty when there
-    is none.
+    """Return the path of the first NaN or infinity that is not allowed there; empty when there is
+    none.
     """
     for name in message.get_fields_and_field_types():
         value = getattr(message, name)

@@ -14,8 +14,8 @@ if TYPE_CHECKING:
 
 
 class HealthDiagnostics:
-    """Says on /diagnostics what a module cannot say itself when it is frozen or gone: every
-    change of its health.
+    """Says on /diagnostics what a module cannot say itself when it is frozen or gone: every change
+    of its health.
     """
 
     def __init__(self, supervisor: Supervisor) -> None:

@@ -20,8 +20,7 @@ MAX_POINTS = 2000
 JOINT_TYPES = ("trajectory_msgs/msg/JointTrajectory", "sensor_msgs/msg/JointState")
 """Messages that can be checked."""
 _SAME = 1e-3
-"""A first point at time 0 may only repeat where the joints are, within a milliradian or
-millimetre.
+"""A first point at time 0 may only repeat where the joints are, within a milliradian or millimetre.
 """
 
 
@@ -153,8 +152,8 @@ class _JointMotion:
             raise RefusedError(f"The trajectory takes {before_s:g} s, its step only {lasts_s:g} s.")
 
     def _state(self, message: Any, lasts_s: float | None) -> Iterator[Leg]:
-        """A JointState: positions that are reached within the time, or velocities that are kept
-        for it.
+        """A JointState: positions that are reached within the time, or velocities that are kept for
+        it.
         """
         names = self._names(message.name)
         if not (len(message.position) or len(message.velocity)):
@@ -177,8 +176,8 @@ class _JointMotion:
         yield Leg(names=names, position=ends, duration_s=lasts_s)
 
     def _commit(self, leg: Leg, is_velocity: bool) -> None:
-        """Whether the joints can follow a leg: their velocities, and the accelerations that
-        these imply.
+        """Whether the joints can follow a leg: their velocities, and the accelerations that these
+        imply.
         """
         starts, duration_s = self._starts(leg.names), leg.duration_s
         if not duration_s:

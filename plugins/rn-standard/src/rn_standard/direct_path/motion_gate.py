@@ -1,5 +1,5 @@
-"""The gate as features use it: they say what is to be sent, and it is judged and sent here;
-nobody gets a publisher.
+"""The gate as features use it: they say what is to be sent, and it is judged and sent here; nobody
+gets a publisher.
 """
 
 from __future__ import annotations

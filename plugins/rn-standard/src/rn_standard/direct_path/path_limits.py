@@ -1,5 +1,5 @@
-"""Limits of place and speed on joint motions: forward kinematics along the path, by the rules
-of control.
+"""Limits of place and speed on joint motions: forward kinematics along the path, by the rules of
+control.
 """
 
 from __future__ import annotations
@@ -54,9 +54,8 @@ class PathLimiter:
     """Checks paths in joint space for one arm; thread-safe.
 
     `Reach` says how densely a path is sampled, and the TCP's path between two samples is tested as
-    a line, so that
-    neither a zone nor a link is missed. Singularities are no limit here: joint motions do not
-    depend on the Jacobian's inverse.
+    a line, so that neither a zone nor a link is missed. Singularities are no limit here: joint
+    motions do not depend on the Jacobian's inverse.
 
     Args:
         rules: the numbers of `[limits]`; a limit that is broken is refused, whatever its reaction
@@ -127,8 +126,8 @@ class PathLimiter:
     def _speeds(
         self, before: Posture, there: Posture, duration_s: float
     ) -> Iterator[tuple[float, str]]:
-        """How many times a limit of the TCP's speed is exceeded between two postures, and what
-        is said of it.
+        """How many times a limit of the TCP's speed is exceeded between two postures, and what is
+        said of it.
         """
         if duration_s:
             motion = self._task.motion(before.pose, before.pose, there, duration_s, 0.0)
@@ -141,8 +140,8 @@ class PathLimiter:
     def _walk(
         self, legs: Iterable[Leg], joints: JointSample
     ) -> Iterator[tuple[Leg, Posture, Posture, float]]:
-        """Postures that follow each other on the legs, and the time between them [s], 0 when
-        nobody knows.
+        """Postures that follow each other on the legs, and the time between them [s], 0 when nobody
+        knows.
         """
         finite = np.isfinite(joints.position)
         names = tuple(
@@ -199,8 +198,8 @@ def _target(leg: Leg, names: tuple[str, ...], here: F64) -> tuple[F64, F64]:
 
 
 def _shape(change: F64, bend: tuple[F64, F64] | None, count: int) -> F64:
-    """Postures after the start, relative to it, float64 (count, n): on a line, or on the cubic
-    with these slopes.
+    """Postures after the start, relative to it, float64 (count, n): on a line, or on the cubic with
+    these slopes.
     """
     s = np.arange(1, count + 1)[:, np.newaxis] / count
     if bend is None:

@@ -8,14 +8,13 @@ from collections.abc import Callable, Sequence
 
 
 class RateLimit:
-    """A sliding window over accepted messages of one endpoint, sent or still to be sent; safe
-    from any thread.
+    """A sliding window over accepted messages of one endpoint, sent or still to be sent; safe from
+    any thread.
     """
 
     def __init__(self, rate_hz: float, clock: Callable[[], float]) -> None:
-        """Args:
-        rate_hz: most messages per second; 0 for no bound. Below 1 the window is as long as the time
-        between two. clock: monotonic time [s].
+        """Args: rate_hz: most messages per second; 0 for no bound. Below 1 the window is as long as
+        the time between two. clock: monotonic time [s].
         """
         self.rate_hz = rate_hz
         self._window_s = max(1.0, 1.0 / rate_hz) if rate_hz else 0.0

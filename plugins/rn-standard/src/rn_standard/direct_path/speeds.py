@@ -29,10 +29,9 @@ class Speeds:
         covered.
 
         With |acceleration| <= a, a joint that leaves with u covers the distance d in T if |d - u T|
-        <= a T^2 / 2. It
-        ends fastest when it first brakes and then accelerates: u + a (2 sqrt(T^2 / 2 + (d - u T) /
-        a) - T), slowest the other way round. Both fall with u, so the ends of the interval give the
-        ends of the next one.
+        <= a T^2 / 2. It ends fastest when it first brakes and then accelerates: u + a (2 sqrt(T^2 /
+        2 + (d - u T) / a) - T), slowest the other way round. Both fall with u, so the ends of the
+        interval give the ends of the next one.
 
         Args:
             distance: signed [rad or m].
@@ -49,8 +48,8 @@ class Speeds:
             return None
 
         def change(excess: float) -> float:
-            """Of the velocity, by braking and accelerating: `excess` is the mean above the
-            velocity at the start.
+            """Of the velocity, by braking and accelerating: `excess` is the mean above the velocity
+            at the start.
             """
             root = math.sqrt(max(0.0, duration_s * duration_s / 2.0 + excess * duration_s / limit))
             return limit * (2.0 * root - duration_s)

@@ -1,5 +1,5 @@
-"""The ROS side of direct motion: writers, action clients and measured joints, made when they
-are first needed.
+"""The ROS side of direct motion: writers, action clients and measured joints, made when they are
+first needed.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ JOINTS_AGE_S = 0.5
 """Older measurements are as good as none."""
 _POLL_S = 0.01
 _SETTLE_S = 0.1
-"""After the first sight of an action server: until it has matched our side too, its answer
-would be lost.
+"""After the first sight of an action server: until it has matched our side too, its answer would be
+lost.
 """
 
 
@@ -61,8 +61,8 @@ class Traffic:
             return self._writers[key]
 
     def is_served(self, exposed: ExposedEndpoint) -> bool:
-        """Whether somebody serves the service or action; blocks for a moment when that is new
-        of an action.
+        """Whether somebody serves the service or action; blocks for a moment when that is new of an
+        action.
         """
         link = self.link()
         if exposed.endpoint.kind != "action":
@@ -104,8 +104,8 @@ class Traffic:
         self.link().call(CancelGoal, _cancel_name(exposed), request, lambda: None)
 
     def newest_joints(self, exposed: ExposedEndpoint) -> JointSample | None:
-        """The measured joints of the endpoint's robot, None when there are no recent ones;
-        never blocks.
+        """The measured joints of the endpoint's robot, None when there are no recent ones; never
+        blocks.
         """
         watch = self._joints.get(exposed.namespace)
         message = watch.newest(JOINTS_AGE_S) if watch is not None else None
@@ -119,8 +119,8 @@ class Traffic:
             return None
 
     def joints(self, exposed: ExposedEndpoint, timeout_s: float) -> JointSample | None:
-        """Like `newest_joints`, and waits for a recent measurement: on a busy machine states
-        may come late.
+        """Like `newest_joints`, and waits for a recent measurement: on a busy machine states may
+        come late.
         """
         link, space = self.link(), exposed.namespace
         from sensor_msgs.msg import JointState  # heavy

@@ -1,5 +1,5 @@
-"""What a mobile base can be asked to do, told by its endpoint; the gate and the base's driver
-ask alike.
+"""What a mobile base can be asked to do, told by its endpoint; the gate and the base's driver ask
+alike.
 """
 
 from __future__ import annotations
@@ -10,8 +10,8 @@ from collections.abc import Mapping
 from roboneuron import Endpoint, RefusedError
 
 TWIST_FIELDS = ("linear.x", "linear.y", "linear.z", "angular.x", "angular.y", "angular.z")
-"""Paths of a geometry_msgs/Twist, in the base frame: forward x, left y, up z [m/s], turning
-about them [rad/s].
+"""Paths of a geometry_msgs/Twist, in the base frame: forward x, left y, up z [m/s], turning about
+them [rad/s].
 """
 _TOLERANCE = 1e-9
 

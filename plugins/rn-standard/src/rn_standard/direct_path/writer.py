@@ -158,8 +158,8 @@ class TopicWriter:
 
 
 class NewestMessage:
-    """A subscription that is kept, for facts that are needed at once (measured joints). Usable
-    from any thread.
+    """A subscription that is kept, for facts that are needed at once (measured joints). Usable from
+    any thread.
     """
 
     def __init__(self, link: RosLink, message_type: type, topic: str) -> None:

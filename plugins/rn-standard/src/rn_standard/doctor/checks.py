@@ -20,8 +20,8 @@ from roboneuron import RoboNeuronError, RobotSpec
 from roboneuron.feature import Config, Registry, Status, availability, discover, environment, estop
 
 MIN_SHARED_MEMORY_MIB = 256
-"""A segment of 32 MiB for each of the five processes, and as much again for a switch and for
-what others use.
+"""A segment of 32 MiB for each of the five processes, and as much again for a switch and for what
+others use.
 """
 MIN_DISK_MIB = 100
 LATE_MS = 20.0
@@ -151,8 +151,8 @@ def _ros(_: Config) -> Finding:
 
 
 def _try_ros() -> str:
-    """Why rclpy cannot be started; empty when it can. In a process of its own: rcl may end the
-    one it runs in.
+    """Why rclpy cannot be started; empty when it can. In a process of its own: rcl may end the one
+    it runs in.
     """
     command = [sys.executable, "-P", "-c", "import rclpy; rclpy.init(); rclpy.shutdown()"]
     try:

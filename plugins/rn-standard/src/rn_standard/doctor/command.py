@@ -9,8 +9,8 @@ from pathlib import Path
 
 
 class Doctor:
-    """Check whether this machine and a configuration are ready: Python, ROS, shared memory,
-    images, plugins, GPU.
+    """Check whether this machine and a configuration are ready: Python, ROS, shared memory, images,
+    plugins, GPU.
     """
 
     def configure(self, parser: ArgumentParser) -> None:

@@ -91,8 +91,8 @@ def measure_image_transport() -> ImageTransport:
 
 
 def send_images(topic: str) -> int:
-    """Publish images once somebody subscribes to `topic`; returns how many (all of them,
-    subscriber or not).
+    """Publish images once somebody subscribes to `topic`; returns how many (all of them, subscriber
+    or not).
     """
     import numpy as np
 

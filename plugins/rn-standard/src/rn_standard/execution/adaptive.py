@@ -87,8 +87,8 @@ class AdaptiveExecutor(execution.ChunkExecutor):
             return rows <= delay_rows + 1 + fade_rows_of(self._horizon)
 
     def begin(self, observation: Observation, captured_ns: int) -> execution.Prediction:
-        """As ChunkExecutor; the backend is told what is played meanwhile, if its mode is made
-        for that.
+        """As ChunkExecutor; the backend is told what is played meanwhile, if its mode is made for
+        that.
         """
         with self.changed:
             mode = self._selector.current.mode

@@ -7,8 +7,8 @@ import statistics
 from collections import deque
 
 WINDOW = 50
-"""Answers that are looked back on. Sliding: an old spike (a recording, a page fault) must not
-slow the arm for ever.
+"""Answers that are looked back on. Sliding: an old spike (a recording, a page fault) must not slow
+the arm for ever.
 """
 
 

@@ -9,16 +9,15 @@ from rn_standard.execution.latency import LatencyWindow, rows_in
 from roboneuron import BackendSpec, ConfigurationError
 
 Mode = Literal["sequential", "overlap", "rtc", "predicted-state"]
-"""`sequential`: predict, play the chunk, predict again.
-`overlap`: predict while the last chunk plays; stale rows are skipped, the seam is cross-faded.
-`rtc` (real-time chunking): as overlap, and the backend continues the rows that are still to be
-played. `predicted-state`: the backend gets the state rolled forward to the end of the running
-chunk; chunks follow whole.
+"""`sequential`: predict, play the chunk, predict again. `overlap`: predict while the last chunk
+plays; stale rows are skipped, the seam is cross-faded. `rtc` (real-time chunking): as overlap, and
+the backend continues the rows that are still to be played. `predicted-state`: the backend gets the
+state rolled forward to the end of the running chunk; chunks follow whole.
 """
 MODES: tuple[Mode, ...] = ("sequential", "overlap", "rtc", "predicted-state")
 _AGREEING = 10
-"""So many answers in a row must ask for another mode before it changes: no flapping at the
-border of two modes.
+"""So many answers in a row must ask for another mode before it changes: no flapping at the border
+of two modes.
 """
 
 
@@ -99,8 +98,8 @@ def _can_condition(abilities: Abilities, delay_rows: int) -> bool:
 
 
 def check_mode(mode: Mode, abilities: Abilities, backend: str) -> None:
-    """Raise ConfigurationError when a backend cannot be executed in a mode that the
-    configuration fixes.
+    """Raise ConfigurationError when a backend cannot be executed in a mode that the configuration
+    fixes.
     """
     lacks = (mode == "rtc" and not abilities.conditions_on_rows) or (
         mode == "predicted-state" and not abilities.takes_predicted_state

@@ -1,5 +1,5 @@
-"""Rows that are still to be sent, and what was sent: a chunk's rows are counted when they are
-sent, never timed.
+"""Rows that are still to be sent, and what was sent: a chunk's rows are counted when they are sent,
+never timed.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from roboneuron.feature import execution
 
 F64 = NDArray[np.float64]
 FADE_ROWS = 4
-"""Rows over which old deltas are cross-faded into new ones; more make the seam hardly any
-smoother (simulated).
+"""Rows over which old deltas are cross-faded into new ones; more make the seam hardly any smoother
+(simulated).
 """
 Outcome = Literal["accepted", "late", "unconditioned"]
 """What became of an answer. `late`: more rows were sent since its image than it has.
-`unconditioned`: it continues rows that were not played as promised (trained prefixes)."""
+`unconditioned`: it continues rows that were not played as promised (trained prefixes).
+"""
 _MEMORY = 512
-"""Sent rows that are remembered; an answer that is older is dropped by its image's age long
-before.
+"""Sent rows that are remembered; an answer that is older is dropped by its image's age long before.
 """
 
 
@@ -71,8 +71,8 @@ class SentRowQueue:
         return row
 
     def note_sent(self, vector: F64, sent_ns: int) -> None:
-        """Another module (the predecessor in a handover) sent a row: it moved the arm in place
-        of our next one.
+        """Another module (the predecessor in a handover) sent a row: it moved the arm in place of
+        our next one.
         """
         self._sent.append(_Sent(sent_ns, vector))
         if self.rows:

@@ -1,5 +1,5 @@
-"""The state that a backend trained on predicted states gets: the measured one after the rows
-still to be played.
+"""The state that a backend trained on predicted states gets: the measured one after the rows still
+to be played.
 """
 
 from __future__ import annotations

@@ -33,12 +33,11 @@ from rn_standard.fastdds.segments import LOCK_SUFFIX, PORT_PREFIX, SHARED_MEMORY
 
 log = logging.getLogger(__name__)
 LEASE_S = 25.0
-"""After this long nobody writes to a killed process any more: the lease of a participant is 20
-s.
+"""After this long nobody writes to a killed process any more: the lease of a participant is 20 s.
 """
 _LOOKS, _PAUSE_S = 5, 0.01
-"""A living thread holds such a lock for microseconds. One that is not seen here may live in
-another container.
+"""A living thread holds such a lock for microseconds. One that is not seen here may live in another
+container.
 """
 
 

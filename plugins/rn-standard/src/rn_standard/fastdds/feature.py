@@ -1,5 +1,5 @@
-"""The feature: cleans up at the start, follows every module process, and looks after the
-server's own ports.
+"""The feature: cleans up at the start, follows every module process, and looks after the server's
+own ports.
 """
 
 from __future__ import annotations

@@ -99,8 +99,8 @@ class LostPorts:
         return bool(heard)
 
     def _give_back(self, port: int) -> bool:
-        """Mark as broken what is listened to without a name; its listener looks within a third
-        of a second.
+        """Mark as broken what is listened to without a name; its listener looks within a third of a
+        second.
         """
         memory = os.open("/proc/self/mem", os.O_RDWR | os.O_CLOEXEC)
         marked = False

@@ -14,8 +14,8 @@ from rn_standard.fastdds.shared_memory import SegmentRecord, remove_stale
 
 log = logging.getLogger(__name__)
 _RECENT = 10
-"""The ports of this many ended processes are kept silent until their lease ends: port numbers
-come again after 15.
+"""The ports of this many ended processes are kept silent until their lease ends: port numbers come
+again after 15.
 """
 
 

@@ -23,8 +23,8 @@ def port_number(name: str) -> int | None:
 
 
 def owned_segments(pid: int) -> frozenset[str]:
-    """Names of the segments and ports that the living process `pid` owns; empty when it cannot
-    be looked at.
+    """Names of the segments and ports that the living process `pid` owns; empty when it cannot be
+    looked at.
     """
     names = set()
     with suppress(OSError):

@@ -41,8 +41,8 @@ def clean_abandoned(
     and their bytes.
 
     Only what was made at least `least_age_s` ago, is locked by nobody and mapped by no living
-    process. Ports matter
-    most: their names are used again, and who opens a dead one waits for its listener.
+    process. Ports matter most: their names are used again, and who opens a dead one waits for its
+    listener.
     """
     mapped = _mapped(directory)
     removed = size = 0

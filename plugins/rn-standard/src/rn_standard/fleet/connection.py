@@ -1,5 +1,5 @@
-"""One ROS node for all robots of a server: a node of its own for each would use up the
-participants of a host.
+"""One ROS node for all robots of a server: a node of its own for each would use up the participants
+of a host.
 """
 
 from __future__ import annotations
@@ -11,8 +11,7 @@ from typing import Any
 from roboneuron.feature import MODULE_KINDS, Config, launching
 
 PARTICIPANTS = "ROBONEURON_PARTICIPANTS"
-"""Environment variable: how many participants of this host each looks for in the range
-LOCALHOST.
+"""Environment variable: how many participants of this host each looks for in the range LOCALHOST.
 """
 _MOST = 115
 """A domain has 250 ports, of which each participant takes two. Source: RTPS 2.2, 9.6.1.1."""

@@ -158,8 +158,8 @@ class Fleet:
             await robot.settle()
 
     def press(self, who: str, reason: str) -> None:
-        """Latch the emergency stop of all robots without waiting for anything; what fails is
-        told by `latch`.
+        """Latch the emergency stop of all robots without waiting for anything; what fails is told
+        by `latch`.
         """
         estop.press_together(
             [robot.loop.emergency_stop.file for robot in self.robots.values()],
@@ -240,8 +240,8 @@ class Fleet:
             (folder / NAMESPACE_FILE).write_text(robot.loop.config.namespace, encoding="utf-8")
 
     def _look(self) -> None:
-        """A stop of the whole, written by `roboneuron estop`: each robot is then stopped until
-        it is reset itself.
+        """A stop of the whole, written by `roboneuron estop`: each robot is then stopped until it
+        is reset itself.
         """
         is_latched = self._latch.is_latched()
         if is_latched and not self._was_latched:

@@ -1,5 +1,5 @@
-"""Middleware of one robot's server, applied to the calls of that robot: what its features count
-and show.
+"""Middleware of one robot's server, applied to the calls of that robot: what its features count and
+show.
 """
 
 from __future__ import annotations

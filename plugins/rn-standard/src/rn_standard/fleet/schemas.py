@@ -50,8 +50,8 @@ def merged_tool(
 
 
 def without_summaries(entry: Schema) -> Schema:
-    """An argument without the summaries of its choices: list_* has them, and every robot would
-    add its own.
+    """An argument without the summaries of its choices: list_* has them, and every robot would add
+    its own.
     """
     items = entry.get("items")
     if "enum" not in entry and not (isinstance(items, dict) and "enum" in items):
@@ -64,8 +64,8 @@ def without_summaries(entry: Schema) -> Schema:
 
 
 def widest(schemas: Sequence[Schema]) -> Schema:
-    """A JSON schema that accepts whatever one of them accepts; each robot checks exactly what
-    it takes itself.
+    """A JSON schema that accepts whatever one of them accepts; each robot checks exactly what it
+    takes itself.
     """
     first, *others = schemas
     if all(other == first for other in others):

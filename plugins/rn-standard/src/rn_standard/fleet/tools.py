@@ -79,8 +79,8 @@ class FleetTools(ToolRegistry):
         self._on_client = on_client
 
     def listing(self, role: str = roles.ADMIN) -> list[types.Tool]:
-        """What `tools/list` answers to clients of a role; of several robots without what is
-        seldom needed.
+        """What `tools/list` answers to clients of a role; of several robots without what is seldom
+        needed.
         """
         shared = self._shared(role)
         return [
@@ -146,8 +146,8 @@ class FleetTools(ToolRegistry):
             return name, arguments
 
     def meant_robot(self, tool: str, arguments: Mapping[str, Any]) -> Application | None:
-        """The robot whose tool a call means; None for a call of the whole fleet, and for one
-        that will be refused.
+        """The robot whose tool a call means; None for a call of the whole fleet, and for one that
+        will be refused.
         """
         robot = arguments.get("robot")
         if self.get(tool) is not None and not (isinstance(robot, str) and robot in self._robots):

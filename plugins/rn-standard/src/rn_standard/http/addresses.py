@@ -1,5 +1,5 @@
-"""The address that a section names: this machine's, kept to this machine unless tokens guard
-it, and free.
+"""The address that a section names: this machine's, kept to this machine unless tokens guard it,
+and free.
 """
 
 from __future__ import annotations

@@ -19,8 +19,7 @@ log = logging.getLogger(__name__)
 PROTOCOL_KEY = "roboneuron.transport"
 """Where the ASGI scope's `state` has the BoundedProtocol of a request."""
 HEADERS_S = 5.0
-"""From the first byte of a request (of a connection: from its beginning) to the end of its
-headers.
+"""From the first byte of a request (of a connection: from its beginning) to the end of its headers.
 """
 BODY_S = 30.0
 MOST, MOST_OF_ONE = 512, 128
@@ -89,8 +88,8 @@ class ConnectionTable:
 
 
 class BoundedProtocol(H11Protocol):
-    """HTTP/1.1 of uvicorn, known to a ConnectionTable, and closed when a request does not
-    arrive in time.
+    """HTTP/1.1 of uvicorn, known to a ConnectionTable, and closed when a request does not arrive in
+    time.
     """
 
     def __init__(self, table: ConnectionTable, **arguments: Any) -> None:

@@ -115,8 +115,7 @@ class BoundedListener(socket.socket):
     """Give it to an asyncio server in place of the socket; used on its event loop only.
 
     The lowest free number is a new handle's, so the number tells how many are open in the whole
-    process, whoever has
-    them. Source: POSIX, "File Descriptor Allocation".
+    process, whoever has them. Source: POSIX, "File Descriptor Allocation".
 
     Args:
         bound: a bound TCP socket; this one takes it over.
@@ -289,8 +288,8 @@ class BoundedListener(socket.socket):
             connection.shutdown(socket.SHUT_RDWR)
 
     def _do_without(self, error: OSError) -> None:
-        """No handle is left: make room for the next one, and take this one from the queue,
-        which would stay full.
+        """No handle is left: make room for the next one, and take this one from the queue, which
+        would stay full.
         """
         now_s = time.monotonic()
         if now_s - self._told_s >= _LOG_S:
@@ -327,8 +326,8 @@ class BoundedListener(socket.socket):
 
 
 def _open_spare() -> int:
-    """A handle that is given up when there is no other: a connection can be taken and refused
-    with it.
+    """A handle that is given up when there is no other: a connection can be taken and refused with
+    it.
     """
     return os.open(os.devnull, os.O_RDONLY | os.O_CLOEXEC)
 

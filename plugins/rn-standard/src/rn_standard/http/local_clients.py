@@ -24,8 +24,8 @@ def local_client(client: str) -> access.Holder:
 
 
 def account_of(holder: access.Holder) -> str:
-    """Whose share of connections and sessions a client uses: the token's, or that of all
-    clients without one.
+    """Whose share of connections and sessions a client uses: the token's, or that of all clients
+    without one.
     """
     return access.LOCAL_PROCESS.who if holder.client else holder.who
 

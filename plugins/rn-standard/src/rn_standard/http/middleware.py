@@ -151,8 +151,8 @@ def session_name(session: str) -> str:
 
 
 async def _process_of(scope: Scope, transport: object) -> str:
-    """ "pid 123" for the process at the other end of a loopback connection; empty where that is
-    not known.
+    """ "pid 123" for the process at the other end of a loopback connection; empty where that is not
+    known.
     """
     client = scope.get("client")
     if not isinstance(transport, BoundedProtocol) or client is None:

@@ -24,8 +24,7 @@ class TokenConfig(Section):
 
 
 DEFAULT_LEASE_S = 120.0
-"""Agents think for up to a minute or two between calls; the robot keeps its own limits
-meanwhile.
+"""Agents think for up to a minute or two between calls; the robot keeps its own limits meanwhile.
 """
 
 

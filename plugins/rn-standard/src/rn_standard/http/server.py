@@ -93,8 +93,8 @@ def listen(options: HttpOptions, tokens: TokenTable) -> BoundedListener:
 
 
 def _keep_alive(listener: socket.socket) -> None:
-    """Notice within seconds that a client's machine or cable is gone; connections inherit it
-    where that is known.
+    """Notice within seconds that a client's machine or cable is gone; connections inherit it where
+    that is known.
     """
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
     for name, value in _KEEP_ALIVE.items():

@@ -38,8 +38,8 @@ class _Session:
 
 @dataclass(eq=False, slots=True)
 class _Request:
-    """A request of a session: at work until it was answered, or its handler and its HTTP
-    exchange have both ended.
+    """A request of a session: at work until it was answered, or its handler and its HTTP exchange
+    have both ended.
     """
 
     free: Callable[[], object]

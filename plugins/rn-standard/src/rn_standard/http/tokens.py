@@ -92,8 +92,8 @@ def _mark(name: str) -> tuple[int, ...] | None:
 
 
 def shows_right(tokens: TokenTable, first: bytes) -> bool:
-    """Whether the first bytes of a connection hold a valid token, or where there are none, the
-    name of the stop.
+    """Whether the first bytes of a connection hold a valid token, or where there are none, the name
+    of the stop.
     """
     if not tokens:
         return _STOP in first

@@ -8,8 +8,8 @@ import os
 from pathlib import Path
 
 OVERLOADED = 2.0
-"""Runnable tasks for each core from which on a module may be late through no fault of its own:
-it gets half a core.
+"""Runnable tasks for each core from which on a module may be late through no fault of its own: it
+gets half a core.
 """
 _LOADAVG = Path("/proc/loadavg")
 

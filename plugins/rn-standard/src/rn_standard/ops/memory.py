@@ -1,5 +1,5 @@
-"""Memory limits of module processes: a leaking plugin must not starve the processes that hold
-the arm.
+"""Memory limits of module processes: a leaking plugin must not starve the processes that hold the
+arm.
 """
 
 from __future__ import annotations

@@ -41,8 +41,8 @@ class ToolNotices:
                 del self._sessions[next(iter(self._sessions))]
 
     def subscribe(self, request: ServerRequestContext[Any, Any], uri: str) -> None:
-        """A client of an older revision wants to know when the resource `uri` changes; called
-        on the event loop.
+        """A client of an older revision wants to know when the resource `uri` changes; called on
+        the event loop.
         """
         self._loop = asyncio.get_running_loop()
         self._subscribers.setdefault(uri, {})[id(request.session)] = request.session

@@ -12,8 +12,7 @@ from pathlib import Path
 from roboneuron.feature import log_files
 
 FOLDER = "servers"
-"""In the state directory: an empty file for each server, called as its process id and locked by
-it.
+"""In the state directory: an empty file for each server, called as its process id and locked by it.
 """
 
 

@@ -38,8 +38,8 @@ class GetLogs(Arguments):
 
 
 class LogEntry(Result):
-    """One entry; `level` is empty for what was not written by the logger (a plugin's or
-    library's own output).
+    """One entry; `level` is empty for what was not written by the logger (a plugin's or library's
+    own output).
     """
 
     at: str = Field(default="", description="local time")

@@ -1,5 +1,5 @@
-"""Recovery of a robot from a fault: a ROS parameter, so that only the server of this module may
-ask for it.
+"""Recovery of a robot from a fault: a ROS parameter, so that only the server of this module may ask
+for it.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from roboneuron.feature import Module, ModuleHost
 
 RECOVER_PARAMETER = "recover"
-"""ROS parameter of the robot node: a new number asks a driver that can to recover; `recovery`
-tells how it went.
+"""ROS parameter of the robot node: a new number asks a driver that can to recover; `recovery` tells
+how it went.
 """
 log = logging.getLogger(__name__)
 
@@ -51,8 +51,8 @@ def _extend(host: ModuleHost, module: Module) -> None:
 
 
 class Recovery:
-    """Asks the driver in a thread of its own, for it may take seconds, and reports "<number>
-    <word> <text>".
+    """Asks the driver in a thread of its own, for it may take seconds, and reports "<number> <word>
+    <text>".
     """
 
     def __init__(self, host: ModuleHost, driver: RecoverableDriver) -> None:

@@ -34,8 +34,8 @@ overloaded.
 """
 _HOUR_S = 3600.0
 _LONGEST_S = 60.0
-"""Longest wait before a restart on an overloaded machine, where starting a process makes it
-worse for all others.
+"""Longest wait before a restart on an overloaded machine, where starting a process makes it worse
+for all others.
 """
 _RELIEF = "stop other programs, or use fewer cameras, a lower rate or a smaller image"
 Record = Callable[[ModuleKind, str], None]
@@ -46,11 +46,10 @@ class Restarts:
     """Starts modules again that ended or froze, where `[ops.restart]` says "on_failure".
 
     A module that is at fault itself has a limit within a window; the wait before a restart doubles
-    with every restart
-    in that window. While the machine is overloaded nobody can say whose fault it is: a frozen
-    module is given more time, restarts wait longer, and another limit holds, in an hour. A module
-    that is frozen is ended first, once it has been so for `unresponsive_s`. A start that somebody
-    asks for makes all counts begin anew.
+    with every restart in that window. While the machine is overloaded nobody can say whose fault it
+    is: a frozen module is given more time, restarts wait longer, and another limit holds, in an
+    hour. A module that is frozen is ended first, once it has been so for `unresponsive_s`. A start
+    that somebody asks for makes all counts begin anew.
 
     A restart sets nothing in motion: the policy has no instruction afterwards, and robot and
     control obey nothing until somebody asks for motion.
@@ -166,8 +165,8 @@ class Restarts:
             return
 
     def _delay_s(self, kind: ModuleKind, load: float) -> float | None:
-        """Count one more restart and return how long it waits; None, with a record, when there
-        were too many.
+        """Count one more restart and return how long it waits; None, with a record, when there were
+        too many.
         """
         rules, now_s = self._options, time.monotonic()
         is_overloaded = load >= OVERLOADED

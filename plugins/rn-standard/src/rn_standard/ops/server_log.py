@@ -37,8 +37,8 @@ class ServerLog:
         self._quiet: list[logging.Handler] = []
 
     def open(self) -> None:
-        """Begin; does nothing the second time. A disk that cannot be written costs the log,
-        nothing else.
+        """Begin; does nothing the second time. A disk that cannot be written costs the log, nothing
+        else.
         """
         if self._handler is not None:
             return

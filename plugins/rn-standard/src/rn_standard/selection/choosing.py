@@ -1,5 +1,5 @@
-"""From a tool's arguments to the configuration a module is started with; what a client may not
-name is refused here.
+"""From a tool's arguments to the configuration a module is started with; what a client may not name
+is refused here.
 """
 
 from __future__ import annotations
@@ -128,8 +128,8 @@ def _with_model(config: Config, request: Arguments, name: str) -> tuple[Config, 
 def _section(
     kind: ModuleKind, config: Config, registry: Registry, request: Arguments
 ) -> module_kinds.ModuleSection:
-    """The configured section with what the request names; one of its own for another plugin
-    than the configured.
+    """The configured section with what the request names; one of its own for another plugin than
+    the configured.
     """
     entry = module_kinds.KIND_ENTRIES[kind]
     field = "name" if kind == "robot" else entry.noun
@@ -156,8 +156,8 @@ def _section(
 def _merge(
     config: Config, name: str, spec: Spec | DriverSpec, options: Mapping[str, Any], role: str
 ) -> Config:
-    """The configuration with a client's `options` laid over `[plugins.<name>]`, where the
-    client may set them.
+    """The configuration with a client's `options` laid over `[plugins.<name>]`, where the client
+    may set them.
     """
     if not options:
         return config

@@ -93,8 +93,8 @@ REQUESTS: Mapping[ModuleKind, type[Arguments]] = {
     "control": StartControl,
     "inference": StartInference,
 }
-"""Arguments of the start tool by kind of module; the argument that names what such a module
-runs is its `noun`.
+"""Arguments of the start tool by kind of module; the argument that names what such a module runs is
+its `noun`.
 """
 
 

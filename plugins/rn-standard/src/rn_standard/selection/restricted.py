@@ -33,15 +33,15 @@ secret.
 _ADDRESS = re.compile(
     r"(?:^|[_\W])(?:address|end_?point|host(?:name)?|server|socket|ur[il])s?(?:e?s)?(?:$|[_\W])"
 )
-"""A word of an option's name that makes text in it an address; likewise a value with a scheme,
-such as ws://.
+"""A word of an option's name that makes text in it an address; likewise a value with a scheme, such
+as ws://.
 """
 _PLAIN = (bool, int, float, str)
 
 
 def is_restricted(name: str, field: FieldInfo) -> bool:
-    """Whether an option is for the configuration only: by its mark, or without one by its type
-    and name.
+    """Whether an option is for the configuration only: by its mark, or without one by its type and
+    name.
     """
     found = tuple(marks(field))
     if any(isinstance(mark, ConfigurationOnly) for mark in found):
@@ -176,8 +176,8 @@ def _in_table(
 def _in_value(
     annotations: Sequence[object], value: object, place: str
 ) -> Iterator[tuple[str, object]]:
-    """Of a value that has one of the types: a table, a table of tables, a list of tables, or
-    none of these.
+    """Of a value that has one of the types: a table, a table of tables, a list of tables, or none
+    of these.
     """
     kinds = [kind for annotation in annotations for kind in _alternatives(annotation)]
     models = [kind for kind in kinds if _is_model(kind)]

@@ -1,5 +1,5 @@
-"""The acceleration of an inference module: a ROS parameter, so that it changes without reading
-the model again.
+"""The acceleration of an inference module: a ROS parameter, so that it changes without reading the
+model again.
 """
 
 from __future__ import annotations

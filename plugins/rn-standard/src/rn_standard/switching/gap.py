@@ -24,15 +24,15 @@ class Gap:
 
     @property
     def missed(self) -> int:
-        """Outputs that would have come in the old one's rhythm and did not; half a period late
-        is still in rhythm.
+        """Outputs that would have come in the old one's rhythm and did not; half a period late is
+        still in rhythm.
         """
         return max(0, round(self.gap_s / self.period_s) - 1)
 
 
 def action_gap(sent_ns: Sequence[int], first_ns: int) -> Gap | None:
-    """The gap before the action sent at `first_ns` [ns] or right after it; None without two
-    actions before it.
+    """The gap before the action sent at `first_ns` [ns] or right after it; None without two actions
+    before it.
     """
     before = [at for at in sent_ns if at < first_ns][-_RECENT:]
     first = next((at for at in sent_ns if at >= first_ns), None)

@@ -2,15 +2,13 @@
 
 Both modules are active on the same topics. Inputs stamped before the moment belong to the old
 module, later ones to the new module, so nothing is acted on twice and nothing is left out, however
-long the messages about it take. Before the
-handover, the new module works in shadow: it processes live inputs and publishes nothing. Inference
-compares the capture time of images, perception the capture time of its own images, control the
-times at which actions were sent and joints measured.
+long the messages about it take. Before the handover, the new module works in shadow: it processes
+live inputs and publishes nothing. Inference compares the capture time of images, perception the
+capture time of its own images, control the times at which actions were sent and joints measured.
 
 A moment is a ROS time only for as long as messages from before it may still be on their way. After
-that it is past for
-good, by the monotonic clock: otherwise a clock that is set back would put a module into shadow
-again.
+that it is past for good, by the monotonic clock: otherwise a clock that is set back would put a
+module into shadow again.
 """
 
 from __future__ import annotations
@@ -25,12 +23,12 @@ from roboneuron import ACTION_FIELDS, ActionChunk, Hold, JointCommand, Pose
 from roboneuron.feature import Handover, StatusWriter
 
 _SETTLE_S = 5.0
-"""A moment is past for good so long after it: whatever was stamped before it has arrived or is
-too old to act on.
+"""A moment is past for good so long after it: whatever was stamped before it has arrived or is too
+old to act on.
 """
 _PREDECESSOR_S, _PREDECESSOR_PERIODS = 0.1, 1.5
-"""Until the handover the predecessor plays what it has; when it was not heard for so long, it
-has nothing left.
+"""Until the handover the predecessor plays what it has; when it was not heard for so long, it has
+nothing left.
 """
 _FARTHEST_S = 10.0
 """A moment farther ahead than this was made before the clock was set."""

@@ -1,5 +1,5 @@
-"""Change of the acceleration in the running inference process, where nothing else is to change
-and the runtime can.
+"""Change of the acceleration in the running inference process, where nothing else is to change and
+the runtime can.
 """
 
 from __future__ import annotations

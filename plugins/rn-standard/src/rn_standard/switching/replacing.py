@@ -28,8 +28,8 @@ from roboneuron.feature import (
 SwitchMode = Literal["warm", "cold"]
 """What a caller asks for."""
 SwitchWay = Literal["warm", "cold", "in place"]
-"""How it was done: a change that needs no other process is made in the running one, unless
-"cold" was asked for.
+"""How it was done: a change that needs no other process is made in the running one, unless "cold"
+was asked for.
 """
 _FIRST_S = 3.0
 """A newcomer hears of the next input within this time, on a busy machine too."""
@@ -166,8 +166,8 @@ class Switching:
         on_stage: Stage,
         ticket: int,
     ) -> Change:
-        """Stop the old one, then start the new one: for a machine, or a device, that has no
-        room for two.
+        """Stop the old one, then start the new one: for a machine, or a device, that has no room
+        for two.
         """
         kind = check.kind
         due = check.is_due()
@@ -216,8 +216,8 @@ def check_same_commands(old: ModuleView, selection: Selection) -> None:
 
 
 def with_instruction(selection: Selection, text: str) -> Selection:
-    """The same with that instruction; the configured one counts only for whoever asks for a
-    start of the policy.
+    """The same with that instruction; the configured one counts only for whoever asks for a start
+    of the policy.
     """
     section = selection.config.inference
     assert section is not None

@@ -1,5 +1,5 @@
-"""Comparison of a controller in shadow with its predecessor: both answer the same actions and
-joint states.
+"""Comparison of a controller in shadow with its predecessor: both answer the same actions and joint
+states.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from roboneuron import Hold, JointCommand, Pose
 from roboneuron.feature import StatusWriter, task_space
 
 _POSES = 64
-"""Own poses remembered until the predecessor's for the same joint state arrives: half a second
-of them.
+"""Own poses remembered until the predecessor's for the same joint state arrives: half a second of
+them.
 """
 _PAIR_S = 0.08
 """The two answers to one action come within this time; actions are farther apart."""

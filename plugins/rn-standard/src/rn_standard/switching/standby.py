@@ -2,11 +2,10 @@
 priorities.
 
 A module that is loaded beside a working one gives way to it until it is loaded itself. Scheduling
-is a matter of
-threads: what a process starts inherits it, and restoring goes through all threads. An unprivileged
-process can make itself less urgent but not undo that, so without the right to do so only the batch
-policy is used: it never interrupts a thread that wakes up for its next image, and can always be
-left.
+is a matter of threads: what a process starts inherits it, and restoring goes through all threads.
+An unprivileged process can make itself less urgent but not undo that, so without the right to do so
+only the batch policy is used: it never interrupts a thread that wakes up for its next image, and
+can always be left.
 """
 
 from __future__ import annotations
@@ -23,14 +22,13 @@ ACCELERATION_PARAMETER = "acceleration"
 ACT_FROM = "act_from_ns"
 """ROS parameter: what is stamped before this ROS time [ns] is only worked on in shadow. 0: none."""
 ACT_UNTIL = "act_until_ns"
-"""ROS parameter: what is stamped at or after this ROS time [ns] is left to the successor. 0:
-none.
+"""ROS parameter: what is stamped at or after this ROS time [ns] is left to the successor. 0: none.
 """
 PLAY_UNTIL = "play_until_ns"
 """ROS parameter: a chunk that is being played out ends at this ROS time [ns]. 0: at its own end."""
 PLAY_FROM = "play_from_ns"
-"""ROS parameter: nothing is sent before this ROS time [ns]; the predecessor plays what it has
-until then. 0: none.
+"""ROS parameter: nothing is sent before this ROS time [ns]; the predecessor plays what it has until
+then. 0: none.
 """
 NEVER_NS = 2**62
 """As ACT_FROM: in shadow until told otherwise."""

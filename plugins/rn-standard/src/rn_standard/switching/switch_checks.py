@@ -1,5 +1,5 @@
-"""What a new module has to show in shadow before the handover, and what its first output is;
-one class per kind.
+"""What a new module has to show in shadow before the handover, and what its first output is; one
+class per kind.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ _SHADOW_S = 5.0
 _RECENT_NS = 1_000_000_000
 """What was sent longer ago has ended."""
 _WITHOUT_INPUT = ("no_action", "stale_joint_state")
-"""Reasons to hold that are not the controller's: the policy or the robot pauses. In shadow
-control tells none.
+"""Reasons to hold that are not the controller's: the policy or the robot pauses. In shadow control
+tells none.
 """
 Shadow = Callable[[], Report]
 """The newest report of the new module; raises what is wrong with it or with the old one."""
@@ -63,8 +63,8 @@ class SwitchCheck(ABC):
 
     @abstractmethod
     def measure(self, old: Report | None, new: Report | None) -> Gap | None:
-        """The gap between the last output of the old one and the first of the new one; None
-        while unknown.
+        """The gap between the last output of the old one and the first of the new one; None while
+        unknown.
         """
 
     def is_due(self) -> bool:
@@ -253,8 +253,8 @@ class ControlCheck(SwitchCheck):
         return True
 
     def has_taken_over(self, new: Report) -> bool:
-        """See `SwitchCheck.has_taken_over`; one that no action has come to since holds the arm,
-        and that proves it.
+        """See `SwitchCheck.has_taken_over`; one that no action has come to since holds the arm, and
+        that proves it.
         """
         told = new.metrics
         holds = told.get("hold_code") in _WITHOUT_INPUT and "compute_ms" not in told
@@ -295,8 +295,8 @@ CHECKS: Mapping[ModuleKind, type[SwitchCheck]] = {
 def _difference(
     shadow: Sequence[tuple[float, ...]], acting: Sequence[tuple[float, ...]]
 ) -> float | None:
-    """Largest difference of the medians over translation [m] and rotation [rad]; the gripper
-    may differ.
+    """Largest difference of the medians over translation [m] and rotation [rad]; the gripper may
+    differ.
     """
     if not shadow or not acting:
         return None

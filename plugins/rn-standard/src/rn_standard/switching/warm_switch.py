@@ -32,11 +32,12 @@ from roboneuron.feature import ClosedLoop, Lasting, NodeClient, Report, Selectio
 log = logging.getLogger(__name__)
 _MARGIN_S, _MOST_MARGIN_S, _MARGIN_RATIO = 0.5, 5.0, 5.0
 """Both processes are told the moment this long before it comes: at least 0.5 s, or five times what
-telling them takes now (2 to 50 ms, hundreds on an overloaded machine)."""
+telling them takes now (2 to 50 ms, hundreds on an overloaded machine).
+"""
 _MARGIN_LATENCIES = 3.0
 _HEARD_S = 0.005
-"""A row that the old one sends in the last instant is heard within this time; else two rows
-could come at once.
+"""A row that the old one sends in the last instant is heard within this time; else two rows could
+come at once.
 """
 _LATEST_S = 0.05
 _MOMENTS = 3
@@ -46,14 +47,15 @@ answers too late.
 _FIRST_S = 1.0
 _TOLD_S = 4.0
 """Whether the new one has acted by then is read from a report made after that, which may come so
-much later: a process that is not given the processor acts, and has not told it yet."""
+much later: a process that is not given the processor acts, and has not told it yet.
+"""
 _FIND_S = 25.0
-"""A listener that was killed is taken for alive until its lease on the ROS graph ends, after up
-to 20 s.
+"""A listener that was killed is taken for alive until its lease on the ROS graph ends, after up to
+20 s.
 """
 _LATE_S = 3.0
-"""A newcomer that is late for this long in shadow is too slow; now and then a busy machine
-makes anything late.
+"""A newcomer that is late for this long in shadow is too slow; now and then a busy machine makes
+anything late.
 """
 LISTENERS = "listeners."
 ARRIVAL_S = 0.5
@@ -128,8 +130,8 @@ class WarmSwitch:
         return Change(gap=gap, difference=difference)
 
     def _check_instruction(self) -> None:
-        """Raise StateError when a stop, or whoever had given the instruction, has ended it
-        since the caller asked.
+        """Raise StateError when a stop, or whoever had given the instruction, has ended it since
+        the caller asked.
         """
         if (
             self._kind == "inference"
@@ -158,8 +160,8 @@ class WarmSwitch:
             self._starts.begin(section.instruction)
 
     def _on_start(self, stage: str) -> None:
-        """Right after its process was started, the new one is made to give way to the old one
-        while it loads.
+        """Right after its process was started, the new one is made to give way to the old one while
+        it loads.
         """
         if not self._is_lowered:
             self._is_lowered = True
@@ -170,8 +172,8 @@ class WarmSwitch:
         self._on_stage(f"new {stage}")
 
     def _await_listeners(self, standby: Slot) -> None:
-        """Whoever hears the old one has to have found the new one too: what is sent to nobody
-        is lost.
+        """Whoever hears the old one has to have found the new one too: what is sent to nobody is
+        lost.
         """
 
         def lacking() -> dict[str, str]:
@@ -202,8 +204,8 @@ class WarmSwitch:
         return supervisor.changes.wait_for(gap, ARRIVAL_S)
 
     def _hand_over(self, standby: Slot) -> Slot:
-        """Agree on the moment, wait for the first output after it, and make the new one the
-        module of its kind.
+        """Agree on the moment, wait for the first output after it, and make the new one the module
+        of its kind.
         """
         old = self._supervisor.slot(self._kind)
         clients = [self._client(old), self._client(standby)]
@@ -229,8 +231,8 @@ class WarmSwitch:
             raise
 
     def _bridged_ns(self, latency_s: float) -> int:
-        """How long after the moment the old one's rows are played, and the last of them is
-        heard by the new one.
+        """How long after the moment the old one's rows are played, and the last of them is heard by
+        the new one.
         """
         return int((latency_s + _HEARD_S) * 1e9) if self._check.has_rows() else 0
 
@@ -317,8 +319,8 @@ class WarmSwitch:
                 )
 
     def _healthy(self, slot: Slot) -> Report:
-        """The newest report of a process that works; raises what is wrong with it, or with the
-        old one.
+        """The newest report of a process that works; raises what is wrong with it, or with the old
+        one.
         """
         slot.check_alive("working in shadow")
         self._supervisor.slot(self._kind).check_alive("being replaced")

@@ -1,5 +1,5 @@
-"""Who carries out a task now: one at a time, ended by whoever stops the robot, and waited for
-when the server ends.
+"""Who carries out a task now: one at a time, ended by whoever stops the robot, and waited for when
+the server ends.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ class TaskArbiter:
 
     @property
     def reason(self) -> str:
-        """Why the task that runs, or has just ended, was told to end; empty when nobody has
-        told it.
+        """Why the task that runs, or has just ended, was told to end; empty when nobody has told
+        it.
         """
         return self._reason
 

@@ -32,8 +32,7 @@ F64 = NDArray[np.float64]
 _SURE = 0.9
 """The default of `at_least`: from here on a predicate takes a score as true."""
 SCORE_LIMIT_S = 0.05
-"""Bound on the quickest of some scores, as `Monitor.score` says: a busy machine slows one, not
-all.
+"""Bound on the quickest of some scores, as `Monitor.score` says: a busy machine slows one, not all.
 """
 LONGEST_REASON = 300
 """Characters of a reason, which agents read with every answer."""

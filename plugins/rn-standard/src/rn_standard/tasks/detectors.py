@@ -21,8 +21,8 @@ _Point = Annotated[tuple[float, float, float], Field(strict=False)]
 _BESIDE_M = 0.03
 """Two views whose rays pass each other farther apart do not see the same thing."""
 _COARSE_M = 0.06
-"""Likewise when one of them sees it only in part, as a camera at the wrist sees what the
-gripper holds.
+"""Likewise when one of them sees it only in part, as a camera at the wrist sees what the gripper
+holds.
 """
 _FADE_M = 0.05
 _HELD_M, _HOLDS = 0.06, (0.05, 0.9)
@@ -34,8 +34,8 @@ class _Options(BaseModel):
 
 
 def locate(observation: Observation, colour: str) -> F64 | str:
-    """Centre (3,) of the coloured object in the base frame [m] from two views, or why it cannot
-    be told.
+    """Centre (3,) of the coloured object in the base frame [m] from two views, or why it cannot be
+    told.
     """
     rays = rays_of(observation.frames, observation.ee_pose, colour)
     if len(rays) < 2 or all(ray.is_coarse for ray in rays.values()):
@@ -73,8 +73,7 @@ class ColourLifted:
     """Whether an object of a colour was lifted: its height by two views, against its height before.
 
     The height of what rests counts from the first look at it; 0.9 of `height_m` scores 0.9. What
-    the gripper holds
-    already does not rest: then it counts where the task before saw it lie.
+    the gripper holds already does not rest: then it counts where the task before saw it lie.
     """
 
     def __init__(self, config: LiftedOptions | None) -> None:
@@ -87,8 +86,8 @@ class ColourLifted:
         self._rest_m, self._is_of_before = previous._rest_m, True
 
     def reset(self, observation: Observation) -> None:
-        """Remember where it lies; what was seen at rest before is kept when it is hidden or
-        held now.
+        """Remember where it lies; what was seen at rest before is kept when it is hidden or held
+        now.
         """
         place = locate(observation, self._options.colour)
         if isinstance(place, str) or _is_held(place, observation):
@@ -117,8 +116,8 @@ class ColourLifted:
 
 
 def _is_held(place: F64, observation: Observation) -> bool:
-    """Whether an object at that place is between the fingers: near the TCP, which stands
-    neither open nor closed.
+    """Whether an object at that place is between the fingers: near the TCP, which stands neither
+    open nor closed.
     """
     pose, opening = observation.ee_pose, observation.gripper_open
     if pose is None or opening is None or not _HOLDS[0] < opening < _HOLDS[1]:
@@ -204,8 +203,8 @@ class ChangedOptions(_Options):
 
 
 class SceneChanged:
-    """Whether the picture has changed since the begin of the attempt, with the arm back where
-    it was.
+    """Whether the picture has changed since the begin of the attempt, with the arm back where it
+    was.
     """
 
     def __init__(self, config: ChangedOptions | None) -> None:

@@ -140,8 +140,8 @@ class Watching:
         host.events.fault.listen(self._on_fault)
 
     def start(self) -> None:
-        """Subscribe to the topics. Raises RoboNeuronError when ROS cannot be joined or a type
-        is not installed.
+        """Subscribe to the topics. Raises RoboNeuronError when ROS cannot be joined or a type is
+        not installed.
         """
         if self._options.battery_low > 0:
             low = Crossing(None, self._options.battery_low, _CHARGED)

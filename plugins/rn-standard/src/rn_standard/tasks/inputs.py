@@ -60,8 +60,8 @@ class Inputs:
         return None if found is None else found[1]
 
     def frame(self, topic: str, camera: str, profile: RobotProfile | None) -> Frame | None:
-        """The newest image of a camera, with the calibration that the profile has; None when it
-        is too old.
+        """The newest image of a camera, with the calibration that the profile has; None when it is
+        too old.
         """
         message = self.newest(topic, _IMAGE_AGE_S)
         if message is None:

@@ -151,8 +151,8 @@ class LiveCell:
             self._starting = False
 
     def cancel(self) -> None:
-        """End a start of the policy that `begin` waits for; callable from any thread, returns
-        at once.
+        """End a start of the policy that `begin` waits for; callable from any thread, returns at
+        once.
         """
         if self._starting:
             self._host.loop.cancel("inference")
@@ -177,8 +177,8 @@ class LiveCell:
         return PolicyState(has_acted=report.actions_for_instruction > 0, failure=told)
 
     def _lost(self) -> str:
-        """Which module the task has lost, or what has ended its instruction; empty while it has
-        all it needs.
+        """Which module the task has lost, or what has ended its instruction; empty while it has all
+        it needs.
         """
         if self._stops is None:
             return ""
@@ -230,8 +230,8 @@ class LiveCell:
         )
 
     def end(self) -> None:
-        """See `Cell`: the instruction is taken back from whoever holds it; a process that keeps
-        it is ended.
+        """See `Cell`: the instruction is taken back from whoever holds it; a process that keeps it
+        is ended.
         """
         if self._instruction:
             self._instruction = ""
@@ -243,8 +243,8 @@ class LiveCell:
         return tuple(_jpeg(frame) for frame in frames)
 
     def _report_of_this(self, view: ModuleView) -> Report | None:
-        """The newest report, once it is of the instruction that was given last; also of a
-        policy switched to since.
+        """The newest report, once it is of the instruction that was given last; also of a policy
+        switched to since.
         """
         report = view.report
         if report is None or report.instruction != self._instruction:

@@ -31,8 +31,8 @@ class Monitor(Protocol):
     """
 
     def reset(self, observation: Observation) -> None:
-        """Begin with how things are before the robot acts; called before `score`, and again
-        before each attempt.
+        """Begin with how things are before the robot acts; called before `score`, and again before
+        each attempt.
         """
         ...
 
@@ -43,8 +43,8 @@ class Monitor(Protocol):
 
 @runtime_checkable
 class RememberingMonitor(Protocol):
-    """What a monitor may offer besides: to know what one of the same name and options saw in
-    the task before.
+    """What a monitor may offer besides: to know what one of the same name and options saw in the
+    task before.
     """
 
     def follow(self, previous: Any) -> None:

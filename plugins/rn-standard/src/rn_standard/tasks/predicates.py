@@ -122,8 +122,8 @@ class JointsIn(_Predicate):
 
 
 class GripperHolds(_Predicate):
-    """The gripper is closed on something: its opening stands within a range, and its effort is
-    high enough.
+    """The gripper is closed on something: its opening stands within a range, and its effort is high
+    enough.
     """
 
     kind: Literal["gripper_holds"]

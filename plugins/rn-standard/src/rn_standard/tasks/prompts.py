@@ -112,8 +112,8 @@ def offer_prompts(server: Server[Any]) -> None:
 
 
 def filled(name: str, arguments: Mapping[str, str]) -> types.GetPromptResult:
-    """A prompt with its arguments. Raises MCPError for an unknown prompt or other arguments
-    than it takes.
+    """A prompt with its arguments. Raises MCPError for an unknown prompt or other arguments than it
+    takes.
     """
     prompt = PROMPTS.get(name)
     if prompt is None:

@@ -303,8 +303,8 @@ class Task:
         return _Attempt(outcome=outcome, reason=reason, again=True)
 
     def _confirm(self, first: Judgement, found_s: float) -> _Attempt:
-        """Stop the arm, and look whether it is still so once it stands: a cube may fall, an arm
-        may coast.
+        """Stop the arm, and look whether it is still so once it stands: a cube may fall, an arm may
+        coast.
         """
         cell = self._cell
         self._say(f"stopping: {first.reason}")

@@ -110,8 +110,8 @@ class ParallelStart:
         )
 
     def cancel(self) -> None:
-        """End the starts in progress; callable from any thread. `run` then stops what had
-        started, and raises.
+        """End the starts in progress; callable from any thread. `run` then stops what had started,
+        and raises.
         """
         self._fail(
             StateError("The start was cancelled: the client cancelled the call."),

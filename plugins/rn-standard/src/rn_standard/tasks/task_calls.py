@@ -34,8 +34,8 @@ CallNext = Callable[[Any], Awaitable[Any]]
 
 
 class _Session:
-    """A request's session after the request was answered: progress goes to the connection, and
-    into the status.
+    """A request's session after the request was answered: progress goes to the connection, and into
+    the status.
     """
 
     def __init__(
@@ -215,8 +215,8 @@ class TaskCalls:
         return call
 
     def _forget(self) -> None:
-        """Results are kept for as long as was said, and not too many; a task that is at work
-        always is.
+        """Results are kept for as long as was said, and not too many; a task that is at work always
+        is.
         """
         over = [call for call in self._calls.values() if call.is_over]
         for index, call in enumerate(over):

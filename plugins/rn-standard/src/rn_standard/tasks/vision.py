@@ -126,8 +126,8 @@ def rays_of(frames: Mapping[str, Frame], tcp: Pose | None, colour: str) -> dict[
 
 
 def crossing(one: Ray, other: Ray) -> tuple[F64, float] | None:
-    """The point (3,) nearest to two rays and their distance there [m]; None when they are
-    nearly parallel.
+    """The point (3,) nearest to two rays and their distance there [m]; None when they are nearly
+    parallel.
     """
     normal = np.cross(one.direction, other.direction)
     if np.linalg.norm(normal) < _PARALLEL:

@@ -1,5 +1,5 @@
-"""A straight move of the end effector: where it should be, how far it is from there, what one
-step may ask for.
+"""A straight move of the end effector: where it should be, how far it is from there, what one step
+may ask for.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ F64 = NDArray[np.float64]
 STEP_S = 0.1
 """Time between two actions."""
 _RESERVE = 0.97
-"""Share of a speed limit in use: an arm that starts from rest is a little faster later in the
-same step.
+"""Share of a speed limit in use: an arm that starts from rest is a little faster later in the same
+step.
 """
 
 
@@ -39,8 +39,8 @@ class Order:
 
 
 def remaining(start: Pose, order: Order, fraction: float, measured: Pose) -> F64:
-    """From `measured` to the point at `fraction` of the move: translation [m] and rotation
-    vector [rad], (6,).
+    """From `measured` to the point at `fraction` of the move: translation [m] and rotation vector
+    [rad], (6,).
     """
     position = start.position_m + fraction * order.translation_m - measured.position_m
     rotation = matrix_from_rotvec(fraction * order.rotation_rad) @ matrix_from_quaternion(

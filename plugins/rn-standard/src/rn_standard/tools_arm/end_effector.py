@@ -1,5 +1,5 @@
-"""move_ee: incremental moves of an arm's end effector, through the control module that also
-follows policies.
+"""move_ee: incremental moves of an arm's end effector, through the control module that also follows
+policies.
 """
 
 from __future__ import annotations
@@ -110,8 +110,8 @@ class EndEffectorMove(Result):
 
 @dataclass(kw_only=True, slots=True)
 class _Line:
-    """A move that is under way; `start`, and whether the hand `held` something, are measured
-    when it begins.
+    """A move that is under way; `start`, and whether the hand `held` something, are measured when
+    it begins.
     """
 
     order: Order

@@ -15,8 +15,8 @@ from roboneuron.feature import ModuleKind
 
 
 class ArmTools(Feature[ArmToolsOptions]):
-    """move_joints, move_ee and place. They need the gate only, which exposes the endpoints of
-    the robot's profile.
+    """move_joints, move_ee and place. They need the gate only, which exposes the endpoints of the
+    robot's profile.
     """
 
     def tools(self, host: Host) -> Sequence[Tool[Any]]:

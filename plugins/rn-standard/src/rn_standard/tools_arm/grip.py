@@ -12,8 +12,7 @@ from roboneuron.feature import ExposedEndpoint, MotionGate, Report, settings
 
 _MEASURED_S = 2.0
 _BLOCKED = 0.03
-"""Share of the travel: fingers that rest this much wider than commanded are blocked by
-something.
+"""Share of the travel: fingers that rest this much wider than commanded are blocked by something.
 """
 _STILL, _STILL_S = 0.005, 0.06
 """Fingers that move by less than this share of their travel in this time are at rest."""

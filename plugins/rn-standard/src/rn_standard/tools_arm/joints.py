@@ -1,5 +1,5 @@
-"""move_joints: joint targets of an arm, as one trajectory point within the limits, followed
-until the arm is there.
+"""move_joints: joint targets of an arm, as one trajectory point within the limits, followed until
+the arm is there.
 """
 
 from __future__ import annotations

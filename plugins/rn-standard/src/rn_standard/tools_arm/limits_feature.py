@@ -24,8 +24,8 @@ _END_S = 2.0
 
 
 class LimitsFeature(Feature[None]):
-    """tighten_limits and loosen_limits: for policies, by control; for direct motion, by the
-    gate of the direct path.
+    """tighten_limits and loosen_limits: for policies, by control; for direct motion, by the gate of
+    the direct path.
     """
 
     _host: Host
@@ -97,8 +97,8 @@ class LimitsFeature(Feature[None]):
             self._tell_control()
 
     def _use(self, record: Record) -> None:
-        """From now on modules are started with these limits, and the gate judges by them;
-        direct motion ends.
+        """From now on modules are started with these limits, and the gate judges by them; direct
+        motion ends.
         """
         assert self._profile is not None
         loop = self._host.loop
@@ -155,8 +155,8 @@ class LimitsFeature(Feature[None]):
             self._host.events.fault.tell("control", "limits", {"explanation": error.message})
 
     def _watch(self) -> None:
-        """Notice what a person did in a terminal; a file that vanished or was changed otherwise
-        is written again.
+        """Notice what a person did in a terminal; a file that vanished or was changed otherwise is
+        written again.
         """
         while not self._stop.wait(_LOOK_S):
             with self._lock, suppress(RoboNeuronError):

@@ -17,8 +17,8 @@ _POLL_S = 0.01
 
 
 class MeasuredPose:
-    """Listens to `ee_pose` of one robot from the first time on that it is asked for; usable
-    from any thread.
+    """Listens to `ee_pose` of one robot from the first time on that it is asked for; usable from
+    any thread.
     """
 
     def __init__(self, host: Host, namespace: str) -> None:
@@ -50,8 +50,8 @@ class MeasuredPose:
             time.sleep(_POLL_S)
 
     def open(self) -> None:
-        """Begin to listen; does nothing the second time. Raises RoboNeuronError when ROS cannot
-        be joined.
+        """Begin to listen; does nothing the second time. Raises RoboNeuronError when ROS cannot be
+        joined.
         """
         _ = self._host.graph  # first: two threads must not import rclpy at the same time
         from geometry_msgs.msg import PoseStamped  # heavy

@@ -28,8 +28,8 @@ log = logging.getLogger(__name__)
 _CLEAR_M = 0.08
 """How far what is carried is lifted above where it stood, to pass over what stands on the table."""
 _GAP_M = 0.002
-"""It is let go so much above the height at which it was grasped: rather dropped than pressed
-into the table.
+"""It is let go so much above the height at which it was grasped: rather dropped than pressed into
+the table.
 """
 _CLOSES = 0.05
 """Share of the travel: a smaller change of the commanded opening is no grasp."""

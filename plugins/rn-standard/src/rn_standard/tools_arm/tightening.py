@@ -119,8 +119,8 @@ class Record:
 
 
 class TighteningFile:
-    """Keeps them in the state directory, so that neither a module nor a server that starts
-    again loosens them.
+    """Keeps them in the state directory, so that neither a module nor a server that starts again
+    loosens them.
     """
 
     def __init__(self, path: Path) -> None:

@@ -1,5 +1,5 @@
-"""The tools that list what is installed: backends, runtimes, accelerations, sources,
-controllers, robots.
+"""The tools that list what is installed: backends, runtimes, accelerations, sources, controllers,
+robots.
 """
 
 from __future__ import annotations

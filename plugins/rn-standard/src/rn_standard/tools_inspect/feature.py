@@ -11,8 +11,8 @@ from roboneuron import Feature, Host, Tool
 
 
 class InspectionTools(Feature[None]):
-    """get_camera_image, and one list_* tool for each kind of plugin that the closed loop is
-    made of.
+    """get_camera_image, and one list_* tool for each kind of plugin that the closed loop is made
+    of.
     """
 
     def tools(self, host: Host) -> Sequence[Tool[Any]]:

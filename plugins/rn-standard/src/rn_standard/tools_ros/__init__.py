@@ -1,3 +1,3 @@
-"""Typed tools for ROS topics, services, actions and parameters, derived from their interfaces
-at run time.
+"""Typed tools for ROS topics, services, actions and parameters, derived from their interfaces at
+run time.
 """

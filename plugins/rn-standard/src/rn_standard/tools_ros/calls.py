@@ -60,8 +60,8 @@ def verdict_fields(verdict: Verdict) -> dict[str, Any]:
 
 
 def encode_argument(part: MessageInterface, value: Mapping[str, Any], name: str) -> Any:
-    """The value of argument `name` as a message; raises InvalidInputError with the path inside
-    the arguments.
+    """The value of argument `name` as a message; raises InvalidInputError with the path inside the
+    arguments.
     """
     try:
         return part.encode(value, now_ns=time.time_ns())

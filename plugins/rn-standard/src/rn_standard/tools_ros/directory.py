@@ -112,8 +112,8 @@ def _words(text: str) -> list[str]:
 
 
 def _rank(tools: Sequence[Tool[Any]], words: Sequence[str]) -> list[Tool[Any]]:
-    """Tools by how many words they hold, in the name before the description; all of them
-    without words.
+    """Tools by how many words they hold, in the name before the description; all of them without
+    words.
     """
     if not words:
         return list(tools)

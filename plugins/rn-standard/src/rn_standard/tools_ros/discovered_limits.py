@@ -1,5 +1,5 @@
-"""Limits of discovered endpoints: what carries numbers is exposed only when something bounds
-all of them.
+"""Limits of discovered endpoints: what carries numbers is exposed only when something bounds all of
+them.
 """
 
 from __future__ import annotations

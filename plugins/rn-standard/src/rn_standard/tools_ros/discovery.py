@@ -24,8 +24,8 @@ _MEASURED = re.compile(r"(^|/)(joint_states|ee_pose|tf|tf_static|clock|camera/[^
 _SILENT = re.compile(
     r"(^|/)_|^/(rosout|parameter_events|diagnostics)$|/emergency_stop$|/transition_event$"
 )
-"""Never exposed by a pattern: hidden names, the graph's own, and what the control plane needs
-for itself.
+"""Never exposed by a pattern: hidden names, the graph's own, and what the control plane needs for
+itself.
 """
 _PARAMETER_SERVICE = re.compile(
     r"/(set|get|list|describe)_parameters?(_types|_atomically)?$|/get_type_description$"

@@ -48,8 +48,8 @@ def action_of(exposed: ExposedEndpoint) -> ActionInterface:
 
 
 def number_fields(endpoint: Endpoint) -> list[str]:
-    """Paths of all numbers that may be sent to an endpoint, but for times and headers, which
-    move nothing.
+    """Paths of all numbers that may be sent to an endpoint, but for times and headers, which move
+    nothing.
     """
     numbers: list[str] = []
     times: list[str] = []
@@ -68,15 +68,15 @@ def sent_types(kind: str, type_name: str) -> set[str]:
 
 
 def is_velocity_type(kind: str, type_name: str) -> bool:
-    """Whether a robot goes on at what it was told until it is told something else, so that it
-    has to end in zero.
+    """Whether a robot goes on at what it was told until it is told something else, so that it has
+    to end in zero.
     """
     return kind == "publish" and type_name in _VELOCITIES
 
 
 def is_joint_limited(kind: str, type_name: str, profile: RobotProfile | None) -> bool:
-    """Whether a new endpoint takes joint commands, alone or in a goal or request, of a robot
-    with joint limits.
+    """Whether a new endpoint takes joint commands, alone or in a goal or request, of a robot with
+    joint limits.
     """
     if kind == "read" or profile is None or profile.limits is None:
         return False

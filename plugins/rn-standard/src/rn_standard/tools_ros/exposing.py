@@ -1,5 +1,5 @@
-"""expose_endpoint and unexpose_endpoint: an admin changes what agents may reach while the
-server runs.
+"""expose_endpoint and unexpose_endpoint: an admin changes what agents may reach while the server
+runs.
 """
 
 from __future__ import annotations

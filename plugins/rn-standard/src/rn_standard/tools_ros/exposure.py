@@ -1,5 +1,5 @@
-"""What is exposed: the endpoints of robot profiles and of the configuration, checked, with
-limits tightened.
+"""What is exposed: the endpoints of robot profiles and of the configuration, checked, with limits
+tightened.
 """
 
 from __future__ import annotations
@@ -70,8 +70,8 @@ def exposure(
     """
     robots: dict[str, _Robot] = {}
     known: dict[Use, list[ExposedEndpoint]] = {}
-    """All that was said about topics, also by profiles and under a name that was given to
-    another topic since.
+    """All that was said about topics, also by profiles and under a name that was given to another
+    topic since.
     """
 
     def find(name: str, namespace: str | None) -> _Robot:
@@ -124,8 +124,8 @@ def exposure(
 
 
 def unique(drafts: Iterable[ExposedEndpoint]) -> Iterator[ExposedEndpoint]:
-    """Give the endpoints of a robot names of their own where a label is used for two kinds;
-    check each.
+    """Give the endpoints of a robot names of their own where a label is used for two kinds; check
+    each.
     """
     listed = list(drafts)
     labels: dict[tuple[str, str], int] = {}
@@ -161,8 +161,8 @@ def _merge(
     known: Mapping[Use, Iterable[ExposedEndpoint]],
     patterns: Iterable[DiscoverConfig],
 ) -> ExposedEndpoint:
-    """The endpoint of an entry: limits on one of the profile, or a new one, within what is
-    known about the topic.
+    """The endpoint of an entry: limits on one of the profile, or a new one, within what is known
+    about the topic.
     """
     assert entry.name is not None
     mine = [e for key, e in drafts.items() if key[:2] == (robot.name, entry.name)]
@@ -234,8 +234,8 @@ def _merge(
 
 
 def _stop_text(entry: ExposeConfig, type_name: str) -> str:
-    """The stop message as an `Endpoint` holds it: what agents may write in several ways is
-    written out.
+    """The stop message as an `Endpoint` holds it: what agents may write in several ways is written
+    out.
     """
     given = entry.stop_message
     if isinstance(given, str):
@@ -250,8 +250,8 @@ def _stop_text(entry: ExposeConfig, type_name: str) -> str:
 def _not_looser(
     drafts: Iterable[ExposedEndpoint], before: Mapping[Use, Sequence[ExposedEndpoint]]
 ) -> Iterator[ExposedEndpoint]:
-    """Run time may neither free a topic of the configuration of the policy, nor let it hold
-    more than it did.
+    """Run time may neither free a topic of the configuration of the policy, nor let it hold more
+    than it did.
     """
     for draft in drafts:
         same = before.get((draft.topic, draft.endpoint.kind), ())

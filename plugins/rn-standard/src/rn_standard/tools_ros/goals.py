@@ -51,8 +51,8 @@ class _Goal:
         return True
 
     def cancel(self) -> None:
-        """Ask the server to end it, by its id: also when the answer to the goal was lost.
-        Returns at once.
+        """Ask the server to end it, by its id: also when the answer to the goal was lost. Returns
+        at once.
         """
         self._cancel_wanted = True
         self._cancel()

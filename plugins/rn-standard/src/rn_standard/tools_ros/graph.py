@@ -13,8 +13,8 @@ _FEEDBACK = "/_action/feedback"
 
 
 class GraphNames:
-    """Names, types and counts, as far as the server's node has discovered; every method raises
-    as `Host.graph`.
+    """Names, types and counts, as far as the server's node has discovered; every method raises as
+    `Host.graph`.
     """
 
     def __init__(self, host: Host) -> None:

@@ -14,8 +14,8 @@ Range = Annotated[list[float], Field(min_length=2, max_length=2)]
 
 
 class ExposeConfig(Section):
-    """`[[expose]]`: a ROS interface that agents may use directly, or limits on one that the
-    robot's profile exposes.
+    """`[[expose]]`: a ROS interface that agents may use directly, or limits on one that the robot's
+    profile exposes.
     """
 
     robot: models.Name | None = Field(
@@ -74,8 +74,8 @@ class ExposeConfig(Section):
 
 
 class DiscoverConfig(Section):
-    """`[[discover]]`: interfaces of the live ROS graph that agents may use without being listed
-    one by one.
+    """`[[discover]]`: interfaces of the live ROS graph that agents may use without being listed one
+    by one.
     """
 
     pattern: str = Field(

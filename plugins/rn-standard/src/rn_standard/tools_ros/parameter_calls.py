@@ -206,8 +206,8 @@ class ParameterCalls:
         names: Sequence[str],
         arguments: ListParameters,
     ) -> dict[str, tuple[int, Plain]]:
-        """Type and value of each. Raises InvalidInputError for a parameter that the node does
-        not have.
+        """Type and value of each. Raises InvalidInputError for a parameter that the node does not
+        have.
         """
         from rcl_interfaces.srv import GetParameters  # heavy
 

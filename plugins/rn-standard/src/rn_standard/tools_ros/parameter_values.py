@@ -55,8 +55,8 @@ def check_exposed(node: ParameterNode, text: str) -> None:
 
 
 def check_bounds(node: ParameterNode, name: str, value: Any) -> None:
-    """Raise InvalidInputError for what no parameter can hold, RefusedError for what is not
-    exposed or out of bounds.
+    """Raise InvalidInputError for what no parameter can hold, RefusedError for what is not exposed
+    or out of bounds.
     """
     check_exposed(node, name)
     if not isinstance(value, bool | int | float | str | list):
@@ -82,8 +82,8 @@ def to_plain(value: Any) -> Plain:
 
 
 def to_value(name: str, kind: int, given: Any) -> Any:
-    """A ParameterValue of the parameter's own type. Raises InvalidInputError when the value is
-    of another.
+    """A ParameterValue of the parameter's own type. Raises InvalidInputError when the value is of
+    another.
     """
     from rcl_interfaces.msg import ParameterValue  # heavy
 

@@ -16,8 +16,8 @@ OTHERS = "*"
 
 
 def pattern_limits(endpoint: Endpoint, topic: str, patterns: Iterable[DiscoverConfig]) -> Endpoint:
-    """The endpoint with what patterns of the configuration say about numbers of its type on
-    topics like this one.
+    """The endpoint with what patterns of the configuration say about numbers of its type on topics
+    like this one.
     """
     for entry in patterns:
         own = entry.limits.get(endpoint.type, {})

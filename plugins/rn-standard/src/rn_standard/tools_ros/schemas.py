@@ -37,8 +37,8 @@ def message_schema(part: MessageInterface, bounds: Mapping[str, tuple[float, flo
 
 
 def _short(node: Any) -> Any:
-    """A schema that says as much in fewer words: times in seconds only, and no bounds that a
-    type has by itself.
+    """A schema that says as much in fewer words: times in seconds only, and no bounds that a type
+    has by itself.
     """
     if isinstance(node, list):
         return [_short(item) for item in node]

@@ -1,5 +1,5 @@
-"""Requests to the services of endpoints: wait until somebody serves it, send through the gate,
-wait for the answer.
+"""Requests to the services of endpoints: wait until somebody serves it, send through the gate, wait
+for the answer.
 """
 
 from __future__ import annotations

@@ -27,8 +27,8 @@ class Targets:
 
     @property
     def lasting(self) -> bool:
-        """Whether a published value is given a duration: it is stopped after it, repeated, or
-        to be reached within.
+        """Whether a published value is given a duration: it is stopped after it, repeated, or to be
+        reached within.
         """
         if self.trajectory:
             return False

@@ -77,8 +77,8 @@ class InstantBackend:
 
 
 def make_observation(spec: BackendSpec, instruction: str = "pick up the red cube") -> Observation:
-    """An observation with exactly what `spec` declares: gradients as images, the gantry at home
-    as state.
+    """An observation with exactly what `spec` declares: gradients as images, the gantry at home as
+    state.
     """
     frames = {
         role: Frame(

@@ -1,5 +1,5 @@
-"""A runtime and an acceleration of the family "fake": decoding is counting, and pruning is
-counting less.
+"""A runtime and an acceleration of the family "fake": decoding is counting, and pruning is counting
+less.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ class FakeDecoder:
 
 
 class CountingRuntime:
-    """Follows the protocol `Runtime`: `load` takes any text as model, `run` counts the tokens
-    of a request.
+    """Follows the protocol `Runtime`: `load` takes any text as model, `run` counts the tokens of a
+    request.
     """
 
     def __init__(self, config: None) -> None:
@@ -39,8 +39,8 @@ class CountingRuntime:
         self._decoder = decoder
 
     def run(self, request: object) -> object:
-        """The number of words kept; raises StateError unless loaded, InvalidInputError for what
-        is no text.
+        """The number of words kept; raises StateError unless loaded, InvalidInputError for what is
+        no text.
         """
         if self._decoder is None:
             raise StateError("The runtime is not loaded; call load() first.")

@@ -62,8 +62,8 @@ class ControlledSource:
             self._changed.notify_all()
 
     def read(self, timeout_s: float) -> Frame:
-        """The oldest frame not read yet; raises NotReadyError when none comes in time,
-        StateError unless open.
+        """The oldest frame not read yet; raises NotReadyError when none comes in time, StateError
+        unless open.
         """
         with self._changed:
             if not self._is_open:

@@ -1,5 +1,5 @@
-"""A robot that exists in memory: a gantry of three slides that carries a wrist of three hinges,
-and its driver.
+"""A robot that exists in memory: a gantry of three slides that carries a wrist of three hinges, and
+its driver.
 """
 
 from __future__ import annotations

@@ -60,8 +60,8 @@ class PluginSite:
 
 @contextmanager
 def plugin_site(path: Path) -> Iterator[PluginSite]:
-    """A new site in `path`, first on `sys.path`; in the end modules that were imported from it
-    are forgotten.
+    """A new site in `path`, first on `sys.path`; in the end modules that were imported from it are
+    forgotten.
     """
     path.mkdir()
     sys.path.insert(0, str(path))

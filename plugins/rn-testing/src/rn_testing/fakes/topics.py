@@ -58,8 +58,8 @@ class MemoryTopics:
         return publish
 
     def publisher_types(self, topic: str) -> tuple[str, ...]:
-        """Type of each publisher that `advertise` returned for `topic`; messages of `deliver`
-        have none.
+        """Type of each publisher that `advertise` returned for `topic`; messages of `deliver` have
+        none.
         """
         with self._lock:
             types = [message_type for name, message_type in self._advertised if name == topic]

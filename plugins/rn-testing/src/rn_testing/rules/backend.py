@@ -1,5 +1,5 @@
-"""Rules of backends: predict within what the descriptor declares, in time, repeatably; refuse
-what cannot be used.
+"""Rules of backends: predict within what the descriptor declares, in time, repeatably; refuse what
+cannot be used.
 """
 
 from __future__ import annotations
@@ -21,12 +21,11 @@ from rn_testing.snapshots import snapshot
 from roboneuron import ActionChunk, Backend, Frame, Observation, RoboNeuronError, UngroundedError
 
 MAX_TRANSLATION_M, MAX_ROTATION_RAD = 0.25, 1.0
-"""Largest single action that is no mistake of unit: policies act at 5 Hz and more, arms move
-below 1 m/s.
+"""Largest single action that is no mistake of unit: policies act at 5 Hz and more, arms move below
+1 m/s.
 """
 LONGEST_NOTE, MOST_METRICS = 300, 100
-"""Characters of a note and metrics of a chunk: all are shown in every status, to people and
-agents.
+"""Characters of a note and metrics of a chunk: all are shown in every status, to people and agents.
 """
 ROW_OPTIONS = (
     "horizon",
@@ -46,8 +45,8 @@ INSTRUCTIONS = {
 }
 """What people type, beside what a policy was trained on."""
 REPEATED = 1e-3
-"""How far a repeated prediction may differ: what parallel sums on a GPU round differently [m,
-rad, opening].
+"""How far a repeated prediction may differ: what parallel sums on a GPU round differently [m, rad,
+opening].
 """
 
 
@@ -130,8 +129,8 @@ def _check_metrics(case: BackendCase) -> None:
 
 
 def _rows_wanted(case: BackendCase) -> int | None:
-    """How many rows a chunk has: as an option says that the case sets, or as the descriptor
-    does; None for any.
+    """How many rows a chunk has: as an option says that the case sets, or as the descriptor does;
+    None for any.
     """
     names = [name for name in ROW_OPTIONS if name in case.option_names()]
     if names:

@@ -1,5 +1,5 @@
-"""Rules of backends on what they see: inputs that are missing, not finite, of another size, or
-not theirs to write.
+"""Rules of backends on what they see: inputs that are missing, not finite, of another size, or not
+theirs to write.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""Rules of controllers: small actions arrive or are refused, by the URDF's own account; limits
-and speeds are kept.
+"""Rules of controllers: small actions arrive or are refused, by the URDF's own account; limits and
+speeds are kept.
 """
 
 from __future__ import annotations

@@ -29,8 +29,8 @@ from rn_testing.rules.controller import (
 from roboneuron import Hold, JointCommand, RobotProfile
 
 MAX_STEP = 0.3
-"""Largest change of a joint by one action [rad or m]. Source: the project's rule that no step
-jumps configuration.
+"""Largest change of a joint by one action [rad or m]. Source: the project's rule that no step jumps
+configuration.
 """
 WALK_M, WALK_S = 0.05, 0.5
 """Steps towards the end of the reach, and the time for one."""
@@ -60,8 +60,8 @@ def _check_far(case: ControllerCase) -> None:
 
 
 def _check_limits(case: ControllerCase) -> None:
-    """From postures with one joint at its limit, steps in every direction leave no limit and
-    tell no lie.
+    """From postures with one joint at its limit, steps in every direction leave no limit and tell
+    no lie.
     """
     profile = case.robot()
     home = home_sample(profile)
@@ -92,8 +92,8 @@ def _reach_m(profile: RobotProfile) -> float:
 
 
 def _check_reach(case: ControllerCase) -> None:
-    """Step by step to the end of the reach and beyond: the way may end early, but not with a
-    false word.
+    """Step by step to the end of the reach and beyond: the way may end early, but not with a false
+    word.
     """
     profile = case.robot()
     names, far_m = profile.arm_joints, 2 * _reach_m(profile)

@@ -1,5 +1,5 @@
-"""Rules of robot drivers on motion: it arrives, takes the time it says, follows the newest
-command, and stops.
+"""Rules of robot drivers on motion: it arrives, takes the time it says, follows the newest command,
+and stops.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ from roboneuron.feature import F64
 HOLD_S = 0.3
 """How long the robot is watched after `hold`."""
 AHEAD = 0.35
-"""How far a motion may be ahead of an even one, as a share of its way: smooth ones are, jumps
-are at 1.
+"""How far a motion may be ahead of an even one, as a share of its way: smooth ones are, jumps are
+at 1.
 """
 FAR = 20
 """Steps of the case in a motion that is watched."""
@@ -37,14 +37,16 @@ CREEP = 0.1
 """How far a held joint may go on evenly in one direction, as a share of the case's tolerance."""
 MOTION_S, LOOKS, MOST_GAPS = 0.6, 4, 3
 """Least duration of a motion whose velocities are added up, how often it is tried, and into how
-many parts at least the states divide it."""
+many parts at least the states divide it.
+"""
 SLOWEST, FASTEST = 0.1, 10.0
 """Sum of the velocities over the way: degrees are 57, another sign is negative; a simulation that
 runs behind the clock on a busy machine tells velocities of its own time, so that this is no narrow
-bound."""
+bound.
+"""
 STARTS, STALE_S = 5, 0.3
-"""Motions of which the quickest start is judged, and how late it may show: a busy machine
-delays one, not all.
+"""Motions of which the quickest start is judged, and how late it may show: a busy machine delays
+one, not all.
 """
 OPENINGS = (0.5, 0.0, 1.0)
 """Openings that the gripper is sent to."""

@@ -1,5 +1,5 @@
-"""Rules of features: built without effect, well described, started and closed, and no way round
-the gate.
+"""Rules of features: built without effect, well described, started and closed, and no way round the
+gate.
 """
 
 from __future__ import annotations

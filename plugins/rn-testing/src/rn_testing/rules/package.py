@@ -37,10 +37,11 @@ from roboneuron.feature import discover
 
 SENDING_NAME = "RosLink"
 """What joins the ROS graph and could send past the gate: for commands, which are processes of their
-own, and for the plugin of the direct path."""
+own, and for the plugin of the direct path.
+"""
 SENDER = ("rn-standard", "rn-direct-path")
-"""Distribution and plugin of the gate: the one feature that sends, since all others send
-through it.
+"""Distribution and plugin of the gate: the one feature that sends, since all others send through
+it.
 """
 SENDER_PACKAGE = "rn_standard.direct_path"
 """The package of that plugin."""
@@ -264,16 +265,16 @@ def _check_safe_calls(case: PackageCase) -> None:
 
 @functools.lru_cache(maxsize=4)
 def _owners(path: tuple[str, ...]) -> Mapping[str, list[str]]:
-    """Distributions by the top-level packages that they hold; reading them takes a second for
-    every path.
+    """Distributions by the top-level packages that they hold; reading them takes a second for every
+    path.
     """
     return packages_distributions()
 
 
 @functools.cache
 def _needs(name: str) -> frozenset[str]:
-    """Normalised names of all that an installed distribution requires without extras, directly
-    or not.
+    """Normalised names of all that an installed distribution requires without extras, directly or
+    not.
     """
     found: set[str] = set()
     waiting = [name]

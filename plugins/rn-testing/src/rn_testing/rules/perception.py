@@ -1,5 +1,5 @@
-"""Rules of perception sources: true frames of the cameras asked for, stamped in ROS time,
-within the time-out.
+"""Rules of perception sources: true frames of the cameras asked for, stamped in ROS time, within
+the time-out.
 """
 
 from __future__ import annotations
@@ -31,22 +31,22 @@ from roboneuron import (
 )
 
 LATE_S = 0.15
-"""How much later than its time-out the quickest of five reads may return: a busy machine slows
-one, not all.
+"""How much later than its time-out the quickest of five reads may return: a busy machine slows one,
+not all.
 """
 READS = 5
 """Reads of which the quickest is judged."""
 SHORT_READ_S, LONG_READ_S = 0.05, 0.3
 """Time-outs of reads that nothing is fed for."""
 CLOCK_OFFSET_NS = 7_200_000_000_000
-"""How far the kit's ROS clock is from the wall clock, so that a stamp tells which one it was
-taken from.
+"""How far the kit's ROS clock is from the wall clock, so that a stamp tells which one it was taken
+from.
 """
 FUTURE_S, PAST_S = 0.02, 2.0
 """How far a stamp may lie after the moment of its read, and before the source was opened."""
 FEED_S = 0.3
-"""How long a frame that was fed lies unread before its stamp is compared with the time it was
-fed at.
+"""How long a frame that was fed lies unread before its stamp is compared with the time it was fed
+at.
 """
 SAME_IMAGE = 12.0
 """Mean difference of two images that show the same, of 255: what a lossy codec leaves."""
@@ -59,8 +59,7 @@ least.
 RATE_OPTIONS = ("rate_hz", "fps", "frame_rate_hz")
 """Options of sources that name the pace of each camera."""
 TOO_FAST = 2.0
-"""How many times the declared pace is no mistake of rounding; slower is what a busy machine
-does.
+"""How many times the declared pace is no mistake of rounding; slower is what a busy machine does.
 """
 
 

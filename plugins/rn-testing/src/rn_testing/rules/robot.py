@@ -1,5 +1,5 @@
-"""Rules of robot profiles: limits, names, cameras and endpoints that agree with each other and
-with the descriptor.
+"""Rules of robot profiles: limits, names, cameras and endpoints that agree with each other and with
+the descriptor.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ MOUNTS = ("base", "tcp")
 FARTHEST_CAMERA_M = 20.0
 """Farthest a camera may be from what carries it."""
 SLACK = 1e-3
-"""How far a limit may lie outside the URDF's [rad or m]; of a velocity, the share: what
-rounding in a URDF leaves.
+"""How far a limit may lie outside the URDF's [rad or m]; of a velocity, the share: what rounding in
+a URDF leaves.
 """
 _INTERFACE = {"publish": "msg", "read": "msg", "service": "srv", "action": "action"}
 

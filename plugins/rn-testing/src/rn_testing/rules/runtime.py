@@ -1,5 +1,5 @@
-"""Rules of runtimes: they answer the families they declare the same way each time, and can be
-given up and closed.
+"""Rules of runtimes: they answer the families they declare the same way each time, and can be given
+up and closed.
 """
 
 from __future__ import annotations

@@ -24,8 +24,8 @@ class ActionBins:
         self._vocabulary = vocabulary
 
     def to_values(self, tokens: I64) -> F64:
-        """Ids (n,) -> bin centres (n,) in (-1, 1); ids outside the action range saturate, as in
-        the original.
+        """Ids (n,) -> bin centres (n,) in (-1, 1); ids outside the action range saturate, as in the
+        original.
         """
         index = np.clip(self._vocabulary - tokens - 1, 0, len(self._centers) - 1)
         return self._centers[index]

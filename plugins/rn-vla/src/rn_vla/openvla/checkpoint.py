@@ -1,5 +1,5 @@
-"""A checkpoint directory in the public layout: what its small files say, checked before any
-weight is read.
+"""A checkpoint directory in the public layout: what its small files say, checked before any weight
+is read.
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ _SIGLIP = TowerShape(
     pooled=True,
 )
 _MLP_RATIO = MappingProxyType({True: 4.0, False: 3.7362})
-"""Intermediate over width of DINOv2 (with layer scale) and SigLIP. Source: timm's definitions
-of the two models.
+"""Intermediate over width of DINOv2 (with layer scale) and SigLIP. Source: timm's definitions of
+the two models.
 """
 _MAX_INDEX_BYTES = 16 * 2**20
 BACKBONES: Mapping[str, tuple[TowerShape, ...]] = MappingProxyType(
@@ -125,8 +125,8 @@ class Checkpoint:
 
 
 def _check_resizing(path: Path, config: ModelConfig, processor: ProcessorConfig) -> None:
-    """Raise CheckpointError for resizing that keeps the aspect, whichever of the two files asks
-    for it.
+    """Raise CheckpointError for resizing that keeps the aspect, whichever of the two files asks for
+    it.
     """
     for file, strategy in (("config.json", config), ("preprocessor_config.json", processor)):
         if strategy.image_resize_strategy != "resize-naive":
@@ -215,8 +215,8 @@ def _read_statistics(
 
 
 def _is_there(path: Path) -> bool:
-    """Whether an optional file is listed; a link to nothing counts, so that it is an error and
-    not left out.
+    """Whether an optional file is listed; a link to nothing counts, so that it is an error and not
+    left out.
     """
     return path.is_symlink() or path.exists()
 

@@ -1,5 +1,5 @@
-"""The command that a package of OpenVLA checkpoints brings: `make-tiny`, a checkpoint to try
-its backend with.
+"""The command that a package of OpenVLA checkpoints brings: `make-tiny`, a checkpoint to try its
+backend with.
 """
 
 from __future__ import annotations

@@ -39,8 +39,8 @@ class OpenVlaFront(nn.Module):
         self.projector = Projector(shape.projector)
 
     def patches(self, pixels: Tensor) -> Tensor:
-        """Pixels (b, cameras * 3 * towers, side, side) -> embedded patches (b, cameras *
-        patches, hidden).
+        """Pixels (b, cameras * 3 * towers, side, side) -> embedded patches (b, cameras * patches,
+        hidden).
         """
         side = pixels.shape[-1]
         images = pixels.view(-1, 3 * len(self.towers), side, side)

@@ -1,5 +1,5 @@
-"""Which tensors a public OpenVLA checkpoint holds, in which shapes, and which of them are
-computed with.
+"""Which tensors a public OpenVLA checkpoint holds, in which shapes, and which of them are computed
+with.
 """
 
 from __future__ import annotations

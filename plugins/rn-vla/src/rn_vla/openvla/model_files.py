@@ -22,8 +22,8 @@ Spread = Annotated[float, Field(ge=1e-3, le=1)]
 
 
 class TextConfig(BaseModel):
-    """Stored as a difference from transformers' LlamaConfig, hence the defaults (note norm
-    epsilon 1e-6).
+    """Stored as a difference from transformers' LlamaConfig, hence the defaults (note norm epsilon
+    1e-6).
     """
 
     model_config = ConfigDict(extra="ignore", frozen=True)

@@ -45,8 +45,8 @@ class ModelOptions(BaseModel):
     checkpoint: Annotated[Path, ConfigurationOnly()]
     """Directory with config.json, the weights, the processor and the tokenizer."""
     unnorm_key: Annotated[str | None, AgentMaySet()] = None
-    """Data set whose statistics turn model values into actions; may be left out when there is
-    only one.
+    """Data set whose statistics turn model values into actions; may be left out when there is only
+    one.
     """
     profile: Literal["libero", "bridge", "own"]
     """What the actions mean, in which units and frame; never guessed."""
@@ -60,8 +60,8 @@ class ModelOptions(BaseModel):
     """An inference that takes longer is given up; None waits."""
 
     max_outside_share: Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)] = 0.15
-    """Share of decoded tokens that may be no action tokens (they count as full-scale moves);
-    more is refused.
+    """Share of decoded tokens that may be no action tokens (they count as full-scale moves); more
+    is refused.
     """
 
     @model_validator(mode="after")

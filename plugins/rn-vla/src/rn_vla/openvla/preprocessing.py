@@ -1,5 +1,5 @@
-"""From a camera image to the model's pixels, without torchvision: PIL resizes, a table per
-channel normalises.
+"""From a camera image to the model's pixels, without torchvision: PIL resizes, a table per channel
+normalises.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ _LANCZOS_RADIUS = 3.0
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TowerPixels:
-    """How one vision tower wants its pixels: mean and standard deviation of R, G, B, on values
-    in [0, 1].
+    """How one vision tower wants its pixels: mean and standard deviation of R, G, B, on values in
+    [0, 1].
     """
 
     mean: tuple[float, float, float]
@@ -58,8 +58,8 @@ class Preprocessor:
         return np.ascontiguousarray(image)
 
     def to_pixels(self, image: U8) -> F32:
-        """Resize to the square without keeping the aspect (bicubic, antialiased), scale,
-        normalise per tower.
+        """Resize to the square without keeping the aspect (bicubic, antialiased), scale, normalise
+        per tower.
         """
         if image.shape[:2] != (self._size, self._size):
             image = np.asarray(

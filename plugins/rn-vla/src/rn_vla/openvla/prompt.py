@@ -18,8 +18,7 @@ I64 = NDArray[np.int64]
 BOS_ID = 1
 """First id of every prompt."""
 FINAL_ID = 29871
-"""The lone word boundary that every prompt ends with; the tokenizer alone does not always give
-it.
+"""The lone word boundary that every prompt ends with; the tokenizer alone does not always give it.
 """
 
 _ORIGINAL = "Copy tokenizer.json of the original checkpoint there."

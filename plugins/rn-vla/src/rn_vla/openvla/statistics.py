@@ -18,8 +18,8 @@ from roboneuron import CheckpointError, ConfigurationError
 F64 = NDArray[np.float64]
 Bounds = Literal["q99", "minmax"]
 _NO_NOOPS = "_no_noops"
-"""LIBERO data sets without idle steps. Source: run_libero_eval.py of OpenVLA and OFT looks for
-this name too.
+"""LIBERO data sets without idle steps. Source: run_libero_eval.py of OpenVLA and OFT looks for this
+name too.
 """
 Key = Annotated[str, Field(max_length=200)]
 """Name of a data set."""
@@ -55,8 +55,8 @@ class VectorStatistics(BaseModel):
         return self
 
     def check_order(self, what: str) -> None:
-        """Raise CheckpointError unless min <= q01 <= q99 <= max, but for rounding, for every
-        value that is scaled.
+        """Raise CheckpointError unless min <= q01 <= q99 <= max, but for rounding, for every value
+        that is scaled.
         """
         low, q01, q99, high = (np.array(v) for v in (self.min, self.q01, self.q99, self.max))
         slack = 1e-3 * (high - low)

@@ -120,8 +120,8 @@ def _processor() -> Mapping[str, object]:
 
 
 def write_tokenizer(path: Path) -> None:
-    """Write a Llama-like tokenizer: 32000 ids, bytes for what it does not know, the same
-    special ids.
+    """Write a Llama-like tokenizer: 32000 ids, bytes for what it does not know, the same special
+    ids.
     """
     from tokenizers import Tokenizer, models, normalizers, processors
 
@@ -182,8 +182,8 @@ def _write_weights(path: Path, seed: int) -> None:
 def random_values(
     name: str, weight: Weight, generator: np.random.Generator
 ) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
-    """Random float32 values of a size at which signals neither die nor grow; only action tokens
-    are ever likely.
+    """Random float32 values of a size at which signals neither die nor grow; only action tokens are
+    ever likely.
     """
     values = generator.standard_normal(weight.shape).astype(np.float32)
     if len(weight.shape) == 1:

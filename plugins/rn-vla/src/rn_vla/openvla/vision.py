@@ -12,8 +12,8 @@ _EPSILON = 1e-6
 
 
 def gelu_in_place(x: Tensor) -> Tensor:
-    """Exact GELU, overwriting `x`: a fresh temporary of megabytes costs the CPU a page fault
-    for each 4 kB of it.
+    """Exact GELU, overwriting `x`: a fresh temporary of megabytes costs the CPU a page fault for
+    each 4 kB of it.
     """
     result: Tensor = torch.ops.aten.gelu_(x)
     return result
@@ -85,8 +85,7 @@ class Tower(nn.Module):
     """Pixels (images, 3, side, side) -> patch features (images, patches, width).
 
     Features are the output of the last but one block without the final norm; the last block, which
-    nothing reads, is
-    neither held nor run. Source: Karamcheti et al. 2024 (Prismatic VLMs).
+    nothing reads, is neither held nor run. Source: Karamcheti et al. 2024 (Prismatic VLMs).
     """
 
     def __init__(self, shape: TowerShape) -> None:

@@ -1,5 +1,5 @@
-"""Limits on how an arm moves, for the commands of control and for joint motions: pure
-computation, numpy only.
+"""Limits on how an arm moves, for the commands of control and for joint motions: pure computation,
+numpy only.
 """
 
 from roboneuron.gate.motion.command import LimitedCommand

@@ -20,8 +20,8 @@ _FARTHEST = 1e4
 
 
 def pick(names: tuple[str, ...], position: F64, wanted: tuple[str, ...]) -> F64:
-    """Positions of the `wanted` joints, float64 (n,). Raises UnsafeError unless each is there
-    once and finite.
+    """Positions of the `wanted` joints, float64 (n,). Raises UnsafeError unless each is there once
+    and finite.
     """
     values = np.asarray(position, dtype=np.float64)
     if values.shape != (len(names),) or len(set(names)) != len(names):

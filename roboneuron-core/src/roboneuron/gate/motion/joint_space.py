@@ -61,8 +61,8 @@ class JointLimit:
     braking: tuple[float, float] | None = None
 
     def allows(self, quantity: str, value: float) -> bool:
-        """Whether a "position", "velocity", "acceleration" or "effort" is within its limits;
-        False for NaN.
+        """Whether a "position", "velocity", "acceleration" or "effort" is within its limits; False
+        for NaN.
         """
         low, high = self.range(quantity)
         return low - SLACK * max(1.0, abs(low)) <= value <= high + SLACK * max(1.0, abs(high))

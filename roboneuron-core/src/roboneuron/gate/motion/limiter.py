@@ -22,8 +22,8 @@ from roboneuron.gate.motion.rules import MotionRules
 from roboneuron.gate.motion.task_space import Motion, TaskSpace
 
 LOST, LOST_M = 0.1, 0.02
-"""Largest difference between setpoint and measured joint [rad; m for slides] before the
-setpoint counts as lost.
+"""Largest difference between setpoint and measured joint [rad; m for slides] before the setpoint
+counts as lost.
 """
 _MEMORY_S = 1.0
 """Age at which the setpoint expires: the next command starts from the measured joints, at rest."""
@@ -33,8 +33,8 @@ _HALVINGS = 6
 _STATE_STEP_S = 0.1
 """Time in which the robot module executes a command that carries none."""
 _RESERVE = 0.98
-"""Share of a Cartesian limit used when a step is scaled: a straight line in joint space is a
-curve in task space.
+"""Share of a Cartesian limit used when a step is scaled: a straight line in joint space is a curve
+in task space.
 """
 
 
@@ -311,8 +311,8 @@ class MotionLimiter:
             step.target = step.start + velocity * step.duration_s
 
     def _apply_cartesian_limits(self, step: Step, here: Pose, there: Posture) -> Posture:
-        """Scale the step to the Cartesian limits, to 1/64 of its length; returns the posture at
-        its end.
+        """Scale the step to the Cartesian limits, to 1/64 of its length; returns the posture at its
+        end.
         """
         broken = list(self._broken(step, here, there))
         if not broken:
@@ -331,8 +331,8 @@ class MotionLimiter:
         return self._evaluate(step, step.target)
 
     def _broken(self, step: Step, here: Pose, there: Posture) -> Iterator[tuple[str, str]]:
-        """Cartesian limits that the path from the measured posture to the step's target
-        violates: name, reason.
+        """Cartesian limits that the path from the measured posture to the step's target violates:
+        name, reason.
         """
 
         def evaluate_start() -> Posture:

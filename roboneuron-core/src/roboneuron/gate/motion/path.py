@@ -1,5 +1,5 @@
-"""Sampling of paths in joint space: how far apart postures may be for a check of each to be a
-check of the path.
+"""Sampling of paths in joint space: how far apart postures may be for a check of each to be a check
+of the path.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ class Reach:
         self._spacing_m = min(_COARSEST_M, max(_FINEST_M, least_m))
 
     def count(self, names: Sequence[str], change: F64) -> int:
-        """Into how many steps the absolute changes (n,) [rad or m] of the named joints are to
-        be cut; at least 1.
+        """Into how many steps the absolute changes (n,) [rad or m] of the named joints are to be
+        cut; at least 1.
         """
         travel_m = sum(
             self._levers.get(n, 1.0) * d for n, d in zip(names, change.tolist(), strict=True)

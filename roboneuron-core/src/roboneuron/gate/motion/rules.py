@@ -1,5 +1,5 @@
-"""Which limits hold and what happens at each: from the configuration, never wider than the
-robot's profile.
+"""Which limits hold and what happens at each: from the configuration, never wider than the robot's
+profile.
 """
 
 from __future__ import annotations
@@ -178,8 +178,8 @@ def collision_of(config: LimitsConfig, profile: RobotProfile) -> CollisionProfil
 
 
 def inspector_of(controller: Controller) -> Callable[[JointSample], Posture]:
-    """What tells the postures of a controller's arm: all that it can say, at the least the pose
-    of the TCP.
+    """What tells the postures of a controller's arm: all that it can say, at the least the pose of
+    the TCP.
     """
     if isinstance(controller, PostureInspector):
         return controller.inspect

@@ -133,8 +133,8 @@ class TaskSpace:
     def collisions(
         self, there: Posture, look_here: Callable[[], Posture]
     ) -> Iterator[tuple[str, str]]:
-        """Pairs that are too near in a posture and no farther apart than at the start of the
-        path; as `places`.
+        """Pairs that are too near in a posture and no farther apart than at the start of the path;
+        as `places`.
         """
         if not there.near:
             return
@@ -171,8 +171,8 @@ def _is_worse(end: float, start: float) -> bool:
 
 
 def _breaks_zone(zone: Obstacle, start_m: F64, end_m: F64) -> bool:
-    """Whether the line from one point (3,) to another enters the box, or starts in it and does
-    not lead out.
+    """Whether the line from one point (3,) to another enters the box, or starts in it and does not
+    lead out.
     """
     start_depth = -_depth_outside_m(start_m, zone.lower_m, zone.upper_m)
     if start_depth > 0.0:

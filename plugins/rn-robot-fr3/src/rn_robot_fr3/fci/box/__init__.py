@@ -1,3 +1,3 @@
-"""A test counterpart, no part of the driver: a control box before franka-sim that is stricter
-than franka-sim.
+"""A test counterpart, no part of the driver: a control box before franka-sim that is stricter than
+franka-sim.
 """

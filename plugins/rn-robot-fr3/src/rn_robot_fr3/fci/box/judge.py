@@ -1,5 +1,5 @@
-"""Judges what the arm counts as commanded by the published limits of the FR3: commands, and
-what it extrapolates.
+"""Judges what the arm counts as commanded by the published limits of the FR3: commands, and what it
+extrapolates.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""The box itself, a process:
-`python -m rn_robot_fr3.fci.box.proxy --host 127.0.0.3 --upstream 127.0.0.2`.
+"""The box itself, a process: `python -m rn_robot_fr3.fci.box.proxy --host 127.0.0.3 --upstream
+127.0.0.2`.
 
 It stands between the driver and franka-sim. A command counts when it answers the newest state,
 once; others are dropped, as a box with a clock of its own does, where franka-sim takes them. What
-counts is judged, and states tell q_d,
-dq_d and ddq_d by these books. On UDP port 1340 it answers with its counts, and takes faults:
+counts is judged, and states tell q_d, dq_d and ddq_d by these books. On UDP port 1340 it answers
+with its counts, and takes faults:
     {"loss": 0.05},
 {"silence": 10}. {"lenient": 1} passes on everything instead, and nothing is judged.
 """

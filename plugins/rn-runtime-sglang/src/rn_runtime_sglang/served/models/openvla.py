@@ -20,8 +20,8 @@ from rn_vla.openvla.checkpoint import Checkpoint
 from rn_vla.openvla.front import OpenVlaFront
 
 UNUSABLE_TOKEN = 0
-"""Decoded (the id of <unk>) where the logits are not finite; the runtime refuses a reply that
-holds it.
+"""Decoded (the id of <unk>) where the logits are not finite; the runtime refuses a reply that holds
+it.
 """
 
 

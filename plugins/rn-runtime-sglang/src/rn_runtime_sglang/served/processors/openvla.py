@@ -95,8 +95,8 @@ def check_ids(ids: Any, embeddings: int) -> list[int]:
 
 
 def decode_image(data: Any) -> np.ndarray[Any, np.dtype[np.uint8]]:
-    """Base64 of a PNG or BMP -> uint8 (H, W, 3) RGB. Nothing is fetched: neither URLs nor files
-    are followed.
+    """Base64 of a PNG or BMP -> uint8 (H, W, 3) RGB. Nothing is fetched: neither URLs nor files are
+    followed.
     """
     text = getattr(data, "url", data)
     if not isinstance(text, str):

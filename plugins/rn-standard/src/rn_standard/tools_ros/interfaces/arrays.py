@@ -119,8 +119,8 @@ def _make_packer(shape: Array, scalar: Scalar | None) -> Callable[[Any], Any]:
 
 
 def _make_bulk_encoder(scalar: Scalar) -> Callable[[Sequence[Any]], Any]:
-    """Check a whole list of numbers in C; None means: look at each element to find what is
-    wrong or needs care.
+    """Check a whole list of numbers in C; None means: look at each element to find what is wrong or
+    needs care.
     """
     code = TYPECODES[scalar.ros]
     if scalar.is_integer:

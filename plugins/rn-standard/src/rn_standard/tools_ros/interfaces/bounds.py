@@ -43,6 +43,5 @@ class DecodeLimits:
 
 
 LOSSLESS = DecodeLimits(items=None, text=None, values=None, names=False)
-"""Everything, so that encoding the result gives an equal message; long byte arrays come as
-base64.
+"""Everything, so that encoding the result gives an equal message; long byte arrays come as base64.
 """

@@ -1,9 +1,8 @@
 """Comments and units of an interface, from the .idl file that ships beside it.
 
 The .idl is the only place where the build tools keep the comment attached to its field. It is used
-for descriptions
-alone: types, bounds, constants and defaults come from the Python classes. A missing file costs the
-descriptions.
+for descriptions alone: types, bounds, constants and defaults come from the Python classes. A
+missing file costs the descriptions.
 """
 
 from __future__ import annotations

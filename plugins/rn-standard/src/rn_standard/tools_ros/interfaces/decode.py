@@ -40,8 +40,8 @@ _Decoder = Callable[[Any, _Room], Plain]
 
 
 class MessageDecoder:
-    """Reads messages of one type. Built once per type; holds no state between calls, safe from
-    any thread.
+    """Reads messages of one type. Built once per type; holds no state between calls, safe from any
+    thread.
     """
 
     def __init__(self, message: Message, cache: dict[int, MessageDecoder] | None = None) -> None:

@@ -1,5 +1,5 @@
-"""From rosidl's Python classes to the description tree: types, sizes, constants and defaults
-are read from them.
+"""From rosidl's Python classes to the description tree: types, sizes, constants and defaults are
+read from them.
 """
 
 from __future__ import annotations

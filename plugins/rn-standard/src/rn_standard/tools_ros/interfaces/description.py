@@ -1,5 +1,5 @@
-"""What an interface is made of: a frozen tree that schema, model, encoder and decoder are all
-built from.
+"""What an interface is made of: a frozen tree that schema, model, encoder and decoder are all built
+from.
 """
 
 from __future__ import annotations
@@ -13,7 +13,8 @@ Plain = bool | int | float | str | list["Plain"] | dict[str, "Plain"] | None
 FLOAT32_MAX = 3.4028235e38
 """Largest number a float32 field takes: the shortest decimal that rounds to the largest finite
 float32, (2 - 2**-23) * 2**127 = 3.40282346...e38 (Source: IEEE 754 binary32), so that what is
-decoded can be encoded again."""
+decoded can be encoded again.
+"""
 
 INTEGER_RANGES: dict[str, tuple[int, int]] = {
     **{f"int{bits}": (-(1 << bits - 1), (1 << bits - 1) - 1) for bits in (8, 16, 32, 64)},

@@ -1,5 +1,5 @@
-"""From a JSON object to a rosidl message that holds exactly these values, or to a refusal that
-says what to change.
+"""From a JSON object to a rosidl message that holds exactly these values, or to a refusal that says
+what to change.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ _INT32 = (-(1 << 31), (1 << 31) - 1)
 
 
 class MessageEncoder:
-    """Fills messages of one type. Built once per type; holds no state between calls, safe from
-    any thread.
+    """Fills messages of one type. Built once per type; holds no state between calls, safe from any
+    thread.
     """
 
     def __init__(self, message: Message, cache: dict[int, MessageEncoder] | None = None) -> None:

@@ -1,5 +1,5 @@
-"""Messages, services and actions by name: description, schema, model, encoder and decoder in
-one object.
+"""Messages, services and actions by name: description, schema, model, encoder and decoder in one
+object.
 """
 
 from __future__ import annotations
@@ -69,8 +69,8 @@ class MessageInterface:
         return self.message.ros_type
 
     def json_schema(self, *, inline_bytes: int = INLINE_BYTES) -> dict[str, Any]:
-        """Return a new JSON schema of what `encode` accepts. See `interfaces.schema` for what
-        it cannot say.
+        """Return a new JSON schema of what `encode` accepts. See `interfaces.schema` for what it
+        cannot say.
         """
         return make_schema(self.message, inline_bytes=inline_bytes)
 
@@ -170,8 +170,8 @@ Interface = MessageInterface | ServiceInterface | ActionInterface
 
 
 class InterfaceLoader:
-    """Finds interfaces by name and keeps what it derived. One per process is enough; safe from
-    any thread.
+    """Finds interfaces by name and keeps what it derived. One per process is enough; safe from any
+    thread.
     """
 
     def __init__(self) -> None:

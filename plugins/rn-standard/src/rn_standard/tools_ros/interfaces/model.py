@@ -123,8 +123,8 @@ class _Maker:
 
 
 def prune(whole: Plain, given: Any) -> Any:
-    """Keep of the complete value only the fields that were given, so that a model knows what
-    was omitted.
+    """Keep of the complete value only the fields that were given, so that a model knows what was
+    omitted.
     """
     if isinstance(whole, dict) and isinstance(given, Mapping):
         return {name: prune(value, given[name]) for name, value in whole.items() if name in given}

@@ -1,5 +1,5 @@
-"""Refusing a value: where it stands, what came, what is allowed. Never echoes more than a few
-words of the input.
+"""Refusing a value: where it stands, what came, what is allowed. Never echoes more than a few words
+of the input.
 """
 
 from __future__ import annotations

@@ -23,8 +23,8 @@ from rn_standard.tools_ros.interfaces.description import (
 from rn_standard.tools_ros.interfaces.scalars import NONFINITE_NAMES
 
 INLINE_BYTES = 8192
-"""A schema over this size keeps repeated messages in `$defs`. Most clients read references, a
-few do not.
+"""A schema over this size keeps repeated messages in `$defs`. Most clients read references, a few
+do not.
 """
 
 _SHORT, _LONG = 110, 400
@@ -155,8 +155,8 @@ def _scalar(scalar: Scalar) -> Schema:
 
 
 def field_text(field: Field) -> str:
-    """One line about a field: comment, unit, and for nested messages without a comment what
-    they are.
+    """One line about a field: comment, unit, and for nested messages without a comment what they
+    are.
     """
     text = field.text
     element = field.type.element if isinstance(field.type, Array) else field.type
