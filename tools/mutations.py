@@ -245,7 +245,9 @@ def _prepare(part: Part, work: Path, *, is_fresh: bool) -> None:
             _write_changed(work / inside, _source(part, path))
             meta = work / "mutants" / inside.with_name(f"{path.name}.meta")
             if _is_mutated(part, path) and not meta.exists():
-                (work / inside).touch()  # a file that is new in the part
+                # a file that is new in the part: which tests call it has to be seen, too
+                (work / inside).touch()
+                (work / "mutants" / "mutmut-stats.json").unlink(missing_ok=True)
     mutants = work / "mutants"
     for folder in (*part.tests, *CONFTESTS):
         target = mutants / folder
