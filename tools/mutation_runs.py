@@ -53,14 +53,20 @@ def install(folders: Sequence[str]) -> None:
         try:
             return int(run_tests(self, **options))
         except Exception as error:
-            # a thread of the last test has failed: pytest raises that at its own end
-            if type(error).__name__ != "PytestUnhandledThreadExceptionWarning":
+            if not _is_warning(error):
                 raise
             return 1
 
     PytestRunner.run_tests = run_and_notice
     isolation.ForkServerRunner.submit = submit_in_order
     isolation.register_timeout = _watch
+
+
+def _is_warning(error: BaseException) -> bool:
+    """Whether pytest raised at its own end what happened after the last test, as in a thread."""
+    if isinstance(error, BaseExceptionGroup):
+        return all(map(_is_warning, error.exceptions))
+    return isinstance(error, Warning)
 
 
 def _watch(process: int, _limit_s: float) -> None:

@@ -241,9 +241,13 @@ def _prepare(part: Part, work: Path, *, is_fresh: bool) -> None:
     tests = [path for name in part.tests for path in _files(ROOT / name)]
     for path in sorted(sources.rglob("*")):
         if path.is_file() and "__pycache__" not in path.parts:
-            _write_changed(
-                work / "src" / sources.name / path.relative_to(sources), _source(part, path)
-            )
+            inside = Path("src") / sources.name / path.relative_to(sources)
+            _write_changed(work / inside, _source(part, path))
+            meta = work / "mutants" / inside.with_name(f"{path.name}.meta")
+            if _is_mutated(part, path) and not meta.exists():
+                # a file that is new in the part: which tests call it has to be seen, too
+                (work / inside).touch()
+                (work / "mutants" / "mutmut-stats.json").unlink(missing_ok=True)
     mutants = work / "mutants"
     for folder in (*part.tests, *CONFTESTS):
         target = mutants / folder
@@ -288,12 +292,16 @@ def _settings(part: Part) -> str:
     return "\n[tool.mutmut]\n" + "\n".join(lines) + "\n"
 
 
-def _source(part: Part, path: Path) -> bytes:
+def _is_mutated(part: Part, path: Path) -> bool:
     inside = path.relative_to(ROOT / part.package)
-    if any(
+    return any(
         inside.match(pattern) and len(inside.parts) == len(Path(pattern).parts)
         for pattern in part.files
-    ):
+    )
+
+
+def _source(part: Part, path: Path) -> bytes:
+    if _is_mutated(part, path):
         return mutation_operators.unwrap_decorators(path.read_text("utf-8")).encode()
     return path.read_bytes()
 

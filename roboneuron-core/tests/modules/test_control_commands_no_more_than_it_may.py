@@ -443,6 +443,18 @@ def test_the_first_action_has_a_tenth_of_a_second(cell: Cell) -> None:
     assert duration_s(cell.messages[0]) == pytest.approx(0.1)
 
 
+def test_soon_after_the_machine_was_started_a_first_action_is_a_first_action(
+    make_host: MakeHost,
+) -> None:
+    cell = Cell(make_host, activate=False)
+    cell.clock.now_s = 0.5
+    cell.control.activate()
+    cell.measure()
+    assert len(cell.poses) == 1
+    cell.act()
+    assert cell.asked[0][2] == 0.1
+
+
 def test_a_later_action_has_the_time_since_the_one_before(cell: Cell) -> None:
     cell.act()
     cell.go(0.07)

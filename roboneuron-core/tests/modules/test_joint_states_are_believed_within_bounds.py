@@ -99,6 +99,12 @@ def test_a_state_that_was_measured_too_long_ago_is_late(watch: JointWatch) -> No
     assert watch.joints.stamp_ns == START_NS
 
 
+def test_a_state_that_is_a_nanosecond_too_old_is_late() -> None:
+    watch = JointWatch(make_profile(), 2.0)
+    with pytest.raises(NotReadyError):
+        watch.accept(sample(0.0, 0.0), START_S, START_NS + 2 * S_NS + 1)
+
+
 def test_a_state_of_the_future_is_invalid(watch: JointWatch) -> None:
     with pytest.raises(InvalidInputError, match=r"measured 0\.251 s in the future"):
         accept(watch, 0.0, 0.0, at_s=0.5, offset_s=0.251)
