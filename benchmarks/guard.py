@@ -131,6 +131,7 @@ def start_to_message(folder: Path, rounds: int) -> tuple[float, float]:
 def inverse_kinematics() -> tuple[float, float]:
     """One solution for the FR3, and one bare iteration: Jacobian, placement and solve [ms]."""
     robot = fr3_profile()
+    assert robot.home_rad is not None
     model = build_arm_model(robot)
     solver = InverseKinematics(model)
     data = model.kinematics.createData()
@@ -147,7 +148,6 @@ def inverse_kinematics() -> tuple[float, float]:
         change: np.ndarray = jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + damping, error)
         return change
 
-    tolerances = {"tolerance_m": 1e-5, "tolerance_rad": 1e-4, "max_iterations": 40}
     ours: list[float] = []
     floor: list[float] = []
     for _ in range(TARGETS):
@@ -156,7 +156,9 @@ def inverse_kinematics() -> tuple[float, float]:
         way_m = bench_ik.random_vector(random, bench_ik.FARTHEST_M)
         way_rad = bench_ik.random_vector(random, bench_ik.FARTHEST_RAD)
         goal = solver.shift(solver.place(posture), way_m, way_rad)
-        solve = partial(solver.solve, posture, goal, **tolerances)
+        solve = partial(
+            solver.solve, posture, goal, tolerance_m=1e-5, tolerance_rad=1e-4, max_iterations=40
+        )
         floor.append(_least_us(partial(bare, posture, goal)) / 1e3)
         ours.append(_least_us(solve) / 1e3)
     return statistics.median(ours), statistics.median(floor)
