@@ -23,7 +23,7 @@ from roboneuron.contract import (
     RobotProfile,
 )
 from roboneuron.errors import ConfigurationError, RefusedError
-from roboneuron.gate.motion import Motion, Verdict
+from roboneuron.gate.motion import LimitedCommand, Motion
 from roboneuron.modules import motion as motion_module
 from roboneuron.modules.motion import MotionGuard
 from roboneuron.modules.status import StatusWriter
@@ -101,7 +101,7 @@ class Bench:
         )
         return self.guard
 
-    def judge(self, verdict: Verdict, now_s: float) -> JointCommand | Hold | None:
+    def judge(self, verdict: LimitedCommand, now_s: float) -> JointCommand | Hold | None:
         """Have it pass on what the limits say."""
         guard = self.guard or self.make()
         guard._limiter.limit = lambda command, joints, now_s: verdict  # type: ignore[method-assign]
@@ -123,8 +123,8 @@ def bench(tmp_path: Path) -> Iterator[Bench]:
         bench.guard.close()
 
 
-def scaled(*names: str, reason: str = "too fast") -> Verdict:
-    return Verdict(
+def scaled(*names: str, reason: str = "too fast") -> LimitedCommand:
+    return LimitedCommand(
         command=command(0.51, -0.5),
         acted=names or ("velocity",),
         reason=reason,
@@ -134,18 +134,20 @@ def scaled(*names: str, reason: str = "too fast") -> Verdict:
     )
 
 
-HELD = Verdict(
+HELD = LimitedCommand(
     command=Hold(code="limit_zone", reason="a vase"),
     acted=("zone",),
     reason="a vase",
     share=0.0,
     asked=ASKED,
 )
-UNSAFE = Verdict(
+UNSAFE = LimitedCommand(
     command=Hold(code="unsafe_command", reason="not a number"), reason="not a number", share=0.0
 )
-REFUSED = Verdict(command=None, acted=("speed", "zone"), reason="a vase", share=0.0, asked=ASKED)
-PASSED = Verdict(command=command(0.5, -0.5), asked=SENT, sent=SENT)
+REFUSED = LimitedCommand(
+    command=None, acted=("speed", "zone"), reason="a vase", share=0.0, asked=ASKED
+)
+PASSED = LimitedCommand(command=command(0.5, -0.5), asked=SENT, sent=SENT)
 
 
 def test_a_command_is_sent_within_the_limits_of_the_configuration(bench: Bench) -> None:
@@ -202,7 +204,7 @@ def test_commands_without_a_time_are_judged_as_jumps(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("answer", [PASSED, scaled(), HELD, UNSAFE, REFUSED])
-def test_what_the_limits_say_is_what_is_sent(bench: Bench, answer: Verdict) -> None:
+def test_what_the_limits_say_is_what_is_sent(bench: Bench, answer: LimitedCommand) -> None:
     assert bench.judge(answer, 10.0) is answer.command
 
 
@@ -295,7 +297,7 @@ def test_a_scaled_command_is_recorded_with_its_numbers(bench: Bench) -> None:
     ],
 )
 def test_a_command_that_is_not_sent_is_recorded_with_why(
-    bench: Bench, verdict: Verdict, word: str, rule: str
+    bench: Bench, verdict: LimitedCommand, word: str, rule: str
 ) -> None:
     bench.judge(verdict, 10.0)
     (record,) = bench.records()
