@@ -124,7 +124,7 @@ def test_an_arm_whose_controller_is_not_installed_is_refused(
 ) -> None:
     async def scenario(agent: Any) -> None:
         _, text = await agent.fail("publish_joint_trajectory", message=to(5.0, slide_x=0.2))
-        assert "cannot be judged" in text
+        assert "cannot be checked" in text
         assert "'absent'" in text
         assert sent(arm) == []
 
