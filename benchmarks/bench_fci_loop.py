@@ -4,9 +4,11 @@ random actions.
     python benchmarks/bench_fci_loop.py --minutes 30 [--busy 0,8] [--parts latency,policy,random]
     [--actions 10000]
 
-`latency`: from a command to the first motion. `policy`: 20 Hz with warm switches at random times,
-moving all the time; faults, violations, and the period of the control loop by the times at which
-commands arrived at the simulator. `random`: actions of any size and direction on the action topic.
+- `latency`: from a command to the first motion.
+- `policy`: 20 Hz with warm switches at random times, moving all the time; faults, violations, and
+  the period of the control loop by the times at which commands arrived at the simulator.
+- `random`: actions of any size and direction on the action topic.
+
 `--busy 0,8` does everything twice, with no and with eight busy processes beside it. All is judged
 by what the simulator recorded (`fci_judge`).
 

@@ -75,8 +75,10 @@ class Ledger:
     """The ledger of one run, held by one process at a time. Use it as a context manager."""
 
     def __init__(self, directory: Path, *, other_versions: bool = False) -> None:
-        """Args: directory: its folder. other_versions: packages may have other versions than when
-        the run was begun; the plan and each line say so.
+        """Args:
+        directory: its folder.
+        other_versions: packages may have other versions than when the run was begun; the plan
+            and each line say so.
         """
         self.directory = directory
         self.plan: EvalPlan | None = None

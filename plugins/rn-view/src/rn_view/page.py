@@ -67,10 +67,13 @@ class Page:
         admit: Callable[[str], access.Holder | None],
         on_choice: Callable[[Page], object],
     ) -> None:
-        """Args: sources: what can be shown by the robot's name, the first one first; of several one
-        is chosen. operators: call tools for the buttons, by the robot's name; of a robot without
-        one there are none. admit: whose token a text is; None for nobody's. on_choice: called when
-        another robot was chosen.
+        """Args:
+        sources: what can be shown by the robot's name, the first one first; of several one is
+            chosen.
+        operators: call tools for the buttons, by the robot's name; of a robot without one there
+            are none.
+        admit: whose token a text is; None for nobody's.
+        on_choice: called when another robot was chosen.
         """
         self.client = client
         self.holder: access.Holder | None = None

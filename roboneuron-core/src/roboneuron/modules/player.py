@@ -22,8 +22,11 @@ class RowPlayer:
     def __init__(
         self, node: ModuleNode, executor: ChunkExecutor, send: Callable[[Row], None]
     ) -> None:
-        """Args: node: of the inference module. executor: says which row is due. send: publishes a
-        row; the executor's lock is held, so that no instruction or stop comes between.
+        """Args:
+        node: of the inference module.
+        executor: says which row is due.
+        send: publishes a row; the executor's lock is held, so that no instruction or stop comes
+            between.
         """
         self._node = node
         self._executor = executor

@@ -148,9 +148,13 @@ class MotionArbiter:
         is_followed: Callable[[ExposedEndpoint], bool] = lambda exposed: False,
         hold_s: float = 2.0,
     ) -> None:
-        """Args: gate: asked whether motion may go on. policy: says, in a sentence, which policy
-        moves the endpoint's robot; empty when none does. starts: knows of stops. is_followed:
-        whether control still follows actions: it will hold, and a hold would end another motion.
+        """Args:
+        gate: asked whether motion may go on.
+        policy: says, in a sentence, which policy moves the endpoint's robot; empty when none
+            does.
+        starts: knows of stops.
+        is_followed: whether control still follows actions: it will hold, and a hold would end
+            another motion.
         hold_s: longest wait for that hold.
         """
         self._is_followed, self._hold_s = is_followed, hold_s

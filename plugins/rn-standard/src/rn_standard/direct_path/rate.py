@@ -13,8 +13,10 @@ class RateLimit:
     """
 
     def __init__(self, rate_hz: float, clock: Callable[[], float]) -> None:
-        """Args: rate_hz: most messages per second; 0 for no bound. Below 1 the window is as long as
-        the time between two. clock: monotonic time [s].
+        """Args:
+        rate_hz: most messages per second; 0 for no bound. Below 1 the window is as long as the
+            time between two.
+        clock: monotonic time [s].
         """
         self.rate_hz = rate_hz
         self._window_s = max(1.0, 1.0 / rate_hz) if rate_hz else 0.0

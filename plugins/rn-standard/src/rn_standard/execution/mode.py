@@ -9,10 +9,13 @@ from rn_standard.execution.latency import LatencyWindow, rows_in
 from roboneuron import BackendSpec, ConfigurationError
 
 Mode = Literal["sequential", "overlap", "rtc", "predicted-state"]
-"""`sequential`: predict, play the chunk, predict again. `overlap`: predict while the last chunk
-plays; stale rows are skipped, the seam is cross-faded. `rtc` (real-time chunking): as overlap, and
-the backend continues the rows that are still to be played. `predicted-state`: the backend gets the
-state rolled forward to the end of the running chunk; chunks follow whole.
+"""How chunks are executed.
+
+- `sequential`: predict, play the chunk, predict again.
+- `overlap`: predict while the last chunk plays; stale rows are skipped, the seam is cross-faded.
+- `rtc` (real-time chunking): as overlap, and the backend continues the rows still to be played.
+- `predicted-state`: the backend gets the state rolled forward to the end of the running chunk;
+  chunks follow whole.
 """
 MODES: tuple[Mode, ...] = ("sequential", "overlap", "rtc", "predicted-state")
 _AGREEING = 10

@@ -1,8 +1,11 @@
 """One end of a two-process round trip; started by the ROS tests, not a test file.
 
-`serve`: subscribes to every message type, offers every service and action; prints one JSON line per
-thing received. `send`: publishes, calls and sends goals with values drawn from the seed; prints one
-JSON line per answer received. Both derive everything at run time and share nothing but names and
+- `serve`: subscribes to every message type, offers every service and action; prints one JSON line
+  per thing received.
+- `send`: publishes, calls and sends goals with values drawn from the seed; prints one JSON line per
+  answer received.
+
+Both derive everything at run time and share nothing but names and
 the seed.
 """
 
