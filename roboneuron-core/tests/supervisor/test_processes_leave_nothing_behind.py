@@ -9,7 +9,6 @@ import os
 import signal
 import sys
 import threading
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime, timedelta
@@ -18,6 +17,7 @@ from typing import Any
 
 import pytest
 
+from rn_testing.waiting import wait_until
 from roboneuron.errors import NotReadyError
 from roboneuron.supervisor import changes as changes_module
 from roboneuron.supervisor import process as process_module
@@ -76,15 +76,10 @@ def end_now(process: ModuleProcess) -> None:
     process.wait(1.0)
 
 
-def wait_until(fact: Callable[[], object], what: str) -> None:
-    deadline_s = time.monotonic() + SOON_S
-    while not fact():
-        assert time.monotonic() < deadline_s, what
-        time.sleep(0.002)
-
-
 def await_line(path: Path, line: str) -> None:
-    wait_until(lambda: path.exists() and line in path.read_text().splitlines(), f"no line {line}")
+    wait_until(
+        lambda: path.exists() and line in path.read_text().splitlines(), SOON_S, f"no line {line}"
+    )
 
 
 def state_of(pid: int) -> str:
@@ -97,7 +92,7 @@ def state_of(pid: int) -> str:
 
 def child_of(path: Path) -> int:
     """The pid that a script has written after `child `."""
-    wait_until(lambda: path.exists() and "child " in path.read_text(), "no child")
+    wait_until(lambda: path.exists() and "child " in path.read_text(), SOON_S, "no child")
     return int(path.read_text().partition("child ")[2].split()[0])
 
 
@@ -108,7 +103,7 @@ def test_a_process_reads_its_first_line_and_a_first_sign_of_life(
     start: Spawn, log_path: Path
 ) -> None:
     process = start("cat", first_line="settings é")
-    wait_until(lambda: log_path.read_bytes() == "settings é\n\n".encode(), "no first line")
+    wait_until(lambda: log_path.read_bytes() == "settings é\n\n".encode(), SOON_S, "no first line")
     assert process.exit_code is None, "its input stays open"
 
 
@@ -170,7 +165,9 @@ def test_a_beat_is_one_empty_line_and_an_announcement_a_line(start: Spawn, log_p
     process.beat()
     process.announce(b"digest")
     process.beat()
-    wait_until(lambda: log_path.read_bytes() == b"go\n\n\ndigest\n\n", "not what it was told")
+    wait_until(
+        lambda: log_path.read_bytes() == b"go\n\n\ndigest\n\n", SOON_S, "not what it was told"
+    )
 
 
 def test_a_process_that_does_not_read_is_announced_nothing(start: Spawn, log_path: Path) -> None:
@@ -278,7 +275,7 @@ def test_what_a_process_leaves_behind_is_killed_at_its_end(start: Spawn, log_pat
     assert process.wait(SOON_S)
     assert process.exit_code == 0
     pid = child_of(log_path)
-    wait_until(lambda: state_of(pid) == "Z", "its child is alive")
+    wait_until(lambda: state_of(pid) == "Z", SOON_S, "its child is alive")
 
 
 def test_sigterm_lets_a_process_leave_by_itself(start: Spawn, log_path: Path) -> None:
@@ -319,7 +316,7 @@ def test_sigkill_ends_a_process_that_does_not_listen_and_its_children(
     assert process.wait(SOON_S)
     assert process.exit_code == -signal.SIGKILL
     pid = child_of(log_path)
-    wait_until(lambda: state_of(pid) == "Z", "its child is alive")
+    wait_until(lambda: state_of(pid) == "Z", SOON_S, "its child is alive")
     assert len(seen) == 1
     assert seen[0] != "Z", "it is looked at while it lives"
 
@@ -410,7 +407,7 @@ def test_a_process_is_not_collected_while_a_signal_is_on_its_way(start: Spawn) -
     with process._reaping:
         assert process._child.stdin is not None
         os.write(process._child.stdin.fileno(), b"\n")
-        wait_until(lambda: state_of(process.pid) == "Z", "it has not ended")
+        wait_until(lambda: state_of(process.pid) == "Z", SOON_S, "it has not ended")
         assert not process.wait(0.05)
         assert Path(f"/proc/{process.pid}").exists(), "its number was given back"
     assert process.wait(SOON_S)
@@ -482,7 +479,7 @@ def test_a_process_is_frozen_after_that_time_and_not_at_its_end(
     monkeypatch.setattr(process_module, "_FROZEN_S", 0.25)
     process = start("cat")
     os.kill(process.pid, signal.SIGSTOP)
-    wait_until(lambda: state_of(process.pid) == "T", "it runs")
+    wait_until(lambda: state_of(process.pid) == "T", SOON_S, "it runs")
     assert not process.is_frozen()
     clock.now_s += 0.25
     assert not process.is_frozen()
@@ -491,15 +488,15 @@ def test_a_process_is_frozen_after_that_time_and_not_at_its_end(
 def test_a_process_that_goes_on_in_between_is_not_frozen(start: Spawn, clock: Clock) -> None:
     process = start("cat")
     os.kill(process.pid, signal.SIGSTOP)
-    wait_until(lambda: state_of(process.pid) == "T", "it runs")
+    wait_until(lambda: state_of(process.pid) == "T", SOON_S, "it runs")
     assert not process.is_frozen()
     clock.now_s += 1.0
     assert process.is_frozen()
     os.kill(process.pid, signal.SIGCONT)
-    wait_until(lambda: state_of(process.pid) != "T", "it is stopped")
+    wait_until(lambda: state_of(process.pid) != "T", SOON_S, "it is stopped")
     assert not process.is_frozen()
     os.kill(process.pid, signal.SIGSTOP)
-    wait_until(lambda: state_of(process.pid) == "T", "it runs")
+    wait_until(lambda: state_of(process.pid) == "T", SOON_S, "it runs")
     assert not process.is_frozen(), "it counts from now on"
 
 
