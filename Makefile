@@ -14,6 +14,7 @@ PYTHONS ?= python3.11 python3.12 python3.13
 JOBS ?= 2
 # Many of these tests wait for something, so more of them than cores run at a time.
 UNIT_JOBS ?= 4
+ROS_JOBS ?= 3
 # A ROS test that failed runs once more, and the summary names it: a rerun is a fault to look into.
 RERUN := --reruns 1 -raR
 N ?= 50
@@ -168,8 +169,8 @@ test-units: $(VENV)/.develop ## its tests without ROS processes, UNIT_JOBS at a 
 	$(BIN)/python -m pytest -n $(UNIT_JOBS) --dist worksteal --max-worker-restart=0 \
 	  -m "not ros and not gpu and not hardware and not slow and not release" $(ARGS)
 
-test-ros: $(VENV)/.develop ## its tests with ROS processes, JOBS at a time
-	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile --no-loadscope-reorder --max-worker-restart=0 $(RERUN) \
+test-ros: $(VENV)/.develop ## its tests with ROS processes, ROS_JOBS at a time
+	$(BIN)/python -m pytest -n $(ROS_JOBS) --dist loadfile --no-loadscope-reorder --max-worker-restart=0 $(RERUN) \
 	  -m "ros and not timing and not gpu and not hardware and not slow" $(ARGS)
 
 test-timing: $(VENV)/.develop ## tests that judge how soon something happens, one at a time: let nothing run beside them

@@ -5,8 +5,7 @@ from __future__ import annotations
 import gc
 import os
 import sys
-from collections.abc import Generator, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +13,10 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from rn_testing.domain import free_ros_domain
-from rn_testing.fakes.wheels import Wheels
-from roboneuron.gate import AuditLog, EmergencyStopLatch
+from rn_testing.fakes.wheels import CommandedWheels
 from roboneuron.ros.environment import prepare_environment
 
+pytest_plugins = ("rn_testing.gate_fixtures",)
 settings.register_profile(
     "busy-machine", deadline=None, suppress_health_check=[HealthCheck.too_slow]
 )
@@ -34,10 +33,19 @@ def pytest_configure(config: pytest.Config) -> None:
         os.environ["ROS_DOMAIN_ID"] = str(free_ros_domain())
     # A recorder beside every server would take a third of this machine; its own tests switch it on.
     os.environ["ROBONEURON_RECORDER"] = "off"
+    # Images of containers often forbid compiled files. Without them each worker rewrites the
+    # asserts of every test module (half of its collection), and each process compiles the project.
+    sys.dont_write_bytecode = False
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+ROS_MODULES = pytest.StashKey[set[Path]]()
+"""Files with tests that join ROS."""
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Give tests that take minutes a bound of their own against hangs."""
+    config.stash[ROS_MODULES] = {item.path for item in items if item.get_closest_marker("ros")}
     for item in items:
         takes_minutes = item.get_closest_marker("slow") or item.get_closest_marker("release")
         if takes_minutes and not item.get_closest_marker("timeout"):
@@ -58,64 +66,41 @@ def pytest_collection() -> Generator[None, Any, Any]:
         gc.freeze()
 
 
-@pytest.fixture(autouse=True, scope="module")
-def _pauses_of_the_interpreter() -> Iterator[None]:
-    """Modules and servers freeze what they have loaded, since they live as long as their process;
-    tests do not.
+@pytest.fixture(scope="session")
+def _freeze() -> Iterator[Callable[[], None]]:
+    """The function `gc.freeze`, which does nothing for modules and servers in this process.
 
+    They freeze what they have loaded, since they live as long as their process; tests do not.
     Frozen ROS contexts are never collected: they keep their sockets, threads and shared memory.
     """
+    freeze = gc.freeze
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(gc, "freeze", lambda: None)
+        yield freeze
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _pauses_of_the_interpreter(
+    request: pytest.FixtureRequest, _freeze: Callable[[], None]
+) -> Iterator[None]:
+    """Collect what a test module has left.
+
+    What is still in use then is excluded from all later collections, which took a tenth of a second
+    for each module; not where ROS contexts may be among it.
+    """
     interval_s = sys.getswitchinterval()
-    frozen = gc.get_freeze_count()
     yield
     sys.setswitchinterval(interval_s)
-    if gc.get_freeze_count() <= frozen:  # what is freed leaves the count
-        gc.collect()
-        return
-    gc.unfreeze()
     gc.collect()
-    gc.freeze()
-
-
-@dataclass
-class Clock:
-    """Monotonic seconds and wall-clock nanoseconds that only a test moves."""
-
-    now_s: float = 100.0
-    start_ns: int = 1_700_000_000_000_000_000
-    ticks: int = field(default=0)
-
-    def monotonic(self) -> float:
-        return self.now_s
-
-    def wall_ns(self) -> int:
-        self.ticks += 1
-        return self.start_ns + self.ticks
+    if request.path not in request.config.stash[ROS_MODULES]:
+        _freeze()
 
 
 @pytest.fixture
-def clock() -> Clock:
-    """A clock at rest."""
-    return Clock()
-
-
-@pytest.fixture
-def latch(tmp_path: Path, clock: Clock) -> EmergencyStopLatch:
-    """A latch in an empty directory."""
-    return EmergencyStopLatch(tmp_path / "state" / "stop", clock.wall_ns)
-
-
-@pytest.fixture
-def audit(tmp_path: Path, clock: Clock) -> AuditLog:
-    """An audit in an empty directory."""
-    return AuditLog(tmp_path / "state" / "audit.jsonl", clock.wall_ns)
-
-
-@pytest.fixture
-def wheels(server_environment: dict[str, str], tmp_path: Path) -> Iterator[Wheels]:
+def wheels(server_environment: dict[str, str], tmp_path: Path) -> Iterator[CommandedWheels]:
     """What the wheels of the robot of `server_environment` are told."""
     prepare_environment(tmp_path / "ros")
-    subscriber = Wheels(int(server_environment["ROS_DOMAIN_ID"]))
+    subscriber = CommandedWheels(int(server_environment["ROS_DOMAIN_ID"]))
     yield subscriber
     subscriber.close()
 

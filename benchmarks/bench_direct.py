@@ -158,9 +158,9 @@ SERVE = (
     "import Path\n"
     "from roboneuron.config import load_config\n"
     "from roboneuron.cli.serve import divert_standard_streams\nwire = divert_standard_streams()\n"
-    "import roboneuron.server.app as app\nimport roboneuron.server.serving as serving\n"
+    "import roboneuron.server.app as app\n"
     "app.check_configuration = lambda *a: None\n"
-    "serving.serve(load_config(Path(sys.argv[1])), wire)\n"
+    "app.serve(load_config(Path(sys.argv[1])), wire)\n"
 )
 
 

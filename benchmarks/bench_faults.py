@@ -40,7 +40,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from fault_loop import JointWitness, moving_cell
 from plugin_site import chunks
 
-from rn_standard.selection.requests import StartInference
+from rn_standard.selection.requests import StartChosenInference
 from roboneuron.errors import RoboNeuronError
 from roboneuron.modules.settings import EMERGENCY_STOP_TOPIC, ModuleKind
 from roboneuron.server.loop import ClosedLoop
@@ -191,7 +191,9 @@ class Bench:
         self._start(kind)
 
     def _start(self, kind: ModuleKind) -> None:
-        arguments = StartInference(instruction="swing", options={}) if kind == "inference" else None
+        arguments = (
+            StartChosenInference(instruction="swing", options={}) if kind == "inference" else None
+        )
         self.loop.start(kind, arguments)
         self._swing()
 

@@ -239,7 +239,9 @@ async def drive_for(agent: Agent, base: Base, begin_s: float, end_s: float, rows
             base.failures.append(str(error))
             return
         base.told.append((first, first + steps - 1))
-        base.published += int(done["sent"])
+        sent = done["sent"]
+        assert isinstance(sent, int)  # by the tool's output schema
+        base.published += sent
         came = {number for _, x, number in base.arrivals(before) if x}
         missing = sum(number not in came for number in range(first, first + steps))
         rows.add("drive", robot=base.name, first=first, last=first + steps - 1, missing=missing)

@@ -27,9 +27,9 @@ from typing import Any
 import numpy as np
 import psutil
 
-from rn_runs.reading import count_topics
-from rn_runs.settings import RecorderSettings, RulesSettings, spawn_recorder
-from rn_runs.store import Store
+from rn_recorder_runs.reading import count_topics
+from rn_recorder_runs.settings import RecorderSettings, RulesSettings, spawn_recorder
+from rn_recorder_runs.store import Store
 from rn_testing.domain import free_ros_domain
 from roboneuron.ros.environment import prepare_environment
 

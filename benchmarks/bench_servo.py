@@ -36,7 +36,7 @@ from rn_backend_servo.options import ServoOptions
 from rn_backend_servo.plugin import roboneuron_backends
 from rn_controller_urdf.controller import UrdfController
 from rn_robot_fr3.profile import profile as fr3_profile
-from rn_robot_fr3.simulation import JOINTS, STEP_S, Simulation
+from rn_robot_fr3.simulation import JOINTS, STEP_S, ArmSimulation
 from rn_standard.execution.adaptive import AdaptiveExecutor
 from rn_standard.execution.mode import MODES, Abilities, Mode
 from roboneuron.contract import Action, ActionChunk, Frame, Hold, JointSample, Observation
@@ -109,7 +109,7 @@ class Outcome:
     longest_gap_s: float
 
 
-def look(simulation: Simulation, cameras: tuple[str, ...]) -> dict[str, Frame]:
+def look(simulation: ArmSimulation, cameras: tuple[str, ...]) -> dict[str, Frame]:
     """A frame by role of each camera, stamped with simulated time."""
     frames = {}
     for camera in fr3_profile().cameras:
@@ -136,7 +136,7 @@ def save_strip(pictures: list[np.ndarray], path: Path) -> None:
 class Episode:
     """One scene: the simulated arm, the servo and the controller, and what is noted of them."""
 
-    def __init__(self, job: Job, simulation: Simulation) -> None:
+    def __init__(self, job: Job, simulation: ArmSimulation) -> None:
         random = np.random.default_rng([job.seed, 7])
         self.job, self.simulation = job, simulation
         self.servo, self.controller = (
@@ -278,7 +278,7 @@ def play_overlapped(episode: Episode, added_latency_s: float) -> AdaptiveExecuto
 
 def run(job: Job) -> Outcome:
     """Play one scene to its end."""
-    with Simulation(job.seed) as simulation:
+    with ArmSimulation(job.seed) as simulation:
         episode = Episode(job, simulation)
         mode, rate, starved_periods, longest_gap_s = "", 1.0, 0, 0.0
         if job.added_latency_s is None:

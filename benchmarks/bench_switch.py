@@ -30,7 +30,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from plugin_site import chunks
 from switch_loop import Sent, moving_loop
 
-from rn_standard.selection.requests import StartInference
+from rn_standard.selection.requests import StartChosenInference
 from rn_standard.switching.replacing import Switching, SwitchMode
 from roboneuron.errors import RoboNeuronError
 
@@ -109,7 +109,7 @@ def series(
         assert view.choice is not None
         other = "second" if view.choice.names["backend"] == "first" else "first"
         try:
-            arguments = StartInference(backend=other, options={})
+            arguments = StartChosenInference(backend=other, options={})
             took_s.append(switching.switch("inference", arguments, mode).took_s)
         except RoboNeuronError as error:  # nothing changed, and that is what is counted
             console.log(f"{mode} {number + 1}/{count} refused: {error.message}")

@@ -36,8 +36,8 @@ from rn_eval.policy import load_backend
 from rn_eval.runner import Runner
 from rn_eval.suite import Setup, Suite
 from rn_robot_fr3.limits import FINGER_JOINT
-from rn_robot_fr3.simulation import STEP_S, Simulation
-from rn_standard.tasks.judging import Judge
+from rn_robot_fr3.simulation import STEP_S, ArmSimulation
+from rn_standard.tasks.judging import PredicateJudge
 from rn_standard.tasks.monitor import Monitor
 from rn_standard.tasks.predicates import MonitorSays, Predicate, parse_predicate
 from rn_standard.tasks.runner import Outcome, PolicyState, Task, TaskPlan
@@ -65,7 +65,7 @@ PAUSE_S = 0.5
 class FailingGripper:
     """Stands between the driver's commands and the simulation."""
 
-    def __init__(self, simulation: Simulation, share: float, seed: int) -> None:
+    def __init__(self, simulation: ArmSimulation, share: float, seed: int) -> None:
         self._simulation = simulation
         self._set_target = simulation.set_target
         self._random = random.Random(seed)
@@ -77,7 +77,7 @@ class FailingGripper:
         simulation.set_target = self.command  # type: ignore[method-assign]
 
     def command(self, names: Any, position: Any, duration_s: float) -> Any:
-        """As `Simulation.set_target`, with what goes wrong."""
+        """As `ArmSimulation.set_target`, with what goes wrong."""
         wanted = np.array(position, dtype=float)
         if FINGER_JOINT in names:
             finger = list(names).index(FINGER_JOINT)
@@ -116,7 +116,7 @@ class SimulatedCell:
 
     def __init__(self, scene: CubesScene, backend: Backend, setup: Setup) -> None:
         self._scene, self._backend, self._setup = scene, backend, setup
-        self.simulation: Simulation = scene._simulation
+        self.simulation: ArmSimulation = scene._simulation
         self._tick = 0
         self._observation: Observation = scene.observe(1)
         self._instruction = ""
@@ -253,7 +253,7 @@ def play(seed: int, fail: float, grasps: int, braking: bool, image_px: int) -> d
         def monitor(named: MonitorSays) -> Monitor:
             return cast("Monitor", build(registry.get("monitor", named.name), named.options))
 
-        judge = Judge(predicate, episode.instruction, monitor)
+        judge = PredicateJudge(predicate, episode.instruction, monitor)
         task = TaskPlan(
             instruction=episode.instruction, max_s=60.0, max_attempts=3, period_s=PERIOD_S
         )

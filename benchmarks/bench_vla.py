@@ -51,7 +51,7 @@ from rn_runtime_torch.engine import Engine
 from rn_runtime_torch.runtime import TorchRuntime
 from rn_testing.fakes import make_observation
 from rn_vla.decoding import DecoderShape, PolicyModel, Request, RowsReply, RowsRequest
-from rn_vla.openvla.checkpoint import BACKBONES, Checkpoint
+from rn_vla.openvla.checkpoint import BACKBONES, OpenvlaCheckpoint
 from rn_vla.openvla.layout import TowerShape, VisionShape
 from rn_vla.openvla.policy import policy_model
 from rn_vla.openvla.preprocessing import TowerPixels
@@ -103,11 +103,11 @@ def shrink(tower: TowerShape) -> TowerShape:
     )
 
 
-def make_checkpoint(size: str, path: Path) -> Checkpoint:
+def make_checkpoint(size: str, path: Path) -> OpenvlaCheckpoint:
     """Shapes alone; the weights are made on the device."""
     towers = BACKBONES["dinosiglip-vit-so-224px"]
     decoder = FULL if size == "full" else SMALL
-    return Checkpoint(
+    return OpenvlaCheckpoint(
         path=path,
         decoder=decoder,
         vision=VisionShape(
@@ -276,7 +276,7 @@ class EagerLoop:
             return torch.cat(tokens).cpu()
 
 
-def policies(size: str, path: Path) -> Iterator[tuple[str, Checkpoint, PolicyModel]]:
+def policies(size: str, path: Path) -> Iterator[tuple[str, OpenvlaCheckpoint, PolicyModel]]:
     """The models to measure."""
     checkpoint = make_checkpoint(size, path)
     for component in ("action_head", "proprio_projector"):

@@ -87,11 +87,11 @@ class Late:
     ) -> None:
         import numpy as np
 
-        from rn_standard.execution.virtual_cell import Follower
+        from rn_standard.execution.virtual_cell import VirtualPolicy
 
         self._options = config or LateOptions()
         self._random = np.random.default_rng(0)
-        self._policy = Follower(
+        self._policy = VirtualPolicy(
             self._options.rows, STEP_S, self._options.conditions_on_rows, self._random
         )
 

@@ -18,7 +18,7 @@ from shared_memory import repaired
 
 from rn_standard.execution.plugin import FEATURE as EXECUTION
 from rn_standard.selection.choosing import choose
-from rn_standard.selection.requests import StartInference
+from rn_standard.selection.requests import StartChosenInference
 from rn_standard.switching.standby import JOIN
 from roboneuron.config import parse_config
 from roboneuron.server.loop import ClosedLoop
@@ -223,5 +223,5 @@ def moving_cell(
         loop.start("robot")
         loop.start("perception")
         loop.start("control")
-        loop.start("inference", StartInference(instruction="move on", options={}))
+        loop.start("inference", StartChosenInference(instruction="move on", options={}))
         yield loop, witness

@@ -19,7 +19,7 @@ from switch_plugin import named_by
 
 from rn_standard.execution.plugin import FEATURE as EXECUTION
 from rn_standard.selection.choosing import choose
-from rn_standard.selection.requests import StartInference
+from rn_standard.selection.requests import StartChosenInference
 from rn_standard.switching.replacing import Switching
 from roboneuron.config import parse_config
 from roboneuron.server.loop import ClosedLoop
@@ -195,7 +195,7 @@ def moving_loop(
             loop.start("robot")
             loop.start("perception")
             loop.start("control")
-            loop.start("inference", StartInference(instruction="move on", options={}))
+            loop.start("inference", StartChosenInference(instruction="move on", options={}))
             with repaired(supervisor):
                 yield switching, witness
         finally:

@@ -40,7 +40,7 @@ from rn_robot_bases.paths import PATHS, planned_track
 from rn_robot_bases.platform import PLATFORMS
 from rn_standard.console.client import leaves_of, spawned_server
 from rn_standard.demo.agent import Agent, module_status, simulated_objects
-from rn_standard.demo.screen import HOLD_GOAL_S, LIFT_GOAL_M, Screen
+from rn_standard.demo.screen import HOLD_GOAL_S, LIFT_GOAL_M, DemoScreen
 from roboneuron import RoboNeuronError
 
 HERE = Path(__file__).parent
@@ -148,7 +148,7 @@ def write_configuration(output: Path, seed: int) -> Path:
 class Demo:
     """The agent's work with three robots."""
 
-    def __init__(self, agent: Agent, screen: Screen, colours: Mapping[str, str]) -> None:
+    def __init__(self, agent: Agent, screen: DemoScreen, colours: Mapping[str, str]) -> None:
         self._agent = agent
         self._screen = screen
         self._colours = colours
@@ -332,7 +332,7 @@ def print_tables(console: Console, works: Sequence[Work]) -> None:
 async def play(seed: int, colours: Mapping[str, str], output: Path, console: Console) -> bool:
     """The whole story; whether every judge says yes."""
     output.mkdir(parents=True, exist_ok=True)
-    screen = Screen(console)
+    screen = DemoScreen(console)
     tasks = " · ".join(f"{robot}: pick up the {colour} cube" for robot, colour in colours.items())
     console.print(
         Panel(

@@ -23,11 +23,11 @@ from rn_eval.policy import Policy, load_backend
 from rn_eval.runner import Runner
 from rn_eval.suite import Episode, Scene, Setup, Suite
 from rn_recorder.feature import CONTRACT
-from rn_runs.files import Record, RunFile, write_json
-from rn_runs.images import to_string
-from rn_runs.lerobot import export
-from rn_runs.predictions import prediction_record
-from rn_runs.store import RUN_FILE, Store
+from rn_recorder_runs.files import Record, RunFile, write_json
+from rn_recorder_runs.images import to_string
+from rn_recorder_runs.lerobot import export
+from rn_recorder_runs.predictions import prediction_record
+from rn_recorder_runs.store import RUN_FILE, Store
 from roboneuron import ActionChunk, Observation, __version__
 from roboneuron.config import load_config
 from roboneuron.plugins.discovery import discover

@@ -41,6 +41,7 @@ def test_the_simulator_sees_the_named_cube_lifted_and_held(
     assert (tmp_path / "server.log").exists()
 
 
+@pytest.mark.slow  # test_commands_end_in_one_line.py runs the same command in less time
 def test_an_instruction_that_names_nothing_fails_and_says_so(
     environment: dict[str, str], tmp_path: Path
 ) -> None:

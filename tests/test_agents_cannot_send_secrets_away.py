@@ -21,8 +21,8 @@ SECRET = "kZ2n8-the-token-of-the-admin-4Qw"
 CONFIG = """
 [robot]
 name = "fr3"
-[server]
-{server}
+[selection]
+{selection}
 [http]
 tokens = [{{ name = "boss", role = "admin", variable = "THE_ADMINS_TOKEN" }}]
 [supervisor]
@@ -73,12 +73,12 @@ def start(
     folder: Path,
     options: dict[str, Any],
     *,
-    server: str = "",
+    selection: str = "",
     more: str = "",
 ) -> types.CallToolResult:
     """The answer of a stdio server to start_inference with the backend pi0-remote."""
     path = folder / "roboneuron.toml"
-    path.write_text(CONFIG.format(server=server, state=folder / "state", more=more))
+    path.write_text(CONFIG.format(selection=selection, state=folder / "state", more=more))
     parameters = StdioServerParameters(
         command=sys.executable,
         args=[
@@ -155,7 +155,7 @@ def test_an_admin_may_set_what_the_configuration_lists(
         "url": f"ws://127.0.0.1:{listener.port}",
         "connect_timeout_s": 3.0,
     }
-    answer = start(environment, tmp_path, options, server='agent_options = ["pi0-remote.url"]')
+    answer = start(environment, tmp_path, options, selection='agent_options = ["pi0-remote.url"]')
     assert answer.is_error  # the listener is no policy server
     assert listener.received
     assert all(SECRET.encode() not in data for data in listener.received)

@@ -16,7 +16,7 @@ import pytest
 from rn_standard.fastdds.segments import PORT_PREFIX, SHARED_MEMORY, owned_segments
 from rn_standard.ops.memory import MemoryWatch
 from rn_standard.ops.options import MemoryOptions
-from rn_standard.selection.requests import StartInference
+from rn_standard.selection.requests import StartChosenInference
 from roboneuron.server.loop import ClosedLoop
 from roboneuron.server.results import ModuleStatus, module_status
 
@@ -254,7 +254,7 @@ def test_plugin_that_eats_memory_is_ended_and_the_arm_stands(cell: Cell) -> None
     assert any("memory_limit_mb" in line for line in exited.last_lines)
     assert {cell.health(kind) for kind in ("robot", "perception", "control")} == {"ok"}
     cell.fail("memory", "")
-    cell.loop.start("inference", StartInference(instruction="move on"))
+    cell.loop.start("inference", StartChosenInference(instruction="move on"))
 
 
 def test_module_whose_port_has_lost_its_file_hears_its_new_neighbour(cell: Cell) -> None:

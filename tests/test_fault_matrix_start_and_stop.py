@@ -13,7 +13,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from rn_standard.selection.requests import StartInference
+from rn_standard.selection.requests import StartChosenInference
 from roboneuron.server.loop import ClosedLoop
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
@@ -62,7 +62,7 @@ def check(
         "robot": lambda: loop.start("robot"),
         "perception": lambda: loop.start("perception"),
         "control": lambda: loop.start("control"),
-        "inference": lambda: loop.start("inference", StartInference(instruction="move on")),
+        "inference": lambda: loop.start("inference", StartChosenInference(instruction="move on")),
     }
     with ThreadPoolExecutor(4) as pool:
         begun = []
@@ -86,6 +86,16 @@ def check(
     assert not any(psutil.pid_exists(pid) for pid in pids)
 
 
+@pytest.mark.parametrize("number", range(2))
+def test_orders_in_which_any_two_modules_stand_in_every_order(
+    cell: tuple[ClosedLoop, JointWitness], number: int
+) -> None:
+    orders = covering_orders(2)
+    assert len(orders) == 2
+    check(*cell, orders[number], orders[number - 1])
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("number", range(6))
 def test_orders_in_which_any_three_modules_stand_in_every_order(
     cell: tuple[ClosedLoop, JointWitness], number: int

@@ -5,6 +5,7 @@ what is public.
 from __future__ import annotations
 
 import ast
+import functools
 import graphlib
 import re
 import subprocess
@@ -78,13 +79,17 @@ PUBLISHED = {
 """Modules of these packages that others may import."""
 
 
-def _imports(path: Path) -> Iterator[tuple[str, int]]:
+@functools.cache
+def _imports(path: Path) -> list[tuple[str, int]]:
+    """Names that a file imports, with lines; many tests here ask for those of every file."""
+    found: list[tuple[str, int]] = []
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
-            yield from ((alias.name, node.lineno) for alias in node.names)
+            found += [(alias.name, node.lineno) for alias in node.names]
         elif isinstance(node, ast.ImportFrom) and node.module:
             assert node.level == 0, f"{path}:{node.lineno} uses a relative import"
-            yield from ((f"{node.module}.{alias.name}", node.lineno) for alias in node.names)
+            found += [(f"{node.module}.{alias.name}", node.lineno) for alias in node.names]
+    return found
 
 
 def _room(path: Path) -> str:
@@ -348,7 +353,7 @@ def _uses_of_the_supervisor() -> set[str]:
 
 def test_only_what_manages_processes_uses_the_supervisor():
     """All others read `Host.modules`; the direct path joins the graph through it."""
-    managing = {"ops", "switching", "tasks", "tools_arm"}
+    managing = {"ops", "switching", "tools_arm"}
     assert _uses_of_the_supervisor() == managing | {SENDING_PACKAGE.name}
 
 
@@ -434,6 +439,23 @@ def test_light_modules_import_nothing_heavy(module):
     script = (
         f"import sys, {module}; print([m for m in ('numpy','torch','rclpy','mcp','pydantic') "
         "if m in sys.modules])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == "[]"
+
+
+def test_no_client_waits_for_ros_before_it_is_answered(tmp_path: Path) -> None:
+    """A server is put together, with every plugin, before it joins ROS in the background."""
+    script = (
+        "import sys\n"
+        "from pathlib import Path\n"
+        "from roboneuron.config import parse_config\n"
+        "from roboneuron.server.app import Application\n"
+        f'text = \'[robot]\\nname = "fr3"\\n[supervisor]\\nstate_directory = "{tmp_path}"\'\n'
+        "Application(parse_config(text))\n"
+        "print(sorted({'mcap_ros2', 'rclpy', 'scipy', 'torch'} & set(sys.modules)))"
     )
     done = subprocess.run(
         [sys.executable, "-c", script], capture_output=True, text=True, check=True

@@ -108,7 +108,9 @@ def test_topics_and_processes_stay_while_four_models_take_turns(
 ) -> None:
     roots = json.dumps([str(Path(path).parent) for path in checkpoints.values()])
     config = tmp_path / "roboneuron.toml"
-    config.write_text(f"{default_text()}\n[server]\ncheckpoint_roots = {roots}\n", encoding="utf-8")
+    config.write_text(
+        f"{default_text()}\n[selection]\ncheckpoint_roots = {roots}\n", encoding="utf-8"
+    )
     turns: list[dict[str, Any]] = [
         {
             "backend": "openvla",

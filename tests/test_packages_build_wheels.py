@@ -49,7 +49,7 @@ def wheel(
         cwd=request.param,
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=600,
         check=False,
     )
     assert done.returncode == 0, done.stderr
@@ -117,7 +117,7 @@ def test_a_plugin_works_from_its_wheel(wheel, tmp_path):
 
 def test_the_wheel_of_the_whole_holds_names_only(tmp_path):
     words = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(tmp_path)]
-    subprocess.run(words, cwd=ROOT, check=True, capture_output=True, timeout=120)
+    subprocess.run(words, cwd=ROOT, check=True, capture_output=True, timeout=600)
     (built,) = tmp_path.glob("*.whl")
     archive = zipfile.ZipFile(built)
     assert not [name for name in archive.namelist() if ".dist-info/" not in name]

@@ -10,7 +10,7 @@ import anyio
 import pytest
 from mcp import Client, StdioServerParameters
 
-from roboneuron.cli.commands import COMMANDS, GROUPS, installed_commands
+from roboneuron.cli.main import COMMANDS, GROUPS, installed_commands
 from roboneuron.config import default_text
 from roboneuron.plugins.discovery import discover
 

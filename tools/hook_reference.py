@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from dataclasses import fields
 from pathlib import Path
 
-from roboneuron.cli.commands import CommandModule
+from roboneuron.cli.main import CommandModule
 from roboneuron.contract import protocols
 from roboneuron.plugins import hookspecs
 from roboneuron.plugins.specs import PLUGIN_KINDS, CameraSpec, DriverSpec, Requirement, Spec

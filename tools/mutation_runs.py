@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import threading
@@ -24,8 +25,10 @@ def install(folders: Sequence[str]) -> None:
     """Have quick tests run first, those of the first folder before others, and mutants bounded by
     `_end_sleeper`.
 
-    The first test that fails ends a mutant's run. Computing is bounded by mutmut with RLIMIT_CPU;
-    its limit by the clock, which a busy machine exceeds, is replaced.
+    What is loaded before the first mutant is left out of garbage collection, which would copy that
+    memory in the process of each mutant. The first test that fails ends a mutant's run. Computing
+    is bounded by mutmut with RLIMIT_CPU; its limit by the clock, which a busy machine exceeds, is
+    replaced.
     """
     submit = isolation.ForkServerRunner.submit
 
@@ -57,7 +60,15 @@ def install(folders: Sequence[str]) -> None:
                 raise
             return 1
 
+    warm_up = PytestRunner.warm_up
+
+    def warm_up_and_freeze(self: PytestRunner) -> None:
+        warm_up(self)
+        gc.collect()
+        gc.freeze()
+
     PytestRunner.run_tests = run_and_notice
+    PytestRunner.warm_up = warm_up_and_freeze
     isolation.ForkServerRunner.submit = submit_in_order
     isolation.register_timeout = _watch
 

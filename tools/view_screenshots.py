@@ -27,7 +27,7 @@ import anyio
 from mcp import Client
 from playwright.async_api import Browser, Page, TimeoutError, async_playwright
 
-from rn_runs.store import Store
+from rn_recorder_runs.store import Store
 from rn_standard.console.client import spawned_server
 from rn_standard.http.options import HttpOptions
 from rn_standard.http.tokens import TokenTable

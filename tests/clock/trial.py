@@ -16,7 +16,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 from fault_loop import moving_cell
 
-from rn_standard.selection.requests import StartInference
+from rn_standard.selection.requests import StartChosenInference
 from rn_standard.switching.replacing import Switching
 from roboneuron.supervisor.health import assess
 
@@ -44,7 +44,9 @@ def main(folder: Path, jumps_s: list[float]) -> None:
             return time.monotonic() - started_s
 
         wait(settled, 20.0)
-        switching.switch("inference", StartInference(backend="first"))  # leaves moments behind
+        switching.switch(
+            "inference", StartChosenInference(backend="first")
+        )  # leaves moments behind
         wait(settled, 20.0)
         now_s = 0.0
         for jump_s in jumps_s:
@@ -70,7 +72,7 @@ def main(folder: Path, jumps_s: list[float]) -> None:
                 ),
                 flush=True,
             )
-        switching.switch("inference", StartInference(backend="first"))
+        switching.switch("inference", StartChosenInference(backend="first"))
         print(json.dumps({"switched": wait(settled, 20.0) is not None}), flush=True)
         print(json.dumps({"stopped": [s.exit_code for s in loop.stop_all()]}), flush=True)
 

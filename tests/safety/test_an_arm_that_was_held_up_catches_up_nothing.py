@@ -17,7 +17,7 @@ import pytest
 
 from rn_controller_urdf.controller import UrdfController
 from rn_robot_fr3.profile import profile
-from rn_robot_fr3.simulation import STEP_S, Simulation
+from rn_robot_fr3.simulation import STEP_S, ArmSimulation
 from rn_robot_fr3.world import JOINTS
 from rn_simulation.engine import ENGINES, Engine
 from rn_standard.tools_arm.ee_line import STEP_S as ACTION_S
@@ -48,7 +48,7 @@ class Loop:
     """
 
     def __init__(self, engine: Engine, stall: str, from_s: float, max_speed_m_s: float) -> None:
-        self.simulation = Simulation(0, engine=engine)
+        self.simulation = ArmSimulation(0, engine=engine)
         self.simulation.open()
         self.now_s = 0.0
         self.max_speed_m_s = max_speed_m_s

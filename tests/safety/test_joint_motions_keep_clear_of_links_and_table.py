@@ -15,7 +15,7 @@ import pytest
 
 from rn_robot_fr3.limits import FINGER_OPEN_M
 from rn_robot_fr3.profile import HOME_RAD
-from rn_robot_fr3.simulation import Simulation
+from rn_robot_fr3.simulation import ArmSimulation
 from rn_robot_fr3.world import JOINTS
 from rn_standard.direct_path.allow_list import ArmPaths
 from rn_standard.direct_path.exposed import allowed_endpoint, profile_endpoints
@@ -86,16 +86,16 @@ def make_ask(tmp_path: Path) -> Callable[..., Ask]:
 
 
 @pytest.fixture
-def simulation() -> Iterator[Simulation]:
+def simulation() -> Iterator[ArmSimulation]:
     """The simulated FR3; its cubes are out of the way."""
-    with Simulation(0, colours=("red",)) as made:
+    with ArmSimulation(0, colours=("red",)) as made:
         made.world.set_cubes(
             dict.fromkeys(made.world.cube_poses(), ((0.0, 5.0, 0.5), (0.0, 0.0, 0.0, 1.0)))
         )
         yield made
 
 
-def penetrations(simulation: Simulation) -> list[tuple[str, str, float]]:
+def penetrations(simulation: ArmSimulation) -> list[tuple[str, str, float]]:
     """Links that do not share a joint, or a moving link and the table, that overlap: names and
     distance [m].
     """
@@ -121,7 +121,7 @@ def penetrations(simulation: Simulation) -> list[tuple[str, str, float]]:
 
 
 def along(
-    simulation: Simulation, start: np.ndarray, target: np.ndarray, count: int
+    simulation: ArmSimulation, start: np.ndarray, target: np.ndarray, count: int
 ) -> list[tuple[str, str, float]]:
     """Penetrations at postures on the straight way."""
     found = []
@@ -137,7 +137,7 @@ BASE_AND_LINK6 = np.array([0.0, -0.606, -2.803, -2.798, 1.529, 1.032, 0.785, 0.0
 
 
 def test_move_joints_does_not_press_link_6_into_the_base(
-    make_ask: Any, simulation: Simulation
+    make_ask: Any, simulation: ArmSimulation
 ) -> None:
     assert ("fr3_link0", "fr3_link6") in {
         found[:2] for found in along(simulation, BASE_AND_LINK6, BASE_AND_LINK6, 1)
@@ -151,7 +151,7 @@ def test_move_joints_does_not_press_link_6_into_the_base(
 
 
 def test_tilting_the_hand_at_low_height_does_not_press_a_link_onto_the_table(
-    make_ask: Any, simulation: Simulation
+    make_ask: Any, simulation: ArmSimulation
 ) -> None:
     """TCP 27 mm above the table; joint 6 tilts the hand over the fingertips until its flange comes
     down.
@@ -203,7 +203,7 @@ def _targets(rng: np.random.Generator, count: int) -> Sequence[np.ndarray]:
 
 @pytest.mark.parametrize("count", [30, pytest.param(100, marks=pytest.mark.slow)])
 def test_no_permitted_motion_penetrates_anything_on_its_way(
-    make_ask: Any, simulation: Simulation, count: int
+    make_ask: Any, simulation: ArmSimulation, count: int
 ) -> None:
     """Random targets over the whole joint space, half of them followed on from where the last
     permitted one ended.
@@ -224,7 +224,7 @@ def test_no_permitted_motion_penetrates_anything_on_its_way(
 
 @pytest.mark.parametrize("count", [12, pytest.param(40, marks=pytest.mark.slow)])
 def test_no_permitted_motion_penetrates_anything_while_it_is_carried_out(
-    make_ask: Any, simulation: Simulation, count: int
+    make_ask: Any, simulation: ArmSimulation, count: int
 ) -> None:
     """The same with the simulator's motors, as fast as the gate lets a move be: joints do not start
     all alike.

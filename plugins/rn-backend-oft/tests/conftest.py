@@ -5,20 +5,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
 from rn_backend_oft.constants import CONSTANTS
 from rn_backend_oft.policy import OftPolicy
 from rn_runtime_torch.config import TorchRuntimeConfig
 from rn_runtime_torch.runtime import TorchRuntime
-from rn_vla.openvla.checkpoint import Checkpoint
+from rn_vla.openvla.checkpoint import OpenvlaCheckpoint
 
 DATA = Path(__file__).parent / "data"
-
-
-@pytest.fixture(autouse=True, scope="session")
-def _few_threads():
-    torch.set_num_threads(1)
 
 
 @pytest.fixture
@@ -37,7 +31,7 @@ def golden_copy(tmp_path) -> Path:
 
 @pytest.fixture
 def golden_policy() -> OftPolicy:
-    checkpoint = Checkpoint.read(DATA / "oft-tiny")
+    checkpoint = OpenvlaCheckpoint.read(DATA / "oft-tiny")
     return OftPolicy(
         checkpoint=checkpoint, constants=CONSTANTS["libero"], cameras=2, head="l1", proprio_width=8
     )

@@ -5,19 +5,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
 from rn_runtime_torch.config import TorchRuntimeConfig
 from rn_runtime_torch.runtime import TorchRuntime
-from rn_vla.openvla.checkpoint import Checkpoint
+from rn_vla.openvla.checkpoint import OpenvlaCheckpoint
 from rn_vla.openvla.policy import policy_model
 
 DATA = Path(__file__).parent / "data"
-
-
-@pytest.fixture(autouse=True, scope="session")
-def _few_threads():
-    torch.set_num_threads(1)
 
 
 @pytest.fixture
@@ -27,8 +21,8 @@ def golden():
 
 
 @pytest.fixture
-def golden_checkpoint() -> Checkpoint:
-    return Checkpoint.read(DATA / "openvla-tiny")
+def golden_checkpoint() -> OpenvlaCheckpoint:
+    return OpenvlaCheckpoint.read(DATA / "openvla-tiny")
 
 
 @pytest.fixture

@@ -16,7 +16,7 @@ from rn_backend_openvla.config import OpenVlaConfig
 from rn_runtime_torch.config import TorchRuntimeConfig
 from rn_runtime_torch.runtime import TorchRuntime
 from rn_vla.decoding import DecoderShape
-from rn_vla.openvla.checkpoint import BACKBONES, Checkpoint
+from rn_vla.openvla.checkpoint import BACKBONES, OpenvlaCheckpoint
 from rn_vla.openvla.layout import VisionShape, expected_weights
 from rn_vla.openvla.prompt import PromptEncoder, end_prompt
 from rn_vla.openvla.tiny import make_tiny, write_tokenizer
@@ -220,7 +220,7 @@ def test_the_first_release_has_one_tower_and_another_prompt(tmp_path):
         llm_backbone_id="vicuna-v15-7b",
     )
     _edit(tmp_path / "v01" / "preprocessor_config.json", tvf_normalize_params=[tower])
-    checkpoint = Checkpoint.read(tmp_path / "v01")
+    checkpoint = OpenvlaCheckpoint.read(tmp_path / "v01")
     assert checkpoint.is_vicuna
     assert checkpoint.vision.projector == (32, 16, 16)
     encoder = PromptEncoder(

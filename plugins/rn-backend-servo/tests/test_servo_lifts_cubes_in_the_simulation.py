@@ -14,7 +14,7 @@ pytest.importorskip("rn_controller_urdf.controller", exc_type=ImportError)
 from rn_backend_servo.backend import ServoBackend
 from rn_controller_urdf.controller import UrdfController
 from rn_robot_fr3.profile import profile
-from rn_robot_fr3.simulation import JOINTS, STEP_S, Simulation
+from rn_robot_fr3.simulation import JOINTS, STEP_S, ArmSimulation
 from rn_simulation.engine import ENGINES
 from roboneuron.contract import Action, ActionChunk, Frame, JointCommand, JointSample, Observation
 from roboneuron.plugins.availability import is_importable
@@ -26,7 +26,7 @@ ROBOT = profile()
 class Cell:
     """The whole chain; images are one period older than the pose that comes with them."""
 
-    def __init__(self, simulation: Simulation) -> None:
+    def __init__(self, simulation: ArmSimulation) -> None:
         self.simulation = simulation
         self.servo = ServoBackend(None)
         self.servo.load()
@@ -91,7 +91,7 @@ class Cell:
 
 @pytest.fixture(params=[engine for engine in ENGINES if is_importable(engine)])
 def cell(request: pytest.FixtureRequest) -> Iterator[Cell]:
-    with Simulation(3, engine=request.param) as simulation:
+    with ArmSimulation(3, engine=request.param) as simulation:
         yield Cell(simulation)
 
 

@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 
 from rn_backend_servo.case import overhead_camera, paint_table
 from rn_backend_servo.cube import measure_cube
-from rn_backend_servo.geometry import View
+from rn_backend_servo.geometry import CameraView
 from rn_backend_servo.segmentation import find_blob, visible_colours
 
-VIEW = View.of(overhead_camera(), np.eye(4))
+VIEW = CameraView.of(overhead_camera(), np.eye(4))
 
 
 @given(

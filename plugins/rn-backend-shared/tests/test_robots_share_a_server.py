@@ -28,7 +28,7 @@ from rn_backend_shared.case import install, options_in
 from rn_backend_shared.links import Links, directory_of
 from rn_backend_shared.options import SharedOptions
 from rn_backend_shared.plugin import BACKEND
-from rn_backend_shared.server import ModelServer
+from rn_backend_shared.server import SharedModelServer
 from rn_testing.fakes.backend import make_observation
 from rn_testing.waiting import wait_until
 from roboneuron import (
@@ -78,7 +78,7 @@ def served(tmp_path: Path) -> Iterator[Robot]:
             made = SharedOptions.model_validate(options_in(tmp_path, **options))
             path = tmp_path / "run" / f"{made.identity()}-0.sock"
             if path not in started:
-                server = ModelServer(made, path, None)
+                server = SharedModelServer(made, path, None)
                 started[path] = threading.Thread(target=server.run)
                 started[path].start()
                 stack.callback(started[path].join, 60.0)

@@ -17,13 +17,13 @@ from roboneuron import NotReadyError, RobotProfile
 # where nothing could be compiled; then the tests are skipped
 with contextlib.suppress(ModuleNotFoundError):
     from rn_driver_ros2control.driver import Ros2ControlDriver
-    from rn_driver_ros2control.link import ControllerReport, End, GoalObserver, Measured
+    from rn_driver_ros2control.link import ControllerReport, End, GoalObserver, MeasuredJoint
     from rn_driver_ros2control.options import Ros2ControlOptions
     from rn_driver_ros2control.standin import (
         GOAL_VIOLATED,
         PATH_VIOLATED,
         SUCCESSFUL,
-        StandIn,
+        StandInController,
         Tolerances,
     )
 
@@ -43,7 +43,7 @@ class MemoryLink:
     def __init__(self, options: Ros2ControlOptions, profile: RobotProfile) -> None:
         self.options, self.profile = options, profile
         assert profile.home_rad is not None
-        self.controller = StandIn(profile.arm_joints, profile.home_rad)
+        self.controller = StandInController(profile.arm_joints, profile.home_rad)
         self.is_there = True
         self.answers = True
         self.tells = True
@@ -57,7 +57,7 @@ class MemoryLink:
         self._lock = threading.RLock()
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
-        self._joints: dict[str, Measured] = {}
+        self._joints: dict[str, MeasuredJoint] = {}
         self._report: ControllerReport | None = None
 
     def open(self, observer: GoalObserver) -> None:
@@ -91,7 +91,7 @@ class MemoryLink:
             strict=True,
         )
         self._joints = {
-            n: Measured(
+            n: MeasuredJoint(
                 position=float(p), velocity=float(v), stamp_ns=stamp_ns, received_s=received_s
             )
             for n, p, v in values
@@ -108,7 +108,7 @@ class MemoryLink:
                 received_s=received_s,
             )
 
-    def joints(self) -> Mapping[str, Measured]:
+    def joints(self) -> Mapping[str, MeasuredJoint]:
         return self._joints
 
     def report(self) -> ControllerReport | None:

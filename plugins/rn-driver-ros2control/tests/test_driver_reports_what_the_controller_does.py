@@ -15,7 +15,7 @@ pytest.importorskip(
 
 from rn_driver_ros2control.driver import Ros2ControlDriver
 from rn_driver_ros2control.link import End
-from rn_driver_ros2control.standin import StandIn
+from rn_driver_ros2control.standin import StandInController
 from rn_robot_fr3.limits import ARM_JOINTS
 from rn_robot_fr3.profile import HOME_RAD
 from rn_testing.waiting import wait_until
@@ -148,13 +148,13 @@ def test_open_refuses_a_controller_that_is_not_active(rig):
 
 def test_open_refuses_a_controller_of_other_joints(rig):
     rig.prepare = lambda link: setattr(
-        link, "controller", StandIn((*ARM_JOINTS[:6], "spare"), np.zeros(7))
+        link, "controller", StandInController((*ARM_JOINTS[:6], "spare"), np.zeros(7))
     )
     with pytest.raises(NotReadyError, match="does not tell fr3_joint7"):
         rig.driver(connect_timeout_s=0.2)
     more = (*ARM_JOINTS, "spare")
     rig.prepare = lambda link: setattr(
-        link, "controller", StandIn(more, np.array([*HOME_RAD, 0.0]))
+        link, "controller", StandInController(more, np.array([*HOME_RAD, 0.0]))
     )
     with pytest.raises(ConfigurationError, match=r"moves .*spare"):
         rig.driver()

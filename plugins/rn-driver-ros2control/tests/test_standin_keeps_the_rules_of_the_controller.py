@@ -17,7 +17,7 @@ from rn_driver_ros2control.standin import (
     GOAL_VIOLATED,
     PATH_VIOLATED,
     SUCCESSFUL,
-    StandIn,
+    StandInController,
     Tolerances,
 )
 from rn_driver_ros2control.trajectory import to_duration
@@ -38,8 +38,8 @@ def trajectory(
     return message
 
 
-def controller(**options) -> StandIn:
-    made = StandIn(JOINTS, np.zeros(2), **options)
+def controller(**options) -> StandInController:
+    made = StandInController(JOINTS, np.zeros(2), **options)
     made.update(100.0)
     return made
 

@@ -23,7 +23,7 @@ from PIL import Image
 from websockets.asyncio.client import connect
 
 from rn_eval import bridge, wire
-from rn_eval.model_server import ModelServer, open_server
+from rn_eval.model_server import EvalModelServer, open_server
 from roboneuron import (
     ActionChunk,
     InvalidInputError,
@@ -75,7 +75,7 @@ def talk(messages, policy):
     """Send each (type, payload) in turn; the answers to those that have one."""
 
     async def run():
-        server = ModelServer(policy, name="toy", roles=("primary", "wrist"), needs_state=True)
+        server = EvalModelServer(policy, name="toy", roles=("primary", "wrist"), needs_state=True)
         async with await open_server(server, "127.0.0.1", 0) as opened:
             port = opened.sockets[0].getsockname()[1]
             health = await asyncio.to_thread(

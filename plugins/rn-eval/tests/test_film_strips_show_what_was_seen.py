@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from rn_eval.film import Film
+from rn_eval.film import FilmStrip
 
 COLOURS = {
     "red": (200, 30, 30),
@@ -27,7 +27,7 @@ def table(colour):
 @pytest.mark.parametrize("name", COLOURS)
 def test_a_small_cube_keeps_its_colour(name):
     """Each colour in a strip whose other images have the other ones."""
-    film = Film()
+    film = FilmStrip()
     for at_s, colour in enumerate([COLOURS[name], *COLOURS.values()]):
         film.add(float(at_s), "", table(colour))
     strip = np.asarray(Image.open(io.BytesIO(film.strip())).convert("RGB")).astype(int)
@@ -37,7 +37,7 @@ def test_a_small_cube_keeps_its_colour(name):
 @pytest.mark.parametrize("width", [160, 224])
 def test_time_and_caption_stand_apart(width):
     """One text beside the other reads "30.0send" in the font of the strip."""
-    film = Film()
+    film = FilmStrip()
     film.add(0.0, "", np.full((160, width, 3), 128, np.uint8))
     sheet = np.asarray(
         Image.open(io.BytesIO(film.strip((30.0, "end", film._frames[0][2])))).convert("L")
@@ -48,7 +48,7 @@ def test_time_and_caption_stand_apart(width):
 
 
 def test_a_caption_without_room_is_left_out():
-    film = Film()
+    film = FilmStrip()
     film.add(0.0, "predicted-state", np.full((160, 60, 3), 128, np.uint8))
     sheet = np.asarray(Image.open(io.BytesIO(film.strip())).convert("L"))
     inked = np.flatnonzero((sheet[160:] < 128).any(axis=0))

@@ -11,7 +11,7 @@ from matplotlib.text import Text
 
 from rn_eval import plots
 from rn_eval.plan import Key
-from rn_eval.record import EpisodeOutcome, Measured, Record
+from rn_eval.record import EpisodeOutcome, EpisodeRecord, MachineFacts
 from rn_eval.summary import summarise
 
 
@@ -30,9 +30,9 @@ def rows_of(presets, executions):
                     seed=seed,
                 )
                 outcome = EpisodeOutcome(status="success", metrics={"tokens_kept": 64.0})
-                measured = Measured(inference_ms=[9.0, 10.0, 10.0], cold=1)
+                measured = MachineFacts(inference_ms=[9.0, 10.0, 10.0], cold=1)
                 records.append(
-                    Record(key=key, instruction="go", outcome=outcome, measured=measured)
+                    EpisodeRecord(key=key, instruction="go", outcome=outcome, measured=measured)
                 )
     return summarise(records).rows
 

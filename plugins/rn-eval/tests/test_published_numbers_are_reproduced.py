@@ -12,7 +12,7 @@ import math
 import pytest
 
 from rn_eval.plan import Key
-from rn_eval.record import EpisodeOutcome, Measured, Record
+from rn_eval.record import EpisodeOutcome, EpisodeRecord, MachineFacts
 from rn_eval.statistics import proportion
 from rn_eval.summary import summarise
 from rn_eval.tables import paper_table
@@ -46,11 +46,11 @@ def records(shares, preset="none", inference_ms=100.0):
             )
             outcome = EpisodeOutcome(status="success" if number < solved else "failure")
             found.append(
-                Record(
+                EpisodeRecord(
                     key=key,
                     instruction="",
                     outcome=outcome,
-                    measured=Measured(inference_ms=[inference_ms]),
+                    measured=MachineFacts(inference_ms=[inference_ms]),
                 )
             )
     return found

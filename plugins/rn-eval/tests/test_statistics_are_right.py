@@ -13,7 +13,7 @@ from rn_eval.evaluate import evaluate
 from rn_eval.plan import Key, Variant
 from rn_eval.pools import InProcess
 from rn_eval.progress import label
-from rn_eval.record import EpisodeOutcome, Measured, Record
+from rn_eval.record import EpisodeOutcome, EpisodeRecord, MachineFacts
 from rn_eval.report import load, write_report
 from rn_eval.statistics import mcnemar, proportion, spread
 from rn_eval.summary import summarise
@@ -72,11 +72,11 @@ def made_records():
                 status="success" if seed < won else "failure", metrics={"tokens_kept": 64.0}
             )
             records.append(
-                Record(
+                EpisodeRecord(
                     key=key,
                     instruction="i",
                     outcome=outcome,
-                    measured=Measured(inference_ms=times, cold=1),
+                    measured=MachineFacts(inference_ms=times, cold=1),
                 )
             )
     return records
@@ -123,7 +123,7 @@ def told(**facts_of_seed):
             }
             won = seed % 2 == 0 or preset != "none"
             records.append(
-                Record(
+                EpisodeRecord(
                     key=key,
                     instruction="i",
                     outcome=EpisodeOutcome(status="success" if won else "failure", facts=facts),
@@ -187,7 +187,7 @@ def test_reasons_that_differ_in_numbers_only_are_one_line():
         "Time.",
     ]
     records = [
-        Record(
+        EpisodeRecord(
             key=Key(
                 suite="s", preset="none", execution="sequential", latency="0", task="t", seed=seed
             ),

@@ -16,13 +16,13 @@ from rn_eval.evaluate import evaluate
 from rn_eval.ledger import FILE_NAME, Ledger, read_records
 from rn_eval.plan import Key
 from rn_eval.pools import InProcess
-from rn_eval.record import EpisodeOutcome, Record
+from rn_eval.record import EpisodeOutcome, EpisodeRecord
 from roboneuron import ConfigurationError, StateError
 
 
 def record(seed, status="success"):
     key = Key(suite="toy", preset="none", execution="sequential", latency="0", task="t", seed=seed)
-    return Record(key=key, instruction="reach", outcome=EpisodeOutcome(status=status))
+    return EpisodeRecord(key=key, instruction="reach", outcome=EpisodeOutcome(status=status))
 
 
 def test_every_prefix_of_a_ledger_can_be_continued(plan, tmp_path):

@@ -16,7 +16,7 @@ from rn_eval.evaluate import evaluate
 from rn_eval.ledger import FILE_NAME, Ledger, read_plan, read_records
 from rn_eval.plan import EvalPlan, Key
 from rn_eval.pools import InProcess
-from rn_eval.record import EpisodeOutcome, Measured, Record
+from rn_eval.record import EpisodeOutcome, EpisodeRecord, MachineFacts
 from rn_eval.report import load
 from rn_eval.versions import changed_versions, installed_versions
 from roboneuron import ConfigurationError
@@ -85,7 +85,7 @@ def test_a_run_goes_on_under_other_versions_only_when_told_to(plan, tmp_path):
 
 def test_a_worker_of_other_versions_is_refused(plan, tmp_path):
     key = Key(suite="toy", preset="none", execution="sequential", latency="0", task="t", seed=0)
-    foreign = Record(
+    foreign = EpisodeRecord(
         key=key,
         instruction="reach",
         outcome=EpisodeOutcome(status="success"),
@@ -109,7 +109,9 @@ def test_only_what_both_name_is_compared():
 def test_the_page_names_every_field_of_a_line():
     text = PAGE.read_text(encoding="utf-8")
     named = set(re.findall(r"`([a-z0-9_.]+)`", text))
-    fields = {name for name in Record.model_fields if name not in ("key", "outcome", "measured")}
-    for part, model in (("key", Key), ("outcome", EpisodeOutcome), ("measured", Measured)):
+    fields = {
+        name for name in EpisodeRecord.model_fields if name not in ("key", "outcome", "measured")
+    }
+    for part, model in (("key", Key), ("outcome", EpisodeOutcome), ("measured", MachineFacts)):
         fields |= {f"{part}.{name}" for name in model.model_fields}
     assert fields - named == set()

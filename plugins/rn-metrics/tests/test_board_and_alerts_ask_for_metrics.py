@@ -47,7 +47,7 @@ def exported(tmp_path_factory: pytest.TempPathFactory) -> dict[str, set[str]]:
         ),
     )
     try:
-        feature: Any = application.features.get("metrics")
+        feature: Any = application.features.loaded.get("metrics")
         meters: Meters = feature.meters
         meters.calls.labels("t", "ok")
         meters.call_s.labels("t")

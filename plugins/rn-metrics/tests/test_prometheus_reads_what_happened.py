@@ -51,7 +51,7 @@ def serve(tmp_path):
         made.append(application)
         application.events.open.tell()
         application.features.start(application.host)
-        return application, application.features.get("metrics")
+        return application, application.features.loaded.get("metrics")
 
     yield make
     for application in made:

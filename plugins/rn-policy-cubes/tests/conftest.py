@@ -8,7 +8,7 @@ import pytest
 
 from rn_policy_cubes.demonstrations import write_shard
 from rn_policy_cubes.network import CubesNetwork
-from rn_policy_cubes.recipe import Recipe, Shape
+from rn_policy_cubes.recipe import NetworkShape, Recipe
 from rn_policy_cubes.words import Prompts, read_prompts, write_tokenizer
 
 VIEWS = 24
@@ -26,7 +26,7 @@ def shards(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session")
 def recipe() -> Recipe:
     """Six steps of a very small network; the last ones see all tokens."""
-    shape = Shape(vision_width=16, hidden=48, intermediate=32, layers=3, heads=3)
+    shape = NetworkShape(vision_width=16, hidden=48, intermediate=32, layers=3, heads=3)
     return Recipe(
         shape=shape, shards=2, steps=6, views=3, tokens=20, full_from=0.6, full_views=2, warm_up=2
     )

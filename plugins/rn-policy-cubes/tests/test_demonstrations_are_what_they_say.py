@@ -16,7 +16,7 @@ from rn_policy_cubes.teacher import STEP_S, Situations, chunks, tilt_of, yaw_of
 from rn_policy_cubes.words import Prompts
 from rn_robot_fr3.profile import profile
 from rn_robot_fr3.scene import RGBA_BY_COLOUR
-from rn_robot_fr3.simulation import JOINTS, Simulation
+from rn_robot_fr3.simulation import JOINTS, ArmSimulation
 from roboneuron import Action, Hold, JointSample, matrix_from_quaternion
 
 
@@ -113,7 +113,7 @@ def test_a_batch_keeps_every_cube_and_weighs_the_rest(shards: Path, prompts: Pro
 
 
 def _now(
-    simulation: Simulation, target: str, error_m: np.ndarray[tuple[int], np.dtype[np.float64]]
+    simulation: ArmSimulation, target: str, error_m: np.ndarray[tuple[int], np.dtype[np.float64]]
 ) -> Situations:
     cube, pose = simulation.cubes()[target], simulation.tcp_pose()
     rotation = matrix_from_quaternion(pose.quaternion_xyzw)
@@ -136,7 +136,7 @@ def test_the_teacher_lifts_a_cube_although_it_sees_it_beside_and_turned(seed: in
     controller = UrdfController(None, profile())
     controller.load()
     target = COLOURS[seed]
-    with Simulation(seed) as simulation:
+    with ArmSimulation(seed) as simulation:
         while simulation.time_s < 15.0 and simulation.cubes()[target].held_s < 1.0:
             for action in chunks(_now(simulation, target, np.array([0.006, -0.006, 0.0])), ROWS)[0]:
                 joints = JointSample(

@@ -159,9 +159,9 @@ def test_a_folder_with_something_in_it_is_not_written_to(packed: Packed, checkpo
 
 def test_the_layout_is_that_of_the_backends_own_list(checkpoint: Path) -> None:
     from rn_backend_oft.constants import CONSTANTS
-    from rn_vla.openvla.checkpoint import Checkpoint
+    from rn_vla.openvla.checkpoint import OpenvlaCheckpoint
 
-    read = Checkpoint.read(checkpoint)
+    read = OpenvlaCheckpoint.read(checkpoint)
     policy = OftPolicy(
         checkpoint=read, constants=CONSTANTS["bridge"], cameras=1, head="l1", proprio_width=7
     )

@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 from rclpy.serialization import serialize_message
 
-from rn_runs.files import Record, RunFile, write_json
-from rn_runs.images import to_string
-from rn_runs.predictions import prediction_record
-from rn_runs.store import RUN_FILE, Run, Store
+from rn_recorder_runs.files import Record, RunFile, write_json
+from rn_recorder_runs.images import to_string
+from rn_recorder_runs.predictions import prediction_record
+from rn_recorder_runs.store import RUN_FILE, Run, Store
 from roboneuron import ActionChunk, Frame, JointSample, Observation, Pose
 from roboneuron.ros.messages import to_action_message, to_image, to_joint_state, to_pose_stamped
 

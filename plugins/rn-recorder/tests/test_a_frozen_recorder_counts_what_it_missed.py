@@ -14,9 +14,9 @@ from typing import Any
 import pytest
 from std_msgs.msg import String
 
-from rn_runs.reading import count_topics
-from rn_runs.settings import RecorderSettings, RulesSettings, spawn_recorder
-from rn_runs.store import Store
+from rn_recorder_runs.reading import count_topics
+from rn_recorder_runs.settings import RecorderSettings, RulesSettings, spawn_recorder
+from rn_recorder_runs.store import Store
 from rn_testing.domain import free_ros_domain
 from rn_testing.waiting import wait_until
 from roboneuron.ros.environment import prepare_environment

@@ -16,9 +16,9 @@ import anyio
 import pytest
 from mcp import Client, StdioServerParameters
 
-from rn_runs.files import is_finished, read_attachments, read_records
-from rn_runs.reading import count_topics, iterate
-from rn_runs.store import Store
+from rn_recorder_runs.files import is_finished, read_attachments, read_records
+from rn_recorder_runs.reading import count_topics, iterate
+from rn_recorder_runs.store import Store
 
 
 def recorder_pid(parent: int) -> int | None:
@@ -29,7 +29,7 @@ def recorder_pid(parent: int) -> int | None:
             status = (entry / "stat").read_text().rpartition(")")[2].split()
         except OSError:
             continue
-        if b"rn_runs.node" in command and int(status[1]) == parent:
+        if b"rn_recorder_runs.node" in command and int(status[1]) == parent:
             return int(entry.name)
     return None
 

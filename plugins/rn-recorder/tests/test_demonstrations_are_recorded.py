@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 import pytest
 from recorder_expectations import expected_episode
 
-from rn_runs.command import Runs
+from rn_recorder_runs.command import Runs
 from roboneuron import ConfigurationError
 
 ROOT = Path(__file__).parents[3]

@@ -16,12 +16,12 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
 
 from rn_controller_urdf.controller import UrdfController
+from rn_recorder_runs.channels import ACTION_FIELDS, describe_channel
+from rn_recorder_runs.files import LATCHED, Record, copy_records
+from rn_recorder_runs.node import RecorderWorker
+from rn_recorder_runs.settings import RecorderSettings, RulesSettings
+from rn_recorder_runs.transforms import CameraMount, RobotTransforms
 from rn_robot_fr3.profile import profile
-from rn_runs.channels import ACTION_FIELDS, describe_channel
-from rn_runs.files import LATCHED, Record, copy_records
-from rn_runs.node import RecorderProcess
-from rn_runs.settings import RecorderSettings, RulesSettings
-from rn_runs.transforms import CameraMount, RobotTransforms
 from roboneuron import JointSample, matrix_from_quaternion
 from roboneuron.ros.messages import to_action_message, to_joint_state
 
@@ -49,7 +49,7 @@ def record_fr3(tmp_path: Path, foreign: Sequence[Record] = ()) -> Path:
         urdf=profile().urdf,
         mounts=(MOUNT,),
     )
-    process = RecorderProcess(settings)
+    process = RecorderWorker(settings)
     process.recording.store.make()
     process._frames.begin()
     process._orders.append({"do": "start", "number": 1, "name": "demo", "facts": {}})

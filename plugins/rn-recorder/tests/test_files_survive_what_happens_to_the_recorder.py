@@ -17,8 +17,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rn_runs.channels import latched_channel
-from rn_runs.files import (
+from rn_recorder_runs.channels import latched_channel
+from rn_recorder_runs.files import (
     Record,
     RunFile,
     is_finished,
@@ -27,13 +27,13 @@ from rn_runs.files import (
     read_records,
     repair,
 )
-from rn_runs.images import IMAGE, MessageError, parse_image, to_string
-from rn_runs.node import Backlog
-from rn_runs.reading import MessageDecoder, count_topics, iterate
-from rn_runs.recording import Recording, Rules
-from rn_runs.schemas import definition
-from rn_runs.store import Run, Store
-from rn_runs.transforms import CameraMount, RobotTransforms
+from rn_recorder_runs.images import IMAGE, MessageError, parse_image, to_string
+from rn_recorder_runs.node import Backlog
+from rn_recorder_runs.reading import RecordDecoder, count_topics, iterate
+from rn_recorder_runs.recording import Recording, Rules
+from rn_recorder_runs.schemas import definition
+from rn_recorder_runs.store import Run, Store
+from rn_recorder_runs.transforms import CameraMount, RobotTransforms
 from roboneuron import InvalidInputError, StateError
 
 STRING = "std_msgs/msg/String"
@@ -168,7 +168,7 @@ import json, sys, time
 from pathlib import Path
 sys.path.insert(0, sys.argv[2])
 from test_files_survive_what_happens_to_the_recorder import Clock, feed, kept, recording
-from rn_runs.files import is_finished
+from rn_recorder_runs.files import is_finished
 
 folder, clock = Path(sys.argv[1]), Clock()
 made = recording(folder, clock, ring_s=0)
@@ -345,7 +345,7 @@ def image_message() -> tuple[bytes, np.ndarray]:
 def test_images_are_read_and_encoded_without_ros(
     image_message: tuple[bytes, np.ndarray], tmp_path: Path
 ) -> None:
-    from rn_runs.images import COMPRESSED, pixels_of, to_jpeg
+    from rn_recorder_runs.images import COMPRESSED, pixels_of, to_jpeg
 
     message, ramp = image_message
     raw = parse_image(message)
@@ -388,7 +388,7 @@ def test_definitions_are_complete(name: str) -> None:
     package, kind, short = name.split("/")
     message = getattr(import_module(f"{package}.{kind}"), short)()
     message.header.frame_id = "base"
-    decoder = MessageDecoder()
+    decoder = RecordDecoder()
     decoder.definitions[name] = definition(name)
     decoded = decoder.decode(Record("/t", name, 0, 0, 0, bytes(serialize_message(message))))
     assert decoded.header.frame_id == "base"

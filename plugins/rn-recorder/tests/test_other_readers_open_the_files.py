@@ -14,8 +14,8 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from recorder_demonstrations import action, picture, record_run, store_in
 
-from rn_runs.files import copy_records, read_about
-from rn_runs.reading import iterate
+from rn_recorder_runs.files import copy_records, read_about
+from rn_recorder_runs.reading import iterate
 
 Read = Callable[[Path], Iterator[tuple[str, int, Any]]]
 ROWS = 6

@@ -11,7 +11,7 @@ import pytest
 from recorder_demonstrations import PERIOD_NS, observation
 
 from rn_recorder.plugin import FEATURE
-from rn_runs.predictions import PredictionRecords, join, prediction_record
+from rn_recorder_runs.predictions import PredictionRecords, join, prediction_record
 from roboneuron import ActionChunk
 from roboneuron.plugins.loading import load_attribute
 
@@ -30,10 +30,23 @@ def test_other_modules_are_left_alone(kind: str) -> None:
 
 def test_the_inference_module_is_given_the_words() -> None:
     assert load_attribute(str(FEATURE.on_join), "on_join") is join
-    module = SimpleNamespace(describe_prediction=None)
+    published: list[str] = []
+    output = SimpleNamespace(
+        get_subscription_count=lambda: 1, publish=lambda message: published.append(message.data)
+    )
+    advertised: list[str] = []
+
+    def advertise(message_type: type, topic: str) -> Any:
+        advertised.append(topic)
+        return output
+
+    module = SimpleNamespace(on_prediction=[], node=SimpleNamespace(advertise=advertise))
     for extend in joined("inference"):
         extend(module)
-    assert isinstance(module.describe_prediction, PredictionRecords)
+    assert advertised == ["predictions"]
+    (listener,) = module.on_prediction
+    listener(observation(0, "pick", 0), "overlap", True, ValueError("too dark"))
+    assert [json.loads(text)["error"] for text in published] == ["too dark"]
 
 
 def test_a_record_names_the_frames_and_keeps_every_bit_of_the_rows() -> None:

@@ -17,8 +17,8 @@ import pytest
 from rclpy.serialization import serialize_message
 
 from rn_recorder.playing import PlayRecording, action_message, pace, pieces, playing_tool
-from rn_runs.against_robot import play
-from rn_runs.files import Record, RunFile
+from rn_recorder_runs.against_robot import play
+from rn_recorder_runs.files import Record, RunFile
 from rn_standard.direct_path.plugin import FEATURE as DIRECT_PATH
 from rn_testing.fakes import fake_registry
 from roboneuron import ConfigurationError, RefusedError, StateError

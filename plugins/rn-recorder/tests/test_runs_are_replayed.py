@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from recorder_demonstrations import CAMERAS, action, observation, picture, record_run, store_in
 
-from rn_runs.comparison import AXES, compare, describe, write_report
-from rn_runs.files import Record, RunFile, read_records
-from rn_runs.images import IMAGE, to_string
-from rn_runs.lerobot import export
-from rn_runs.replay import EXACT, Compared, Observations, replay
-from rn_runs.store import Run
+from rn_recorder_runs.comparison import AXES, compare, describe, write_report
+from rn_recorder_runs.files import Record, RunFile, read_records
+from rn_recorder_runs.images import IMAGE, to_string
+from rn_recorder_runs.lerobot import export
+from rn_recorder_runs.replay import EXACT, Compared, Observations, replay
+from rn_recorder_runs.store import Run
 from rn_testing.fakes import gantry_profile
 from roboneuron import ActionChunk, InvalidInputError, Observation, UngroundedError
 

@@ -19,11 +19,11 @@ import pytest
 from recorder_demonstrations import action, picture, record_run, store_in
 from recorder_expectations import expected_episode
 
-from rn_runs.command import Runs
-from rn_runs.files import Record, RunFile, read_records
-from rn_runs.lerobot import export
-from rn_runs.statistics import merge, stats_of
-from rn_runs.store import Run, Store
+from rn_recorder_runs.command import Runs
+from rn_recorder_runs.files import Record, RunFile, read_records
+from rn_recorder_runs.lerobot import export
+from rn_recorder_runs.statistics import merge, stats_of
+from rn_recorder_runs.store import Run, Store
 from roboneuron import ConfigurationError, InvalidInputError, StateError
 
 ROOT = Path(__file__).parents[3]

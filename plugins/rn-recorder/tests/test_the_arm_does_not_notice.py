@@ -21,8 +21,8 @@ import pytest
 from mcp import Client, StdioServerParameters
 from test_a_server_is_recorded import recorder_pid
 
-from rn_runs.files import is_finished, read_records
-from rn_runs.store import Store
+from rn_recorder_runs.files import is_finished, read_records
+from rn_recorder_runs.store import Store
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow, pytest.mark.timeout(400)]
 SIZE_MB = 24

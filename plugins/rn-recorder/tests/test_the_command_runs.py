@@ -12,9 +12,9 @@ from typing import Any
 import pytest
 from recorder_demonstrations import record_run, store_in
 
-from rn_runs.command import Runs
-from rn_runs.files import RunFile, is_finished, read_records
-from rn_runs.store import Store
+from rn_recorder_runs.command import Runs
+from rn_recorder_runs.files import RunFile, is_finished, read_records
+from rn_recorder_runs.store import Store
 from roboneuron import ConfigurationError, InvalidInputError
 
 Call = Callable[..., Any]

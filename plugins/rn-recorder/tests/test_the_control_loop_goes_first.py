@@ -13,12 +13,12 @@ from typing import Any
 
 import pytest
 
-from rn_runs.files import Record
-from rn_runs.tap import Tap
+from rn_recorder_runs.files import Record
+from rn_recorder_runs.tap import Tap
 
 SHOW_POLICY = """
 import os, threading
-from rn_runs.priority import give_way
+from rn_recorder_runs.priority import give_way
 
 def show():
     print(os.sched_getscheduler(0), os.getpriority(os.PRIO_PROCESS, threading.get_native_id()))
@@ -69,7 +69,7 @@ def tap_of(
         subscription = SimpleNamespace(handle=handle, msg_type=object)
         tap._found[f"/{name}"] = (SimpleNamespace(depth=2), subscription)  # type: ignore[assignment]
         tap._types[f"/{name}"] = "std_msgs/msg/String"
-    monkeypatch.setattr("rn_runs.tap.time", SimpleNamespace(time_ns=lambda: now_ns[0]))
+    monkeypatch.setattr("rn_recorder_runs.tap.time", SimpleNamespace(time_ns=lambda: now_ns[0]))
     return tap, taken
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from rn_runs.settings import RecorderSettings, RulesSettings
+from rn_recorder_runs.settings import RecorderSettings, RulesSettings
 
 SPINS_FOR_EVER = """
 from rclpy.node import Node
@@ -19,7 +19,7 @@ def destroy_node(self):
         pass
 
 Node.destroy_node = destroy_node
-from rn_runs.node import main
+from rn_recorder_runs.node import main
 main()
 """
 

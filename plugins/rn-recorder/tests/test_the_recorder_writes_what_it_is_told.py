@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 from rclpy.serialization import serialize_message
 
-from rn_runs.files import Record, read_attachments
-from rn_runs.images import IMAGE, pixels_of
-from rn_runs.node import AUDIT_FILE, RecorderProcess
-from rn_runs.reading import count_topics, iterate
-from rn_runs.settings import RecorderSettings, RulesSettings
-from rn_runs.store import Run
+from rn_recorder_runs.files import Record, read_attachments
+from rn_recorder_runs.images import IMAGE, pixels_of
+from rn_recorder_runs.node import AUDIT_FILE, RecorderWorker
+from rn_recorder_runs.reading import count_topics, iterate
+from rn_recorder_runs.settings import RecorderSettings, RulesSettings
+from rn_recorder_runs.store import Run
 from roboneuron import Frame
 from roboneuron.ros.messages import to_image
 
@@ -47,10 +47,10 @@ def image_record(number: int) -> Record:
 
 
 @pytest.fixture
-def record(tmp_path: Path) -> Callable[..., RecorderProcess]:
+def record(tmp_path: Path) -> Callable[..., RecorderWorker]:
     """Return a function that makes a recorder whose turns the test makes."""
 
-    def make(images: Any) -> RecorderProcess:
+    def make(images: Any) -> RecorderWorker:
         settings = RecorderSettings(
             namespace="toy",
             state_directory=tmp_path,
@@ -62,7 +62,7 @@ def record(tmp_path: Path) -> Callable[..., RecorderProcess]:
             rules=RULES,
             about={"robot": "toy"},
         )
-        process = RecorderProcess(settings)
+        process = RecorderWorker(settings)
         process.recording.store.make()
         process._orders.append({"do": "start", "number": 1, "name": "demo", "facts": {}})
         process._turn()
@@ -71,14 +71,14 @@ def record(tmp_path: Path) -> Callable[..., RecorderProcess]:
     return make
 
 
-def finished(process: RecorderProcess) -> list[Run]:
+def finished(process: RecorderWorker) -> list[Run]:
     process._turn()
     process.recording.close()
     return process.recording.store.runs()
 
 
 def test_calls_changes_and_verdicts_are_in_the_file(
-    record: Callable[..., RecorderProcess], tmp_path: Path
+    record: Callable[..., RecorderWorker], tmp_path: Path
 ) -> None:
     process = record("lossless")
     told = [
@@ -128,7 +128,7 @@ def test_calls_changes_and_verdicts_are_in_the_file(
 
 @pytest.mark.parametrize(("images", "worst"), [("jpeg", 4.0), ("lossless", 0.0)])
 def test_images_are_kept_as_chosen(
-    record: Callable[..., RecorderProcess], images: str, worst: float
+    record: Callable[..., RecorderWorker], images: str, worst: float
 ) -> None:
     process = record(images)
     for number in range(1, 31):
@@ -142,7 +142,7 @@ def test_images_are_kept_as_chosen(
     assert all(counts.lost == 0 for counts in count_topics(run.files).values())
 
 
-def test_a_part_ends_when_it_is_large(record: Callable[..., RecorderProcess]) -> None:
+def test_a_part_ends_when_it_is_large(record: Callable[..., RecorderWorker]) -> None:
     process = record("lossless")
     random = np.random.default_rng(0)
     active = process.recording._active
@@ -164,7 +164,7 @@ def test_a_part_ends_when_it_is_large(record: Callable[..., RecorderProcess]) ->
 
 
 def test_what_was_missed_before_a_recording_is_not_counted_as_its_own(
-    record: Callable[..., RecorderProcess], monkeypatch: pytest.MonkeyPatch
+    record: Callable[..., RecorderWorker], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     process = record("lossless")
     told: list[dict[str, Any]] = []

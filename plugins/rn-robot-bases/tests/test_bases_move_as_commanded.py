@@ -11,7 +11,7 @@ import pytest
 from rn_robot_bases.drivetrain import BaseVelocity
 from rn_robot_bases.odometry import PlanarPose, integrate
 from rn_robot_bases.platform import DIFFDRIVE, HUSKY, PLATFORMS, RACECAR, Platform
-from rn_robot_bases.simulation import STEP_S, BaseState, Simulation
+from rn_robot_bases.simulation import STEP_S, BaseSimulation, BaseState
 from rn_simulation.engine import Engine
 from roboneuron.errors import RefusedError, StateError
 
@@ -69,7 +69,7 @@ def test_base_moves_at_the_commanded_velocity(
     linear_error: float,
     angular_error: float,
 ) -> None:
-    with Simulation(platform, engine=engine) as base:
+    with BaseSimulation(platform, engine=engine) as base:
         base.run(linear, angular, 1.5)
         states = [base.run(linear, angular, 0.1) for _ in range(25)]
     speed, turning = moved(states)
@@ -92,7 +92,7 @@ REFUSED = [
 def test_impossible_velocity_is_refused_and_changes_nothing(
     engine: Engine, platform: Platform, linear: float, angular: float, reason: str
 ) -> None:
-    with Simulation(platform, engine=engine) as base:
+    with BaseSimulation(platform, engine=engine) as base:
         base.run(0.2, 0.0, 0.5)
         with pytest.raises(RefusedError, match=reason):
             base.drive(linear, angular)
@@ -102,7 +102,7 @@ def test_impossible_velocity_is_refused_and_changes_nothing(
 
 @EVERY_PLATFORM
 def test_base_stops_when_commands_cease(engine: Engine, platform: Platform) -> None:
-    with Simulation(platform, command_timeout_s=0.3, engine=engine) as base:
+    with BaseSimulation(platform, command_timeout_s=0.3, engine=engine) as base:
         base.run(0.4, 0.3, 1.0)
         base.step(round(0.25 / STEP_S))
         assert base.state().motion == "driving"
@@ -117,7 +117,7 @@ def test_base_stops_when_commands_cease(engine: Engine, platform: Platform) -> N
 @EVERY_PLATFORM
 def test_hold_brakes_within_the_braking_distance(engine: Engine, platform: Platform) -> None:
     speed = platform.limits.forward_m_s
-    with Simulation(platform, engine=engine) as base:
+    with BaseSimulation(platform, engine=engine) as base:
         base.run(speed, 0.0, 2.0)
         start = base.state().true_pose
         base.hold()
@@ -135,7 +135,7 @@ def test_setpoint_never_changes_faster_than_the_acceleration(
     engine: Engine, platform: Platform
 ) -> None:
     limits, change = platform.limits, platform.geometry.acceleration_m_s2 * STEP_S
-    with Simulation(platform, engine=engine) as base:
+    with BaseSimulation(platform, engine=engine) as base:
         previous = 0.0
         for linear in (limits.forward_m_s, limits.backward_m_s, 0.0):
             for _ in range(600):
@@ -147,7 +147,7 @@ def test_setpoint_never_changes_faster_than_the_acceleration(
 
 def test_car_never_steers_beyond_its_turning_radius_on_the_way(engine: Engine) -> None:
     radius_m = RACECAR.limits.min_turning_radius_m
-    with Simulation(RACECAR, engine=engine) as base:
+    with BaseSimulation(RACECAR, engine=engine) as base:
         for linear, angular in ((1.0, 1.3), (1.0, -1.3), (-0.5, 0.6), (0.3, 0.4), (0.0, 0.0)):
             for _ in range(100):
                 speed, turning = base.run(linear, angular, STEP_S).setpoint
@@ -163,7 +163,7 @@ def test_car_never_steers_beyond_its_turning_radius_on_the_way(engine: Engine) -
 def test_odometry_agrees_with_the_true_pose_over_a_path(
     engine: Engine, platform: Platform, share: float
 ) -> None:
-    with Simulation(platform, engine=engine) as base:
+    with BaseSimulation(platform, engine=engine) as base:
         length_m = 0.0
         for linear, angular, duration_s in (
             (0.4, 0.0, 3.0),
@@ -179,7 +179,7 @@ def test_odometry_agrees_with_the_true_pose_over_a_path(
 
 
 def test_husky_odometry_knows_about_which_point_it_turns(engine: Engine) -> None:
-    with Simulation(HUSKY, engine=engine) as base:
+    with BaseSimulation(HUSKY, engine=engine) as base:
         base.run(0.0, 0.8, 1.0)
         # Half a turn, about a point 0.157 m behind: the base ends 0.31 m from where it began, and
         # both must say so.
@@ -210,13 +210,13 @@ def test_integration_is_of_second_order() -> None:
 def test_same_commands_give_the_same_motion(engine: Engine, platform: Platform) -> None:
     ends = []
     for _ in range(2):
-        with Simulation(platform, engine=engine) as base:
+        with BaseSimulation(platform, engine=engine) as base:
             ends.append(base.run(0.4, 0.4, 1.0).true_pose)
     assert ends[0] == ends[1]
 
 
 def test_simulation_is_opened_once_and_stepped_only_while_open(engine: Engine) -> None:
-    base = Simulation(DIFFDRIVE, engine=engine)
+    base = BaseSimulation(DIFFDRIVE, engine=engine)
     with pytest.raises(StateError, match="not open"):
         base.step()
     with base, pytest.raises(StateError, match="already"):

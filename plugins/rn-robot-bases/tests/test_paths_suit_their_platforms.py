@@ -12,7 +12,7 @@ from rn_robot_bases.paths import PATHS, Segment, planned_track
 from rn_robot_bases.picture import draw_track
 from rn_robot_bases.platform import DIFFDRIVE, PLATFORMS, RACECAR, Platform
 from rn_robot_bases.profile import check_twist
-from rn_robot_bases.simulation import Simulation
+from rn_robot_bases.simulation import BaseSimulation
 from rn_simulation.engine import Engine
 from roboneuron.errors import InvalidInputError, RefusedError
 
@@ -34,7 +34,7 @@ def test_the_square_is_none_for_a_car() -> None:
 @EVERY_PLATFORM
 def test_base_ends_where_its_path_is_planned_to_end(engine: Engine, platform: Platform) -> None:
     path = PATHS[platform.name]
-    with Simulation(platform, engine=engine) as base:
+    with BaseSimulation(platform, engine=engine) as base:
         for segment in path.segments:
             base.run(segment.linear_m_s, segment.angular_rad_s, segment.duration_s)
         base.hold()

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from rn_robot_fr3.cameras import cameras
 from rn_robot_fr3.ground_truth import CubeState
-from rn_robot_fr3.simulation import Simulation
+from rn_robot_fr3.simulation import ArmSimulation
 from rn_simulation.engine import Engine
 from roboneuron.contract import CameraCalibration
 from roboneuron.contract.rotation import matrix_from_quaternion
@@ -51,7 +51,7 @@ def test_projected_cube_corners_bound_the_coloured_pixels(
     engine: Engine, seed: int, width: int, height: int
 ) -> None:
     seen = 0
-    with Simulation(seed, engine=engine) as simulation:
+    with ArmSimulation(seed, engine=engine) as simulation:
         for camera in cameras():
             calibration = camera.calibration(width, height)
             mount = simulation.world.T_base_tcp() if camera.mount == "tcp" else np.eye(4)
@@ -72,7 +72,7 @@ def test_projected_cube_corners_bound_the_coloured_pixels(
 def test_front_camera_sees_each_cube_centre_within_half_a_pixel_of_its_blob(engine: Engine) -> None:
     errors = []
     for seed in (0, 1):
-        with Simulation(seed, engine=engine) as simulation:
+        with ArmSimulation(seed, engine=engine) as simulation:
             front = cameras()[0]
             image = simulation.render("front", 640, 480)
             for name, cube in simulation.cubes().items():

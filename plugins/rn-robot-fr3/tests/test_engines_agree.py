@@ -18,7 +18,7 @@ from rn_robot_fr3.options import SimulatedDriverOptions
 from rn_robot_fr3.plugin import roboneuron_perceptions, roboneuron_robots
 from rn_robot_fr3.profile import profile
 from rn_robot_fr3.scene import random_cubes
-from rn_robot_fr3.simulation import Simulation
+from rn_robot_fr3.simulation import ArmSimulation
 from rn_robot_fr3.world import build_world
 from rn_simulation.engine import ENGINES, REQUIREMENT, Engine, choose_engine
 from rn_testing.fakes import MemoryTopics
@@ -45,7 +45,7 @@ def test_tcp_pose_is_that_of_the_urdf(engine: Engine) -> None:
 def test_engines_follow_a_command_alike() -> None:
     tracks: list[NDArray[np.float64]] = []
     for engine in ENGINES:
-        with Simulation(0, colours=("red",), engine=engine) as simulation:
+        with ArmSimulation(0, colours=("red",), engine=engine) as simulation:
             simulation.set_target(
                 [*ARM_JOINTS, FINGER_JOINT], [0.4, -0.5, 0.3, -2.0, 0.2, 1.8, 0.4, 0.01], 0.8
             )
@@ -68,7 +68,7 @@ def test_engines_draw_the_same_cubes_in_the_same_places() -> None:
     for camera in cameras():
         blobs = []
         for engine in ENGINES:
-            with Simulation(0, engine=engine) as simulation:
+            with ArmSimulation(0, engine=engine) as simulation:
                 blobs.append(blob(simulation.render(camera.name)))
         assert blobs[0].sum() > 50
         # They differ in which pixels of the outline they count in.

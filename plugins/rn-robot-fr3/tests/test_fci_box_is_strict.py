@@ -10,7 +10,7 @@ import pytest
 
 from rn_robot_fr3.fci.addresses import free_address
 from rn_robot_fr3.fci.box import services, wire
-from rn_robot_fr3.fci.box.judge import Judge
+from rn_robot_fr3.fci.box.judge import CommandJudge
 from rn_robot_fr3.fci.box.network import Cable, Faults
 from rn_robot_fr3.fci.box.wire import Service
 from rn_robot_fr3.profile import HOME_RAD
@@ -61,11 +61,11 @@ def test_settings_without_sense_are_refused(service: int, values: list[float]) -
     assert refused(service, struct.pack(f"<{len(values)}d", *values)) == wire.INVALID_ARGUMENT
 
 
-def judged(*steps: float) -> Judge:
+def judged(*steps: float) -> CommandJudge:
     """A first joint at these places [rad] from home, by cycle; None is a cycle without a
     command.
     """
-    judge = Judge()
+    judge = CommandJudge()
     judge.begin(list(HOME))
     for step in steps:
         judge.take([HOME[0] + step, *HOME[1:]])

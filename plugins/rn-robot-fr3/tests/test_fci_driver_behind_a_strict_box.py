@@ -191,6 +191,7 @@ def test_a_mode_is_told_in_its_own_words_however_often_a_recovery_is_tried(
     driver: FciDriver, sim: FrankaSim, mode: int, code: str, says: str
 ) -> None:
     go(driver, HOME + 0.2)
+    until(driver, lambda: is_moving(sim))
     sim.tell(mode=mode)
     until(driver, lambda: fault(driver).startswith(code))
     told = fault(driver)

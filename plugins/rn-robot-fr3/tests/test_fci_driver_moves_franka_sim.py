@@ -5,6 +5,7 @@ simulator's environment.
 from __future__ import annotations
 
 import os
+import signal
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -140,6 +141,28 @@ def test_a_state_that_is_lost_on_the_way_is_no_fault(driver: FciDriver, sim: Fra
     assert driver.read().detail["fault"] == ""
 
 
+def test_a_control_process_that_hangs_is_a_fault_until_it_is_replaced(
+    driver: FciDriver, sim: FrankaSim
+) -> None:
+    driver.send(go(HOME + 0.3, 2.0))
+    until(driver, lambda: bool(np.abs(sim.tell()["velocities"]).max() > 0.05))
+    hung = driver._arm._process.pid
+    os.kill(hung, signal.SIGSTOP)
+    until(driver, lambda: driver.read().detail["fault"].startswith("communication_lost"))
+    with pytest.raises(UnsafeError, match="communication_lost"):
+        driver.send(go(HOME))
+    driver.hold()
+    stamp_ns = driver.read().joints.stamp_ns
+    until(driver, lambda: bool(np.abs(sim.tell()["velocities"]).max() < 0.01))
+    assert driver.read().joints.stamp_ns == stamp_ns, "nothing was measured"
+    stood = truth(sim)
+    assert driver.recover() == "communication_lost"
+    assert driver._arm._process.pid != hung
+    assert np.abs(truth(sim) - stood).max() < 1e-2, "a recovery moves nothing"
+    driver.send(go(HOME))
+    until(driver, lambda: bool(np.abs(truth(sim) - HOME).max() < 1e-2))
+
+
 def test_the_gripper_says_that_it_holds_nothing_and_opens_again(driver: FciDriver) -> None:
     driver.send(JointCommand(names=(FINGER_JOINT,), position=np.array([0.0]), duration_s=0.5))
     until(driver, lambda: driver.read().detail["gripper"] == "nothing grasped")
@@ -152,6 +175,7 @@ def test_the_user_stop_is_a_fault_that_stands_until_it_is_released(
     driver: FciDriver, sim: FrankaSim
 ) -> None:
     driver.send(go(HOME + 0.3, 2.0))
+    until(driver, lambda: bool(np.abs(sim.tell()["velocities"]).max() > 0.05))
     sim.tell(mode=5)
     until(driver, lambda: driver.read().detail["fault"].startswith("user_stop"))
     with pytest.raises(UnsafeError, match="user_stop"):

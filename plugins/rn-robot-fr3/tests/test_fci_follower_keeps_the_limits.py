@@ -12,7 +12,7 @@ import pytest
 
 pytest.importorskip("ruckig", reason="needs ruckig: pip install './plugins/rn-robot-fr3[fci]'")
 
-from rn_robot_fr3.fci.box.judge import Judge
+from rn_robot_fr3.fci.box.judge import CommandJudge
 from rn_robot_fr3.fci.follower import LONGEST_GAP, LONGEST_UNHEARD, Course, Follower
 from rn_robot_fr3.fci.planner import (
     ACCELERATION_LIMIT_RAD_S2,
@@ -49,7 +49,7 @@ class Arm:
 
     def __init__(self, position: list[float]) -> None:
         self.follower = Follower(position, *STOP)
-        self.judge = Judge()
+        self.judge = CommandJudge()
         self.judge.begin(list(position))
         self._newer_by = 1
 

@@ -17,7 +17,9 @@ from rn_robot_fr3.fci.faults import USER_STOP
 from rn_robot_fr3.fci.state_topics import StateTopics, described
 from rn_testing.fakes import MemoryTopics
 
+MEASURED_NS = 1_700_000_000_250_000_000
 STATE = ArmState(
+    received_s=100.0,
     position=np.arange(7.0),
     velocity=np.arange(7.0) / 10,
     torque=np.arange(7.0) + 20,
@@ -49,8 +51,8 @@ def newest(topics: MemoryTopics, topic: str) -> Any:
 
 
 def test_every_state_is_on_a_topic(clock: Clock) -> None:
-    topics = MemoryTopics(now_ns=lambda: 1_700_000_000_250_000_000)
-    StateTopics(topics).publish(STATE, None)
+    topics = MemoryTopics()
+    StateTopics(topics).publish(STATE, None, MEASURED_NS)
     joints = newest(topics, "measured_joint_states")
     stamp = joints.header.stamp
     assert (stamp.sec, stamp.nanosec) == (1_700_000_000, 250_000_000)
@@ -72,12 +74,12 @@ def test_states_are_told_at_sixty_hertz_and_a_fault_at_once(clock: Clock) -> Non
     topics = MemoryTopics()
     told = StateTopics(topics)
     for _ in range(125):
-        told.publish(STATE, None)
+        told.publish(STATE, None, MEASURED_NS)
         clock.now_s += 0.008
     assert 40 <= len(topics.published("measured_joint_states")) <= 63
     count = len(topics.published("robot_state"))
     assert count <= 11
-    told.publish(replace(STATE, mode="UserStopped"), USER_STOP)
+    told.publish(replace(STATE, mode="UserStopped"), USER_STOP, MEASURED_NS)
     assert len(topics.published("robot_state")) == count + 1
     newest_state = newest(topics, "robot_state")
     assert newest_state.level == newest_state.ERROR

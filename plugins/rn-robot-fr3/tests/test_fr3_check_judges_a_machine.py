@@ -13,7 +13,7 @@ import pytest
 
 from rn_robot_fr3.fci import check
 from rn_robot_fr3.fci.check import (
-    Finding,
+    ArmFinding,
     Machine,
     Timing,
     card,
@@ -35,7 +35,7 @@ def machine(root: Path, **files: str) -> Machine:
     return Machine(root)
 
 
-def found(findings: list[Finding], name: str) -> Finding:
+def found(findings: list[ArmFinding], name: str) -> ArmFinding:
     return next(finding for finding in findings if finding.name == name)
 
 
@@ -126,7 +126,9 @@ def test_a_checksum_verifies() -> None:
 def test_the_command_fails_when_a_finding_does(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    bad = Finding(name="kernel", verdict="failed", found="not real-time", hint="Boot another one.")
+    bad = ArmFinding(
+        name="kernel", verdict="failed", found="not real-time", hint="Boot another one."
+    )
     monkeypatch.setattr(check, "check_machine", lambda *_: [bad])
     parser = argparse.ArgumentParser()
     command = Fr3()

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from rn_robot_fr3.limits import ARM_JOINTS, FINGER_JOINT
 from rn_robot_fr3.profile import HOME_RAD, profile
-from rn_robot_fr3.simulation import STEP_S, Simulation
+from rn_robot_fr3.simulation import STEP_S, ArmSimulation
 from rn_simulation.engine import Engine
 
 
@@ -32,7 +32,7 @@ def solve(target: pin.SE3, seed_rad: NDArray[np.float64]) -> NDArray[np.float64]
 
 @pytest.mark.parametrize(("seed", "colour"), [(0, "red"), (1, "blue")])
 def test_scripted_pick_lifts_the_cube_and_only_that(engine: Engine, seed: int, colour: str) -> None:
-    with Simulation(seed, engine=engine) as simulation:
+    with ArmSimulation(seed, engine=engine) as simulation:
         cube, q = simulation.cubes()[colour], np.array(HOME_RAD)
         x, y = cube.position_m[:2]
         yaw = 2.0 * np.arctan2(cube.quaternion_xyzw[2], cube.quaternion_xyzw[3])
@@ -73,7 +73,7 @@ def test_scripted_pick_lifts_the_cube_and_only_that(engine: Engine, seed: int, c
 
 def test_a_grip_that_is_commanded_again_and_again_keeps_its_force(engine: Engine) -> None:
     """Control repeats the opening with every action: the setpoint stays inside of what is held."""
-    with Simulation(0, engine=engine) as simulation:
+    with ArmSimulation(0, engine=engine) as simulation:
         simulation.set_target([FINGER_JOINT], [0.0], 0.3)
         simulation.step(200)
         for _ in range(10):
@@ -88,7 +88,7 @@ def test_a_held_cube_is_kept_by_the_commanded_opening(engine: Engine) -> None:
     """Actions hold an opening: 2 cm up in ten of them, as move_ee does, with the cube in the
     hand.
     """
-    with Simulation(0, engine=engine) as simulation:
+    with ArmSimulation(0, engine=engine) as simulation:
         cube, q = simulation.cubes()["red"], np.array(HOME_RAD)
         x, y = cube.position_m[:2]
         yaw = 2.0 * np.arctan2(cube.quaternion_xyzw[2], cube.quaternion_xyzw[3])

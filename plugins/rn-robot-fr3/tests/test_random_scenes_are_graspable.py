@@ -13,7 +13,7 @@ from rn_robot_fr3.scene import (
     SPACING_M,
     random_cubes,
 )
-from rn_robot_fr3.simulation import Simulation
+from rn_robot_fr3.simulation import ArmSimulation
 from rn_simulation.engine import Engine
 from roboneuron.errors import ConfigurationError
 
@@ -36,7 +36,7 @@ def test_cubes_lie_in_reach_with_room_for_a_finger_between_them(colours: tuple[s
 
 
 def test_cubes_stay_where_the_scene_puts_them(engine: Engine) -> None:
-    with Simulation(11, engine=engine) as simulation:
+    with ArmSimulation(11, engine=engine) as simulation:
         before = simulation.cubes()
         simulation.step(240)
         for name, cube in simulation.cubes().items():

@@ -16,7 +16,7 @@ from rn_robot_fr3.cameras import cameras
 from rn_robot_fr3.limits import FINGER_JOINT
 from rn_robot_fr3.options import SimulatedCamerasOptions
 from rn_robot_fr3.profile import profile
-from rn_robot_fr3.simulation import Simulation
+from rn_robot_fr3.simulation import ArmSimulation
 from rn_robot_fr3.state_message import TOPIC, SceneState, to_message
 from rn_simulation.engine import Engine
 from rn_testing.fakes import MemoryTopics
@@ -26,7 +26,7 @@ from roboneuron.errors import ConfigurationError, NotReadyError, StateError
 Open = Callable[..., SimulatedCameras]
 
 
-def state_of(simulation: Simulation, stamp_ns: int) -> SceneState:
+def state_of(simulation: ArmSimulation, stamp_ns: int) -> SceneState:
     cubes = simulation.cubes()
     return SceneState(
         engine=simulation.engine,
@@ -66,7 +66,7 @@ def test_twin_draws_the_same_pixels_as_the_physics(
 ) -> None:
     source = opened(rate_hz=60)
     for seed in (0, 1):  # the second is a driver that was started again with another scene
-        with Simulation(seed, engine=engine) as simulation:
+        with ArmSimulation(seed, engine=engine) as simulation:
             simulation.set_target(
                 ["fr3_joint1", "fr3_joint4", FINGER_JOINT], [0.2, -2.0, 0.01], 0.3
             )
@@ -83,7 +83,7 @@ def test_twin_draws_the_same_pixels_as_the_physics(
 
 def test_cameras_take_turns_and_show_the_newest_state(topics: MemoryTopics, opened: Open) -> None:
     source = opened(rate_hz=60)
-    with Simulation(0, colours=("red",)) as simulation:
+    with ArmSimulation(0, colours=("red",)) as simulation:
         seen = []
         for index in range(4):
             topics.deliver(TOPIC, to_message(state_of(simulation, 10 * index + 1)))
@@ -105,7 +105,7 @@ def test_camera_without_a_simulation_names_the_missing_topic(opened: Open) -> No
 
 def test_frames_stop_when_the_simulation_stops(topics: MemoryTopics, opened: Open) -> None:
     source = opened(names=("front",), rate_hz=60)
-    with Simulation(0, colours=("red",)) as simulation:
+    with ArmSimulation(0, colours=("red",)) as simulation:
         topics.deliver(TOPIC, to_message(state_of(simulation, 1)))
     source.read(10.0)
     with pytest.raises(NotReadyError, match="sim/state"):
@@ -114,7 +114,7 @@ def test_frames_stop_when_the_simulation_stops(topics: MemoryTopics, opened: Ope
 
 def test_frames_come_no_faster_than_the_rate(topics: MemoryTopics, opened: Open) -> None:
     source = opened(names=("front",), rate_hz=20, width=32, height=32)
-    with Simulation(0, colours=("red",)) as simulation:
+    with ArmSimulation(0, colours=("red",)) as simulation:
         message = to_message(state_of(simulation, 1))
     times = []
     for _ in range(6):
@@ -127,7 +127,7 @@ def test_frames_come_no_faster_than_the_rate(topics: MemoryTopics, opened: Open)
 
 def test_size_is_an_option_and_the_calibration_follows(topics: MemoryTopics, opened: Open) -> None:
     source = opened(names=("wrist",), width=64, height=48)
-    with Simulation(0, colours=("red",)) as simulation:
+    with ArmSimulation(0, colours=("red",)) as simulation:
         topics.deliver(TOPIC, to_message(state_of(simulation, 1)))
     frame = source.read(10.0)
     assert frame.image.shape == (48, 64, 3)

@@ -16,18 +16,18 @@ from rn_robot_fr3.limits import (
 )
 from rn_robot_fr3.profile import HOME_RAD
 from rn_robot_fr3.setpoint import JointSetpoint
-from rn_robot_fr3.simulation import STEP_S, Simulation
+from rn_robot_fr3.simulation import STEP_S, ArmSimulation
 from rn_simulation.engine import Engine
 from roboneuron.errors import InvalidInputError, StateError
 
 
 @pytest.fixture
-def simulation(engine: Engine) -> Iterator[Simulation]:
-    with Simulation(0, colours=("red",), engine=engine) as simulation:
+def simulation(engine: Engine) -> Iterator[ArmSimulation]:
+    with ArmSimulation(0, colours=("red",), engine=engine) as simulation:
         yield simulation
 
 
-def test_target_is_reached_in_the_time_given(simulation: Simulation) -> None:
+def test_target_is_reached_in_the_time_given(simulation: ArmSimulation) -> None:
     target = np.array(HOME_RAD) + 0.1
     sent = simulation.set_target(ARM_JOINTS, target, 0.5)
     assert sent.duration_s == 0.5
@@ -36,7 +36,7 @@ def test_target_is_reached_in_the_time_given(simulation: Simulation) -> None:
     np.testing.assert_allclose(simulation.joint_positions()[:7], target, atol=2e-3)
 
 
-def test_measured_velocity_stays_below_the_official_limit(simulation: Simulation) -> None:
+def test_measured_velocity_stays_below_the_official_limit(simulation: ArmSimulation) -> None:
     sent = simulation.set_target(["fr3_joint1"], [2.5], 0.05)
     assert sent.duration_s > 2.5 / VELOCITY_RAD_S[0]
     fastest = 0.0
@@ -48,7 +48,7 @@ def test_measured_velocity_stays_below_the_official_limit(simulation: Simulation
     assert simulation.joint_positions()[0] == pytest.approx(2.5, abs=2e-3)
 
 
-def test_position_beyond_a_limit_is_clamped_and_reported(simulation: Simulation) -> None:
+def test_position_beyond_a_limit_is_clamped_and_reported(simulation: ArmSimulation) -> None:
     sent = simulation.set_target(["fr3_joint1", FINGER_JOINT], [9.0, -1.0], 1.0)
     np.testing.assert_array_equal(sent.position, [UPPER_RAD[0], 0.0])
 
@@ -74,7 +74,7 @@ def test_setpoint_is_smooth_when_targets_change_at_any_moment() -> None:
     np.testing.assert_allclose(setpoint.position, setpoint.target, atol=1e-9)
 
 
-def test_hold_brakes_without_a_jump_and_stays(simulation: Simulation) -> None:
+def test_hold_brakes_without_a_jump_and_stays(simulation: ArmSimulation) -> None:
     simulation.set_target(["fr3_joint1"], [1.5], 1.0)
     simulation.step(120)
     before, speed = simulation.joint_positions()[0], simulation.joint_states()[1][0]
@@ -102,7 +102,11 @@ def test_hold_brakes_without_a_jump_and_stays(simulation: Simulation) -> None:
     ],
 )
 def test_senseless_command_is_refused_and_moves_nothing(
-    simulation: Simulation, names: list[str], position: list[float], duration_s: float, named: str
+    simulation: ArmSimulation,
+    names: list[str],
+    position: list[float],
+    duration_s: float,
+    named: str,
 ) -> None:
     with pytest.raises(InvalidInputError, match=named):
         simulation.set_target(names, position, duration_s)
@@ -111,20 +115,20 @@ def test_senseless_command_is_refused_and_moves_nothing(
 
 
 def test_closed_simulation_says_so() -> None:
-    simulation = Simulation(0)
+    simulation = ArmSimulation(0)
     simulation.close()
     with pytest.raises(StateError, match="not open"):
         simulation.step()
 
 
-def test_unknown_camera_is_refused_with_the_choices(simulation: Simulation) -> None:
+def test_unknown_camera_is_refused_with_the_choices(simulation: ArmSimulation) -> None:
     with pytest.raises(InvalidInputError, match="front, wrist"):
         simulation.render("left")
 
 
 def test_same_calls_give_the_same_motion(engine: Engine) -> None:
     def run() -> np.ndarray:
-        with Simulation(2, engine=engine) as simulation:
+        with ArmSimulation(2, engine=engine) as simulation:
             simulation.set_target(["fr3_joint1", FINGER_JOINT], [0.4, 0.0], 0.3)
             simulation.step(200)
             return np.concatenate(

@@ -33,7 +33,7 @@ from rn_runtime_sglang.runtime import SglangRuntime
 from rn_runtime_torch.config import TorchRuntimeConfig
 from rn_runtime_torch.runtime import TorchRuntime
 from rn_vla.decoding import PolicyModel, TokenRequest
-from rn_vla.openvla.checkpoint import Checkpoint
+from rn_vla.openvla.checkpoint import OpenvlaCheckpoint
 from rn_vla.openvla.policy import policy_model, prompt_encoder, token_request
 from rn_vla.openvla.preprocessing import Preprocessor
 from rn_vla.openvla.prompt import end_prompt
@@ -56,13 +56,13 @@ class Fixture:
     """A checkpoint with what makes requests for it."""
 
     model: PolicyModel
-    checkpoint: Checkpoint
+    checkpoint: OpenvlaCheckpoint
     preprocessor: Preprocessor
 
     @classmethod
     def read(cls, path: Path) -> Fixture:
         """Read a checkpoint directory."""
-        checkpoint = Checkpoint.read(path)
+        checkpoint = OpenvlaCheckpoint.read(path)
         return cls(
             model=policy_model(checkpoint, action_width=7, max_prompt_tokens=128),
             checkpoint=checkpoint,

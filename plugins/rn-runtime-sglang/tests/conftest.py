@@ -11,7 +11,7 @@ from rn_runtime_sglang.config import SglangRuntimeConfig
 from rn_runtime_sglang.runtime import SglangRuntime
 from rn_runtime_sglang.served.fingerprint import served_name
 from rn_runtime_sglang.standin.replies import Behaviour
-from rn_runtime_sglang.standin.server import StandIn
+from rn_runtime_sglang.standin.server import StandInServer
 from rn_vla.decoding import PolicyModel
 
 FAST: dict[str, Any] = {
@@ -33,13 +33,13 @@ def model(checkpoint: Path) -> PolicyModel:
 
 
 @pytest.fixture
-def launch(checkpoint: Path) -> Iterator[Callable[..., StandIn]]:
+def launch(checkpoint: Path) -> Iterator[Callable[..., StandInServer]]:
     """Starts stand-ins that serve `checkpoint`; keyword arguments as in `Behaviour`."""
-    started: list[StandIn] = []
+    started: list[StandInServer] = []
 
-    def start(**changes: Any) -> StandIn:
+    def start(**changes: Any) -> StandInServer:
         told = {"served_name": served_name(checkpoint), "model_path": str(checkpoint), **changes}
-        started.append(StandIn(Behaviour(**told)).start())
+        started.append(StandInServer(Behaviour(**told)).start())
         return started[-1]
 
     yield start
@@ -52,7 +52,7 @@ def connect(model: PolicyModel) -> Iterator[Callable[..., SglangRuntime]]:
     """Makes loaded runtimes for stand-ins; keyword arguments as in the configuration."""
     made: list[SglangRuntime] = []
 
-    def load(*servers: StandIn, **options: Any) -> SglangRuntime:
+    def load(*servers: StandInServer, **options: Any) -> SglangRuntime:
         runtime = SglangRuntime(
             SglangRuntimeConfig(**{**FAST, "urls": tuple(s.url for s in servers), **options})
         )

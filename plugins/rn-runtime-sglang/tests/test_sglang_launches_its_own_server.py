@@ -168,9 +168,9 @@ def test_a_crash_at_start_shows_its_last_lines_but_not_the_key(site, model):
 
 
 def test_a_server_that_never_gets_ready_is_ended(site, model):
-    runtime = managed(site, environment={"STANDIN_START_S": "60"}, start_timeout_s=0.8)
+    runtime = managed(site, environment={"STANDIN_START_S": "60"}, start_timeout_s=4.0)
     with pytest.raises(
-        NotReadyError, match=r"became ready within 0\.8 s(.|\n)*last lines(.|\n)*server_args="
+        NotReadyError, match=r"became ready within 4 s(.|\n)*last lines(.|\n)*server_args="
     ):
         runtime.load(model)
     assert not [c for c in psutil.Process().children() if "rn_runtime_sglang.served" in c.cmdline()]

@@ -1,14 +1,8 @@
 from __future__ import annotations
 
 import pytest
-import torch
 
 from rn_runtime_torch.toy import ToyPolicy
-
-
-@pytest.fixture(autouse=True, scope="session")
-def _few_threads():
-    torch.set_num_threads(1)
 
 
 @pytest.fixture

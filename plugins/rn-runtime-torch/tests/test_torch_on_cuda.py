@@ -20,7 +20,7 @@ from rn_runtime_torch.memory import PeakBytes
 from rn_runtime_torch.runtime import TorchRuntime
 from rn_runtime_torch.toy import EveryOtherToken
 from rn_vla.decoding import PolicyModel, Request, RowsReply
-from rn_vla.openvla.checkpoint import Checkpoint
+from rn_vla.openvla.checkpoint import OpenvlaCheckpoint
 from rn_vla.openvla.policy import policy_model
 from rn_vla.openvla.tiny import make_tiny
 
@@ -53,10 +53,10 @@ def model(request, tmp_path) -> PolicyModel:
     path = tmp_path / "checkpoint"
     if request.param == "openvla":
         make_tiny(path)
-        return policy_model(Checkpoint.read(path), action_width=7, max_prompt_tokens=64)
+        return policy_model(OpenvlaCheckpoint.read(path), action_width=7, max_prompt_tokens=64)
     make_tiny_oft(path)
     policy = OftPolicy(
-        checkpoint=Checkpoint.read(path),
+        checkpoint=OpenvlaCheckpoint.read(path),
         constants=CONSTANTS["libero"],
         cameras=2,
         head="l1",

@@ -294,7 +294,7 @@ def test_the_module_of_a_case_may_import_the_kit(sample, monkeypatch):
         case="rn_sample.policy:make",
     )
     offer = Offer(spec=spec, plugin="rn-sample", distribution="rn-sample", status=Status.READY)
-    monkeypatch.setattr(package, "discover", lambda: Registry(plugins=(), all_offers=(offer,)))
+    monkeypatch.setattr(package, "_installed", lambda: Registry(plugins=(), all_offers=(offer,)))
     (sample.info / "METADATA").write_text(IN_AN_EXTRA)
     (sample.package / "policy.py").write_text("from rn_testing import BackendCase\n")
     assert {verify(r, sample.case()).verdict for r in RULES["package"]} == {RuleVerdict.PASSED}
@@ -303,7 +303,7 @@ def test_the_module_of_a_case_may_import_the_kit(sample, monkeypatch):
 def test_a_package_with_features_may_import_what_features_may_use(sample, monkeypatch):
     spec = FeatureSpec(name="sample", summary="A sample.", target="rn_sample.policy:Sample")
     offer = Offer(spec=spec, plugin="rn-sample", distribution="rn-sample", status=Status.READY)
-    monkeypatch.setattr(package, "discover", lambda: Registry(plugins=(), all_offers=(offer,)))
+    monkeypatch.setattr(package, "_installed", lambda: Registry(plugins=(), all_offers=(offer,)))
     (sample.package / "policy.py").write_text(
         "from roboneuron import Feature\nfrom roboneuron.feature import Config\n"
     )

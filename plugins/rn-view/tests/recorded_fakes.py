@@ -15,8 +15,8 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import Image, JointState
 from std_msgs.msg import Float64MultiArray
 
-from rn_runs.files import Record, RunFile
-from rn_runs.images import to_jpeg, to_string
+from rn_recorder_runs.files import Record, RunFile
+from rn_recorder_runs.images import to_jpeg, to_string
 
 BEGIN_NS = 1_700_000_000_000_000_000
 LENGTH_S, RATE_HZ = 2.0, 50

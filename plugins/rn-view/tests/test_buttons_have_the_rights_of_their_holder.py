@@ -80,7 +80,7 @@ def test_the_state_and_what_the_gate_refused_are_shown(application):
         AuditRecord(who="a", role="admin", tool="t", endpoint="wheels", verdict="refused")
     )
     source.look()
-    assert ["wheels" in happening.text for happening in source.happenings.newest(5)] == [True]
+    assert ["wheels" in event.text for event in source.shown_events.newest(5)] == [True]
 
 
 def test_the_stop_of_a_view_beside_a_server_is_the_servers(application):

@@ -25,7 +25,7 @@ from rn_view.stop_bar import HEADER, STOP_PATH
 from roboneuron import ConfigurationError
 from roboneuron.cli.main import main
 from roboneuron.config import load_config
-from roboneuron.server.serving import make_served
+from roboneuron.server.app import make_served
 
 pytestmark = [pytest.mark.timeout(120), pytest.mark.filterwarnings("default:Queued a:UserWarning")]
 PROTOCOL = f"viser-v{viser.__version__}"

@@ -5,17 +5,15 @@ there.
 from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 from recorded_fakes import BEGIN_NS, LENGTH_S, record, shade
 
 from rn_testing.fakes import fake_registry
-from rn_view.measured import Measured
+from rn_view.measured import MeasuredTopics
 from rn_view.plots import History
-from rn_view_attached.command import View
+from rn_view_attached.command import ViewCommand
 from rn_view_recorded.source import RecordedSource
 from roboneuron import ConfigurationError, InvalidInputError, MissingDependencyError, StateError
 from roboneuron.config import load_config
@@ -31,7 +29,7 @@ class Cinema:
             "a-run", files, load_config(None), registry, clock=lambda: self.now_s
         )
         self.playback = self.source.playback
-        self.measured = Measured(self.source, self.source.profile())
+        self.measured = MeasuredTopics(self.source, self.source.profile())
         self.measured.open()
         self.source.step()
 
@@ -54,7 +52,7 @@ class Cinema:
 
     def texts(self) -> list[str]:
         """What had happened, newest first."""
-        return [happening.text for happening in self.source.happenings.newest(99)]
+        return [event.text for event in self.source.shown_events.newest(99)]
 
 
 @pytest.fixture
@@ -176,16 +174,18 @@ def test_no_robot_is_stopped_by_a_recording(cinema: Cinema) -> None:
 
 def command(words: list[str]) -> Namespace:
     parser = ArgumentParser()
-    View().configure(parser)
+    ViewCommand().configure(parser)
     return parser.parse_args(words)
 
 
 def test_the_command_says_what_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    run: Callable[[list[str]], Any] = lambda words: View().run(command([*words, "--port", "0"]))  # noqa: E731
+    def run(words: list[str]) -> object:
+        return ViewCommand().run(command([*words, "--port", "0"]))
+
     with pytest.raises(InvalidInputError, match="No run begins with 'monday'"):
         run(["--run", "monday", "--directory", str(tmp_path)])
     with pytest.raises(ConfigurationError, match="goes with --run"):
         run(["--directory", str(tmp_path)])
-    monkeypatch.setitem(__import__("sys").modules, "rn_runs.command", None)
+    monkeypatch.setitem(__import__("sys").modules, "rn_recorder_runs.command", None)
     with pytest.raises(MissingDependencyError, match="not installed"):
         run(["--run", "latest"])

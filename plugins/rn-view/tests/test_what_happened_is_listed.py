@@ -10,14 +10,14 @@ import pytest
 from mcp import Client, types
 from mcp.server import Server
 
-from rn_view.happenings import AuditTail, Happenings, ToolCalls, add_record
-from rn_view.markup import happenings_list, modules_table, stop_text
-from rn_view.source import ModuleRow, Snapshot
+from rn_view.event_list import AuditReader, EventList, ToolCalls, add_record
+from rn_view.markup import event_rows, modules_table, stop_text
+from rn_view.source import ModuleRow, PageState
 
 
 def calls(result):
     """What is listed of one call with that result."""
-    happenings = Happenings()
+    events = EventList()
     context = SimpleNamespace(
         method="tools/call", params={"name": "start_robot", "arguments": {"driver": "simulated"}}
     )
@@ -28,14 +28,14 @@ def calls(result):
         return result
 
     async def run():
-        return await ToolCalls(happenings)(context, answer)
+        return await ToolCalls(events)(context, answer)
 
     if isinstance(result, Exception):
         with pytest.raises(type(result)):
             anyio.run(run)
     else:
         assert anyio.run(run) is result
-    return sorted(happenings.newest(9), key=lambda happening: "..." not in happening.text)
+    return sorted(events.newest(9), key=lambda event: "..." not in event.text)
 
 
 def test_a_call_is_listed_when_it_begins_and_ends():
@@ -54,24 +54,24 @@ def test_a_refused_call_is_listed_with_its_reason():
 
 def test_of_tools_that_only_read_only_failures_are_listed():
     def lines(**result):
-        happenings = Happenings()
+        events = EventList()
         context = SimpleNamespace(method="tools/call", params={"name": "get_status"})
 
         async def run():
             async def answer(_):
                 return result
 
-            await ToolCalls(happenings, lambda name: name == "get_status")(context, answer)
+            await ToolCalls(events, lambda name: name == "get_status")(context, answer)
 
         anyio.run(run)
-        return happenings.newest(9)
+        return events.newest(9)
 
     assert lines(isError=False) == []
     assert [line.is_bad for line in lines(isError=True, content=[])] == [True]
 
 
 def test_what_a_client_is_told_is_listed():
-    happenings = Happenings()
+    events = EventList()
 
     async def refuse(context, params):
         return types.CallToolResult(
@@ -82,18 +82,14 @@ def test_what_a_client_is_told_is_listed():
         return types.ListToolsResult(tools=[])
 
     server = Server("one", on_call_tool=refuse, on_list_tools=no_tools)
-    server.middleware.append(ToolCalls(happenings))
+    server.middleware.append(ToolCalls(events))
 
     async def ask():
         async with Client(server) as client:
             await client.call_tool("start_robot", {})
 
     anyio.run(ask)
-    assert [
-        happening.text
-        for happening in happenings.newest(9)
-        if happening.is_bad and "it runs" in happening.text
-    ]
+    assert [event.text for event in events.newest(9) if event.is_bad and "it runs" in event.text]
 
 
 def record(number):
@@ -102,7 +98,7 @@ def record(number):
 
 def test_the_audit_is_read_on_across_a_rotation(tmp_path):
     path = tmp_path / "audit.jsonl"
-    tail = AuditTail(path)
+    tail = AuditReader(path)
     assert tail.read_new() == []  # no file yet
     lines = [json.dumps(record(number)) + "\n" for number in range(4)]
     path.write_text(lines[0])
@@ -118,19 +114,19 @@ def test_the_audit_is_read_on_across_a_rotation(tmp_path):
 
 
 def test_a_refusal_is_shown_as_bad():
-    happenings = Happenings()
-    add_record(happenings, record(1))
-    assert happenings.newest(1)[0].is_bad
+    events = EventList()
+    add_record(events, record(1))
+    assert events.newest(1)[0].is_bad
 
 
 def test_what_somebody_said_never_becomes_html():
     bad = "<script>alert(1)</script>"
-    happenings = Happenings()
-    happenings.add("tool", bad)
+    events = EventList()
+    events.add("tool", bad)
     row = ModuleRow(kind="robot", health="failing", text=bad, chosen=bad)
     shown = [
-        happenings_list(happenings.newest(1)),
+        event_rows(events.newest(1)),
         modules_table([row]),
-        stop_text(Snapshot(is_latched=True, cause=bad), "live"),
+        stop_text(PageState(is_latched=True, cause=bad), "live"),
     ]
     assert not any("<script" in html for html in shown)

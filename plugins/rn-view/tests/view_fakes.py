@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from rn_standard.http.options import HttpOptions
 from rn_standard.http.tokens import TokenTable
 from rn_view.access import Admission, host_rules
-from rn_view.happenings import Happenings
+from rn_view.event_list import EventList
 from rn_view.options import ViewOptions
-from rn_view.source import ModuleRow, Snapshot
+from rn_view.source import ModuleRow, PageState
 from roboneuron import CameraCalibration, CameraProfile, JointLimits, RobotProfile, Workspace
 from roboneuron.config import Config, parse_config
 from roboneuron.server.access import Holder
@@ -81,7 +81,7 @@ class FakeSource:
     playback = None
 
     def __init__(self) -> None:
-        self.happenings = Happenings()
+        self.shown_events = EventList()
         self.subscribed: dict[str, Callable[[Any], None]] = {}
         self.stops: list[str] = []
         self.stopped = threading.Event()
@@ -106,9 +106,9 @@ class FakeSource:
     def profile(self) -> RobotProfile:
         return profile()
 
-    def snapshot(self) -> Snapshot:
+    def snapshot(self) -> PageState:
         cause = self.stops[-1] if self.stops else ""
-        return Snapshot(
+        return PageState(
             modules=self.modules,
             is_latched=bool(self.stops),
             cause=cause,

@@ -10,12 +10,19 @@ import numpy as np
 import pytest
 
 from rn_testing.rule import Violation
-from rn_vla.decoding import DecoderShape, PolicyModel, Prompt, RowsReply, TokenReply, TokenRequest
+from rn_vla.decoding import (
+    DecoderShape,
+    DecodingPrompt,
+    PolicyModel,
+    RowsReply,
+    TokenReply,
+    TokenRequest,
+)
 from rn_vla.testing import check_token_answer, late
 
 VOCABULARY = 32
 REQUEST = TokenRequest(
-    prompt=Prompt(text="go", ids=np.array([1, 2, 3]), images=(), arrays={}),
+    prompt=DecodingPrompt(text="go", ids=np.array([1, 2, 3]), images=(), arrays={}),
     max_new_tokens=4,
     with_logits=True,
 )

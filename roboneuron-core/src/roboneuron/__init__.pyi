@@ -77,17 +77,15 @@ from .plugins.hookspecs import (
     hookimpl as hookimpl,
     hookspec as hookspec,
 )
-from .plugins.restricted import (
-    AgentMaySet as AgentMaySet,
-    ConfigurationOnly as ConfigurationOnly,
-)
 from .plugins.specs import (
     AccelerationSpec as AccelerationSpec,
     ActionSpace as ActionSpace,
+    AgentMaySet as AgentMaySet,
     BackendSpec as BackendSpec,
     CONTRACT_VERSION as CONTRACT_VERSION,
     CameraSpec as CameraSpec,
     CommandSpec as CommandSpec,
+    ConfigurationOnly as ConfigurationOnly,
     ControllerSpec as ControllerSpec,
     DriverSpec as DriverSpec,
     FeatureSpec as FeatureSpec,

@@ -8,7 +8,6 @@ from . import (
     log_files as log_files,
 )
 from .cli import (
-    commands as commands,
     terminal as terminal,
 )
 from .config import (
@@ -42,7 +41,6 @@ from .server import (
     access as access,
     emergency as emergency,
     envelope as envelope,
-    module_kinds as module_kinds,
     results as results,
     schema as schema,
 )
@@ -51,6 +49,13 @@ from .supervisor import (
 )
 
 # Single names.
+from .cli.main import (
+    COMMANDS as COMMANDS,
+    CommandModule as CommandModule,
+    installed_commands as installed_commands,
+    load_command as load_command,
+    spoken as spoken,
+)
 from .config.models import (
     Config as Config,
 )
@@ -96,11 +101,9 @@ from .modules.control import (
 from .modules.inference import (
     InferenceModule as InferenceModule,
 )
-from .modules.module import (
-    Module as Module,
-)
 from .modules.module_host import (
     Handover as Handover,
+    Module as Module,
     ModuleHost as ModuleHost,
 )
 from .modules.parent_watch import (
@@ -109,6 +112,9 @@ from .modules.parent_watch import (
 from .modules.plugin import (
     build as build,
     load_profile as load_profile,
+)
+from .modules.report import (
+    Report as Report,
 )
 from .modules.settings import (
     MODULE_KINDS as MODULE_KINDS,
@@ -141,7 +147,7 @@ from .ros.link import (
 )
 from .server.app import (
     Application as Application,
-    instructions_for as instructions_for,
+    make_served as make_served,
 )
 from .server.events import (
     Events as Events,
@@ -190,21 +196,23 @@ from .server.schema import (
     Schema as Schema,
     Shape as Shape,
 )
-from .server.sections import (
-    check_configuration as check_configuration,
-)
 from .server.selection import (
+    Instruction as Instruction,
+    KIND_ENTRIES as KIND_ENTRIES,
+    KindEntry as KindEntry,
+    ModuleSection as ModuleSection,
     Selection as Selection,
+    check_configuration as check_configuration,
     check_instruction as check_instruction,
+    check_name as check_name,
     configured_section as configured_section,
     plan_of as plan_of,
+    readers_of as readers_of,
     select as select,
     takes_checkpoint as takes_checkpoint,
 )
-from .server.serving import (
-    make_served as make_served,
-)
 from .server.surface import (
+    instructions_for as instructions_for,
     make_server as make_server,
 )
 from .server.tool import (
@@ -222,7 +230,6 @@ from .supervisor.health import (
     FAULTS as FAULTS,
     Health as Health,
     ModuleView as ModuleView,
-    Report as Report,
     assess as assess,
 )
 from .supervisor.lifecycle import (

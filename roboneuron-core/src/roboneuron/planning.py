@@ -4,7 +4,7 @@ heavy is imported.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import TypeVar
@@ -89,10 +89,16 @@ def check_plan(
     if perception_spec is not None:
         _check_perception(perception_spec, robot_spec, driver_spec)
     if controller_spec is not None:
-        _check_controller(controller_spec, robot_spec)
+        _require(
+            robot_spec.robot_kind in controller_spec.robot_kinds,
+            f"Controller {controller!r} moves robots of kind "
+            f"{_listed(controller_spec.robot_kinds)}, "
+            f"but {robot!r} is of kind {robot_spec.robot_kind!r}.",
+        )
     runtime_spec = acceleration_spec = None
     if backend_spec is None:
-        _check_nothing_to_execute(runtime, acceleration)
+        for kind, name in (("runtime", runtime), ("acceleration", acceleration)):
+            _require(not name, f"The {kind} {name!r} has nothing to execute; name a backend too.")
         chosen = _chosen_cameras(robot_spec, cameras)
     else:
         _check_action_width(backend_spec, robot_spec)
@@ -113,8 +119,13 @@ def check_plan(
     )
 
 
-def _listed(names: object) -> str:
-    return ", ".join(str(n) for n in names) or "none"  # type: ignore[attr-defined]
+def _listed(names: Iterable[object]) -> str:
+    return ", ".join(map(str, names)) or "none"
+
+
+def _require(fits: bool, otherwise: str) -> None:
+    if not fits:
+        raise PlanningError(otherwise)
 
 
 def _check_driver(robot: RobotSpec, name: str, is_elsewhere: bool) -> DriverSpec:
@@ -125,65 +136,48 @@ def _check_driver(robot: RobotSpec, name: str, is_elsewhere: bool) -> DriverSpec
             f"{_listed(d.name for d in robot.drivers)}."
         )
     absent = availability.missing(driver.requires)
-    if absent and not is_elsewhere:
-        raise PlanningError(
-            f"Driver {name!r} of robot {robot.name!r} cannot be used: "
-            f"{availability.explain(absent)}"
-        )
+    _require(
+        not absent or is_elsewhere,
+        f"Driver {name!r} of robot {robot.name!r} cannot be used: {availability.explain(absent)}",
+    )
     return driver
 
 
 def _check_perception(perception: PerceptionSpec, robot: RobotSpec, driver: DriverSpec) -> None:
-    if perception.robots and robot.name not in perception.robots:
-        raise PlanningError(
-            f"Perception {perception.name!r} serves only the robots {_listed(perception.robots)}, "
-            f"not {robot.name!r}."
-        )
-    if perception.drivers and driver.name not in perception.drivers:
-        raise PlanningError(
-            f"Perception {perception.name!r} works only with the drivers "
-            f"{_listed(perception.drivers)}, "
-            f"not with {driver.name!r} of robot {robot.name!r}."
-        )
-
-
-def _check_controller(controller: ControllerSpec, robot: RobotSpec) -> None:
-    if robot.robot_kind not in controller.robot_kinds:
-        raise PlanningError(
-            f"Controller {controller.name!r} moves robots of kind "
-            f"{_listed(controller.robot_kinds)}, "
-            f"but {robot.name!r} is of kind {robot.robot_kind!r}."
-        )
-
-
-def _check_nothing_to_execute(runtime: str | None, acceleration: str | None) -> None:
-    for kind, name in (("runtime", runtime), ("acceleration", acceleration)):
-        if name:
-            raise PlanningError(f"The {kind} {name!r} has nothing to execute; name a backend too.")
+    _require(
+        not perception.robots or robot.name in perception.robots,
+        f"Perception {perception.name!r} serves only the robots {_listed(perception.robots)}, "
+        f"not {robot.name!r}.",
+    )
+    _require(
+        not perception.drivers or driver.name in perception.drivers,
+        f"Perception {perception.name!r} works only with the drivers "
+        f"{_listed(perception.drivers)}, not with {driver.name!r} of robot {robot.name!r}.",
+    )
 
 
 def _check_action_width(backend: BackendSpec, robot: RobotSpec) -> None:
     width = backend.action_space.width
-    if not robot.action_widths:
-        raise PlanningError(
-            f"Robot {robot.name!r} executes no model actions, so backend {backend.name!r} cannot "
-            "drive it."
-        )
-    if width not in robot.action_widths:
-        raise PlanningError(
-            f"Backend {backend.name!r} yields actions of width {width}, "
-            f"but robot {robot.name!r} executes widths {_listed(robot.action_widths)}."
-        )
+    _require(
+        bool(robot.action_widths),
+        f"Robot {robot.name!r} executes no model actions, so backend {backend.name!r} cannot "
+        "drive it.",
+    )
+    _require(
+        width in robot.action_widths,
+        f"Backend {backend.name!r} yields actions of width {width}, "
+        f"but robot {robot.name!r} executes widths {_listed(robot.action_widths)}.",
+    )
 
 
 def _chosen_cameras(robot: RobotSpec, cameras: Mapping[str, str]) -> dict[str, str]:
     known = [c.name for c in robot.cameras]
     for role, name in cameras.items():
-        if name not in known:
-            raise PlanningError(
-                f"Camera {name!r} for role {role!r} is unknown; robot {robot.name!r} has: "
-                f"{_listed(known)}."
-            )
+        _require(
+            name in known,
+            f"Camera {name!r} for role {role!r} is unknown; robot {robot.name!r} has: "
+            f"{_listed(known)}.",
+        )
     return dict(cameras)
 
 
@@ -193,21 +187,19 @@ def _resolve_cameras(
     chosen = _chosen_cameras(robot, cameras)
     roles = (*backend.cameras, *backend.optional_cameras)
     for role in chosen:
-        if role not in roles:
-            raise PlanningError(
-                f"Backend {backend.name!r} uses no camera role {role!r}; it uses: {_listed(roles)}."
-            )
-    by_role: dict[str, str] = {}
-    for camera in robot.cameras:
-        by_role.setdefault(camera.role, camera.name)
-    absent = [role for role in backend.cameras if role not in chosen and role not in by_role]
-    if absent:
-        has = _listed(f"{c.name} (role {c.role})" for c in robot.cameras)
-        raise PlanningError(
-            f"Backend {backend.name!r} needs a camera of role {_listed(absent)}, but robot "
-            f"{robot.name!r} has: {has}."
+        _require(
+            role in roles,
+            f"Backend {backend.name!r} uses no camera role {role!r}; it uses: {_listed(roles)}.",
         )
-    found = {**by_role, **chosen}
+    # of several cameras with one role the first
+    found = {camera.role: camera.name for camera in reversed(robot.cameras)} | chosen
+    absent = [role for role in backend.cameras if role not in found]
+    has = _listed(f"{c.name} (role {c.role})" for c in robot.cameras)
+    _require(
+        not absent,
+        f"Backend {backend.name!r} needs a camera of role {_listed(absent)}, but robot "
+        f"{robot.name!r} has: {has}.",
+    )
     return {role: found[role] for role in roles if role in found}
 
 
@@ -221,23 +213,23 @@ def _resolve_runtime(
     ]
     wanted = name or backend.default_runtime
     if not wanted:
-        if backend.runtimes_required:
-            raise PlanningError(
-                f"Backend {backend.name!r} needs a runtime for the family {backend.family!r}; "
-                f"installed ones that fit: {_listed(fitting)}."
-            )
+        _require(
+            not backend.runtimes_required,
+            f"Backend {backend.name!r} needs a runtime for the family {backend.family!r}; "
+            f"installed ones that fit: {_listed(fitting)}.",
+        )
         return None
-    if not backend.family:
-        raise PlanningError(
-            f"Backend {backend.name!r} takes no runtime, but {wanted!r} was asked for."
-        )
+    _require(
+        bool(backend.family),
+        f"Backend {backend.name!r} takes no runtime, but {wanted!r} was asked for.",
+    )
     runtime = registry.get(RuntimeSpec, wanted, elsewhere=is_elsewhere)
-    if backend.family not in runtime.families:
-        raise PlanningError(
-            f"Runtime {wanted!r} executes the families {_listed(runtime.families)}, but backend "
-            f"{backend.name!r} is of "
-            f"family {backend.family!r}; installed ones that fit: {_listed(fitting)}."
-        )
+    _require(
+        backend.family in runtime.families,
+        f"Runtime {wanted!r} executes the families {_listed(runtime.families)}, but backend "
+        f"{backend.name!r} is of family {backend.family!r}; installed ones that fit: "
+        f"{_listed(fitting)}.",
+    )
     return runtime
 
 
@@ -250,14 +242,13 @@ def _check_acceleration(
     """The capability is offered by what executes the decoder: the runtime, or the backend when it
     runs without one.
     """
-    if not backend.family or (
-        acceleration.families and backend.family not in acceleration.families
-    ):
-        raise PlanningError(
-            f"Acceleration {acceleration.name!r} knows the families "
-            f"{_listed(acceleration.families)}, "
-            f"but backend {backend.name!r} is of family {backend.family or 'none'!r}."
-        )
+    _require(
+        bool(backend.family)
+        and (not acceleration.families or backend.family in acceleration.families),
+        f"Acceleration {acceleration.name!r} knows the families "
+        f"{_listed(acceleration.families)}, "
+        f"but backend {backend.name!r} is of family {backend.family or 'none'!r}.",
+    )
     word = acceleration.capability
     able = [
         r.name
@@ -265,17 +256,17 @@ def _check_acceleration(
         if backend.family in r.families and (not word or word in r.capabilities)
     ]
     if runtime is None:
-        if not word or word not in backend.capabilities:
-            raise PlanningError(
-                f"Acceleration {acceleration.name!r} needs a runtime that offers "
-                f"{word or 'a decoder'!r}, but backend "
-                f"{backend.name!r} was to run without one; installed ones that fit: "
-                f"{_listed(able)}."
-            )
-    elif word and word not in runtime.capabilities:
-        where = "runs the model in another process and " if runtime.served else ""
-        raise PlanningError(
-            f"Acceleration {acceleration.name!r} needs the capability {word!r}, but runtime "
-            f"{runtime.name!r} {where}"
-            f"offers {_listed(runtime.capabilities)}; installed ones that fit: {_listed(able)}."
+        _require(
+            bool(word) and word in backend.capabilities,
+            f"Acceleration {acceleration.name!r} needs a runtime that offers "
+            f"{word or 'a decoder'!r}, but backend {backend.name!r} was to run without one; "
+            f"installed ones that fit: {_listed(able)}.",
         )
+        return
+    where = "runs the model in another process and " if runtime.served else ""
+    _require(
+        not word or word in runtime.capabilities,
+        f"Acceleration {acceleration.name!r} needs the capability {word!r}, but runtime "
+        f"{runtime.name!r} {where}offers {_listed(runtime.capabilities)}; installed ones that "
+        f"fit: {_listed(able)}.",
+    )

@@ -9,7 +9,7 @@ from pydantic import Field
 
 from rn_testing.fakes import fake_registry
 from roboneuron import FeatureSpec, Section
-from roboneuron.cli.commands import run_command
+from roboneuron.cli.main import run_command
 from roboneuron.cli.serve import add_installed_flags, configure, with_server
 from roboneuron.config import Config, feature_options, parse_config
 from roboneuron.errors import ConfigurationError
@@ -37,7 +37,7 @@ HOST = FeatureSpec(
 def registry(monkeypatch: pytest.MonkeyPatch) -> Registry:
     """Installed are these three features."""
     registry = fake_registry(SIREN, SILENT, HOST)
-    monkeypatch.setattr("roboneuron.plugins.discovery.discover", lambda disabled=(): registry)
+    monkeypatch.setattr("roboneuron.cli.serve.discover", lambda disabled=(): registry)
     return registry
 
 

@@ -8,7 +8,7 @@ from argparse import ArgumentParser, Namespace
 import pytest
 
 from roboneuron.cli import terminal
-from roboneuron.cli.commands import COMMANDS, load_command
+from roboneuron.cli.main import COMMANDS, load_command
 
 
 @pytest.mark.parametrize(

@@ -6,8 +6,7 @@ from __future__ import annotations
 
 import pytest
 
-from roboneuron.cli.commands import named_command
-from roboneuron.cli.main import main
+from roboneuron.cli.main import main, named_command
 from roboneuron.plugins.discovery import discover_from
 
 

@@ -12,7 +12,7 @@ from roboneuron.config import parse_config
 from roboneuron.errors import ConfigurationError
 from roboneuron.plugins.registry import PluginRecord, Registry, Status
 from roboneuron.plugins.specs import BackendSpec
-from roboneuron.server.sections import check_configuration, check_sections
+from roboneuron.server.selection import check_configuration
 
 REGISTRY = fake_registry(BackendSpec(name="plain", summary="Takes no options.", target="nowhere:X"))
 ROBOT = '[robot]\nname = "gantry"\n'
@@ -35,11 +35,6 @@ WRONG = [
         '"./plugins/rn-backend-pi0[native]"',
     ),
     ('[inference]\nbackend = "instnat"\n', "no backend 'instnat'"),
-    ('[server]\nagent_options = ["instnat.horizon"]\n', "nothing is called 'instnat'"),
-    (
-        '[server]\nagent_options = ["instant.horizn"]\n',
-        "'instant' has no option 'horizn'. Did you mean 'horizon'?",
-    ),
 ]
 
 
@@ -66,7 +61,6 @@ def test_all_that_is_wrong_is_told_at_once_and_once() -> None:
         "",
         "[plugins.instant]\nhorizon = 3\n",
         "[plugins.plain]\n",
-        '[server]\nagent_options = ["instant.horizon"]\n',
     ],
 )
 def test_what_is_right_passes(text: str) -> None:
@@ -84,10 +78,10 @@ def test_options_of_plugins_that_are_left_out_are_not_judged() -> None:
         )
         return Registry(plugins=(*REGISTRY.plugins, record), all_offers=REGISTRY.all_offers)
 
-    check_sections(parse_config(f"{ROBOT}[plugins.pi0]\n"), with_plugin("rn-backend-pi0"))
-    check_sections(parse_config(f"{ROBOT}[plugins.zzz-of-another]\n"), with_plugin("rn-x"))
+    check_configuration(parse_config(f"{ROBOT}[plugins.pi0]\n"), with_plugin("rn-backend-pi0"))
+    check_configuration(parse_config(f"{ROBOT}[plugins.zzz-of-another]\n"), with_plugin("rn-x"))
     with pytest.raises(ConfigurationError, match="nothing is called 'zzz-of-another'"):
-        check_sections(parse_config(f"{ROBOT}[plugins.zzz-of-another]\n"), REGISTRY)
+        check_configuration(parse_config(f"{ROBOT}[plugins.zzz-of-another]\n"), REGISTRY)
 
 
 def check(tmp_path: Path, text: str) -> int:

@@ -141,10 +141,17 @@ def test_a_checkpoint_is_given_more_time_to_load() -> None:
             "'supervisor.unresponsive_s' has moved: write unresponsive_s",
         ),
         ("[server]\nport = 1\n", "'server.port' has moved: write port under [http]"),
-        ("[direct]\ndry_run = true\n", "'direct.dry_run' has moved: write dry_run under [server]"),
+        (
+            "[direct]\ndry_run = true\n",
+            "'direct.dry_run' has moved: write dry_run under [direct_path]",
+        ),
+        (
+            "[server]\nagent_options = []\n",
+            "'server.agent_options' has moved: write agent_options under [selection]",
+        ),
         (
             "[direct]\nmax_duration_s = 5.0\n",
-            "'direct.max_duration_s' has moved: write max_duration_s under [server]",
+            "'direct.max_duration_s' has moved: write max_duration_s under [direct_path]",
         ),
         (
             "[direct]\nee_speed_m_s = 0.1\n",
@@ -177,7 +184,8 @@ def test_keys_have_moved_to_keys_that_there_are() -> None:
 
 def test_a_section_of_a_feature_that_is_not_installed_names_its_package() -> None:
     with pytest.raises(
-        ConfigurationError, match="a feature of rn-standard, which is not installed"
+        ConfigurationError,
+        match=r"'ops': There is no feature 'ops' installed; .* rn-standard brings it",
     ) as caught:
         parse_config(MINIMAL + "[ops]\n", registry=Registry(plugins=(), all_offers=()))
     assert "pip install -r requirements.txt" in caught.value.hint

@@ -96,7 +96,7 @@ def test_a_section_of_a_feature_that_cannot_be_used_says_why():
     registry = Registry(plugins=(), all_offers=(offer,))
     with pytest.raises(
         ConfigurationError,
-        match=r"belongs to the feature 'run-recorder' of rn-recorder.*Needs 'mcap'",
+        match=r"'run_recorder': The feature 'run-recorder' cannot be used.*Needs 'mcap'",
     ):
         parse_config(f"{ROBOT}[run_recorder]\n", registry=registry)
 
@@ -111,7 +111,8 @@ def test_modules_are_not_told_the_sections_of_features():
 
 def test_the_section_of_a_package_that_is_absent_names_the_package():
     with pytest.raises(
-        ConfigurationError, match=r"'http' belongs to a feature of rn-standard.* Run: pip install"
+        ConfigurationError,
+        match=r"'http': There is no feature 'http' installed; .*rn-standard.* Run: pip install",
     ):
         parse_config(f"{ROBOT}[http]\nport = 1\n", registry=REGISTRY)
 

@@ -141,7 +141,7 @@ def test_a_setpoint_moves_evenly_and_rests_at_its_end(
     now_s: float, position: float, velocity: float
 ) -> None:
     setpoint = Setpoint(
-        start=np.ones(1), way=np.ones(1), duration_s=0.5, sent_s=10.0, immediate=False
+        start=np.ones(1), displacement=np.ones(1), duration_s=0.5, sent_s=10.0, immediate=False
     )
     where, speed = setpoint.at(now_s)
     assert where.tolist() == pytest.approx([position])
@@ -155,7 +155,7 @@ def test_an_immediate_setpoint_is_there_at_once_and_moves_until_the_next_one_is_
     now_s: float, velocity: float
 ) -> None:
     setpoint = Setpoint(
-        start=np.ones(1), way=np.ones(1), duration_s=0.5, sent_s=10.0, immediate=True
+        start=np.ones(1), displacement=np.ones(1), duration_s=0.5, sent_s=10.0, immediate=True
     )
     where, speed = setpoint.at(now_s)
     assert (where.tolist(), speed.tolist()) == ([2.0], [velocity])

@@ -26,10 +26,10 @@ def space(*limits: JointLimit) -> JointSpace:
     return JointSpace(NAMES[: len(limits)], limits)
 
 
-def pace(
+def violations(
     limit: JointLimit, start: float, change: float, step_s: float = 1.0
 ) -> list[tuple[str, float, str]]:
-    return list(space(limit).pace(np.array([start]), np.array([change]), step_s))
+    return list(space(limit).violations(np.array([start]), np.array([change]), step_s))
 
 
 @pytest.mark.parametrize(
@@ -180,7 +180,7 @@ def test_a_robot_without_limits_and_gripper_has_none() -> None:
 def test_a_change_is_shortened_to_the_position_limit_that_it_passes(
     start: float, change: float, share: float | None
 ) -> None:
-    found = pace(JointLimit(lower=-3.0, upper=2.0), start, change)
+    found = violations(JointLimit(lower=-3.0, upper=2.0), start, change)
     if share is None:
         assert found == []
         return
@@ -192,20 +192,20 @@ def test_a_change_is_shortened_to_the_position_limit_that_it_passes(
 
 def test_the_slack_of_a_position_within_one_is_a_millionth() -> None:
     for sign in (-1.0, 1.0):
-        assert pace(JointLimit(lower=-0.5, upper=0.5), 0.0, sign * (0.5 + 0.9e-6)) == []
-        assert pace(JointLimit(lower=-0.5, upper=0.5), 0.0, sign * (0.5 + 1.1e-6)) != []
+        assert violations(JointLimit(lower=-0.5, upper=0.5), 0.0, sign * (0.5 + 0.9e-6)) == []
+        assert violations(JointLimit(lower=-0.5, upper=0.5), 0.0, sign * (0.5 + 1.1e-6)) != []
 
 
 def test_the_slack_of_a_change_is_that_of_the_bound_which_it_passes() -> None:
     for change, is_named in ((0.5 + 0.9e-6, False), (0.5 + 1.1e-6, True)):
-        assert bool(pace(JointLimit(lower=-3.0, upper=0.5), 0.0, change)) is is_named
-        assert bool(pace(JointLimit(lower=-0.5, upper=3.0), 0.0, -change)) is is_named
+        assert bool(violations(JointLimit(lower=-3.0, upper=0.5), 0.0, change)) is is_named
+        assert bool(violations(JointLimit(lower=-0.5, upper=3.0), 0.0, -change)) is is_named
 
 
 def test_a_change_may_take_up_the_slack_itself() -> None:
     for sign in (-1.0, 1.0):
-        assert pace(JointLimit(lower=0.0, upper=0.0), 0.0, sign * 1e-6) == []
-        assert pace(JointLimit(velocity=1.0 - 1e-6), 0.0, sign) == []
+        assert violations(JointLimit(lower=0.0, upper=0.0), 0.0, sign * 1e-6) == []
+        assert violations(JointLimit(velocity=1.0 - 1e-6), 0.0, sign) == []
 
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
@@ -222,7 +222,7 @@ def test_a_change_may_take_up_the_slack_itself() -> None:
 def test_a_change_is_shortened_to_the_velocity_limit(
     sign: float, change: float, step_s: float, share: float | None
 ) -> None:
-    found = pace(JointLimit(velocity=2.0), 0.0, sign * change, step_s)
+    found = violations(JointLimit(velocity=2.0), 0.0, sign * change, step_s)
     assert [name for name, _, _ in found] == ([] if share is None else ["velocity"])
     if share is not None:
         assert found[0][1] == pytest.approx(share, abs=1e-5)
@@ -231,9 +231,9 @@ def test_a_change_is_shortened_to_the_velocity_limit(
 
 def test_the_velocity_of_a_whole_step_is_one_that_can_be_braked_after_it() -> None:
     limit = JointLimit(lower=-9.0, upper=1.0, velocity=50.0, acceleration=4.0, braking=(1.0, 8.0))
-    [(name, share, _)] = pace(limit, 0.0, 0.8, 0.5)  # at most 1 rad/s, so 0.5 rad
+    [(name, share, _)] = violations(limit, 0.0, 0.8, 0.5)  # at most 1 rad/s, so 0.5 rad
     assert (name, share) == ("velocity", pytest.approx(0.625))
-    assert pace(limit, 0.0, -0.8, 0.5) == [], "the other limit is far away"
+    assert violations(limit, 0.0, -0.8, 0.5) == [], "the other limit is far away"
 
 
 @pytest.mark.parametrize(("change", "is_named"), [(1e-10, False), (1e-9, False), (1e-8, True)])
@@ -241,7 +241,7 @@ def test_rounding_is_no_motion_towards_a_limit_that_allows_none(
     change: float, is_named: bool
 ) -> None:
     limit = JointLimit(lower=0.0, upper=1.0, braking=(0.1, 1.0))
-    assert bool(pace(limit, 1.0, change)) == is_named
+    assert bool(violations(limit, 1.0, change)) == is_named
 
 
 @pytest.mark.parametrize("nearer", [0, 1])
@@ -249,13 +249,13 @@ def test_the_joint_that_allows_least_decides(nearer: int) -> None:
     limits = [JointLimit(lower=-1.0, upper=1.0, velocity=1.0)] * 2
     change = np.array([2.0, 2.0])
     change[nearer] = 4.0
-    found = list(space(*limits).pace(np.zeros(2), change, 1.0))
+    found = list(space(*limits).violations(np.zeros(2), change, 1.0))
     assert [(name, share) for name, share, _ in found] == [("position", 0.25), ("velocity", 0.25)]
     assert all(reason.startswith(f"{NAMES[nearer]} would ") for _, _, reason in found)
 
 
 def test_of_joints_that_allow_the_same_the_first_is_named() -> None:
-    found = space(*[JointLimit(lower=-1.0, upper=1.0, velocity=1.0)] * 2).pace(
+    found = space(*[JointLimit(lower=-1.0, upper=1.0, velocity=1.0)] * 2).violations(
         np.zeros(2), np.full(2, -2.0), 1.0
     )
     assert [reason[:8] for _, _, reason in found] == ["a would ", "a would "]
@@ -263,7 +263,7 @@ def test_of_joints_that_allow_the_same_the_first_is_named() -> None:
 
 def test_a_joint_that_rests_does_not_hide_one_that_moves() -> None:
     limits = [JointLimit(lower=-1.0, upper=1.0)] * 2
-    [(name, share, _)] = space(*limits).pace(np.array([5.0, 0.0]), np.array([0.0, 2.0]), 1.0)
+    [(name, share, _)] = space(*limits).violations(np.array([5.0, 0.0]), np.array([0.0, 2.0]), 1.0)
     assert (name, share) == ("position", 0.5)
 
 
@@ -272,7 +272,7 @@ def reach(
 ) -> tuple[list[float], str]:
     """After a quarter of a second: 4 rad/s^2 are 1 rad/s."""
     limits = [JointLimit(acceleration=acceleration)] * len(before)
-    velocity, joint = space(*limits).reach(np.array(before), np.array(wanted), 0.25)
+    velocity, joint = space(*limits).nearest_velocity(np.array(before), np.array(wanted), 0.25)
     return velocity.tolist(), joint
 
 
@@ -343,6 +343,6 @@ def test_every_joint_has_to_reach_its_velocity() -> None:
 def test_no_joint_is_left_unchecked_when_arrays_are_too_short(first: int, second: int) -> None:
     joints = space(*[JointLimit()] * 2)
     with pytest.raises(ValueError, match="zip"):
-        list(joints.pace(np.zeros(first), np.zeros(second), 1.0))
+        list(joints.violations(np.zeros(first), np.zeros(second), 1.0))
     with pytest.raises(ValueError, match="zip"):
         joints.is_reachable(np.zeros(first), np.zeros(second), 1.0)

@@ -7,6 +7,7 @@ from __future__ import annotations
 import importlib.metadata
 import os
 import shutil
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
@@ -22,6 +23,7 @@ from roboneuron.modules.settings import ModuleKind, ModuleSettings
 from roboneuron.ros.environment import prepare_environment
 
 HERE = Path(__file__).parent
+sys.path.append(str(HERE))  # for control_cell and robot_cell
 BASE = """
 [robot]
 name = "pair"
@@ -262,7 +264,7 @@ def make_host(
 
     The clock of modules is that of the host.
     """
-    from roboneuron.modules import control, module, robot
+    from roboneuron.modules import control, module_host, robot
     from roboneuron.plugins.discovery import discover_from
 
     monkeypatch.syspath_prepend(str(loop_site))
@@ -271,7 +273,7 @@ def make_host(
         for distribution in importlib.metadata.distributions(path=[str(loop_site)])
         for point in distribution.entry_points
     ]
-    monkeypatch.setattr(module, "discover", lambda disabled: discover_from(points, disabled))
+    monkeypatch.setattr(module_host, "discover", lambda disabled: discover_from(points, disabled))
     clock = Clock()
     for one in (control, robot):
         monkeypatch.setattr(one, "time", clock)
@@ -302,6 +304,16 @@ def edited(extra: str, replace: dict[str, str] | None) -> str:
         assert old in text
         text = text.replace(old, new)
     return text
+
+
+@pytest.fixture
+def no_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The threads of a robot module are not started: the test calls their steps."""
+    from robot_cell import Steps
+
+    from roboneuron.modules import robot
+
+    monkeypatch.setattr(robot, "Worker", Steps)
 
 
 @pytest.fixture

@@ -28,6 +28,8 @@ from roboneuron.contract import (
     Topics,
 )
 from roboneuron.errors import CheckpointError, NotReadyError, UngroundedError
+from roboneuron.modules.execution import Prediction
+from roboneuron.modules.inference import InferenceModule
 from roboneuron.modules.module_host import Handover
 from roboneuron.plugins.hookspecs import hookimpl
 from roboneuron.plugins.specs import (
@@ -95,7 +97,12 @@ def roboneuron_perceptions() -> Sequence[PerceptionSpec]:
 
 @hookimpl
 def roboneuron_controllers() -> Sequence[ControllerSpec]:
-    return [ControllerSpec(name="adder", summary="x", target="loop_plugin:Adder")]
+    return [
+        ControllerSpec(name="adder", summary="x", target="loop_plugin:Adder"),
+        ControllerSpec(
+            name="wheels", summary="x", target="loop_plugin:Adder", robot_kinds=("base",)
+        ),
+    ]
 
 
 @hookimpl
@@ -164,9 +171,32 @@ class Windows(Handover):
     def note_sent(self, what: str) -> None:
         self.sent.append(what)
 
+    def come_between(self, module: Any) -> None:
+        """Decide for an inference module, as such a feature does."""
+        if not isinstance(module, InferenceModule):
+            return
+        deliver = module.deliver
+
+        def accepts(captured_ns: int) -> bool:
+            if self.is_over(captured_ns):
+                module.status.set(note="handed over to the successor")
+            return not self.is_over(captured_ns)
+
+        def deliver_unless_in_shadow(prediction: Prediction, chunk: ActionChunk, stop: Any) -> None:
+            if not self.is_shadow(prediction.captured_ns):
+                deliver(prediction, chunk, stop)
+                return
+            module.status.set(note="in shadow")
+            self.withhold(chunk)
+            module.note_first(prediction.observation.stamp_ns)
+
+        module.accepts.append(accepts)
+        module.deliver = deliver_unless_in_shadow
+
 
 def join(host: Any) -> None:
     windows = host.handover = Windows(host.settings.shadow, host.status)
+    host.on_configured.append(windows.come_between)
     for name, moment_ns in windows.moments.items():
         host.add_parameter(
             name, moment_ns, partial(windows.set, name), lambda ns: "no ROS time" if ns < 0 else ""

@@ -22,7 +22,7 @@ print("listens", flush=True)
 is_leaving = False
 while not is_leaving:
     is_leaving = signals.is_leaving
-    presses += signals.take_press()
+    presses += signals.take_stop()
     time.sleep(0.001)
 print(presses)
 """

@@ -44,7 +44,7 @@ class Cell:
             if self.control.settings.config.control.command == "joint_state"
             else "joint_trajectory"
         )
-        assert holds_within(lambda: self.value(f"listeners.{topic}") == "1")
+        assert holds_within(self.control.outputs[topic].get_subscription_count)
 
     def send_state(self) -> None:
         now_ns = self.world.node.get_clock().now().nanoseconds

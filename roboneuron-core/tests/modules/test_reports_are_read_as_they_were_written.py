@@ -7,12 +7,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from roboneuron.errors import InternalError, UngroundedError
-from roboneuron.modules.report import StatusReport
+from roboneuron.modules.report import Report
 
 TEXT = st.text(max_size=20)
 NUMBER = st.none() | st.floats(min_value=-1e6, max_value=1e6).map(lambda x: float(f"{x:.6g}"))
 REPORTS = st.builds(
-    StatusReport,
+    Report,
     state=TEXT,
     ready=st.booleans(),
     error_count=st.integers(0, 999),
@@ -27,24 +27,22 @@ REPORTS = st.builds(
 
 
 @given(REPORTS)
-def test_what_is_written_is_read(report: StatusReport) -> None:
-    assert StatusReport.from_values(report.to_values()) == report
+def test_what_is_written_is_read(report: Report) -> None:
+    assert Report.from_values(report.to_values()) == report
 
 
 @pytest.mark.parametrize("text", ["", "fast", "nan", "inf", "1e999"])
 def test_a_malformed_number_counts_as_not_said(text: str) -> None:
-    report = StatusReport.from_values({"rate_hz": text, "published": text})
+    report = Report.from_values({"rate_hz": text, "published": text})
     assert (report.rate_hz, report.published) == (None, 0)
 
 
 def test_nothing_said_is_an_empty_report() -> None:
-    assert StatusReport.from_values({}) == StatusReport()
+    assert Report.from_values({}) == Report()
 
 
 def test_a_failure_comes_back_as_its_own_class() -> None:
-    failure = StatusReport(
-        error_code="ungrounded", error="No cube.", error_hint="Show one."
-    ).failure()
+    failure = Report(error_code="ungrounded", error="No cube.", error_hint="Show one.").failure()
     assert isinstance(failure, UngroundedError)
     assert str(failure) == "No cube. Show one."
-    assert isinstance(StatusReport(error_code="of the future", error="?").failure(), InternalError)
+    assert isinstance(Report(error_code="of the future", error="?").failure(), InternalError)

@@ -195,7 +195,7 @@ def test_the_setpoint_of_the_predecessor_is_taken_over(bench: Bench) -> None:
     guard = bench.make()
     guard.follow(command(0.52, -0.5), HERE, 10.0)
     assert guard._limiter._sent is not None
-    assert guard._limiter._sent.way == pytest.approx([0.02, 0.0])
+    assert guard._limiter._sent.displacement == pytest.approx([0.02, 0.0])
 
 
 def test_commands_without_a_time_are_judged_as_jumps(bench: Bench) -> None:

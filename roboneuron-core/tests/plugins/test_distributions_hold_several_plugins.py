@@ -113,6 +113,6 @@ def test_what_a_disabled_plugin_may_hold_is_not_said_to_be_absent(site):
     assert "pip install" not in str(caught.value)
     with pytest.raises(
         ConfigurationError,
-        match=r"a feature of rn-standard, which is not loaded: rn-one \(disabled\)",
+        match=r"the section 'http': There is no feature 'http'.*Not loaded: rn-one \(disabled\)",
     ):
         parse_config(MINIMAL + "[http]\n", registry=registry)

@@ -69,7 +69,8 @@ def test_a_dead_process_holds_nothing(
 
 def test_who_leaves_in_time_is_waited_for(node: str, other: subprocess.Popen[bytes]) -> None:
     threading.Timer(0.3, other.kill).start()
-    claim(node, wait_s=10.0).close()
+    with claim(node, wait_s=10.0):
+        assert claimant(node) == os.getpid()
 
 
 def test_domains_are_apart(

@@ -214,7 +214,7 @@ def test_a_broken_feature_is_left_out_and_the_others_stay(make, broken, reason):
     assert reason in application.features.failed["bad"] or reason in broken.name
     names = {tool.name for tool in application.tools.listing()}
     assert {"get_status", "emergency_stop"} <= names
-    assert ("read_odometer" in names) == (application.features.get("odometer") is not None)
+    assert ("read_odometer" in names) == (application.features.loaded.get("odometer") is not None)
 
 
 def test_a_feature_that_cannot_start_or_close_disturbs_nobody(make):

@@ -101,11 +101,12 @@ def is_gone(pid: int) -> bool:
 @pytest.mark.parametrize(
     ("end", "is_frozen"),
     [
-        ("stdin", False),
+        # one of the two modules is frozen in those below, the other ends as here
+        pytest.param("stdin", False, marks=pytest.mark.slow),
         ("stdin", True),
         ("SIGTERM", False),
         ("SIGINT", False),
-        ("SIGKILL", False),
+        pytest.param("SIGKILL", False, marks=pytest.mark.slow),
         ("SIGKILL", True),
     ],
     ids=["stdin", "stdin-frozen", "SIGTERM", "SIGINT", "SIGKILL", "SIGKILL-frozen"],

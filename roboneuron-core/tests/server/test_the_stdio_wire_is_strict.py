@@ -199,13 +199,13 @@ def test_an_id_is_free_once_it_was_answered(serve: Callable[[Work], None]) -> No
 
 
 def test_a_flood_of_pings_lets_everything_else_pass(serve: Callable[[Work], None]) -> None:
-    """Of what waits, the stop is done first and the call before any ping: not after 100,000
+    """Of what waits, the stop is done first and the call before any ping: not after 30,000
     answers.
     """
 
     async def work(wire: Wire) -> None:
         flood = b"".join(
-            b'{"jsonrpc": "2.0", "id": %d, "method": "ping"}\n' % i for i in range(1000, 101_000)
+            b'{"jsonrpc": "2.0", "id": %d, "method": "ping"}\n' % i for i in range(1000, 31_000)
         )
         call = {
             "jsonrpc": "2.0",
@@ -223,7 +223,7 @@ def test_a_flood_of_pings_lets_everything_else_pass(serve: Callable[[Work], None
             if message["id"] in (1, 2):
                 order.append(message["id"])
             answered += "result" in message and message["id"] >= 1000
-        assert answered < 20_000, "pings were worked on first"
+        assert answered < 6_000, "pings were worked on first"
         await still_works(wire)
 
     serve(work)

@@ -14,13 +14,14 @@ from mcp import Client, types
 
 from rn_testing.fakes import fake_registry
 from roboneuron.config import Config
+from roboneuron.modules.report import Report
 from roboneuron.plugins.registry import Registry
 from roboneuron.plugins.specs import DriverSpec, RobotSpec
 from roboneuron.server.app import Application
 from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.server.results import module_status
 from roboneuron.server.tool import CallContext, NoArguments, Result, Tool
-from roboneuron.supervisor.health import ModuleView, Report
+from roboneuron.supervisor.health import ModuleView
 
 TOOLS = {
     *("start_robot", "start_perception", "start_control", "start_inference", "set_instruction"),

@@ -1,17 +1,26 @@
-"""A supervisor whose modules are `fake_module.py`."""
+"""A supervisor whose modules are `fake_module.py` or scripted, and processes that are shells."""
 
 from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 import pytest
 
 from rn_testing.domain import free_ros_domain
 from roboneuron.config import Config, parse_config
+from roboneuron.supervisor import changes as changes_module
+from roboneuron.supervisor import process as process_module
+from roboneuron.supervisor import supervisor as supervisor_module
+from roboneuron.supervisor.process import ModuleProcess, ProcessEvents, spawn
 from roboneuron.supervisor.supervisor import Supervisor
+
+sys.path.append(str(Path(__file__).parent))  # for stop_world and shells
+
+from shells import ENVIRONMENT, Spawn, end_now
+from stop_world import World
 
 FAKE_MODULE = Path(__file__).with_name("fake_module.py")
 
@@ -53,3 +62,52 @@ def supervisor(
         yield supervisor
     finally:
         supervisor.close()
+
+
+@pytest.fixture
+def world(
+    tmp_path: Path, make_config: Callable[..., Config], monkeypatch: pytest.MonkeyPatch
+) -> Iterator[World]:
+    """A supervisor whose modules are scripted, on a clock that only they make go."""
+    world = World(tmp_path, make_config)
+    for module in (changes_module, process_module, supervisor_module):
+        monkeypatch.setattr(module, "time", world.clock)
+    monkeypatch.setattr(supervisor_module, "NodeClient", world.client)
+    yield world
+    world.supervisor.spawner.shutdown()
+
+
+@pytest.fixture
+def log_path(tmp_path: Path) -> Path:
+    """Where the processes of `start` log."""
+    return tmp_path / "log" / "arm.log"
+
+
+@pytest.fixture
+def start(log_path: Path) -> Iterator[Spawn]:
+    """Return a function that starts a shell with a script and reaps it; all are dead in the end."""
+    started: list[ModuleProcess] = []
+
+    def run(
+        script: str,
+        *,
+        first_line: str = "go",
+        events: ProcessEvents | None = None,
+        environment: Mapping[str, str] = ENVIRONMENT,
+        on_exit: Callable[[ModuleProcess], None] | None = None,
+    ) -> ModuleProcess:
+        process = spawn(
+            "arm",
+            ("/bin/sh", "-c", script),
+            environment,
+            first_line,
+            log_path,
+            events or ProcessEvents(),
+        )
+        started.append(process)
+        process.reap(on_exit or (lambda process: None))
+        return process
+
+    yield run
+    for process in started:
+        end_now(process)

@@ -35,7 +35,8 @@ from rcl_interfaces.msg import SetParametersResult  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rclpy.signals import SignalHandlerOptions  # noqa: E402
 
-from roboneuron.modules.module import Module, ModuleNode  # noqa: E402
+from roboneuron.modules.module import ModuleNode  # noqa: E402
+from roboneuron.modules.module_host import Module  # noqa: E402
 
 
 class FakeModule(Module):

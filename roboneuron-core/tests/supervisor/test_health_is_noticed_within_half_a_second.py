@@ -11,7 +11,8 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from roboneuron.config import Config
-from roboneuron.supervisor.health import Health, ModuleView, Report, Watch, assess
+from roboneuron.modules.report import Report
+from roboneuron.supervisor.health import Health, ModuleView, Watch, assess
 from roboneuron.supervisor.supervisor import Supervisor
 
 MakeConfig = Callable[..., Config]

@@ -10,10 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
 
 from roboneuron.config import Config
 from roboneuron.errors import NotReadyError
-from roboneuron.modules.requests import Announcements, digest_of_parameters, digest_of_transition
+from roboneuron.modules.requests import Announcements, digest_of, parameters_request
 from roboneuron.ros.link import RosLink
 from roboneuron.supervisor.lifecycle import NodeClient
 from roboneuron.supervisor.process import ProcessEvents, spawn
@@ -22,17 +24,21 @@ from roboneuron.supervisor.supervisor import Supervisor
 MakeConfig = Callable[..., Config]
 
 
+def transition_request(number: int, label: str) -> ChangeState.Request:
+    return ChangeState.Request(transition=Transition(id=number, label=label))
+
+
 def test_what_was_announced_is_taken_once_and_in_any_pieces() -> None:
     announced = Announcements()
-    first, second = (
-        digest_of_transition(3, "activate"),
-        digest_of_parameters({"instruction": "go", "act_from_ns": 3}),
-    )
+    first = digest_of(transition_request(3, "activate"))
+    second = digest_of(parameters_request({"instruction": "go", "act_from_ns": 3}))
     assert announced.take(first), "a module without a server belongs to whoever calls"
     stream = b"\n" + first + b"\n\n" + second + b"\n"
     for i in range(0, len(stream), 7):
         announced.feed(stream[i : i + 7])
-    assert not announced.take(digest_of_transition(3, "shutdown")), "the node would go by the label"
+    assert not announced.take(digest_of(transition_request(3, "shutdown"))), (
+        "the node would go by the label"
+    )
     assert announced.take(second)
     assert announced.take(first)
     assert not announced.take(first)
@@ -68,7 +74,7 @@ def test_a_request_that_cannot_be_announced_is_not_sent(tmp_path: Path) -> None:
 
     def announce_on() -> None:
         for _ in range(100_000):
-            process.announce(digest_of_transition(3, "activate"))
+            process.announce(b"x" * 64)
 
     try:
         with pytest.raises(NotReadyError, match="does not read"):
@@ -77,7 +83,7 @@ def test_a_request_that_cannot_be_announced_is_not_sent(tmp_path: Path) -> None:
     finally:
         process.kill()
         assert process.wait(10.0)
-    process.announce(digest_of_transition(3, "activate"))
+    process.announce(b"x" * 64)
 
 
 def test_a_signal_leaves_what_has_ended_to_who_waits_for_it(tmp_path: Path) -> None:
@@ -107,8 +113,7 @@ def foreign(supervisor: Supervisor) -> Iterator[RosLink]:
 def test_foreign_requests_are_refused_and_reported_by_name(
     supervisor: Supervisor, foreign: RosLink, make_config: MakeConfig
 ) -> None:
-    from lifecycle_msgs.msg import Transition
-    from lifecycle_msgs.srv import ChangeState, GetState
+    from lifecycle_msgs.srv import GetState
     from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
     from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 
@@ -131,7 +136,7 @@ def test_foreign_requests_are_refused_and_reported_by_name(
         value=ParameterValue(type=ParameterType.PARAMETER_BOOL, bool_value=True),
     )
     for number, label in ((4, "deactivate"), (7, "shutdown"), (0, "deactivate"), (4, "")):
-        request = ChangeState.Request(transition=Transition(id=number, label=label))
+        request = transition_request(number, label)
         assert not ask(ChangeState, "change_state", request).success
     odd = Parameter(name="instruction", value=ParameterValue(type=99))
     for parameters in ([sim_time, sim_time], [sim_time, odd]):

@@ -109,6 +109,25 @@ def test_a_wait_takes_its_time_out_and_no_longer() -> None:
     assert len(looks) < 50
 
 
+def test_a_wait_that_has_used_up_its_time_looks_no_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Stopwatch:
+        now_s = 0.0
+
+        def monotonic(self) -> float:
+            return self.now_s
+
+    clock, looks = Stopwatch(), list[float]()
+    monkeypatch.setattr(changes_module, "time", clock)
+
+    def look() -> bool:
+        looks.append(clock.now_s)
+        clock.now_s += 0.5
+        return False
+
+    assert Changes().wait_for(look, 0.5) is None
+    assert looks == [0.0]
+
+
 def test_a_fact_that_nobody_announces_is_found() -> None:
     started_s = time.monotonic()
     assert Changes().wait_for(lambda: time.monotonic() > started_s + 0.1, SOON_S)

@@ -21,7 +21,7 @@ from rn_vla.decoding import (
     RowsRuntime,
 )
 from rn_vla.openvla.bins import ActionBins, OutsideCounter
-from rn_vla.openvla.checkpoint import Checkpoint
+from rn_vla.openvla.checkpoint import OpenvlaCheckpoint
 from rn_vla.openvla.policy import action_bins, prompt_encoder
 from rn_vla.openvla.preprocessing import Preprocessor
 from rn_vla.openvla.prompt import PromptEncoder
@@ -93,7 +93,7 @@ class OftBackend:
                 "(two arms' joints); "
                 f"the contract carries the TCP delta and gripper of one arm, {ACTION_SIZE} values."
             )
-        checkpoint = Checkpoint.read(config.checkpoint)
+        checkpoint = OpenvlaCheckpoint.read(config.checkpoint)
         key, statistics = choose_statistics(
             checkpoint.statistics, config.unnorm_key, checkpoint.statistics_source
         )

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from rn_backend_oft.components import check_components, find_component, head_shard, proprio_shard
 from rn_backend_oft.constants import Constants
-from rn_vla.decoding import PolicyModel, Prompt, RowsRequest
-from rn_vla.openvla.checkpoint import Checkpoint
+from rn_vla.decoding import DecodingPrompt, PolicyModel, RowsRequest
+from rn_vla.openvla.checkpoint import OpenvlaCheckpoint
 from rn_vla.openvla.policy import example_ids
 
 F32 = NDArray[np.float32]
@@ -44,7 +44,7 @@ class OftPolicy:
         proprio_width: values of proprioception; 0 for none.
     """
 
-    checkpoint: Checkpoint
+    checkpoint: OpenvlaCheckpoint
     constants: Constants
     cameras: int
     head: Literal["l1", "tokens"]
@@ -117,7 +117,7 @@ class OftPolicy:
             [ids, np.full(self.constants.tokens, _PLACEHOLDER_ID), [_STOP_ID]]
         ).astype(np.int64)
         return RowsRequest(
-            prompt=Prompt(text=text, ids=whole, images=images, arrays=arrays),
+            prompt=DecodingPrompt(text=text, ids=whole, images=images, arrays=arrays),
             rows=self.constants.tokens,
             tail=_TAIL,
             read=read or ("output" if self.head == "l1" else "tokens"),

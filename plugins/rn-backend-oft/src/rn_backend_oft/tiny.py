@@ -10,7 +10,7 @@ import numpy as np
 from rn_backend_oft.components import head_shard, proprio_shard
 from rn_backend_oft.constants import CONSTANTS
 from rn_backend_oft.state import state_width
-from rn_vla.openvla.checkpoint import Checkpoint
+from rn_vla.openvla.checkpoint import OpenvlaCheckpoint
 from rn_vla.openvla.tiny import STATISTICS_KEY, make_tiny, random_values, tiny_statistics
 
 
@@ -30,7 +30,7 @@ def make_tiny_oft(path: Path, *, seed: int = 0) -> None:
     (path / "dataset_statistics.json").write_text(
         json.dumps(statistics, indent=1) + "\n", encoding="utf-8"
     )
-    decoder = Checkpoint.read(path).decoder
+    decoder = OpenvlaCheckpoint.read(path).decoder
     generator = np.random.default_rng(seed + 1)
     for shard in (
         head_shard(path / "action_head--1_checkpoint.pt", decoder, constants.action_width),

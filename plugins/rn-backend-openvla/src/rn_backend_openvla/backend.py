@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from rn_backend_openvla.config import OpenVlaConfig
 from rn_vla.decoding import LlamaAcceleration, TokenReply, TokenRuntime
 from rn_vla.openvla.bins import ActionBins, OutsideCounter
-from rn_vla.openvla.checkpoint import Checkpoint
+from rn_vla.openvla.checkpoint import OpenvlaCheckpoint
 from rn_vla.openvla.policy import action_bins, policy_model, prompt_encoder, token_request
 from rn_vla.openvla.preprocessing import Preprocessor
 from rn_vla.openvla.prompt import PromptEncoder
@@ -75,7 +75,7 @@ class OpenVlaBackend:
                 "Backend 'openvla' needs a runtime.", hint="Install rn-runtime-torch."
             )
         check_frame(self._profile.frame, self.frame)
-        checkpoint = Checkpoint.read(config.checkpoint)
+        checkpoint = OpenvlaCheckpoint.read(config.checkpoint)
         _check_no_components(checkpoint)
         key, statistics = choose_statistics(
             checkpoint.statistics, config.unnorm_key, checkpoint.statistics_source
@@ -171,7 +171,7 @@ class OpenVlaTcpBackend(OpenVlaBackend):
     frame: ClassVar[str] = "tcp"
 
 
-def _check_no_components(checkpoint: Checkpoint) -> None:
+def _check_no_components(checkpoint: OpenvlaCheckpoint) -> None:
     """An OFT checkpoint also loads as OpenVLA, but its language model no longer decodes one token
     after the other.
     """

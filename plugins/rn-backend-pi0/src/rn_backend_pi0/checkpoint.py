@@ -15,7 +15,7 @@ PROFILE_FILE = "roboneuron.json"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Checkpoint:
+class Pi0Checkpoint:
     """A described checkpoint.
 
     Attributes:

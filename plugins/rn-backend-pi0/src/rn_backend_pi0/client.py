@@ -12,7 +12,6 @@ import threading
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
-from typing import Any
 from urllib.parse import urlsplit
 
 from websockets.exceptions import ConnectionClosed, InvalidStatus, InvalidURI, WebSocketException
@@ -69,7 +68,7 @@ class PolicyClient:
         """Whether there is a connection that has not failed yet."""
         return self._connection is not None
 
-    def open(self, timeout_s: float) -> dict[Any, Any]:
+    def open(self, timeout_s: float) -> dict[object, object]:
         """Connect, with growing pauses between attempts; returns the server's metadata.
 
         Raises:
@@ -97,7 +96,7 @@ class PolicyClient:
             hint="Start it, or correct the option 'url'.",
         )
 
-    def infer(self, request: Mapping[str, Value], timeout_s: float) -> dict[Any, Any]:
+    def infer(self, request: Mapping[str, Value], timeout_s: float) -> dict[object, object]:
         """Send one request and return the reply. Must be connected.
 
         Raises:
@@ -132,7 +131,7 @@ class PolicyClient:
         self._closed.set()
         self._drop()
 
-    def _attempt(self, timeout_s: float) -> dict[Any, Any]:
+    def _attempt(self, timeout_s: float) -> dict[object, object]:
         deadline_s = time.monotonic() + timeout_s
         # A socket of our own: no proxy and no redirect, the URL alone says where images go and
         # actions come from.
@@ -155,7 +154,7 @@ class PolicyClient:
         )
         return self._decoded(connection.recv(timeout=max(0.0, deadline_s - time.monotonic())))
 
-    def _decoded(self, frame: str | bytes) -> dict[Any, Any]:
+    def _decoded(self, frame: str | bytes) -> dict[object, object]:
         if isinstance(frame, str):
             self._drop()
             log.warning("policy server at %s failed:\n%s", self._url, frame)

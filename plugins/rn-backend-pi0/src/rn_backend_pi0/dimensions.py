@@ -12,7 +12,7 @@ from rn_backend_pi0.architecture import (
     Pi0Dims,
     VisionDims,
 )
-from rn_backend_pi0.documents import DimensionsDocument, GemmaBlock, VisionBlock
+from rn_backend_pi0.documents import DimensionsDocument, GemmaBlock, VisionSettings
 from roboneuron import CheckpointError
 
 
@@ -59,7 +59,7 @@ def _variant(key: str, name: str | None, path: Path) -> GemmaDims:
     return GEMMA_VARIANTS[name]
 
 
-def _vision(block: VisionBlock) -> VisionDims:
+def _vision(block: VisionSettings) -> VisionDims:
     return VisionDims(
         width=block.hidden_size,
         depth=block.num_hidden_layers,

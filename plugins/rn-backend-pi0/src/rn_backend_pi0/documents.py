@@ -7,7 +7,7 @@ memory or time before it is compared with the tensors it describes.
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
@@ -44,7 +44,7 @@ class GemmaBlock(_Document):
     hidden_act: Activation | None = None
 
 
-class VisionBlock(_Document):
+class VisionSettings(_Document):
     """vlm_config.vision_config."""
 
     hidden_size: Width
@@ -69,7 +69,7 @@ class VlmBlock(_Document):
     """vlm_config: the language model and its vision tower."""
 
     text_config: GemmaBlock
-    vision_config: VisionBlock
+    vision_config: VisionSettings
 
     @model_validator(mode="after")
     def _vocabulary_is_there(self) -> Self:
@@ -104,7 +104,7 @@ Padded = Annotated[int, Field(ge=1, le=1024, strict=True)]
 PromptLength = Annotated[int, Field(ge=4, le=1024, strict=True)]
 
 
-class Feature(_Document):
+class PolicyFeature(_Document):
     """One entry of input_features."""
 
     type: Name
@@ -117,7 +117,7 @@ class LerobotConfig(DimensionsDocument):
     """config.json of a LeRobot checkpoint."""
 
     normalization_mapping: Annotated[dict[Name, Name], Field(max_length=16)]
-    input_features: Annotated[dict[Name, Feature], Field(max_length=64)]
+    input_features: Annotated[dict[Name, PolicyFeature], Field(max_length=64)]
     empty_cameras: Annotated[int, Field(ge=0, le=8, strict=True)] = 0
     chunk_size: Chunk = 50
     n_action_steps: Chunk | None = None
@@ -141,7 +141,7 @@ class ProcessorStep(_Document):
     """One step of policy_preprocessor.json or policy_postprocessor.json."""
 
     registry_name: Name
-    config: dict[Name, Any] = {}
+    config: dict[Name, object] = {}
     state_file: FileName | None = None
 
 
@@ -193,7 +193,7 @@ class ProfileDocument(_Document):
     profile: Name = ""
 
 
-class Index(_Document):
+class Pi0ShardIndex(_Document):
     """model.safetensors.index.json: file by tensor."""
 
     weight_map: Annotated[

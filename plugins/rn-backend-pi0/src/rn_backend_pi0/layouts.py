@@ -9,7 +9,7 @@ from pathlib import Path
 
 from pydantic import TypeAdapter
 
-from rn_backend_pi0.checkpoint import PROFILE_FILE, Checkpoint
+from rn_backend_pi0.checkpoint import PROFILE_FILE, Pi0Checkpoint
 from rn_backend_pi0.dimensions import read_dims
 from rn_backend_pi0.documents import (
     LerobotConfig,
@@ -56,7 +56,7 @@ _MAX_SLOTS = 16
 _MAX_STATISTICS_BYTES = 2**20
 
 
-def read_checkpoint(directory: Path, *, asset_id: str | None = None) -> Checkpoint:
+def read_checkpoint(directory: Path, *, asset_id: str | None = None) -> Pi0Checkpoint:
     """Describe the checkpoint in `directory`.
 
     Args:
@@ -102,7 +102,7 @@ def read_checkpoint(directory: Path, *, asset_id: str | None = None) -> Checkpoi
     return checkpoint
 
 
-def _lerobot(directory: Path, config: LerobotConfig) -> Checkpoint:
+def _lerobot(directory: Path, config: LerobotConfig) -> Pi0Checkpoint:
     path = directory / "config.json"
     for kind, expected in (("VISUAL", "IDENTITY"), ("STATE", "MEAN_STD"), ("ACTION", "MEAN_STD")):
         got = config.normalization_mapping.get(kind)
@@ -146,7 +146,7 @@ def _lerobot(directory: Path, config: LerobotConfig) -> Checkpoint:
         )
     state = _lerobot_statistics(directory, pre, before, "normalizer_processor", "observation.state")
     action = _lerobot_statistics(directory, post, after, "unnormalizer_processor", "action")
-    return Checkpoint(
+    return Pi0Checkpoint(
         directory=directory,
         family="lerobot",
         dims=dims,
@@ -237,7 +237,7 @@ def _read_tensors(path: Path) -> dict[str, object]:
     return {name: values.tolist() for name, values in tensors.items()}
 
 
-def _openpi(directory: Path, config: OpenpiConfig, asset_id: str | None) -> Checkpoint:
+def _openpi(directory: Path, config: OpenpiConfig, asset_id: str | None) -> Pi0Checkpoint:
     path = directory / "config.json"
     found = sorted(p.parent.name for p in directory.glob("assets/*/norm_stats.json"))
     nested = sorted(
@@ -266,7 +266,7 @@ def _openpi(directory: Path, config: OpenpiConfig, asset_id: str | None) -> Chec
     )
     stats = read_schema(source, NormStatsDocument).norm_stats
     chunk = config.action_horizon
-    return Checkpoint(
+    return Pi0Checkpoint(
         directory=directory,
         family="openpi",
         dims=read_dims(

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from rn_backend_pi0.checkpoint import Checkpoint, Family
+from rn_backend_pi0.checkpoint import Family, Pi0Checkpoint
 from rn_backend_pi0.chunking import Prefix
 from rn_backend_pi0.image import Flip, Resize, to_pixels
 from rn_backend_pi0.numerics import flow_times, with_eps
@@ -57,7 +57,7 @@ class Pi0Model:
 
     def __init__(
         self,
-        checkpoint: Checkpoint,
+        checkpoint: Pi0Checkpoint,
         *,
         device: str = "auto",
         dtype: str = "auto",

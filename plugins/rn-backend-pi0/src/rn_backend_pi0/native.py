@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from rn_backend_pi0.checkpoint import Checkpoint
+from rn_backend_pi0.checkpoint import Pi0Checkpoint
 from rn_backend_pi0.chunking import Prefix, RunningChunk
 from rn_backend_pi0.layouts import read_checkpoint
 from rn_backend_pi0.options import Pi0Options
@@ -31,7 +31,7 @@ from roboneuron import (
 
 if TYPE_CHECKING:
     from rn_backend_pi0.model import Pi0Model
-    from rn_backend_pi0.prompt import Prompt
+    from rn_backend_pi0.prompt import InstructionEncoder
 
 EMPTY = "-"
 _ROLE_BY_SLOT = {
@@ -88,7 +88,7 @@ def resolve_slots(slots: Sequence[str], wanted: Sequence[str] | None) -> tuple[s
 
 
 def _fit(
-    score: ZScore, columns: Sequence[str], padded: int, what: str, checkpoint: Checkpoint
+    score: ZScore, columns: Sequence[str], padded: int, what: str, checkpoint: Pi0Checkpoint
 ) -> None:
     """Compare statistics with a profile's columns. Raises CheckpointError."""
     width = len(columns)
@@ -122,7 +122,7 @@ class Pi0Backend:
             raise ConfigurationError("Backend 'pi0' takes no runtime and no acceleration.")
         self._config = config
         self._model: Pi0Model | None = None
-        self._prompt: Prompt | None = None
+        self._prompt: InstructionEncoder | None = None
         self._profile: Profile | None = None
         self._slots: tuple[str, ...] = ()
         self._random = np.random.default_rng(config.numpy_seed)

@@ -21,7 +21,7 @@ _WHERE = (
 )
 
 
-class Prompt:
+class InstructionEncoder:
     """Encodes instructions as pi0 was trained: BOS, the text, a newline of its own, no padding.
 
     Padding takes no positions and is masked in the original codes, so leaving it out changes
@@ -88,7 +88,7 @@ class Prompt:
 
 def load_prompt(
     directory: Path, path: Path | None, *, family: Family, max_tokens: int, vocabulary: int
-) -> Prompt:
+) -> InstructionEncoder:
     """Load the tokenizer from `path` (a tokenizer.json or its directory), else from the
     checkpoint's directory.
 
@@ -110,6 +110,6 @@ def load_prompt(
         tokenizer = Tokenizer.from_str(file.read_bytes().decode("utf-8"))
         tokenizer.no_padding()
         tokenizer.no_truncation()
-        return Prompt(
+        return InstructionEncoder(
             tokenizer, family=family, max_tokens=max_tokens, vocabulary=vocabulary, source=str(file)
         )

@@ -6,7 +6,7 @@ import logging
 import os
 import time
 from contextlib import ExitStack
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from rn_backend_pi0.image import flip_image, resize_antialiased
 from rn_backend_pi0.options import Pi0RemoteOptions
 from rn_backend_pi0.profiles import Profile
+from rn_backend_pi0.wire import Value
 from roboneuron import (
     ACTION_SIZE,
     ActionChunk,
@@ -162,11 +163,11 @@ class Pi0RemoteBackend:
 
     def _request(
         self, observation: Observation, profile: Profile
-    ) -> tuple[dict[str, Any], NDArray[np.float64]]:
+    ) -> tuple[dict[str, Value], NDArray[np.float64]]:
         """The request's map, and the state in it."""
         config = self._config
         state = profile.state.build(observation)
-        request: dict[str, Any] = {
+        request: dict[str, Value] = {
             config.state_key: state,
             config.prompt_key: observation.instruction,
         }
@@ -201,7 +202,7 @@ def _nominal(config: Pi0RemoteOptions, profile: Profile) -> Observation:
     )
 
 
-def _actions(reply: dict[Any, Any]) -> NDArray[np.float64]:
+def _actions(reply: dict[object, object]) -> NDArray[np.float64]:
     """float64 (H, 7) of a reply. Raises ConfigurationError for anything else; non-finite values are
     left to others.
     """
@@ -220,7 +221,7 @@ def _actions(reply: dict[Any, Any]) -> NDArray[np.float64]:
     return actions.astype(np.float64)
 
 
-def _server_ms(reply: dict[Any, Any]) -> float | None:
+def _server_ms(reply: dict[object, object]) -> float | None:
     """The server's own inference time, when it says one."""
     for block in ("policy_timing", "server_timing"):
         timing = reply.get(block)

@@ -21,7 +21,7 @@ from rn_backend_pi0.architecture import (
     optional_tensors,
     required_tensors,
 )
-from rn_backend_pi0.documents import Index
+from rn_backend_pi0.documents import Pi0ShardIndex
 from rn_backend_pi0.network import Pi0Network
 from rn_vla.checkpoint_files import check_safetensors, clip, list_names, read_schema, reading
 from roboneuron import CheckpointError, ConfigurationError
@@ -59,7 +59,7 @@ def open_shards(directory: Path) -> Iterator[dict[str, tuple[_Shard, str]]]:
     """
     index = directory / "model.safetensors.index.json"
     if index.is_symlink() or index.exists():
-        names = sorted(set(read_schema(index, Index, _MAX_INDEX_BYTES).weight_map.values()))
+        names = sorted(set(read_schema(index, Pi0ShardIndex, _MAX_INDEX_BYTES).weight_map.values()))
     else:
         names = ["model.safetensors"]
     with ExitStack() as stack:

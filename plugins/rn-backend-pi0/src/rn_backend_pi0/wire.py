@@ -28,8 +28,8 @@ Value = (
     | bool
     | NDArray[Any]
     | np.generic
-    | list[Any]
-    | Mapping[Any, Any]
+    | list[object]
+    | Mapping[object, object]
     | None
 )
 
@@ -43,7 +43,7 @@ def pack(value: Mapping[str, Value]) -> bytes:
     return bytes(msgpack.packb(value, default=_encode))
 
 
-def unpack(data: bytes) -> dict[Any, Any]:
+def unpack(data: bytes) -> dict[object, object]:
     """Decode one message.
 
     Raises:
@@ -78,7 +78,7 @@ def _encode(value: object) -> dict[bytes, object]:
     return {b"__npgeneric__": True, b"data": value.item(), b"dtype": value.dtype.str}
 
 
-def _decode(value: dict[Any, Any]) -> object:
+def _decode(value: dict[object, object]) -> object:
     if b"__ndarray__" in value:
         return _array(value)
     if b"__npgeneric__" in value:
@@ -95,7 +95,7 @@ def _dtype(name: object) -> np.dtype[Any]:
     return dtype
 
 
-def _array(value: dict[Any, Any]) -> NDArray[Any]:
+def _array(value: dict[object, object]) -> NDArray[Any]:
     dtype, shape, data = _dtype(value.get(b"dtype")), value.get(b"shape"), value.get(b"data")
     if not isinstance(data, bytes) or not isinstance(shape, list) or len(shape) > _MAX_DIMENSIONS:
         raise ValueError("an array lacks data or shape")

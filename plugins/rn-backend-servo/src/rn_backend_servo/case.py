@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rn_backend_servo.cube import cube_corners
-from rn_backend_servo.geometry import View
+from rn_backend_servo.geometry import CameraView
 from rn_backend_servo.plugin import roboneuron_backends
 from rn_testing.cases import BackendCase
 from roboneuron import CameraCalibration, Frame, JointSample, Observation, Pose
@@ -44,7 +44,7 @@ def paint_table(
     """
     noise = np.random.default_rng(0).integers(-4, 5, (SIDE_PX, SIDE_PX, 3))
     image = np.asarray(TABLE_RGB) + noise
-    view = View.of(overhead_camera(), np.eye(4))
+    view = CameraView.of(overhead_camera(), np.eye(4))
     rows, columns = np.mgrid[:SIDE_PX, :SIDE_PX] + 0.5
     for colour, (x_m, y_m, yaw_rad) in cubes.items():
         corners = view.project(cube_corners(np.array([x_m, y_m, yaw_rad, edge_m]), 0.0))

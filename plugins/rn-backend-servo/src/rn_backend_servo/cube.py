@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rn_backend_servo.geometry import View
+from rn_backend_servo.geometry import CameraView
 from rn_backend_servo.segmentation import Blob
 
 F64 = NDArray[np.float64]
@@ -65,7 +65,7 @@ class _OutlineFit:
     """
 
     def __init__(
-        self, pixels: F64, view: View, table_m: float, edge_m: float, edge_spread_m: float
+        self, pixels: F64, view: CameraView, table_m: float, edge_m: float, edge_spread_m: float
     ) -> None:
         angles = np.arange(_DIRECTIONS) * (2 * np.pi / _DIRECTIONS)
         self._normals = np.stack([np.cos(angles), np.sin(angles)])
@@ -105,7 +105,7 @@ class _OutlineFit:
 
 
 def measure_cube(
-    blob: Blob, view: View, *, table_m: float, edge_m: float, edge_spread_m: float
+    blob: Blob, view: CameraView, *, table_m: float, edge_m: float, edge_spread_m: float
 ) -> CubeEstimate | None:
     """Fit a cube that stands on the table to the outline of `blob`; None when the blob cannot be on
     the table.

@@ -47,7 +47,7 @@ def rotation_between(start: F64, goal: F64) -> F64:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class View:
+class CameraView:
     """A pinhole camera at a known place.
 
     Attributes:
@@ -59,7 +59,7 @@ class View:
     T_base_camera: F64
 
     @classmethod
-    def of(cls, calibration: CameraCalibration, T_base_tcp: F64) -> View:
+    def of(cls, calibration: CameraCalibration, T_base_tcp: F64) -> CameraView:
         """The view of a camera on the base or at a TCP that is at `T_base_tcp` (4, 4)."""
         mount = T_base_tcp if calibration.mount == "tcp" else np.eye(4)
         return cls(

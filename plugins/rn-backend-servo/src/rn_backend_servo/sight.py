@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rn_backend_servo.cube import CubeEstimate, measure_cube
-from rn_backend_servo.geometry import View
+from rn_backend_servo.geometry import CameraView
 from rn_backend_servo.options import ServoOptions
 from rn_backend_servo.segmentation import find_blob, visible_colours
 from roboneuron import Frame, UngroundedError
@@ -55,7 +55,7 @@ def look(
         blob = find_blob(frame.image, colour)
         if blob is None:
             continue
-        view = View.of(calibration, np.eye(4) if tcp is None else tcp)
+        view = CameraView.of(calibration, np.eye(4) if tcp is None else tcp)
         estimate = measure_cube(
             blob,
             view,

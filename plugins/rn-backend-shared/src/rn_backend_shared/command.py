@@ -9,7 +9,7 @@ from pathlib import Path
 from roboneuron import ConfigurationError
 
 
-class SharedModel:
+class SharedModelCommand:
     """Serve the model of [plugins.shared] in this process until Ctrl-C or SIGTERM.
 
     Optional: the first robot starts a server by itself. Use it under a service manager, or to load

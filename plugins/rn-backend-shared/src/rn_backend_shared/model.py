@@ -5,7 +5,7 @@ robots at once.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, cast
+from typing import cast
 
 from rn_backend_shared.batching import Answer
 from rn_backend_shared.options import SharedOptions
@@ -51,7 +51,7 @@ class SharedModel:
         options, registry = self._options, discover()
         self.spec = spec = registry.get(BackendSpec, options.backend)
         runtime = options.runtime or spec.default_runtime
-        parts: dict[str, Any] = {"runtime": None, "acceleration": None}
+        parts: dict[str, object] = {"runtime": None, "acceleration": None}
         if runtime:
             parts["runtime"] = build(registry.get(RuntimeSpec, runtime), options.runtime_options)
         if options.acceleration is not None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -14,7 +14,7 @@ from roboneuron import ConfigurationOnly
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9-]*$", max_length=64)]
 _VERSION = 1
 """Of the messages: robots of another version use other servers."""
-Table = Annotated[dict[str, Any], ConfigurationOnly()]
+Table = Annotated[dict[str, object], ConfigurationOnly()]
 
 
 class SharedOptions(BaseModel):

@@ -23,7 +23,7 @@ BACKEND = BackendSpec(
 COMMAND = CommandSpec(
     name="shared-model",
     summary="serve the model of [plugins.shared] until Ctrl-C",
-    target="rn_backend_shared.command:SharedModel",
+    target="rn_backend_shared.command:SharedModelCommand",
 )
 """Descriptor of the command."""
 

@@ -39,7 +39,7 @@ _NO_HANDLES = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
 _NO_HANDLES_S = 1.0
 
 
-class ModelServer:
+class SharedModelServer:
     """Serves one model to all robots that connect.
 
     Args:
@@ -69,10 +69,13 @@ class ModelServer:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
                 return 0
-            self._path.unlink(missing_ok=True)
             with socket.socket(socket.AF_UNIX) as listener:
-                listener.bind(str(self._path))
+                # Renamed once it listens: a robot that finds the socket is not refused.
+                unready = self._path.with_suffix(".new")
+                unready.unlink(missing_ok=True)
+                listener.bind(str(unready))
                 listener.listen(_BACKLOG)
+                unready.replace(self._path)
                 threading.Thread(
                     target=self._accept, args=(listener,), name="accept", daemon=True
                 ).start()
@@ -183,7 +186,7 @@ class ModelServer:
 class _Robot:
     """One connection."""
 
-    def __init__(self, channel: wire.Channel, server: ModelServer) -> None:
+    def __init__(self, channel: wire.Channel, server: SharedModelServer) -> None:
         self._channel = channel
         self._server = server
         self._sending = threading.Lock()
@@ -255,7 +258,7 @@ def peer_user(connected: socket.socket) -> int:
 
 def serve(options: SharedOptions, path: Path, idle_s: float | None) -> int:
     """Run a server in this process until SIGTERM or SIGINT."""
-    server = ModelServer(options, path, idle_s)
+    server = SharedModelServer(options, path, idle_s)
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: server.stop())
     return server.run()

@@ -58,7 +58,7 @@ _ERRORS: dict[str, type[RoboNeuronError]] = {
 }
 
 
-def encode(document: Mapping[str, Any]) -> bytes:
+def encode(document: Mapping[str, object]) -> bytes:
     """One frame of a document that may hold arrays anywhere."""
     parts: list[NDArray[Any]] = []
 
@@ -95,7 +95,7 @@ def decode(head: bytes, tail: bytes) -> Document:
     return found
 
 
-def _filled(value: Any, arrays: list[NDArray[Any]]) -> Any:
+def _filled(value: object, arrays: list[NDArray[Any]]) -> object:
     if isinstance(value, dict):
         if value.keys() == {_ARRAY}:
             return arrays[value[_ARRAY]]
@@ -112,7 +112,7 @@ class Channel:
         self._in, self._out = connected, connected.dup()  # each with a time limit of its own
         self._received = bytearray()
 
-    def send(self, document: Mapping[str, Any], timeout_s: float) -> None:
+    def send(self, document: Mapping[str, object], timeout_s: float) -> None:
         """Raises OSError when the other side is gone, or does not read in time."""
         self._out.settimeout(timeout_s)
         self._out.sendall(encode(document))

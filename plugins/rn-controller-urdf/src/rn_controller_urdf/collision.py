@@ -5,7 +5,7 @@ collision shapes.
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,11 @@ from roboneuron import (
     RobotProfile,
     UnsafeError,
 )
+
+if TYPE_CHECKING:
+    from types import ModuleType
+
+    import pinocchio
 
 F64 = NDArray[np.float64]
 
@@ -54,7 +59,7 @@ class CollisionModel:
                 "spheres.",
                 hint="Set limits.collision = false to go without.",
             )
-        self._pin: Any = pinocchio
+        self._pin: ModuleType = pinocchio
         self._collision = collision
         self._model = pinocchio.buildModelFromXML(profile.urdf)
         self._data = self._model.createData()
@@ -121,7 +126,7 @@ class CollisionModel:
                 )
         return tuple(found.values())
 
-    def _place_base(self, base_link: str) -> Any:
+    def _place_base(self, base_link: str) -> pinocchio.SE3:
         """Pose of the base link in the model's own frame; obstacles are given in the base frame."""
         pin = self._pin
         frame = self._model.getFrameId(base_link)
@@ -189,7 +194,7 @@ class CollisionModel:
     def _measure(self, full: F64) -> None:
         self._pin.computeDistances(self._model, self._data, self._shapes, self._contacts, full)
 
-    def _results(self) -> list[tuple[Any, float, float]]:
+    def _results(self) -> list[tuple[pinocchio.CollisionPair, float, float]]:
         """Pair, least distance and distance [m] of the last `_measure`; copies, as removing one
         moves others.
         """

@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rn_controller_urdf.model import ArmModel
+
+if TYPE_CHECKING:
+    from types import ModuleType
+
+    import pinocchio
 
 F64 = NDArray[np.float64]
 
@@ -53,20 +58,20 @@ class InverseKinematics:
         import eigenpy  # type: ignore[import-untyped]  # heavy; comes with pinocchio
         import pinocchio  # heavy
 
-        self._pin: Any = pinocchio
-        self._cholesky: Any = eigenpy.LLT
+        self._pin: ModuleType = pinocchio
+        self._cholesky = eigenpy.LLT
         self._model = model
         self._data = model.kinematics.createData()
         self._identity = {rows: np.eye(rows) for rows in (3, 6)}
         self._local = pinocchio.ReferenceFrame.LOCAL
 
-    def place(self, position: F64) -> Any:
+    def place(self, position: F64) -> pinocchio.SE3:
         """Forward kinematics: arm positions (n,) -> TCP pose."""
         model = self._model
         self._pin.forwardKinematics(model.kinematics, self._data, self._chain_positions(position))
         return self._pin.updateFramePlacement(model.kinematics, self._data, model.tcp_frame).copy()
 
-    def quaternion(self, pose: Any) -> F64:
+    def quaternion(self, pose: pinocchio.SE3) -> F64:
         """Unit quaternion (4,) x y z w with w >= 0 of a pose."""
         values: F64 = np.array(self._pin.Quaternion(pose.rotation).coeffs())
         return values if values[3] >= 0.0 else -values
@@ -87,7 +92,7 @@ class InverseKinematics:
             np.linalg.svd(jacobian if track_rotation else jacobian[:3], compute_uv=False)[-1]
         )
 
-    def shift(self, pose: Any, translation_m: F64, rotation_rad: F64) -> Any:
+    def shift(self, pose: pinocchio.SE3, translation_m: F64, rotation_rad: F64) -> pinocchio.SE3:
         """`pose` after a delta in the base frame: p' = p + d, R' = exp(r) R, as
         `roboneuron.contract.apply_delta`.
         """
@@ -98,7 +103,7 @@ class InverseKinematics:
     def solve(
         self,
         start: F64,
-        target: Any,
+        target: pinocchio.SE3,
         *,
         tolerance_m: float,
         tolerance_rad: float,
@@ -148,7 +153,7 @@ class InverseKinematics:
         return chain
 
     def _linearise(
-        self, position: F64, target: Any, track_rotation: bool
+        self, position: F64, target: pinocchio.SE3, track_rotation: bool
     ) -> tuple[F64, F64, float, float]:
         """Error (k,), Jacobian (k, n), both in axes of the TCP frame, and the distances [m], [rad];
         k is 6 or 3.

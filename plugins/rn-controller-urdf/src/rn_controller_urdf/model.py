@@ -5,13 +5,16 @@ to chain joints.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rn_controller_urdf.chain import ChainJoint, kinematic_urdf, parse_chain
 from roboneuron import ConfigurationError, RobotProfile
+
+if TYPE_CHECKING:
+    import pinocchio
 
 F64 = NDArray[np.float64]
 
@@ -37,7 +40,7 @@ class ArmModel:
     upper: F64
     velocity: F64
     coupling: tuple[F64, F64] | None
-    kinematics: Any
+    kinematics: pinocchio.Model
     tcp_frame: int
 
 

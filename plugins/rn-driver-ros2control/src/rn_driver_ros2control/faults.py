@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from rn_driver_ros2control.link import ControllerReport, End, Measured
+from rn_driver_ros2control.link import ControllerReport, End, MeasuredJoint
 from rn_driver_ros2control.options import Ros2ControlOptions
 
 FAULTS = (End.PATH_TOLERANCE, End.GOAL_TOLERANCE, End.PREEMPTED, End.CANCELLED, End.ABORTED)
@@ -26,7 +26,7 @@ def worded(end: End, text: str) -> str:
 
 def violation(
     report: ControllerReport,
-    joints: Mapping[str, Measured],
+    joints: Mapping[str, MeasuredJoint],
     goal: Mapping[str, float],
     late_s: float,
     options: Ros2ControlOptions,

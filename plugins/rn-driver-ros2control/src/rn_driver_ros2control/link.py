@@ -20,7 +20,7 @@ F64 = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Measured:
+class MeasuredJoint:
     """One joint as it was last reported.
 
     Attributes:
@@ -86,7 +86,7 @@ class ControllerLink(Protocol):
         """
         ...
 
-    def joints(self) -> Mapping[str, Measured]:
+    def joints(self) -> Mapping[str, MeasuredJoint]:
         """Every joint reported so far, newest values."""
         ...
 
@@ -141,7 +141,7 @@ def connect(options: Ros2ControlOptions, joints: tuple[str, ...]) -> ControllerL
         MissingDependencyError: control_msgs is not installed.
     """
     try:
-        from rn_driver_ros2control.ros_link import RosLink  # heavy
+        from rn_driver_ros2control.ros_link import RosControllerLink  # heavy
     except ModuleNotFoundError as error:
         if error.name is None or not error.name.startswith("control_msgs"):
             raise
@@ -150,4 +150,4 @@ def connect(options: Ros2ControlOptions, joints: tuple[str, ...]) -> ControllerL
             hint="pip install ./plugins/rn-driver-ros2control (in RoboNeuron's source folder) "
             "compiles them.",
         ) from error
-    return RosLink(options, joints)
+    return RosControllerLink(options, joints)

@@ -6,13 +6,13 @@ import contextlib
 import threading
 import time
 from collections.abc import Callable, Mapping
-from typing import Any
 
 import rclpy
 from builtin_interfaces.msg import Time
 from control_msgs.action import FollowJointTrajectory, GripperCommand, ParallelGripperCommand
 from control_msgs.msg import JointTolerance, JointTrajectoryControllerState
 from rclpy.action import ActionClient
+from rclpy.action.client import ClientGoalHandle
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -20,7 +20,7 @@ from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
-from rn_driver_ros2control.link import ControllerReport, End, GoalObserver, Measured
+from rn_driver_ros2control.link import ControllerReport, End, GoalObserver, MeasuredJoint
 from rn_driver_ros2control.options import Ros2ControlOptions
 from rn_driver_ros2control.trajectory import to_duration
 from roboneuron import NotReadyError, StateError
@@ -43,10 +43,10 @@ class _Goal:
         self.deadline_s = deadline_s
         self.answered = threading.Event()
         self.accepted = False
-        self.handle: Any = None
+        self.handle: ClientGoalHandle | None = None
 
 
-class RosLink:
+class RosControllerLink:
     """Follows `ControllerLink`. Its ROS context is its own, so that it can be opened in any
     process.
     """
@@ -56,14 +56,14 @@ class RosLink:
         self._options = options
         self._arm = joints
         self._lock = threading.Lock()
-        self._measured: dict[str, Measured] = {}
+        self._measured: dict[str, MeasuredJoint] = {}
         self._report: ControllerReport | None = None
         self._goals: dict[int, _Goal] = {}
         self._gripper_note = "no command yet"
         self._gripper_goals = 0
         self._observer: GoalObserver | None = None
-        self._clients: list[Any] = []
-        self._gripper: Any = None
+        self._clients: list[ActionClient] = []
+        self._gripper: ActionClient = None  # until open, or none
         self._context: rclpy.Context | None = None
         self._thread: threading.Thread | None = None
 
@@ -92,7 +92,7 @@ class RosLink:
             JointTrajectory, f"{self._options.controller}/joint_trajectory", 1
         )
         action = f"{self._options.controller}/follow_joint_trajectory"
-        self._actions: Any = ActionClient(node, FollowJointTrajectory, action)
+        self._actions = ActionClient(node, FollowJointTrajectory, action)
         self._clients.append(self._actions)
         if self._options.gripper != "none":
             kind = (
@@ -136,7 +136,7 @@ class RosLink:
                 )
             time.sleep(_LOOK_S)
 
-    def joints(self) -> Mapping[str, Measured]:
+    def joints(self) -> Mapping[str, MeasuredJoint]:
         """See `ControllerLink.joints`."""
         with self._lock:
             return dict(self._measured)
@@ -237,7 +237,7 @@ class RosLink:
             for index, name in enumerate(message.name):
                 if index < len(message.position):
                     velocity = float(message.velocity[index]) if has_velocity else None
-                    self._measured[name] = Measured(
+                    self._measured[name] = MeasuredJoint(
                         position=float(message.position[index]),
                         velocity=velocity,
                         stamp_ns=_to_ns(message.header.stamp),
@@ -258,7 +258,7 @@ class RosLink:
             received_s=time.monotonic(),
         )
 
-    def _on_answer(self, goal: int, state: _Goal, handle: Any) -> None:
+    def _on_answer(self, goal: int, state: _Goal, handle: ClientGoalHandle) -> None:
         if not handle.accepted:
             self._end(goal, End.REJECTED, "the controller rejected the goal; its log says why")
             return
@@ -268,7 +268,9 @@ class RosLink:
             lambda done: self._on_result(goal, done.result())
         )
 
-    def _on_result(self, goal: int, answer: Any) -> None:
+    def _on_result(
+        self, goal: int, answer: FollowJointTrajectory.Impl.GetResultService.Response
+    ) -> None:
         result: FollowJointTrajectory.Result = answer.result
         if answer.status == _CANCELLED:
             end = End.CANCELLED
@@ -302,7 +304,7 @@ class RosLink:
                 f"no answer to a goal within {self._options.goal_timeout_s:g} s",
             )
 
-    def _on_gripper_answer(self, number: int, handle: Any) -> None:
+    def _on_gripper_answer(self, number: int, handle: ClientGoalHandle) -> None:
         if number != self._gripper_goals:
             return
         if not handle.accepted:
@@ -312,7 +314,9 @@ class RosLink:
             lambda done: self._on_gripper_result(number, done.result())
         )
 
-    def _on_gripper_result(self, number: int, answer: Any) -> None:
+    def _on_gripper_result(
+        self, number: int, answer: GripperCommand.Impl.GetResultService.Response
+    ) -> None:
         if number != self._gripper_goals:
             return
         if answer.result.stalled and not answer.result.reached_goal:

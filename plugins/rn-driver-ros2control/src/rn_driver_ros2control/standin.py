@@ -63,7 +63,7 @@ class TrajectoryEnd:
 SUCCESSFUL, INVALID_GOAL, PATH_VIOLATED, GOAL_VIOLATED = 0, -1, -4, -5
 
 
-class StandIn:
+class StandInController:
     """One controller with its joints, which follow perfectly unless they are blocked."""
 
     def __init__(

@@ -11,15 +11,16 @@ from __future__ import annotations
 import argparse
 import signal
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import rclpy
 from control_msgs.action import FollowJointTrajectory, GripperCommand
 from control_msgs.msg import JointTrajectoryControllerState
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.action.server import ServerGoalHandle
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from sensor_msgs.msg import JointState
@@ -29,7 +30,7 @@ from trajectory_msgs.msg import JointTrajectory
 from rn_driver_ros2control.standin import (
     INVALID_GOAL,
     SUCCESSFUL,
-    StandIn,
+    StandInController,
     Tolerances,
     TrajectoryEnd,
 )
@@ -52,7 +53,7 @@ class StandInNode(Node):  # type: ignore[misc]
             goal=dict.fromkeys(joints, options.goal_tolerance),
             goal_time_s=options.goal_time,
         )
-        self.controller = StandIn(
+        self.controller = StandInController(
             joints, start, tolerances=bounds, from_desired=options.from_desired
         )
         self.controller.active = not options.inactive
@@ -62,12 +63,12 @@ class StandInNode(Node):  # type: ignore[misc]
             options.opening,
         )
         self._object_m = options.object
-        self._goal: Any = None
+        self._goal: ServerGoalHandle = None  # none until one is accepted
         self._done: Future | None = None
         self._finger_done: Future | None = None
         self._states = self.create_publisher(JointState, options.joint_states, 10)
         finger_states = options.gripper_joint_states or options.joint_states
-        self._finger_states: Any = None  # none: the fingers stand among the arm's joints
+        self._finger_states: Publisher = None  # none: the fingers stand among the arm's joints
         if finger_states != options.joint_states:
             self._finger_states = self.create_publisher(JointState, finger_states, 10)
         self._reports = self.create_publisher(
@@ -76,7 +77,7 @@ class StandInNode(Node):  # type: ignore[misc]
         self.create_subscription(JointTrajectory, "~/joint_trajectory", self._on_trajectory, 10)
         self.create_service(SetBool, "~/activate", self._on_activate)
         self.create_service(SetBool, "~/block", self._on_block)
-        self._server: Any = ActionServer(
+        self._server = ActionServer(
             self,
             FollowJointTrajectory,
             "~/follow_joint_trajectory",
@@ -86,7 +87,7 @@ class StandInNode(Node):  # type: ignore[misc]
             cancel_callback=self._on_cancel,
         )
         if self._finger:
-            self._gripper: Any = ActionServer(
+            self._gripper = ActionServer(
                 self, GripperCommand, options.gripper_action, self._execute_gripper
             )
         self._period_s = 1.0 / options.rate
@@ -109,7 +110,7 @@ class StandInNode(Node):  # type: ignore[misc]
             self.get_logger().error(reason)
         return GoalResponse.REJECT if reason else GoalResponse.ACCEPT
 
-    def _on_accepted(self, handle: Any) -> None:
+    def _on_accepted(self, handle: ServerGoalHandle) -> None:
         self._finish(
             TrajectoryEnd(code=INVALID_GOAL, text="Current goal preempted by new incoming action.")
         )
@@ -123,14 +124,14 @@ class StandInNode(Node):  # type: ignore[misc]
         self._goal, self._done = handle, Future(executor=self.executor)
         handle.execute()
 
-    def _on_cancel(self, handle: Any) -> CancelResponse:
+    def _on_cancel(self, handle: ServerGoalHandle) -> CancelResponse:
         if handle is self._goal or (
             self._goal is not None and handle.goal_id == self._goal.goal_id
         ):
             self.controller.hold()
         return CancelResponse.ACCEPT
 
-    async def _execute(self, handle: Any) -> FollowJointTrajectory.Result:
+    async def _execute(self, handle: ServerGoalHandle) -> FollowJointTrajectory.Result:
         done = self._done
         assert done is not None
         verdict: TrajectoryEnd = await done
@@ -167,7 +168,7 @@ class StandInNode(Node):  # type: ignore[misc]
         response.success = True
         return response
 
-    async def _execute_gripper(self, handle: Any) -> GripperCommand.Result:
+    async def _execute_gripper(self, handle: ServerGoalHandle) -> GripperCommand.Result:
         if self._finger_done is not None and not self._finger_done.done():
             self._finger_done.set_result(False)  # preempted
         self._finger_goal_m = float(handle.request.command.position)

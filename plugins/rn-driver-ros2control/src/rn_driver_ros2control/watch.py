@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from rn_driver_ros2control.link import ControllerLink, Measured
+from rn_driver_ros2control.link import ControllerLink, MeasuredJoint
 from rn_driver_ros2control.options import Ros2ControlOptions
 from roboneuron import (
     ConfigurationError,
@@ -77,7 +77,7 @@ class ControllerWatch:
                 "reads absolute names.",
             )
 
-    def check_fresh(self, joints: Mapping[str, Measured]) -> None:
+    def check_fresh(self, joints: Mapping[str, MeasuredJoint]) -> None:
         """Raise NotReadyError when the arm's joint states have ceased."""
         oldest_s = min(
             (joints[n].received_s for n in self._profile.arm_joints if n in joints), default=0.0
@@ -89,7 +89,9 @@ class ControllerWatch:
                 hint="Look whether ros2_control and its joint_state_broadcaster run.",
             )
 
-    def check_read(self, link: ControllerLink, joints: Mapping[str, Measured], fault: str) -> None:
+    def check_read(
+        self, link: ControllerLink, joints: Mapping[str, MeasuredJoint], fault: str
+    ) -> None:
         """As `check_fresh`; the error also tells what else is known: no state can be read that
         would.
         """
@@ -137,7 +139,7 @@ class ControllerWatch:
         return "active" if is_fresh else "inactive"
 
     def state(
-        self, link: ControllerLink, measured: Mapping[str, Measured], told: Mapping[str, str]
+        self, link: ControllerLink, measured: Mapping[str, MeasuredJoint], told: Mapping[str, str]
     ) -> RobotState:
         """The arm as it was last measured, with what the driver tells of itself.
 
@@ -195,7 +197,7 @@ class ControllerWatch:
                 return wanted[:, 0], wanted[:, 1]
         return position, np.where(np.isfinite(velocity), velocity, 0.0)
 
-    def _stamp(self, joints: Sequence[Measured]) -> int:
+    def _stamp(self, joints: Sequence[MeasuredJoint]) -> int:
         """When the oldest of `joints` was measured, in ROS time here; never before what was told
         earlier.
         """

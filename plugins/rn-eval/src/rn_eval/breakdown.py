@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from rn_eval.record import Record
+from rn_eval.record import EpisodeRecord
 from rn_eval.statistics import success_of
 from rn_eval.summary import Summary
 from rn_eval.tables import counted, grid
@@ -31,7 +31,7 @@ def breakdown(summary: Summary, by: str) -> str:
         raise ConfigurationError(
             f"No episode tells {name!r}; the facts are {', '.join(known) or 'none'}."
         )
-    groups: dict[tuple[float, str], list[Record]] = {}
+    groups: dict[tuple[float, str], list[EpisodeRecord]] = {}
     for record in summary.records:
         groups.setdefault(_group(record.outcome.facts.get(name), name, bounds), []).append(record)
     rows = [

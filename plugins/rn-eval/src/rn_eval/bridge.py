@@ -8,7 +8,7 @@ actions are in units of robosuite's OSC_POSE, the gripper -1 open, 1 closed.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,8 +24,16 @@ STATE_WIDTH = 8
 STAMP_NS = 1
 
 
+class _State(TypedDict, total=False):
+    """What an observation of a robot holds beside images and instruction."""
+
+    joints: JointSample
+    ee_pose: Pose
+    gripper_open: float
+
+
 def to_observation(
-    payload: Mapping[str, Any], roles: Sequence[str], *, needs_state: bool
+    payload: Mapping[str, object], roles: Sequence[str], *, needs_state: bool
 ) -> Observation:
     """What a benchmark sends -> what a backend reads.
 
@@ -52,11 +60,11 @@ def to_observation(
         )
         for role, (name, image) in zip(roles, images.items(), strict=False)
     }
-    state = _state(payload) if needs_state else {}
+    state: _State = _state(payload) if needs_state else {}
     return Observation(frames=frames, instruction=instruction, stamp_ns=STAMP_NS, **state)
 
 
-def _state(payload: Mapping[str, Any]) -> dict[str, Any]:
+def _state(payload: Mapping[str, object]) -> _State:
     values = np.asarray(payload.get("states", payload.get("state", ())), dtype=np.float64)
     if values.shape != (STATE_WIDTH,) or not np.isfinite(values).all():
         raise InvalidInputError(
@@ -88,13 +96,13 @@ def to_action(vector: F64) -> NDArray[np.float32]:
     return np.concatenate([motion, [-np.sign(2.0 * vector[6] - 1.0)]]).astype(np.float32)
 
 
-def specs(roles: Sequence[str], *, needs_state: bool) -> dict[str, Any]:
+def specs(roles: Sequence[str], *, needs_state: bool) -> dict[str, object]:
     """What HELLO tells of actions and observations, and asks of the benchmark."""
 
     def one(
         name: str, dims: int, form: str, limits: tuple[float, float] | None = None
-    ) -> dict[str, Any]:
-        told: dict[str, Any] = {"name": name, "dims": dims, "format": form}
+    ) -> dict[str, object]:
+        told: dict[str, object] = {"name": name, "dims": dims, "format": form}
         return told if limits is None else {**told, "range": list(limits)}
 
     observation = {"language": one("language", 0, "language")}

@@ -189,7 +189,7 @@ def _limit_threads(count: int) -> None:
     """Before numpy or torch is imported: results of some models depend on the number of threads."""
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ[name] = str(count)
-    torch: Any = sys.modules.get("torch")
+    torch = sys.modules.get("torch")
     if torch is not None:
         torch.set_num_threads(count)
 
@@ -264,7 +264,7 @@ def _serve(arguments: Namespace) -> int:
     from roboneuron import MissingDependencyError
 
     try:
-        from rn_eval.model_server import ModelServer, run_server
+        from rn_eval.model_server import EvalModelServer, run_server
     except ModuleNotFoundError as error:
         raise MissingDependencyError(
             f"Serving needs {error.name}, which is not installed.",
@@ -290,7 +290,9 @@ def _serve(arguments: Namespace) -> int:
     registry = discover()
     spec = registry.get(BackendSpec, plan.backend)
     policy = load_backend(plan, registry, arguments.preset)
-    server = ModelServer(policy, name=spec.name, roles=spec.cameras, needs_state=spec.needs_state)
+    server = EvalModelServer(
+        policy, name=spec.name, roles=spec.cameras, needs_state=spec.needs_state
+    )
 
     def tell(port: int) -> None:
         print(f"Model server of vla-eval: ws://{arguments.host}:{port}", flush=True)
@@ -304,7 +306,7 @@ def _serve(arguments: Namespace) -> int:
     return 0
 
 
-def _config(arguments: Namespace) -> dict[str, Any]:
+def _config(arguments: Namespace) -> dict[str, object]:
     """The configuration with the options of suite and command line in it."""
     from roboneuron.feature import load_config
 
@@ -368,9 +370,9 @@ def _options_of_suite(suite: str) -> Sequence[str]:
     return spec.options
 
 
-def _pairs(texts: Sequence[str], form: str) -> dict[str, Any]:
+def _pairs(texts: Sequence[str], form: str) -> dict[str, object]:
     """NAME=VALUE; a value is JSON where it can be read as such, else text."""
-    pairs: dict[str, Any] = {}
+    pairs: dict[str, object] = {}
     for text in texts:
         name, equals, value = text.partition("=")
         if not equals:

@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from rn_eval.arm import DeployedArm
 from rn_eval.suite import Episode, Judgement, Setup
 from rn_robot_fr3.scene import DEFAULT_COLOURS, RGBA_BY_COLOUR
-from rn_robot_fr3.simulation import JOINTS, STEP_S, Simulation
+from rn_robot_fr3.simulation import JOINTS, STEP_S, ArmSimulation
 from roboneuron import Frame, JointSample, Observation, matrix_from_quaternion
 
 F64 = NDArray[np.float64]
@@ -149,7 +149,7 @@ class CubesScene:
         assert setup.controller is not None  # the FR3 is an installed robot
         self._controller = setup.controller
         self._arm = DeployedArm(setup, setup.controller)
-        self._simulation = Simulation(episode.seed, colours=colours, engine=options.engine)
+        self._simulation = ArmSimulation(episode.seed, colours=colours, engine=options.engine)
         self._simulation.open()
         self._turned_rad = self._turn_to_target()
 

@@ -14,7 +14,7 @@ import time
 from collections import Counter
 from dataclasses import dataclass, field
 
-from rn_eval.film import Film
+from rn_eval.film import FilmStrip
 from rn_eval.latency import Draw
 from rn_eval.policy import Policy
 from rn_eval.record import EpisodeOutcome
@@ -41,7 +41,7 @@ class _Answer:
 
 
 @dataclass(slots=True)
-class Played:
+class PlayedEpisode:
     """An episode that was played to its end.
 
     Attributes:
@@ -52,7 +52,7 @@ class Played:
 
     outcome: EpisodeOutcome
     inference_ms: list[float]
-    film: Film
+    film: FilmStrip
 
 
 @dataclass(slots=True)
@@ -83,10 +83,10 @@ class EpisodeClock:
     _sums: dict[str, tuple[float, int]] = field(default_factory=dict)
     _refusals: int = 0
     _rows: int = 0
-    _film: Film = field(default_factory=Film)
+    _film: FilmStrip = field(default_factory=FilmStrip)
     _digest: hashlib._Hash = field(default_factory=hashlib.sha256)
 
-    def run(self) -> Played:
+    def run(self) -> PlayedEpisode:
         """Play until it is decided or time is up."""
         scene = self.scene
         watch_ticks = max(1, round(WATCH_S / scene.tick_s))
@@ -110,7 +110,7 @@ class EpisodeClock:
             if self._tick % scene.judge_ticks == 0 or self._tick == last:
                 judgement = scene.judge()
         self._digest.update(scene.state())
-        return Played(
+        return PlayedEpisode(
             outcome=self._outcome(judgement), inference_ms=self._inference_ms, film=self._film
         )
 

@@ -16,7 +16,7 @@ from rn_eval.ledger import Ledger
 from rn_eval.plan import EvalPlan
 from rn_eval.pools import Pool
 from rn_eval.progress import ProgressView
-from rn_eval.record import Record
+from rn_eval.record import EpisodeRecord
 from rn_eval.runner import refuse_early
 from roboneuron.feature import discover
 
@@ -29,7 +29,7 @@ def evaluate(
     *,
     retry_errors: bool = False,
     other_versions: bool = False,
-) -> list[Record]:
+) -> list[EpisodeRecord]:
     """Run what is missing and return the records of the plan's episodes.
 
     Args:

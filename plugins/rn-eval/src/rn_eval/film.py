@@ -18,7 +18,7 @@ the table.
 """
 
 
-class Film:
+class FilmStrip:
     """Keeps at most 32 images of an episode, evenly spread; references only, nothing is copied."""
 
     def __init__(self) -> None:

@@ -19,7 +19,7 @@ from types import TracebackType
 from pydantic import ValidationError
 
 from rn_eval.plan import EvalPlan, Key
-from rn_eval.record import Record
+from rn_eval.record import EpisodeRecord
 from rn_eval.versions import changed_versions
 from roboneuron import ConfigurationError, StateError
 
@@ -41,7 +41,7 @@ def read_plan(directory: Path) -> EvalPlan:
         raise ConfigurationError(f"{path} holds no plan of an evaluation: {error}.") from error
 
 
-def read_records(directory: Path) -> list[Record]:
+def read_records(directory: Path) -> list[EpisodeRecord]:
     """Every finished episode, oldest first; reading does not disturb a run. A cut last line is left
     out.
 
@@ -56,10 +56,10 @@ def read_records(directory: Path) -> list[Record]:
     except FileNotFoundError:
         return []
     lines = data[: data.rfind(b"\n") + 1].splitlines()
-    records: dict[Key, Record] = {}
+    records: dict[Key, EpisodeRecord] = {}
     for number, line in enumerate(lines, 1):
         try:
-            record = Record.model_validate_json(line)
+            record = EpisodeRecord.model_validate_json(line)
         except ValidationError as error:
             raise ConfigurationError(
                 f"{path}:{number} is damaged: {error.errors()[0]['msg']}."
@@ -84,7 +84,7 @@ class Ledger:
         self.plan: EvalPlan | None = None
         """What the folder says once it is open: with the versions that the run was begun with."""
         self._other_versions = other_versions
-        self.records: dict[Key, Record] = {}
+        self.records: dict[Key, EpisodeRecord] = {}
         self.cut_bytes = 0
         self._file = -1
 
@@ -160,7 +160,7 @@ class Ledger:
     ) -> None:
         self.close()
 
-    def add(self, record: Record, strip: bytes | None = None) -> None:
+    def add(self, record: EpisodeRecord, strip: bytes | None = None) -> None:
         """Put an episode on disk; when this returns it survives a crash of the machine.
 
         Raises:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from http import HTTPStatus
 from importlib.metadata import version
-from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
 from websockets.asyncio.server import Server, ServerConnection, serve
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
@@ -20,13 +21,13 @@ from roboneuron import RoboNeuronError
 
 
 @dataclass(slots=True)
-class Session:
+class ClientSession:
     """One client: the rows of its last chunk that it has not been given."""
 
-    rows: deque[Any] = field(default_factory=deque)
+    rows: deque[NDArray[np.float64]] = field(default_factory=deque)
 
 
-class ModelServer:
+class EvalModelServer:
     """Answers each observation with one action; a chunk is played whole before the next prediction.
 
     All clients share the policy, one prediction at a time. `reset` is called when a client's
@@ -48,7 +49,7 @@ class ModelServer:
 
     async def handle(self, connection: ServerConnection) -> None:
         """Serve one client until it goes."""
-        session = Session()
+        session = ClientSession()
         try:
             async for data in connection:
                 reply = await self._answer(data, session)
@@ -57,28 +58,28 @@ class ModelServer:
         except ConnectionClosed:
             return
 
-    async def _answer(self, data: object, session: Session) -> wire.Message | None:
+    async def _answer(self, data: object, session: ClientSession) -> wire.WireMessage | None:
         seq = 0
         try:
             message = await asyncio.to_thread(wire.unpack, data)
             seq = message.seq
             if message.kind == "hello":
-                return wire.Message("hello", self._hello(), seq)
+                return wire.WireMessage("hello", self._hello(), seq)
             if message.kind == "episode_start":
                 session.rows.clear()
                 async with self._using:
                     await asyncio.to_thread(self._policy.reset)
             elif message.kind == "observation":
-                return wire.Message(
+                return wire.WireMessage(
                     "action", {"actions": await self._act(message.payload, session)}, seq
                 )
             elif message.kind == "episode_end":
                 session.rows.clear()
         except RoboNeuronError as error:
-            return wire.Message("error", {"error": f"{type(error).__name__}: {error}"}, seq)
+            return wire.WireMessage("error", {"error": f"{type(error).__name__}: {error}"}, seq)
         return None
 
-    def _hello(self) -> dict[str, Any]:
+    def _hello(self) -> dict[str, object]:
         told = bridge.specs(self._roles, needs_state=self._needs_state)
         return {
             "harness_version": f"roboneuron {version('rn-eval')}",
@@ -88,7 +89,9 @@ class ModelServer:
             **told,
         }
 
-    async def _act(self, payload: dict[str, Any], session: Session) -> Any:
+    async def _act(
+        self, payload: Mapping[str, object], session: ClientSession
+    ) -> NDArray[np.float32]:
         if not session.rows:
             observation = bridge.to_observation(payload, self._roles, needs_state=self._needs_state)
             async with self._using:
@@ -106,7 +109,7 @@ def _health(connection: ServerConnection, request: Request) -> Response | None:
     return response
 
 
-async def open_server(server: ModelServer, host: str, port: int) -> Server:
+async def open_server(server: EvalModelServer, host: str, port: int) -> Server:
     """Listen; GET /health answers as soon as it does."""
     return await serve(
         server.handle,
@@ -120,7 +123,7 @@ async def open_server(server: ModelServer, host: str, port: int) -> Server:
 
 
 async def run_server(
-    server: ModelServer, host: str, port: int, listening: Callable[[int], None]
+    server: EvalModelServer, host: str, port: int, listening: Callable[[int], None]
 ) -> None:
     """Serve until cancelled; `listening` is told the port."""
     async with await open_server(server, host, port) as opened:

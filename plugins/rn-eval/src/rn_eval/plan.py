@@ -89,12 +89,12 @@ class EvalPlan(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     suite: str
-    suite_options: dict[str, Any] = Field(default_factory=dict)
+    suite_options: dict[str, object] = Field(default_factory=dict)
     backend: str
     checkpoint: str | None = None
     checkpoint_sha256: str = ""
     runtime: str | None = None
-    config: dict[str, Any]
+    config: dict[str, object]
     presets: tuple[str, ...] = (NO_PRESET,)
     executions: tuple[Literal["sequential", "overlap", "rtc", "predicted-state", "auto"], ...] = (
         "sequential",
@@ -109,7 +109,7 @@ class EvalPlan(BaseModel):
     later_versions: tuple[dict[str, str], ...] = ()
 
     @property
-    def identity(self) -> dict[str, Any]:
+    def identity(self) -> dict[str, object]:
         """What must be equal for a ledger to be continued; more episodes and variants may be
         added.
         """

@@ -7,15 +7,16 @@ from __future__ import annotations
 import io
 from collections.abc import Callable, Sequence
 from itertools import cycle
-from typing import Any
 
+import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 from rn_eval.latency import median_s
 from rn_eval.progress import label
 from rn_eval.statistics import Proportion
-from rn_eval.summary import Row, Summary
+from rn_eval.summary import Summary, SummaryRow
 
 _SIZE = (6.4, 3.6)
 _MARKERS = "os^DvPX<>*"
@@ -44,7 +45,7 @@ def plots(summary: Summary) -> list[tuple[str, str]]:
     return made
 
 
-def _draw(paint: Callable[[Any], None]) -> str:
+def _draw(paint: Callable[[Axes], None]) -> str:
     figure = Figure(figsize=_SIZE, layout="constrained")
     FigureCanvasSVG(figure)
     axes = figure.add_subplot()
@@ -66,25 +67,25 @@ def _points(shares: Sequence[Proportion]) -> list[float]:
     return [100 * share.share for share in shares]
 
 
-def _percent(axes: Any) -> None:
+def _percent(axes: Axes) -> None:
     axes.set_ylim(-3, 103)
     axes.set_ylabel("success [%]")
     axes.grid(axis="y", alpha=0.3)
 
 
-def _line(row: Row, rows: Sequence[Row], along: str) -> str:
+def _line(row: SummaryRow, rows: Sequence[SummaryRow], along: str) -> str:
     """Name of the line through variants that differ in one respect."""
     variants = tuple(r.variant._replace(**{along: ""}) for r in rows)
     return label(row.variant._replace(**{along: ""}), variants)
 
 
-def _legend(axes: Any) -> None:
+def _legend(axes: Axes) -> None:
     """Above the plot, where it covers no point; with one line there is nothing to tell apart."""
     if len(axes.get_legend_handles_labels()[0]) > 1:
         axes.figure.legend(loc="outside upper center", ncols=3, frameon=False)
 
 
-def _bars(axes: Any, rows: Sequence[Row]) -> None:
+def _bars(axes: Axes, rows: Sequence[SummaryRow]) -> None:
     shares = [row.success for row in rows]
     axes.bar(range(len(rows)), _points(shares), color="#5a7fb5", width=0.6)
     axes.errorbar(
@@ -106,12 +107,12 @@ def _bars(axes: Any, rows: Sequence[Row]) -> None:
     _percent(axes)
 
 
-def _tokens(axes: Any, rows: Sequence[Row]) -> None:
+def _tokens(axes: Axes, rows: Sequence[SummaryRow]) -> None:
     for key in dict.fromkeys(row.variant[1:] for row in rows):
         own = sorted((r for r in rows if r.variant[1:] == key), key=lambda row: row.tokens or 0.0)
         shares = [row.success for row in own]
         axes.errorbar(
-            [r.tokens for r in own],
+            [np.nan if r.tokens is None else r.tokens for r in own],
             _points(shares),
             yerr=_whiskers(shares),
             marker="o",
@@ -123,7 +124,7 @@ def _tokens(axes: Any, rows: Sequence[Row]) -> None:
     _percent(axes)
 
 
-def _latency(axes: Any, rows: Sequence[Row]) -> None:
+def _latency(axes: Axes, rows: Sequence[SummaryRow]) -> None:
     for preset, execution in dict.fromkeys(
         (row.variant.preset, row.variant.execution) for row in rows
     ):
@@ -143,20 +144,20 @@ def _latency(axes: Any, rows: Sequence[Row]) -> None:
     _percent(axes)
 
 
-def _latency_ms(row: Row) -> float:
+def _latency_ms(row: SummaryRow) -> float:
     """The injected median, or the measured one."""
     injected_s = median_s(row.variant.latency)
     return row.inference.p50 if injected_s is None else 1e3 * injected_s
 
 
-def _speed(axes: Any, rows: Sequence[Row]) -> None:
+def _speed(axes: Axes, rows: Sequence[SummaryRow]) -> None:
     """Names stand in the legend: presets are often equally fast and equally good, and labels would
     cover each other.
     """
     for row, marker in zip(rows, cycle(_MARKERS)):
         share = [row.success]
         axes.errorbar(
-            [row.speed_up],
+            [np.nan if row.speed_up is None else row.speed_up],
             _points(share),
             yerr=_whiskers(share),
             fmt=marker,

@@ -5,7 +5,7 @@ answers in batches.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Protocol, cast, runtime_checkable
+from typing import Protocol, cast, runtime_checkable
 
 from rn_eval.plan import EvalPlan
 from roboneuron import ActionChunk, Backend, Observation
@@ -53,7 +53,7 @@ def load_backend(plan: EvalPlan, registry: Registry, preset: str) -> Backend:
     options = dict(config.options(parts.backend.name))
     if plan.checkpoint is not None:
         options["checkpoint"] = plan.checkpoint
-    built: dict[str, Any] = {
+    built: dict[str, object] = {
         part: None if chosen is None else build(chosen, config.options(chosen.name))
         for part, chosen in (("runtime", parts.runtime), ("acceleration", parts.acceleration))
     }

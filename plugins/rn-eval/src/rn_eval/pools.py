@@ -8,12 +8,19 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from importlib import import_module
 from types import TracebackType
-from typing import Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from rn_eval.plan import EvalPlan, Job
-from rn_eval.record import EpisodeOutcome, Record
+from rn_eval.policy import Policy
+from rn_eval.record import EpisodeOutcome, EpisodeRecord
 from rn_eval.runner import Runner
 from roboneuron import ConfigurationError, MissingDependencyError, StateError
+
+if TYPE_CHECKING:
+    import ray
+
+    from rn_eval.sharing import PolicyActor
+
 
 _MOST_DEATHS = 3
 """An episode that has ended so many workers is recorded as an error."""
@@ -25,7 +32,7 @@ THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"
 class Finished(NamedTuple):
     """What a worker hands back."""
 
-    record: Record
+    record: EpisodeRecord
     strip: bytes | None
 
 
@@ -72,20 +79,20 @@ class InProcess:
 class EpisodeWorker:
     """A worker's process; Ray makes an actor of it."""
 
-    def __init__(self, plan: str, policies: Sequence[Any]) -> None:
+    def __init__(self, plan: str, policies: Sequence[ray.actor.ActorHandle[PolicyActor]]) -> None:
         """Take the plan as JSON, and the shared policies' actors; none: each worker loads its
         own.
         """
         from rn_eval.sharing import SharedPolicy
 
         parsed = EvalPlan.model_validate_json(plan)
-        connect: Callable[[str], Any] | None = None
+        connect: Callable[[str], Policy] | None = None
         if policies:
             actor = policies[os.getpid() % len(policies)]
             connect = lambda preset: SharedPolicy(actor, preset)  # noqa: E731
         self._runner = Runner(parsed, connect)
 
-    def run(self, job: Job) -> tuple[Record, bytes | None]:
+    def run(self, job: Job) -> tuple[EpisodeRecord, bytes | None]:
         """As `Runner.run`."""
         return self._runner.run(job)
 
@@ -172,7 +179,7 @@ class OnRay:
                     hint="Give fewer --workers, or a smaller --policy-gpus.",
                 )
 
-    def _spawn(self) -> Any:
+    def _spawn(self) -> object:
         return self._actor.remote(self._plan.model_dump_json(), self._policies)
 
     def run(self, jobs: Iterable[Job]) -> Iterator[Finished]:
@@ -222,9 +229,9 @@ class OnRay:
         self._ray.shutdown()
 
 
-def _lost(job: Job, cause: str) -> Record:
+def _lost(job: Job, cause: str) -> EpisodeRecord:
     reason = f"It ended {_MOST_DEATHS} workers: {cause}"
-    return Record(
+    return EpisodeRecord(
         key=job.key,
         instruction=job.episode.instruction,
         outcome=EpisodeOutcome(status="error", reason=reason),

@@ -11,7 +11,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from rn_eval.plan import Variant
-from rn_eval.record import Record
+from rn_eval.record import EpisodeRecord
 from rn_eval.statistics import proportion
 
 _LINE_S = 10.0
@@ -28,7 +28,11 @@ class ProgressView:
     """A bar and a table in a terminal, one line every 10 s elsewhere. A context manager."""
 
     def __init__(
-        self, console: Console, variants: tuple[Variant, ...], total: int, records: list[Record]
+        self,
+        console: Console,
+        variants: tuple[Variant, ...],
+        total: int,
+        records: list[EpisodeRecord],
     ) -> None:
         self._console, self._variants, self._total = console, variants, total
         self._counts: dict[Variant, list[int]] = {variant: [0, 0, 0] for variant in variants}
@@ -64,7 +68,7 @@ class ProgressView:
             self._show()
             self._live.stop()
 
-    def add(self, record: Record) -> None:
+    def add(self, record: EpisodeRecord) -> None:
         """One episode has ended."""
         self._count(record)
         self._done += 1
@@ -82,7 +86,7 @@ class ProgressView:
                 f"{self._done}/{self._total} episodes, {self._pace()}; {shares}", soft_wrap=True
             )
 
-    def _count(self, record: Record) -> None:
+    def _count(self, record: EpisodeRecord) -> None:
         counts = self._counts.setdefault(record.key.variant, [0, 0, 0])
         counts[("success", "failure", "error").index(record.outcome.status)] += 1
 

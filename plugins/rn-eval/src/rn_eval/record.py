@@ -45,7 +45,7 @@ class EpisodeOutcome(BaseModel):
     digest: str = ""
 
 
-class Measured(BaseModel):
+class MachineFacts(BaseModel):
     """What depends on the machine.
 
     Attributes:
@@ -61,7 +61,7 @@ class Measured(BaseModel):
     cold: int = 0
 
 
-class Record(BaseModel):
+class EpisodeRecord(BaseModel):
     """One episode.
 
     Attributes:
@@ -79,7 +79,7 @@ class Record(BaseModel):
     key: Key
     instruction: str
     outcome: EpisodeOutcome
-    measured: Measured = Measured()
+    measured: MachineFacts = MachineFacts()
     strip: str = ""
     host: str = ""
     pid: int = 0

@@ -13,7 +13,7 @@ from jinja2 import Environment
 from rn_eval.ledger import STRIPS, read_plan, read_records
 from rn_eval.plan import EvalPlan, Key
 from rn_eval.plots import plots
-from rn_eval.record import Record
+from rn_eval.record import EpisodeRecord
 from rn_eval.summary import Summary, summarise
 from rn_eval.tables import HEADINGS, cells, task_table, to_csv, to_json, to_markdown
 from roboneuron import ConfigurationError
@@ -30,7 +30,7 @@ def load(directories: Sequence[Path]) -> tuple[Summary, list[tuple[str, str]]]:
             hold.
     """
     plans = [read_plan(directory) for directory in directories]
-    records: list[Record] = []
+    records: list[EpisodeRecord] = []
     place_of: dict[Key, Path] = {}
     for directory in directories:
         for record in read_records(directory):
@@ -48,7 +48,7 @@ def load(directories: Sequence[Path]) -> tuple[Summary, list[tuple[str, str]]]:
     return summarise(records), _about(plans, records)
 
 
-def _about(plans: Sequence[EvalPlan], records: Sequence[Record]) -> list[tuple[str, str]]:
+def _about(plans: Sequence[EvalPlan], records: Sequence[EpisodeRecord]) -> list[tuple[str, str]]:
     def each(values: Sequence[object]) -> str:
         return ", ".join(dict.fromkeys(str(value) for value in values if value))
 
@@ -123,7 +123,7 @@ def to_html(summary: Summary, about: Sequence[tuple[str, str]], directories: Seq
 
 def _strips(
     summary: Summary, variant: object, directories: Sequence[Path]
-) -> tuple[list[tuple[Record, str]], int]:
+) -> tuple[list[tuple[EpisodeRecord, str]], int]:
     """Records with their strips as base64, and how many more there are."""
     failed = [
         r

@@ -18,7 +18,7 @@ from rn_eval.episode import EpisodeClock
 from rn_eval.latency import parse_latency
 from rn_eval.plan import EvalPlan, Job, with_body
 from rn_eval.policy import Policy, load_backend
-from rn_eval.record import EpisodeOutcome, Measured, Record
+from rn_eval.record import EpisodeOutcome, EpisodeRecord, MachineFacts
 from rn_eval.suite import Setup
 from rn_eval.versions import installed_versions
 from rn_standard.execution.adaptive import AdaptiveExecutor
@@ -76,7 +76,7 @@ class Runner:
         )
         return setup, parts.backend
 
-    def run(self, job: Job) -> tuple[Record, bytes | None]:
+    def run(self, job: Job) -> tuple[EpisodeRecord, bytes | None]:
         """Play one episode; returns its record and the film strip, if one is wanted.
 
         A crash of the simulator or the policy is an outcome ("error"), not an exception.
@@ -87,10 +87,10 @@ class Runner:
         begun_s = time.perf_counter()
         policy = self._policy_of(job.key.preset)
         strip: bytes | None = None
-        measured = Measured()
+        measured = MachineFacts()
         try:
             outcome, inference_ms, strip = self._play(job, policy)
-            measured = Measured(
+            measured = MachineFacts(
                 wall_s=round(time.perf_counter() - begun_s, 4),
                 inference_ms=inference_ms,
                 cold=int(self._is_cold),
@@ -101,7 +101,7 @@ class Runner:
             outcome = EpisodeOutcome(
                 status="error", reason=" | ".join(line.strip() for line in lines[-_ERROR_LINES:])
             )
-        record = Record(
+        record = EpisodeRecord(
             key=job.key,
             instruction=job.episode.instruction,
             outcome=outcome,

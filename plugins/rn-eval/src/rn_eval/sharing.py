@@ -18,7 +18,7 @@ together ask together.
 """
 
 
-class Request(NamedTuple):
+class SharedRequest(NamedTuple):
     """A question of one worker."""
 
     preset: str
@@ -36,7 +36,7 @@ class PolicyActor:
         self._registry = discover()
         self._backend: Backend | None = None
         self._preset = ""
-        self._waiting: list[Request] = []
+        self._waiting: list[SharedRequest] = []
         self._arrived = asyncio.Event()
         self._using = asyncio.Lock()
         self._server: asyncio.Task[None] | None = None
@@ -56,7 +56,7 @@ class PolicyActor:
     async def predict(self, preset: str, observation: Observation) -> ActionChunk:
         """Answer with the batch that the observation falls into. Raises what the backend raises."""
         answer: asyncio.Future[ActionChunk] = asyncio.get_running_loop().create_future()
-        self._waiting.append(Request(preset, observation, answer))
+        self._waiting.append(SharedRequest(preset, observation, answer))
         self._arrived.set()
         return await answer
 
@@ -94,7 +94,7 @@ class PolicyActor:
             async with self._using:
                 await asyncio.to_thread(self._forward, batch, asyncio.get_running_loop())
 
-    def _forward(self, batch: list[Request], loop: asyncio.AbstractEventLoop) -> None:
+    def _forward(self, batch: list[SharedRequest], loop: asyncio.AbstractEventLoop) -> None:
         try:
             self._load(batch[0].preset)
             backend = cast("BatchBackend", self._backend)

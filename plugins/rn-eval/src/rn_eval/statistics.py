@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
-from rn_eval.record import Record
+from rn_eval.record import EpisodeRecord
 
 CONFIDENCE = 0.95
 
@@ -98,13 +98,13 @@ def spread(values: Sequence[float]) -> Spread:
     return Spread(len(array), float(array.mean()), float(p50), float(p95))
 
 
-def success_of(records: Sequence[Record]) -> Proportion:
+def success_of(records: Sequence[EpisodeRecord]) -> Proportion:
     """Success of those that have a verdict; crashes ("error") have none."""
     judged = [record for record in records if record.outcome.status != "error"]
     return proportion(sum(record.outcome.status == "success" for record in judged), len(judged))
 
 
-def verdicts(records: Sequence[Record]) -> dict[object, bool]:
+def verdicts(records: Sequence[EpisodeRecord]) -> dict[object, bool]:
     """Success by what pairs episodes of different variants."""
     return {
         (record.key.suite, record.key.task, record.key.seed): record.outcome.status == "success"
@@ -113,6 +113,6 @@ def verdicts(records: Sequence[Record]) -> dict[object, bool]:
     }
 
 
-def inference_ms(records: Sequence[Record]) -> list[float]:
+def inference_ms(records: Sequence[EpisodeRecord]) -> list[float]:
     """Every prediction's time [ms], without those right after loading."""
     return [ms for record in records for ms in record.measured.inference_ms[record.measured.cold :]]

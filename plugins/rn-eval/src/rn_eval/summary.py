@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from rn_eval.plan import NO_PRESET, Variant
 from rn_eval.progress import label
-from rn_eval.record import Record
+from rn_eval.record import EpisodeRecord
 from rn_eval.statistics import (
     Paired,
     Proportion,
@@ -29,7 +29,7 @@ RIGHT_OBJECT = "right_object"
 _NUMBER = re.compile(r"-?\d+(\.\d+)?")
 
 
-class Row(NamedTuple):
+class SummaryRow(NamedTuple):
     """One variant.
 
     Attributes:
@@ -76,15 +76,15 @@ class Summary(NamedTuple):
         records: what it was made of.
     """
 
-    rows: tuple[Row, ...]
+    rows: tuple[SummaryRow, ...]
     tasks: tuple[str, ...]
     by_task: dict[tuple[Variant, str], Proportion]
     suites: tuple[str, ...]
     by_suite: dict[tuple[Variant, str], Proportion]
-    records: tuple[Record, ...]
+    records: tuple[EpisodeRecord, ...]
 
 
-def summarise(records: Sequence[Record]) -> Summary:
+def summarise(records: Sequence[EpisodeRecord]) -> Summary:
     """Compute the tables."""
     variants = tuple(dict.fromkeys(record.key.variant for record in records))
     of = {
@@ -112,7 +112,9 @@ def summarise(records: Sequence[Record]) -> Summary:
     )
 
 
-def _row(variant: Variant, variants: tuple[Variant, ...], of: dict[Variant, list[Record]]) -> Row:
+def _row(
+    variant: Variant, variants: tuple[Variant, ...], of: dict[Variant, list[EpisodeRecord]]
+) -> SummaryRow:
     records = of[variant]
     taken = [r.outcome.facts[RIGHT_OBJECT] for r in records if RIGHT_OBJECT in r.outcome.facts]
     inference = spread(inference_ms(records))
@@ -121,7 +123,7 @@ def _row(variant: Variant, variants: tuple[Variant, ...], of: dict[Variant, list
     tokens = [
         r.outcome.metrics[name] for r in records for name in TOKENS if name in r.outcome.metrics
     ]
-    return Row(
+    return SummaryRow(
         variant=variant,
         name=label(variant, variants),
         episodes=len(records),

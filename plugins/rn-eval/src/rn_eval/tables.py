@@ -7,11 +7,10 @@ import io
 import json
 import math
 from collections.abc import Sequence
-from typing import Any
 
 from rn_eval.plan import NO_PRESET, Variant
 from rn_eval.statistics import Paired, Proportion
-from rn_eval.summary import Row, Summary
+from rn_eval.summary import Summary, SummaryRow
 
 HEADINGS = (
     "variant",
@@ -28,7 +27,7 @@ HEADINGS = (
 )
 
 
-def cells(row: Row) -> tuple[str, ...]:
+def cells(row: SummaryRow) -> tuple[str, ...]:
     """One line of the main table, as `HEADINGS`."""
     return (
         row.name,
@@ -234,11 +233,11 @@ def to_json(summary: Summary, about: Sequence[tuple[str, str]]) -> str:
     )
 
 
-def _share(share: Proportion) -> dict[str, Any]:
+def _share(share: Proportion) -> dict[str, object]:
     return {**share._asdict(), "share": share.share}
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> object:
     if isinstance(value, dict):
         return {key: _plain(inner) for key, inner in value.items()}
     if isinstance(value, list):

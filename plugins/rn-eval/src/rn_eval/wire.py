@@ -23,7 +23,7 @@ _KINDS = ("hello", "observation", "action", "episode_start", "episode_end", "err
 _NUMBERS = "biuf"
 
 
-class Message(NamedTuple):
+class WireMessage(NamedTuple):
     """One message.
 
     Attributes:
@@ -33,11 +33,11 @@ class Message(NamedTuple):
     """
 
     kind: Kind
-    payload: dict[str, Any]
+    payload: dict[str, object]
     seq: int
 
 
-def pack(message: Message) -> bytes:
+def pack(message: WireMessage) -> bytes:
     """Serialise a message."""
     raw = {
         "type": message.kind,
@@ -48,7 +48,7 @@ def pack(message: Message) -> bytes:
     return cast("bytes", msgpack.packb(raw, default=_to_map, use_bin_type=True))
 
 
-def unpack(data: object) -> Message:
+def unpack(data: object) -> WireMessage:
     """Read a message. Raises InvalidInputError when it is not of this protocol."""
     if not isinstance(data, bytes):
         raise InvalidInputError("Expected a binary message.")
@@ -61,7 +61,7 @@ def unpack(data: object) -> Message:
         ) from error
     if kind not in _KINDS or not isinstance(payload, dict) or type(seq) is not int:
         raise InvalidInputError(f"A message is of type {kind!r}; known are {', '.join(_KINDS)}.")
-    return Message(kind, payload, seq)
+    return WireMessage(kind, payload, seq)
 
 
 def _to_map(value: object) -> object:

@@ -5,9 +5,9 @@ asked for.
 from __future__ import annotations
 
 import time
-from collections.abc import Awaitable, Callable, Iterator, Mapping
-from typing import Any
+from collections.abc import Iterator, Mapping
 
+from mcp.server.context import CallNext, HandlerResult, ServerRequestContext
 from prometheus_client import CollectorRegistry, Counter, Histogram
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 
@@ -100,7 +100,7 @@ class Meters:
         if health in ("failing", "stalled", "stuck", "silent", "exited"):
             self.faults.labels(view.kind, health).inc()
 
-    def on_fault(self, module: str, what: str, facts: Mapping[str, Any]) -> None:
+    def on_fault(self, module: str, what: str, facts: Mapping[str, object]) -> None:
         """Listener of `Events.fault`."""
         self.faults.labels(module, what).inc()
 
@@ -128,7 +128,7 @@ class Meters:
             self.stops.inc()
         self._latched = latched
 
-    async def __call__(self, ctx: Any, call_next: Callable[[Any], Awaitable[Any]]) -> Any:
+    async def __call__(self, ctx: ServerRequestContext, call_next: CallNext) -> HandlerResult:
         """Count a tool call; see `mcp.server.context.ServerMiddleware`."""
         if ctx.method != "tools/call" or not ctx.params:
             return await call_next(ctx)
@@ -153,7 +153,7 @@ class Meters:
                 self.switches.labels(tool.removeprefix("switch_"), result).inc()
 
 
-def result_of(answer: Any) -> str:
+def result_of(answer: object) -> str:
     """`ok`, or the code of the error of a tool call; middleware gets answers as they go over the
     wire.
     """
@@ -163,7 +163,7 @@ def result_of(answer: Any) -> str:
     return str(details.get("code", "error"))
 
 
-def outcome_of(tool: str, answer: Any) -> str:
+def outcome_of(tool: str, answer: object) -> str:
     """How the task of a call ended; empty for other calls, and for a task that was not begun."""
     if tool != TASK_TOOL or result_of(answer) != OK:
         return ""

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Any, Protocol
+from types import ModuleType
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
 
 from rn_perception_camera.options import VideoCameraOptions
 from roboneuron import ConfigurationError, NotReadyError
@@ -28,7 +32,7 @@ class Capture(Protocol):
         """Wait for the next image; False when there is none."""
         ...
 
-    def retrieve(self) -> tuple[bool, Any]:
+    def retrieve(self) -> tuple[bool, NDArray[np.uint8]]:
         """Decode the grabbed image: uint8 (H, W, 3) in BGR order, in memory of its own."""
         ...
 
@@ -57,7 +61,7 @@ def open_capture(options: VideoCameraOptions) -> tuple[Capture, float]:
     return _open_device(cv2, options), 0.0
 
 
-def _open_file(cv2: Any, path: str, fps: float | None) -> tuple[Capture, float]:
+def _open_file(cv2: ModuleType, path: str, fps: float | None) -> tuple[Capture, float]:
     if not Path(path).is_file():
         raise ConfigurationError(
             f"There is no video file {path!r}.", hint="Correct the option path."
@@ -75,7 +79,7 @@ def _open_file(cv2: Any, path: str, fps: float | None) -> tuple[Capture, float]:
     return capture, pace_hz
 
 
-def _open_device(cv2: Any, options: VideoCameraOptions) -> Capture:
+def _open_device(cv2: ModuleType, options: VideoCameraOptions) -> Capture:
     capture: Capture = cv2.VideoCapture(options.device, cv2.CAP_V4L2)
     if not capture.isOpened():
         capture.release()

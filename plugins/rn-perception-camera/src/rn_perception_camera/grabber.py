@@ -7,7 +7,9 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from rn_perception_camera.capture import Capture
 from roboneuron import InternalError, NotReadyError, RoboNeuronError
@@ -31,7 +33,7 @@ class Grabbed:
         stamp_ns: ROS time when it was grabbed [ns].
     """
 
-    bgr: Any
+    bgr: NDArray[np.uint8]
     stamp_ns: int
 
 

@@ -24,12 +24,12 @@ from rn_policy_cubes.recipe import (
     STATE_HIGH,
     STATE_LOW,
     VOCABULARY,
-    Shape,
+    NetworkShape,
 )
 from rn_policy_cubes.teacher import STEP_S
 from rn_policy_cubes.weights import shipped_weights
 from rn_policy_cubes.words import write_tokenizer
-from rn_vla.openvla.checkpoint import Checkpoint
+from rn_vla.openvla.checkpoint import OpenvlaCheckpoint
 from roboneuron import ConfigurationError
 from roboneuron.feature import reading
 
@@ -115,14 +115,14 @@ def configuration(directory: Path) -> str:
     return text + "\n" + "\n".join(lines) + "\n"
 
 
-def _toml(values: Mapping[str, Any]) -> list[str]:
+def _toml(values: Mapping[str, object]) -> list[str]:
     return [f"{name} = {json.dumps(value)}" for name, value in values.items()]
 
 
 def _write_model(packed: Packed, directory: Path) -> None:
     """The base model; what the packed file leaves out is zero."""
     tensors: dict[str, Tensor] = {}
-    for name, weight in Checkpoint.read(directory).shards[0].weights.items():
+    for name, weight in OpenvlaCheckpoint.read(directory).shards[0].weights.items():
         if name == EMBEDDING:
             value = torch.zeros(weight.shape)
             value[packed.ids] = packed.tensors[EMBEDDING]
@@ -142,7 +142,7 @@ def _write_json(path: Path, content: object) -> None:
     path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
 
-def _config(shape: Shape, statistics: Mapping[str, object]) -> Mapping[str, object]:
+def _config(shape: NetworkShape, statistics: Mapping[str, object]) -> Mapping[str, object]:
     return {
         "architectures": ["OpenVLAForActionPrediction"],
         "model_type": "openvla",

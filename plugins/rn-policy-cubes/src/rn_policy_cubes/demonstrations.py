@@ -19,7 +19,7 @@ from rn_policy_cubes.replacing import replacing
 from rn_policy_cubes.teacher import STEP_S, Situations, act, tilt_of, yaw_of
 from rn_robot_fr3.profile import profile
 from rn_robot_fr3.scene import DEFAULT_COLOURS, REGION_X_M, REGION_Y_M, SPACING_M
-from rn_robot_fr3.simulation import JOINTS, Simulation
+from rn_robot_fr3.simulation import JOINTS, ArmSimulation
 from roboneuron import Action, Hold, JointSample, matrix_from_quaternion
 
 F64 = NDArray[np.float64]
@@ -143,7 +143,7 @@ class _Recorder:
             if self._count == self._views:
                 return
             self._seed = FIRST_SEED + SEEDS_PER_SHARD * self._number + episode
-            with Simulation(self._seed, engine="pybullet") as simulation:
+            with ArmSimulation(self._seed, engine="pybullet") as simulation:
                 target = COLOURS[int(self._random.integers(len(COLOURS)))]
                 if self._random.random() < 0.65:
                     self._wander(simulation, target)
@@ -151,7 +151,7 @@ class _Recorder:
                 self.lifted += simulation.cubes()[target].held_s > 0.3
             tell(self._count)
 
-    def _wander(self, simulation: Simulation, target: str) -> None:
+    def _wander(self, simulation: ArmSimulation, target: str) -> None:
         """Go somewhere first, so that demonstrations begin everywhere."""
         random = self._random
         cube = simulation.cubes()[target].position_m
@@ -174,7 +174,7 @@ class _Recorder:
                 self._keep(simulation, target)
             self._execute(simulation, np.array([*move, 0.0, 0.0, turn, 1.0]))
 
-    def _pick(self, simulation: Simulation, target: str) -> None:
+    def _pick(self, simulation: ArmSimulation, target: str) -> None:
         random = self._random
         disturbance = _Disturbance(random, float(random.choice([0.0, 0.003, 0.006, 0.012])))
         held_steps = 0
@@ -188,7 +188,7 @@ class _Recorder:
                 return
             self._execute(simulation, disturbance.apply(act(now)[0], now))
 
-    def _execute(self, simulation: Simulation, action: F64) -> None:
+    def _execute(self, simulation: ArmSimulation, action: F64) -> None:
         joints = JointSample(names=JOINTS, position=simulation.joint_positions(), stamp_ns=0)
         command = self._controller.compute(Action.from_vector(action), joints, STEP_S)
         if isinstance(command, Hold):
@@ -197,7 +197,7 @@ class _Recorder:
             simulation.set_target(command.names, command.position, command.duration_s)
         simulation.step(_TICKS)
 
-    def _keep(self, simulation: Simulation, target: str) -> None:
+    def _keep(self, simulation: ArmSimulation, target: str) -> None:
         """Take a picture; the cubes that are not named are put elsewhere first, so that each
         picture has new places.
         """
@@ -208,7 +208,7 @@ class _Recorder:
         self.pictures[self._count] = simulation.render("front", SIDE_PX, SIDE_PX)
         self._count += 1
 
-    def _scatter(self, simulation: Simulation, target: str) -> None:
+    def _scatter(self, simulation: ArmSimulation, target: str) -> None:
         cubes, tcp = simulation.cubes(), simulation.tcp_pose().position_m
         taken = [cubes[target].position_m[:2]]
         if tcp[2] < 0.14:
@@ -233,7 +233,7 @@ class _Recorder:
             )
         simulation.world.set_cubes(poses)
 
-    def _look(self, simulation: Simulation, target: str) -> NDArray[np.void]:
+    def _look(self, simulation: ArmSimulation, target: str) -> NDArray[np.void]:
         row = np.zeros((), dtype=ROW)
         pose, cubes = simulation.tcp_pose(), simulation.cubes()
         row["tcp_m"], row["rotation"] = (

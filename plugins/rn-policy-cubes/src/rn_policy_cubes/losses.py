@@ -13,7 +13,7 @@ from torch.nn import functional
 from rn_policy_cubes.dataset import Batch
 from rn_policy_cubes.labels import PLACE_WIDTH
 from rn_policy_cubes.network import Thought
-from rn_policy_cubes.recipe import ACTION_WIDTH, Shape
+from rn_policy_cubes.recipe import ACTION_WIDTH, NetworkShape
 
 ACTION_WEIGHT = (1.0, 1.0, 1.0, 0.2, 0.2, 0.6, 1.0)
 _POINT, _SPOT, _PLACE = 0.5, 1.0, 1.0
@@ -27,7 +27,7 @@ class Helpers(nn.Module):
     that the action head reads.
     """
 
-    def __init__(self, shape: Shape) -> None:
+    def __init__(self, shape: NetworkShape) -> None:
         super().__init__()
         self.point = nn.ModuleList(nn.Linear(shape.hidden, 1) for _ in range(2))
         self.spot = nn.Linear(shape.hidden, PLACE_WIDTH)

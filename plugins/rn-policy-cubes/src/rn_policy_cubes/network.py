@@ -19,7 +19,7 @@ from rn_policy_cubes.recipe import (
     ROWS,
     STATE_WIDTH,
     VOCABULARY,
-    Shape,
+    NetworkShape,
 )
 
 PIXELS = (
@@ -60,7 +60,7 @@ def attend(query: Tensor, key: Tensor, value: Tensor, bias: Tensor | None) -> Te
     return result
 
 
-class VisionBlock(nn.Module):
+class CubesVisionBlock(nn.Module):
     """Pre-norm transformer block; `scaled` for layer scale."""
 
     def __init__(self, width: int, heads: int, ratio: float, scaled: bool) -> None:
@@ -91,10 +91,10 @@ class VisionBlock(nn.Module):
         return result
 
 
-class VisionTower(nn.Module):
+class CubesVisionTower(nn.Module):
     """Patches to features, read before the last block."""
 
-    def __init__(self, shape: Shape, number: int) -> None:
+    def __init__(self, shape: NetworkShape, number: int) -> None:
         super().__init__()
         width = shape.vision_width
         self.prefix = PREFIX_TOKENS[number]
@@ -104,7 +104,7 @@ class VisionTower(nn.Module):
         self.pos_embed = nn.Parameter(torch.zeros(1, PATCHES, width))
         self.patch = nn.Linear(PATCH_VALUES, width)
         self.blocks = nn.ModuleList(
-            VisionBlock(width, shape.vision_heads, MLP_RATIO[number], number == 0)
+            CubesVisionBlock(width, shape.vision_heads, MLP_RATIO[number], number == 0)
             for _ in range(shape.vision_depth - 1)
         )
 
@@ -125,10 +125,10 @@ class VisionTower(nn.Module):
         return features
 
 
-class DecoderLayer(nn.Module):
+class CubesDecoderLayer(nn.Module):
     """A Llama layer without a causal mask."""
 
-    def __init__(self, shape: Shape) -> None:
+    def __init__(self, shape: NetworkShape) -> None:
         super().__init__()
         hidden, inner = shape.hidden, shape.intermediate
         self.heads = shape.heads
@@ -173,7 +173,7 @@ def norm(x: Tensor, weight: Tensor) -> Tensor:
     return functional.rms_norm(x, weight.shape, weight.to(x.dtype), _DECODER_EPSILON)
 
 
-class Projector(nn.Module):
+class CubesProjector(nn.Module):
     """Linear layers with exact GELU between them, called fc1, fc2, ... as on disk."""
 
     def __init__(self, *widths: int) -> None:
@@ -235,16 +235,16 @@ class CubesNetwork(nn.Module):
     sin: Tensor
     place_of_id: Tensor
 
-    def __init__(self, shape: Shape, ids: Sequence[int]) -> None:
+    def __init__(self, shape: NetworkShape, ids: Sequence[int]) -> None:
         """`ids`: token ids in use, ascending, with STOP_ID."""
         super().__init__()
         self.shape, self.ids = shape, tuple(ids)
         hidden, features = shape.hidden, 2 * shape.vision_width
-        self.towers = nn.ModuleList(VisionTower(shape, number) for number in range(2))
-        self.projector = Projector(features, 4 * features, hidden, hidden)
-        self.proprio_projector = Projector(STATE_WIDTH, hidden, hidden)
+        self.towers = nn.ModuleList(CubesVisionTower(shape, number) for number in range(2))
+        self.projector = CubesProjector(features, 4 * features, hidden, hidden)
+        self.proprio_projector = CubesProjector(STATE_WIDTH, hidden, hidden)
         self.embed = nn.Parameter(torch.randn(len(self.ids), hidden))
-        self.layers = nn.ModuleList(DecoderLayer(shape) for _ in range(shape.layers))
+        self.layers = nn.ModuleList(CubesDecoderLayer(shape) for _ in range(shape.layers))
         self.norm = nn.Parameter(torch.ones(hidden))
         self.head = ActionHead(hidden)
         width = hidden // shape.heads

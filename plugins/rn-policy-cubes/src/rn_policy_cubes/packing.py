@@ -12,7 +12,6 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import torch
 from pydantic import BaseModel, ConfigDict
@@ -150,7 +149,7 @@ def _of_layer(name: str, value: Tensor) -> list[tuple[str, Tensor]]:
 def network_of(packed: Packed) -> CubesNetwork:
     """The trainable network with these weights, the inverse of `Packed.of`."""
     network = CubesNetwork(packed.card.recipe.shape, packed.ids.tolist())
-    state: dict[str, Any] = {}
+    state: dict[str, object] = {}
     for name, value in network.state_dict().items():
         parts = [
             packed.tensors[public].flatten(1)

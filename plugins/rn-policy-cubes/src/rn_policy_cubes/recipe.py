@@ -26,7 +26,7 @@ opening.
 """
 
 
-class Shape(BaseModel):
+class NetworkShape(BaseModel):
     """Sizes of the network."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
@@ -54,7 +54,7 @@ class Recipe(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
 
-    shape: Shape = Shape()
+    shape: NetworkShape = NetworkShape()
     seed: int = 0
     shards: Annotated[int, Field(ge=2)] = 80
     """Shards of demonstrations; the last `held_out` of them are for measuring."""

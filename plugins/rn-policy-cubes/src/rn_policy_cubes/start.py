@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from rn_policy_cubes.dataset import COLOURED, Shards
-from rn_policy_cubes.network import PIXELS, CubesNetwork, VisionTower
-from rn_policy_cubes.recipe import GRID, PATCH_VALUES, Shape
+from rn_policy_cubes.network import PIXELS, CubesNetwork, CubesVisionTower
+from rn_policy_cubes.recipe import GRID, PATCH_VALUES, NetworkShape
 
 _POSITION_SHARE = 4
 """One channel in so many of a tower is for the position."""
@@ -18,7 +18,7 @@ _SAMPLE = 20_000
 _SIZE = 0.7
 
 
-def new_network(shape: Shape, ids: Sequence[int], shards: Shards, seed: int) -> CubesNetwork:
+def new_network(shape: NetworkShape, ids: Sequence[int], shards: Shards, seed: int) -> CubesNetwork:
     """A network whose patch filters are the principal components of patches with cubes.
 
     Three quarters of a tower's channels begin as such filters, the components shared out between
@@ -32,14 +32,14 @@ def new_network(shape: Shape, ids: Sequence[int], shards: Shards, seed: int) -> 
     sample = coloured[random.permutation(len(coloured))[:_SAMPLE]]
     values = torch.from_numpy(shards.patches[sample[:, 0], sample[:, 1]]).float() / 255
     for number, tower in enumerate(network.towers):
-        assert isinstance(tower, VisionTower)
+        assert isinstance(tower, CubesVisionTower)
         _set_filters(tower, number, values)
         _set_positions(tower, number, random)
     return network
 
 
 @torch.no_grad()
-def _set_filters(tower: VisionTower, number: int, values: Tensor) -> None:
+def _set_filters(tower: CubesVisionTower, number: int, values: Tensor) -> None:
     mean, spread = (torch.tensor(v).repeat_interleave(PATCH_VALUES // 3) for v in PIXELS[number])
     normalised = (values - mean) / spread
     centre = normalised.mean(dim=0)
@@ -56,7 +56,7 @@ def _set_filters(tower: VisionTower, number: int, values: Tensor) -> None:
 
 
 @torch.no_grad()
-def _set_positions(tower: VisionTower, number: int, random: np.random.Generator) -> None:
+def _set_positions(tower: CubesVisionTower, number: int, random: np.random.Generator) -> None:
     width = tower.pos_embed.shape[-1]
     across = torch.linspace(-1, 1, GRID).repeat(GRID)
     down = torch.linspace(-1, 1, GRID).repeat_interleave(GRID)

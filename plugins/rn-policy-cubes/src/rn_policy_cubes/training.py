@@ -83,7 +83,7 @@ class Training:
 
     def write(self, path: Path) -> None:
         """Save everything; what was there is replaced at once or not at all. Raises StateError."""
-        state: dict[str, Any] = {
+        state: dict[str, object] = {
             "step": self.step,
             "cpu_s": self.cpu_s,
             "recipe": self.recipe.model_dump(mode="json"),
@@ -138,7 +138,7 @@ class Training:
         return {**result.numbers(), "rate": rate}
 
 
-def half_precision(device: torch.device) -> contextlib.AbstractContextManager[Any]:
+def half_precision(device: torch.device) -> contextlib.AbstractContextManager[object]:
     """bfloat16 for matrix products; weights stay float32."""
     return torch.autocast(device.type, torch.bfloat16)
 

@@ -12,12 +12,11 @@ from pathlib import Path
 from typing import Any
 
 from rn_recorder.options import RecorderOptions
-from rn_recorder.playing import playing_tool
 from rn_recorder.process import RecorderProcess
 from rn_recorder.tools import RecordingEnds, recording_tools
-from rn_runs.settings import PLAY, SWITCH, RecorderSettings, RulesSettings, spawn_recorder
-from rn_runs.store import Store
-from rn_runs.transforms import CameraMount
+from rn_recorder_runs.settings import PLAY, SWITCH, RecorderSettings, RulesSettings, spawn_recorder
+from rn_recorder_runs.store import Store
+from rn_recorder_runs.transforms import CameraMount
 from roboneuron import (
     ConfigurationError,
     Feature,
@@ -90,7 +89,11 @@ class Recorder(Feature[RecorderOptions]):
             host.events.change.listen(self._on_change)
             host.events.call.listen(self._on_call)
         tools = recording_tools(self._store, lambda: self._process, self.is_enabled, self._ends)
-        return [*tools, playing_tool(host)] if os.environ.get(SWITCH, "").lower() == PLAY else tools
+        if os.environ.get(SWITCH, "").lower() != PLAY:
+            return tools
+        from rn_recorder.playing import playing_tool  # heavy: reads recordings
+
+        return [*tools, playing_tool(host)]
 
     def start(self, host: Host) -> None:
         """Start the recorder's process; it joins ROS by itself."""
@@ -187,7 +190,7 @@ class Recorder(Feature[RecorderOptions]):
             "roboneuron": __version__,
         }
 
-    def _note(self, what: str, facts: Mapping[str, Any], incident: str = "") -> None:
+    def _note(self, what: str, facts: Mapping[str, object], incident: str = "") -> None:
         if self._process is not None and self.is_enabled:
             self._process.note(what, facts, incident)
 
@@ -195,7 +198,7 @@ class Recorder(Feature[RecorderOptions]):
         error = view.report.error if view.report is not None else ""
         code = view.report.error_code if view.report is not None else ""
         is_fault = health in FAULTS and not (health == "failing" and code in _ORDINARY)
-        facts: dict[str, Any] = {
+        facts: dict[str, object] = {
             "module": view.kind,
             "before": before,
             "health": health,
@@ -204,7 +207,7 @@ class Recorder(Feature[RecorderOptions]):
         facts["explanation"] = EXPLANATIONS[health]
         self._note("health", facts, f"{view.kind}-{health}" if is_fault else "")
 
-    def _on_fault(self, module: str, what: str, facts: Mapping[str, Any]) -> None:
+    def _on_fault(self, module: str, what: str, facts: Mapping[str, object]) -> None:
         # those are recorded anyway
         plain = {key: value for key, value in facts.items() if key != "actions"}
         self._note("fault", {"module": module, "fault": what, **plain}, f"{module}-{what}")
@@ -221,10 +224,10 @@ class Recorder(Feature[RecorderOptions]):
             threading.Thread(target=self._restart, name="recorder-restart", daemon=True).start()
 
     def _on_call(
-        self, name: str, arguments: Mapping[str, Any], who: str, code: str, took_s: float
+        self, name: str, arguments: Mapping[str, object], who: str, code: str, took_s: float
     ) -> None:
         text = json.dumps(arguments, default=str)
-        kept: Any = (
+        kept: object = (
             arguments if len(text) <= _MOST_ARGUMENTS else {"begins": text[:_MOST_ARGUMENTS]}
         )
         facts = {

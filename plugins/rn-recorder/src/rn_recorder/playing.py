@@ -10,13 +10,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from rn_runs.episodes import Streams, read_streams
+from rn_recorder_runs.episodes import Streams, read_streams
 from rn_standard.direct_path.exposed import ACTION_LABEL as ENDPOINT
 from rn_standard.direct_path.exposed import gate_request
 from roboneuron import (
@@ -66,7 +66,7 @@ class PlayedRecording(Result):
     )
 
 
-def playing_tool(host: Host) -> Tool[Any]:
+def playing_tool(host: Host) -> Tool[PlayRecording]:
     """play_recording."""
 
     async def play(arguments: PlayRecording, context: CallContext) -> PlayedRecording:
@@ -200,7 +200,7 @@ def pace(sent_ns: Sequence[int], rate_hz: float) -> list[float]:
     return due_s
 
 
-def action_message(vector: F64) -> Any:
+def action_message(vector: F64) -> object:
     """An action of the contract as its message."""
     from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayout  # heavy
 
@@ -208,7 +208,7 @@ def action_message(vector: F64) -> Any:
     return Float64MultiArray(layout=MultiArrayLayout(dim=[dimension]), data=vector.tolist())
 
 
-def _commands(messages: Sequence[Any], at_s: Sequence[float]) -> Iterator[TimedCommand]:
+def _commands(messages: Sequence[object], at_s: Sequence[float]) -> Iterator[TimedCommand]:
     begun_s = time.monotonic()
     for message, next_s in zip(messages, [*at_s[1:], at_s[-1]], strict=True):
         yield TimedCommand(message=message, due_s=begun_s + next_s)

@@ -8,14 +8,14 @@ FEATURE = FeatureSpec(
     "time around incidents.",
     target="rn_recorder.feature:Recorder",
     config="rn_recorder.options:RecorderOptions",
-    on_join="rn_runs.predictions:join",
+    on_join="rn_recorder_runs.predictions:join",
 )
 """Descriptor of the feature."""
 
 COMMAND = CommandSpec(
     name="runs",
     summary="list, show, export, replay and delete recorded runs",
-    target="rn_runs.command:Runs",
+    target="rn_recorder_runs.command:Runs",
 )
 """Descriptor of the command."""
 

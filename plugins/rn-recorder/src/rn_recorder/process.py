@@ -47,7 +47,7 @@ class RecorderProcess:
     def __init__(self, spawn: Spawn, observe: Callable[[int], object] = lambda pid: None) -> None:
         self._spawn = spawn
         self._observe = observe
-        self._orders: queue.Queue[dict[str, Any]] = queue.Queue(MOST_ORDERS)
+        self._orders: queue.Queue[dict[str, object]] = queue.Queue(MOST_ORDERS)
         self._answers: dict[int, dict[str, Any]] = {}
         self._changed = threading.Condition()
         self._closing = threading.Event()
@@ -84,7 +84,7 @@ class RecorderProcess:
             self._thread = threading.Thread(target=self._keep, name="recorder", daemon=True)
             self._thread.start()
 
-    def note(self, what: str, facts: Mapping[str, Any], incident: str = "") -> None:
+    def note(self, what: str, facts: Mapping[str, object], incident: str = "") -> None:
         """Tell it of an event; never waits: what does not fit into the queue is dropped and
         counted.
         """
@@ -100,7 +100,7 @@ class RecorderProcess:
         except queue.Full:
             self.dropped += 1
 
-    def ask(self, order: Mapping[str, Any], timeout_s: float) -> dict[str, Any]:
+    def ask(self, order: Mapping[str, object], timeout_s: float) -> dict[str, Any]:
         """Have it do something and return its answer.
 
         Raises:

@@ -11,7 +11,7 @@ from typing import Any, Literal
 from pydantic import Field
 
 from rn_recorder.process import RecorderProcess
-from rn_runs.store import Run, Store
+from rn_recorder_runs.store import Run, Store
 from roboneuron import (
     Arguments,
     CallContext,
@@ -46,7 +46,7 @@ class StartRecording(Arguments):
     )
 
 
-class Started(Result):
+class StartedRecording(Result):
     """A recording in progress."""
 
     id: str
@@ -62,7 +62,7 @@ class StopRecording(Arguments):
     note: str = Field(default="", max_length=500, description="Kept with the recording.")
 
 
-class Stopped(Result):
+class StoppedRecording(Result):
     """A finished recording."""
 
     id: str
@@ -78,7 +78,7 @@ class ListRecordings(Arguments):
     entries: int = Field(default=20, ge=1, le=200, description="At most so many, the newest.")
 
 
-class Entry(Result):
+class RunEntry(Result):
     """A recording or an incident."""
 
     id: str
@@ -102,7 +102,7 @@ class Recordings(Result):
         "started"
     )
     restarts: int
-    runs: list[Entry]
+    runs: list[RunEntry]
     directory: str
 
 
@@ -166,15 +166,15 @@ def recording_tools(
 
     ends.what = end
 
-    async def start_recording(arguments: StartRecording, context: CallContext) -> Started:
+    async def start_recording(arguments: StartRecording, context: CallContext) -> StartedRecording:
         facts = {"note": arguments.note, "who": context.who, "outcome": "unknown"}
         order = {"do": "start", "name": arguments.name, "facts": facts}
         answer = await context.run(lambda _: ask(order))
         recorder().resume_with(answer["id"], arguments.name)
         ends.after(arguments.duration_s, answer["id"])
-        return Started(id=answer["id"], directory=str(store.recordings / answer["id"]))
+        return StartedRecording(id=answer["id"], directory=str(store.recordings / answer["id"]))
 
-    async def stop_recording(arguments: StopRecording, context: CallContext) -> Stopped:
+    async def stop_recording(arguments: StopRecording, context: CallContext) -> StoppedRecording:
         facts: dict[str, Any] = {"outcome": arguments.outcome}
         if arguments.note:
             facts["note"] = arguments.note
@@ -182,7 +182,7 @@ def recording_tools(
         recorder().resume_with("", "")
         run = (await context.run(lambda _: ask({"do": "stop", "facts": facts})))["run"]
         found = await context.run(lambda _: store.get(run["id"]))
-        return Stopped(
+        return StoppedRecording(
             id=run["id"],
             files=run["files"],
             duration_s=round((run["ended_ns"] - run["begun_ns"]) / 1e9, 3),
@@ -214,7 +214,7 @@ def recording_tools(
                 "stop_recording. Incidents are recorded without it."
             ),
             arguments=StartRecording,
-            result=Started,
+            result=StartedRecording,
             handler=start_recording,
         ),
         Tool(
@@ -222,7 +222,7 @@ def recording_tools(
             title="End the recording",
             description="End the recording and label its outcome, for use as data.",
             arguments=StopRecording,
-            result=Stopped,
+            result=StoppedRecording,
             handler=stop_recording,
             destructive=False,
         ),
@@ -239,9 +239,9 @@ def recording_tools(
     ]
 
 
-def _entry(run: Run) -> Entry:
+def _entry(run: Run) -> RunEntry:
     begun_ns = int(run.facts.get("begun_ns") or run.facts.get("at_ns") or 0)
-    return Entry(
+    return RunEntry(
         id=run.id,
         kind=run.kind,
         begun_at=datetime.fromtimestamp(begun_ns / 1e9, UTC).isoformat() if begun_ns else "",

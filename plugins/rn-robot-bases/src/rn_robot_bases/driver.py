@@ -13,7 +13,7 @@ from rn_robot_bases.odometry import PlanarPose, to_message
 from rn_robot_bases.options import SimulatedBaseOptions
 from rn_robot_bases.platform import PLATFORMS
 from rn_robot_bases.profile import CMD_VEL, ODOMETRY, velocity_endpoint
-from rn_robot_bases.simulation import STEP_S, BaseState, Simulation
+from rn_robot_bases.simulation import STEP_S, BaseSimulation, BaseState
 from rn_simulation.real_time import RealTimeThread
 from rn_standard.direct_path.twists import TWIST_FIELDS, check_twist
 from roboneuron import (
@@ -48,7 +48,7 @@ class SimulatedBase:
         self._options = config or SimulatedBaseOptions()
         self._profile = profile
         self._topics = topics
-        self._simulation: Simulation | None = None
+        self._simulation: BaseSimulation | None = None
         self._publish: Callable[[Odometry], None] | None = None
         self._time = RealTimeThread(
             profile.name,
@@ -74,7 +74,7 @@ class SimulatedBase:
             raise ConfigurationError(
                 f"There is no simulated base {name!r}, expected one of {', '.join(PLATFORMS)}."
             )
-        self._simulation = Simulation(
+        self._simulation = BaseSimulation(
             PLATFORMS[name],
             command_timeout_s=self._options.command_timeout_s,
             engine=self._options.engine,
@@ -159,7 +159,7 @@ class SimulatedBase:
             else:
                 self._refusal = ""
 
-    def _running(self) -> Simulation:
+    def _running(self) -> BaseSimulation:
         self._time.check_running()
         assert self._simulation is not None
         return self._simulation

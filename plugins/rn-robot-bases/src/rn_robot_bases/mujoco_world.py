@@ -25,7 +25,7 @@ _CONTACT_SPRING, _CONTACT_IMPEDANCE = (0.0025, 1.0), (0.999, 0.9999, 0.001, 0.5,
 """
 
 
-class MujocoWorld:
+class MujocoBaseWorld:
     """One MuJoCo model and its state; follows the protocol `World`."""
 
     def __init__(self, platform: Platform, step_s: float) -> None:

@@ -25,7 +25,7 @@ def load_body(client: int, platform: Platform) -> int:
         return int(pybullet.loadURDF(str(path), (0.0, 0.0, START_HEIGHT_M), physicsClientId=client))
 
 
-class PybulletWorld:
+class PybulletBaseWorld:
     """One PyBullet client; follows the protocol `World`."""
 
     def __init__(self, platform: Platform, step_s: float) -> None:

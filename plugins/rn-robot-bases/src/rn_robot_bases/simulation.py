@@ -45,7 +45,7 @@ class BaseState:
     motion: str
 
 
-class Simulation:
+class BaseSimulation:
     """One base on a flat floor with its motion controller, its deadman and its odometry; used from
     one thread.
 
@@ -78,7 +78,7 @@ class Simulation:
         self._command_s: float | None = None
         self._motion = "standing"
 
-    def __enter__(self) -> Simulation:
+    def __enter__(self) -> BaseSimulation:
         self.open()
         return self
 

@@ -40,9 +40,9 @@ class BaseWorld(Protocol):
 def build_world(engine: Engine, platform: Platform, step_s: float) -> BaseWorld:
     """A world with `platform` in `engine`."""
     if engine == "mujoco":
-        from rn_robot_bases.mujoco_world import MujocoWorld  # heavy, and perhaps not installed
+        from rn_robot_bases.mujoco_world import MujocoBaseWorld  # heavy, and perhaps not installed
 
-        return MujocoWorld(platform, step_s)
-    from rn_robot_bases.pybullet_world import PybulletWorld  # likewise
+        return MujocoBaseWorld(platform, step_s)
+    from rn_robot_bases.pybullet_world import PybulletBaseWorld  # likewise
 
-    return PybulletWorld(platform, step_s)
+    return PybulletBaseWorld(platform, step_s)

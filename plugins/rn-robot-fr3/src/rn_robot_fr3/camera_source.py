@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 from std_msgs.msg import Float64MultiArray
 
-from rn_robot_fr3.cameras import Camera, cameras
+from rn_robot_fr3.cameras import PinholeCamera, cameras
 from rn_robot_fr3.options import SimulatedCamerasOptions
 from rn_robot_fr3.state_message import TOPIC, SceneState, from_message
 from rn_robot_fr3.twin import RenderTwin
@@ -34,7 +34,7 @@ class SimulatedCameras:
         self._options = config or SimulatedCamerasOptions()
         self._topics = topics
         self._wanted = tuple(cameras)
-        self._served: list[Camera] = []
+        self._served: list[PinholeCamera] = []
         self._twin = RenderTwin()
         self._drawing = threading.Lock()
         self._arrived = threading.Condition()
@@ -141,7 +141,9 @@ class SimulatedCameras:
                 hint=f"At rate_hz = {self._options.rate_hz:g} wait longer, or raise the rate.",
             )
 
-    def _await_state(self, camera: Camera, deadline_s: float, timeout_s: float) -> SceneState:
+    def _await_state(
+        self, camera: PinholeCamera, deadline_s: float, timeout_s: float
+    ) -> SceneState:
         def is_newer() -> bool:
             return self._message is not None and self._received > self._shown_by_camera.get(
                 camera.name, 0

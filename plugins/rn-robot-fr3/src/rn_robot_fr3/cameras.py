@@ -29,7 +29,7 @@ def look_at(eye_m: F64, target_m: F64, up: F64) -> F64:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Camera:
+class PinholeCamera:
     """An ideal pinhole camera with square pixels and its principal point in the middle.
 
     Attributes:
@@ -72,9 +72,9 @@ class Camera:
         )
 
 
-def _front() -> Camera:
+def _front() -> PinholeCamera:
     eye, target = np.array([1.22, 0.42, 0.78]), np.array([0.37, -0.02, 0.19])
-    return Camera(
+    return PinholeCamera(
         name="front",
         role="primary",
         frame_id="front_camera_optical_frame",
@@ -84,14 +84,14 @@ def _front() -> Camera:
     )
 
 
-def _wrist() -> Camera:
+def _wrist() -> PinholeCamera:
     """In front of the hand (+x of the TCP frame), looking along the fingers and tilted back towards
     their tips.
     """
     eye = np.array([0.085, 0.0, -0.080])
     tilt = np.deg2rad(16.0)
     ahead = eye + np.array([-np.sin(tilt), 0.0, np.cos(tilt)])
-    return Camera(
+    return PinholeCamera(
         name="wrist",
         role="wrist",
         frame_id="wrist_camera_optical_frame",
@@ -101,6 +101,6 @@ def _wrist() -> Camera:
     )
 
 
-def cameras() -> tuple[Camera, ...]:
+def cameras() -> tuple[PinholeCamera, ...]:
     """The cameras of the simulated FR3 cell: "front" beside the table and "wrist" on the hand."""
     return (_front(), _wrist())

@@ -11,7 +11,7 @@ from std_msgs.msg import Float64MultiArray
 
 from rn_robot_fr3.limits import ARM_JOINTS
 from rn_robot_fr3.options import SimulatedDriverOptions
-from rn_robot_fr3.simulation import STEP_S, Simulation, opening
+from rn_robot_fr3.simulation import STEP_S, ArmSimulation, opening
 from rn_robot_fr3.state_message import TOPIC, SceneState, to_message
 from rn_robot_fr3.world import JOINTS
 from rn_simulation.real_time import RealTimeThread
@@ -47,7 +47,7 @@ class SimulatedDriver:
         self._profile = profile
         self._topics = topics
         self._publish: Callable[[Float64MultiArray], None] | None = None
-        self._simulation = Simulation(
+        self._simulation = ArmSimulation(
             self._options.seed,
             colours=self._options.colours,
             engine=self._options.engine,

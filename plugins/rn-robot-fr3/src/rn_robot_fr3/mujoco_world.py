@@ -41,7 +41,7 @@ _CONTACT_SPRING = (0.005, 1.0)
 _CONTACT_IMPEDANCE = (0.98, 0.999, 0.001, 0.5, 2.0)
 
 
-class MujocoWorld:
+class MujocoArmWorld:
     """One MuJoCo model and its state; follows the protocol `World`."""
 
     engine: Engine = "mujoco"

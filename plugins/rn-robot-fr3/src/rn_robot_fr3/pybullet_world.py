@@ -47,7 +47,7 @@ def _gui_client() -> int:
     return client
 
 
-class PybulletWorld:
+class PybulletArmWorld:
     """One PyBullet client; follows the protocol `World`.
 
     Attributes:

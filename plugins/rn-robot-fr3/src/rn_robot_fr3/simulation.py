@@ -46,7 +46,7 @@ it through.
 _JUDGE_EVERY = 4
 
 
-class Simulation:
+class ArmSimulation:
     """A simulated FR3 before a table with coloured cubes; used from one thread.
 
     Use it as a context manager, or call `open` and `close`. The scene depends on `seed` and
@@ -85,7 +85,7 @@ class Simulation:
             np.array([*ACCELERATION_RAD_S2, _FINGER_ACCELERATION_M_S2]),
         )
 
-    def __enter__(self) -> Simulation:
+    def __enter__(self) -> ArmSimulation:
         self.open()
         return self
 
@@ -239,4 +239,4 @@ def opening(position: F64) -> float:
     return float(np.clip(position[len(ARM_JOINTS)] / FINGER_OPEN_M, 0.0, 1.0))
 
 
-__all__ = ["COMMANDED", "JOINTS", "STEP_S", "Simulation"]
+__all__ = ["COMMANDED", "JOINTS", "STEP_S", "ArmSimulation"]

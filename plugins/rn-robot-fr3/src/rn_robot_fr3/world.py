@@ -92,9 +92,9 @@ def build_world(engine: Engine, cubes: Sequence[Cube], *, gui: bool = False) -> 
         ConfigurationError: a window is asked for and there is no display, or the engine has none.
     """
     if engine == "mujoco":
-        from rn_robot_fr3.mujoco_world import MujocoWorld  # heavy, and perhaps not installed
+        from rn_robot_fr3.mujoco_world import MujocoArmWorld  # heavy, and perhaps not installed
 
-        return MujocoWorld(cubes, gui=gui)
-    from rn_robot_fr3.pybullet_world import PybulletWorld  # likewise
+        return MujocoArmWorld(cubes, gui=gui)
+    from rn_robot_fr3.pybullet_world import PybulletArmWorld  # likewise
 
-    return PybulletWorld(cubes, gui=gui)
+    return PybulletArmWorld(cubes, gui=gui)

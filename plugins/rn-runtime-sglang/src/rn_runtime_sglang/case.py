@@ -12,7 +12,7 @@ import numpy as np
 
 from rn_runtime_sglang.plugin import roboneuron_runtimes
 from rn_testing import RuntimeCase
-from rn_vla.decoding import DecoderShape, PolicyModel, Prompt, TokenRequest
+from rn_vla.decoding import DecoderShape, DecodingPrompt, PolicyModel, TokenRequest
 
 
 def sglang_case() -> RuntimeCase:
@@ -86,5 +86,5 @@ def token_request(count: int = 9, seed: int = 0, deadline_s: float | None = None
     generator = np.random.default_rng(seed)
     ids = np.array([1, *generator.integers(3, 29000, count - 2), 29871], dtype=np.int64)
     image = generator.integers(0, 256, (32, 48, 3), dtype=np.uint8)
-    prompt = Prompt(text="In: What action ...", ids=ids, images=(image,), arrays={})
+    prompt = DecodingPrompt(text="In: What action ...", ids=ids, images=(image,), arrays={})
     return TokenRequest(prompt=prompt, max_new_tokens=7, deadline_s=deadline_s)

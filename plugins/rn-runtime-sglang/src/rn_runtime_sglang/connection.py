@@ -54,7 +54,7 @@ class Access:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Answer:
+class HttpAnswer:
     """Status and body of an answer."""
 
     status: int
@@ -89,7 +89,7 @@ def _is_dropped(sock: socket.socket | None) -> bool:
     return bool(readable.poll(0))
 
 
-class Connection:
+class HttpConnection:
     """Used by one thread at a time; `cut` may be called from any."""
 
     def __init__(self, access: Access) -> None:
@@ -99,7 +99,7 @@ class Connection:
 
     def request(
         self, method: str, path: str, deadline_s: float, body: bytes | None = None
-    ) -> Answer:
+    ) -> HttpAnswer:
         """Send one request and read its answer.
 
         Args:
@@ -131,7 +131,7 @@ class Connection:
                 )
             if response.will_close:
                 self.close()
-            return Answer(status=response.status, body=content)
+            return HttpAnswer(status=response.status, body=content)
         except TimeoutError as error:
             self.close()
             raise AnswerTooLate(f"{url} did not answer {path} in time.") from error

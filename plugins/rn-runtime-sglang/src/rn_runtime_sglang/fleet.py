@@ -19,7 +19,7 @@ Check = Callable[[], None]
 _WAIT_S = 0.1
 
 
-class Fleet:
+class ServerPool:
     """`generate` is called from one thread, `abort` and `close` from any."""
 
     def __init__(self, servers: Sequence[Server]) -> None:

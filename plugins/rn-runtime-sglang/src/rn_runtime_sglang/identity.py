@@ -7,7 +7,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path, PurePath
 
-from rn_runtime_sglang.connection import Connection
+from rn_runtime_sglang.connection import HttpConnection
 from rn_runtime_sglang.served.fingerprint import served_name
 from rn_runtime_sglang.served.versions import SUPPORTED, is_supported
 from rn_runtime_sglang.wire import error_text, parse_object
@@ -39,7 +39,7 @@ class Expectation:
         except OSError as error:
             raise CheckpointError(f"{path} cannot be read: {error}") from error
 
-    def check(self, connection: Connection, url: str, deadline_s: float) -> None:
+    def check(self, connection: HttpConnection, url: str, deadline_s: float) -> None:
         """Ask one server.
 
         Raises:
@@ -58,7 +58,9 @@ class Expectation:
         self._check_model(self._ask(connection, url, "/model_info", deadline_s), url)
 
     @staticmethod
-    def _ask(connection: Connection, url: str, path: str, deadline_s: float) -> dict[str, object]:
+    def _ask(
+        connection: HttpConnection, url: str, path: str, deadline_s: float
+    ) -> dict[str, object]:
         answer = connection.request("GET", path, deadline_s)
         if answer.status in (401, 403):
             raise ConfigurationError(

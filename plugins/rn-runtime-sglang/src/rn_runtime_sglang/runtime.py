@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from rn_runtime_sglang.config import SglangRuntimeConfig
 from rn_runtime_sglang.connection import Access
-from rn_runtime_sglang.fleet import Fleet
+from rn_runtime_sglang.fleet import ServerPool
 from rn_runtime_sglang.identity import Expectation
 from rn_runtime_sglang.plugin import FAMILIES
 from rn_runtime_sglang.process import ManagedServer
@@ -34,7 +34,7 @@ class SglangRuntime:
         self._config = config
         self._model: PolicyModel | None = None
         self._managed: ManagedServer | None = None
-        self._fleet: Fleet | None = None
+        self._fleet: ServerPool | None = None
         self._aborted = threading.Event()
 
     def load(self, model: PolicyModel, acceleration: LlamaAcceleration | None = None) -> None:
@@ -70,7 +70,7 @@ class SglangRuntime:
         config = self._config
         expectation = Expectation.of(model.checkpoint)
         accesses = self._launch(model) if config.python is not None else self._remote()
-        fleet = self._fleet = Fleet(
+        fleet = self._fleet = ServerPool(
             [Server(access, expectation, config.poll_s) for access in accesses]
         )
         try:
@@ -163,7 +163,7 @@ class SglangRuntime:
             )
 
     def _answer(
-        self, fleet: Fleet, model: PolicyModel, request: TokenRequest, deadline_s: float
+        self, fleet: ServerPool, model: PolicyModel, request: TokenRequest, deadline_s: float
     ) -> TokenReply:
         started_s = time.monotonic()
         body = encode_body(request, self._config.image_format)

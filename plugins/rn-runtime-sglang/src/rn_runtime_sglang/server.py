@@ -11,7 +11,7 @@ import threading
 import time
 from collections.abc import Mapping
 
-from rn_runtime_sglang.connection import Access, AnswerTooLate, Connection, ServerLost
+from rn_runtime_sglang.connection import Access, AnswerTooLate, HttpConnection, ServerLost
 from rn_runtime_sglang.identity import Expectation
 from rn_runtime_sglang.wire import (
     Generated,
@@ -44,8 +44,8 @@ class Server:
         self.url = access.url
         self._expectation = expectation
         self._poll_s = poll_s
-        self._work = Connection(access)
-        self._watch = Connection(access)
+        self._work = HttpConnection(access)
+        self._watch = HttpConnection(access)
         self._orders: queue.SimpleQueue[str | None] = queue.SimpleQueue()
         self._thread: threading.Thread | None = None
         self._settled = threading.Event()

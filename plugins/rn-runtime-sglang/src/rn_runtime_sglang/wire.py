@@ -9,7 +9,6 @@ import io
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,7 +61,7 @@ def encode_body(request: TokenRequest, image_format: str) -> bytes:
             "tokens."
         )
     buffer = io.BytesIO()
-    options: dict[str, Any] = {"compress_level": 1} if image_format == "png" else {}
+    options: dict[str, object] = {"compress_level": 1} if image_format == "png" else {}
     Image.fromarray(prompt.images[0]).save(buffer, format=image_format, **options)
     body = {
         "input_ids": prompt.ids.tolist(),
@@ -83,7 +82,7 @@ def with_id(rid: str, body: bytes) -> bytes:
     return b'{"rid":"' + rid.encode("ascii") + b'",' + body
 
 
-def parse_object(raw: bytes, where: str) -> dict[str, Any]:
+def parse_object(raw: bytes, where: str) -> dict[str, object]:
     """The JSON object in `raw`. Raises MalformedReply."""
     try:
         value = json.loads(raw)

@@ -125,7 +125,7 @@ class _HeaderReader(pickle._Unpickler):  # the one in C allocates what an index 
         super().__init__(io.BytesIO(data))
         self._sizes = sizes
 
-    def find_class(self, module: str, name: str) -> Any:
+    def find_class(self, module: str, name: str) -> object:
         if module == "collections" and name == "OrderedDict":
             return OrderedDict
         if module == "torch._utils" and name == "_rebuild_tensor_v2":

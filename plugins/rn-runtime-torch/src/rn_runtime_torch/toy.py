@@ -16,8 +16,8 @@ from torch import Tensor, nn
 from rn_runtime_torch.decoder import Decoder
 from rn_vla.decoding import (
     DecoderShape,
+    DecodingPrompt,
     PolicyModel,
-    Prompt,
     RowsRequest,
     Shard,
     TokenRequest,
@@ -121,9 +121,9 @@ class ToyPolicy:
             build_front=functools.partial(ToyFront, self.shape.hidden),
         )
 
-    def _prompt(self, count: int, seed: int) -> Prompt:
+    def _prompt(self, count: int, seed: int) -> DecodingPrompt:
         generator = np.random.default_rng(seed)
-        return Prompt(
+        return DecodingPrompt(
             text="",
             ids=generator.integers(0, self.shape.vocabulary, count),
             images=(),

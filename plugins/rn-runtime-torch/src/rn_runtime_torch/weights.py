@@ -34,7 +34,8 @@ class _OpenShard(Protocol):
 class _Safetensors:
     def __init__(self, path: Path) -> None:
         check_safetensors(path)
-        self._file: Any = safe_open(path, framework="pt", device="cpu")  # the library is not typed
+        # the library is not typed
+        self._file: Any = safe_open(path, framework="pt", device="cpu")
 
     def shapes(self) -> Mapping[str, tuple[int, ...]]:
         return {name: tuple(self._file.get_slice(name).get_shape()) for name in self._file.keys()}  # noqa: SIM118

@@ -8,7 +8,7 @@ import json
 
 import pytest
 
-from rn_standard.console.judge import Judge, RunOutcome
+from rn_standard.console.judge import RunJudge, RunOutcome
 from rn_standard.console.status import ReportedModule, ServerStatus
 
 INSTRUCTION = "Pick up the red cube."
@@ -69,7 +69,7 @@ def status(
 def test_one_look_decides(
     seen: ServerStatus, elapsed_s: float, outcome: RunOutcome | None, reason: str
 ) -> None:
-    verdict = Judge(INSTRUCTION, 60.0).look(seen, elapsed_s)
+    verdict = RunJudge(INSTRUCTION, 60.0).look(seen, elapsed_s)
     if outcome is None:
         assert verdict is None
     else:
@@ -78,7 +78,7 @@ def test_one_look_decides(
 
 
 def test_a_short_fault_is_forgiven_and_a_lasting_one_ends_the_run() -> None:
-    judge = Judge(INSTRUCTION, 60.0)
+    judge = RunJudge(INSTRUCTION, 60.0)
     assert judge.look(status(health="failing"), 1.0) is None
     assert judge.look(status(), 3.0) is None
     assert judge.look(status(health="silent"), 4.0) is None
@@ -90,7 +90,7 @@ def test_a_short_fault_is_forgiven_and_a_lasting_one_ends_the_run() -> None:
 
 
 def test_a_module_that_somebody_stopped_ends_the_run() -> None:
-    judge = Judge(INSTRUCTION, 60.0)
+    judge = RunJudge(INSTRUCTION, 60.0)
     assert judge.look(status(health="stopped"), 1.0) is None
     verdict = judge.look(status(health="stopped"), 6.0)
     assert verdict is not None
@@ -98,7 +98,7 @@ def test_a_module_that_somebody_stopped_ends_the_run() -> None:
 
 
 def test_the_backends_word_does_not_outweigh_the_simulators() -> None:
-    judge = Judge(INSTRUCTION, 60.0)
+    judge = RunJudge(INSTRUCTION, 60.0)
     assert judge.look(status(lifted={"red": 0.0}, done="1"), 1.0) is None
     verdict = judge.look(status(lifted={"red": 0.0}, done="1"), 6.0)
     assert verdict is not None

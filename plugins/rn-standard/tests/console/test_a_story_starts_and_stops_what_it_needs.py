@@ -14,7 +14,7 @@ from rich.console import Console
 
 from rn_standard.console import story as story_module
 from rn_standard.console.judge import RunEnd, RunOutcome
-from rn_standard.console.screen import Screen
+from rn_standard.console.screen import CommandScreen
 from rn_standard.console.session import Session
 from rn_standard.console.status import ServerStatus
 from rn_standard.console.story import Story
@@ -78,7 +78,7 @@ def _fast(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def play(session: FakeSession, is_quiet: bool = False) -> tuple[RunEnd, str]:
     output = io.StringIO()
-    screen = Screen(Console(file=output, width=200, highlight=False, markup=False), is_quiet)
+    screen = CommandScreen(Console(file=output, width=200, highlight=False, markup=False), is_quiet)
 
     async def run() -> RunEnd:
         story = Story(session, "wave", 60.0, screen)

@@ -14,8 +14,7 @@ import pytest
 
 from rn_standard.console.completion import SHELLS
 from rn_standard.console.parsers import whole_parser
-from roboneuron.cli.commands import COMMANDS, installed_commands, spoken
-from roboneuron.cli.main import main
+from roboneuron.cli.main import COMMANDS, installed_commands, main, spoken
 from roboneuron.plugins.discovery import discover
 
 

@@ -1,19 +1,28 @@
-"""Fixtures of the gate tests: clocks that tests turn, an allow list of typical endpoints."""
+"""Fixtures of the gate tests: an allow list of typical endpoints, and the gate as features use it.
+
+The gate and the arbiter are real; what would be on ROS is played by the test.
+"""
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from rn_standard.direct_path import motion_gate as motion_gate_module
+from rn_standard.direct_path.arbiter import MotionArbiter
 from rn_standard.direct_path.fields import filled, load_type
 from rn_standard.direct_path.gate import Gate
+from rn_standard.direct_path.motion_gate import DirectGate
 from rn_standard.direct_path.request import AllowedEndpoint
+from rn_testing.gate_fixtures import Clock
 from roboneuron.contract import Endpoint, GripperProfile, JointLimits, JointSample, RobotProfile
-from roboneuron.feature import GateRequest
+from roboneuron.feature import ExposedEndpoint, GateRequest, TimedCommand
 from roboneuron.gate import AuditLog, EmergencyStopLatch
 
 ONE = np.ones(2)
@@ -25,6 +34,7 @@ PROFILE = RobotProfile(
     ),
     gripper=GripperProfile(joint="finger", closed_position=0.0, open_position=0.04),
 )
+HERE = JointSample(names=("j1", "j2", "finger"), position=np.array([0.1, 0.2, 0.0]))
 AT_ZERO = JointSample(names=("j1", "j2", "finger"), position=np.zeros(3))
 VELOCITY = Endpoint(
     name="velocity",
@@ -134,3 +144,224 @@ def ask() -> Callable[..., GateRequest]:
 def endpoints() -> dict[str, Endpoint]:
     """The endpoints by name."""
     return {e.name: e for e in (VELOCITY, TRAJECTORY, JOINTS, ENABLE, SCAN, GOAL)}
+
+
+class Writer:
+    """A topic with subscribers that come when the test says so."""
+
+    topic = "/arm/cmd_vel"
+
+    def __init__(self, clock: Clock) -> None:
+        self.published: list[Any] = []
+        self.waits_s: list[float] = []
+        self.subscribers = 2
+        self.listeners = 2
+        self.takes_s = 0.0
+        self.on_connect: Callable[[], object] = lambda: None
+        self._clock = clock
+
+    def listening(self) -> int:
+        return self.listeners
+
+    def matched(self) -> int:
+        return self.subscribers
+
+    def connect(self, timeout_s: float) -> int:
+        self.waits_s.append(timeout_s)
+        self._clock.now_s += self.takes_s
+        self.on_connect()
+        return self.subscribers
+
+    def publish(self, message: Any) -> None:
+        self.published.append(message)
+
+    publish_if_possible = publish
+
+
+class Traffic:
+    """Stands for ROS."""
+
+    def __init__(self, clock: Clock) -> None:
+        self.clock = clock
+        self.made = Writer(clock)
+        self.is_known = True
+        self.waits_s: list[float] = []
+        self.now_joints: JointSample | None = HERE
+        self.calls: list[tuple[Any, ...]] = []
+        self.goals: list[tuple[Any, dict[str, Any]]] = []
+        self.served = [True]
+
+    def known_writer(self, exposed: ExposedEndpoint) -> Writer | None:
+        assert isinstance(exposed, ExposedEndpoint)
+        return self.made if self.is_known else None
+
+    def writer(self, exposed: ExposedEndpoint) -> Writer:
+        assert isinstance(exposed, ExposedEndpoint)
+        return self.made
+
+    def newest_joints(self, exposed: ExposedEndpoint) -> JointSample | None:
+        assert isinstance(exposed, ExposedEndpoint)
+        return self.now_joints
+
+    def joints(self, exposed: ExposedEndpoint, timeout_s: float) -> JointSample | None:
+        self.waits_s.append(timeout_s)
+        return self.newest_joints(exposed)
+
+    def is_served(self, exposed: ExposedEndpoint) -> bool:
+        assert isinstance(exposed, ExposedEndpoint)
+        return self.served.pop(0) if len(self.served) > 1 else self.served[0]
+
+    def cancel_goal(self, exposed: ExposedEndpoint, goal_id: object) -> None: ...
+
+    def link(self) -> Any:
+        return SimpleNamespace(call=lambda *told: self.calls.append(told) or "the call")
+
+    def action_client(self, exposed: ExposedEndpoint) -> Any:
+        assert isinstance(exposed, ExposedEndpoint)
+
+        def send(goal: Any, **options: Any) -> str:
+            self.goals.append((goal, options))
+            return "the future"
+
+        return SimpleNamespace(send_goal_async=send)
+
+
+class Bench:
+    """The gate as features use it."""
+
+    def __init__(self, gate: Gate, clock: Clock) -> None:
+        self.clock = clock
+        self.gate = gate
+        self.checked: list[GateRequest] = []
+        self.next: list[GateRequest] = []
+        self._check, self._check_next = gate.check, gate.check_next
+        gate.check = self.check  # type: ignore[method-assign]
+        gate.check_next = self.check_next  # type: ignore[method-assign]
+        self.policy = ""
+        starts: Any = SimpleNamespace(look=lambda: None, arm_stops=0, reason="")
+        self.starts = starts
+        self.arbiter = MotionArbiter(gate, lambda exposed: self.policy, starts)
+        self.traffic = Traffic(clock)
+        self.permitted: list[str] = []
+        self.on_permit: Callable[[], object] = lambda: None
+        self.is_still = False
+        self.listed = SimpleNamespace(exposed=("one",), expose=None, on_change=None, relimit=None)
+        self.motion_gate = DirectGate(
+            gate,
+            self.arbiter,
+            self.traffic,  # type: ignore[arg-type]
+            self.listed,  # type: ignore[arg-type]
+            60.0,
+            self.permit,
+            lambda: self.is_still,
+        )
+
+    def check(self, request: GateRequest) -> Any:
+        self.checked.append(request)
+        return self._check(request)
+
+    def check_next(self, request: GateRequest) -> None:
+        self.next.append(request)
+        self._check_next(request)
+
+    def permit(self, exposed: ExposedEndpoint) -> None:
+        self.permitted.append(exposed.label)
+        self.on_permit()
+
+    @property
+    def writer(self) -> Writer:
+        return self.traffic.made
+
+    @property
+    def sent(self) -> list[Any]:
+        return self.writer.published
+
+    def play(
+        self,
+        place: ExposedEndpoint,
+        request: GateRequest,
+        *,
+        commands: Any = None,
+        total_s: float = 2.0,
+        timeout_s: float = 1.0,
+        halt: threading.Event | None = None,
+        **options: Any,
+    ) -> Any:
+        """Send the request's messages as a motion, each due at once."""
+        due = [TimedCommand(message=message, due_s=0.0) for message in request.messages]
+        return self.motion_gate.play(
+            place,
+            request,
+            due if commands is None else commands,
+            total_s=total_s,
+            timeout_s=timeout_s,
+            halt=halt or threading.Event(),
+            **options,
+        )
+
+    def send_one(self, place: ExposedEndpoint, request: GateRequest, how: str) -> Any:
+        """Send one message: without blocking, with, or as a motion."""
+        if how == "now":
+            return self.motion_gate.publish_now(place, request)
+        if how == "motion":
+            return self.play(place, request, timeout_s=0.5)
+        return self.motion_gate.publish(place, request, timeout_s=0.5)
+
+
+@pytest.fixture
+def make_bench(monkeypatch: pytest.MonkeyPatch) -> Callable[[Gate], Bench]:
+    """A gate as features use it, on a clock of its own."""
+
+    def make(gate: Gate) -> Bench:
+        clock = Clock()
+        monkeypatch.setattr(motion_gate_module, "time", clock)
+        return Bench(gate, clock)
+
+    return make
+
+
+@pytest.fixture
+def bench(make_gate: Callable[..., Gate], make_bench: Callable[[Gate], Bench]) -> Bench:
+    """The gate over all endpoints, as features use it."""
+    return make_bench(make_gate())
+
+
+@pytest.fixture
+def expose() -> Callable[..., ExposedEndpoint]:
+    """An endpoint as agents may use it."""
+
+    def make(endpoint: Endpoint, **changes: Any) -> ExposedEndpoint:
+        return ExposedEndpoint(
+            robot="arm", namespace="arm", label=endpoint.name, endpoint=endpoint, **changes
+        )
+
+    return make
+
+
+@pytest.fixture
+def drive(expose: Callable[..., ExposedEndpoint]) -> ExposedEndpoint:
+    """What a base is driven by."""
+    return expose(VELOCITY)
+
+
+@pytest.fixture
+def move(expose: Callable[..., ExposedEndpoint]) -> ExposedEndpoint:
+    """What joints are moved by."""
+    return expose(JOINTS)
+
+
+@pytest.fixture
+def here() -> JointSample:
+    """Where the joints of a bench are measured."""
+    return HERE
+
+
+@pytest.fixture
+def joint_request(ask: Callable[..., GateRequest]) -> Callable[..., GateRequest]:
+    """A small motion of the joints from there."""
+
+    def make(**changes: Any) -> GateRequest:
+        value = {"name": ["j1", "j2"], "position": [0.11, 0.2]}
+        return ask(JOINTS, value, **({"joints": HERE} | changes))
+
+    return make

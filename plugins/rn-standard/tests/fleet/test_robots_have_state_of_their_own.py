@@ -63,7 +63,7 @@ def test_each_robot_has_an_operator_of_its_own(call: Call, fleet: Fleet) -> None
     call(fleet, "take_over", {"robot": "left"})
     operators = {}
     for name, robot in fleet.robots.items():
-        feature = robot.features.get("http")
+        feature = robot.features.loaded.get("http")
         assert isinstance(feature, HttpFeature)
         assert feature.lease is not None
         operators[name] = feature.lease._operator
@@ -79,7 +79,7 @@ def test_a_call_of_one_robot_renews_the_leases_of_the_client_and_a_client_that_l
     )
     leases = []
     for robot in fleet.robots.values():
-        feature = robot.features.get("http")
+        feature = robot.features.loaded.get("http")
         assert isinstance(feature, HttpFeature)
         assert feature.lease is not None
         leases.append(feature.lease)

@@ -118,6 +118,7 @@ def test_the_command_line_speaks_of_the_server_of_all_robots() -> None:
 
 def test_without_the_feature_the_file_is_refused_with_what_to_install() -> None:
     with pytest.raises(
-        ConfigurationError, match=r"No installed feature serves several robots.*requirements\.txt"
+        ConfigurationError,
+        match=r"\[robots\.<name>\]: There is no feature 'fleet'.*requirements\.txt",
     ):
         parse_config("[robots.a]\nrobot='gantry'", registry=fake_registry(HTTP))

@@ -16,12 +16,12 @@ from typing import Any
 import pytest
 
 from rn_standard.http import listener as listener_module
-from rn_standard.http.listener import BoundedListener, Bounds, other_bounds, stop_bounds
+from rn_standard.http.listener import BoundedListener, ConnectionBounds, other_bounds, stop_bounds
 from rn_standard.http.tokens import TokenTable, shows_right
 from roboneuron.server.access import Holder
 
 pytestmark = pytest.mark.timeout(60)
-WIDE = Bounds(
+WIDE = ConnectionBounds(
     silent=100, unproven=100, unproven_of_one=100, new=1000, handle=10_000, handle_known=10_000
 )
 KNOWN = b"known"
@@ -42,7 +42,7 @@ class Echo(asyncio.Protocol):
 
 @asynccontextmanager
 async def listening(
-    bounds: Bounds,
+    bounds: ConnectionBounds,
 ) -> AsyncIterator[tuple[BoundedListener, Callable[[], socket.socket]]]:
     """An echo server behind a listener, and a function that connects to it."""
     bound = socket.socket()

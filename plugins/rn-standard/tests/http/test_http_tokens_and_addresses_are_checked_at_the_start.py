@@ -17,7 +17,7 @@ from roboneuron.cli.main import main
 from roboneuron.cli.serve import configure, with_server
 from roboneuron.config import Config, feature_options, parse_config
 from roboneuron.errors import ConfigurationError
-from roboneuron.server.serving import serve
+from roboneuron.server.app import serve
 
 GOOD = "a-token-of-sufficient-length"
 REGISTRY = fake_registry(FEATURE)

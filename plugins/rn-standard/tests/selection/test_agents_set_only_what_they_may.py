@@ -11,11 +11,19 @@ import pytest
 from pydantic import BaseModel, ConfigDict
 
 from rn_standard.selection.choosing import choose
-from rn_standard.selection.requests import StartInference
+from rn_standard.selection.feature import SelectionFeature
+from rn_standard.selection.options import SelectionSections
+from rn_standard.selection.permission import check_listed
+from rn_standard.selection.requests import StartChosenInference
 from rn_testing.fakes import fake_registry
 from roboneuron import ConfigurationOnly
 from roboneuron.config import Config, parse_config
-from roboneuron.errors import CheckpointError, InvalidInputError, RefusedError
+from roboneuron.errors import (
+    CheckpointError,
+    ConfigurationError,
+    InvalidInputError,
+    RefusedError,
+)
 from roboneuron.gate.roles import ADMIN, OPERATOR
 from roboneuron.plugins.specs import BackendSpec
 from roboneuron.server.selection import Selection
@@ -81,15 +89,15 @@ SECTION = (
 )
 
 
-def configuration(more: str = "", server: str = "") -> Config:
-    return parse_config(f'[robot]\nname = "gantry"\n[server]\n{server}\n{more}')
+def configuration(more: str = "", selection: str = "") -> Config:
+    return parse_config(f'[robot]\nname = "gantry"\n[selection]\n{selection}\n{more}')
 
 
 def select(
     config: Config, options: dict[str, Any], role: str = OPERATOR, backend: str = "distant"
 ) -> Selection:
     return choose(
-        "inference", config, REGISTRY, StartInference(backend=backend, options=options), role
+        "inference", config, REGISTRY, StartChosenInference(backend=backend, options=options), role
     )
 
 
@@ -166,7 +174,7 @@ def load(config: Config, checkpoint: Path | str) -> Selection:
         "inference",
         config,
         REGISTRY,
-        StartInference(backend="heavy", checkpoint=str(checkpoint)),
+        StartChosenInference(backend="heavy", checkpoint=str(checkpoint)),
         OPERATOR,
     )
 
@@ -201,7 +209,7 @@ def test_without_a_configured_checkpoint_none_may_be_named(tmp_path: Path) -> No
 
 @pytest.mark.parametrize("path", ["a\0b", "~no-such-user-at-all/x"])
 def test_what_is_no_path_is_refused_as_a_checkpoint(path: str, tmp_path: Path) -> None:
-    config = configuration(server=f'checkpoint_roots = ["{tmp_path}"]')
+    config = configuration(selection=f'checkpoint_roots = ["{tmp_path}"]')
     with pytest.raises((CheckpointError, RefusedError)):
         load(config, path)
 
@@ -242,11 +250,38 @@ def test_an_agent_does_not_start_what_connects_to_an_address_that_nobody_wrote_d
 def test_an_address_in_the_configuration_or_a_backend_that_it_chooses_may_be_started(
     more: str,
 ) -> None:
-    select(configuration(more), {}, backend="nested" if "nested" in more else "distant")
+    backend = "nested" if "nested" in more else "distant"
+    chosen = select(configuration(more), {}, backend=backend).config
+    assert chosen.inference is not None
+    assert chosen.inference.backend == backend
 
 
 def test_an_admin_may_give_an_address_that_is_listed() -> None:
-    config = configuration(server='agent_options = ["distant.url"]')
+    config = configuration(selection='agent_options = ["distant.url"]')
     assert (
         select(config, {"url": "ws://here"}, ADMIN).config.options("distant")["url"] == "ws://here"
     )
+
+
+@pytest.mark.parametrize(
+    ("entry", "words"),
+    [
+        ("distnat.url", "nothing is called 'distnat'. Did you mean 'distant'?"),
+        ("distant.ulr", "'distant' has no option 'ulr'. Did you mean 'url'?"),
+    ],
+)
+def test_an_entry_of_agent_options_that_names_nothing_is_refused(entry: str, words: str) -> None:
+    with pytest.raises(ConfigurationError) as caught:
+        check_listed([entry], REGISTRY)
+    assert words in str(caught.value)
+    assert entry in str(caught.value)
+
+
+def test_entries_of_agent_options_that_name_an_option_are_right() -> None:
+    check_listed(["distant.camera.device", "distant.url", "elsewhere.anything"], REGISTRY)
+
+
+def test_the_feature_checks_agent_options_before_the_server_starts() -> None:
+    sections = SelectionSections.model_validate({"selection": {"agent_options": ["nowhere.url"]}})
+    with pytest.raises(ConfigurationError, match="nowhere"):
+        SelectionFeature(sections).check(configuration())

@@ -15,7 +15,7 @@ from pydantic import AnyUrl, BaseModel, ConfigDict, Field, FilePath, SecretStr, 
 from rn_standard.selection.restricted import looks_restricted, restricted_values
 from rn_testing.rules.restricted import unmarked_options
 from roboneuron import AgentMaySet, ConfigurationOnly
-from roboneuron.plugins.restricted import SCHEMA_KEY
+from roboneuron.plugins.specs import SCHEMA_KEY
 
 
 class Colour(StrEnum):

@@ -15,8 +15,8 @@ from rn_standard.switching import warm_switch
 from rn_standard.switching.standby import ACT_FROM, PLAY_FROM
 from rn_standard.switching.warm_switch import WarmSwitch
 from roboneuron.errors import NotReadyError
+from roboneuron.modules.report import Report
 from roboneuron.supervisor.changes import Changes
-from roboneuron.supervisor.health import Report
 
 FIRST_S, BRIDGED_NS = 0.1, 40_000_000
 

@@ -17,13 +17,14 @@ import psutil
 import pytest
 
 from rn_standard.selection.choosing import choose
-from rn_standard.selection.requests import StartInference
+from rn_standard.selection.requests import StartChosenInference
 from rn_standard.switching.replacing import Switched, Switching
 from roboneuron.config import parse_config
 from roboneuron.errors import PlanningError, RefusedError
+from roboneuron.modules.report import Report
 from roboneuron.server.loop import ClosedLoop
 from roboneuron.server.plugins import PluginCatalogue
-from roboneuron.supervisor.health import ModuleView, Report
+from roboneuron.supervisor.health import ModuleView
 from roboneuron.supervisor.supervisor import Supervisor
 
 sys.path.insert(0, str(Path(__file__).parents[4] / "benchmarks"))
@@ -72,7 +73,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Switching,
             witness = Witness(supervisor, config.namespace)
             for kind in ("robot", "perception", "control"):
                 loop.start(kind)  # type: ignore[arg-type]
-            loop.start("inference", StartInference(instruction="move on"))
+            loop.start("inference", StartChosenInference(instruction="move on"))
             yield switching, witness
         finally:
             supervisor.close()
@@ -104,7 +105,7 @@ def share(switching: Switching) -> float:
 
 
 def switch(switching: Switching, name: str | None) -> Switched:
-    return switching.switch("inference", StartInference(acceleration=name), "warm", quiet)
+    return switching.switch("inference", StartChosenInference(acceleration=name), "warm", quiet)
 
 
 def late_rows(witness: Witness, since_ns: int) -> tuple[int, int]:
@@ -201,11 +202,16 @@ def test_what_else_is_to_change_needs_another_process_and_so_does_cold(
     switching, _ = cell
     switch(switching, "half")
     before = inference(switching).process
-    cold = switching.switch("inference", StartInference(acceleration="quarter"), "cold", quiet)
+    cold = switching.switch(
+        "inference", StartChosenInference(acceleration="quarter"), "cold", quiet
+    )
     assert cold.mode == "cold"
     assert cold.view.process is not before
     again = switching.switch(
-        "inference", StartInference(acceleration="half", instruction="another way"), "warm", quiet
+        "inference",
+        StartChosenInference(acceleration="half", instruction="another way"),
+        "warm",
+        quiet,
     )
     assert again.mode == "warm"
     assert again.view.process is not cold.view.process

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from rn_standard.selection.requests import StartInference
+from rn_standard.selection.requests import StartChosenInference
 from rn_standard.switching.replacing import Switching
 from roboneuron.errors import NotReadyError, RefusedError, RoboNeuronError, StateError
 
@@ -33,7 +33,9 @@ def change_overs(actions: list[Sent]) -> list[tuple[Sent, Sent]]:
 
 def check_turns(switching: Switching, witness: Witness) -> None:
     for backend in ("second", "first"):
-        switched = switching.switch("inference", StartInference(backend=backend), "warm", quiet)
+        switched = switching.switch(
+            "inference", StartChosenInference(backend=backend), "warm", quiet
+        )
         assert switched.view.choice is not None
         assert switched.view.choice.names["backend"] == backend
         assert switched.view.report is not None
@@ -95,7 +97,7 @@ def refused(
     before = switching.loop.supervisor.view("inference").process
     with pytest.raises(error) as caught:
         switching.switch(
-            "inference", StartInference(backend="second", options=options), "warm", on_stage
+            "inference", StartChosenInference(backend="second", options=options), "warm", on_stage
         )
     after = switching.loop.supervisor.view("inference")
     assert before is not None
@@ -199,7 +201,7 @@ def test_one_call_goes_back_and_a_cold_switch_says_its_gap(cell: tuple[Switching
     switching, witness = cell
     loop = switching.loop
     loop.set_instruction("move further", 5.0)
-    cold = switching.switch("inference", StartInference(backend="second"), "cold", quiet)
+    cold = switching.switch("inference", StartChosenInference(backend="second"), "cold", quiet)
     assert cold.change.gap is not None
     assert cold.change.gap.gap_s > 0.3
     back = switching.roll_back("inference", "warm")

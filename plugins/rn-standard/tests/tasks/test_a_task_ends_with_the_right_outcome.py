@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from task_cell import PICTURE, FakeCell
 
-from rn_standard.tasks.judging import Judge
+from rn_standard.tasks.judging import PredicateJudge
 from rn_standard.tasks.predicates import parse_predicate
 from rn_standard.tasks.runner import Outcome, Task, TaskEnd, TaskPlan
 from roboneuron.errors import NotReadyError
@@ -20,7 +20,7 @@ def run(
     judge = (
         None
         if until is None
-        else Judge(
+        else PredicateJudge(
             parse_predicate(until),
             plan.instruction,
             lambda named: pytest.fail("no monitor is named"),

@@ -139,7 +139,7 @@ def test_crossings_are_told_once_until_the_value_comes_back() -> None:
 
 
 def test_a_low_battery_is_an_event(application: Application) -> None:
-    feature: Any = application.features.get("tasks")
+    feature: Any = application.features.loaded.get("tasks")
     low = Crossing(None, 0.2, 0.05)
     for share in (0.5, 0.19, 0.18, 0.3):
         feature._watching._on_battery(low, SimpleNamespace(percentage=share))

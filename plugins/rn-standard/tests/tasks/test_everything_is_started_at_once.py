@@ -12,7 +12,7 @@ from typing import Any, cast
 
 import pytest
 
-from rn_standard.selection.requests import StartInference
+from rn_standard.selection.requests import StartChosenInference
 from rn_standard.tasks.starting import ParallelStart, requests_for
 from roboneuron.errors import InvalidInputError, NotReadyError, StateError
 from roboneuron.modules.settings import MODULE_KINDS
@@ -33,12 +33,11 @@ class FakeSelection:
 
 
 class FakeLoop:
-    """A closed loop that is its own supervisor and configuration; `begin` decides how each start
+    """A closed loop that is its own modules and configuration; `begin` decides how each start
     goes.
     """
 
     def __init__(self, configured: tuple[str, ...] = tuple(MODULE_KINDS)) -> None:
-        self.supervisor = self
         self.config = self
         self.emergency_stop = self
         self.namespace = "gantry"
@@ -88,7 +87,7 @@ class FakeLoop:
 
 
 def start_of(loop: FakeLoop, **requests: Any) -> ParallelStart:
-    return ParallelStart(cast(ClosedLoop, loop), cast(Any, requests), "operator")
+    return ParallelStart(cast(ClosedLoop, loop), cast(Any, loop), cast(Any, requests), "operator")
 
 
 def test_all_modules_are_starting_at_the_same_time() -> None:
@@ -165,9 +164,9 @@ def test_a_start_of_somebody_else_is_not_disturbed(phase: str) -> None:
 
 
 def test_an_instruction_goes_to_the_named_model() -> None:
-    request = requests_for("pick up the red cube", StartInference(model="vla", options={}))[
+    request = requests_for("pick up the red cube", StartChosenInference(model="vla", options={}))[
         "inference"
     ]
-    assert isinstance(request, StartInference)
+    assert isinstance(request, StartChosenInference)
     assert (request.model, request.instruction) == ("vla", "pick up the red cube")
     assert requests_for(None) == {}

@@ -11,7 +11,7 @@ import pytest
 from std_msgs.msg import Float64, Float64MultiArray, String
 
 from rn_standard.tasks.examples import EXAMPLES
-from rn_standard.tasks.judging import Judge
+from rn_standard.tasks.judging import PredicateJudge
 from rn_standard.tasks.monitor import Score
 from rn_standard.tasks.predicates import parse_predicate
 from rn_standard.tasks.snapshot import Snapshot, StillClock
@@ -27,8 +27,8 @@ NOW = Snapshot(
 )
 
 
-def judge(data: Any, **parts: Any) -> Judge:
-    made = Judge(
+def judge(data: Any, **parts: Any) -> PredicateJudge:
+    made = PredicateJudge(
         parse_predicate(data),
         "try",
         parts.pop("monitor_for", lambda named: pytest.fail("no monitor is named")),

@@ -92,7 +92,7 @@ def test_what_is_tightened_holds_for_what_starts_later_and_after_the_server_star
 
 def test_the_gate_of_the_direct_path_judges_by_the_tightened_limits(make: Make) -> None:
     application = make()
-    paths: Any = application.host.features.get("direct-path").allow_list._paths  # type: ignore[union-attr]
+    paths: Any = application.host.features.loaded.get("direct-path").allow_list._paths  # type: ignore[union-attr]
     assert paths._limits("gantry").max_speed_m_s == 0.4
     call(application, "tighten_limits", max_speed_m_s=0.1)
     assert paths._limits("gantry").max_speed_m_s == 0.1

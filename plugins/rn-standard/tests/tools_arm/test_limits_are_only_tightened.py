@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rn_standard.tools_arm.tightening import Record, Tightening, TighteningFile
+from rn_standard.tools_arm.tightening import TightenedRecord, Tightening, TighteningFile
 from roboneuron.config import LimitsConfig
 from roboneuron.contract import RobotProfile, Workspace
 from roboneuron.errors import ConfigurationError, InvalidInputError, RefusedError
@@ -102,7 +102,7 @@ def test_wider_limits_are_named(change: dict[str, object], key: str) -> None:
 def test_the_file_keeps_who_and_when_and_says_when_it_is_damaged(tmp_path: Path) -> None:
     file = TighteningFile(tmp_path / "state" / "limits.json")
     assert file.read() is None
-    record = Record(tightening=Tightening(max_speed_m_s=0.1), who="agent", at_ns=7)
+    record = TightenedRecord(tightening=Tightening(max_speed_m_s=0.1), who="agent", at_ns=7)
     file.write(record)
     assert file.read() == record
     assert [path.name for path in file.path.parent.iterdir()] == ["limits.json"]
@@ -117,4 +117,4 @@ def test_a_file_that_cannot_be_written_is_an_error(tmp_path: Path) -> None:
     (tmp_path / "state").write_text("a file where the folder should be")
     file = TighteningFile(tmp_path / "state" / "limits.json")
     with pytest.raises(RefusedError, match="cannot be kept"):
-        file.write(Record(tightening=Tightening(), who="agent", at_ns=7))
+        file.write(TightenedRecord(tightening=Tightening(), who="agent", at_ns=7))

@@ -35,6 +35,7 @@ EXPOSED = """
 name = "rover"
 [server]
 reset_emergency_stop = "client"
+[direct_path]
 max_duration_s = 20
 [direct]
 listed_tools = 40

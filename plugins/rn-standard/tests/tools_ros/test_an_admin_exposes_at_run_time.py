@@ -61,7 +61,7 @@ class Tokens(Feature[None]):
 
 
 def ros_tools(application: Application) -> Any:
-    return application.features.get(FEATURE.name)
+    return application.features.loaded.get(FEATURE.name)
 
 
 def names(application: Application) -> set[str]:

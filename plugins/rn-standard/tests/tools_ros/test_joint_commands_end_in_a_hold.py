@@ -17,7 +17,7 @@ pytestmark = [pytest.mark.ros, pytest.mark.timeout(60)]
 CONFIG = """
 [robot]
 name = "gantry"
-[server]
+[direct_path]
 max_duration_s = 20
 [limits]
 max_speed_m_s = 3.0

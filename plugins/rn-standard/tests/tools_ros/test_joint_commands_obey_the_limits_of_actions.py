@@ -20,7 +20,7 @@ JOINTS = ["slide_x", "slide_y", "slide_z", "yaw", "pitch", "roll", "finger"]
 CONFIG = """
 [robot]
 name = "gantry"
-[server]
+[direct_path]
 max_duration_s = 30
 [[limits.zones]]
 name = "person"

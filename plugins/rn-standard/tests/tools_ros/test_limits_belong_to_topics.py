@@ -216,7 +216,7 @@ def test_a_withdrawn_topic_does_not_come_back_through_a_pattern(
     make_application: Callable[..., Application],
 ) -> None:
     application = make_application(ROVER)
-    path = application.features.get(FEATURE.name)
+    path = application.features.loaded.get(FEATURE.name)
     path.unexpose(None, "velocity", None, ADMIN)
     found = made('[robot]\nname = "rover"\n' + ROVER.split("expose_without_token = true")[1])[
         "velocity"

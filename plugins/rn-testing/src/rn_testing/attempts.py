@@ -5,11 +5,17 @@ applicable.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from rn_testing.cases import Case
 from rn_testing.rule import NotApplicable
-from roboneuron import CheckpointError, ConfigurationError, MissingDependencyError, NotReadyError
+from roboneuron import (
+    CheckpointError,
+    ConfigurationError,
+    MissingDependencyError,
+    NotReadyError,
+    Spec,
+)
 
 T = TypeVar("T")
 
@@ -17,7 +23,7 @@ UNSTARTABLE = (CheckpointError, ConfigurationError, MissingDependencyError, NotR
 """What an automatic case may meet for want of options, weights or hardware."""
 
 
-def attempt(case: Case[Any], start: Callable[[], T]) -> T:
+def attempt(case: Case[Spec], start: Callable[[], T]) -> T:
     """Return what `start` returns; for an automatic case what cannot start makes the rule not
     applicable.
     """

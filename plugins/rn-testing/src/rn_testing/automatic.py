@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 
 from rn_testing.cases import CASES, Case
 from rn_testing.extension_cases import FeatureCase
@@ -15,7 +14,7 @@ from roboneuron import FeatureSpec, PluginError, Spec
 from roboneuron.feature import discover, loading
 
 
-def make_case(spec: Spec, options: Mapping[str, object]) -> Case[Any]:
+def make_case(spec: Spec, options: Mapping[str, object]) -> Case[Spec]:
     """Return the case of `spec`, with `options` over its own.
 
     Raises:

@@ -15,7 +15,7 @@ from roboneuron.feature import loading
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
-S = TypeVar("S", bound=Spec)
+S = TypeVar("S", bound=Spec, covariant=True)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,13 +56,13 @@ class Case(Generic[S]):
         """The case with other values of some options."""
         return replace(self, options={**self.options, **changes})
 
-    def _target(self, spec: Spec | DriverSpec) -> Callable[..., Any]:
+    def _target(self, spec: Spec | DriverSpec) -> Callable[..., object]:
         target = loading.load_target(spec)
         if not callable(target):
             raise Violation(f"`target` names {target!r}, expected a class or function")
         return target
 
-    def _bounded(self, construct: Callable[[], Any]) -> Callable[[], Any]:
+    def _bounded(self, construct: Callable[[], object]) -> Callable[[], Any]:
         limit_s = {**CALL_LIMITS_S, **self.limits_s}["constructor"]
         return lambda: call_bounded("the constructor", limit_s, construct)
 

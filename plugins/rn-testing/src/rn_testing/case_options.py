@@ -4,11 +4,9 @@ of all that build.
 
 from __future__ import annotations
 
-from typing import Any
-
 from rn_testing.case import Case
 from rn_testing.rule import NotApplicable, Rule, Violation
-from roboneuron import RoboNeuronError
+from roboneuron import RoboNeuronError, Spec
 
 RULE_ID = "descriptor/case-options"
 
@@ -46,14 +44,14 @@ def missing_options(case: object) -> str:
     )
 
 
-def _check(case: Case[Any]) -> None:
+def _check(case: Case[Spec]) -> None:
     if case.is_automatic:
         raise NotApplicable("the options are the user's: --option NAME=VALUE")
     if problem := missing_options(case):
         raise Violation(problem)
 
 
-RULES: tuple[Rule[Case[Any]], ...] = (
+RULES: tuple[Rule[Case[Spec]], ...] = (
     Rule(
         id=RULE_ID,
         text="The case sets every option that has no default; until it does, rules that build the "

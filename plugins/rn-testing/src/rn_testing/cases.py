@@ -7,12 +7,11 @@ input.
 
 from __future__ import annotations
 
-from typing import Any
-
 from rn_testing.case import Case
 from rn_testing.device_cases import ControllerCase, PerceptionCase, RobotCase
 from rn_testing.extension_cases import CommandCase, FeatureCase, PackageCase
 from rn_testing.model_cases import AccelerationCase, BackendCase, RuntimeCase
+from roboneuron import Spec
 
 __all__ = [
     "CASES",
@@ -28,7 +27,7 @@ __all__ = [
     "RuntimeCase",
 ]
 
-CASES: dict[str, type[Case[Any]]] = {
+CASES: dict[str, type[Case[Spec]]] = {
     "backend": BackendCase,
     "runtime": RuntimeCase,
     "acceleration": AccelerationCase,

@@ -14,17 +14,17 @@ import json
 import os
 import sys
 from collections.abc import Iterator, Mapping
-from typing import Any, TextIO, TypedDict
+from typing import TextIO, TypedDict
 
 from rn_testing.automatic import make_case
 from rn_testing.cases import PackageCase
-from rn_testing.rule import Rule, RuleResult, RuleVerdict, verify
+from rn_testing.rule import AnyRule, RuleResult, RuleVerdict, verify
 from rn_testing.rules import RULES, rules_of
 from roboneuron import RoboNeuronError
 from roboneuron.feature import discover
 
 
-class Request(TypedDict):
+class CheckRequest(TypedDict):
     """What is to be checked."""
 
     distribution: str
@@ -33,7 +33,7 @@ class Request(TypedDict):
     options: dict[str, dict[str, object]]
 
 
-def subjects(request: Request) -> Iterator[tuple[str, Any, tuple[Rule[Any], ...]]]:
+def subjects(request: CheckRequest) -> Iterator[tuple[str, object, tuple[AnyRule, ...]]]:
     """Label, case and rules of each thing to check; a case that cannot be made comes as its
     RoboNeuronError.
     """
@@ -54,7 +54,7 @@ def subjects(request: Request) -> Iterator[tuple[str, Any, tuple[Rule[Any], ...]
             yield label, error, rules_of(kind)
 
 
-def decide(rule: Rule[Any], case: object) -> RuleResult:
+def decide(rule: AnyRule, case: object) -> RuleResult:
     """Verify one rule; without a case it fails for the reason the case could not be made."""
     if isinstance(case, RoboNeuronError):
         return RuleResult(
@@ -63,7 +63,7 @@ def decide(rule: Rule[Any], case: object) -> RuleResult:
     return verify(rule, case)
 
 
-def run(request: Request, out: TextIO) -> None:
+def run(request: CheckRequest, out: TextIO) -> None:
     """Decide every rule and write a line before and after each."""
 
     def write(line: Mapping[str, str]) -> None:

@@ -4,18 +4,16 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import pytest
 
 from rn_testing.cases import CASES, PackageCase
 from rn_testing.kinds import kind_of
-from rn_testing.rule import Rule, RuleVerdict, verify
+from rn_testing.rule import AnyRule, RuleVerdict, verify
 from rn_testing.rules import RULES
 from roboneuron import PluginError, Spec
 
 
-def _report(rule: Rule[Any], case: Any) -> None:
+def _report(rule: AnyRule, case: object) -> None:
     __tracebackhide__ = True
     outcome = verify(rule, case)
     if outcome.verdict is RuleVerdict.SKIPPED:
@@ -34,18 +32,18 @@ class Contract:
     """
 
     @pytest.fixture
-    def plugin(self) -> Any:
+    def plugin(self) -> object:
         """The case to test."""
         raise NotImplementedError(
             f"override the fixture `plugin` and return a case, see {type(self).__mro__[1]}"
         )
 
 
-def _contract(kind: str, case: type[Any], rules: tuple[Rule[Any], ...] = ()) -> type[Contract]:
+def _contract(kind: str, case: type[object], rules: tuple[AnyRule, ...] = ()) -> type[Contract]:
     rules = rules or RULES[kind]
 
     @pytest.mark.parametrize("rule", rules, ids=[rule.id for rule in rules])
-    def test_contract(self: Contract, rule: Rule[Any], plugin: Any) -> None:
+    def test_contract(self: Contract, rule: AnyRule, plugin: object) -> None:
         """The rule holds."""
         _report(rule, plugin)
 

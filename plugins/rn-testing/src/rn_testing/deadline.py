@@ -8,7 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from contextvars import ContextVar
-from typing import Any, TypeVar, cast
+from typing import TypeVar, cast
 
 P = TypeVar("P")
 T = TypeVar("T")
@@ -71,7 +71,7 @@ class _Bounded:
         self._subject = subject
         self._limits_s = {**CALL_LIMITS_S, **limits_s}
 
-    def __getattr__(self, name: str) -> Any:
+    def __getattr__(self, name: str) -> object:
         value = getattr(self._subject, name)
         if not callable(value):
             return value

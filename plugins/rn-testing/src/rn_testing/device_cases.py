@@ -46,7 +46,7 @@ class PerceptionCase(Case[PerceptionSpec]):
     subject: ClassVar[str] = "perception"
 
     cameras: Callable[[], tuple[CameraProfile, ...]] | None = None
-    feed: Callable[[Any, MemoryTopics], None] | None = None
+    feed: Callable[[object, MemoryTopics], None] | None = None
     timeout_s: float = 10.0
     expected: Callable[[], NDArray[np.uint8]] | None = None
     rate_hz: float | None = None

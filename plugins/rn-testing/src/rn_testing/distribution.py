@@ -175,9 +175,20 @@ def hosted_directories(case: PackageCase) -> Iterator[Path]:
             yield find_package_directory(case, point.module).joinpath(*inner)
 
 
-def imported_modules(path: Path) -> Iterator[tuple[str, int]]:
+def imported_modules(path: Path) -> tuple[tuple[str, int], ...]:
     """Absolute names of the modules that a file imports anywhere, with line numbers."""
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"), filename=str(path))):
+    status = path.stat()
+    return _imported_modules(path, status.st_mtime_ns, status.st_size)
+
+
+@functools.lru_cache(maxsize=1024)
+def _imported_modules(path: Path, changed_ns: int, size: int) -> tuple[tuple[str, int], ...]:
+    """Imports of one version of a file, which four rules ask for."""
+    return tuple(_imports(ast.parse(path.read_text(encoding="utf-8"), filename=str(path))))
+
+
+def _imports(tree: ast.Module) -> Iterator[tuple[str, int]]:
+    for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             yield from ((alias.name, node.lineno) for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from pydantic import BaseModel
 
     from roboneuron import Feature
-    from roboneuron.feature import commands
+    from roboneuron.feature import CommandModule
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,9 +75,9 @@ class CommandCase(Case[CommandSpec]):
         """As of every case; a command is given nothing."""
         return self._bounded(self._target(self.spec))
 
-    def build(self) -> commands.CommandModule:
+    def build(self) -> CommandModule:
         """A new command."""
-        return cast("commands.CommandModule", self.prepare()())
+        return cast("CommandModule", self.prepare()())
 
 
 @dataclass(frozen=True, kw_only=True)

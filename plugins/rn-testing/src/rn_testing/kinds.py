@@ -8,10 +8,9 @@ module is loaded by the kit only, and may import it.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 from rn_testing.case import Case
-from rn_testing.rule import Rule
+from rn_testing.rule import AnyRule
 from roboneuron import PluginError, Spec
 from roboneuron.feature import discover, loading
 
@@ -25,8 +24,8 @@ class Kind:
         rules: all that apply, those of every descriptor included.
     """
 
-    case: type[Case[Any]]
-    rules: tuple[Rule[Any], ...]
+    case: type[Case[Spec]]
+    rules: tuple[AnyRule, ...]
 
 
 def named_by(spec: type[Spec]) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Generic, Protocol, TypeVar
 
 from rn_testing.attempts import attempt
 from rn_testing.cases import Case
@@ -24,7 +24,7 @@ from rn_testing.options import OPTIONS_READ, check_options_read
 from rn_testing.process_state import find_changes
 from rn_testing.refusals import SECRET, check_error, check_missing_files, secret_options, secrets
 from rn_testing.rule import NotApplicable, Rule, Violation, require
-from roboneuron import RoboNeuronError, StateError
+from roboneuron import RoboNeuronError, Spec, StateError
 
 PURE = (
     "The constructor opens no file, starts no thread or process and computes nothing that "
@@ -50,12 +50,12 @@ class Closable(Protocol):
         ...
 
 
-CaseT = TypeVar("CaseT", bound=Case[Any])
+CaseT = TypeVar("CaseT", bound=Case[Spec])
 C = TypeVar("C", bound=Closable)
 
 
 @contextmanager
-def started(case: Case[Any], build: Callable[[], C], start: Callable[[C], None]) -> Iterator[C]:
+def started(case: Case[Spec], build: Callable[[], C], start: Callable[[C], None]) -> Iterator[C]:
     """Build and start something with every call bounded, and close it whatever happens."""
     subject = bounded(attempt(case, build), case.limits_s)
     try:
@@ -65,7 +65,7 @@ def started(case: Case[Any], build: Callable[[], C], start: Callable[[C], None])
         subject.close()
 
 
-def check_protocol(case: Case[Any], protocol: type) -> None:
+def check_protocol(case: Case[Spec], protocol: type) -> None:
     """What the case builds has the methods of a runtime-checkable protocol."""
     subject = attempt(case, case.prepare())
     missing = [n for n in _methods(protocol) if not callable(getattr(subject, n, None))]
@@ -74,7 +74,7 @@ def check_protocol(case: Case[Any], protocol: type) -> None:
     )
 
 
-def check_pure_constructor(case: Case[Any]) -> None:
+def check_pure_constructor(case: Case[Spec]) -> None:
     """The constructor has no effect but to return an object.
 
     Options, arguments and the target's module are made before, and a first object is built, so that
@@ -114,7 +114,7 @@ class Lifecycle(Generic[CaseT, C]):
     """
 
     subject: str
-    protocol: type[Any]
+    protocol: type[object]
     begin: str
     start: Callable[[CaseT, C], None]
     uses: Mapping[str, Callable[[CaseT, C], object]]
@@ -293,7 +293,7 @@ class Lifecycle(Generic[CaseT, C]):
         require(not changes, f"it {'; '.join(changes)}")
 
     def _check_missing_files(self, case: CaseT) -> None:
-        def use(changed: Case[Any]) -> None:
+        def use(changed: Case[Spec]) -> None:
             with self.running(changed) as subject:  # type: ignore[arg-type]
                 self._use(changed, subject)  # type: ignore[arg-type]
 

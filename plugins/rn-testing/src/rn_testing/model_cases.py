@@ -137,7 +137,7 @@ class AccelerationCase(Case[AccelerationSpec]):
     subject: ClassVar[str] = "acceleration"
 
     decoder: Callable[[], object] | None = None
-    expected: Callable[[Any], bool] | None = None
+    expected: Callable[[object], bool] | None = None
 
     def build(self) -> Acceleration[Any]:
         """A new preset."""

@@ -9,6 +9,7 @@ from rn_testing.attempts import attempt
 from rn_testing.cases import Case
 from rn_testing.fakes import MemoryTopics
 from rn_testing.rule import NotApplicable, require
+from roboneuron import Spec
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
@@ -18,7 +19,9 @@ OPTIONS_READ = "The options are read, each that the case sets or at least one, a
 
 
 def check_options_read(
-    case: Case[Any], use: Callable[[Callable[[], Any]], None], topics: MemoryTopics | None = None
+    case: Case[Spec],
+    use: Callable[[Callable[[], Any]], None],
+    topics: MemoryTopics | None = None,
 ) -> None:
     """Every option that the case sets is read when the plugin is built, started and used, and at
     least one of all.
@@ -66,7 +69,7 @@ def _record_reads(options: BaseModel, read: set[str]) -> BaseModel:
     model = type(options)
     names = frozenset(model.model_fields)
 
-    def get(self: object, name: str) -> Any:
+    def get(self: object, name: str) -> object:
         if name in names:
             read.add(name)
         elif name.startswith("model_") or name == "__iter__":

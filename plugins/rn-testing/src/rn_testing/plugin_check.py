@@ -34,7 +34,7 @@ WORKER = "rn_testing.check"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Result:
+class CheckedRow:
     """One line of the table.
 
     Attributes:
@@ -112,11 +112,11 @@ def check(
             f"--option names {unknown!r}, which is not checked.",
             hint=f"Checked: {', '.join(names) or 'nothing'}.",
         )
-    results: list[Result] = []
+    results: list[CheckedRow] = []
     for record, offers in found:
         usable = [o for o in offers if o.status is Status.READY]
         results += [
-            Result(
+            CheckedRow(
                 subject=f"{o.spec.kind} {o.spec.name}",
                 rule="descriptor/ready",
                 text="The offer can be used here.",
@@ -141,7 +141,7 @@ def check(
     return 0 if all(r.verdict in ("passed", "skipped") for r in results) else 1
 
 
-def run_worker(request: str, timeout_s: float) -> list[Result]:
+def run_worker(request: str, timeout_s: float) -> list[CheckedRow]:
     """Run the worker in a process group of its own and read what it decided before it ended or was
     ended.
     """
@@ -188,14 +188,14 @@ def _end_group(group: int) -> None:
         return
 
 
-def read_results(output: str, lost: str, *, timed_out: bool) -> list[Result]:
+def read_results(output: str, lost: str, *, timed_out: bool) -> list[CheckedRow]:
     """Results from the worker's lines; the rule that was begun and not decided carries the loss."""
-    results: list[Result] = []
+    results: list[CheckedRow] = []
     begun: dict[str, str] | None = None
     for line in output.splitlines():
         entry: dict[str, str] = json.loads(line)
         if "verdict" in entry:
-            results.append(Result(**entry))
+            results.append(CheckedRow(**entry))
             begun = None
         else:
             begun = entry
@@ -205,18 +205,20 @@ def read_results(output: str, lost: str, *, timed_out: bool) -> list[Result]:
             "rule": "check/completes",
             "text": "The check runs to its end.",
         }
-        results.append(Result(**place, verdict="timeout" if timed_out else "crashed", detail=lost))
+        results.append(
+            CheckedRow(**place, verdict="timeout" if timed_out else "crashed", detail=lost)
+        )
     return results
 
 
-def _plain(result: Result) -> dict[str, str]:
+def _plain(result: CheckedRow) -> dict[str, str]:
     return {
         key: getattr(result, key)
         for key in ("subject", "rule", "text", "verdict", "detail", "traceback")
     }
 
 
-def _print(results: Sequence[Result]) -> None:
+def _print(results: Sequence[CheckedRow]) -> None:
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text

@@ -23,7 +23,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from types import FrameType, ModuleType
+from typing import Any, Generic, TextIO, TypeVar
 
 import numpy as np
 
@@ -49,13 +50,18 @@ different states.
 """
 
 
+T = TypeVar("T")
+Handlers = dict[signal.Signals, "Callable[[int, FrameType | None], object] | int | None"]
+Hooks = tuple["Callable[..., object]", "Callable[..., object]"]
+
+
 @dataclass(frozen=True, slots=True)
-class _Aspect:
+class _Aspect(Generic[T]):
     """One thing: its name for a sentence, how it is read, and how it is put back."""
 
     name: str
-    read: Callable[[], Any]
-    restore: Callable[[Any], object]
+    read: Callable[[], T]
+    restore: Callable[[T], object]
 
 
 def _environment() -> dict[str, str]:
@@ -78,17 +84,17 @@ def _umask() -> int:
     return next((int(line.split()[1], 8) for line in lines if line.startswith("Umask:")), 0)
 
 
-def _logging() -> tuple[object, ...]:
+def _logging() -> tuple[tuple[logging.Handler, ...], int, int]:
     root = logging.getLogger()
     return tuple(root.handlers), root.level, logging.root.manager.disable
 
 
-def _restore_logging(before: tuple[Any, ...]) -> None:
+def _restore_logging(before: tuple[tuple[logging.Handler, ...], int, int]) -> None:
     root = logging.getLogger()
     root.handlers[:], root.level, logging.root.manager.disable = before
 
 
-def _torch() -> Any:
+def _torch() -> ModuleType | None:
     return sys.modules.get("torch")  # only what a plugin has loaded itself is looked at
 
 
@@ -97,13 +103,14 @@ def _torch_defaults() -> tuple[object, ...]:
     return () if torch is None else (torch.get_default_dtype(), torch.is_grad_enabled())
 
 
-def _restore_torch_defaults(before: tuple[Any, ...]) -> None:
-    if before:
-        _torch().set_default_dtype(before[0])
-        _torch().set_grad_enabled(before[1])
+def _restore_torch_defaults(before: tuple[object, ...]) -> None:
+    torch = _torch()
+    if before and torch is not None:
+        torch.set_default_dtype(before[0])
+        torch.set_grad_enabled(before[1])
 
 
-def _restore_handlers(before: dict[int, Any]) -> None:
+def _restore_handlers(before: Handlers) -> None:
     with suppress(ValueError):  # the rules run in a thread, where no handler can have been set
         for number, handler in before.items():
             if signal.getsignal(number) is not handler:
@@ -114,20 +121,20 @@ def _restore_path(before: tuple[str, ...]) -> None:
     sys.path[:] = before
 
 
-def _restore_filters(before: tuple[Any, ...]) -> None:
+def _restore_filters(before: tuple[object, ...]) -> None:
     warnings.filters[:] = before  # type: ignore[index]
     getattr(warnings, "_filters_mutated", int)()
 
 
-def _restore_streams(before: tuple[Any, ...]) -> None:
+def _restore_streams(before: tuple[TextIO, TextIO]) -> None:
     sys.stdout, sys.stderr = before
 
 
-def _restore_hooks(before: tuple[Any, ...]) -> None:
+def _restore_hooks(before: Hooks) -> None:
     sys.excepthook, threading.excepthook = before
 
 
-_ASPECTS = (
+_ASPECTS: tuple[_Aspect[Any], ...] = (
     _Aspect("the working folder", os.getcwd, os.chdir),
     _Aspect("the environment", _environment, _restore_environment),
     _Aspect(
@@ -196,7 +203,7 @@ def _watched_handlers(asked: list[str]) -> Iterator[None]:
     """
     real = signal.signal
 
-    def note(number: int, handler: Any) -> Any:
+    def note(number: int, handler: object) -> object:
         asked.append(signal.Signals(number).name)
         return signal.getsignal(number)
 

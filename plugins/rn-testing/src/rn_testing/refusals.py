@@ -10,12 +10,12 @@ import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path, PurePath
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, get_args
 
 from rn_standard.selection.restricted import marks
 from rn_testing.case import Case
 from rn_testing.rule import NotApplicable, Violation, require
-from roboneuron import AgentMaySet, RoboNeuronError
+from roboneuron import AgentMaySet, RoboNeuronError, Spec
 
 if TYPE_CHECKING:
     from pydantic.fields import FieldInfo
@@ -49,12 +49,12 @@ def _texts(field: FieldInfo) -> bool:
     )
 
 
-def _fields(case: Case[Any]) -> Mapping[str, FieldInfo]:
+def _fields(case: Case[Spec]) -> Mapping[str, FieldInfo]:
     model = case.option_model()
     return {} if model is None else model.model_fields
 
 
-def file_options(case: Case[Any]) -> list[str]:
+def file_options(case: Case[Spec]) -> list[str]:
     """Options that name a file or a folder to be read, by type or name."""
     found = []
     for name, field in _fields(case).items():
@@ -65,7 +65,7 @@ def file_options(case: Case[Any]) -> list[str]:
     return found
 
 
-def secret_options(case: Case[Any]) -> list[str]:
+def secret_options(case: Case[Spec]) -> list[str]:
     """Options that hold a secret, by name; one that names the file or variable with it holds
     none.
     """
@@ -78,7 +78,7 @@ def secret_options(case: Case[Any]) -> list[str]:
     return found
 
 
-def check_missing_files(case: Case[Any], use: Callable[[Case[Any]], object]) -> None:
+def check_missing_files(case: Case[Spec], use: Callable[[Case[Spec]], object]) -> None:
     """Each option that names a file is set to one that is not there: `use` succeeds or raises a
     RoboNeuronError.
     """

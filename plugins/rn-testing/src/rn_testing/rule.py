@@ -6,7 +6,7 @@ import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeAlias, TypeVar
 
 from rn_testing.deadline import Overdue, run_bounded
 
@@ -47,6 +47,10 @@ class Rule(Generic[CaseT]):
     text: str
     source: str
     check: Callable[[CaseT], None]
+
+
+AnyRule: TypeAlias = Rule[Any]
+"""A rule of one kind of cases among those of others."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

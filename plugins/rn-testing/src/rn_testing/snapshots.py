@@ -8,7 +8,6 @@ import hashlib
 import math
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
-from typing import Any
 
 import numpy as np
 
@@ -48,7 +47,7 @@ def snapshot(value: object, _seen: frozenset[int] = frozenset()) -> object:
     )
 
 
-def is_alike(a: Any, b: Any) -> bool:
+def is_alike(a: object, b: object) -> bool:
     """Whether two answers agree within rounding, in kind too: "3.0" is not 3.0, and True is not 1.
 
     Fields named `metrics` (times) are not compared.
@@ -89,7 +88,7 @@ def has_nan(value: object) -> bool:
     return isinstance(value, (list, tuple)) and any(has_nan(item) for item in value)
 
 
-def _array(value: Any) -> object:
+def _array(value: object) -> object:
     try:
         array = np.ascontiguousarray(value)
     except (TypeError, RuntimeError, ValueError):  # a tensor that numpy has no type for

@@ -17,7 +17,7 @@ from rn_standard.http.options import HttpOptions
 from rn_standard.http.plugin import FEATURE as HTTP
 from rn_standard.http.tokens import TokenFiles, read_tokens
 from rn_view.access import Admission, check_address, check_port, host_rules
-from rn_view.happenings import ToolCalls
+from rn_view.event_list import ToolCalls
 from rn_view.live import LiveOperator, LiveSource
 from rn_view.options import ViewOptions
 from roboneuron import Feature, Host, Tool
@@ -55,7 +55,7 @@ class ViewFeature(Feature[ViewOptions]):
             self._source = LiveSource(host)
             host.events.health.listen(self._source.on_health)
             host.events.fault.listen(self._source.on_fault)
-            calls = ToolCalls(self._source.happenings, partial(_is_quiet, host))
+            calls = ToolCalls(self._source.shown_events, partial(_is_quiet, host))
             # not there before
             host.events.open.listen(lambda: host.server.middleware.append(calls))
         return ()

@@ -7,14 +7,14 @@ import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from contextlib import AbstractContextManager, nullcontext
-from typing import Any, TypeVar, cast
+from typing import TypeVar, cast
 
 import anyio
 from anyio import to_thread
 
 from rn_standard.http.operator_lease import OperatorLease
-from rn_view.happenings import AuditTail, Happenings, add_record, failure_of
-from rn_view.source import ModuleRow, Snapshot
+from rn_view.event_list import AuditReader, EventList, add_record, failure_of
+from rn_view.source import ModuleRow, PageState
 from roboneuron import Host, RobotProfile
 from roboneuron.feature import (
     FAULTS,
@@ -52,21 +52,21 @@ class LiveSource:
 
     def __init__(self, host: Host) -> None:
         self._host = host
-        self._audit = AuditTail(host.audit.path)
-        self.happenings = Happenings()
+        self._audit = AuditReader(host.audit.path)
+        self.shown_events = EventList()
 
     def on_health(self, view: ModuleView, before: Health, health: Health) -> None:
         """Listener of `Events.health`."""
         told = view.report.error if view.report is not None and health in FAULTS else ""
-        self.happenings.add(
+        self.shown_events.add(
             "health",
             f"{view.kind}: {health}{f': {told}' if told else ''} (was {before})",
             is_bad=health in FAULTS,
         )
 
-    def on_fault(self, module: str, what: str, facts: Mapping[str, Any]) -> None:
+    def on_fault(self, module: str, what: str, facts: Mapping[str, object]) -> None:
         """Listener of `Events.fault`."""
-        self.happenings.add(
+        self.shown_events.add(
             "fault", f"{module}: {what}: {facts.get('explanation', '')}", is_bad=True
         )
 
@@ -82,7 +82,7 @@ class LiveSource:
         """See Source."""
         return robot_profile(self._host.config, self._host.registry)
 
-    def snapshot(self) -> Snapshot:
+    def snapshot(self) -> PageState:
         """See Source."""
         statuses = [results.module_status(self._host.modules.view(kind)) for kind in _ORDER]
         stop = self._host.loop.emergency_stop
@@ -90,7 +90,7 @@ class LiveSource:
         instruction = next(
             (status.instruction for status in statuses if status.module == "inference"), ""
         )
-        return Snapshot(
+        return PageState(
             modules=tuple(_row(status) for status in statuses),
             is_latched=is_latched,
             cause=stop.cause() if is_latched else "",
@@ -105,7 +105,7 @@ class LiveSource:
         """See Source."""
         for record in self._audit.read_new():
             if record["verdict"] in _SHOWN_VERDICTS:
-                add_record(self.happenings, record)
+                add_record(self.shown_events, record)
 
     def subscribe(
         self, message_type: type[M], topic: str, callback: Callable[[M], None]
@@ -169,7 +169,7 @@ class LiveOperator:
         self._lease = lease
         self.loop: asyncio.AbstractEventLoop | None = None
 
-    def call(self, holder: access.Holder, tool: str, arguments: dict[str, Any]) -> Future[str]:
+    def call(self, holder: access.Holder, tool: str, arguments: dict[str, object]) -> Future[str]:
         """See Operator."""
         if self.loop is None:
             failed: Future[str] = Future()
@@ -186,7 +186,7 @@ class LiveOperator:
         if holder.client and self._lease is not None:
             self._lease.release(holder.who)
 
-    async def _call(self, holder: access.Holder, tool: str, arguments: dict[str, Any]) -> str:
+    async def _call(self, holder: access.Holder, tool: str, arguments: dict[str, object]) -> str:
         result = await self._host.tools.call(tool, arguments, _Context(holder))
         return failure_of(result.model_dump(mode="json", by_alias=True))
 

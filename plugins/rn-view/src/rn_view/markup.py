@@ -6,9 +6,9 @@ import time
 from collections.abc import Mapping, Sequence
 from html import escape
 
-from rn_view.happenings import Happening
+from rn_view.event_list import ShownEvent
 from rn_view.playback import Mark, Playback
-from rn_view.source import ModuleRow, Snapshot
+from rn_view.source import ModuleRow, PageState
 from roboneuron import RobotProfile
 from roboneuron.feature import EXPLANATIONS, FAULTS
 
@@ -26,7 +26,7 @@ _NEAR = 0.05
 """Share of a joint's range within which it is shown as near its limit."""
 
 
-def stop_text(snapshot: Snapshot | None, label: str) -> str:
+def stop_text(snapshot: PageState | None, label: str) -> str:
     """Whether the emergency stop is latched."""
     if snapshot is None:
         return _line("", label)
@@ -50,7 +50,7 @@ def full_text(most: int) -> str:
     )
 
 
-def recording_text(playback: Playback, snapshot: Snapshot | None) -> str:
+def recording_text(playback: Playback, snapshot: PageState | None) -> str:
     """Which recording this is and what time it shows; whether the emergency stop was latched
     then.
     """
@@ -72,7 +72,7 @@ def mark_text(mark: Mark, position_s: float) -> str:
     )
 
 
-def instruction_text(snapshot: Snapshot) -> str:
+def instruction_text(snapshot: PageState) -> str:
     """What the backend was told."""
     text = escape(snapshot.instruction) or "none"
     return f'<div style="padding:4px 14px;font-size:14px">Instruction: <b>{text}</b></div>'
@@ -142,16 +142,16 @@ def joints_table(profile: RobotProfile, joints: Mapping[str, float]) -> str:
     return f'<table style="{_SMALL};width:100%;padding:0 12px">{"".join(rows)}</table>'
 
 
-def happenings_list(happenings: Sequence[Happening]) -> str:
-    """The newest happenings."""
-    if not happenings:
+def event_rows(events: Sequence[ShownEvent]) -> str:
+    """The newest events."""
+    if not events:
         return _line("", "Nothing has happened yet.")
     rows = "".join(
         '<div style="padding:1px '
-        f'0;overflow-wrap:anywhere;color:{_BAD if happening.is_bad else "inherit"}">'
-        f'<span style="color:{_IDLE}">{time.strftime("%H:%M:%S", time.localtime(happening.at_s))} '
-        f"{escape(happening.what)}</span> {escape(happening.text)}</div>"
-        for happening in happenings
+        f'0;overflow-wrap:anywhere;color:{_BAD if event.is_bad else "inherit"}">'
+        f'<span style="color:{_IDLE}">{time.strftime("%H:%M:%S", time.localtime(event.at_s))} '
+        f"{escape(event.what)}</span> {escape(event.text)}</div>"
+        for event in events
     )
     return f'<div style="{_SMALL};padding:2px 14px">{rows}</div>'
 

@@ -32,7 +32,7 @@ _LEAST_STEP_M = 0.002
 """The trail gets a point when the TCP has moved this far."""
 
 
-class Measured:
+class MeasuredTopics:
     """The newest messages; `open` subscribes and `close` ends that. Fields may be read from any
     thread.
 

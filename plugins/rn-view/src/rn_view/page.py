@@ -13,11 +13,11 @@ import viser
 from numpy.typing import NDArray
 
 from rn_view import markup
-from rn_view.measured import Measured
+from rn_view.measured import MeasuredTopics
 from rn_view.player import Player
 from rn_view.plots import History, Plots
-from rn_view.scene import Scene
-from rn_view.source import Snapshot, Source
+from rn_view.scene import PageScene
+from rn_view.source import PageState, Source
 from roboneuron import RobotProfile
 from roboneuron.feature import access, roles
 
@@ -38,7 +38,7 @@ _TRIES = 5
 class Operator(Protocol):
     """Calls tools for a page; the page of a view without one has no buttons but the stop."""
 
-    def call(self, holder: access.Holder, tool: str, arguments: dict[str, Any]) -> Future[str]:
+    def call(self, holder: access.Holder, tool: str, arguments: dict[str, object]) -> Future[str]:
         """Call a tool as `holder`; the text of its failure, empty when it did what it says. Returns
         at once.
         """
@@ -119,7 +119,7 @@ class Page:
             send = self.client.gui.add_button("Look")
         send.on_click(lambda _: form.submit())
 
-        def check(_: Any) -> None:
+        def check(_: object) -> None:
             given = token.value.strip()
             form.remove()
             holder = self._admit(given)
@@ -164,7 +164,7 @@ class Page:
             if content is not None:
                 content.remove()
 
-    def update_state(self, source: Source, snapshot: Snapshot, measured: Measured) -> None:
+    def update_state(self, source: Source, snapshot: PageState, measured: MeasuredTopics) -> None:
         """Show the state of `source`, unless the page shows another by now: a few times a
         second.
         """
@@ -176,7 +176,7 @@ class Page:
             if self._content is not None:
                 self._content.update_state(snapshot, measured)
 
-    def update_motion(self, source: Source, measured: Measured) -> None:
+    def update_motion(self, source: Source, measured: MeasuredTopics) -> None:
         """As `update_state`, what moves: many times a second."""
         with self._lock:
             if self._content is not None and not self._is_gone and source is self._source:
@@ -208,7 +208,7 @@ class Page:
         if self._operator is not None and self.holder is not None:
             self._operator.leave(self.holder)
 
-    def _call(self, tool: str, arguments: dict[str, Any]) -> None:
+    def _call(self, tool: str, arguments: dict[str, object]) -> None:
         assert self._operator is not None
         assert self.holder is not None
 
@@ -228,7 +228,7 @@ class _Content:
         source: Source,
         profile: RobotProfile,
         history: History,
-        call: Callable[[str, dict[str, Any]], None] | None,
+        call: Callable[[str, dict[str, object]], None] | None,
     ) -> None:
         gui = client.gui
         self._source = source
@@ -271,7 +271,7 @@ class _Content:
         if not isinstance(tabs, viser.GuiTabGroupHandle):
             tabs.dock_left()
             tabs.set_width(_LEFT_PX)
-        self.scene = Scene(client, profile, source.config())
+        self.scene = PageScene(client, profile, source.config())
         self._count = -1
 
     def remove(self) -> None:
@@ -280,15 +280,15 @@ class _Content:
             part.remove()
         self._client.scene.reset()
 
-    def update_state(self, snapshot: Snapshot, measured: Measured) -> None:
+    def update_state(self, snapshot: PageState, measured: MeasuredTopics) -> None:
         if self._player is not None:
             self._player.update(snapshot)
         self._instruction.content = markup.instruction_text(snapshot)
         self._modules.content = markup.modules_table(snapshot.modules)
         self._joints.content = markup.joints_table(self._profile, measured.joints)
-        count = self._source.happenings.count
+        count = self._source.shown_events.count
         if count != self._count:
-            self._list.content = markup.happenings_list(self._source.happenings.newest(_LINES))
+            self._list.content = markup.event_rows(self._source.shown_events.newest(_LINES))
             self._count = count
         self._plots.update(list(measured.actions), self._history, self._source.now_s())
 
@@ -297,7 +297,7 @@ class _Content:
         if in_scene:
             self.scene.show_picture(camera, pixels)
 
-    def _add_buttons(self, call: Callable[[str, dict[str, Any]], None]) -> Any:
+    def _add_buttons(self, call: Callable[[str, dict[str, object]], None]) -> object:
         gui = self._gui
         with gui.add_form("Operate") as form:
             text = gui.add_text("Instruction", "")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from rn_view import markup
 from rn_view.playback import SPEEDS, Playback
-from rn_view.source import Snapshot
+from rn_view.source import PageState
 
 if TYPE_CHECKING:
     import viser
@@ -55,7 +55,7 @@ class Player:
         events.on_click(lambda _: self._seek_mark(1 if events.value == "next" else -1))
         self._mark = gui.add_html("")
 
-    def update(self, snapshot: Snapshot) -> None:
+    def update(self, snapshot: PageState) -> None:
         """Show where the recording is."""
         playback = self._playback
         self._title.content = markup.recording_text(playback, snapshot)

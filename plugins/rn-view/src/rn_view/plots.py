@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rn_view.source import Snapshot
+from rn_view.source import PageState
 
 if TYPE_CHECKING:
     import viser
@@ -32,7 +32,7 @@ class History:
             maxlen=_MOST_POINTS
         )
 
-    def add(self, snapshot: Snapshot, now_s: float) -> None:
+    def add(self, snapshot: PageState, now_s: float) -> None:
         """Keep what a snapshot says; what is later than `now_s`, the time of what is shown, was
         before a jump back.
         """
@@ -82,7 +82,7 @@ class Plots:
         self._rate.data = _filled(history.series(1, now_s))
 
 
-def _plot(gui: viser.GuiApi, title: str, names: Sequence[str]) -> Any:
+def _plot(gui: viser.GuiApi, title: str, names: Sequence[str]) -> viser.GuiUplotHandle:
     from viser import uplot
 
     series = [

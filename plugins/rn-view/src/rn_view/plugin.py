@@ -15,7 +15,7 @@ FEATURE = FeatureSpec(
 COMMAND = CommandSpec(
     name="view",
     summary="show the robot of a running server in a browser, without its help",
-    target="rn_view_attached.command:View",
+    target="rn_view_attached.command:ViewCommand",
 )
 """Descriptor of the command."""
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rn_view.measured import Measured
+from rn_view.measured import MeasuredTopics
 from roboneuron import RobotProfile
 from roboneuron.feature import Config, MotionRules, collision_of, motion_rules
 
@@ -60,7 +60,7 @@ class RobotModel:
         )
 
 
-class Scene:
+class PageScene:
     """What one page shows in three dimensions; `update` moves it. Used by one thread at a time."""
 
     def __init__(self, client: viser.ClientHandle, profile: RobotProfile, config: Config) -> None:
@@ -89,7 +89,7 @@ class Scene:
         self._target = self._scene.add_icosphere(
             "/target", radius=_TARGET_M, color=_TARGET_RGB, opacity=0.75, visible=False
         )
-        self._trail: Any = None
+        self._trail: viser.LineSegmentsHandle | None = None
         self._pictures = {
             camera.name: self._add_camera(camera)
             for camera in profile.cameras
@@ -99,7 +99,7 @@ class Scene:
         self._add_limits(limits, config)
         self._look_from(client, limits)
 
-    def update(self, measured: Measured) -> None:
+    def update(self, measured: MeasuredTopics) -> None:
         """Show what is measured now."""
         if self._model is not None and measured.joints is not self._shown[0]:
             self._move(measured.joints)

@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from rn_view.measured import Measured
+from rn_view.measured import MeasuredTopics
 from rn_view.page import Page
 from rn_view.plots import History
 from rn_view.source import Source
@@ -40,7 +40,7 @@ class Showing:
         self, source: Source, image_hz: float, on_other_robot: Callable[[], object]
     ) -> None:
         self.source = source
-        self.measured: Measured | None = None
+        self.measured: MeasuredTopics | None = None
         self._image_hz = image_hz
         self._on_other_robot = on_other_robot
         self._lock = threading.RLock()
@@ -102,7 +102,7 @@ class Showing:
         self._profile = self.source.profile()
         config = self.source.config()
         self._place = (config.robot.name, config.namespace)
-        measured = Measured(self.source, self._profile)
+        measured = MeasuredTopics(self.source, self._profile)
         try:
             measured.open()
         except RoboNeuronError:
@@ -159,7 +159,7 @@ class Showing:
                 except Exception:  # the border to a page that is just going away
                     log.exception("A picture of %s could not be shown.", camera)
 
-    def _due(self, measured: Measured) -> list[str]:
+    def _due(self, measured: MeasuredTopics) -> list[str]:
         """Cameras with a picture that is new and not too soon after the one before."""
         now_s = time.monotonic()
         return [
@@ -172,7 +172,7 @@ class Showing:
             )
         ]
 
-    def _show_picture(self, measured: Measured, camera: str) -> None:
+    def _show_picture(self, measured: MeasuredTopics, camera: str) -> None:
         number, pixels, _ = measured.images[camera]
         now_s = time.monotonic()
         before_s = self._shown[camera][2] if camera in self._shown else 0.0

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol, TypeVar
 
-from rn_view.happenings import HappeningList
+from rn_view.event_list import ShownEvents
 from rn_view.playback import Playback
 from roboneuron import RobotProfile
 from roboneuron.feature import Config
@@ -40,7 +40,7 @@ class ModuleRow:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Snapshot:
+class PageState:
     """The state at one moment.
 
     Attributes:
@@ -59,14 +59,14 @@ class Source(Protocol):
     """Where a page's facts come from. Usable from any thread.
 
     Attributes:
-        happenings: what happened, newest last.
+        shown_events: what happened, newest last.
         label: says on the page which kind of view it is.
         playback: plays a recording; None for a robot that is there. Without a robot the page has no
             emergency stop.
     """
 
     @property
-    def happenings(self) -> HappeningList: ...
+    def shown_events(self) -> ShownEvents: ...
 
     @property
     def label(self) -> str: ...
@@ -88,7 +88,7 @@ class Source(Protocol):
         """The robot's profile. Raises RoboNeuronError when its plugin cannot be used."""
         ...
 
-    def snapshot(self) -> Snapshot:
+    def snapshot(self) -> PageState:
         """The present state."""
         ...
 
@@ -97,7 +97,7 @@ class Source(Protocol):
         ...
 
     def look(self) -> None:
-        """Read what is only read while somebody looks, such as the audit; adds to `happenings`."""
+        """Read what only a looker needs, such as the audit; adds to `shown_events`."""
         ...
 
     def subscribe(

@@ -15,7 +15,7 @@ import viser
 from rn_standard.http.addresses import bind
 from rn_standard.http.listener import BoundedListener, other_bounds
 from rn_view.access import Admission
-from rn_view.measured import Measured
+from rn_view.measured import MeasuredTopics
 from rn_view.options import ViewOptions
 from rn_view.page import Operator, Page
 from rn_view.showing import Showing
@@ -78,7 +78,7 @@ class Viewer:
         self._shown: dict[Page, str] = {}
 
     @property
-    def measured(self) -> Measured | None:
+    def measured(self) -> MeasuredTopics | None:
         """What is measured of the first robot; None while nobody looks at it: nothing is subscribed
         to then.
         """

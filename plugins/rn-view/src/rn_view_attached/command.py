@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from roboneuron.feature import Config, Registry
 
 
-class View:
+class ViewCommand:
     """Show the robot of a running server in a browser, from the ROS graph and its state directory;
     or a recording.
 
@@ -147,7 +147,7 @@ def _sources(
 def _recorded(arguments: Namespace, config: Config, registry: Registry) -> RecordedSource:
     """A run of the recorder."""
     try:
-        from rn_runs.command import find_run, open_store
+        from rn_recorder_runs.command import find_run, open_store
     except ImportError as error:
         raise MissingDependencyError(
             "Recordings are read by rn-recorder, which is not installed.",

@@ -12,9 +12,9 @@ from typing import TypeVar
 
 from rn_standard.console.diagnostics import DiagnosticsListener
 from rn_standard.console.status import ReportedModule, ServerStatus
-from rn_view.happenings import AuditTail, Happenings, add_record
+from rn_view.event_list import AuditReader, EventList, add_record
 from rn_view.live import robot_profile
-from rn_view.source import ModuleRow, Snapshot
+from rn_view.source import ModuleRow, PageState
 from roboneuron import RobotProfile
 from roboneuron.feature import AUDIT_FILE, FAULTS, AuditLog, Config, Registry, estop
 
@@ -75,9 +75,9 @@ class AttachedSource:
         self._state_directory = state_directory
         self._graph = graph
         self._is_one_of_several = is_one_of_several
-        self._audit = AuditTail(state_directory / AUDIT_FILE)
+        self._audit = AuditReader(state_directory / AUDIT_FILE)
         self._healths: dict[str, str] = {}
-        self.happenings = Happenings()
+        self.shown_events = EventList()
 
     def now_s(self) -> float:
         """See Source."""
@@ -91,7 +91,7 @@ class AttachedSource:
         """See Source."""
         return robot_profile(self._config, self._registry)
 
-    def snapshot(self) -> Snapshot:
+    def snapshot(self) -> PageState:
         """See Source."""
         modules = {module.module: module for module in self._modules()}
         inference = modules.get("inference")
@@ -100,12 +100,12 @@ class AttachedSource:
             before = self._healths.get(row.kind, "stopped")
             if row.health != before:
                 text = f"{row.kind}: {row.health} (was {before})"
-                self.happenings.add("health", text, is_bad=row.health in FAULTS)
+                self.shown_events.add("health", text, is_bad=row.health in FAULTS)
             self._healths[row.kind] = row.health
         latch = estop.EmergencyStopLatch(
             self._state_directory / estop.ESTOP_FILE, time.time_ns
         ).read_state()
-        return Snapshot(
+        return PageState(
             modules=rows,
             is_latched=latch.latched,
             cause=latch.cause,
@@ -121,7 +121,7 @@ class AttachedSource:
     def look(self) -> None:
         """See Source."""
         for record in self._audit.read_new():
-            add_record(self.happenings, record)
+            add_record(self.shown_events, record)
 
     def subscribe(
         self, message_type: type[M], topic: str, callback: Callable[[M], None]

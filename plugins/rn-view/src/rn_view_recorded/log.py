@@ -10,8 +10,8 @@ from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any, TypeVar
 
-from rn_runs.timeline import Timeline
-from rn_view.happenings import Happening, Happenings, add_record, shown_arguments
+from rn_recorder_runs.timeline import Timeline
+from rn_view.event_list import EventList, ShownEvent, add_record, shown_arguments
 from rn_view.playback import Mark
 from roboneuron.feature import FAULTS
 
@@ -34,7 +34,7 @@ class RunLog:
 
     def __init__(self, timeline: Timeline) -> None:
         self._begin_ns = timeline.begin_ns
-        self._lines = Happenings(kept=None)
+        self._lines = EventList(kept=None)
         self._health: dict[str, list[tuple[int, str, str]]] = {}
         self._chosen: dict[str, list[tuple[int, str]]] = {}
         self._stops: list[tuple[int, bool, str]] = []
@@ -54,10 +54,10 @@ class RunLog:
                     json.loads(timeline.decode(record).data), record.log_ns, marks
                 )
         self.marks = sorted(marks, key=lambda mark: mark.at_s)
-        self._sorted = sorted(self._lines.newest(10**9), key=lambda happening: happening.at_s)
-        self._times_ns = [round(happening.at_s / _NS) for happening in self._sorted]
+        self._sorted = sorted(self._lines.newest(10**9), key=lambda event: event.at_s)
+        self._times_ns = [round(event.at_s / _NS) for event in self._sorted]
 
-    def lines(self, at_ns: int) -> list[Happening]:
+    def lines(self, at_ns: int) -> list[ShownEvent]:
         """What had happened until then, oldest first."""
         return self._sorted[: bisect_right(self._times_ns, at_ns)]
 
@@ -121,7 +121,7 @@ class RunLog:
         if is_bad or what in _MARKED:
             self._mark(at_ns, text, marks)
 
-    def _add_verdict(self, told: Mapping[str, Any], at_ns: int, marks: list[Mark]) -> None:
+    def _add_verdict(self, told: Mapping[str, object], at_ns: int, marks: list[Mark]) -> None:
         verdict = str(told.get("verdict", ""))
         if not verdict or verdict.endswith("allowed"):
             return  # in the list as a tool call already
@@ -134,7 +134,7 @@ class RunLog:
         elif verdict == "refused":
             self._mark(at_ns, f"refused: {told.get('reason', '')}", marks)
 
-    def _add_instruction(self, told: Mapping[str, Any], at_ns: int, marks: list[Mark]) -> None:
+    def _add_instruction(self, told: Mapping[str, object], at_ns: int, marks: list[Mark]) -> None:
         instruction = str(told.get("instruction", ""))
         if not self._instructions or self._instructions[-1][1] != instruction:
             self._instructions.append((at_ns, instruction))

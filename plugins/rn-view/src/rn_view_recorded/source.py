@@ -14,14 +14,14 @@ from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
-from rn_runs.episodes import stamp_of
-from rn_runs.files import Record
-from rn_runs.images import pixels_of
-from rn_runs.timeline import Timeline
-from rn_view.happenings import Happening
+from rn_recorder_runs.episodes import stamp_of
+from rn_recorder_runs.files import Record
+from rn_recorder_runs.images import pixels_of
+from rn_recorder_runs.timeline import Timeline
+from rn_view.event_list import ShownEvent
 from rn_view.live import robot_profile
 from rn_view.playback import Playback
-from rn_view.source import ModuleRow, Snapshot
+from rn_view.source import ModuleRow, PageState
 from rn_view_recorded.log import RunLog
 from roboneuron import InvalidInputError, RobotProfile, StateError
 from roboneuron.feature import Config, ModuleView, Periodic, Registry, Report, assess
@@ -93,7 +93,7 @@ class RecordedSource:
         self._player.close()
 
     @property
-    def happenings(self) -> _Then:
+    def shown_events(self) -> _Then:
         """See Source: those until the time that is shown."""
         return _Then(self._log.lines(self._shown_ns))
 
@@ -111,14 +111,14 @@ class RecordedSource:
             self._message_s if threading.get_ident() == self._delivering else self._shown_ns / 1e9
         )
 
-    def snapshot(self) -> Snapshot:
+    def snapshot(self) -> PageState:
         """See Source."""
         with self._lock:
             at_ns = self._shown_ns
             reports = self._reports_at(at_ns)
             latched, cause = self._log.stop(at_ns)
             told = reports.get("inference")
-            return Snapshot(
+            return PageState(
                 modules=tuple(self._row(kind, reports.get(kind), at_ns) for kind in _KINDS),
                 is_latched=latched,
                 cause=cause,
@@ -182,7 +182,7 @@ class RecordedSource:
         is_new = newest is not None and (jumped or newest.log_ns > before_ns)
         return [newest] if newest is not None and is_new else []
 
-    def _deliver(self, record: Record, callbacks: Sequence[Callable[[Any], None]]) -> None:
+    def _deliver(self, record: Record, callbacks: Sequence[Callable[[object], None]]) -> None:
         if record.topic in self._unusable:
             return
         try:
@@ -242,15 +242,15 @@ class RecordedSource:
 
 
 class _Then:
-    """The happenings until a moment; oldest first."""
+    """The events until a moment; oldest first."""
 
-    def __init__(self, happenings: list[Happening]) -> None:
-        self._happenings = happenings
-        self.count = len(happenings)
+    def __init__(self, events: list[ShownEvent]) -> None:
+        self._events = events
+        self.count = len(events)
 
-    def newest(self, most: int) -> list[Happening]:
+    def newest(self, most: int) -> list[ShownEvent]:
         """The newest ones, newest first."""
-        return self._happenings[: -most - 1 : -1]
+        return self._events[: -most - 1 : -1]
 
 
 def _recorded_config(about: dict[str, str], config: Config) -> Config:
@@ -276,7 +276,7 @@ def _recorded_config(about: dict[str, str], config: Config) -> Config:
     )
 
 
-def _as_image(message: Any, record: Record) -> Any:
+def _as_image(message: object, record: Record) -> object:
     """A recorded picture as the message that its camera sent."""
     from sensor_msgs.msg import Image  # heavy
 

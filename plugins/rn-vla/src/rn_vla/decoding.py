@@ -84,7 +84,7 @@ class Shard:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Prompt:
+class DecodingPrompt:
     """What the model is shown, in both forms. Neither side writes to its arrays.
 
     Attributes:
@@ -112,7 +112,7 @@ class TokenRequest:
         with_logits: also return the logits behind the first token (a served runtime may refuse).
     """
 
-    prompt: Prompt
+    prompt: DecodingPrompt
     max_new_tokens: int
     deadline_s: float | None = None
     with_logits: bool = False
@@ -153,7 +153,7 @@ class RowsRequest:
         deadline_s: as in `TokenRequest`.
     """
 
-    prompt: Prompt
+    prompt: DecodingPrompt
     rows: int
     tail: int
     read: Literal["output", "hidden", "tokens"] = "output"
@@ -194,12 +194,12 @@ class PolicyModel:
         decoder: shape of the language model.
         shards: every weight file; an in-process runtime reads one after the other.
         visual_tokens: how many positions after the first one hold image patches.
-        max_prompt_tokens: longest `Prompt.ids`.
+        max_prompt_tokens: longest `DecodingPrompt.ids`.
         min_prompt_tokens: shortest prompt in the count of `example`: the template around an
             instruction of one word.
         max_new_tokens: most tokens any request decodes; 0 for families that decode none.
-        extra_tokens: positions beyond `Prompt.ids` and `visual_tokens` that the front adds, right
-            behind the latter.
+        extra_tokens: positions beyond `DecodingPrompt.ids` and `visual_tokens` that the front
+            adds, right behind the latter.
         example: a request with so many prompt ids, to warm up with.
         build_front: heavy; returns a torch module called as `front(arrays, ids, embed)` that gives
             the decoder's input (b, positions, hidden); `embed` looks ids up. Its parameters are the

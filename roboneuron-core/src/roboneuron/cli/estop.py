@@ -12,12 +12,14 @@ import sys
 import time
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from roboneuron.gate.audit import AuditLog
-    from roboneuron.gate.estop import EmergencyStopLatch
-    from roboneuron.gate.pin import ReleasePin
+from roboneuron.config import read_state_directory, robot_folder
+from roboneuron.errors import ConfigurationError, RefusedError, RoboNeuronError
+from roboneuron.gate.audit import AUDIT_FILE, AuditLog, AuditRecord
+from roboneuron.gate.estop import ESTOP_FILE, EmergencyStopLatch
+from roboneuron.gate.pin import ReleasePin
+from roboneuron.gate.roles import ADMIN
+from roboneuron.ros.environment import state_directory
 
 _AGAIN_S = 0.1
 
@@ -53,13 +55,6 @@ def configure(parser: ArgumentParser) -> None:
 
 def run(arguments: Namespace) -> int:
     """Run `roboneuron estop`."""
-    from roboneuron.config import read_state_directory, robot_folder
-    from roboneuron.errors import ConfigurationError, RoboNeuronError
-    from roboneuron.gate.audit import AUDIT_FILE, AuditLog, AuditRecord
-    from roboneuron.gate.estop import ESTOP_FILE, EmergencyStopLatch
-    from roboneuron.gate.pin import ReleasePin
-    from roboneuron.ros.environment import state_directory
-
     configured = read_state_directory(arguments.config) if arguments.config else None
     directory = state_directory(str(arguments.state) if arguments.state else configured)
     of_robots = robot_folder(directory).parent
@@ -120,9 +115,6 @@ def _reset(latch: EmergencyStopLatch, audit: AuditLog, who: str) -> int:
         RefusedError: there is no terminal, so that nobody can be asked; or the audit cannot be
             written.
     """
-    from roboneuron.gate.pin import ReleasePin
-    from roboneuron.gate.roles import ADMIN
-
     state = latch.read_state()
     if not state.latched:
         print(f"The emergency stop is not latched ({latch.path}).")
@@ -154,8 +146,6 @@ def _reset(latch: EmergencyStopLatch, audit: AuditLog, who: str) -> int:
 
 def _check_terminal(what: str) -> None:
     """Raises RefusedError where nobody can be asked."""
-    from roboneuron.errors import RefusedError
-
     if not sys.stdin.isatty():
         raise RefusedError(
             f"{what} only by a person in a terminal, and this is no terminal.",
@@ -170,8 +160,6 @@ def _set_pin(pin: ReleasePin, audit: AuditLog, who: str) -> int:
         RefusedError: there is no terminal, or the PIN of now is wrong.
         InvalidInputError: the new one is too short or too long.
     """
-    from roboneuron.gate.audit import AuditRecord
-
     _check_terminal("The PIN is set")
     if pin.is_set:
         pin.check(getpass.getpass("Present PIN: "), who=who, audit=audit)

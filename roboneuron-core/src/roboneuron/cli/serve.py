@@ -13,12 +13,15 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from roboneuron.errors import ConfigurationError
 from roboneuron.log_files import begin_logging
+from roboneuron.plugins.availability import known_names
+from roboneuron.plugins.discovery import discover
+from roboneuron.plugins.registry import Registry
+from roboneuron.plugins.specs import FeatureSpec
 
 if TYPE_CHECKING:
     from roboneuron.config import Config
-    from roboneuron.plugins.registry import Registry
-    from roboneuron.plugins.specs import FeatureSpec
 
 
 _AT_A_TERMINAL = (
@@ -56,8 +59,6 @@ def configure(parser: ArgumentParser) -> None:
 
 def add_installed_flags(parser: ArgumentParser) -> None:
     """Add a flag for each feature of an installed plugin that the command line can switch on."""
-    from roboneuron.plugins.availability import known_names
-
     with quiet_streams():
         features = switched_features()
     for spec in features:
@@ -79,24 +80,13 @@ class _Absent(Action):
 
     def __call__(self, *_: object) -> None:
         """Raise ConfigurationError: says why, and what to install."""
-        from roboneuron.plugins.discovery import discover
-
         discover().get("feature", self.dest)
 
 
 def switched_features(registry: Registry | None = None) -> list[FeatureSpec]:
     """Features of installed plugins that the command line can switch on."""
-    from roboneuron.plugins.discovery import discover
-    from roboneuron.plugins.registry import Status
-    from roboneuron.plugins.specs import FeatureSpec
-
-    offers = (registry or discover()).offers("feature")
-    specs = [offer.spec for offer in offers if offer.status is Status.READY]
-    return [
-        spec
-        for spec in specs
-        if isinstance(spec, FeatureSpec) and spec.switch is not None and spec.keys
-    ]
+    specs = (registry or discover()).specs(FeatureSpec).values()
+    return [spec for spec in specs if spec.switch is not None and spec.keys]
 
 
 def run(arguments: Namespace) -> int:
@@ -110,7 +100,7 @@ def run(arguments: Namespace) -> int:
     config = with_server(load_config(arguments.config), arguments)
     if config.server.transport == STDIO and os.isatty(wire[0]):
         print(_AT_A_TERMINAL, file=sys.stderr)
-    from roboneuron.server.serving import serve  # heavy
+    from roboneuron.server.app import serve  # heavy
 
     serve(config, wire)
     return 0
@@ -157,8 +147,6 @@ def with_server(config: Config, arguments: Namespace, registry: Registry | None 
         ConfigurationError: nothing serves the transport, or it does not take that address.
     """
     from roboneuron.config import STDIO, check_sections, transport_feature
-    from roboneuron.errors import ConfigurationError
-    from roboneuron.plugins.discovery import discover
 
     if config.robots:
         robots = {

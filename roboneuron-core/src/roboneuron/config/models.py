@@ -229,28 +229,10 @@ class ServerConfig(Section):
     max_concurrent_calls: Annotated[int, Field(ge=1, le=10000)] = Field(
         default=64, description="most tool calls at once of each role; stops are always taken"
     )
-    dry_run: bool = Field(
-        default=False, description="direct calls answer what would happen, nothing is sent"
-    )
-    max_duration_s: Seconds = Field(
-        default=120.0, description="longest direct motion, sequence or goal"
-    )
     reset_emergency_stop: Literal["person", "client"] = Field(
         default="person",
         description="who releases the emergency stop: a person, in a terminal or asked by a "
         "client; or any admin",
-    )
-    checkpoint_roots: tuple[str, ...] = Field(
-        default=(),
-        strict=False,
-        description="folders whose checkpoints agents may name, besides those that this "
-        "configuration names",
-    )
-    agent_options: tuple[Annotated[str, Field(pattern=r"^[a-z0-9-]+(\.[^.]+)+$")], ...] = Field(
-        default=(),
-        strict=False,
-        description="options for the configuration only that an admin may set all the same, such "
-        'as "pi0-remote.url"',
     )
 
 

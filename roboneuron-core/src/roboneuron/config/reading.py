@@ -16,10 +16,10 @@ from pydantic import BaseModel, ValidationError
 
 from roboneuron.config.models import Config
 from roboneuron.errors import ConfigurationError, nearest
-from roboneuron.plugins.availability import install_command, package_of
+from roboneuron.plugins.availability import package_of
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.loading import load_attribute, load_options_model, option_names
-from roboneuron.plugins.registry import Registry, Status
+from roboneuron.plugins.registry import Registry
 from roboneuron.plugins.specs import FeatureSpec
 
 EMBEDDED_DEFAULT = "the embedded default"
@@ -80,14 +80,9 @@ def _read_robots(raw: Mapping[str, Any], source: str, registry: Registry | None)
 
 def fleet_feature(registry: Registry) -> FeatureSpec:
     """The feature that serves several robots. Raises ConfigurationError when there is none."""
-    for spec in registry.specs(FeatureSpec).values():
-        if spec.fleet is not None:
-            return spec
-    package = package_of("feature", "fleet")
-    hint = f"Run: {install_command(package)}." if package is not None else ""
-    raise ConfigurationError(
-        "No installed feature serves several robots, [robots.<name>].", hint=hint
-    )
+    specs = registry.specs(FeatureSpec).values()
+    found = next((spec for spec in specs if spec.fleet is not None), None)
+    return found or _named_feature("[robots.<name>]", "fleet", registry)
 
 
 def robot_folder(state_directory: Path, name: str = "*") -> Path:
@@ -146,40 +141,30 @@ def check_sections(config: Config, registry: Registry, source: str = "roboneuron
         ConfigurationError: a key that nothing installed knows, a value that is not valid, or a
             section of a feature that cannot be used; says why.
     """
-    owners = {key: offer for offer in registry.offers("feature") for key in _spec(offer.spec).keys}
+    owners = {key: _spec(o.spec) for o in registry.offers("feature") for key in _spec(o.spec).keys}
+    used: dict[str, FeatureSpec] = {}
     for key in config.sections:
-        if key not in owners:
-            package = package_of("feature", key.replace("_", "-"))
-            silent = registry.not_loaded(package or "")
-            if package is not None and silent:
-                raise ConfigurationError(
-                    f"{source}: the section {key!r} belongs to a feature of {package}, which is "
-                    f"not loaded: {silent}.",
-                    hint="Leave the section out, or see `roboneuron plugins list`.",
-                )
-            if package is not None:
-                raise ConfigurationError(
-                    f"{source}: the section {key!r} belongs to a feature of {package}, which is "
-                    "not installed.",
-                    hint=f"Run: {install_command(package)}.",
-                )
+        name = owners[key].name if key in owners else key.replace("_", "-")
+        if key not in owners and package_of("feature", name) is None:
             error = _unknown_key(source, key, {*KEYS, *owners})
             raise ConfigurationError(
                 error,
                 hint="If it belongs to a feature, that is not installed: see `roboneuron plugins "
                 "list`.",
             )
-        offer = owners[key]
-        if offer.status is not Status.READY:
-            raise ConfigurationError(
-                f"{source}: the section {key!r} belongs to the feature {offer.spec.name!r} of "
-                f"{offer.plugin}, "
-                f"which cannot be used ({offer.status}): {offer.reason}"
-            )
-    for spec in {
-        owners[key].spec.name: _spec(owners[key].spec) for key in config.sections
-    }.values():
+        used[name] = _named_feature(f"{source}: the section {key!r}", name, registry)
+    for spec in used.values():
         feature_options(spec, config, source)
+
+
+def _named_feature(place: str, name: str, registry: Registry) -> FeatureSpec:
+    """The feature that something at `place` asks for. Raises ConfigurationError: says why it cannot
+    be used.
+    """
+    try:
+        return registry.get(FeatureSpec, name)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{place}: {error.message}", hint=error.hint) from error
 
 
 def feature_options(
@@ -217,13 +202,8 @@ def transport_feature(transport: str, registry: Registry) -> FeatureSpec:
     }
     if transport in served:
         return served[transport]
-    try:
-        # by convention it is called as the transport: says why it is not there
-        registry.get(FeatureSpec, transport)
-    except ConfigurationError as error:
-        raise ConfigurationError(
-            f"transport = {transport!r}: {error.message}", hint=error.hint
-        ) from error
+    # by convention it is called as the transport: says why it is not there
+    _named_feature(f"transport = {transport!r}", transport, registry)
     choices = ", ".join([STDIO, *served])
     raise ConfigurationError(
         f"transport = {transport!r}: nothing serves it; choose one of: {choices}."

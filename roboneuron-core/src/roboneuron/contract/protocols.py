@@ -52,23 +52,19 @@ class Topics(Protocol):
         and stays reliable towards those that are not. Called from `open`, on the host's executor
         thread.
         """
-        ...
 
     def advertise(self, topic: str, message_type: type[M]) -> Callable[[M], None]:
         """Return a function that publishes on `topic` (reliable, depth 1); callable from any
         thread.
         """
-        ...
 
     def publisher_types(self, topic: str) -> tuple[str, ...]:
         """Message type ("package/msg/Name") of each publisher of `topic` discovered so far; from
         any thread.
         """
-        ...
 
     def now_ns(self) -> int:
         """ROS time [ns], for stamps."""
-        ...
 
 
 @runtime_checkable
@@ -86,7 +82,6 @@ class Backend(Protocol):
             CheckpointError, ConfigurationError, MissingDependencyError: the process reports it and
                 stays unconfigured.
         """
-        ...
 
     def predict(self, observation: Observation) -> ActionChunk:
         """Return what to do next, already in the contract's units and frame.
@@ -100,15 +95,12 @@ class Backend(Protocol):
                 absent.
             StateError: before `load` or after `close`.
         """
-        ...
 
     def reset(self) -> None:
         """Forget the episode: called on activate and whenever the instruction changes."""
-        ...
 
     def close(self) -> None:
         """Release everything; may be called twice and before `load`."""
-        ...
 
 
 @runtime_checkable
@@ -125,7 +117,6 @@ class Runtime(Protocol[Model, Request, Answer, Decoder]):
         """Take the model (in process: read its weights; served: reach the server and check what it
         serves).
         """
-        ...
 
     def run(self, request: Request) -> Answer:
         """Execute one request of the family; blocks until the answer or the request's deadline.
@@ -133,15 +124,12 @@ class Runtime(Protocol[Model, Request, Answer, Decoder]):
         Raises:
             StateError: before `load` or after `close`.
         """
-        ...
 
     def abort(self) -> None:
         """Give up a `run` in progress, from another thread; harmless when there is none."""
-        ...
 
     def close(self) -> None:
         """Release everything; may be called twice and before `load`."""
-        ...
 
 
 @runtime_checkable
@@ -155,7 +143,6 @@ class Acceleration(Protocol[Accelerated]):
         Raises:
             InvalidInputError: the decoder is of a kind that the preset does not know.
         """
-        ...
 
 
 AnyRuntime: TypeAlias = Runtime[Never, Never, object, object]
@@ -174,7 +161,6 @@ class PerceptionSource(Protocol):
 
     def open(self) -> None:
         """Acquire the device. Raises NotReadyError or ConfigurationError with what to do."""
-        ...
 
     def read(self, timeout_s: float) -> Frame:
         """Return the next frame, of any of the cameras; its image is not written to afterwards.
@@ -183,11 +169,9 @@ class PerceptionSource(Protocol):
             NotReadyError: none came within `timeout_s`.
             StateError: before `open` or after `close`.
         """
-        ...
 
     def close(self) -> None:
         """Release the device; may be called twice and before `open`."""
-        ...
 
 
 @runtime_checkable
@@ -198,23 +182,19 @@ class Controller(Protocol):
 
     def load(self) -> None:
         """Parse the robot description. Raises ConfigurationError."""
-        ...
 
     def forward(self, joints: JointSample) -> Pose:
         """TCP pose in the base frame for measured joints. Raises UnsafeError for missing or
         non-finite joints.
         """
-        ...
 
     def compute(self, action: Action, joints: JointSample, step_s: float) -> JointCommand | Hold:
         """Return where to go within `step_s`, or why the robot should hold. Never raises for bad
         numbers.
         """
-        ...
 
     def close(self) -> None:
         """Release everything; may be called twice."""
-        ...
 
 
 @runtime_checkable
@@ -233,7 +213,6 @@ class PostureInspector(Protocol):
         Joints beside the arm's (a gripper's) count where `joints` names them. Raises UnsafeError as
         `Controller.forward`.
         """
-        ...
 
 
 @runtime_checkable
@@ -244,24 +223,19 @@ class RobotDriver(Protocol):
 
     def open(self) -> None:
         """Connect or start the simulation. Raises NotReadyError or ConfigurationError."""
-        ...
 
     def read(self) -> RobotState:
         """Return the newest measured state without blocking for over a millisecond. Raises
         StateError unless open.
         """
-        ...
 
     def send(self, command: JointCommand) -> JointCommand:
         """Start moving; returns what was really sent after the driver's own limits. Raises
         InvalidInputError.
         """
-        ...
 
     def hold(self) -> None:
         """Stop where the robot is and stay there."""
-        ...
 
     def close(self) -> None:
         """Stop and disconnect; may be called twice and before `open`."""
-        ...

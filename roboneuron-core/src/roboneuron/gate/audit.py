@@ -93,6 +93,7 @@ class AuditLog:
         self._backups = max(1, backups)
         self._lock = threading.Lock()
         self._descriptor = -1
+        self._identity = (-1, -1)
         self._torn = False
         self.failed = False
         """Whether writing the last record failed; a motion in progress has to end then."""
@@ -146,8 +147,7 @@ class AuditLog:
             self._descriptor = -1
 
     def _append(self, line: bytes) -> None:
-        self._open()
-        if os.fstat(self._descriptor).st_size + len(line) > self._max_bytes:
+        if self._open() + len(line) > self._max_bytes:
             self._rotate(len(line))
         if self._torn:
             line = b"\n" + self._to_line(_CUT) + line
@@ -159,19 +159,26 @@ class AuditLog:
             raise OSError(errno.ENOSPC, "only a part of the record was written")
         self._torn = False
 
-    def _open(self) -> None:
-        """Open the current file; reopen it after it was rotated or deleted by another process."""
+    def _open(self) -> int:
+        """Open the current file; reopen it after it was rotated or deleted by another process.
+
+        Returns its size. An agent waits for each record, so an open file costs one system call: a
+        descriptor keeps its device and inode.
+        """
         if self._descriptor >= 0:
             with contextlib.suppress(FileNotFoundError):
-                ours, there = os.fstat(self._descriptor), os.stat(self.path)
-                if (ours.st_dev, ours.st_ino) == (there.st_dev, there.st_ino):
-                    return
+                there = os.stat(self.path)
+                if (there.st_dev, there.st_ino) == self._identity:
+                    return there.st_size
             self._close()
         make_log_directory(self.path.parent)
         flags = os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC
         self._descriptor = os.open(self.path, flags, 0o640)
-        size = os.fstat(self._descriptor).st_size
+        found = os.fstat(self._descriptor)
+        self._identity = found.st_dev, found.st_ino
+        size = found.st_size
         self._torn = size > 0 and os.pread(self._descriptor, 1, size - 1) != b"\n"
+        return size
 
     def _rotate(self, coming: int) -> None:
         """Rotate the files; the lock keeps two processes from doing so at once."""
@@ -190,32 +197,46 @@ class AuditLog:
 
     def _to_line(self, record: AuditRecord) -> bytes:
         now_ns = self._clock_ns()
-        entry: dict[str, Any] = {
-            "time": datetime.fromtimestamp(now_ns / 1e9, UTC).isoformat(timespec="milliseconds"),
-            "time_ns": now_ns,
-            # Not `asdict`, which copies the arguments.
-            **{
-                name: value
-                for name in record.__dataclass_fields__
-                if (value := getattr(record, name))
-            },
-        }
-        if "arguments" in entry:
-            entry["arguments"] = _bounded(record.arguments)
-        return json.dumps(entry, separators=(",", ":"), allow_nan=False).encode("ascii") + b"\n"
+        time = datetime.fromtimestamp(now_ns / 1e9, UTC).isoformat(timespec="milliseconds")
+        parts = [f'"time":"{time}","time_ns":{now_ns}']
+        # field by field, so that the arguments, the most of it, become JSON once
+        for name in record.__dataclass_fields__:
+            value = getattr(record, name)
+            if value:
+                text = _bounded(value) if name == "arguments" else _PLAIN.encode(value)
+                parts.append(f'"{name}":{text}')
+        return f"{{{','.join(parts)}}}\n".encode("ascii")
 
 
-def _bounded(arguments: Mapping[str, Any]) -> Any:
-    """The arguments as JSON values, truncated, or the reason why they cannot be serialized."""
+def _placeholder(value: object) -> str:
+    return f"<{type(value).__name__}>"
+
+
+# made once: to make one costs as much as to write a record
+_PLAIN = json.JSONEncoder(separators=(",", ":"), allow_nan=False)
+_STRICT = json.JSONEncoder(separators=(",", ":"), allow_nan=False, default=_placeholder)
+_LENIENT = json.JSONEncoder(separators=(",", ":"), default=_placeholder)
+
+
+def _bounded(arguments: Mapping[str, Any]) -> str:
+    """The arguments as JSON, truncated, or the reason why they cannot be serialized."""
     try:
-        text = json.dumps(
-            arguments, separators=(",", ":"), default=lambda value: f"<{type(value).__name__}>"
-        )
-        if len(text) > _MAX_ARGUMENTS:
-            return {"length": len(text), "begins": text[:_MAX_ARGUMENTS]}
-        return json.loads(text, parse_constant=str)  # JSON has no NaN
+        text = _to_json(arguments)
     except (ValueError, TypeError, RecursionError) as error:
-        return {"unwritable": type(error).__name__}
+        return _PLAIN.encode({"unwritable": type(error).__name__})
+    if len(text) > _MAX_ARGUMENTS:
+        return _PLAIN.encode({"length": len(text), "begins": text[:_MAX_ARGUMENTS]})
+    return text
+
+
+def _to_json(arguments: Mapping[str, Any]) -> str:
+    try:
+        return _STRICT.encode(arguments)
+    except ValueError:  # a NaN, which JSON has not: it becomes text
+        text = _LENIENT.encode(arguments)
+        if len(text) > _MAX_ARGUMENTS:
+            return text
+        return _STRICT.encode(json.loads(text, parse_constant=str))
 
 
 @contextlib.contextmanager

@@ -86,8 +86,8 @@ class EmergencyStopLatch:
         self._tried_s = -_AGAIN_S
         self._spare: list[int] = []
         self._lock = threading.Lock()
-        self._stopping: list[Callable[[], object]] = []
-        self._telling: list[Callable[[], object]] = []
+        self._stop_listeners: list[Callable[[], object]] = []
+        self._written_listeners: list[Callable[[], object]] = []
 
     def reserve(self) -> None:
         """Keep a file handle for the latch's file: a process that has no other left still stops the
@@ -111,20 +111,20 @@ class EmergencyStopLatch:
         It runs on the pressing thread, must return at once and must not raise: it sends what stops
         a robot.
         """
-        self._stopping.append(listener)
+        self._stop_listeners.append(listener)
 
     def on_pressed(self, listener: Callable[[], object]) -> None:
         """As `on_press`, once the file is written, or could not be: it tells others and wakes
         threads.
         """
-        self._telling.append(listener)
+        self._written_listeners.append(listener)
 
     def is_latched(self) -> bool:
         """Whether motion is forbidden; about a microsecond."""
         with self._lock:
-            return self._look()
+            return self._check_file()
 
-    def _look(self) -> bool:
+    def _check_file(self) -> bool:
         try:
             self._seen = _identity(self.path)
         except FileNotFoundError:
@@ -185,13 +185,13 @@ class EmergencyStopLatch:
     def _parse(self) -> LatchState:
         try:
             with self.path.open(encoding="utf-8", errors="replace") as file:
-                told = json.loads(file.read(_MAX_CHARACTERS))
+                content = json.loads(file.read(_MAX_CHARACTERS))
             return LatchState(
                 latched=True,
-                who=str(told["who"])[:200],
-                reason=str(told["reason"])[:500],
-                time_ns=int(told["time_ns"]),
-                restored=int(told.get("restored", 0)),
+                who=str(content["who"])[:200],
+                reason=str(content["reason"])[:500],
+                time_ns=int(content["time_ns"]),
+                restored=int(content.get("restored", 0)),
             )
         except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError):
             return LatchState(latched=True)
@@ -243,7 +243,7 @@ class EmergencyStopLatch:
         there already.
         """
         with self._lock:
-            if self._held is not None and self._look() and self._seen is not None:
+            if self._held is not None and self._check_file() and self._seen is not None:
                 return False
             self._held, self._tried_s = state, self._clock_s()
         return True
@@ -280,12 +280,12 @@ class EmergencyStopLatch:
             with suppress(OSError):
                 self._seen = _identity(self.path)
             return
-        told = {name: value for name, value in asdict(state).items() if name != "latched"}
+        content = {name: value for name, value in asdict(state).items() if name != "latched"}
         try:
             made = os.fstat(descriptor)
             self._seen = made.st_dev, made.st_ino
             with suppress(OSError):
-                os.write(descriptor, json.dumps(told).encode())
+                os.write(descriptor, json.dumps(content).encode())
         finally:
             os.close(descriptor)
 
@@ -316,7 +316,7 @@ class EmergencyStopLatch:
             )
         with self._lock:
             try:
-                if self._look() and self._seen is None:
+                if self._check_file() and self._seen is None:
                     # others learn of the reset by the file only
                     self._create(self._held or LatchState(latched=True))
                 with suppress(FileNotFoundError):
@@ -352,7 +352,7 @@ def press_together(
         if latch._hold(state):
             pressed.append((latch, state))
     for latch, _ in pressed:
-        for listener in latch._stopping:
+        for listener in latch._stop_listeners:
             listener()
     for latch, state in pressed:
         try:
@@ -360,7 +360,7 @@ def press_together(
         except UnsafeError as error:  # the others are written all the same
             failures.append(error)
     for latch, _ in pressed:
-        for listener in latch._telling:
+        for listener in latch._written_listeners:
             listener()
     return failures
 

@@ -36,7 +36,8 @@ def _run(settings: ModuleSettings) -> None:
     from rclpy.executors import SingleThreadedExecutor
     from rclpy.signals import SignalHandlerOptions
 
-    from roboneuron.modules.module import Module, ModuleNode
+    from roboneuron.modules.module import ModuleNode
+    from roboneuron.modules.module_host import Module
 
     # rclpy's own handlers end the context first: then nobody could publish a last hold.
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
@@ -52,9 +53,9 @@ def _run(settings: ModuleSettings) -> None:
     try:
         is_leaving = False
         while not is_leaving:  # wakes with every turn of the node's loop timer
-            is_leaving = signals.is_leaving  # first: a press before it counts
-            if signals.take_press():
-                node.press_stop("the signal SIGUSR1")
+            is_leaving = signals.is_leaving  # first: a stop before it counts
+            if signals.take_stop():
+                node.trigger_stop("the signal SIGUSR1")
             try:
                 executor.spin_once()
             except Exception as error:  # the module border: a plugin's callback may raise anything

@@ -19,7 +19,7 @@ from roboneuron.contract import Action, Controller, Hold, JointCommand, JointSam
 from roboneuron.errors import ConfigurationError, RoboNeuronError, UnsafeError
 from roboneuron.gate.motion import check_tighter, collision_of, motion_rules
 from roboneuron.gate.motion.command import pick
-from roboneuron.modules.module import Module, ModuleNode
+from roboneuron.modules.module_host import Module, ModuleHost
 from roboneuron.modules.motion import JointWatch, MotionGuard
 from roboneuron.modules.plugin import build, load_profile
 from roboneuron.modules.settings import (
@@ -50,7 +50,7 @@ _POSE_PERIOD_S = 0.02
 class ControlModule(Module):
     """Executes actions one by one; everything happens in the executor's thread."""
 
-    def __init__(self, node: ModuleNode) -> None:
+    def __init__(self, node: ModuleHost) -> None:
         """Parse the robot description and subscribe."""
         super().__init__(node)
         config = self.config.control

@@ -116,7 +116,7 @@ class ChunkExecutor:
         self._epoch = 0
         self._step_s: float | None = None
         self._due_s = 0.0
-        self._heard_s = -math.inf
+        self._predecessor_s = -math.inf
         self.changed = threading.Condition(threading.RLock())
 
     # -- who predicts
@@ -193,7 +193,9 @@ class ChunkExecutor:
     def due_s(self) -> float | None:
         """Monotonic time at which the next row is to be sent [s]; None without rows."""
         with self.changed:
-            return max(self._due_s, self._heard_s + self._rows[0].step_s) if self._rows else None
+            return (
+                max(self._due_s, self._predecessor_s + self._rows[0].step_s) if self._rows else None
+            )
 
     def play(self, now_s: float, now_ns: int) -> Row | None:
         """Take the row that is due, to be sent at once while the caller holds `changed`.
@@ -234,7 +236,7 @@ class ChunkExecutor:
         it.
         """
         with self.changed:
-            self._heard_s = now_s
+            self._predecessor_s = now_s
             if self._rows:
                 self._rows.popleft()
 

@@ -9,14 +9,14 @@ import statistics
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import cast
 
 from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import CameraInfo, Image, JointState
-from std_msgs.msg import Float64MultiArray, String
+from std_msgs.msg import Float64MultiArray
 
 from roboneuron.contract import (
     ActionChunk,
@@ -30,7 +30,7 @@ from roboneuron.errors import ConfigurationError, NotReadyError
 from roboneuron.modules.execution import Bounds, Prediction, Row
 from roboneuron.modules.inputs import NewestInputs
 from roboneuron.modules.instruction import Instruction
-from roboneuron.modules.module import Module, ModuleNode
+from roboneuron.modules.module_host import Module, ModuleHost
 from roboneuron.modules.player import RowPlayer
 from roboneuron.modules.plugin import build, load_profile
 from roboneuron.modules.worker import Worker
@@ -41,7 +41,6 @@ from roboneuron.ros.topics import (
     ACTION,
     EE_POSE,
     JOINT_STATES,
-    PREDICTIONS,
     camera_image,
     camera_info,
 )
@@ -61,7 +60,7 @@ _SOURCES = {
     "joint_state": ("joint state", "the robot"),
     "ee_pose": ("end-effector pose", "control"),
 }
-Describe = Callable[[Observation, str, bool, ActionChunk | Exception, bool], Sequence[str]]
+Predicted = Callable[[Observation, str, bool, ActionChunk | Exception], None]
 log = logging.getLogger(__name__)
 
 
@@ -71,17 +70,21 @@ class InferenceModule(Module):
     Two threads: one observes and predicts, one plays (`RowPlayer`). `ChunkExecutor` decides when
     each does what.
 
+    A feature may come between an image and its prediction (`accepts`), and between an answer and
+    its execution (`deliver`).
+
     Attributes:
         backend, runtime: what predicts, and what executes it; None for a backend that takes no
             runtime.
         executor: what decides when to predict and what to send.
         before_prediction: called on the predicting thread between two predictions.
-        describe_prediction: lines of text to publish after each prediction, from what the backend
-            was given, how its answer is executed, whether it was reset before, its answer or why
-            there is none, and whether somebody listens; None unless a feature sets it.
+        accepts: say whether to predict on an image of that capture time [ns]; called there.
+        deliver: executes an answer, until the event that ends the work; called there.
+        on_prediction: called there after each prediction with what the backend was given, how its
+            answer is executed, whether it was reset before, and its answer or why there is none.
     """
 
-    def __init__(self, node: ModuleNode) -> None:
+    def __init__(self, node: ModuleHost) -> None:
         """Load the backend (weights and warm-up included), then subscribe to its inputs."""
         super().__init__(node)
         config, robot = self.config.inference, self.config.robot
@@ -117,7 +120,9 @@ class InferenceModule(Module):
         self.status.set_value("runtime", plan.runtime.name if plan.runtime else "")
         self.status.set_value("acceleration", plan.acceleration.name if plan.acceleration else "")
         self.before_prediction: list[Callable[[], None]] = []
-        self.describe_prediction: Describe | None = None
+        self.on_prediction: list[Predicted] = []
+        self.accepts: list[Callable[[int], bool]] = []
+        self.deliver = self._deliver
         self._took_s: deque[float] = deque(maxlen=_RECENT)
         self._inputs = NewestInputs(
             cameras=cameras,
@@ -130,7 +135,6 @@ class InferenceModule(Module):
         )
         self._subscribe(cameras, with_state=spec.needs_state)
         self._actions = node.advertise(Float64MultiArray, ACTION)
-        self._predictions = node.advertise(String, PREDICTIONS)
         bounds = Bounds(first_s=config.max_image_age_s, tail_s=config.max_tail_age_s)
         self.executor = node.make_executor(spec, config.execution, bounds)
         self._not_before_ns = 0
@@ -207,10 +211,7 @@ class InferenceModule(Module):
         if observation is None:
             return
         captured_ns = self._inputs.captured_ns(observation)
-        if captured_ns < max(self._not_before_ns, self.handover.not_before_ns):
-            return
-        if self.handover.is_over(captured_ns):
-            self.status.set(note="handed over to the successor")
+        if captured_ns < self._not_before_ns or not all(ask(captured_ns) for ask in self.accepts):
             return
         count, instruction = self._instruction.count, self._instruction.text
         if not instruction:
@@ -222,24 +223,20 @@ class InferenceModule(Module):
         # changed meanwhile: the epoch may be that of the next one
         if self._instruction.count != count:
             return
-        chunk = self._predict(prediction)
-        now_ns = self.node.now_ns()
-        if self.handover.is_shadow(captured_ns):
-            self.status.set(note="in shadow")
-            self.executor.measure(prediction, chunk, now_ns)
-            self._check_age(prediction)
-            self.handover.withhold(chunk)
-            self._note_first(prediction.observation.stamp_ns)
-        else:
-            self.status.set(note=chunk.note)
-            with self.executor.changed:  # so that the player's thread does not come between
-                outcome = self.executor.answer(prediction, chunk, now_ns)
-                self._player.play_due(stop)
-            if outcome != "accepted":
-                self.status.dropped.add(f"{outcome}_chunk")
-        # how chunks are executed, and the numbers that decided
-        for name, value in self.executor.values().items():
-            self.status.set_value(f"execution.{name}", value)
+        chunk, took_s = self._predict(prediction)
+        try:
+            self.deliver(prediction, chunk, stop)
+        finally:
+            # when the action is out: to tell all this takes as long as to publish it
+            self._note_prediction(chunk, took_s)
+
+    def _deliver(self, prediction: Prediction, chunk: ActionChunk, stop: threading.Event) -> None:
+        with self.executor.changed:  # so that the player's thread does not come between
+            outcome = self.executor.answer(prediction, chunk, self.node.now_ns())
+            self._player.play_due(stop)
+        self.status.set(note=chunk.note)
+        if outcome != "accepted":
+            self.status.dropped.add(f"{outcome}_chunk")
 
     def _observe(self) -> Observation | None:
         """The newest observation, without its instruction; None when there is none to act on
@@ -264,8 +261,8 @@ class InferenceModule(Module):
             self.status.clear_error()
         return observation
 
-    def _predict(self, prediction: Prediction) -> ActionChunk:
-        """Ask the backend."""
+    def _predict(self, prediction: Prediction) -> tuple[ActionChunk, float]:
+        """Ask the backend; its answer, and how long it took [s]."""
         resets = self._instruction.is_new
         if resets:
             self._instruction.is_new = False
@@ -274,41 +271,34 @@ class InferenceModule(Module):
         try:
             chunk = self.backend.predict(prediction.observation)
         except Exception as error:
-            self._tell(prediction, resets, error)
+            self._notify(prediction, resets, error)
             # rows that were planned before must not go on when the newest image is refused
             self.executor.drop()
             raise
         took_s = time.monotonic() - started_s
+        # before its actions: a recording tells them in this order
+        self._notify(prediction, resets, chunk)
+        return chunk, took_s
+
+    def _note_prediction(self, chunk: ActionChunk, took_s: float) -> None:
+        """Tell of an answer in the status."""
         self._took_s.append(took_s)
         self._worker.limit_s = max(
             _LEAST_LIMIT_S, _LIMIT_RATIO * statistics.median(self._took_s), 2.0 * chunk.step_s
         )
         self._worker.progress()
-        self._tell(prediction, resets, chunk)
         self.status.set_value("inference_ms", took_s * 1e3)
         for name, value in chunk.metrics.items():
             self.status.set_value(f"backend.{name}", float(value))
-        return chunk
+        # how chunks are executed, and the numbers that decided
+        for name, executed in self.executor.values().items():
+            self.status.set_value(f"execution.{name}", executed)
 
-    def _tell(self, prediction: Prediction, resets: bool, answer: ActionChunk | Exception) -> None:
-        """Publish what was asked and answered, while somebody records it."""
-        if self.describe_prediction is not None:
-            is_heard = self._predictions.get_subscription_count() > 0
-            for text in self.describe_prediction(
-                prediction.observation, prediction.mode, resets, answer, is_heard
-            ):
-                self._predictions.publish(String(data=text))
-
-    def _check_age(self, prediction: Prediction) -> None:
-        """Raise NotReadyError for an answer in shadow that comes too late to be acted on."""
-        age_s = (self.node.now_ns() - prediction.observation.stamp_ns) / 1e9
-        if age_s > self._inputs.max_age_s:
-            self.status.dropped.add("late_action")
-            raise NotReadyError(
-                f"The backend answered to an image that was {age_s:.2f} s old by then; "
-                f"max_image_age_s = {self._inputs.max_age_s:g} are allowed.",
-                hint="Make the backend faster, or allow older images under [inference].",
-            )
+    def _notify(
+        self, prediction: Prediction, resets: bool, answer: ActionChunk | Exception
+    ) -> None:
+        for listener in self.on_prediction:
+            listener(prediction.observation, prediction.mode, resets, answer)
 
     def _send(self, row: Row) -> None:
         """Publish one row; called by the player, which holds the executor's lock."""
@@ -316,11 +306,11 @@ class InferenceModule(Module):
         self.status.output.tick()
         self._instruction.note_action()
         if row.is_border:
-            self._note_first(row.oldest_ns)
+            self.note_first(row.oldest_ns)
         self.status.set_value("chunk_row", row.index + 1)
         self.status.set_value("chunk_rows", row.horizon)
 
-    def _note_first(self, oldest_ns: int) -> None:
+    def note_first(self, oldest_ns: int) -> None:
         """The first action of a chunk is out, or would be: measure, and that is the proof of
         readiness.
         """

@@ -127,15 +127,15 @@ class NewestInputs:
 
     def on_image(self, role: str, message: Image) -> None:
         """Subscription callback for the camera with that role."""
-        try:
-            frame = self._calibrated[role].to_frame(message)
-        except InvalidInputError as error:
-            self._status.dropped.add("bad_image")
-            self._status.set_error(error)
-            return
         with self._fresh:
-            self._frames[role] = frame
+            # first: the thread wakes while the image is decoded, and looks when it is there
             self._fresh.notify()
+            try:
+                self._frames[role] = self._calibrated[role].to_frame(message)
+            except InvalidInputError as error:
+                self._status.dropped.add("bad_image")
+                self._status.set_error(error)
+                return
         # Give the interpreter lock to the waiting inference thread now: otherwise it waits until
         # the executor has rebuilt its wait set, which takes longer than everything else between
         # image and action.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from roboneuron.errors import InvalidInputError
-from roboneuron.modules.module import ModuleNode
+from roboneuron.modules.module_host import ModuleHost
 from roboneuron.modules.settings import INSTRUCTION_PARAMETER, instruction_problem
 
 
@@ -18,7 +18,7 @@ class Instruction:
         is_new: the backend has not been reset for it yet.
     """
 
-    def __init__(self, node: ModuleNode, text: str, on_change: Callable[[], None]) -> None:
+    def __init__(self, node: ModuleHost, text: str, on_change: Callable[[], None]) -> None:
         """Args:
         node: gets the parameter.
         text: the first one.

@@ -8,27 +8,18 @@ import gc
 import logging
 import math
 import time
-from abc import ABC, abstractmethod
-from collections import deque
 from collections.abc import Callable
-from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
 
-from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import (
-    LifecycleNode,
-    LifecyclePublisher,
     LifecycleState,
     TransitionCallbackReturn,
 )
-from rclpy.qos import QoSProfile
-from std_msgs.msg import Bool, Empty
+from std_msgs.msg import Bool
 
 from roboneuron.errors import ConfigurationError, RoboNeuronError, StateError, UnsafeError
 from roboneuron.gate.estop import ESTOP_FILE, EmergencyStopLatch
-from roboneuron.modules.execution import Bounds, ChunkExecutor, make_sequential
-from roboneuron.modules.module_host import Handover, add_parameter, join
+from roboneuron.modules.module_host import Handover, Module, ModuleHost, join
 from roboneuron.modules.parent_watch import watch_stdin
 from roboneuron.modules.requests import RequestGuard
 from roboneuron.modules.settings import (
@@ -38,96 +29,33 @@ from roboneuron.modules.settings import (
     START_PARAMETER,
     ModuleSettings,
 )
-from roboneuron.modules.status import StatusReporter, StatusWriter
-from roboneuron.plugins.discovery import discover
-from roboneuron.plugins.specs import BackendSpec
-from roboneuron.ros.qos import NEWEST, STOP_REQUESTS
-from roboneuron.ros.topics import WARM_UP
+from roboneuron.modules.status import StatusReporter
+from roboneuron.ros.qos import STOP_REQUESTS
 
 _LOOP_PERIOD_S = 0.02
 """How often the executor shows that it turns, and looks at the latch file (1 us)."""
-_WARM_UPS, _WARM_UP_PERIOD_S = 30, 0.1
 log = logging.getLogger(__name__)
 
 
-class Module(ABC):
-    """Behaviour of one kind of module, from `configure` to cleanup. Methods are called on the
-    executor's thread.
-
-    The constructor acquires: it loads weights, opens the device, creates publishers and
-    subscriptions. What it acquires it gives to `node.resources`, which releases it, the newest
-    first, also when the constructor fails.
-
-    Any method may raise RoboNeuronError: the transition fails, the reason goes to /diagnostics.
-    """
-
-    def __init__(self, node: ModuleNode) -> None:
-        self.node = node
-        self.config = node.settings.config
-        self.status = node.status
-        self.handover = node.handover
-        self.registry = discover(self.config.disabled_plugins)
-
-    @abstractmethod
-    def activate(self) -> None:
-        """Let data out."""
-
-    @abstractmethod
-    def deactivate(self) -> None:
-        """Silence; also called before `activate`."""
-
-    def emergency_stop(self, latched: bool) -> None:  # noqa: B027
-        """The latch changed; modules that move the robot override this."""
-
-    def forget(self) -> None:  # noqa: B027
-        """A stop has come: what was asked for before it is not carried out any more."""
-
-
-class ModuleNode(LifecycleNode):  # type: ignore[misc]
-    """`/<namespace>/<node name>`: standard lifecycle services in front of a Module.
-
-    Attributes:
-        module: from `configure` to cleanup, else None.
-        stopped: whether the emergency stop is latched.
-        stops: stops seen so far.
-        needs_start: which of them forbids motion until somebody asks for it anew; empty when none
-            does.
-
-    Implements `ModuleHost`, which describes the other attributes.
-    """
+class ModuleNode(ModuleHost):
+    """`/<namespace>/<node name>`: standard lifecycle services in front of a Module."""
 
     def __init__(self, settings: ModuleSettings, kind: Callable[[ModuleNode], Module]) -> None:
-        super().__init__(settings.node_name, namespace=settings.config.namespace)
-        self.settings = settings
-        self.status = StatusWriter(settings.status_name)
-        self.stopped = False
-        self.stops, self.needs_start = 0, ""
-        self.module: Module | None = None
-        self.resources = ExitStack()
-        self.handover = Handover(self.status)
-        self.make_executor: Callable[[BackendSpec, str, Bounds], ChunkExecutor] = make_sequential
-        self.on_configured: list[Callable[[Module], None]] = []
+        super().__init__(settings)
         self._kind = kind
         self.status.set(emergency_stop=False)
         for qos in STOP_REQUESTS:
             self.create_subscription(Bool, EMERGENCY_STOP_TOPIC, self._on_emergency_stop, qos)
         self._latch = EmergencyStopLatch(Path(settings.state_directory) / ESTOP_FILE, time.time_ns)
-        self._told_to_stop = self._is_server_silent = False
-        self._outputs: dict[str, LifecyclePublisher] = {}
-        self._listeners: dict[str, int] = {}
+        self._stop_requested = self._is_server_silent = False
         self._beat_s: float | None = None
         robot, control = settings.config.robot, settings.config.control
         self._silence_s = min(
             section.server_timeout_s for section in (robot, control) if section is not None
         )
         self._silences = self._silences_seen = 0
-        self.create_subscription(Empty, WARM_UP, lambda _: None, NEWEST)
-        self._warm_up = (
-            self.create_lifecycle_publisher(Empty, WARM_UP, NEWEST) if settings.shadow else None
-        )
-        self._warm_ups_s: deque[float] = deque(maxlen=_WARM_UPS)
         self.create_timer(_LOOP_PERIOD_S, self._on_loop)
-        add_parameter(self, START_PARAMETER, 0, self._permit, self._why_not_permit)
+        self.add_parameter(START_PARAMETER, 0, self._permit, self._why_not_permit)
         if settings.needs_start:
             self.require_start(settings.needs_start)
         self._requests = RequestGuard(self, self.status)
@@ -135,56 +63,6 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
             join(self, reference)
         self._reporter = StatusReporter(self, self.status)
         self._reporter.start()
-
-    def create_timer(self, period_s: float, callback: Callable[[], None], **options: Any) -> Any:
-        """As of Node, by the steady clock: a timer by ROS time stands still for an hour when the
-        clock is set back.
-        """
-        return super().create_timer(
-            period_s, callback, **{"clock": Clock(clock_type=ClockType.STEADY_TIME)} | options
-        )
-
-    def now_ns(self) -> int:
-        """ROS time [ns]."""
-        return int(self.get_clock().now().nanoseconds)
-
-    def advertise(self, message_type: type, topic: str) -> LifecyclePublisher:
-        """A publisher until cleanup; the status tells how many listeners it has, as
-        `listeners.<topic>`.
-        """
-        publisher = self._outputs[topic] = self.create_lifecycle_publisher(
-            message_type, topic, NEWEST
-        )
-        self.resources.callback(self.destroy_lifecycle_publisher, publisher)
-        self.resources.callback(self._outputs.pop, topic)
-        return publisher
-
-    def subscribe(
-        self,
-        message_type: type,
-        topic: str,
-        callback: Callable[..., None],
-        qos: QoSProfile = NEWEST,
-    ) -> None:
-        """Call `callback` with each message until cleanup."""
-        self.resources.callback(
-            self.destroy_subscription, self.create_subscription(message_type, topic, callback, qos)
-        )
-
-    add_parameter = add_parameter
-
-    def require_start(self, reason: str) -> None:
-        """A stop has come: nothing moves before somebody asks for it anew, whatever ends the stop;
-        from any thread.
-        """
-        if self.settings.kind == "perception":
-            return
-        self.needs_start = reason
-        self.stops += 1
-        self.status.set(needs_start=reason, stops=self.stops)
-        self.status.changed.set()
-        if self.module is not None:
-            self.module.forget()
 
     def _why_not_permit(self, stops: int) -> str:
         if self.stopped:
@@ -196,10 +74,6 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
         self.needs_start = ""
         self.status.set(needs_start="")
         self.status.changed.set()
-
-    def repeat(self, period_s: float, callback: Callable[[], None]) -> None:
-        """Call `callback` once a period until cleanup."""
-        self.resources.callback(self.destroy_timer, self.create_timer(period_s, callback))
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Lifecycle callback."""
@@ -247,12 +121,7 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
         self._requests.announcements.feed(data)
 
     def server_silence_s(self) -> float:
-        """Time without a sign of life of the server; 0 for a module that was started without one.
-
-        A silence that has just ended is infinite until the executor has looked at it: when this
-        process itself was frozen, the thread that reads the signs of life may be the first to go
-        on.
-        """
+        """See `ModuleHost.server_silence_s`."""
         if self._silences != self._silences_seen:
             return math.inf
         beat_s = self._beat_s
@@ -338,12 +207,6 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
         self.status.tick_loop()
         self._check_stop()
         self._check_server()
-        self._open_ports()
-        for topic, publisher in self._outputs.items():
-            count = publisher.get_subscription_count()
-            if count != self._listeners.get(topic):
-                self._listeners[topic] = count
-                self.status.set_value(f"listeners.{topic}", count)
 
     def _check_server(self) -> None:
         """Nobody could have stopped the robot meanwhile: what was asked for before counts no
@@ -355,51 +218,32 @@ class ModuleNode(LifecycleNode):  # type: ignore[misc]
             self.require_start(SERVER_SILENT)
         self._is_server_silent, self._silences_seen = is_silent, silences
 
-    def _open_ports(self) -> None:
-        """In shadow, send something to all modules: the first message to a process opens a port,
-        which may take long.
-
-        Fast DDS checks that a port's listener lives and, when it was checked a moment ago, waits
-        for a third of `healthy_check_timeout_ms`, inside publish() and with the interpreter's lock
-        held.
-        """
-        now_s = time.monotonic()
-        if (
-            self._warm_up is None
-            or not self._warm_up.is_activated
-            or len(self._warm_ups_s) == _WARM_UPS
-        ):
-            return
-        if not self._warm_ups_s or now_s - self._warm_ups_s[-1] > _WARM_UP_PERIOD_S:
-            self._warm_ups_s.append(now_s)
-            self._warm_up.publish(Empty())
-
     def _on_emergency_stop(self, message: Bool) -> None:
         """Any node may stop; only the latch's own reset releases what it stopped."""
         if message.data:
-            self.press_stop(f"a node on the topic {EMERGENCY_STOP_TOPIC}")
+            self.trigger_stop(f"a node on the topic {EMERGENCY_STOP_TOPIC}")
         else:
-            self._told_to_stop = False
+            self._stop_requested = False
             self._check_stop()
 
-    def press_stop(self, who: str) -> None:
+    def trigger_stop(self, who: str) -> None:
         """Stop this module at once, then latch it for every process and restart: from then on the
         latch file counts.
         """
-        self._told_to_stop = True
+        self._stop_requested = True
         self._check_stop()
         try:
             self._latch.press(who=who, reason=f"received by the module {self.settings.kind}")
         except UnsafeError as error:
             log.error("%s", error)
         else:
-            self._told_to_stop = False
+            self._stop_requested = False
 
     def _check_stop(self) -> None:
         """Two independent ways lead here: the topic, and the latch file, which needs no other
         process to be alive.
         """
-        stopped = self._told_to_stop or self._latch.is_latched()
+        stopped = self._stop_requested or self._latch.is_latched()
         if stopped == self.stopped:
             return
         self.stopped = stopped

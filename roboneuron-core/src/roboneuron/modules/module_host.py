@@ -5,25 +5,29 @@ place.
 from __future__ import annotations
 
 import logging
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from contextlib import ExitStack
-from typing import TYPE_CHECKING, Any, Protocol, cast
+from typing import Any, TypeVar, cast
 
 from rcl_interfaces.msg import SetParametersResult
-from rclpy.node import Node
+from rclpy.clock import Clock, ClockType
+from rclpy.lifecycle import LifecycleNode, LifecyclePublisher
 from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile
 
-from roboneuron.contract import ActionChunk, Hold, JointCommand, Pose
-from roboneuron.modules.execution import Bounds, ChunkExecutor
+from roboneuron.contract import Hold, JointCommand, Pose
+from roboneuron.modules.execution import Bounds, ChunkExecutor, make_sequential
 from roboneuron.modules.settings import ModuleSettings
 from roboneuron.modules.status import StatusWriter
+from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.loading import load_attribute
 from roboneuron.plugins.specs import BackendSpec
-
-if TYPE_CHECKING:
-    from roboneuron.modules.module import Module
+from roboneuron.ros.qos import NEWEST
 
 log = logging.getLogger(__name__)
+Value = TypeVar("Value", str, int)
+"""Of a ROS parameter."""
 
 
 class Handover:
@@ -33,12 +37,7 @@ class Handover:
     A feature puts its own into the module's process (`ModuleHost.handover`). Inputs are told apart
     by their time stamps [ROS time, ns]: capture times of images, times at which actions were sent
     and joints measured. Methods are called from any of the module's threads.
-
-    Attributes:
-        not_before_ns: images captured before it are not predicted on, not even in shadow.
     """
-
-    not_before_ns = 0
 
     def __init__(self, status: StatusWriter) -> None:
         """Args:
@@ -66,21 +65,30 @@ class Handover:
         """Whether the successor replaces what is left of a chunk."""
         return False
 
-    def withhold(self, output: ActionChunk | JointCommand | Hold | Pose) -> None:
+    def withhold(self, output: JointCommand | Hold | Pose) -> None:
         """What the module would have sent for an input of the predecessor."""
 
     def note_sent(self, what: str) -> None:
         """An output of that name has gone out."""
 
 
-class ModuleHost(Protocol):
-    """What a module process lends to features (`FeatureSpec.on_join`): the part of ModuleNode that
-    publishes nothing.
+class ModuleHost(LifecycleNode):  # type: ignore[misc]
+    """The node of a module process, as far as its module and features use it.
+
+    Features (`FeatureSpec.on_join`) use the settings, the status, what a module asks on its way,
+    parameters and stops; modules also publish and subscribe. Attributes are set by the function of
+    a feature, before the module is made, on the executor's thread.
 
     Attributes:
-        settings: what the process was told.
+        settings: of the process.
         status: where to report.
+        module: from `configure` to cleanup, else None.
         resources: what is released at cleanup, from `configure` on.
+        outputs: what `advertise` has made, by topic.
+        stopped: whether the emergency stop is latched.
+        stops: stops seen so far.
+        needs_start: which of them forbids motion until somebody asks for it anew; empty when none
+            does.
         handover: which inputs are this module's; a feature that replaces modules puts its own
             object here.
         make_executor: how an inference module gets what executes its chunks; see `make_sequential`.
@@ -88,19 +96,84 @@ class ModuleHost(Protocol):
             raises.
     """
 
-    settings: ModuleSettings
-    status: StatusWriter
-    resources: ExitStack
-    handover: Handover
-    make_executor: Callable[[BackendSpec, str, Bounds], ChunkExecutor]
-    on_configured: list[Callable[[Module], None]]
+    def __init__(self, settings: ModuleSettings) -> None:
+        super().__init__(settings.node_name, namespace=settings.config.namespace)
+        self.settings = settings
+        self.status = StatusWriter(settings.status_name)
+        self.module: Module | None = None
+        self.resources = ExitStack()
+        self.outputs: dict[str, LifecyclePublisher] = {}
+        self.stopped = False
+        self.stops, self.needs_start = 0, ""
+        self.handover = Handover(self.status)
+        self.make_executor: Callable[[BackendSpec, str, Bounds], ChunkExecutor] = make_sequential
+        self.on_configured: list[Callable[[Module], None]] = []
+
+    @abstractmethod
+    def server_silence_s(self) -> float:
+        """Time without a sign of life of the server; 0 for a module that was started without one.
+
+        A silence that has just ended is infinite until the executor has looked at it: when this
+        process itself was frozen, the thread that reads the signs of life may be the first to go
+        on.
+        """
+
+    def create_timer(self, period_s: float, callback: Callable[[], None], **options: Any) -> Any:
+        """As of Node, by the steady clock: a timer by ROS time stands still for an hour when the
+        clock is set back.
+        """
+        return super().create_timer(
+            period_s, callback, **{"clock": Clock(clock_type=ClockType.STEADY_TIME)} | options
+        )
+
+    def now_ns(self) -> int:
+        """ROS time [ns]."""
+        return int(self.get_clock().now().nanoseconds)
+
+    def advertise(self, message_type: type, topic: str) -> LifecyclePublisher:
+        """A publisher until cleanup, one of `outputs`."""
+        publisher = self.outputs[topic] = self.create_lifecycle_publisher(
+            message_type, topic, NEWEST
+        )
+        self.resources.callback(self.destroy_lifecycle_publisher, publisher)
+        self.resources.callback(self.outputs.pop, topic)
+        return publisher
+
+    def subscribe(
+        self,
+        message_type: type,
+        topic: str,
+        callback: Callable[..., None],
+        qos: QoSProfile = NEWEST,
+    ) -> None:
+        """Call `callback` with each message until cleanup."""
+        self.resources.callback(
+            self.destroy_subscription, self.create_subscription(message_type, topic, callback, qos)
+        )
+
+    def repeat(self, period_s: float, callback: Callable[[], None]) -> None:
+        """Call `callback` once a period until cleanup."""
+        self.resources.callback(self.destroy_timer, self.create_timer(period_s, callback))
+
+    def require_start(self, reason: str) -> None:
+        """A stop has come, such as a recovery: nothing moves before somebody asks for it anew,
+        whatever ends the stop; from any thread.
+        """
+        if self.settings.kind == "perception":
+            return
+        self.needs_start = reason
+        self.stops += 1
+        self.status.set(needs_start=reason, stops=self.stops)
+        self.status.changed.set()
+        if self.module is not None:
+            self.module.forget()
 
     def add_parameter(
         self,
         name: str,
-        value: str | int,
-        take: Callable[[Any], None],
-        refuse: Callable[[Any], str] = lambda _: "",
+        value: Value,
+        take: Callable[[Value], None],
+        refuse: Callable[[Value], str] = lambda _: "",
     ) -> Callable[[], None]:
         """Declare a ROS parameter, which only the server of this module can set; call what is
         returned to remove it.
@@ -111,13 +184,58 @@ class ModuleHost(Protocol):
             take: called with each later value, on the executor's thread.
             refuse: says what is wrong with a value; empty for nothing.
         """
-        ...
 
-    def require_start(self, reason: str) -> None:
-        """A stop has come, such as a recovery: nothing moves before somebody asks for it anew. From
-        any thread.
-        """
-        ...
+        def check(parameters: list[Parameter]) -> SetParametersResult:
+            reason = next((r for p in parameters if p.name == name and (r := refuse(p.value))), "")
+            return SetParametersResult(successful=not reason, reason=reason)
+
+        def take_all(parameters: list[Parameter]) -> None:
+            for parameter in parameters:
+                if parameter.name == name:
+                    take(parameter.value)
+
+        def remove() -> None:
+            self.remove_on_set_parameters_callback(check)
+            self.remove_post_set_parameters_callback(take_all)
+            self.undeclare_parameter(name)
+
+        self.declare_parameter(name, value)
+        self.add_on_set_parameters_callback(check)
+        self.add_post_set_parameters_callback(take_all)
+        return remove
+
+
+class Module(ABC):
+    """Behaviour of one kind of module, from `configure` to cleanup. Methods are called on the
+    executor's thread.
+
+    The constructor acquires: it loads weights, opens the device, creates publishers and
+    subscriptions. What it acquires it gives to `node.resources`, which releases it, the newest
+    first, also when the constructor fails.
+
+    Any method may raise RoboNeuronError: the transition fails, the reason goes to /diagnostics.
+    """
+
+    def __init__(self, node: ModuleHost) -> None:
+        self.node = node
+        self.config = node.settings.config
+        self.status = node.status
+        self.handover = node.handover
+        self.registry = discover(self.config.disabled_plugins)
+
+    @abstractmethod
+    def activate(self) -> None:
+        """Let data out."""
+
+    @abstractmethod
+    def deactivate(self) -> None:
+        """Silence; also called before `activate`."""
+
+    def emergency_stop(self, latched: bool) -> None:  # noqa: B027
+        """The latch changed; modules that move the robot override this."""
+
+    def forget(self) -> None:  # noqa: B027
+        """A stop has come: what was asked for before it is not carried out any more."""
 
 
 def join(host: ModuleHost, reference: str) -> None:
@@ -125,39 +243,7 @@ def join(host: ModuleHost, reference: str) -> None:
     logged.
     """
     try:
-        cast("Callable[[ModuleHost], None]", load_attribute(reference, "`on_join` of a feature"))(
-            host
-        )
-    except (
-        Exception
-    ):  # the border to a feature's own code; under another interpreter it may not be installed
+        function = load_attribute(reference, "`on_join` of a feature")
+        cast("Callable[[ModuleHost], None]", function)(host)
+    except Exception:  # a feature's own code; under another interpreter it may not be installed
         log.exception("%s cannot be used in this module.", reference)
-
-
-def add_parameter(
-    node: Node,
-    name: str,
-    value: str | int,
-    take: Callable[[Any], None],
-    refuse: Callable[[Any], str] = lambda _: "",
-) -> Callable[[], None]:
-    """See `ModuleHost.add_parameter`; a method of ModuleNode."""
-
-    def check(parameters: list[Parameter]) -> SetParametersResult:
-        reason = next((r for p in parameters if p.name == name and (r := refuse(p.value))), "")
-        return SetParametersResult(successful=not reason, reason=reason)
-
-    def take_all(parameters: list[Parameter]) -> None:
-        for parameter in parameters:
-            if parameter.name == name:
-                take(parameter.value)
-
-    def remove() -> None:
-        node.remove_on_set_parameters_callback(check)
-        node.remove_post_set_parameters_callback(take_all)
-        node.undeclare_parameter(name)
-
-    node.declare_parameter(name, value)
-    node.add_on_set_parameters_callback(check)
-    node.add_post_set_parameters_callback(take_all)
-    return remove

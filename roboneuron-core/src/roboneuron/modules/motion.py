@@ -105,19 +105,18 @@ class JointWatch:
                 raise InvalidInputError("A joint state is older than the one before.")
             if joints.stamp_ns == self.joints.stamp_ns:
                 return False
-            self._check_way(position, now_s)
+            self._check_displacement(position, now_s)
         self.joints, self._position, self._at_s = joints, position, now_s
         return True
 
-    def _check_way(self, position: F64, now_s: float) -> None:
+    def _check_displacement(self, position: F64, now_s: float) -> None:
         if self._velocity is None:
             return
         before = self._position
-        way = (
-            np.abs(position - before) - _HASTE * self._velocity * (now_s - self._at_s) - self._slack
-        )
-        if way.max() > 0.0:
-            i = int(way.argmax())
+        farthest = _HASTE * self._velocity * (now_s - self._at_s) + self._slack
+        excess = np.abs(position - before) - farthest
+        if excess.max() > 0.0:
+            i = int(excess.argmax())
             raise UnsafeError(
                 f"{self._names[i]} is measured at {position[i]:.4f}, "
                 f"{abs(position[i] - before[i]):.4f} from where it "

@@ -30,7 +30,7 @@ _MOST_IN_A_PIPE = 2**20
 
 
 class Signals:
-    """What the process was told by signals, without a lock anywhere; main thread only, except
+    """What signals have asked of the process, without a lock anywhere; main thread only, except
     `leave`.
 
     A handler runs in the middle of whatever the main thread does, another handler included: when a
@@ -39,34 +39,34 @@ class Signals:
     thread would wait for itself, for ever. Assigning an attribute cannot wait.
 
     Attributes:
-        is_leaving: the module was told to end.
+        is_leaving: the module is to end.
     """
 
     def __init__(self) -> None:
         self.is_leaving = False
-        self._pressed = False
+        self._stop_requested = False
 
     def listen(self) -> None:
-        """From now on SIGTERM, SIGINT and SIGHUP end the module, and SIGUSR1 presses the emergency
+        """From now on SIGTERM, SIGINT and SIGHUP end the module, and SIGUSR1 triggers the emergency
         stop.
         """
         for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
             signal.signal(number, lambda *_: self.leave())
-        signal.signal(signal.SIGUSR1, lambda *_: self._press())
+        signal.signal(signal.SIGUSR1, lambda *_: self._request_stop())
 
     def leave(self) -> None:
         """As if SIGTERM had come; from any thread."""
         self.is_leaving = True
 
-    def take_press(self) -> bool:
-        """Whether the emergency stop was pressed since the last call."""
-        pressed = self._pressed
-        if pressed:
-            self._pressed = False
-        return pressed
+    def take_stop(self) -> bool:
+        """Whether the emergency stop was triggered since the last call."""
+        requested = self._stop_requested
+        if requested:
+            self._stop_requested = False
+        return requested
 
-    def _press(self) -> None:
-        self._pressed = True
+    def _request_stop(self) -> None:
+        self._stop_requested = True
 
 
 class ParentPipe:

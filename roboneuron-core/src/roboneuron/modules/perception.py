@@ -12,7 +12,7 @@ from sensor_msgs.msg import CameraInfo, Image
 
 from roboneuron.contract import CameraProfile, PerceptionSource
 from roboneuron.errors import ConfigurationError, NotReadyError, PluginError
-from roboneuron.modules.module import Module, ModuleNode
+from roboneuron.modules.module_host import Module, ModuleHost
 from roboneuron.modules.plugin import build, load_profile
 from roboneuron.modules.worker import Worker
 from roboneuron.ros.host import NodeTopics
@@ -27,7 +27,7 @@ SILENCE_S = 3.0
 class PerceptionModule(Module):
     """Publishes what one source delivers, for as many cameras as it serves."""
 
-    def __init__(self, node: ModuleNode) -> None:
+    def __init__(self, node: ModuleHost) -> None:
         """Open the source for the configured cameras."""
         super().__init__(node)
         config = self.config.perception

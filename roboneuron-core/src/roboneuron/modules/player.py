@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 from roboneuron.errors import NotReadyError
 from roboneuron.modules.execution import ChunkExecutor, Row
-from roboneuron.modules.module import ModuleNode
+from roboneuron.modules.module_host import ModuleHost
 from roboneuron.modules.worker import Worker
 
 _WAIT_S = 0.1
@@ -20,7 +20,7 @@ class RowPlayer:
     """Plays what an executor holds between `start` and `stop`."""
 
     def __init__(
-        self, node: ModuleNode, executor: ChunkExecutor, send: Callable[[Row], None]
+        self, node: ModuleHost, executor: ChunkExecutor, send: Callable[[Row], None]
     ) -> None:
         """Args:
         node: of the inference module.

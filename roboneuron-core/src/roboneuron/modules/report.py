@@ -4,101 +4,125 @@ same class.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
-from typing import Any, Self
+from typing import Self
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, field_validator
+from pydantic import ValidatorFunctionWrapHandler as Parse
 
 from roboneuron.errors import InternalError, RoboNeuronError
 
-_DETAIL, _DROPPED = "detail.", "dropped."
+_TABLES = {"dropped": "dropped_by", "detail": "detail"}
+"""Fields of several pairs, by what stands before the dot in their names."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class StatusReport:
-    """One report. On the wire each field is a pair of its own name; numbers are None when the
-    module does not say them.
+class ModuleFacts(BaseModel):
+    """What is known of a module from its newest report; None or empty when it was not reported.
 
     Attributes:
-        state: label of the lifecycle state.
         ready: the module has proved that it works: robot and perception have published a first
             state or image, control has received a first joint state and published `ee_pose`,
             inference has received every input it needs and, when it has an instruction, published a
             first action.
-        waiting_for: what is missing until then.
-        error_code, error, error_hint: the newest failure; empty again once the module works.
         error_count: never goes down.
-        loop_age_s: time since the executor last turned.
-        work_age_s, work_limit_s: time since the slowest of the module's threads last got on, and
-            what it may be.
-        rate_hz, latency_ms, latency_p99_ms, age_ms: of the module's output.
-        dropped, dropped_by: inputs not acted on, and their number by reason.
-        emergency_stop: whether the module itself is latched.
-        stops: stops that this process has seen: emergency stops, faults of the robot, a silent
-            server.
-        needs_start: which of them keeps the module still until somebody asks for motion; empty
-            otherwise.
-        detail: facts of the robot or simulator.
-        metrics: whatever else the module reports.
+        work_age_s, work_limit_s: of the slowest of the module's threads.
     """
 
-    state: str = "unknown"
-    ready: bool = False
-    waiting_for: str = ""
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    ready: bool = Field(default=False, description="has proved that it works, and still reports")
+    state: str = Field(
+        default="", description="lifecycle state: unconfigured, configuring, inactive, active"
+    )
+    uptime_s: float | None = None
+    rate_hz: float | None = Field(default=None, description="rate of its output")
+    latency_ms: float | None = Field(
+        default=None, description="median from its input's stamp to its output"
+    )
+    latency_p99_ms: float | None = None
+    age_ms: float | None = Field(default=None, description="age of its newest input or output")
+    loop_age_s: float | None = Field(
+        default=None, description="time since its executor last ran; grows when it hangs"
+    )
+    work_age_s: float | None = Field(
+        default=None, description="time since its work last made progress"
+    )
+    work_limit_s: float | None = Field(
+        default=None, description="from this age on it counts as stalled"
+    )
+    published: int = 0
+    dropped: int = Field(default=0, description="inputs not acted on, see `dropped_by`")
+    dropped_by: dict[str, int] = Field(default_factory=dict)
+    waiting_for: str = Field(default="", description="what is missing until it is ready")
+    instruction: str = ""
+    actions_for_instruction: int = Field(
+        default=0, description="actions published for the present instruction"
+    )
+    note: str = Field(default="", description="what it is doing, as text")
+    error_count: int = 0
+    emergency_stop: bool | None = Field(
+        default=None, description="whether the module itself is latched"
+    )
+    needs_start: str = Field(
+        default="", description="the stop after which it waits to be asked for motion again"
+    )
+    metrics: dict[str, str] = Field(default_factory=dict, description="whatever else it reports")
+    detail: dict[str, str] = Field(
+        default_factory=dict, description="facts of the robot or simulator"
+    )
+
+
+class Report(ModuleFacts):
+    """One report. On the wire each field is a pair of its own name.
+
+    Attributes:
+        error_code, error, error_hint: the newest failure; empty again once the module works.
+        instruction_count: changes of the instruction since the start.
+        stops: stops that this process has seen: emergency stops, faults of the robot, a silent
+            server.
+        received_s: monotonic time of its arrival [s]; not on the wire.
+    """
+
+    model_config = ConfigDict(allow_inf_nan=False)
+
     error_code: str = ""
     error: str = ""
     error_hint: str = ""
-    error_count: int = 0
-    uptime_s: float | None = None
-    loop_age_s: float | None = None
-    work_age_s: float | None = None
-    work_limit_s: float | None = None
-    rate_hz: float | None = None
-    latency_ms: float | None = None
-    latency_p99_ms: float | None = None
-    age_ms: float | None = None
-    dropped: int = 0
-    published: int = 0
-    instruction: str = ""
     instruction_count: int = 0
-    actions_for_instruction: int = 0
-    note: str = ""
-    emergency_stop: bool | None = None
     stops: int = 0
-    needs_start: str = ""
-    dropped_by: Mapping[str, int] = field(default_factory=dict)
-    detail: Mapping[str, str] = field(default_factory=dict)
-    metrics: Mapping[str, str] = field(default_factory=dict)
+    received_s: float = 0.0
 
     def to_values(self) -> dict[str, str]:
         """The pairs of a DiagnosticStatus; what is None is left out."""
-        values = {
-            name: to_text(value) for name in _PLAIN if (value := getattr(self, name)) is not None
-        }
-        values |= {f"{_DROPPED}{reason}": str(count) for reason, count in self.dropped_by.items()}
-        values |= {f"{_DETAIL}{key}": text for key, text in self.detail.items()}
-        return values | dict(self.metrics)
+        plain = self.model_dump(include=set(_PLAIN), exclude_none=True)
+        values = {name: to_text(value) for name, value in plain.items()}
+        for prefix, table in _TABLES.items():
+            values |= {f"{prefix}.{key}": str(told) for key, told in getattr(self, table).items()}
+        return values | self.metrics
 
     @classmethod
-    def from_values(cls, values: Mapping[str, str], **more: Any) -> Self:
-        """Read the pairs; what is malformed counts as not said. `more` are fields that are not on
-        the wire.
-        """
-        return cls(
-            **{name: parse(values[name]) for name, parse in _PLAIN.items() if name in values},
-            dropped_by={
-                k.removeprefix(_DROPPED): _count(v)
-                for k, v in values.items()
-                if k.startswith(_DROPPED)
-            },
-            detail={k.removeprefix(_DETAIL): v for k, v in values.items() if k.startswith(_DETAIL)},
-            metrics={
-                k: v
-                for k, v in values.items()
-                if k not in _PLAIN and not k.startswith((_DETAIL, _DROPPED))
-            },
-            **more,
-        )
+    def from_values(cls, values: Mapping[str, str], received_s: float = 0.0) -> Self:
+        """Read the pairs; what is malformed counts as not said."""
+        plain: dict[str, str] = {}
+        tables: dict[str, dict[str, str]] = {"dropped_by": {}, "detail": {}, "metrics": {}}
+        for key, text in values.items():
+            prefix, dot, name = key.partition(".")
+            if key in _PLAIN:
+                plain[key] = text
+            elif dot and prefix in _TABLES:
+                tables[_TABLES[prefix]][name] = text
+            else:
+                tables["metrics"][key] = text
+        return cls.model_validate({**plain, **tables, "received_s": received_s})
+
+    @field_validator("*", mode="wrap")
+    @classmethod
+    def _or_not_said(cls, value: object, parse: Parse, info: ValidationInfo) -> object:
+        try:
+            return parse(value)
+        except ValidationError:
+            field = cls.model_fields[info.field_name or ""]
+            return field.get_default(call_default_factory=True)
 
     def failure(self) -> RoboNeuronError | None:
         """The module's newest error as an exception of its own class, InternalError for a code that
@@ -113,6 +137,10 @@ class StatusReport:
         )
 
 
+_PLAIN = frozenset(Report.model_fields) - {*_TABLES.values(), "metrics", "received_s"}
+"""Fields that are one pair each."""
+
+
 def to_text(value: str | float | int | bool) -> str:
     """A value as it is written; floats with six significant digits."""
     if isinstance(value, bool):
@@ -125,26 +153,3 @@ def _subclasses(base: type[RoboNeuronError]) -> dict[str, type[RoboNeuronError]]
     for child in base.__subclasses__():
         found.update(_subclasses(child))
     return found
-
-
-def _number(text: str) -> float | None:
-    try:
-        value = float(text)
-    except ValueError:
-        return None
-    return value if math.isfinite(value) else None
-
-
-def _count(text: str) -> int:
-    return int(_number(text) or 0)
-
-
-_PARSERS: dict[str, Any] = {
-    "str": str,
-    "int": _count,
-    "bool": lambda text: text == "true",
-    "float | None": _number,
-    "bool | None": lambda text: text == "true",
-}
-_PLAIN = {f.name: _PARSERS[str(f.type)] for f in fields(StatusReport) if f.type in _PARSERS}
-"""How each field that is one pair is read, by its annotation."""

@@ -20,11 +20,10 @@ import os
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from lifecycle_msgs.srv import ChangeState
-from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import SetParametersResult
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.node import Node
@@ -39,39 +38,25 @@ _MOST = 256
 _REASON = "only the server of this module may do that; use its tools"
 
 
-def digest_of_transition(number: int, label: str) -> bytes:
-    """Of the request for the transition with that number and label; the node goes by the label if
-    there is one.
+def digest_of(request: object) -> bytes:
+    """Of a request with all that it asks for, the same in the server and in the module."""
+    text = json.dumps(request, default=_contents, sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest().encode()
+
+
+def _contents(value: Any) -> object:
+    """Fields of a message, or elements of an array: not its `repr`, which differs between
+    distributions of ROS.
     """
-    return _digest(["change_state", number, label])
-
-
-def digest_of_parameters(values: Mapping[str, object]) -> bytes:
-    """Of the request to set these parameters."""
-    return _digest(["set_parameters", dict(values)])
-
-
-def _digest_of_messages(parameters: Sequence[ParameterMessage]) -> bytes:
-    """Empty when a type is none of ParameterType's: rclpy raises there, and the executor would end
-    with it.
-    """
-    try:
-        return digest_of_parameters(
-            {p.name: Parameter.from_parameter_msg(p).value for p in parameters}
-        )
-    except ValueError:
-        return b""
+    if hasattr(value, "get_fields_and_field_types"):
+        return {name: getattr(value, name) for name in value.get_fields_and_field_types()}
+    return [str(element) for element in value]
 
 
 def parameters_request(values: Mapping[str, str | int]) -> SetParameters.Request:
-    """The request itself."""
+    """The request to set these parameters."""
     parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
     return SetParameters.Request(parameters=parameters)
-
-
-def _digest(content: object) -> bytes:
-    text = json.dumps(content, sort_keys=True, default=repr)
-    return hashlib.sha256(text.encode()).hexdigest().encode()
 
 
 class Announcements:
@@ -127,18 +112,9 @@ class RequestGuard:
         answer = service.callback
 
         def guarded(request: Any, response: Any) -> Any:
-            if isinstance(request, ChangeState.Request):
-                asked = request.transition
-                what, digest = (
-                    f"transition {asked.label or asked.id}",
-                    digest_of_transition(asked.id, asked.label),
-                )
-            else:
-                what = f"set {', '.join(p.name for p in request.parameters)}"
-                digest = _digest_of_messages(request.parameters)
-            if digest and self.announcements.take(digest):
+            if self.announcements.take(digest_of(request)):
                 return answer(request, response)
-            self._report(what, service.srv_name)
+            self._report(request, service.srv_name)
             refused = SetParametersResult(successful=False, reason=_REASON)
             if isinstance(response, SetParameters.Response):
                 response.results = [refused for _ in request.parameters]
@@ -148,12 +124,16 @@ class RequestGuard:
 
         service.callback = guarded
 
-    def _report(self, what: str, service: str) -> None:
+    def _report(self, request: Any, service: str) -> None:
         self._status.dropped.add(FOREIGN_REQUEST)
         now_s = time.monotonic()
         if now_s - self._logged_s < _LOG_PERIOD_S:
             return
         self._logged_s = now_s
+        if isinstance(request, ChangeState.Request):
+            what = f"transition {request.transition.label or request.transition.id}"
+        else:
+            what = f"set {', '.join(p.name for p in request.parameters)}"
         text = f"{what[:200]!r} was refused; it came from {self._senders(service)}"
         log.warning("A request that is not the server's: %s.", text)
         self._status.set_value(FOREIGN_REQUEST, text)

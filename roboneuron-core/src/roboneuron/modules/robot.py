@@ -14,7 +14,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from roboneuron.contract import JointCommand, RobotDriver
 from roboneuron.errors import ConfigurationError, InvalidInputError, NotReadyError, RoboNeuronError
-from roboneuron.modules.module import Module, ModuleNode
+from roboneuron.modules.module_host import Module, ModuleHost
 from roboneuron.modules.plugin import build, load_profile
 from roboneuron.modules.settings import FAULT_DETAIL, FUTURE_S, GRIPPER_COMMANDED, NEEDS_NEW_START
 from roboneuron.modules.worker import LIMIT_S, Worker
@@ -25,7 +25,7 @@ from roboneuron.ros.topics import JOINT_COMMAND, JOINT_STATES, JOINT_TRAJECTORY
 
 _DETAIL_PERIOD_S = 0.1
 _WATCH_S = 0.1
-_GRIPPER_TOLD = 0.02
+_GRIPPER_CHANGE = 0.02
 """A change of the commanded opening that is reported at once."""
 
 
@@ -37,7 +37,7 @@ class RobotModule(Module):
         driver: what moves the robot; open.
     """
 
-    def __init__(self, node: ModuleNode) -> None:
+    def __init__(self, node: ModuleHost) -> None:
         """Connect to the robot or start the simulation; it holds where it is."""
         super().__init__(node)
         self._active = False
@@ -221,7 +221,7 @@ class RobotModule(Module):
             return
         opening = gripper.to_opening(float(sent.position[sent.names.index(gripper.joint)]))
         self.status.set_value(GRIPPER_COMMANDED, opening)
-        if abs(opening - self._opening) > _GRIPPER_TOLD:
+        if abs(opening - self._opening) > _GRIPPER_CHANGE:
             self._opening = opening
             self.status.changed.set()
 

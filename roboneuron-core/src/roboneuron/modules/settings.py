@@ -1,4 +1,4 @@
-"""What a module process is told at its start, and the names under which it reports."""
+"""Settings of a module process, and the names under which it reports."""
 
 from __future__ import annotations
 

@@ -12,14 +12,13 @@ import threading
 import time
 from collections import Counter, deque
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
 from roboneuron.errors import InternalError, RoboNeuronError
-from roboneuron.modules.report import StatusReport, to_text
+from roboneuron.modules.report import Report, to_text
 from roboneuron.modules.settings import STATUS_PERIOD_S
 from roboneuron.ros.qos import STATUS
 from roboneuron.ros.topics import DIAGNOSTICS
@@ -30,54 +29,41 @@ _SAMPLES = 256
 
 class RateMeter:
     """Events per second over the last three seconds of monotonic time; `total` counts those since
-    the start.
+    the start. One thread at a time counts.
     """
 
     def __init__(self) -> None:
         self._times: deque[float] = deque(maxlen=4096)
-        self._lock = threading.Lock()
         self.total = 0
 
     def tick(self) -> None:
         """Count one event now."""
-        with self._lock:
-            self._times.append(time.monotonic())
-            self.total += 1
+        self._times.append(time.monotonic())
+        self.total += 1
 
-    def rate_hz(self) -> float:
-        """Mean rate over the window; 0 when fewer than two events fell into it."""
-        with self._lock:
-            now = time.monotonic()
-            while self._times and now - self._times[0] > _WINDOW_S:
-                self._times.popleft()
-            if len(self._times) < 2:
-                return 0.0
-            return (len(self._times) - 1) / max(1e-9, self._times[-1] - self._times[0])
-
-    def age_s(self) -> float | None:
-        """Seconds since the newest event, or None when there was none in the window's memory."""
-        with self._lock:
-            return time.monotonic() - self._times[-1] if self._times else None
+    def rate_and_age(self) -> tuple[float, float | None]:
+        """Mean rate over the window [Hz], 0 when fewer than two events fell into it; and the time
+        since the newest of these [s].
+        """
+        now_s = time.monotonic()
+        times = [at_s for at_s in self._times.copy() if now_s - at_s <= _WINDOW_S]
+        if not times:
+            return 0.0, None
+        return (len(times) - 1) / max(1e-9, times[-1] - times[0]), now_s - times[-1]
 
 
 class Samples:
-    """The last 256 values of something measured in milliseconds."""
+    """The last 256 values of something measured in milliseconds; any thread adds one."""
 
     def __init__(self) -> None:
         self._values: deque[float] = deque(maxlen=_SAMPLES)
-        self._lock = threading.Lock()
+        self.add = self._values.append
 
-    def add(self, value_ms: float) -> None:
-        """Keep one value [ms]."""
-        with self._lock:
-            self._values.append(value_ms)
-
-    def median_and_p99(self) -> tuple[float, float] | None:
-        """Median and 99th percentile [ms], or None without values."""
-        with self._lock:
-            values = np.array(self._values)
-        if values.size == 0:
-            return None
+    def median_and_p99(self) -> tuple[float | None, float | None]:
+        """Median and 99th percentile [ms], None without values."""
+        values = self._values.copy()
+        if not values:
+            return None, None
         median, p99 = np.percentile(values, [50, 99])
         return float(median), float(p99)
 
@@ -111,18 +97,22 @@ class StatusWriter:
         self.changed = threading.Event()
         self._started_s = self._loop_s = time.monotonic()
         self._lock = threading.Lock()
-        self._fields: dict[str, Any] = {"state": "unconfigured", "error_count": 0}
+        self._fields: dict[str, str | float | bool] = {
+            "state": "unconfigured",
+            "error_code": "",
+            "error": "",
+            "error_hint": "",
+        }
+        self._errors = 0
         self._detail: dict[str, str] = {}
         self._metrics: dict[str, str] = {}
         self._work: dict[str, tuple[float, float]] = {}
 
     def set_state(self, state: str) -> None:
         """Lifecycle state's label; leaving "active" ends readiness."""
-        if state == "active":
-            self.set(state=state)
-        else:
-            self.set(state=state, ready=False)
-        self.changed.set()
+        if state != "active":
+            self.set(ready=False)
+        self._announce(state=state)
 
     def set_waiting(self, what: str) -> None:
         """Not ready: `what` is missing."""
@@ -130,25 +120,13 @@ class StatusWriter:
 
     def set_ready(self) -> None:
         """The module has proved that it works."""
-        with self._lock:
-            if self._fields.get("ready"):
-                return
-            self._fields |= {"ready": True, "waiting_for": ""}
-        self.changed.set()
+        self._announce(ready=True, waiting_for="")
 
     def set_error(self, error: RoboNeuronError) -> None:
         """Remember the newest failure; the same failure again is counted, not announced."""
         with self._lock:
-            before = self._fields.copy()
-            self._fields |= {
-                "error_code": error.code,
-                "error": error.message,
-                "error_hint": error.hint,
-            }
-            same = before == self._fields
-            self._fields["error_count"] += 1
-        if not same:
-            self.changed.set()
+            self._errors += 1
+        self._announce(error_code=error.code, error=error.message, error_hint=error.hint)
 
     def set_unexpected(self, error: Exception) -> None:
         """Remember what a plugin raised against its contract."""
@@ -158,18 +136,22 @@ class StatusWriter:
 
     def clear_error(self) -> None:
         """The module works again."""
-        with self._lock:
-            if not self._fields.get("error_code"):
-                return
-            self._fields |= {"error_code": "", "error": "", "error_hint": ""}
-        self.changed.set()
+        self._announce(error_code="", error="", error_hint="")
 
-    def set(self, **fields: str | float | int | bool) -> None:
-        """Report fields of `StatusReport` by their names."""
+    def set(self, **fields: str | float | bool) -> None:
+        """Report fields of `Report` by their names."""
         with self._lock:
             self._fields.update(fields)
 
-    def set_value(self, key: str, value: str | float | int | bool) -> None:
+    def _announce(self, **fields: str | bool) -> None:
+        """Report these fields, at once when they are new."""
+        with self._lock:
+            is_new = not fields.items() <= self._fields.items()
+            self._fields.update(fields)
+        if is_new:
+            self.changed.set()
+
+    def set_value(self, key: str, value: str | float | bool) -> None:
         """Report one more value among the metrics."""
         with self._lock:
             self._metrics[key] = to_text(value)
@@ -200,32 +182,31 @@ class StatusWriter:
         """The executor turned."""
         self._loop_s = time.monotonic()
 
-    def report(self) -> StatusReport:
+    def report(self) -> Report:
         """Everything, as it is now."""
         now_s = time.monotonic()
         dropped = self.dropped.items()
-        latency = self.latency.median_and_p99() or (None, None)
-        age_s = self.output.age_s()
+        latency_ms, latency_p99_ms = self.latency.median_and_p99()
+        rate_hz, age_s = self.output.rate_and_age()
+        measured: dict[str, object] = {
+            "error_count": self._errors,
+            "uptime_s": round(now_s - self._started_s, 1),
+            "loop_age_s": round(now_s - self._loop_s, 3),
+            "rate_hz": round(rate_hz, 2),
+            "latency_ms": latency_ms,
+            "latency_p99_ms": latency_p99_ms,
+            "age_ms": None if age_s is None else round(age_s * 1e3, 1),
+            "published": self.output.total,
+            "dropped": sum(dropped.values()),
+            "dropped_by": dropped,
+        }
         with self._lock:
-            slowest = max(
-                self._work.values(), key=lambda tick: (now_s - tick[0]) / tick[1], default=None
-            )
-            return StatusReport(
-                uptime_s=round(now_s - self._started_s, 1),
-                loop_age_s=round(now_s - self._loop_s, 3),
-                work_age_s=None if slowest is None else round(now_s - slowest[0], 3),
-                work_limit_s=None if slowest is None else slowest[1],
-                rate_hz=round(self.output.rate_hz(), 2),
-                latency_ms=latency[0],
-                latency_p99_ms=latency[1],
-                age_ms=None if age_s is None else round(age_s * 1e3, 1),
-                published=self.output.total,
-                dropped=sum(dropped.values()),
-                dropped_by=dropped,
-                detail=dict(self._detail),
-                metrics=dict(self._metrics),
-                **self._fields,
-            )
+            work = list(self._work.values())
+            told = {**self._fields, "detail": dict(self._detail), "metrics": dict(self._metrics)}
+        if work:
+            at_s, limit_s = max(work, key=lambda tick: (now_s - tick[0]) / tick[1])
+            measured |= {"work_age_s": round(now_s - at_s, 3), "work_limit_s": limit_s}
+        return Report.model_validate({**measured, **told})
 
     def to_message(self) -> DiagnosticStatus:
         """The report as a DiagnosticStatus."""
@@ -240,19 +221,17 @@ class StatusWriter:
         )
 
 
-class StatusReporter:
-    """Publishes a StatusWriter every STATUS_PERIOD_S, and at once after a change."""
+class StatusReporter(threading.Thread):
+    """Publishes a StatusWriter every STATUS_PERIOD_S, and at once after a change; from `start` to
+    `stop`.
+    """
 
     def __init__(self, node: Node, status: StatusWriter) -> None:
+        super().__init__(name="status", daemon=True)
         self._node = node
         self._status = status
         self._publisher = node.create_publisher(DiagnosticArray, DIAGNOSTICS, STATUS)
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="status", daemon=True)
-
-    def start(self) -> None:
-        """Start reporting."""
-        self._thread.start()
+        self._end = threading.Event()
 
     def publish(self) -> None:
         """Report now."""
@@ -263,14 +242,14 @@ class StatusReporter:
 
     def stop(self) -> None:
         """Stop reporting and wait for the thread."""
-        self._stop.set()
+        self._end.set()
         self._status.changed.set()
-        if self._thread.is_alive():
-            self._thread.join(timeout=1.0)
+        if self.is_alive():
+            self.join(timeout=1.0)
 
-    def _run(self) -> None:
-        while not self._stop.is_set():
+    def run(self) -> None:
+        """Report until `stop`."""
+        while not self._end.is_set():
             self._status.changed.wait(STATUS_PERIOD_S)
             self._status.changed.clear()
-            if self._node.context.ok():
-                self.publish()
+            self.publish()

@@ -8,8 +8,9 @@ import re
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import fields, is_dataclass
+from functools import cache
 from types import NoneType, UnionType
-from typing import Union, get_args, get_origin, get_type_hints
+from typing import Any, Union, get_args, get_origin, get_type_hints
 
 from roboneuron.errors import PluginError
 from roboneuron.plugins.specs import DriverSpec, FeatureSpec, RobotSpec, Spec
@@ -36,85 +37,82 @@ def check_spec(spec: object, expected: type[Spec]) -> Spec:
     if type(spec) is not expected:
         raise PluginError(f"The hook returned {_describe(spec)}, expected a {expected.__name__}.")
     assert isinstance(spec, Spec)
-    _check_fields(spec, f"{kind} {spec.name!r}")
-    _check_identity(spec, f"{kind} {spec.name!r}")
+    who = f"{kind} {spec.name!r}"
+    _check_fields(spec, who)
+    _check_names(spec, who)
+    is_line = bool(spec.summary.strip()) and "\n" not in spec.summary
+    _require(is_line, f"The summary of {who} is {spec.summary!r}, expected one line of text.")
+    for requirement in spec.requires:
+        _require(
+            requirement.module.isidentifier(),
+            f"{who} requires {requirement.module!r}, expected a top-level module name.",
+        )
     if isinstance(spec, RobotSpec):
-        _check_robot(spec)
+        _check_robot(spec, who)
     if isinstance(spec, FeatureSpec):
-        _check_feature(spec)
+        _check_feature(spec, who)
     return spec
 
 
-def _check_identity(spec: Spec, who: str) -> None:
-    check_name(spec.name, who)
-    if not spec.summary.strip() or "\n" in spec.summary:
-        raise PluginError(f"The summary of {who} is {spec.summary!r}, expected one line of text.")
-    _check_references(spec, who)
-    for requirement in spec.requires:
-        if not requirement.module.isidentifier():
-            raise PluginError(
-                f"{who} requires {requirement.module!r}, expected a top-level module name."
-            )
+def _require(is_right: bool, otherwise: str) -> None:
+    if not is_right:
+        raise PluginError(otherwise)
 
 
-def check_name(name: str, who: str) -> None:
-    """Raise PluginError unless `name` matches NAME_PATTERN."""
-    if not NAME_PATTERN.fullmatch(name):
-        raise PluginError(
-            f"The name of {who} is malformed, expected lower-case letters, digits and single "
-            "hyphens."
-        )
-
-
-def _check_references(spec: Spec | DriverSpec, who: str) -> None:
+def _check_names(spec: Spec | DriverSpec, who: str) -> None:
+    _require(
+        NAME_PATTERN.fullmatch(spec.name) is not None,
+        f"The name of {who} is malformed, expected lower-case letters, digits and single hyphens.",
+    )
     for name in REFERENCES:
         target = getattr(spec, name, None)
-        if target is not None and not TARGET_PATTERN.fullmatch(target):
-            raise PluginError(
-                f"The `{name}` of {who} is {target!r}, expected 'package.module:attribute'."
-            )
-
-
-def _check_robot(spec: RobotSpec) -> None:
-    who = f"robot {spec.name!r}"
-    if spec.robot_kind not in ROBOT_KINDS:
-        raise PluginError(
-            f"The robot_kind of {who} is {spec.robot_kind!r}, expected one of "
-            f"{', '.join(ROBOT_KINDS)}."
+        _require(
+            target is None or TARGET_PATTERN.fullmatch(target) is not None,
+            f"The `{name}` of {who} is {target!r}, expected 'package.module:attribute'.",
         )
-    if not spec.drivers:
-        raise PluginError(f"{who} has no drivers, expected at least one DriverSpec.")
+
+
+def _check_robot(spec: RobotSpec, who: str) -> None:
+    _require(
+        spec.robot_kind in ROBOT_KINDS,
+        f"The robot_kind of {who} is {spec.robot_kind!r}, expected one of "
+        f"{', '.join(ROBOT_KINDS)}.",
+    )
+    _require(bool(spec.drivers), f"{who} has no drivers, expected at least one DriverSpec.")
     for driver in spec.drivers:
-        check_name(driver.name, f"driver {driver.name!r} of {who}")
-        _check_references(driver, f"driver {driver.name!r} of {who}")
+        _check_names(driver, f"driver {driver.name!r} of {who}")
     _check_unique((d.name for d in spec.drivers), f"drivers of {who}")
     _check_unique((c.name for c in spec.cameras), f"cameras of {who}")
 
 
-def _check_feature(spec: FeatureSpec) -> None:
-    who = f"feature {spec.name!r}"
-    if spec.sections and spec.config is None:
-        raise PluginError(
-            f"{who} owns {', '.join(spec.sections)} of the configuration, but has no `config`."
-        )
+def _check_feature(spec: FeatureSpec, who: str) -> None:
+    _require(
+        not spec.sections or spec.config is not None,
+        f"{who} owns {', '.join(spec.sections)} of the configuration, but has no `config`.",
+    )
     for key in spec.keys:
-        if not KEY_PATTERN.fullmatch(key):
-            raise PluginError(
-                f"The section {key!r} of {who} is malformed, expected lower-case letters, digits "
-                "and _."
-            )
+        _require(
+            KEY_PATTERN.fullmatch(key) is not None,
+            f"The section {key!r} of {who} is malformed, expected lower-case letters, digits "
+            "and _.",
+        )
 
 
 def _check_unique(names: Iterable[str], who: str) -> None:
     for name, count in Counter(names).items():
-        if count > 1:
-            raise PluginError(f"The {who} hold the name {name!r} twice.")
+        _require(count == 1, f"The {who} hold the name {name!r} twice.")
 
 
 def _check_fields(value: object, who: str) -> None:
-    hints = get_type_hints(type(value))
+    kind: Any = type(value)
+    hints = _hints_of(kind)
     for field in fields(value):  # type: ignore[arg-type]
         _check_value(getattr(value, field.name), hints[field.name], f"`{field.name}` of {who}")
+
+
+@cache
+def _hints_of(kind: Any) -> dict[str, object]:
+    return get_type_hints(kind)
 
 
 def _check_value(value: object, hint: object, who: str) -> None:

@@ -76,7 +76,9 @@ def discover_from(points: Iterable[EntryPoint], disabled: Collection[str] = ()) 
             records.append(_failed(claim, error))
         else:
             waiting.append(claim)
-    records += [_examine(claim, hooks) for claim in waiting]
+    # one for all plugins: to make it takes longer than to read a plugin
+    manager = _make_manager(hooks)
+    records += [_examine(claim, hooks, manager) for claim in waiting]
     return _settle(sorted(records, key=_order), hooks)
 
 
@@ -143,11 +145,11 @@ def _failed(claim: _Claim, error: RoboNeuronError) -> PluginRecord:
     return replace(claim.record, status=Status.FAILED, reason=str(error), traceback=trace)
 
 
-def _examine(claim: _Claim, hooks: Hooks) -> PluginRecord:
+def _examine(claim: _Claim, hooks: Hooks, manager: pluggy.PluginManager) -> PluginRecord:
     """Import one plugin and call its hooks; every failure ends in its own record."""
     try:
         with redirect_stdout(sys.stderr):
-            specs = read_module(claim.point.load(), hooks)
+            specs = _read(claim.point.load(), hooks, manager)
     except PluginError as error:
         return _failed(claim, error)
     except (Exception, SystemExit) as error:
@@ -166,20 +168,36 @@ def read_module(module: object, hooks: Hooks | None = None) -> tuple[Spec, ...]:
         PluginError: the module misspells a hook, forgets its decorator, or a hook raises or returns
             something else than a sequence of well-formed descriptors.
     """
+    hooks = hooks or Hooks()
+    return _read(module, hooks, _make_manager(hooks))
+
+
+def _make_manager(hooks: Hooks) -> pluggy.PluginManager:
+    manager = pluggy.PluginManager(PROJECT)
+    for container in hooks.containers:
+        manager.add_hookspecs(container)
+    return manager
+
+
+def _read(module: object, hooks: Hooks, manager: pluggy.PluginManager) -> tuple[Spec, ...]:
+    """As `read_module`; `manager` knows these hooks and, before and after, no plugin."""
     if not isinstance(module, ModuleType):
         raise PluginError(
             f"The entry point names {type(module).__name__} {module!r}, expected a module."
         )
-    hooks = hooks or Hooks()
     _check_hook_names(module, tuple(hooks.specs))
-    manager = pluggy.PluginManager(PROJECT)
-    for container in hooks.containers:
-        manager.add_hookspecs(container)
     try:
         manager.register(module)
         manager.check_pending()
+        return _call_all(module, hooks, manager)
     except pluggy.PluginValidationError as error:
         raise PluginError(f"{module.__name__}: {error}") from error
+    finally:
+        if manager.is_registered(module):
+            manager.unregister(module)
+
+
+def _call_all(module: ModuleType, hooks: Hooks, manager: pluggy.PluginManager) -> tuple[Spec, ...]:
     specs: list[Spec] = []
     for hook, expected in hooks.specs.items():
         for offered in _call(manager, hook):

@@ -85,6 +85,9 @@ class Registry:
     plugins: tuple[PluginRecord, ...]
     all_offers: tuple[Offer, ...]
     kinds: Mapping[str, type[Spec]] = field(default_factory=lambda: PLUGIN_KINDS)
+    _ready: dict[str, Mapping[str, Spec]] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
 
     def offers(self, kind: str) -> tuple[Offer, ...]:
         """Every descriptor of `kind`, also those that cannot be used; raises ConfigurationError for
@@ -101,8 +104,12 @@ class Registry:
         """The usable descriptors of a kind or class by name, sorted; raises ConfigurationError for
         another kind.
         """
-        offers = self.offers(kind if isinstance(kind, str) else kind.kind)
-        return MappingProxyType({o.spec.name: o.spec for o in offers if o.status is Status.READY})
+        word = kind if isinstance(kind, str) else kind.kind
+        ready = self._ready.get(word)
+        if ready is None:  # kept: answers to calls ask for it, and there are hundreds of offers
+            usable = {o.spec.name: o.spec for o in self.offers(word) if o.status is Status.READY}
+            ready = self._ready[word] = MappingProxyType(usable)
+        return ready
 
     @overload
     def get(self, kind: type[S], name: str, *, elsewhere: bool = False) -> S: ...

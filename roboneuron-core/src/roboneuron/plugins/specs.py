@@ -10,7 +10,7 @@ are none.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 CONTRACT_VERSION = 1
 """Raised when a descriptor or protocol changes in a way that old plugins cannot follow."""
@@ -313,3 +313,27 @@ PLUGIN_KINDS: dict[str, type[Spec]] = {
     )
 }
 """Descriptor class by kind, of the kinds that core knows; a feature's `hooks` may bring more."""
+SCHEMA_KEY = "x-configuration-only"
+"""True in the JSON schema of an option that is marked."""
+
+
+@dataclass(frozen=True, slots=True)
+class ConfigurationOnly:
+    """Marks an option that only the configuration sets: a host, a file, a command, a variable.
+
+    `url: Annotated[str, ConfigurationOnly()]`. An option without a mark counts as restricted when
+    its type or name says that it names such a thing; `AgentMaySet()` lifts that. The feature that
+    lets agents set options goes by this; `agent_options` of `[selection]` lists exceptions for
+    admins.
+    """
+
+    def __get_pydantic_json_schema__(self, schema: Any, handler: Any) -> dict[str, Any]:
+        """Say so in the option's JSON schema."""
+        return {**handler(schema), SCHEMA_KEY: True}
+
+
+@dataclass(frozen=True, slots=True)
+class AgentMaySet:
+    """Marks an option whose type or name looks restricted, but that names nothing outside of the
+    plugin.
+    """

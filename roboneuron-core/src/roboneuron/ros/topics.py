@@ -4,16 +4,12 @@ ACTION = "action"
 JOINT_STATES = "joint_states"
 EE_POSE = "ee_pose"
 PREDICTIONS = "predictions"
-"""std_msgs/String: each prediction as a feature describes it
-(`InferenceModule.describe_prediction`).
+"""std_msgs/String: each prediction as a feature describes it, see
+`InferenceModule.on_prediction`.
 """
 JOINT_TRAJECTORY = "joint_trajectory"
 JOINT_COMMAND = "joint_command"
 DIAGNOSTICS = "/diagnostics"
-WARM_UP = "_warm_up"
-"""std_msgs/Empty, hidden as ROS hides names with an underscore: opens the ports of a module in
-shadow.
-"""
 
 
 def camera_image(name: str) -> str:

@@ -1,20 +1,27 @@
-"""The server put together: tools and resources over one closed loop."""
+"""The server put together, tools and resources over one closed loop, and served over stdio or the
+transport that a feature brings.
+"""
 
 from __future__ import annotations
 
 import gc
 import logging
+import signal
 import sys
 import time
-from collections.abc import Collection
+from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
+from pathlib import Path
+from typing import cast
 
 import anyio
 from anyio import to_thread
 
-from roboneuron.config import Config
+from roboneuron.config import Config, fleet_feature
 from roboneuron.errors import ConfigurationError, RoboNeuronError, StateError
+from roboneuron.plugins.discovery import discover
+from roboneuron.plugins.loading import load_attribute
 from roboneuron.ros.environment import state_directory
 from roboneuron.server.emergency import SIGNAL, SafetyReports, press_on_signal
 from roboneuron.server.events import Events
@@ -25,8 +32,9 @@ from roboneuron.server.loop import ClosedLoop
 from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.server.registry import ToolRegistry
 from roboneuron.server.resources import STATUS_URI, Resources, status_tool
-from roboneuron.server.sections import check_configuration
-from roboneuron.server.surface import make_server
+from roboneuron.server.selection import check_configuration
+from roboneuron.server.stdio import serve_stdio
+from roboneuron.server.surface import Served, instructions_for, make_server
 from roboneuron.supervisor.health import Watch
 from roboneuron.supervisor.supervisor import LEAVE_S, Supervisor
 
@@ -36,49 +44,22 @@ SWITCH_S = 0.001
 
 
 def shorten_pauses() -> None:
-    """Call it once everything is imported and derived; holds the interpreter for about 0.1 s
-    itself.
+    """Call it once everything is imported and derived.
 
     A full garbage collection looks at every object there is and stops all threads meanwhile: 80 to
     130 ms with ROS, MCP and 3 to 1,000 endpoints loaded. What is there now stays until the end, so
-    it is not looked at again.
+    it is not looked at again; nor now, when a client waits for its first call: of 146,000 objects
+    9,000 would go.
     """
     sys.setswitchinterval(SWITCH_S)
-    gc.collect()
     gc.freeze()
     gc.enable()  # off since the start, see cli/serve.py
 
 
 log = logging.getLogger(__name__)
 _MOTION_S = 2.0
-
-_INSTRUCTIONS = {
-    "start_all": "start_all starts everything that is configured.",
-    "run_task": "run_task has the robot carry out an instruction and says how that ended: use it "
-    "for most requests.",
-    "start_robot": "By single steps: start_robot, start_perception, start_control, "
-    "start_inference, then "
-    "set_instruction, which returns when the robot begins to move.",
-    "get_camera_image": "get_camera_image shows what is there.",
-    "get_status": "get_status tells how everything is.",
-    "stop_inference": "stop_inference ends the policy's motion, stop_all everything. "
-    "emergency_stop is for danger: "
-    "only a person releases it.",
-    "move_ee": "move_*, publish_*, call_* and send_*_goal move the robot directly, but not while "
-    "a policy runs.",
-}
-"""What clients are told of a tool, in this order."""
-_EVERYWHERE = (
-    "A call that returns without an error has done what it says; an error says why and what to do."
-)
-
-
-def instructions_for(tools: Collection[str]) -> str:
-    """How to use a server with these tools, for its clients; stands behind which robot it
-    operates.
-    """
-    said = [text for tool, text in _INSTRUCTIONS.items() if tool in tools]
-    return " ".join([*said, _EVERYWHERE])
+_END_S = 20.0
+"""Ten times what an end takes; a machine that is overloaded needs up to 12 s."""
 
 
 class Application:
@@ -217,6 +198,8 @@ class Application:
 
         Features start then. What cannot be joined is told by the tools that need it.
         """
+        if not self._is_joining:
+            return  # no call waits for a turn of the event loop, as it would for a free lock
         async with self._joining:
             if self._is_joining:
                 with suppress(RoboNeuronError):
@@ -236,3 +219,70 @@ class Application:
         self.end_direct_motion(reason, timeout_s)
         with suppress(StateError):
             self.loop.stop("inference")
+
+
+def _end_soon() -> None:
+    """The kernel ends this process in a while, whatever hangs in it; its modules hear of that and
+    leave.
+
+    The default action of SIGALRM needs nobody's help. Callable from any thread.
+    """
+    signal.setitimer(signal.ITIMER_REAL, _END_S)
+
+
+def make_served(config: Config) -> Served:
+    """What serves a configuration: of one robot an Application, of several what a feature brings.
+
+    Raises:
+        ConfigurationError: no feature serves several robots.
+    """
+    if not config.robots:
+        return Application(config)
+    spec = fleet_feature(discover(config.disabled_plugins))
+    make = cast(
+        "Callable[[Config, Path], Served]",
+        load_attribute(spec.fleet or "", f"feature {spec.name!r}"),
+    )
+    return make(config, state_directory(config.supervisor.state_directory))
+
+
+def serve(config: Config, wire: tuple[int, int]) -> None:
+    """Serve clients until they leave for good, or SIGTERM or SIGINT comes; then stop everything.
+
+    Args:
+        config: says over which transport.
+        wire: descriptors to read from and write to, for stdio.
+
+    Raises:
+        ConfigurationError, PlanningError: the configuration names what is not installed or does not
+            fit, or the transport cannot be served (an address in use, a token that is missing).
+    """
+    served = make_served(config)
+    try:
+        served.check()
+        transport = served.listen() or partial(
+            serve_stdio, served.server, config.server.max_concurrent_calls, wire, _end_soon
+        )
+        served.press_on_signal()
+        served.open()
+        anyio.run(_serve, served, transport)
+    finally:
+        _end_soon()
+        served.close()
+
+
+async def _serve(served: Served, transport: Transport) -> None:
+    leave = anyio.Event()
+
+    async def leave_on_signal() -> None:
+        with anyio.open_signal_receiver(signal.SIGTERM, signal.SIGINT) as signals:
+            async for number in signals:
+                log.info("Received %s: stopping everything.", signal.Signals(number).name)
+                leave.set()
+                return
+
+    async with anyio.create_task_group() as group:
+        group.start_soon(leave_on_signal)
+        group.start_soon(served.settle)
+        await transport(leave)
+        group.cancel_scope.cancel()

@@ -5,7 +5,7 @@ others' faults.
 from __future__ import annotations
 
 import logging
-from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar
@@ -152,16 +152,21 @@ class Feature(Generic[OptionsT]):
 
 
 class Features:
-    """Loads, starts and closes features; `failed` tells which are left out and why.
+    """Loads, starts and closes features.
 
     A feature that the configuration asks for (by one of its sections, or in `features`) must work:
     its failure is raised. Any other failure is logged and leaves that feature out.
+
+    Attributes:
+        loaded: by name, those that others need first; replaced, never changed, so that any thread
+            may read it.
+        failed: which are left out, and why.
     """
 
     def __init__(self, config: Config, registry: Registry) -> None:
         self._config = config
         self._specs = registry.specs(FeatureSpec)
-        self._loaded: dict[str, Feature[Any]] = {}
+        self.loaded: dict[str, Feature[Any]] = {}
         self.failed: dict[str, str] = {}
         for name in config.features:
             registry.get(FeatureSpec, name)  # says why a feature that must be there is not
@@ -172,80 +177,61 @@ class Features:
         for spec in _ordered(self._specs):
             self._attempt(spec, "loaded", partial(self._load, spec))
 
-    def get(self, name: str) -> Feature[Any] | None:
-        """A loaded feature, or None."""
-        return self._loaded.get(name)
-
-    @property
-    def loaded(self) -> Mapping[str, Feature[Any]]:
-        """The loaded features by name, those that others need first."""
-        return dict(self._loaded)
-
     @property
     def on_join(self) -> tuple[str, ...]:
         """What every module calls once it has joined ROS."""
-        return tuple(
-            reference for spec, _ in self._all() if (reference := spec.on_join) is not None
-        )
-
-    @property
-    def identifies_clients(self) -> bool:
-        """Whether one of them tells clients apart by what they alone know."""
-        return any(feature.identifies_clients for _, feature in self._all())
+        named = (self._specs[name].on_join for name in self.loaded)
+        return tuple(reference for reference in named if reference is not None)
 
     def check(self) -> None:
         """Have every feature check its part of the configuration."""
-        for spec, feature in self._all():
-            self._attempt(spec, "used", partial(feature.check, self._config))
+        self._each("used", lambda feature: feature.check(self._config))
 
     def listen(self, host: Host) -> Transport | None:
         """Have every feature reserve what it needs, and the one that serves the configured
         transport listen.
         """
-        for spec, feature in self._all():
-            self._attempt(spec, "started", partial(feature.reserve, self._config))
-        return None if self._transport is None else self._loaded[self._transport].listen(host)
+        self._each("started", lambda feature: feature.reserve(self._config))
+        return None if self._transport is None else self.loaded[self._transport].listen(host)
 
     def offer(self, host: Host, tools: ToolRegistry) -> list[Resource]:
         """Add every feature's tools, and return all their resources."""
         resources: list[Resource] = []
-        for spec, feature in self._all():
 
-            def add(feature: Feature[Any] = feature) -> None:
-                tools.add_all(feature.tools(host))
-                resources.extend(feature.resources(host))
+        def add(feature: Feature[Any]) -> None:
+            tools.add_all(feature.tools(host))
+            resources.extend(feature.resources(host))
 
-            self._attempt(spec, "asked for its tools", add)
-            if spec.name in self.failed:
-                tools.replace_derived(spec.name, ())
-        for spec, feature in self._all():
-            self._attempt(spec, "completed", partial(feature.complete, host), must_work=True)
+        self._each("asked for its tools", add)
+        for name in self.failed:
+            tools.replace_derived(name, ())
+        self._each("completed", lambda feature: feature.complete(host), must_work=True)
         return resources
 
     def attach(self, host: Host) -> None:
         """Have every feature add to the MCP server what clients get besides tools and resources."""
-        for spec, feature in self._all():
-            self._attempt(spec, "attached", partial(feature.attach, host))
+        self._each("attached", lambda feature: feature.attach(host))
 
     def start(self, host: Host) -> None:
         """Start every feature."""
-        for spec, feature in self._all():
-            self._attempt(spec, "started", partial(feature.start, host))
+        self._each("started", lambda feature: feature.start(host))
 
     def close(self) -> None:
         """Close every feature in the reverse order; idempotent."""
-        for name, feature in reversed(self._loaded.items()):
+        for name, feature in reversed(self.loaded.items()):
             try:
                 feature.close()
             except Exception:  # the border to a plugin's own code
                 log.exception("The feature %r could not be closed.", name)
 
-    def _all(self) -> Iterator[tuple[FeatureSpec, Feature[Any]]]:
-        for name, feature in list(self._loaded.items()):
-            yield self._specs[name], feature
+    def _each(
+        self, what: str, work: Callable[[Feature[Any]], object], *, must_work: bool = False
+    ) -> None:
+        for name, feature in self.loaded.items():
+            self._attempt(self._specs[name], what, partial(work, feature), must_work=must_work)
 
     def _load(self, spec: FeatureSpec) -> None:
-        absent = [need for need in spec.needs if need not in self._loaded]
+        absent = [need for need in spec.needs if need not in self.loaded]
         if absent:
             raise ConfigurationError(f"It needs the feature {absent[0]!r}, which is not there.")
         target = load_target(spec)
@@ -259,7 +245,7 @@ class Features:
                 f"The target of feature {spec.name!r} makes a {type(feature).__name__}, not a "
                 "Feature."
             )
-        self._loaded[spec.name] = feature
+        self.loaded = {**self.loaded, spec.name: feature}
 
     def _attempt(
         self, spec: FeatureSpec, what: str, work: Callable[[], object], *, must_work: bool = False
@@ -275,7 +261,8 @@ class Features:
             else:
                 reason = str(error)
             said = f"The feature {spec.name!r} could not be {what}: {reason}"
-            feature = self._loaded.pop(spec.name, None)
+            feature = self.loaded.get(spec.name)
+            self.loaded = {name: one for name, one in self.loaded.items() if one is not feature}
             if feature is not None:
                 feature.close()
             if self._is_asked_for(spec):

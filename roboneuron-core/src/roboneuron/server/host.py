@@ -185,7 +185,7 @@ class Host:
     @property
     def identifies_clients(self) -> bool:
         """Whether a feature tells clients apart by what they alone know, such as a token."""
-        return self.features.identifies_clients
+        return any(feature.identifies_clients for feature in self.features.loaded.values())
 
     @property
     def state_directory(self) -> Path:
@@ -242,7 +242,7 @@ class Host:
         Raises:
             StateError: there is none, or it is of another class.
         """
-        found = self.features.get(name)
+        found = self.features.loaded.get(name)
         if not isinstance(found, kind):
             raise StateError(
                 f"There is no feature {name!r} here.", hint="Name it in `needs` of the descriptor."

@@ -18,7 +18,6 @@ from roboneuron.gate.roles import ADMIN, VIEWER
 from roboneuron.modules.settings import MAX_INSTRUCTION_LENGTH, MODULE_KINDS
 from roboneuron.server.emergency import reset_command
 from roboneuron.server.loop import ClosedLoop
-from roboneuron.server.module_kinds import KIND_ENTRIES, KindEntry
 from roboneuron.server.motion_starts import AGAIN
 from roboneuron.server.results import (
     EmergencyStopResult,
@@ -29,6 +28,7 @@ from roboneuron.server.results import (
     module_summary,
     stop_result,
 )
+from roboneuron.server.selection import KIND_ENTRIES, KindEntry
 from roboneuron.server.tool import Arguments, CallContext, NoArguments, Tool
 
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 from roboneuron.config import Config, LimitsConfig
 from roboneuron.errors import InvalidInputError, NotReadyError, RefusedError, StateError
+from roboneuron.modules.report import Report
 from roboneuron.modules.settings import EMERGENCY_STOP, MODULE_KINDS, ModuleKind
 from roboneuron.plugins.specs import RobotSpec
 from roboneuron.server.emergency import EmergencyStop
@@ -20,7 +21,7 @@ from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.server.results import RobotFacts
 from roboneuron.server.selection import Choose, Selection, check_instruction, choose_configured
 from roboneuron.server.tool import Arguments
-from roboneuron.supervisor.health import ModuleView, Report, Stopped
+from roboneuron.supervisor.health import ModuleView, Stopped
 from roboneuron.supervisor.launching import Stage
 from roboneuron.supervisor.supervisor import Supervisor
 
@@ -219,9 +220,9 @@ class ClosedLoop:
         finally:
             self.starts.stop("robot", "everything was stopped", is_asked=True)
 
-    def cancel(self, kind: ModuleKind) -> None:
-        """The client that asked for a start does not want it any more."""
-        self.supervisor.cancel(kind, "the client cancelled the call.")
+    def cancel(self, kind: ModuleKind, reason: str = "the client cancelled the call.") -> None:
+        """Whoever asked for a start does not want it any more."""
+        self.supervisor.cancel(kind, reason)
 
     def set_instruction(self, text: str, timeout_s: float) -> tuple[Report, float]:
         """Hand the backend a new instruction; returns when its first action for it was published,

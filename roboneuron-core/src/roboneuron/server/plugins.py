@@ -5,10 +5,10 @@ removed.
 from __future__ import annotations
 
 import importlib
+import os
 import sys
 import threading
 from collections.abc import Callable, Collection
-from pathlib import Path
 
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.registry import Registry
@@ -50,7 +50,7 @@ def _fingerprint() -> tuple[int, ...]:
     for entry in sys.path:
         if entry.endswith(("site-packages", "dist-packages")):
             try:
-                times.append(Path(entry).stat().st_mtime_ns)
+                times.append(os.stat(entry).st_mtime_ns)
             except OSError:
                 times.append(0)
     return tuple(times)

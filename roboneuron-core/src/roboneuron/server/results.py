@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 from pydantic import Field
 
+from roboneuron.modules.report import ModuleFacts
 from roboneuron.modules.settings import ModuleKind
 from roboneuron.server.tool import Result
 from roboneuron.supervisor.health import EXPLANATIONS, Health, ModuleView, Stopped, assess
@@ -52,7 +53,7 @@ class ModuleSummary(Result):
     )
 
 
-class ModuleStatus(ModuleSummary):
+class ModuleStatus(ModuleFacts, ModuleSummary):
     """One module: what it does, how fast, how fresh, and what is wrong."""
 
     phase: Phase = Field(description="exited: it ended by itself, see `exit`")
@@ -61,50 +62,10 @@ class ModuleStatus(ModuleSummary):
         description="how it is: "
         + "; ".join(f"{word}: {meaning}" for word, meaning in EXPLANATIONS.items()),
     )
-    ready: bool = Field(default=False, description="has proved that it works, and still reports")
     responding: bool = Field(default=False, description="its newest report is at most 1 s old")
-    state: str = Field(
-        default="", description="lifecycle state: unconfigured, configuring, inactive, active"
-    )
     started_at: str | None = Field(default=None, description="ISO 8601")
-    uptime_s: float | None = None
-    rate_hz: float | None = Field(default=None, description="rate of its output")
-    latency_ms: float | None = Field(
-        default=None, description="median from its input's stamp to its output"
-    )
-    latency_p99_ms: float | None = None
-    age_ms: float | None = Field(default=None, description="age of its newest input or output")
     report_age_s: float | None = Field(default=None, description="time since its newest report")
-    loop_age_s: float | None = Field(
-        default=None, description="time since its executor last ran; grows when it hangs"
-    )
-    work_age_s: float | None = Field(
-        default=None, description="time since its work last made progress"
-    )
-    work_limit_s: float | None = Field(
-        default=None, description="from this age on it counts as stalled"
-    )
-    published: int = 0
-    dropped: int = Field(default=0, description="inputs not acted on, see `dropped_by`")
-    dropped_by: dict[str, int] = Field(default_factory=dict)
-    waiting_for: str = Field(default="", description="what is missing until it is ready")
-    instruction: str = ""
-    actions_for_instruction: int = Field(
-        default=0, description="actions published for the present instruction"
-    )
-    note: str = Field(default="", description="what it is doing, as text")
     error: Failure | None = None
-    error_count: int = 0
-    emergency_stop: bool | None = Field(
-        default=None, description="whether the module itself is latched"
-    )
-    needs_start: str = Field(
-        default="", description="the stop after which it waits to be asked for motion again"
-    )
-    metrics: dict[str, str] = Field(default_factory=dict, description="whatever else it reports")
-    detail: dict[str, str] = Field(
-        default_factory=dict, description="facts of the robot or simulator"
-    )
     exit: ExitInfo | None = None
     log: str | None = Field(default=None, description="resource with its log")
 

@@ -6,7 +6,8 @@ import json
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from functools import cache
+from dataclasses import dataclass
+from functools import cache, cached_property
 from typing import Any, Generic, TypeVar
 
 from pydantic import BaseModel, ValidationError
@@ -36,6 +37,20 @@ class Shape(ABC, Generic[M_co]):
     def check(self, name: str, value: object) -> None:
         """Raise InvalidInputError for a value that fits the model and not the tool."""
 
+    @cached_property
+    def _accepted(self) -> _Accepted:
+        """Made once: to merge the schemas with each call costs more than to check the call."""
+        return _accepted_by(self.model, self.schema(_own_schema(self.model, False)))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Accepted:
+    """What a call may hold: names of arguments, those it must hold, and those that are integers."""
+
+    names: tuple[str, ...]
+    required: tuple[str, ...]
+    integers: tuple[str, ...]
+
 
 def model_schema(kind: type[BaseModel] | Shape[BaseModel], *, result: bool = False) -> Schema:
     """The strict JSON schema of arguments, or of a result; `$defs` are collected at its root."""
@@ -51,6 +66,21 @@ def _own_schema(model: type[BaseModel], result: bool) -> Schema:
     made = model.model_json_schema(mode="serialization" if result else "validation")
     schema: Schema = _plain(made, keep_null=result)
     return {**schema, "properties": schema.get("properties", {})}
+
+
+@cache
+def _accepted_of(model: type[BaseModel]) -> _Accepted:
+    return _accepted_by(model, _own_schema(model, False))
+
+
+def _accepted_by(model: type[BaseModel], schema: Schema) -> _Accepted:
+    names = tuple(schema["properties"])
+    integers = [name for name in names if model.model_fields[name].annotation is int]
+    return _Accepted(
+        names=names,
+        required=tuple(schema.get("required", ())),
+        integers=tuple(integers),
+    )
 
 
 def with_choices(schema: Schema, choices: Mapping[str, Mapping[str, str]]) -> Schema:
@@ -143,24 +173,24 @@ def parse(
     Raises:
         InvalidInputError: they do not fit; names which, what came and what is allowed.
     """
-    model = kind.model if isinstance(kind, Shape) else kind
-    schema = model_schema(kind)
-    names, required = [*schema["properties"]], schema.get("required", [])
+    if isinstance(kind, Shape):
+        model, accepted = kind.model, kind._accepted
+    else:
+        model, accepted = kind, _accepted_of(kind)
     for name in arguments:
-        if name not in names:
-            raise unknown_name("The call", name, names)
+        if name not in accepted.names:
+            raise unknown_name("The call", name, accepted.names)
     given = {
-        name: value for name, value in arguments.items() if value is not None or name in required
+        name: value
+        for name, value in arguments.items()
+        if value is not None or name in accepted.required
     }
-    for name in required:
+    for name in accepted.required:
         if name not in given:
             raise InvalidInputError(f"Argument {name!r} is missing.", path=name)
-    for name, value in given.items():  # to JSON, 1.0 is an integer
-        if (
-            model.model_fields[name].annotation is int
-            and isinstance(value, float)
-            and value.is_integer()
-        ):
+    for name in accepted.integers:  # to JSON, 1.0 is an integer
+        value = given.get(name)
+        if isinstance(value, float) and value.is_integer():
             given[name] = int(value)
     try:
         # as JSON: strict, but a list is a tuple where one is due
@@ -197,7 +227,9 @@ def _explain(model: type[BaseModel], error: ValidationError) -> InvalidInputErro
     if first["type"] == "json_invalid":
         return InvalidInputError("The call holds text that is no Unicode, or is nested too deeply.")
     what = first["msg"].replace("Input should be ", "expected ")
-    return InvalidInputError(f"Argument {path!r} is {_short(first['input'])}, {what}.", path=path)
+    return InvalidInputError(
+        f"Argument {path!r} is {shortened(first['input'])}, {what}.", path=path
+    )
 
 
 def unknown_name(where: str, name: object, valid: Sequence[str]) -> InvalidInputError:
@@ -212,10 +244,13 @@ def no_choice(path: str, value: object, allowed: Sequence[str]) -> InvalidInputE
     is.
     """
     listed = ", ".join(allowed[:20]) + (" ..." if len(allowed) > 20 else "")
-    message = f"Argument {path!r} is {_short(value)}. {nearest(str(value)[:60], allowed)}".rstrip()
+    message = (
+        f"Argument {path!r} is {shortened(value)}. {nearest(str(value)[:60], allowed)}".rstrip()
+    )
     return InvalidInputError(message, hint=f"Choose one of: {listed}.", path=path)
 
 
-def _short(value: object) -> str:
+def shortened(value: object) -> str:
+    """A value that a caller sent, as it stands in messages."""
     text = repr(value)
     return text if len(text) <= 80 else f"{text[:77]}..."

@@ -1,4 +1,4 @@
-"""What a module is started with; everything unfit is refused here.
+"""What a module of each kind is started with; everything unfit is refused here.
 
 Nothing is spawned, and nothing heavy imported: names, plans, options, paths and cameras are checked
 beforehand.
@@ -6,28 +6,130 @@ beforehand.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+from pydantic import Field
 
 from roboneuron.config import Config, ControlConfig, InferenceConfig, PerceptionConfig, RobotConfig
 from roboneuron.errors import (
     CheckpointError,
+    ConfigurationError,
     InternalError,
     InvalidInputError,
     MissingDependencyError,
+    PluginError,
+    RoboNeuronError,
+    nearest,
 )
-from roboneuron.modules.settings import ModuleKind, instruction_problem
+from roboneuron.modules.settings import MAX_INSTRUCTION_LENGTH, ModuleKind, instruction_problem
 from roboneuron.planning import Plan, check_plan
+from roboneuron.plugins.availability import install_command, known_names
 from roboneuron.plugins.loading import load_options, load_options_model
 from roboneuron.plugins.registry import Registry
-from roboneuron.plugins.specs import BackendSpec, DriverSpec, Spec
-from roboneuron.server.module_kinds import KIND_ENTRIES, ModuleSection, StartInference
-from roboneuron.server.tool import Arguments
+from roboneuron.plugins.specs import BackendSpec, DriverSpec, RobotSpec, Spec
+from roboneuron.server.tool import Arguments, NoArguments
 
-Options = Mapping[str, Any]
+ModuleSection = RobotConfig | PerceptionConfig | ControlConfig | InferenceConfig
+Instruction = Annotated[
+    str | None,
+    Field(
+        max_length=MAX_INSTRUCTION_LENGTH,
+        description='What to do at once, such as "pick up the red cube"; set_instruction gives '
+        "one later.",
+    ),
+]
+
+
+class StartInference(Arguments):
+    """Arguments of start_inference."""
+
+    instruction: Instruction = None
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class KindEntry:
+    """One kind of module. Its section of roboneuron.toml is called as the kind is.
+
+    Attributes:
+        kind: which one; its node class is in `roboneuron.modules.settings.MODULE_CLASSES`.
+        noun: what such a module runs.
+        offer: kind of the plugins that offer it.
+        section: model of its section.
+        request: arguments of its start tool.
+        title, start_text: of its start tool.
+        proof: what shows that a start has succeeded.
+        stop_text: effect of its stop tool.
+    """
+
+    kind: ModuleKind
+    noun: str
+    offer: str
+    section: type[ModuleSection]
+    request: type[Arguments]
+    title: str
+    start_text: str
+    proof: str
+    stop_text: str
+
+
+_ENTRIES = (
+    KindEntry(
+        kind="robot",
+        noun="robot",
+        offer="robot",
+        section=RobotConfig,
+        request=NoArguments,
+        title="Start the robot",
+        start_text="Connect to the robot, or start its simulation. It stands still until "
+        "something moves it.",
+        proof="its joints are measured",
+        stop_text="Let the robot hold its position, and disconnect from it or end its simulation.",
+    ),
+    KindEntry(
+        kind="perception",
+        noun="source",
+        offer="perception",
+        section=PerceptionConfig,
+        request=NoArguments,
+        title="Start the cameras",
+        start_text="Start the cameras. A simulated robot's cameras need start_robot first.",
+        proof="each camera has delivered an image",
+        stop_text="Close the cameras; a policy without images sends no more actions.",
+    ),
+    KindEntry(
+        kind="control",
+        noun="controller",
+        offer="controller",
+        section=ControlConfig,
+        request=NoArguments,
+        title="Start the controller",
+        start_text="Start the controller, which turns the policy's actions, and move_ee, into "
+        "joint commands. Needs "
+        "start_robot. The arm stands still until actions come.",
+        proof="it measures the pose of the end effector",
+        stop_text="Stop the controller; the arm holds its position.",
+    ),
+    KindEntry(
+        kind="inference",
+        noun="backend",
+        offer="backend",
+        section=InferenceConfig,
+        request=StartInference,
+        title="Start the policy",
+        start_text="Load a policy (a vision-language-action model or a classical one). With an "
+        "instruction the robot "
+        "moves at once. Needs start_perception; to move, also start_robot and start_control.",
+        proof="the policy receives its inputs and, if it has an instruction, has sent its first "
+        "action",
+        stop_text="Stop the policy; the arm holds its position.",
+    ),
+)
+KIND_ENTRIES: Mapping[ModuleKind, KindEntry] = {entry.kind: entry for entry in _ENTRIES}
+"""The kinds in the order in which an agent starts them."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -218,7 +320,10 @@ def _check_checkpoint(section: InferenceConfig, plan: Plan, config: Config) -> I
 
 
 def _check_options(
-    spec: Spec | DriverSpec, options: Options, python: str | None, section: str | None = None
+    spec: Spec | DriverSpec,
+    options: Mapping[str, Any],
+    python: str | None,
+    section: str | None = None,
 ) -> None:
     """Validate options here when the plugin can be imported here; a module with its own environment
     does it itself.
@@ -228,3 +333,90 @@ def _check_options(
     except MissingDependencyError:
         if python is None:
             raise
+
+
+def check_configuration(config: Config, registry: Registry) -> None:
+    """Refuse a configuration that names what is not installed or sets what is unknown, before the
+    server starts.
+
+    Raises:
+        ConfigurationError, PlanningError: as `select`; all that is wrong.
+    """
+    configured = [
+        entry for entry in KIND_ENTRIES.values() if getattr(config, entry.kind) is not None
+    ]
+    checks: list[Callable[[], None]] = [
+        partial(_check_kind, entry, config, registry) for entry in configured
+    ]
+    checks += [
+        partial(_check_section, name, options, registry) for name, options in config.plugins.items()
+    ]
+    problems: dict[str, RoboNeuronError] = {}
+    for check in checks:
+        try:
+            check()
+        except RoboNeuronError as error:
+            problems.setdefault(str(error), error)
+    if len(problems) == 1:
+        raise next(iter(problems.values()))
+    if problems:
+        raise ConfigurationError("\n".join(problems))
+
+
+def _check_kind(entry: KindEntry, config: Config, registry: Registry) -> None:
+    try:
+        select(entry.kind, config, registry)
+    except InvalidInputError as error:  # a checkpoint may be named later, by the agent
+        if error.path != "checkpoint":
+            raise ConfigurationError(error.message, hint=error.hint) from error
+
+
+def _check_section(name: str, options: Mapping[str, object], registry: Registry) -> None:
+    """Refuse `[plugins.<name>]` of what does not exist, with unknown options, or with values that
+    no plugin of that name takes.
+
+    Options that are missing are no error: an agent may give them, or never choose that plugin.
+    """
+    check_name(f"[plugins.{name}]", name, registry)
+    refused: list[ConfigurationError] = []
+    for spec in readers_of(name, registry):
+        try:
+            load_options(spec, options, section=f"plugins.{name}", is_partial=True)
+        except ConfigurationError as error:
+            refused.append(error)
+        except (MissingDependencyError, PluginError):
+            return  # not to be judged here; told where it is chosen
+        else:
+            return
+    if refused:
+        raise refused[0]
+
+
+def check_name(place: str, name: str, registry: Registry) -> None:
+    """Check that something that is installed, or left out on purpose, has that name.
+
+    Raises:
+        ConfigurationError: begins with the place where the name stands.
+    """
+    installed = {offer.spec.name for offer in registry.all_offers}
+    known = known_names()
+    package = known.get(name)
+    if name in installed or (package is not None and registry.not_loaded(package)):
+        return
+    if package is not None:
+        raise ConfigurationError(
+            f"{place}: {name!r} is not installed. Run: {install_command(package)}."
+        )
+    meant = nearest(name, {*installed, *known})
+    if meant or not registry.not_loaded():  # else one that did not load may have that name
+        listed = ", ".join(sorted(installed)) or "none"
+        raise ConfigurationError(
+            f"{place}: nothing is called {name!r}. {meant or f'Installed are: {listed}.'}"
+        )
+
+
+def readers_of(name: str, registry: Registry) -> Iterator[Spec | DriverSpec]:
+    """Whatever reads `[plugins.<name>]`: offers of that name; of a robot, its drivers."""
+    for offer in registry.all_offers:
+        if offer.spec.name == name:
+            yield from offer.spec.drivers if isinstance(offer.spec, RobotSpec) else (offer.spec,)

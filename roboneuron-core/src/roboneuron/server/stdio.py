@@ -7,6 +7,7 @@ the server from leaving.
 from __future__ import annotations
 
 import asyncio
+import logging
 import os
 import queue
 import sys
@@ -16,12 +17,14 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
+import anyio
 from anyio import EndOfStream
 from anyio.abc import ObjectReceiveStream, ObjectSendStream
 from mcp.shared.dispatcher import coerce_request_id
 from mcp.shared.message import ServerMessageMetadata, SessionMessage
 from mcp.types import JSONRPCError, JSONRPCMessage, JSONRPCRequest, JSONRPCResponse
 
+from roboneuron import __version__
 from roboneuron.server.envelope import (
     BUSY,
     INVALID_REQUEST,
@@ -30,7 +33,9 @@ from roboneuron.server.envelope import (
     read_message,
     repeated,
 )
+from roboneuron.server.surface import AnnouncingServer
 
+log = logging.getLogger(__name__)
 MAX_LINE_BYTES = 16 * 1024 * 1024
 """A longer line is refused and dropped to the next newline."""
 _CHUNK = 65536
@@ -176,7 +181,7 @@ class MessageReader(ObjectReceiveStream[SessionMessage]):
                 buffer = bytearray(rest)
                 if len(buffer) > MAX_LINE_BYTES:
                     if not too_long:
-                        self._refuse_length()
+                        self._take(bytes(buffer))  # which refuses its length
                     too_long = True
                     buffer.clear()
                 if lines:
@@ -188,17 +193,12 @@ class MessageReader(ObjectReceiveStream[SessionMessage]):
             self._has_ended = True
             self._wake()
 
-    def _refuse_length(self) -> None:
-        self._answer(
-            EnvelopeError(INVALID_REQUEST, f"A line is longer than {MAX_LINE_BYTES} bytes.").answer
-        )
-
     def _take(self, line: bytes) -> None:
         """Put a message in its lane, or answer that it is none or one too many."""
-        if len(line) > MAX_LINE_BYTES:
-            self._refuse_length()
-            return
         try:
+            if len(line) > MAX_LINE_BYTES:
+                what = f"A line is longer than {MAX_LINE_BYTES} bytes."
+                raise EnvelopeError(INVALID_REQUEST, what)
             message = read_message(line)
             with self._lock:
                 self._add(message, len(line))
@@ -259,3 +259,38 @@ class MessageWriter(ObjectSendStream[SessionMessage]):
 
     async def aclose(self) -> None:
         """The lines are closed by whoever opened them."""
+
+
+async def serve_stdio(
+    server: AnnouncingServer,
+    most_calls: int,
+    wire: tuple[int, int],
+    on_end: Callable[[], None],
+    leave: anyio.Event,
+) -> None:
+    """Serve one client until it leaves, or `leave` is set.
+
+    Args:
+        server: what it meets.
+        most_calls: of each role at once.
+        wire: descriptors to read from and write to.
+        on_end: called from the reading thread when the client has left.
+        leave: ends it.
+    """
+    writer = LineWriter(wire[1])
+    reader = MessageReader(wire[0], writer.write, 2 * most_calls + 64, on_end)
+    writer.start()
+
+    async def end(scope: anyio.CancelScope) -> None:
+        await leave.wait()
+        scope.cancel()
+
+    async with anyio.create_task_group() as group:
+        group.start_soon(end, group.cancel_scope)
+        reader.start()
+        log.info("RoboNeuron %s serves MCP on stdio, pid %d.", __version__, os.getpid())
+        await server.run(
+            reader, MessageWriter(writer, reader), server.create_initialization_options()
+        )
+        group.cancel_scope.cancel()
+    writer.close()

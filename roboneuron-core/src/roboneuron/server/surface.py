@@ -5,7 +5,7 @@ their calls.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Collection
 from contextlib import nullcontext, suppress
 from typing import Any, Protocol, TypeVar, cast
 
@@ -60,22 +60,37 @@ class AnnouncingServer(Server[Any]):
 
 
 class Served(Protocol):
-    """What `serve` serves: an Application, or several behind one surface; the members mean the
-    same.
-    """
+    """What `serve` serves: an Application, or several behind one surface."""
 
     @property
-    def tools(self) -> ToolRegistry: ...
+    def tools(self) -> ToolRegistry:
+        """All tools of all robots."""
+
     @property
-    def resources(self) -> Resources: ...
+    def resources(self) -> Resources:
+        """All resources of all robots."""
+
     @property
-    def server(self) -> AnnouncingServer: ...
-    def check(self) -> None: ...
-    def listen(self) -> Transport | None: ...
-    def press_on_signal(self) -> None: ...
-    def open(self) -> None: ...
-    async def settle(self) -> None: ...
-    def close(self) -> None: ...
+    def server(self) -> AnnouncingServer:
+        """The MCP server that every transport serves."""
+
+    def check(self) -> None:
+        """See `Application.check`."""
+
+    def listen(self) -> Transport | None:
+        """See `Application.listen`."""
+
+    def press_on_signal(self) -> None:
+        """See `Application.press_on_signal`."""
+
+    def open(self) -> None:
+        """See `Application.open`."""
+
+    async def settle(self) -> None:
+        """See `Application.settle`."""
+
+    def close(self) -> None:
+        """See `Application.close`."""
 
 
 def make_server(surface: Served, name: str, instructions: str) -> AnnouncingServer:
@@ -115,6 +130,35 @@ def make_server(surface: Served, name: str, instructions: str) -> AnnouncingServ
         on_read_resource=read_resource,
     )
     return server
+
+
+_INSTRUCTIONS = {
+    "start_all": "start_all starts everything that is configured.",
+    "run_task": "run_task has the robot carry out an instruction and says how that ended: use it "
+    "for most requests.",
+    "start_robot": "By single steps: start_robot, start_perception, start_control, "
+    "start_inference, then "
+    "set_instruction, which returns when the robot begins to move.",
+    "get_camera_image": "get_camera_image shows what is there.",
+    "get_status": "get_status tells how everything is.",
+    "stop_inference": "stop_inference ends the policy's motion, stop_all everything. "
+    "emergency_stop is for danger: "
+    "only a person releases it.",
+    "move_ee": "move_*, publish_*, call_* and send_*_goal move the robot directly, but not while "
+    "a policy runs.",
+}
+"""What clients are told of a tool, in this order."""
+_EVERYWHERE = (
+    "A call that returns without an error has done what it says; an error says why and what to do."
+)
+
+
+def instructions_for(tools: Collection[str]) -> str:
+    """How to use a server with these tools, for its clients; stands behind which robot it
+    operates.
+    """
+    said = [text for tool, text in _INSTRUCTIONS.items() if tool in tools]
+    return " ".join([*said, _EVERYWHERE])
 
 
 class RequestContext:

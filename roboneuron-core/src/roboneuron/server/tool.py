@@ -19,7 +19,11 @@ Stage = Callable[[str], None]
 class Arguments(BaseModel):
     """Base of all argument models: nothing unknown, nothing converted, no NaN and no infinity."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+    # built when first used: a start makes many of them, and most are never called; results are
+    # not, for they may be made by several threads at once, which pydantic below 2.14 does not bear
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, strict=True, allow_inf_nan=False, defer_build=True
+    )
 
     def given(self) -> dict[str, Any]:
         """What the caller gave, without defaults; for the audit."""
@@ -83,18 +87,15 @@ class UnfinishedCallError(Exception):
 
 
 class CallContext(Protocol):
-    """What a tool may do besides returning.
-
-    Attributes:
-        who: the client, for the audit.
-        role: what it may do, see `roboneuron.gate.ROLES`.
-    """
+    """What a tool may do besides returning."""
 
     @property
-    def who(self) -> str: ...
+    def who(self) -> str:
+        """The client, for the audit."""
 
     @property
-    def role(self) -> str: ...
+    def role(self) -> str:
+        """What it may do, see `roboneuron.gate.ROLES`."""
 
     async def run(
         self,
@@ -110,19 +111,16 @@ class CallContext(Protocol):
         its connection may come back for the answer and its call goes on; then only `on_leave` is
         called: what moves a robot ends with the connection.
         """
-        ...
 
     async def ask(self, question: str) -> bool | None:
         """Whether the client's person agreed; None when it cannot ask one. May end the call and
         begin it again.
         """
-        ...
 
     async def ask_for(self, question: str, what: str) -> str | None:
         """What the client's person types, such as a PIN; empty when they do not agree, None as
         `ask`.
         """
-        ...
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -6,22 +6,17 @@ import logging
 import os
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from roboneuron.config import ServerConfig
-from roboneuron.errors import ConfigurationError, InternalError, NotReadyError, RoboNeuronError
+from roboneuron.errors import InternalError, NotReadyError, RoboNeuronError
+from roboneuron.modules.report import Report
 from roboneuron.modules.settings import ModuleKind
 from roboneuron.ros.claim import LEAVE_S, claimant, runs_already
-from roboneuron.ros.environment import check_state_directory, module_environment
 from roboneuron.supervisor.changes import Lasting
-from roboneuron.supervisor.health import Report
-from roboneuron.supervisor.launching import Stage
+from roboneuron.supervisor.health import ModuleTable
+from roboneuron.supervisor.launching import Spawner, Stage
 from roboneuron.supervisor.lifecycle import NodeClient
-from roboneuron.supervisor.process import ModuleProcess, end_processes, spawn
+from roboneuron.supervisor.process import ModuleProcess, end_processes
 from roboneuron.supervisor.slot import Choice, Phase, Slot
-
-if TYPE_CHECKING:
-    from roboneuron.supervisor.supervisor import Supervisor
 
 log = logging.getLogger(__name__)
 _REASON_S = 1.0
@@ -48,18 +43,21 @@ class Bringup:
 
     _process: ModuleProcess
 
-    def __init__(self, supervisor: Supervisor, slot: Slot, choice: Choice, on_stage: Stage) -> None:
-        self._supervisor = supervisor
+    def __init__(
+        self, spawner: Spawner, modules: ModuleTable, slot: Slot, choice: Choice, on_stage: Stage
+    ) -> None:
+        self._spawner = spawner
+        self._modules = modules
         self._slot = slot
         self._plan = choice.plan
         self._settings = choice.settings
         self._name = choice.settings.status_name
         self._timeout_s = choice.settings.config.start_timeout_s(slot.kind)
-        self._board = supervisor.board
-        self._changes = supervisor.changes
+        self._board = modules.board
+        self._changes = modules.changes
         self._on_stage = on_stage
         self._doing = "starting"
-        self._since_s = self._told_s = time.monotonic()
+        self._since_s = self._reported_s = time.monotonic()
 
     def run(self, python: str | None) -> None:
         """Spawn, configure, activate and wait for readiness; a failure ends the process.
@@ -84,7 +82,7 @@ class Bringup:
                 slot.settle(phase)
             if slot.process is not None and slot.process.exit_code is not None:
                 self._on_exit(slot.process)  # it died between its proof and here
-            self._supervisor.on_change(slot.kind)
+            self._modules.on_change(slot.kind)
 
     def _check_robot(self) -> None:
         """Refuse at once a source that shows what the robot's own driver moves, when no robot is
@@ -98,7 +96,7 @@ class Bringup:
             or not plan.perception.drivers
         ):
             return
-        robot = self._supervisor.slot("robot")
+        robot = self._modules.slot("robot")
         if not self._changes.wait_for(
             lambda: robot.phase in ("starting", "running"), _ROBOT_S, self._slot.check_not_cancelled
         ):
@@ -109,34 +107,8 @@ class Bringup:
             )
 
     def _spawn(self, python: str | None) -> ModuleProcess:
-        settings, supervisor = self._settings, self._supervisor
-        command = supervisor.command(python)
-        # A plugin has no use for the server's section.
-        told = settings.model_copy(
-            update={"config": settings.config.model_copy(update={"server": ServerConfig()})}
-        )
-        check_state_directory(supervisor.log_directory)
-        try:
-            spawning = supervisor.spawner.submit(
-                spawn,
-                settings.node_name,
-                command,
-                module_environment(
-                    python, next(supervisor.connection.starts), supervisor.secret_variables
-                ),
-                told.model_dump_json(),
-                supervisor.log_directory / f"{settings.node_name}.log",
-                supervisor.process_events,
-            )
-            process = spawning.result()
-        except OSError as error:
-            raise ConfigurationError(
-                f"The {settings.kind} process cannot be started with {command[0]!r}: "
-                f"{error.strerror or error}.",
-                hint=f"Check `python` in the section [{settings.kind}] of the configuration.",
-            ) from error
-        supervisor.heartbeat.start()
-        log.info("Spawned %s: pid %d.", settings.node_name, process.pid)
+        process = self._spawner.start(self._settings, python)
+        log.info("Spawned %s: pid %d.", process.name, process.pid)
         self._board.watch(self._name, process.pid)
         process.reap(self._on_exit)
         return process
@@ -145,12 +117,12 @@ class Bringup:
         if self._slot.note_exit(process):
             log.error("%s is gone: %s", self._slot.kind, self._slot.explain_exit())
             self._board.forget(self._name, process.pid)
-            self._supervisor.on_change(self._slot.kind)
+            self._modules.on_change(self._slot.kind)
 
     def _prove(self, deadline_s: float) -> None:
         """Configure, activate, wait for readiness until that monotonic time."""
         self._stage("starting")
-        link, announce = self._supervisor.link, self._process.announce
+        link, announce = self._spawner.connection.link(), self._process.announce
         client = self._client = NodeClient(
             link, self._changes, f"/{self._name}", announce, self._check
         )
@@ -190,10 +162,10 @@ class Bringup:
     def _await_ready(self, deadline_s: float) -> None:
         self._stage("waiting for the first output")
         failing, absence = Lasting(), Lasting()
-        told = ""
+        reported = ""
 
         def ready() -> bool:
-            nonlocal told
+            nonlocal reported
             self._check()
             report = self._report()
             if report is None:
@@ -205,9 +177,9 @@ class Bringup:
             lasts = failure is not None and not isinstance(failure, NotReadyError)
             if failing.held_s(lasts) > _PERSISTENT_S and failure is not None:
                 raise failure
-            if report.waiting_for and report.waiting_for != told:
-                told = report.waiting_for
-                self._on_stage(f"{self._slot.kind}: waiting for {told}")
+            if report.waiting_for and report.waiting_for != reported:
+                reported = report.waiting_for
+                self._on_stage(f"{self._slot.kind}: waiting for {reported}")
             absent = self._absent() if report.waiting_for else ()
             if absence.held_s(bool(absent)) > _ABSENT_S:
                 raise NotReadyError(
@@ -243,7 +215,7 @@ class Bringup:
         return [
             other
             for other in needed
-            if self._supervisor.slot(other).phase not in ("starting", "running")
+            if self._modules.slot(other).phase not in ("starting", "running")
         ]
 
     def _check_alone(self) -> None:
@@ -277,7 +249,7 @@ class Bringup:
 
     def _stage(self, doing: str) -> None:
         self._doing = doing
-        self._since_s = self._told_s = time.monotonic()
+        self._since_s = self._reported_s = time.monotonic()
         self._on_stage(f"{self._slot.kind}: {doing}")
 
     def _report(self) -> Report | None:
@@ -286,15 +258,15 @@ class Bringup:
     def _check(self) -> None:
         self._slot.check_not_cancelled()
         self._slot.check_alive(self._doing)
-        self._tell_progress()
+        self._report_progress()
 
-    def _tell_progress(self) -> None:
+    def _report_progress(self) -> None:
         """Loading may take minutes: say for how long it has gone on, and how much is in memory by
         now.
         """
         now_s = time.monotonic()
-        if now_s - self._told_s >= _PROGRESS_S:
-            self._told_s = now_s
+        if now_s - self._reported_s >= _PROGRESS_S:
+            self._reported_s = now_s
             self._on_stage(
                 f"{self._slot.kind}: {self._doing}, {now_s - self._since_s:.0f} of at most "
                 f"{self._timeout_s:g} s"

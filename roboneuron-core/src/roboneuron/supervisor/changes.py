@@ -128,14 +128,14 @@ class Periodic:
             self._thread.join(_JOIN_S)
 
     def _run(self) -> None:
-        told = ""
+        logged = ""
         while not self._end.is_set():
             try:
                 self._step()
             except (
                 Exception
             ) as error:  # one failing look must not end a watch that safety depends on
-                if repr(error) != told:
-                    told = repr(error)
+                if repr(error) != logged:
+                    logged = repr(error)
                     log.exception("A step of %r failed.", self._thread.name)
             self._end.wait(self._period_s)

@@ -10,11 +10,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
-from roboneuron.modules.report import StatusReport
+from roboneuron.modules.report import Report
 from roboneuron.modules.settings import MODULE_KINDS, ModuleKind
 from roboneuron.supervisor.changes import Changes, Periodic
 from roboneuron.supervisor.process import ModuleProcess
-from roboneuron.supervisor.slot import Choice, Exit, Phase
+from roboneuron.supervisor.slot import Choice, Exit, Phase, Slot
 
 if TYPE_CHECKING:
     from diagnostic_msgs.msg import DiagnosticArray
@@ -23,13 +23,6 @@ if TYPE_CHECKING:
 _KINDS = tuple(f"/{kind}" for kind in MODULE_KINDS)
 _FOREIGN_S = 1.0
 _FOREIGN = 64
-
-
-@dataclass(frozen=True, kw_only=True)
-class Report(StatusReport):
-    """One module's newest status; `received_s` is the monotonic time of its arrival [s]."""
-
-    received_s: float
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -123,6 +116,67 @@ class StatusBoard:
                     self._foreign = dict(list(self._foreign.items())[-_FOREIGN:])
                     self._foreign[status.name] = (status.hardware_id, now_s)
         self.changes.notify()
+
+
+class ModuleTable:
+    """The modules of one server.
+
+    Args:
+        on_change: called from any thread, with the kind, when a module started, stopped or ended by
+            itself.
+
+    Attributes:
+        changes: told of all that happens to modules; its lock guards `slots`.
+        slots: by kind, the one of the module that works first; others are about to replace it, or
+            were replaced.
+        board: what the modules report.
+    """
+
+    def __init__(self, on_change: Callable[[ModuleKind], object]) -> None:
+        self.on_change = on_change
+        self.changes = Changes()
+        self.board = StatusBoard(self.changes)
+        self.slots = {kind: [Slot(kind, self.changes)] for kind in MODULE_KINDS}
+
+    def slot(self, kind: ModuleKind) -> Slot:
+        """The slot of the module that works now; another one after a replacement."""
+        with self.changes.lock:
+            return self.slots[kind][0]
+
+    def report_of(self, slot: Slot) -> Report | None:
+        """The newest report of a module, standby or not."""
+        process, choice = slot.process, slot.choice
+        if process is None or choice is None:
+            return None
+        return self.board.newest(choice.settings.status_name, process.pid)
+
+    def view(self, kind: ModuleKind) -> ModuleView:
+        """What is known of a module now."""
+        with self.changes.lock:
+            slot = self.slot(kind)
+            report = self.report_of(slot)
+            return ModuleView(
+                kind=kind,
+                phase=slot.phase,
+                process=slot.process,
+                choice=slot.choice,
+                report=report if slot.phase != "exited" else None,
+                exit=slot.exit,
+            )
+
+    def views(self) -> list[ModuleView]:
+        """All modules, in the order robot, perception, inference, control."""
+        return [self.view(kind) for kind in MODULE_KINDS]
+
+    def require_running(self, kind: ModuleKind) -> ModuleView:
+        """The view of a running module.
+
+        Raises:
+            StateError: it is not running; the message says why and what to do.
+        """
+        with self.changes.lock:
+            self.slot(kind).check_running(f"Call start_{kind} first.")
+            return self.view(kind)
 
 
 log = logging.getLogger(__name__)

@@ -1,4 +1,4 @@
-"""The server's ROS node, and how a module process is started."""
+"""The server's ROS node, and how module processes are started."""
 
 from __future__ import annotations
 
@@ -7,16 +7,25 @@ import os
 import sys
 import threading
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future
+from concurrent.futures import Future, ThreadPoolExecutor
 from concurrent.futures import TimeoutError as FutureTimeoutError
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from roboneuron.errors import NotReadyError, StateError
-from roboneuron.ros.environment import prepare_environment
+from roboneuron.config import ServerConfig
+from roboneuron.errors import ConfigurationError, NotReadyError, StateError
+from roboneuron.modules.settings import ModuleSettings
+from roboneuron.ros.environment import (
+    check_state_directory,
+    module_environment,
+    prepare_environment,
+)
 from roboneuron.ros.topics import DIAGNOSTICS
+from roboneuron.supervisor.process import ModuleProcess, ProcessEvents, spawn
 
 if TYPE_CHECKING:
+    from diagnostic_msgs.msg import DiagnosticArray
+
     from roboneuron.ros.link import RosLink
 
 
@@ -30,7 +39,7 @@ class Connection:
         starts: numbers the module processes of one node, for ports of their own.
     """
 
-    def __init__(self, on_status: Callable[[Any], None], log_directory: Path) -> None:
+    def __init__(self, on_status: Callable[[DiagnosticArray], None], log_directory: Path) -> None:
         self._on_status = on_status
         self._log_directory = log_directory
         self._lock = threading.Lock()
@@ -94,9 +103,64 @@ class Connection:
 
 Stage = Callable[[str], None]
 Command = Callable[[str | None], Sequence[str]]
-Connect = Callable[[Callable[[Any], None], Path], Connection]
+Connect = Callable[[Callable[["DiagnosticArray"], None], Path], Connection]
 
 
 def module_command(python: str | None) -> list[str]:
     """How a module process is started; `-P` keeps the working directory out of its import path."""
     return [python or sys.executable, "-u", "-P", "-m", "roboneuron.modules"]
+
+
+class Spawner:
+    """Starts module processes, on a thread that lives as long as the server: PR_SET_PDEATHSIG
+    follows the thread.
+
+    Args:
+        command: how to start a module under a given interpreter.
+        connection: the server's node.
+        log_directory: where modules log, one file for each.
+
+    Attributes:
+        events: what happens to module processes, for listeners.
+        secret_variables: environment variables that modules do not get.
+    """
+
+    def __init__(self, command: Command, connection: Connection, log_directory: Path) -> None:
+        self.connection = connection
+        self.log_directory = log_directory
+        self.events = ProcessEvents()
+        self.secret_variables: set[str] = set()
+        self._command = command
+        self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="spawner")
+
+    def start(self, settings: ModuleSettings, python: str | None) -> ModuleProcess:
+        """Start a module under that interpreter, or under this one.
+
+        Raises:
+            ConfigurationError: it cannot be started, or its log cannot be written.
+        """
+        # A plugin has no use for the server's section.
+        config = settings.config.model_copy(update={"server": ServerConfig()})
+        number = next(self.connection.starts)
+        command = self._command(python)
+        check_state_directory(self.log_directory)
+        try:
+            return self._thread.submit(
+                spawn,
+                settings.node_name,
+                command,
+                module_environment(python, number, self.secret_variables),
+                settings.model_copy(update={"config": config}).model_dump_json(),
+                self.log_directory / f"{settings.node_name}.log",
+                self.events,
+            ).result()
+        except OSError as error:
+            raise ConfigurationError(
+                f"The {settings.kind} process cannot be started with {command[0]!r}: "
+                f"{error.strerror or error}.",
+                hint=f"Check `python` in the section [{settings.kind}] of the configuration.",
+            ) from error
+
+    def shutdown(self) -> None:
+        """End the thread; a process that is still there gets its death signal."""
+        self._thread.shutdown()

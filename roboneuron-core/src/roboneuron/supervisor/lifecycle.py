@@ -108,7 +108,7 @@ class NodeClient:
         from lifecycle_msgs.msg import Transition  # heavy
         from lifecycle_msgs.srv import ChangeState  # heavy
 
-        from roboneuron.modules.requests import digest_of_transition  # heavy
+        from roboneuron.modules.requests import digest_of  # heavy
 
         request = ChangeState.Request(transition=Transition(id=TRANSITIONS[name], label=name))
         deadline_s = time.monotonic() + timeout_s
@@ -122,7 +122,7 @@ class NodeClient:
             # One that was killed is in the graph for some seconds more: a request may have gone to
             # it alone.
             if state == _BEFORE[name]:
-                self._announce(digest_of_transition(TRANSITIONS[name], name))
+                self._announce(digest_of(request))
                 calls.append(
                     self._link.call(
                         ChangeState, self._name("change_state"), request, self._changes.notify
@@ -158,10 +158,10 @@ class NodeClient:
         """Request a change of parameters without waiting for the answer."""
         from rcl_interfaces.srv import SetParameters  # heavy
 
-        from roboneuron.modules.requests import digest_of_parameters, parameters_request  # heavy
+        from roboneuron.modules.requests import digest_of, parameters_request  # heavy
 
-        self._announce(digest_of_parameters(values))
         request = parameters_request(values)
+        self._announce(digest_of(request))
         return self._link.call(
             SetParameters, self._name("set_parameters"), request, self._changes.notify
         )

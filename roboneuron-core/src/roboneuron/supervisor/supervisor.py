@@ -9,7 +9,6 @@ import math
 import os
 import time
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from itertools import count
 from pathlib import Path
@@ -21,11 +20,18 @@ from roboneuron.modules.settings import MODULE_KINDS, ModuleKind, ModuleSettings
 from roboneuron.planning import Plan
 from roboneuron.ros.environment import check_state_directory
 from roboneuron.supervisor.bringup import Bringup
-from roboneuron.supervisor.changes import Changes, Periodic
-from roboneuron.supervisor.health import ModuleView, Report, StatusBoard, Stopped
-from roboneuron.supervisor.launching import Command, Connect, Connection, Stage, module_command
+from roboneuron.supervisor.changes import Periodic
+from roboneuron.supervisor.health import ModuleTable, ModuleView, Stopped
+from roboneuron.supervisor.launching import (
+    Command,
+    Connect,
+    Connection,
+    Spawner,
+    Stage,
+    module_command,
+)
 from roboneuron.supervisor.lifecycle import NodeClient
-from roboneuron.supervisor.process import KILL_S, ModuleProcess, ProcessEvents, end_processes
+from roboneuron.supervisor.process import KILL_S, ModuleProcess, end_processes
 from roboneuron.supervisor.slot import Choice, Claim, Slot
 
 if TYPE_CHECKING:
@@ -43,7 +49,7 @@ s.
 """
 
 
-class Supervisor:
+class Supervisor(ModuleTable):
     """At most one process of each kind, and a second one while it is being replaced.
 
     Args:
@@ -58,20 +64,16 @@ class Supervisor:
         log_directory: where this server's modules log, one file for each;
             `<state>/log/<time>-<pid>`.
         process_events: what happens to module processes, for listeners.
-        changes: told of all that happens to modules; its lock guards `slots`.
         tightened: limits that modules are started with instead of the configured ones; None for
             these.
-        slots: by kind, the one of the module that works first; others are about to replace it, or
-            were replaced.
         on_join: functions of features that modules call with their node, as "module:attribute"; see
             `ModuleHost`.
         needs_start: which stop keeps robot and control still, when they are started, until somebody
             asks for motion.
         secret_variables: environment variables that modules do not get.
-        board: what the modules report.
         connection: the server's node.
-        command, spawner, heartbeat: for `Bringup`; the thread that spawns lives as long as the
-            server.
+        spawner: starts processes.
+        heartbeat: shows them that the server lives.
     """
 
     def __init__(
@@ -82,23 +84,19 @@ class Supervisor:
         on_change: Callable[[ModuleKind], object] = lambda kind: None,
         connect: Connect = Connection,
     ) -> None:
+        super().__init__(on_change)
         self.state_directory = state_directory
-        self.changes = Changes()
         self.tightened: LimitsConfig | None = None
         self.on_join: tuple[str, ...] = ()
         self.log_directory = (
             state_directory / "log" / f"{time.strftime('%Y%m%d-%H%M%S')}-{os.getpid()}"
         )
-        self.process_events = ProcessEvents()
-        self.secret_variables: set[str] = set()
         self.needs_start = ""
-        self.board = StatusBoard(self.changes)
         self.connection = connect(self.board.receive, self.log_directory)
-        self.command = command
-        self.spawner = ThreadPoolExecutor(max_workers=1, thread_name_prefix="spawner")
+        self.spawner = Spawner(command, self.connection, self.log_directory)
+        self.process_events = self.spawner.events
+        self.secret_variables = self.spawner.secret_variables
         self.heartbeat = Periodic("heartbeat", _BEAT_S, self._beat)
-        self.on_change = on_change
-        self.slots = {kind: [Slot(kind, self.changes)] for kind in MODULE_KINDS}
         self._order = count(1)
         self._closed = False
 
@@ -172,20 +170,9 @@ class Supervisor:
             )
             choice = Choice(settings=settings, names=names or {}, plan=plan)
             slot.begin_start(choice, next(self._order))
-        Bringup(self, slot, choice, on_stage).run(python)
+        self.heartbeat.start()
+        Bringup(self.spawner, self, slot, choice, on_stage).run(python)
         return self.view(kind)
-
-    def slot(self, kind: ModuleKind) -> Slot:
-        """The slot of the module that works now; another one after a replacement."""
-        with self.changes.lock:
-            return self.slots[kind][0]
-
-    def report_of(self, slot: Slot) -> Report | None:
-        """The newest report of a module, standby or not."""
-        process, choice = slot.process, slot.choice
-        if process is None or choice is None:
-            return None
-        return self.board.newest(choice.settings.status_name, process.pid)
 
     def stop(self, kind: ModuleKind) -> Stopped | None:
         """Deactivate, end and reap a module; a start in progress is cancelled instead, and None is
@@ -232,34 +219,6 @@ class Supervisor:
             with suppress(StateError):
                 claims.append(slot.begin_stop())
         return self._finish(claims, within_s)
-
-    def view(self, kind: ModuleKind) -> ModuleView:
-        """What is known of a module now."""
-        with self.changes.lock:
-            slot = self.slot(kind)
-            report = self.report_of(slot)
-            return ModuleView(
-                kind=kind,
-                phase=slot.phase,
-                process=slot.process,
-                choice=slot.choice,
-                report=report if slot.phase != "exited" else None,
-                exit=slot.exit,
-            )
-
-    def views(self) -> list[ModuleView]:
-        """All modules, in the order robot, perception, inference, control."""
-        return [self.view(kind) for kind in MODULE_KINDS]
-
-    def require_running(self, kind: ModuleKind) -> ModuleView:
-        """The view of a running module.
-
-        Raises:
-            StateError: it is not running; the message says why and what to do.
-        """
-        with self.changes.lock:
-            self.slot(kind).check_running(f"Call start_{kind} first.")
-            return self.view(kind)
 
     def log_path(self, kind: ModuleKind) -> Path:
         """Where the present module of that kind logs."""

@@ -16,7 +16,6 @@ import shutil
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 KINDS = ("msg", "srv", "action")
 TYPESUPPORTS = ("rosidl_typesupport_fastrtps_c", "rosidl_typesupport_introspection_c")
@@ -93,7 +92,7 @@ class Generation:
         place.write_text(text, encoding="utf-8")
 
     def _call(
-        self, generator: str, function: Callable[..., Any], *arguments: Sequence[str]
+        self, generator: str, function: Callable[..., object], *arguments: Sequence[str]
     ) -> None:
         relative = [path.relative_to(self._output).as_posix() for path in self._idls]
         others = [

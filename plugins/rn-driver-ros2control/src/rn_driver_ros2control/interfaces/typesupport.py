@@ -83,7 +83,7 @@ def find_compiler(package: str) -> list[str]:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Wheels:
+class GeneratorWheels:
     """An environment that the generators are installed in.
 
     Attributes:
@@ -97,7 +97,7 @@ class Wheels:
     environment: dict[str, str]
 
 
-def find_wheels() -> Wheels | None:
+def find_wheels() -> GeneratorWheels | None:
     """The generators of this interpreter's environment, otherwise those on its module path; None
     without.
 
@@ -122,7 +122,9 @@ def find_wheels() -> Wheels | None:
         for folder in Path(generator).resolve().parents:
             if (folder / "share" / "rosidl_generator_c").is_dir():
                 environment["AMENT_PREFIX_PATH"] = str(folder)
-                return Wheels(prefix=folder, numpy_headers=Path(headers), environment=environment)
+                return GeneratorWheels(
+                    prefix=folder, numpy_headers=Path(headers), environment=environment
+                )
     return None
 
 
@@ -210,7 +212,7 @@ def _share(folder: Path, generated: Path, share: Path, package: str) -> None:
         (index / name / package).write_text(text, encoding="utf-8")
 
 
-def _run(command: Sequence[str], wheels: Wheels) -> None:
+def _run(command: Sequence[str], wheels: GeneratorWheels) -> None:
     done = subprocess.run(
         command,
         env=wheels.environment,
@@ -225,7 +227,7 @@ def _run(command: Sequence[str], wheels: Wheels) -> None:
 
 
 def _compile(
-    compiler: Sequence[str], wheels: Wheels, work: Path, package: str, output: Path
+    compiler: Sequence[str], wheels: GeneratorWheels, work: Path, package: str, output: Path
 ) -> None:
     """Compile each generated source; link the typesupports into one library and the conversion into
     the extension.

@@ -27,8 +27,9 @@ import franka_sim.mujoco_franka_sim as backend
 import mujoco
 import numpy as np
 from franka_sim import FrankaSimServer
-from franka_sim.franka_protocol import RobotMode
+from franka_sim.franka_protocol import MoveStatus, RobotMode
 from franka_sim.limits.checker import MotionLimitChecker
+from franka_sim.robot_state import RobotState
 from franka_sim.server import state_stream
 
 JOINTS = tuple(f"fr3_joint{i}" for i in range(1, 8))
@@ -40,6 +41,8 @@ ARMATURE = 0.195
 """Of MuJoCo Menagerie's FR3 [kg m^2]; with less, franka-sim's damping is unstable at 1 ms."""
 FINGER_ARMATURE_KG = 0.3
 IN_TIME, LATE, MISSING = 0, 1, 2
+STANDING_MODES = (RobotMode.kOther, RobotMode.kGuiding, RobotMode.kUserStopped)
+"""In these the control box starts no motion: brakes closed, guided by hand, user stop."""
 
 
 def solid(geom, friction, bit):
@@ -207,6 +210,34 @@ def tell(sim, server, address):
         listener.sendto(json.dumps(sim.truth).encode(), sender)
 
 
+class Server(FrankaSimServer):
+    """As the parent, and it refuses motions as a control box does."""
+
+    def _refuse_move_while_latched(self, client_socket, header):
+        """Also while a person has pressed the user stop, guides the arm or closed its brakes."""
+        if self.robot_state.state["robot_mode"] in STANDING_MODES:
+            self.send_move_response(
+                client_socket, header.command_id, MoveStatus.kCommandNotPossibleRejected
+            )
+            return True
+        return super()._refuse_move_while_latched(client_socket, header)
+
+
+def begin_motions_at_once():
+    """Show the mode of a motion no later than its generator.
+
+    The state is sent by another thread. With a generator and without kMove libfranka takes the
+    motion for ended, and waits without a bound to be told so.
+    """
+    set_generator = RobotState.set_motion_generator_mode
+
+    def set_mode_and_generator(self, mode):
+        self.state["robot_mode"] = RobotMode.kMove
+        set_generator(self, mode)
+
+    RobotState.set_motion_generator_mode = set_mode_and_generator
+
+
 def main():
     """Run until interrupted, or until whoever started it is gone."""
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
@@ -222,9 +253,10 @@ def main():
     logging.basicConfig(
         level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s"
     )
+    begin_motions_at_once()
     state_stream.socket = types.SimpleNamespace(**{**vars(socket), "socket": LossySocket})
     sim = SceneSim(json.loads(pathlib.Path(arguments.scene).read_text()), arguments.record)
-    server = FrankaSimServer(
+    server = Server(
         host=arguments.host,
         physics_sim=sim,
         enable_gripper=not arguments.no_gripper,

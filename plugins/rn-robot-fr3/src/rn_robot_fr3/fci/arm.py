@@ -24,7 +24,7 @@ from rn_robot_fr3.fci.planner import (
     JERK_LIMIT_RAD_S3,
     STOP_ACCELERATION_RAD_S2,
     VELOCITY_LIMIT_RAD_S,
-    Plan,
+    ArmPlan,
 )
 
 F64 = NDArray[np.float64]
@@ -42,6 +42,10 @@ _BRAKING_S = 0.6
 """Longer than any stop: 2.6 rad/s at 9 rad/s^2 takes 0.3 s."""
 _LOOK_S = 0.002
 _ALIVE_S = 0.02
+_STALE_S = 1.5
+"""Age of a state from which on the control process counts as hung. It is longer than the second
+after which libfranka itself says that the robot is silent, and names the cause.
+"""
 _MESSAGE_BYTES = 65536
 
 
@@ -62,6 +66,7 @@ class ArmState:
     """What the control box measured.
 
     Attributes:
+        received_s: when it came from the control process, on the monotonic clock.
         position, velocity, torque: float64 (7,) [rad, rad/s, Nm].
         external_torque: float64 (7,), filtered [Nm].
         wrench: float64 (6,), external force [N] and torque [Nm] at the stiffness frame, in the base
@@ -75,6 +80,7 @@ class ArmState:
         missed_cycles, longest_gap: cycles of all motions without a state, and the most in a row.
     """
 
+    received_s: float
     position: F64
     velocity: F64
     torque: F64
@@ -106,7 +112,7 @@ class FciArm:
         self._answers: dict[int, ClientError | None] = {}
         self._ended: ClientError | None = None
         self._number = self._aimed = 0
-        self._alive_s = 0.0
+        self._alive_s = self._received_s = 0.0
         self._is_stopping = False
         self.refusal = ""
 
@@ -160,19 +166,28 @@ class FciArm:
         self.refusal = ""
 
     def read(self) -> ArmState:
-        """The newest state, at most 8 ms old while the arm answers. Raises once what ended a
-        motion.
+        """The newest state, at most 8 ms old while the arm answers.
+
+        Raises:
+            ClientError: what ended a motion, once; there is no state, or only one that is too old.
         """
         self._say_alive()
         with self._news:
             ended, self._ended = self._ended, None
-            state = self._newest
+            state, received_s = self._newest, self._received_s
         if ended is not None:
             raise ended
         if state is None:
             raise ClientError("NetworkException", "the control process has no state of the robot.")
+        age_s = time.monotonic() - received_s
+        if age_s > _STALE_S:
+            # libfranka may wait without a bound, for example for the end of a motion
+            raise ClientError(
+                "NetworkException", f"the control process has sent no state for {age_s:.1f} s."
+            )
         frame = np.array(state["O_T_EE"]).reshape(4, 4).T
         return ArmState(
+            received_s=received_s,
             position=np.array(state["q"]),
             velocity=np.array(state["dq"]),
             torque=np.array(state["tau_J"]),
@@ -199,7 +214,7 @@ class FciArm:
         """Whether the control process is scheduled first in, first out."""
         return bool(self._newest and self._newest["realtime"])
 
-    def go(self, plan: Plan) -> None:
+    def go(self, plan: ArmPlan) -> None:
         """Go to the plan's target; replaces the motion before, without a jump in acceleration. See
         `await_rest`.
         """
@@ -291,7 +306,7 @@ class FciArm:
             self._aimed = 0
             self._ended = ClientError(told["ended"], told["text"])
         else:
-            self._newest = told
+            self._newest, self._received_s = told, time.monotonic()
 
     def _ask(self, what: str, limit_s: float, **arguments: object) -> None:
         """Ask the process for something and wait."""
@@ -323,7 +338,12 @@ class FciArm:
         if self._link is None:
             raise ClientError("NetworkException", "there is no control process.")
         try:
-            self._link.send(json.dumps(message).encode())
+            # without waiting: the driver's lock is held, which a stop needs too
+            self._link.send(json.dumps(message).encode(), socket.MSG_DONTWAIT)
+        except BlockingIOError as error:
+            raise ClientError(
+                "NetworkException", "the control process does not read its messages."
+            ) from error
         except OSError as error:
             raise ClientError(
                 "NetworkException", f"the control process has ended ({error.strerror})."

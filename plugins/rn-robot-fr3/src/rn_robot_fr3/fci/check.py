@@ -46,7 +46,7 @@ _CONNECT_S = 3.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Finding:
+class ArmFinding:
     """One thing that was looked at.
 
     Attributes:
@@ -117,7 +117,7 @@ class Machine:
 
 def check_machine(
     machine: Machine, seconds: float, measure: Callable[[float], Timing] | None = None
-) -> list[Finding]:
+) -> list[ArmFinding]:
     """Kernel, priority, memory, power saving, and how late a thread is woken."""
     return [
         _kernel(machine),
@@ -129,18 +129,18 @@ def check_machine(
     ]
 
 
-def check_network(machine: Machine, host: str, seconds: float) -> list[Finding]:
+def check_network(machine: Machine, host: str, seconds: float) -> list[ArmFinding]:
     """Round trips to the control box, whether FCI is active there, and the network card that leads
     there.
     """
     return [_fci(host), judged_round_trips(round_trips(host, seconds)), card(machine, host)]
 
 
-def _kernel(machine: Machine) -> Finding:
+def _kernel(machine: Machine) -> ArmFinding:
     release = machine.text("proc/sys/kernel/osrelease")
     if machine.text("sys/kernel/realtime") == "1":
-        return Finding(name="kernel", verdict="ok", found=f"PREEMPT_RT ({release})")
-    return Finding(
+        return ArmFinding(name="kernel", verdict="ok", found=f"PREEMPT_RT ({release})")
+    return ArmFinding(
         name="kernel",
         verdict="failed",
         found=f"{release or 'unknown'} is not real-time: /sys/kernel/realtime is not 1",
@@ -148,17 +148,17 @@ def _kernel(machine: Machine) -> Finding:
     )
 
 
-def _priority() -> Finding:
+def _priority() -> ArmFinding:
     granted = _granted_priority()
     limit = resource.getrlimit(resource.RLIMIT_RTPRIO)[0]
     told = "unlimited" if limit == resource.RLIM_INFINITY else str(limit)
     if granted:
-        return Finding(
+        return ArmFinding(
             name="priority",
             verdict="ok",
             found=f"SCHED_FIFO {PRIORITY} is granted (ulimit -r: {told})",
         )
-    return Finding(
+    return ArmFinding(
         name="priority",
         verdict="failed",
         found=f"SCHED_FIFO {PRIORITY} is refused (ulimit -r: {told}, needed: 99)",
@@ -177,13 +177,13 @@ def _granted_priority() -> bool:
     return True
 
 
-def _locked_memory() -> Finding:
+def _locked_memory() -> ArmFinding:
     limit = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0]
     is_unlimited = limit == resource.RLIM_INFINITY
     told = "unlimited" if is_unlimited else f"{limit // 1024} KiB"
     if is_unlimited or limit >= LOCKED_BYTES or os.geteuid() == 0:
-        return Finding(name="locked-memory", verdict="ok", found=f"ulimit -l: {told}")
-    return Finding(
+        return ArmFinding(name="locked-memory", verdict="ok", found=f"ulimit -l: {told}")
+    return ArmFinding(
         name="locked-memory",
         verdict="warning",
         found=f"ulimit -l: {told}, wanted: {LOCKED_BYTES // 1024} KiB",
@@ -191,15 +191,15 @@ def _locked_memory() -> Finding:
     )
 
 
-def _governor(machine: Machine) -> Finding:
+def _governor(machine: Machine) -> ArmFinding:
     found = set(machine.texts("sys/devices/system/cpu/cpu[0-9]*/cpufreq/scaling_governor").values())
     if not found:
-        return Finding(
+        return ArmFinding(
             name="governor", verdict="ok", found="the system does not change the clock of the CPU"
         )
     if found == {"performance"}:
-        return Finding(name="governor", verdict="ok", found="performance, on every CPU")
-    return Finding(
+        return ArmFinding(name="governor", verdict="ok", found="performance, on every CPU")
+    return ArmFinding(
         name="governor",
         verdict="warning",
         found=f"{', '.join(sorted(found))}, wanted: performance",
@@ -207,7 +207,7 @@ def _governor(machine: Machine) -> Finding:
     )
 
 
-def _idle_states(machine: Machine) -> Finding:
+def _idle_states(machine: Machine) -> ArmFinding:
     latencies = machine.texts("sys/devices/system/cpu/cpu0/cpuidle/state*/latency")
     enabled_us = [
         int(text)
@@ -216,10 +216,10 @@ def _idle_states(machine: Machine) -> Finding:
     ]
     worst_us = max(enabled_us, default=0)
     if worst_us <= LATE_S * 1e6 / 2:
-        return Finding(
+        return ArmFinding(
             name="idle-states", verdict="ok", found=f"the deepest takes {worst_us} us to leave"
         )
-    return Finding(
+    return ArmFinding(
         name="idle-states",
         verdict="warning",
         found=f"the deepest takes {worst_us} us to leave, wanted: at most {LATE_S * 1e6 / 2:.0f} "
@@ -249,7 +249,7 @@ def wake_ups(seconds: float) -> Timing:
     return Timing(late_s=np.array(late))
 
 
-def _wake_ups(timing: Timing) -> Finding:
+def _wake_ups(timing: Timing) -> ArmFinding:
     count, longest_s = len(timing.late_s), float(timing.late_s.max())
     found = (
         f"{timing.missed} of {count} cycles of 1 ms began more than {LATE_S * 1e3:g} ms late, the "
@@ -257,8 +257,8 @@ def _wake_ups(timing: Timing) -> Finding:
         f"{longest_s * 1e3:.2f} ms; limits: {LATE_SHARE:.1%} of them, {LONGEST_LATE_S * 1e3:g} ms"
     )
     if timing.missed <= LATE_SHARE * count and longest_s <= LONGEST_LATE_S:
-        return Finding(name="cycles", verdict="ok", found=found)
-    return Finding(
+        return ArmFinding(name="cycles", verdict="ok", found=found)
+    return ArmFinding(
         name="cycles",
         verdict="failed",
         found=found,
@@ -267,11 +267,11 @@ def _wake_ups(timing: Timing) -> Finding:
     )
 
 
-def _fci(host: str) -> Finding:
+def _fci(host: str) -> ArmFinding:
     try:
         socket.create_connection((host, PORT), _CONNECT_S).close()
     except ConnectionRefusedError:
-        return Finding(
+        return ArmFinding(
             name="fci",
             verdict="failed",
             found=f"{host} is there and refuses port {PORT}",
@@ -279,14 +279,14 @@ def _fci(host: str) -> Finding:
             "is ended there.",
         )
     except OSError as error:
-        return Finding(
+        return ArmFinding(
             name="fci",
             verdict="failed",
             found=f"nobody answers at {host}: {error.strerror or error}",
             hint="Check the cable, the address, and that this machine's address is in the same "
             "network.",
         )
-    return Finding(name="fci", verdict="ok", found=f"{host} accepts connections on port {PORT}")
+    return ArmFinding(name="fci", verdict="ok", found=f"{host} accepts connections on port {PORT}")
 
 
 def round_trips(host: str, seconds: float) -> list[float] | str:
@@ -344,10 +344,10 @@ def checksum(data: bytes) -> int:
     return folded
 
 
-def judged_round_trips(times_s: list[float] | str) -> Finding:
+def judged_round_trips(times_s: list[float] | str) -> ArmFinding:
     """By `ROUND_TRIP_S` and `WORST_ROUND_TRIP_S`; none may be lost."""
     if isinstance(times_s, str):
-        return Finding(
+        return ArmFinding(
             name="round-trip",
             verdict="warning",
             found=times_s,
@@ -365,8 +365,8 @@ def judged_round_trips(times_s: list[float] | str) -> Finding:
         f"{WORST_ROUND_TRIP_S * 1e3:g} ms, 0"
     )
     if lost == 0 and median_s <= ROUND_TRIP_S and worst_s <= WORST_ROUND_TRIP_S:
-        return Finding(name="round-trip", verdict="ok", found=found)
-    return Finding(
+        return ArmFinding(name="round-trip", verdict="ok", found=found)
+    return ArmFinding(
         name="round-trip",
         verdict="failed",
         found=found,
@@ -375,11 +375,11 @@ def judged_round_trips(times_s: list[float] | str) -> Finding:
     )
 
 
-def card(machine: Machine, host: str) -> Finding:
+def card(machine: Machine, host: str) -> ArmFinding:
     """The network card towards a host: wired, 1 Gbit/s, awake."""
     name = machine.interface(host)
     if not name or name == "lo":
-        return Finding(
+        return ArmFinding(
             name="network-card", verdict="ok", found=f"{host} is reached without a network card"
         )
     folder = f"sys/class/net/{name}"
@@ -394,11 +394,13 @@ def card(machine: Machine, host: str) -> Finding:
     if control == "auto":
         problems.append("its power saving is on")
     if problems:
-        return Finding(
+        return ArmFinding(
             name="network-card",
             verdict="failed" if "it is wireless" in problems else "warning",
             found=f"{name}: {', '.join(problems)}",
             hint=f"Use a wired card; echo on > /{folder}/device/power/control; ethtool --set-eee "
             f"{name} eee off.",
         )
-    return Finding(name="network-card", verdict="ok", found=f"{name}, {speed or 'unknown'} Mbit/s")
+    return ArmFinding(
+        name="network-card", verdict="ok", found=f"{name}, {speed or 'unknown'} Mbit/s"
+    )

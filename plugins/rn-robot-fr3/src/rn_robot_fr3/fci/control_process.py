@@ -23,7 +23,7 @@ import socket
 import sys
 import time
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rn_robot_fr3.fci.follower import (
     LONGEST_GAP,
@@ -33,6 +33,11 @@ from rn_robot_fr3.fci.follower import (
     Follower,
     PlannerError,
 )
+
+if TYPE_CHECKING:
+    from types import ModuleType
+
+    import pylibfranka
 
 PRIORITY = 20
 SILENT_S = 0.5
@@ -59,10 +64,10 @@ class CommunicationLost(Exception):
 class ControlProcess:
     """One connection to the arm, and its control loop while something moves."""
 
-    def __init__(self, link: socket.socket, client: Any, is_realtime: bool) -> None:
+    def __init__(self, link: socket.socket, client: ModuleType, is_realtime: bool) -> None:
         self._link, self._client, self._is_realtime = link, client, is_realtime
-        self._robot: Any = None
-        self._control: Any = None
+        self._robot: Any = None  # pylibfranka.Robot, once connected
+        self._control: Any = None  # pylibfranka.ActiveControlBase while something moves
         self._follower: Follower | None = None
         self._course: Course | None = None
         self._stop: tuple[tuple[float, ...], tuple[float, ...]] = ((), ())
@@ -250,7 +255,7 @@ class ControlProcess:
         """Brake, then end; a handler of signals."""
         self._end()
 
-    def _report(self, state: Any) -> None:
+    def _report(self, state: pylibfranka.RobotState) -> None:
         self._reported_s = time.monotonic()
         errors = state.current_errors
         self._tell(
@@ -274,13 +279,13 @@ class ControlProcess:
         kind = "PlannerException" if isinstance(error, PlannerError) else type(error).__name__
         self._tell({"ended": kind, "text": str(error)})
 
-    def _tell(self, message: dict[str, Any]) -> None:
+    def _tell(self, message: dict[str, object]) -> None:
         """Send it; a parent that does not read loses states, not the arm its answer."""
         with contextlib.suppress(OSError):
             self._link.send(json.dumps(message).encode(), socket.MSG_DONTWAIT)
 
 
-def _milliseconds(time_of_state: Any) -> int:
+def _milliseconds(time_of_state: pylibfranka.Duration) -> int:
     seconds: float = time_of_state.to_sec()
     return round(seconds / STEP_S)
 

@@ -78,6 +78,7 @@ class FciDriver:
         self._fault: Fault | None = None
         self._state: RobotState | None = None
         self._measured: ArmState | None = None
+        self._measured_ns = 0
         self._asked_s = 0.0
         self._busy_until_s = 0.0
         self._stopped_s = 0.0
@@ -288,7 +289,7 @@ class FciDriver:
     def _end(self, arm: FciArm, error: Exception) -> None:
         """A motion has ended by itself: a mode that stands says more of it than the error."""
         with suppress(ClientError):
-            self._measured = arm.read()
+            self._note(arm.read())
         seen = self._measured
         found = faults.from_mode(seen.mode, seen.errors) if seen is not None else None
         self._fail(found if found is not None and found.stands else faults.from_exception(error))
@@ -315,8 +316,15 @@ class FciDriver:
             arm.stop()
             self._busy_until_s = now_s + _IDLE_S
 
-    def _take(self, measured: ArmState) -> None:
+    def _note(self, measured: ArmState) -> None:
+        """Keep it, with the ROS time of when it came: a state that is looked at again keeps it."""
+        if self._measured is None or measured.received_s > self._measured.received_s:
+            age_s = time.monotonic() - measured.received_s
+            self._measured_ns = self._topics.now_ns() - int(age_s * 1e9)
         self._measured = measured
+
+    def _take(self, measured: ArmState) -> None:
+        self._note(measured)
         found = faults.from_mode(measured.mode, measured.errors)
         if found is not None and (self._fault is None or found.stands):
             self._fail(found)
@@ -343,7 +351,7 @@ class FciDriver:
             else _scheduled(self._arm),
         }
         if self._told is not None:
-            self._told.publish(measured, fault)
+            self._told.publish(measured, fault, self._measured_ns)
         if self._gripper is not None:
             finger_m = self._gripper.width_m / 2
             names = (*ARM_JOINTS, FINGER_JOINT, MIMIC_FINGER_JOINT)
@@ -358,7 +366,7 @@ class FciDriver:
             detail |= self._scene.detail()
         self._state = RobotState(
             joints=JointSample(
-                names=names, position=position, velocity=velocity, stamp_ns=self._topics.now_ns()
+                names=names, position=position, velocity=velocity, stamp_ns=self._measured_ns
             ),
             gripper_open=is_open,
             detail=detail,

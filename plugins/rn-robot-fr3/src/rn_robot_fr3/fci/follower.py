@@ -16,7 +16,7 @@ from __future__ import annotations
 import importlib
 from dataclasses import dataclass
 from math import sqrt
-from typing import Any
+from typing import TYPE_CHECKING
 
 from rn_robot_fr3.limits import (
     BRAKING_DECELERATION_RAD_S2,
@@ -25,6 +25,9 @@ from rn_robot_fr3.limits import (
     UPPER_RAD,
     VELOCITY_RAD_S,
 )
+
+if TYPE_CHECKING:
+    import ruckig
 
 STEP_S = 0.001
 JOINTS = 7
@@ -119,9 +122,9 @@ class Follower:
         stop_jerk: tuple[float, ...],
     ) -> None:
         """The arm stands at `position`; the other two limit a stop [rad/s^2, rad/s^3]."""
-        self._ruckig: Any = importlib.import_module("ruckig")
+        self._ruckig = importlib.import_module("ruckig")
         self._planner = self._ruckig.Ruckig(JOINTS)
-        self._trajectory: Any = None
+        self._trajectory: ruckig.Trajectory = None  # until planned
         self._time_s = 0.0
         self._stop = (stop_acceleration, stop_jerk)
         self._course: Course | None = None
@@ -224,7 +227,7 @@ class Follower:
         self._time_s = 0.0
         self._is_new = False
 
-    def _towards(self, request: Any, course: Course) -> Any:
+    def _towards(self, request: ruckig.InputParameter, course: Course) -> ruckig.Trajectory:
         """A trajectory to the target; None when there is none."""
         request.control_interface = self._ruckig.ControlInterface.Position
         request.target_position = course.target
@@ -234,7 +237,7 @@ class Follower:
         result = self._planner.calculate(request, trajectory)
         return trajectory if result == self._ruckig.Result.Working else None
 
-    def _to_rest(self, request: Any) -> Any:
+    def _to_rest(self, request: ruckig.InputParameter) -> ruckig.Trajectory:
         request.control_interface = self._ruckig.ControlInterface.Velocity
         request.synchronization = self._ruckig.Synchronization.No
         request.target_velocity = [0.0] * JOINTS

@@ -7,11 +7,16 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from typing import Any
+from typing import TYPE_CHECKING
 
 from rn_robot_fr3.fci.options import FciDriverOptions
 from rn_robot_fr3.limits import FINGER_OPEN_M
 from roboneuron import NotReadyError
+
+if TYPE_CHECKING:
+    from types import ModuleType
+
+    import franky
 
 log = logging.getLogger(__name__)
 
@@ -24,6 +29,8 @@ _MISSED_M = 0.004
 _SAME_M = 0.001
 _PERIOD_S = 0.05
 _JOIN_S = 3.0
+_MOTION_S = 30.0
+"""Longer than any motion of the hand; homing takes about 10 s."""
 
 
 class FciGripper:
@@ -36,10 +43,10 @@ class FciGripper:
         is_holding: it grasps something with force.
     """
 
-    def __init__(self, options: FciDriverOptions, client: Any) -> None:
+    def __init__(self, options: FciDriverOptions, client: ModuleType) -> None:
         self._options = options
         self._client = client
-        self._hand: Any = None
+        self._hand: franky.Gripper = None  # until open
         self._thread: threading.Thread | None = None
         self._changed = threading.Condition()
         self._wanted_m: float | None = None
@@ -153,10 +160,17 @@ class FciGripper:
         self.is_holding = self.width_m >= _NOTHING_M
         self.note = f"grasped {self.width_m * 1e3:.0f} mm" if self.is_holding else "nothing grasped"
 
-    def _finish(self, future: Any) -> bool:
-        """Wait for a motion to end and measure on the way."""
+    def _finish(self, future: franky.BoolFuture) -> bool:
+        """Wait for a motion to end and measure on the way.
+
+        Raises:
+            TimeoutError: it did not end, so that the next command gets its turn.
+        """
+        deadline_s = time.monotonic() + _MOTION_S
         while not future.wait(_PERIOD_S):
             if self._stop:
                 return False
+            if time.monotonic() > deadline_s:
+                raise TimeoutError(f"no end of a motion within {_MOTION_S:g} s.")
             self.width_m = float(self._hand.state.width)
         return bool(future.get())

@@ -51,7 +51,7 @@ with.
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Plan:
+class ArmPlan:
     """How to go to a target.
 
     Attributes:
@@ -65,7 +65,7 @@ class Plan:
     duration_s: float
 
 
-def plan(position: F64, target: F64, duration_s: float, factor: float) -> Plan:
+def plan(position: F64, target: F64, duration_s: float, factor: float) -> ArmPlan:
     """How to go from `position` (7,) to `target` (7,) [rad] in about `duration_s`, with `factor` of
     the limits.
 
@@ -95,7 +95,7 @@ def plan(position: F64, target: F64, duration_s: float, factor: float) -> Plan:
         2.0 * np.sqrt(length / acceleration),
     )
     ramps_s = acceleration / (factor * JERK_LIMIT_RAD_S3)
-    return Plan(
+    return ArmPlan(
         target=clamped,
         velocity_factor=velocity_factor,
         duration_s=max(duration_s, float((times + ramps_s).max())),

@@ -10,12 +10,9 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
-import os
 import socket
-import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Sequence
 from dataclasses import asdict
 from importlib.resources import files
@@ -25,6 +22,7 @@ from typing import Any
 
 from rn_robot_fr3.description import urdf
 from rn_robot_fr3.fci.addresses import free_address
+from rn_robot_fr3.fci.counterpart import Counterpart
 from rn_robot_fr3.profile import HOME_RAD
 from rn_robot_fr3.scene import DEFAULT_COLOURS, random_cubes
 from rn_robot_fr3.world import (
@@ -35,12 +33,8 @@ from rn_robot_fr3.world import (
     TABLE_SIZE_M,
     WOOD_KG_M3,
 )
-from roboneuron import NotReadyError
 
 PORT, GRIPPER_PORT, SCENE_PORT = 1337, 1338, 1339
-_START_S = 60.0
-_STOP_S = 20.0
-_PRIORITY = 30
 
 
 def scene(seed: int, colours: Sequence[str] = DEFAULT_COLOURS) -> dict[str, Any]:
@@ -59,8 +53,9 @@ def scene(seed: int, colours: Sequence[str] = DEFAULT_COLOURS) -> dict[str, Any]
     }
 
 
-class FrankaSim:
-    """franka-sim as a child process; a context manager.
+class FrankaSim(Counterpart):
+    """franka-sim with a scene. It may be told mode= or error=, which play the person at the arm or
+    a reflex; see `data/franka_sim_scene.py`.
 
     Args:
         python: interpreter of the environment that has franka-sim.
@@ -69,11 +64,10 @@ class FrankaSim:
         port: UDP port of its scene.
         host: address that it serves on; none chooses one of 127.0.0.0/8 that is free.
         prefix: what its command begins with, such as "nsenter" and its arguments.
-
-    Attributes:
-        host: address that it serves on.
-        process: the child, once it is started.
     """
+
+    name = "franka-sim"
+    priority = 30
 
     def __init__(
         self,
@@ -86,45 +80,25 @@ class FrankaSim:
         host: str | None = None,
         prefix: Sequence[str] = (),
     ) -> None:
+        super().__init__(host or free_address(PORT, GRIPPER_PORT, port), port, log)
         self._python = python
-        self.host = host or free_address(PORT, GRIPPER_PORT, port)
         self._prefix = prefix
         self._options = options
         self._seed = seed
-        self._log = log
-        self._port = port
         self._folder = tempfile.TemporaryDirectory(prefix="fr3sim-")
-        self.process: subprocess.Popen[bytes] | None = None
 
-    def __enter__(self) -> FrankaSim:
+    def command(self) -> Sequence[str]:
+        """The scene's script, in the environment that has franka-sim."""
         path = Path(self._folder.name) / "scene.json"
         path.write_text(json.dumps(scene(self._seed)), encoding="utf-8")
         script = str(files("rn_robot_fr3").joinpath("data/franka_sim_scene.py"))
-        ours = [
-            str(self._python),
-            script,
-            str(path),
-            "--scene-port",
-            str(self._port),
-            "--host",
-            self.host,
-        ]
-        command = [*self._prefix, *ours, *self._options]
-        self._log.parent.mkdir(parents=True, exist_ok=True)
-        with self._log.open("wb") as output:
-            self.process = subprocess.Popen(
-                command, stdout=output, stderr=subprocess.STDOUT, start_new_session=True
-            )
-        # a control box has a computer of its own: let it not wait for others here
-        with contextlib.suppress(OSError):
-            os.sched_setscheduler(self.process.pid, os.SCHED_FIFO, os.sched_param(_PRIORITY))
-        deadline_s = time.monotonic() + _START_S
-        while not self._answers():
-            if self.process.poll() is not None or time.monotonic() > deadline_s:
-                self.__exit__(None, None, None)
-                tail = self._log.read_text(encoding="utf-8", errors="replace")[-800:]
-                raise NotReadyError(f"franka-sim did not start: {tail}")
-        return self
+        address = ["--scene-port", str(self._asking_port), "--host", self.host]
+        return [*self._prefix, str(self._python), script, str(path), *address, *self._options]
+
+    def is_serving(self) -> bool:
+        """Whether the FCI's port is open."""
+        with contextlib.closing(socket.create_connection((self.host, PORT), 2.0)):
+            return True
 
     def __exit__(
         self,
@@ -132,42 +106,13 @@ class FrankaSim:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        process = self.process
-        if process is not None and process.poll() is None:
-            process.terminate()
-            try:
-                process.wait(_STOP_S)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
+        super().__exit__(kind, error, trace)
         self._folder.cleanup()
 
     @property
     def scene_address(self) -> str:
         """host:port of its scene, as the driver's option `scene` has it."""
-        return f"{self.host}:{self._port}"
-
-    def tell(self, **what: int) -> dict[str, Any]:
-        """Ask for the scene; with mode= or error= play the person at the arm, or a reflex. Raises
-        OSError.
-        """
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asking:
-            asking.settimeout(2.0)
-            asking.connect((self.host, self._port))
-            asking.send(json.dumps(what).encode())
-            answer: dict[str, Any] = json.loads(asking.recv(65536))
-            return answer
-
-    def _answers(self) -> bool:
-        try:
-            return bool(self.tell()) and self._listens()
-        except OSError:
-            time.sleep(0.2)
-            return False
-
-    def _listens(self) -> bool:
-        with contextlib.closing(socket.create_connection((self.host, PORT), 2.0)):
-            return True
+        return f"{self.host}:{self._asking_port}"
 
 
 def main() -> int:

@@ -63,7 +63,6 @@ class StateTopics:
     """
 
     def __init__(self, topics: Topics) -> None:
-        self._now_ns = topics.now_ns
         self._joints: Callable[[JointState], None] = topics.advertise(MEASURED_JOINTS, JointState)
         self._torques: Callable[[JointState], None] = topics.advertise(EXTERNAL_TORQUES, JointState)
         self._wrench: Callable[[WrenchStamped], None] = topics.advertise(
@@ -76,12 +75,12 @@ class StateTopics:
         self._sent_s = self._state_s = -1.0
         self._told: Mapping[str, str] = {}
 
-    def publish(self, measured: ArmState, fault: Fault | None) -> None:
-        """Publish what is due."""
+    def publish(self, measured: ArmState, fault: Fault | None, measured_ns: int) -> None:
+        """Publish what is due; `measured_ns` is the ROS time of the measurement [ns]."""
         now_s = time.monotonic()
         if now_s - self._sent_s >= _PERIOD_S:
             self._sent_s = now_s
-            self._publish_measured(measured)
+            self._publish_measured(measured, measured_ns)
         told = {
             "mode": measured.mode,
             "fault": fault.code if fault else "",
@@ -99,8 +98,8 @@ class StateTopics:
                 )
             )
 
-    def _publish_measured(self, measured: ArmState) -> None:
-        seconds, nanoseconds = divmod(self._now_ns(), 10**9)
+    def _publish_measured(self, measured: ArmState, measured_ns: int) -> None:
+        seconds, nanoseconds = divmod(measured_ns, 10**9)
         header = Header(stamp=Time(sec=seconds, nanosec=nanoseconds), frame_id=BASE_LINK)
         position, velocity, torque = (
             v.tolist() for v in (measured.position, measured.velocity, measured.torque)

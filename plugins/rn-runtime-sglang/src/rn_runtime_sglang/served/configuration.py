@@ -33,7 +33,7 @@ class OpenVlaServedConfig(PretrainedConfig):  # type: ignore[misc, no-untyped-ca
         self.architectures = [ARCHITECTURE]
 
 
-def _llama(raw: dict[str, Any]) -> LlamaConfig:
+def _llama(raw: dict[str, object]) -> LlamaConfig:
     text = TextConfig.model_validate(raw)
     return LlamaConfig(
         hidden_size=text.hidden_size,
@@ -62,7 +62,7 @@ class OpenVlaFiles:
         self.tokenizer = tokenizer
 
     @classmethod
-    def from_pretrained(cls, name: str, *arguments: Any, **options: Any) -> OpenVlaFiles:
+    def from_pretrained(cls, name: str, *arguments: object, **options: object) -> OpenVlaFiles:
         """Read tokenizer.json of the checkpoint directory `name`; the other arguments are about
         other formats.
         """

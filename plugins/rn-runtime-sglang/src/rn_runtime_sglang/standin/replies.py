@@ -8,7 +8,7 @@ import base64
 import hashlib
 import json
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 ACTION_TOKENS = range(31744, 32000)
 BOS_ID, FINAL_ID = 1, 29871
@@ -58,7 +58,7 @@ def expected_tokens(ids: list[int], image: bytes, count: int) -> list[int]:
     return [ACTION_TOKENS[seed[index % len(seed)]] for index in range(count)]
 
 
-def request_problem(body: dict[str, Any]) -> str:
+def request_problem(body: dict[str, object]) -> str:
     """What SGLang and the served processor refuse, or nothing."""
     ids, image = body.get("input_ids"), body.get("image_data")
     if not isinstance(ids, list):
@@ -71,8 +71,8 @@ def request_problem(body: dict[str, Any]) -> str:
 
 
 def generate_reply(
-    rid: str, tokens: list[int], finish: dict[str, Any], prompt: int, spent_s: float
-) -> dict[str, Any]:
+    rid: str, tokens: list[int], finish: dict[str, object], prompt: int, spent_s: float
+) -> dict[str, object]:
     """A reply of `/generate`."""
     meta = {
         "id": rid,
@@ -89,7 +89,7 @@ def generate_reply(
     return {"output_ids": tokens, "meta_info": meta}
 
 
-def model_info(told: Behaviour) -> dict[str, Any]:
+def model_info(told: Behaviour) -> dict[str, object]:
     """A reply of `/model_info`."""
     return {
         "model_path": told.model_path,
@@ -103,7 +103,7 @@ def model_info(told: Behaviour) -> dict[str, Any]:
     }
 
 
-def server_info(told: Behaviour) -> dict[str, Any]:
+def server_info(told: Behaviour) -> dict[str, object]:
     """A reply of `/server_info`."""
     return {
         "model_path": told.model_path,

@@ -33,11 +33,11 @@ class Seen:
 
     generated: list[str] = field(default_factory=list)
     aborted: list[str] = field(default_factory=list)
-    body: dict[str, Any] = field(default_factory=dict)
+    body: dict[str, object] = field(default_factory=dict)
     body_bytes: int = 0
 
 
-class StandIn:
+class StandInServer:
     """Runs on threads of this process from `start` to `stop`."""
 
     def __init__(self, behaviour: Behaviour, port: int = 0) -> None:
@@ -59,7 +59,7 @@ class StandIn:
         """Its address."""
         return f"http://127.0.0.1:{self._port}"
 
-    def start(self) -> StandIn:
+    def start(self) -> StandInServer:
         """Listen; the same port again after a `stop`."""
         self.released.clear()
         self._http = _Http(("127.0.0.1", self._port), _Handler)
@@ -112,7 +112,7 @@ class _Http(ThreadingHTTPServer):
     daemon_threads = True
     block_on_close = False
     allow_reuse_address = True
-    owner: StandIn
+    owner: StandInServer
 
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
@@ -131,7 +131,7 @@ class _Http(ThreadingHTTPServer):
         for request in list(self._sockets):
             self.shutdown_request(request)
 
-    def handle_error(self, request: Any, client_address: Any) -> None:
+    def handle_error(self, request: object, client_address: object) -> None:
         """Clients may hang up; nothing is printed."""
 
 
@@ -139,7 +139,7 @@ class _Handler(BaseHTTPRequestHandler):
     protocol_version = "HTTP/1.1"
     server: _Http
 
-    def log_message(self, *arguments: Any) -> None:
+    def log_message(self, *arguments: object) -> None:
         """Nothing is printed."""
 
     @property
@@ -254,7 +254,7 @@ class _Handler(BaseHTTPRequestHandler):
             if self.server.owner.released.wait(0.05):
                 return
 
-    def _json(self, status: int, content: Mapping[str, Any]) -> None:
+    def _json(self, status: int, content: Mapping[str, object]) -> None:
         self._send(status, json.dumps(content).encode(), "application/json")
 
     def _send(self, status: int, content: bytes, kind: str = "text/plain") -> None:

@@ -13,7 +13,7 @@ import os
 import sys
 import time
 
-from rn_runtime_sglang.standin.server import Behaviour, StandIn
+from rn_runtime_sglang.standin.server import Behaviour, StandInServer
 
 print(f"server_args={sys.argv}", flush=True)
 if os.environ.get("STANDIN_CRASH"):
@@ -27,7 +27,7 @@ parser.add_argument("--port", type=int)
 parser.add_argument("--api-key", default="")
 options, _ = parser.parse_known_args()
 time.sleep(float(os.environ.get("STANDIN_START_S", "0")))
-StandIn(Behaviour(served_name=options.served_model_name, model_path=options.model_path, key=options.api_key),
+StandInServer(Behaviour(served_name=options.served_model_name, model_path=options.model_path, key=options.api_key),
         options.port).serve()
 '''  # noqa: E501
 

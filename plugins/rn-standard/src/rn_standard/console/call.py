@@ -7,7 +7,7 @@ import signal
 import sys
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rn_standard.console import connection
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from mcp import Client, types
 
 
-class Call:
+class CallCommand:
     """Call tools of a server, as an agent would: of a running one over HTTP, or of one started for
     these calls.
 
@@ -73,7 +73,7 @@ class Call:
         return anyio.run(_call_all, arguments, parsed)
 
 
-def _parse(text: str) -> dict[str, Any]:
+def _parse(text: str) -> dict[str, object]:
     from roboneuron import ConfigurationError
 
     try:
@@ -87,7 +87,7 @@ def _parse(text: str) -> dict[str, Any]:
     return value
 
 
-async def _call_all(arguments: Namespace, calls: list[tuple[str, dict[str, Any]]]) -> int:
+async def _call_all(arguments: Namespace, calls: list[tuple[str, dict[str, object]]]) -> int:
     async with connection.connect(arguments) as client:
         status = 0
         for tool, values in calls:

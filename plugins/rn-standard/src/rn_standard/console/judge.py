@@ -44,7 +44,7 @@ class RunEnd:
     reason: str
 
 
-class Judge:
+class RunJudge:
     """Looks at each status of a run; not for more than one run.
 
     The simulator's word counts most, where it knows the object that the instruction names; then the

@@ -12,8 +12,14 @@ from pathlib import Path
 import shtab
 
 from roboneuron import RoboNeuronError
-from roboneuron.feature import commands as core_commands
-from roboneuron.feature import discover, terminal
+from roboneuron.feature import (
+    COMMANDS,
+    discover,
+    installed_commands,
+    load_command,
+    spoken,
+    terminal,
+)
 
 log = logging.getLogger(__name__)
 _FOLDERS = ("DIRECTORY", "FOLDER")
@@ -32,16 +38,14 @@ def whole_parser() -> ArgumentParser:
     )
     commands = parser.add_subparsers(dest="command")
     groups: dict[str, _SubParsersAction[ArgumentParser]] = {}
-    listed = {name: command.summary for name, command in core_commands.COMMANDS.items()}
-    for name, summary in {**listed, **core_commands.installed_commands(registry)}.items():
+    listed = {name: command.summary for name, command in COMMANDS.items()}
+    for name, summary in {**listed, **installed_commands(registry)}.items():
         try:
-            module = core_commands.load_command(
-                name, None if name in core_commands.COMMANDS else registry
-            )
+            module = load_command(name, None if name in COMMANDS else registry)
         except RoboNeuronError as error:
             log.warning("The command %s is left out: %s", name, error)
             continue
-        group, _, word = core_commands.spoken(name).rpartition(" ")
+        group, _, word = spoken(name).rpartition(" ")
         if group and group not in groups:
             groups[group] = commands.add_parser(group, help=ONLY_ACTIONS).add_subparsers(
                 dest="action"

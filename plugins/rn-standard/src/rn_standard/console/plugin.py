@@ -5,7 +5,7 @@ from roboneuron import CommandSpec, hookimpl
 RUN = CommandSpec(
     name="run",
     summary="start the configured robot, carry out one instruction, stop everything",
-    target="rn_standard.console.run_command:Run",
+    target="rn_standard.console.run_command:RunCommand",
 )
 STATUS = CommandSpec(
     name="status",
@@ -25,7 +25,7 @@ COMPLETION = CommandSpec(
 CALL = CommandSpec(
     name="call",
     summary="call a tool as an agent would, on a spawned or a running server",
-    target="rn_standard.console.call:Call",
+    target="rn_standard.console.call:CallCommand",
 )
 TOOLS = CommandSpec(
     name="tools", summary="list the tools that agents get", target="rn_standard.console.tools:Tools"

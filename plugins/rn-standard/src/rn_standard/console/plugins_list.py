@@ -17,8 +17,8 @@ from roboneuron.feature import (
     Registry,
     Status,
     availability,
-    commands,
     discover,
+    spoken,
 )
 
 SCHEMA_VERSION = 1
@@ -123,7 +123,7 @@ def print_short(registry: Registry) -> None:
     ready: dict[str, list[str]] = {}
     for offer in sorted(registry.all_offers, key=lambda o: (o.spec.kind, o.spec.name)):
         if offer.status is Status.READY:
-            ready.setdefault(offer.spec.kind, []).append(commands.spoken(offer.spec.name))
+            ready.setdefault(offer.spec.kind, []).append(spoken(offer.spec.name))
     indent = max((len(kind) for kind in ready), default=0) + 2
     print(_paint("READY", "bold"))
     for kind, names in ready.items():

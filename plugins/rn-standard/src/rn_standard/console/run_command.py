@@ -5,7 +5,7 @@ from __future__ import annotations
 from argparse import ArgumentParser, Namespace
 
 
-class Run:
+class RunCommand:
     """Start what the configuration names, carry out one instruction, report, and stop everything
     again.
 
@@ -49,10 +49,10 @@ class Run:
             where = f"with {config.robot.name} ({config.robot.driver})"
         import anyio  # heavy
 
-        from rn_standard.console.screen import Screen
+        from rn_standard.console.screen import CommandScreen
         from rn_standard.console.story import run_instruction
         from rn_standard.console.table import make_console
 
-        screen = Screen(make_console(), is_quiet=bool(arguments.quiet))
+        screen = CommandScreen(make_console(), is_quiet=bool(arguments.quiet))
         screen.title(f'"{arguments.instruction}" {where}')
         return anyio.run(run_instruction, arguments, screen)

@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.text import Text
 
 
-class Screen:
+class CommandScreen:
     """Writes lines to a console.
 
     Args:

@@ -29,7 +29,7 @@ class Session:
     async def call(
         self,
         tool: str,
-        arguments: Mapping[str, Any] | None = None,
+        arguments: Mapping[str, object] | None = None,
         on_progress: Callable[[str], None] | None = None,
     ) -> dict[str, Any]:
         """Call a tool.

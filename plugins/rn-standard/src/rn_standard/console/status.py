@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -107,7 +106,7 @@ class ServerStatus(BaseModel):
         return tuple(m for m in self.modules if m.health != "stopped")
 
     @classmethod
-    def from_answer(cls, answer: Mapping[str, Any], source: str) -> ServerStatus:
+    def from_answer(cls, answer: Mapping[str, object], source: str) -> ServerStatus:
         """Read the answer of `get_status`."""
         return cls.model_validate({**answer, "source": source})
 

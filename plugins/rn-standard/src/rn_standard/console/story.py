@@ -13,8 +13,8 @@ from anyio.abc import TaskStatus
 from mcp.shared.exceptions import MCPError
 
 from rn_standard.console import connection
-from rn_standard.console.judge import Judge, RunEnd, RunOutcome
-from rn_standard.console.screen import Screen
+from rn_standard.console.judge import RunEnd, RunJudge, RunOutcome
+from rn_standard.console.screen import CommandScreen
 from rn_standard.console.session import Session
 from rn_standard.console.status import ReportedModule, ServerStatus
 from rn_standard.console.table import fault_text
@@ -25,7 +25,7 @@ _STOP_S = 60.0
 _KINDS = ("robot", "perception", "control", "inference")
 
 
-async def run_instruction(arguments: Namespace, screen: Screen) -> int:
+async def run_instruction(arguments: Namespace, screen: CommandScreen) -> int:
     """Do it all; returns the exit status. Raises as `connection.connect`, and NotReadyError for a
     failed start.
     """
@@ -65,12 +65,12 @@ class Story:
     """The parts of a run."""
 
     def __init__(
-        self, session: Session, instruction: str, timeout_s: float, screen: Screen
+        self, session: Session, instruction: str, timeout_s: float, screen: CommandScreen
     ) -> None:
         self._session = session
         self._instruction = instruction
         self._screen = screen
-        self._judge = Judge(instruction, timeout_s)
+        self._judge = RunJudge(instruction, timeout_s)
         self._started: list[str] = []
 
     async def play(self) -> RunEnd:

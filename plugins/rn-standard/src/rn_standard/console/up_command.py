@@ -42,10 +42,10 @@ class Up:
         """Run `roboneuron up`."""
         import anyio  # heavy
 
-        from rn_standard.console.screen import Screen
+        from rn_standard.console.screen import CommandScreen
         from rn_standard.console.table import make_console
 
-        screen = Screen(make_console(), is_quiet=bool(arguments.quiet))
+        screen = CommandScreen(make_console(), is_quiet=bool(arguments.quiet))
         if arguments.url is not None:
             return anyio.run(_start, arguments, screen)
         with _kept(_folder(arguments)):
@@ -137,10 +137,10 @@ async def _start(arguments: Namespace, screen: object) -> int:
     """Start, and without --url wait for the signal that ends it."""
     import anyio
 
-    from rn_standard.console.screen import Screen
+    from rn_standard.console.screen import CommandScreen
     from rn_standard.console.session import Session
 
-    assert isinstance(screen, Screen)
+    assert isinstance(screen, CommandScreen)
     asked = {"instruction": arguments.instruction, "model": arguments.model}
     async with connection.connect(arguments) as client:
         session = Session(client, arguments.url or "a server of its own")

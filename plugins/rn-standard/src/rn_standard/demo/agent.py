@@ -19,7 +19,7 @@ _CALL_TIMEOUT_S = 180.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class SimulatedObject:
+class DemoObject:
     """What the simulator itself says of one object.
 
     Attributes:
@@ -43,7 +43,9 @@ class Agent:
         """Names of the offered tools."""
         return [tool.name for tool in (await self._client.list_tools()).tools]
 
-    async def call(self, tool: str, arguments: Mapping[str, Any] | None = None) -> dict[str, Any]:
+    async def call(
+        self, tool: str, arguments: Mapping[str, object] | None = None
+    ) -> dict[str, object]:
         """Call a tool and return its structured answer.
 
         Raises:
@@ -80,11 +82,11 @@ def module_status(status: Mapping[str, Any], name: str) -> dict[str, Any]:
     return {}
 
 
-def simulated_objects(status: Mapping[str, Any]) -> list[SimulatedObject]:
+def simulated_objects(status: Mapping[str, Any]) -> list[DemoObject]:
     """What the simulator says of its objects; empty for a robot that reports none."""
     detail = module_status(status, "robot").get("detail") or {}
     objects = json.loads(detail.get("cubes", "{}"))
     return [
-        SimulatedObject(name=name, lifted_m=float(facts["lifted_m"]), held_s=float(facts["held_s"]))
+        DemoObject(name=name, lifted_m=float(facts["lifted_m"]), held_s=float(facts["held_s"]))
         for name, facts in objects.items()
     ]

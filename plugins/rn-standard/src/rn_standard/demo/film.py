@@ -19,7 +19,7 @@ _SHORTEST_FRAME_MS = 40
 
 
 @dataclass(kw_only=True, slots=True)
-class Film:
+class DemoFilm:
     """Collects frames; nothing is written before `save`.
 
     Attributes:

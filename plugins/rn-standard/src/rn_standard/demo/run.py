@@ -15,9 +15,9 @@ from typing import Any
 from rich.console import Console
 
 from rn_standard.console.client import spawned_server
-from rn_standard.demo.agent import Agent, SimulatedObject, module_status, simulated_objects
-from rn_standard.demo.film import Film
-from rn_standard.demo.screen import HOLD_GOAL_S, LIFT_GOAL_M, Screen
+from rn_standard.demo.agent import Agent, DemoObject, module_status, simulated_objects
+from rn_standard.demo.film import DemoFilm
+from rn_standard.demo.screen import HOLD_GOAL_S, LIFT_GOAL_M, DemoScreen
 from roboneuron import ConfigurationError, NotReadyError, RoboNeuronError
 from roboneuron.feature import load_config, reading
 
@@ -54,7 +54,7 @@ def write_configuration(options: DemoOptions, directory: Path) -> Path:
     """Write the configuration the server is started with; returns its path."""
     text = options.config.read_text(encoding="utf-8") if options.config else reading.default_text()
     config = load_config(options.config)
-    chosen: dict[str, Any] = {}
+    chosen: dict[str, object] = {}
     if options.seed is not None:
         chosen["seed"] = options.seed
     if options.gui:
@@ -81,7 +81,7 @@ def write_configuration(options: DemoOptions, directory: Path) -> Path:
     return path
 
 
-def named_object(objects: list[SimulatedObject], instruction: str) -> SimulatedObject:
+def named_object(objects: list[DemoObject], instruction: str) -> DemoObject:
     """The one object whose name the instruction holds.
 
     Raises:
@@ -107,11 +107,11 @@ def options_quote(text: str) -> str:
 async def run_demo(options: DemoOptions, console: Console) -> bool:
     """Play the whole story; returns whether the simulator saw the named object lifted and held."""
     options.output.mkdir(parents=True, exist_ok=True)
-    screen = Screen(console)
+    screen = DemoScreen(console)
     screen.title(options.instruction, options.seed)
     path = write_configuration(options, options.output)
     log_path = options.output / "server.log"
-    film = Film()
+    film = DemoFilm()
     async with spawned_server(["--config", str(path)], log_path) as client:
         agent = Agent(client)
         try:
@@ -126,7 +126,7 @@ async def run_demo(options: DemoOptions, console: Console) -> bool:
     return success
 
 
-async def _play(agent: Agent, options: DemoOptions, screen: Screen, film: Film) -> bool:
+async def _play(agent: Agent, options: DemoOptions, screen: DemoScreen, film: DemoFilm) -> bool:
     with screen.step("connect to the MCP server") as told:
         tools = await agent.tools()
         told.append(f"{len(tools)} typed tools")
@@ -155,7 +155,7 @@ async def _play(agent: Agent, options: DemoOptions, screen: Screen, film: Film) 
 
 
 async def _watch(
-    agent: Agent, name: str, options: DemoOptions, screen: Screen, film: Film
+    agent: Agent, name: str, options: DemoOptions, screen: DemoScreen, film: DemoFilm
 ) -> tuple[bool, dict[str, Any]]:
     """Look until the simulator reports success, the backend gives up, or time is over."""
     started_s = time.monotonic()
@@ -194,7 +194,7 @@ async def _watch(
     return success, status
 
 
-async def _stop_everything(agent: Agent, screen: Screen) -> None:
+async def _stop_everything(agent: Agent, screen: DemoScreen) -> None:
     running = {m["module"] for m in (await agent.status())["modules"] if m.get("pid") is not None}
     with screen.step("stop everything"):
         for tool in _STOPS:

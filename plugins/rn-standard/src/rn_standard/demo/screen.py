@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Any
 
 from rich.console import Console, Group
 from rich.live import Live
@@ -18,7 +17,7 @@ HOLD_GOAL_S = 1.0
 _MODULES = ("robot", "perception", "control", "inference")
 
 
-class Screen:
+class DemoScreen:
     """Writes to one console; nothing here talks to the robot."""
 
     def __init__(self, console: Console) -> None:
@@ -84,7 +83,7 @@ class Screen:
         )
         return Group(head, lift)
 
-    def summary(self, modules: Sequence[Mapping[str, Any]]) -> None:
+    def summary(self, modules: Sequence[Mapping[str, object]]) -> None:
         """Rates and latencies of the modules while they worked."""
         table = Table(
             title="While it worked", title_style="bold", title_justify="left", header_style="dim"
@@ -118,5 +117,5 @@ def _bar(value: float, goal: float) -> ProgressBar:
     return ProgressBar(total=1.0, completed=min(1.0, max(0.0, value / goal)), width=30)
 
 
-def _unit(value: Any, unit: str, digits: int) -> str:
-    return "" if value is None else f"{float(value):.{digits}f} {unit}"
+def _unit(value: object, unit: str, digits: int) -> str:
+    return "" if not isinstance(value, int | float) else f"{float(value):.{digits}f} {unit}"

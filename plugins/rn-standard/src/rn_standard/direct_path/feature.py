@@ -14,6 +14,7 @@ from rn_standard.direct_path.arbiter import MotionArbiter
 from rn_standard.direct_path.gate import Gate
 from rn_standard.direct_path.health_diagnostics import HealthDiagnostics
 from rn_standard.direct_path.motion_gate import DirectGate
+from rn_standard.direct_path.options import DirectPathOptions
 from rn_standard.direct_path.plugin import FEATURE
 from rn_standard.direct_path.traffic import Traffic
 from roboneuron import Feature, Host, RoboNeuronError, Tool
@@ -25,7 +26,7 @@ _REPORTED_S = 1.5
 """Longest from a hold of control until it is known here, on a busy machine."""
 
 
-class DirectPath(Feature[None]):
+class DirectPath(Feature[DirectPathOptions]):
     """The gate of the direct path. It adds no tool: features that do hand what is to be sent to
     `host.gate`.
 
@@ -53,9 +54,12 @@ class DirectPath(Feature[None]):
     def tools(self, host: Host) -> Sequence[Tool[Any]]:
         """None; builds the gate, which allows nothing until something is exposed."""
         self._host = host
-        stop, server = host.loop.emergency_stop, host.config.server
         self.judge = Gate(
-            (), latch=stop.file, audit=host.audit, clock=time.monotonic, dry_run=server.dry_run
+            (),
+            latch=host.loop.emergency_stop.file,
+            audit=host.audit,
+            clock=time.monotonic,
+            dry_run=self.options.dry_run,
         )
         control = host.config.control
         self.arbiter = MotionArbiter(
@@ -67,7 +71,7 @@ class DirectPath(Feature[None]):
         )
         traffic = Traffic(lambda: host.loop.supervisor.link)
         self._gate = DirectGate(
-            self.judge, self.arbiter, traffic, self.allow_list, server.max_duration_s,
+            self.judge, self.arbiter, traffic, self.allow_list, self.options.max_duration_s,
             self._permit, lambda: host.loop.starts.are_needed,
         )  # fmt: skip
         host.events.change.listen(self._on_module)

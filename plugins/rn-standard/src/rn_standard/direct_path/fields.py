@@ -40,7 +40,8 @@ class Place:
 
 def type_name_of(message: Any) -> str:
     """ "geometry_msgs/msg/Twist" for a Twist; parts of services and actions keep their suffix."""
-    return _name_of_class(type(message))
+    ros_type: Any = type(message)
+    return _name_of_class(ros_type)
 
 
 def is_message(value: Any) -> bool:
@@ -148,6 +149,7 @@ def read_value(message: Any, path: str) -> bool | int | float | str | bytes:
     return found
 
 
+@functools.cache
 def _name_of_class(ros_type: Any) -> str:
     package, kind = ros_type.__module__.split(".")[:2]
     return f"{package}/{kind}/{ros_type.__name__}"
@@ -247,7 +249,8 @@ def find_nonfinite(message: Any, allowed: frozenset[str], plain: str = "", path:
     """Return the path of the first NaN or infinity that is not allowed there; empty when there is
     none.
     """
-    for name in message.get_fields_and_field_types():
+    ros_type: Any = type(message)
+    for name in _names_of_fields(ros_type):
         value = getattr(message, name)
         bare = f"{plain}.{name}" if plain else name
         here = f"{path}.{name}" if path else name
@@ -265,6 +268,12 @@ def find_nonfinite(message: Any, allowed: frozenset[str], plain: str = "", path:
         if found:
             return found
     return ""
+
+
+@functools.cache
+def _names_of_fields(ros_type: Any) -> tuple[str, ...]:
+    """Kept, because rosidl copies its own table whenever it is asked."""
+    return tuple(ros_type.get_fields_and_field_types())
 
 
 def _first_nonfinite(values: Any, path: str) -> str:

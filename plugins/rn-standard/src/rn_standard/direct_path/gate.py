@@ -204,7 +204,12 @@ class Gate:
             yield "joints"
             legs = _legs(entry, request)
             yield "kinematics"
-            if entry.path is not None and request.joints is not None:
+            if entry.path is not None:
+                if request.joints is None:
+                    raise RefusedError(
+                        "The joints were not measured yet, so the arm's way cannot be checked.",
+                        hint="Start the robot first.",
+                    )
                 with _judging():
                     entry.path().check(legs, request.joints)
         yield "path"

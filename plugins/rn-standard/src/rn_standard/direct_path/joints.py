@@ -89,7 +89,8 @@ class _JointMotion:
         self._distance: dict[str, float] = {}
         self._is_measured = joints is not None
         if joints is not None:
-            self._position.update(zip(joints.names, joints.position.tolist(), strict=True))
+            found = zip(joints.names, joints.position.tolist(), strict=True)
+            self._position.update({name: q for name, q in found if np.isfinite(q)})
             if joints.velocity is not None:
                 measured = zip(joints.names, joints.velocity.tolist(), strict=True)
                 self._speeds.update({name: Speeds(v, v) for name, v in measured if np.isfinite(v)})

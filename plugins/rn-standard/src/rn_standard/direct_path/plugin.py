@@ -7,6 +7,7 @@ FEATURE = FeatureSpec(
     summary="The gate of the direct path: judges, sends and ends every message, request and goal "
     "for an agent.",
     target="rn_standard.direct_path.feature:DirectPath",
+    config="rn_standard.direct_path.options:DirectPathOptions",
 )
 """Descriptor of the feature."""
 

@@ -41,7 +41,6 @@ class RateLimit:
             wait = self._wait_s(now, at_s)
             if wait == 0.0 and self._most:
                 self._sent += [(now + offset, owner) for offset in at_s]
-                self._sent.sort(key=lambda entry: entry[0])
             return wait
 
     def release(self, owner: object) -> None:

@@ -8,8 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from rn_standard.execution.latency import LatencyWindow, rows_in
-from rn_standard.execution.meter import Delivery, DeliveryMeter
-from rn_standard.execution.mode import Abilities, Choice, Mode, ModeSelector
+from rn_standard.execution.meter import DeliveryMeter, RowDelivery
+from rn_standard.execution.mode import Abilities, Mode, ModeChoice, ModeSelector
 from rn_standard.execution.queue import SentRowQueue, fade_rows_of
 from rn_standard.execution.roll_forward import roll_forward
 from roboneuron import ActionChunk, Ahead, Observation
@@ -28,12 +28,12 @@ class Execution:
         delivery: how rows were sent.
     """
 
-    choice: Choice
+    choice: ModeChoice
     latency_p50_ms: float | None
     latency_p99_ms: float | None
     delay_rows: int | None
     rows: int
-    delivery: Delivery
+    delivery: RowDelivery
 
     def to_values(self) -> dict[str, str | float | int]:
         """Numbers and words by name, without those that are unknown."""
@@ -98,7 +98,9 @@ class AdaptiveExecutor(execution.ChunkExecutor):
                 observation = replace(observation, ahead=ahead)
             elif step_s is not None and mode == "predicted-state":
                 observation = self._rolled(observation, step_s)
-            return replace(super().begin(observation, captured_ns), mode=mode)
+            return execution.Prediction(
+                observation=observation, captured_ns=captured_ns, epoch=self._epoch, mode=mode
+            )
 
     def measure(self, prediction: execution.Prediction, chunk: ActionChunk, now_ns: int) -> None:
         """As ChunkExecutor: its latency may change the mode."""
@@ -119,7 +121,7 @@ class AdaptiveExecutor(execution.ChunkExecutor):
     def note_sent(self, vector: F64, now_s: float, now_ns: int) -> None:
         """As ChunkExecutor."""
         with self.changed:
-            self._heard_s = now_s
+            self._predecessor_s = now_s
             self._queue.note_sent(vector, now_ns)
 
     def begin_epoch(self) -> None:

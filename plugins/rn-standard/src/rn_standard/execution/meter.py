@@ -14,7 +14,7 @@ _WINDOW = 512
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Delivery:
+class RowDelivery:
     """How rows were sent.
 
     Attributes:
@@ -65,13 +65,13 @@ class DeliveryMeter:
             self._jumps[row.is_border].append(jump_m * 1e3)
         self._last = (now_s, row)
 
-    def delivery(self) -> Delivery:
+    def delivery(self) -> RowDelivery:
         """Everything so far."""
         spent_s, wanted_s = sum(self._spent_s), sum(self._wanted_s)
         border, inner = (
             statistics.fmean(j) if j else None for j in (self._jumps[True], self._jumps[False])
         )
-        return Delivery(
+        return RowDelivery(
             rate=min(1.0, wanted_s / spent_s) if spent_s > 0 else None,
             starved_periods=self.starved_periods,
             longest_gap_s=self.longest_gap_s,

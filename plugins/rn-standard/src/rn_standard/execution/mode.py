@@ -49,7 +49,7 @@ def abilities_of(backend: BackendSpec) -> Abilities:
 
 
 @dataclass(frozen=True, slots=True)
-class Choice:
+class ModeChoice:
     """A mode and the numbers that decided.
 
     Attributes:
@@ -61,7 +61,7 @@ class Choice:
     reason: str
 
 
-def choose(horizon: int, typical_rows: int, worst_rows: int, abilities: Abilities) -> Choice:
+def choose(horizon: int, typical_rows: int, worst_rows: int, abilities: Abilities) -> ModeChoice:
     """Return the mode that fits.
 
     Args:
@@ -77,19 +77,19 @@ def choose(horizon: int, typical_rows: int, worst_rows: int, abilities: Abilitie
     d, h = worst_rows, horizon
     overlapped: Mode = "rtc" if _can_condition(abilities, d) else "overlap"
     if h == 1:  # its answer would be stale as soon as the row before it is sent
-        return Choice("sequential", "chunks of one row have nothing to overlap")
+        return ModeChoice("sequential", "chunks of one row have nothing to overlap")
     if 2 * d + 1 <= h:
-        return Choice(overlapped, f"2 x {d} + 1 rows of latency fit into chunks of {h}")
+        return ModeChoice(overlapped, f"2 x {d} + 1 rows of latency fit into chunks of {h}")
     if typical_rows > h:
-        return Choice(
+        return ModeChoice(
             "sequential", f"{typical_rows} rows of latency, chunks of {h}: no row would be in time"
         )
     # a late answer starves the arm, but still continues where the rows ended
     if abilities.takes_predicted_state:
-        return Choice(
+        return ModeChoice(
             "predicted-state", f"{d} rows of latency: whole chunks of {h}, the state rolled forward"
         )
-    return Choice(
+    return ModeChoice(
         overlapped,
         f"{d} rows of latency are much for chunks of {h}: the arm pauses; use longer chunks",
     )
@@ -124,7 +124,7 @@ class ModeSelector:
     def __init__(self, fixed: Mode | None, abilities: Abilities) -> None:
         self.abilities = abilities
         self._fixed = fixed
-        self.current = Choice(
+        self.current = ModeChoice(
             fixed or "sequential",
             "fixed by inference.execution" if fixed else "no latency is known",
         )
@@ -132,7 +132,7 @@ class ModeSelector:
         self._agreeing = 0
         self._is_decided = False
 
-    def update(self, horizon: int, step_s: float, latency: LatencyWindow) -> Choice:
+    def update(self, horizon: int, step_s: float, latency: LatencyWindow) -> ModeChoice:
         """Take one more answer into account; returns the choice in force.
 
         Args:

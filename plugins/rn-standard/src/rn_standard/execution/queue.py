@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import islice
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,7 +50,7 @@ class SentRowQueue:
 
     rows: deque[execution.Row] = field(default_factory=deque)
     fade_rows: int = FADE_ROWS
-    _context: Any = None
+    _context: object = None
     _sent: deque[_Sent] = field(default_factory=lambda: deque(maxlen=_MEMORY))
     _was_unconditioned: bool = False
 

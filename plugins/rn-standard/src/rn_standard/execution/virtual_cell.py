@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rn_standard.execution.adaptive import AdaptiveExecutor
-from rn_standard.execution.meter import Delivery
+from rn_standard.execution.meter import RowDelivery
 from rn_standard.execution.mode import Abilities, Mode
 from roboneuron import ActionChunk, Ahead, Frame, NotReadyError, Observation, Pose
 from roboneuron.feature import execution
@@ -69,7 +69,7 @@ class Outcomes:
         image_age_s: mean age of the image behind a row when it was sent [s].
     """
 
-    delivery: Delivery
+    delivery: RowDelivery
     rate: float
     mode: Mode
     outcomes: dict[str, int]
@@ -86,7 +86,7 @@ def target_m(at_s: float, sense: float) -> F64:
 
 
 @dataclass(slots=True)
-class Follower:
+class VirtualPolicy:
     """The policy: deltas that lead from the observed TCP to where the target will be.
 
     Attributes:
@@ -128,7 +128,7 @@ class Follower:
 
 @dataclass(slots=True)
 class _Cell:
-    policy: Follower
+    policy: VirtualPolicy
     tcp_m: F64 = field(default_factory=lambda: np.zeros(3))
     goal_m: F64 = field(default_factory=lambda: np.zeros(3))
 
@@ -139,7 +139,9 @@ def run(trial: Trial) -> Outcomes:
         trial.abilities, fixed=trial.mode, bounds=execution.Bounds(first_s=60.0, tail_s=60.0)
     )
     random = np.random.default_rng(trial.seed)
-    cell = _Cell(Follower(trial.horizon, trial.step_s, trial.abilities.conditions_on_rows, random))
+    cell = _Cell(
+        VirtualPolicy(trial.horizon, trial.step_s, trial.abilities.conditions_on_rows, random)
+    )
     executor.begin_epoch()
     outcomes: dict[str, int] = {}
     played: list[tuple[int, int]] = []

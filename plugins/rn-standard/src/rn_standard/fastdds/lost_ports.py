@@ -17,11 +17,15 @@ import struct
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from rn_standard.fastdds.dead_ports import release_dead_locks
 from rn_standard.fastdds.port_record import FLAGS, IS_OK, find_record
 from rn_standard.fastdds.segments import PORT_PREFIX, SHARED_MEMORY, owned_segments, port_number
-from roboneuron.feature import ModuleHost, Periodic
+from roboneuron.feature import Periodic
+
+if TYPE_CHECKING:
+    from roboneuron.feature import ModuleHost  # imports rclpy, for which no `initialize` waits
 
 log = logging.getLogger(__name__)
 LOOK_S = 0.5

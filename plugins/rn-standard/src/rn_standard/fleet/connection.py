@@ -36,14 +36,16 @@ class SharedConnection(launching.Connection):
 
     def __init__(self, log_directory: Path) -> None:
         super().__init__(self._receive, log_directory)
-        self._receivers: dict[str, Callable[[Any], None]] = {}
+        self._receivers: dict[str, Callable[[object], None]] = {}
 
     def of_robot(
         self, namespace: str
-    ) -> Callable[[Callable[[Any], None], Path], launching.Connection]:
+    ) -> Callable[[Callable[[object], None], Path], launching.Connection]:
         """What the supervisor of the robot with that namespace makes its connection from."""
 
-        def connect(on_status: Callable[[Any], None], log_directory: Path) -> launching.Connection:
+        def connect(
+            on_status: Callable[[object], None], log_directory: Path
+        ) -> launching.Connection:
             self._receivers[namespace] = on_status
             return self
 

@@ -14,13 +14,14 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from rn_standard.fleet.connection import PARTICIPANTS, SharedConnection, participants_of
 from rn_standard.fleet.fleet_tools import emergency_stop_tool, list_fleet_tool
 from rn_standard.fleet.middleware import RobotMiddleware
 from rn_standard.fleet.resources import FleetResources, uri_of
 from rn_standard.fleet.tools import FleetTools
-from roboneuron import ConfigurationError, RoboNeuronError, UnsafeError
+from roboneuron import ConfigurationError, RoboNeuronError, Tool, UnsafeError
 from roboneuron.feature import (
     Application,
     Config,
@@ -89,7 +90,7 @@ class Fleet:
         except BaseException:
             self.close()
             raise
-        own = [list_fleet_tool(self.robots), emergency_stop_tool(self)]
+        own: list[Tool[Any]] = [list_fleet_tool(self.robots), emergency_stop_tool(self)]
         self.tools = FleetTools(self.robots, own, lambda who: self.events.client.tell(who, True))
         self.resources = FleetResources(self.robots)
         named = ", ".join(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from pydantic import Field
 
@@ -41,7 +41,7 @@ class FleetStop(EmergencyStopArguments):
     )
 
 
-def list_fleet_tool(robots: Mapping[str, Application]) -> Tool[Any]:
+def list_fleet_tool(robots: Mapping[str, Application]) -> Tool[NoArguments]:
     """list_fleet."""
 
     async def handler(_: NoArguments, context: CallContext) -> FleetList:
@@ -63,10 +63,10 @@ def list_fleet_tool(robots: Mapping[str, Application]) -> Tool[Any]:
     )
 
 
-def emergency_stop_tool(fleet: Fleet) -> Tool[Any]:
+def emergency_stop_tool(fleet: Fleet) -> Tool[FleetStop]:
     """emergency_stop of all robots; a call that names one goes to that robot's own tool."""
 
-    def press(arguments: Mapping[str, Any], context: CallContext) -> None:
+    def press(arguments: Mapping[str, object], context: CallContext) -> None:
         """Latch all before anything else: also when the arguments are wrong."""
         fleet.press(context.who, str(arguments.get("reason") or ""))
 

@@ -4,16 +4,16 @@ show.
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+from mcp.server.context import CallNext, HandlerResult, ServerMiddleware, ServerRequestContext
+
 if TYPE_CHECKING:
     from rn_standard.fleet.tools import FleetTools
     from roboneuron.feature import Application
-
-CallNext = Callable[[Any], Awaitable[Any]]
 
 
 class RobotMiddleware:
@@ -32,7 +32,7 @@ class RobotMiddleware:
         self._tools = tools
         self._given = {id(robot): len(robot.server.middleware) for robot in robots}
 
-    async def __call__(self, ctx: Any, call_next: CallNext) -> Any:
+    async def __call__(self, ctx: ServerRequestContext, call_next: CallNext) -> HandlerResult:
         """Hand the request on, through the middleware of the robot that it means."""
         params: Mapping[str, Any] = ctx.params or {} if ctx.method == "tools/call" else {}
         arguments = params.get("arguments") or {}
@@ -43,7 +43,7 @@ class RobotMiddleware:
         if robot is None:
             return await call_next(ctx)
 
-        async def as_sent(_: Any) -> Any:
+        async def as_sent(_: ServerRequestContext) -> HandlerResult:
             return await call_next(ctx)
 
         chain: CallNext = as_sent
@@ -53,5 +53,7 @@ class RobotMiddleware:
         return await chain(replace(ctx, params={**params, "name": name, "arguments": own}))
 
 
-async def _through(middleware: Any, call_next: CallNext, ctx: Any) -> Any:
+async def _through(
+    middleware: ServerMiddleware[Any], call_next: CallNext, ctx: ServerRequestContext
+) -> HandlerResult:
     return await middleware(ctx, call_next)

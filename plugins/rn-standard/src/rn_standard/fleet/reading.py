@@ -5,13 +5,12 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Mapping
-from typing import Any
 
 from roboneuron import ConfigurationError, FeatureSpec
 from roboneuron.feature import Config, Registry, reading
 
 
-def read_robots(raw: Mapping[str, Any], source: str, registry: Registry) -> Config:
+def read_robots(raw: Mapping[str, object], source: str, registry: Registry) -> Config:
     """Each `[robots.<name>]` with the tables that all share, as a configuration of its own; in
     `robots` of the whole.
 

@@ -36,7 +36,7 @@ class FoundRobotTool(Result):
     name: str
     description: str
     robots: list[str] = Field(description="robots that have it")
-    input_schema: dict[str, Any] = Field(
+    input_schema: dict[str, object] = Field(
         default_factory=dict, description="of `arguments` of call_robot_tool"
     )
 
@@ -55,7 +55,7 @@ class CallRobotTool(Arguments):
 
     robot: str = Field(max_length=80, description="Which robot.")
     tool: str = Field(max_length=80, description="Name of a tool of find_robot_tools.")
-    arguments: dict[str, Any] = Field(
+    arguments: dict[str, object] = Field(
         default_factory=dict, description="As its input schema says, without `robot`."
     )
 

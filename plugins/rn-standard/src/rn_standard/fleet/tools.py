@@ -53,7 +53,7 @@ class RobotContext:
         return await self._context.ask_for(f"Robot {self._robot}: {question}", what)
 
 
-def unwrapped(call: CallRobotTool) -> tuple[str, dict[str, Any]]:
+def unwrapped(call: CallRobotTool) -> tuple[str, dict[str, object]]:
     """Name and arguments of the call that a call of call_robot_tool stands for."""
     return call.tool, {**call.arguments, "robot": call.robot}
 
@@ -111,7 +111,7 @@ class FleetTools(ToolRegistry):
         ]
 
     async def call(
-        self, name: str, arguments: Mapping[str, Any], context: CallContext
+        self, name: str, arguments: Mapping[str, object], context: CallContext
     ) -> types.CallToolResult:
         """Have the named robot do it; every failure is an MCP error result."""
         if name == CALL and self.get(CALL) is not None:
@@ -134,7 +134,9 @@ class FleetTools(ToolRegistry):
         rest = {key: value for key, value in arguments.items() if key != "robot"}
         return await self._robots[chosen].tools.call(name, rest, RobotContext(context, chosen))
 
-    def meant_call(self, name: str, arguments: Mapping[str, Any]) -> tuple[str, Mapping[str, Any]]:
+    def meant_call(
+        self, name: str, arguments: Mapping[str, object]
+    ) -> tuple[str, Mapping[str, object]]:
         """The call that a client makes, also when it makes it with call_robot_tool."""
         try:
             return (
@@ -145,7 +147,7 @@ class FleetTools(ToolRegistry):
         except RoboNeuronError:
             return name, arguments
 
-    def meant_robot(self, tool: str, arguments: Mapping[str, Any]) -> Application | None:
+    def meant_robot(self, tool: str, arguments: Mapping[str, object]) -> Application | None:
         """The robot whose tool a call means; None for a call of the whole fleet, and for one that
         will be refused.
         """

@@ -11,7 +11,7 @@ from starlette.types import Message, Receive
 log = logging.getLogger(__name__)
 
 
-class Connection:
+class RequestConnection:
     """The connection of one HTTP request; used on the event loop only."""
 
     def __init__(self, receive: Receive) -> None:

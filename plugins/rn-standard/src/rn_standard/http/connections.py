@@ -143,7 +143,7 @@ class BoundedProtocol(H11Protocol):
         )
         self._wait_for(state if has_begun else None)
 
-    def _wait_for(self, state: Any) -> None:
+    def _wait_for(self, state: object) -> None:
         """Begin to wait for the end of headers or body; goes on waiting where it does already."""
         if state is self._waits_for:
             return

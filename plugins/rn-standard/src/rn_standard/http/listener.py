@@ -47,7 +47,7 @@ Peer = tuple[str, int]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Bounds:
+class ConnectionBounds:
     """How many connections a port has.
 
     Attributes:
@@ -68,7 +68,7 @@ class Bounds:
     handle_known: int
 
 
-def stop_bounds(limit: int | None = None) -> Bounds:
+def stop_bounds(limit: int | None = None) -> ConnectionBounds:
     """Bounds of the port on which stops come: an eighth of the handles stays free, half of it for
     the known.
 
@@ -77,7 +77,7 @@ def stop_bounds(limit: int | None = None) -> Bounds:
     """
     limit = handle_limit() if limit is None else limit
     quarter = min(1024, limit // 4)
-    return Bounds(
+    return ConnectionBounds(
         silent=quarter,
         unproven=min(256, quarter),
         unproven_of_one=min(192, quarter),
@@ -87,7 +87,7 @@ def stop_bounds(limit: int | None = None) -> Bounds:
     )
 
 
-def other_bounds(most: int, limit: int | None = None) -> Bounds:
+def other_bounds(most: int, limit: int | None = None) -> ConnectionBounds:
     """Bounds of any other port: it uses no handle of the upper half, however many it has.
 
     Args:
@@ -96,7 +96,7 @@ def other_bounds(most: int, limit: int | None = None) -> Bounds:
     """
     limit = handle_limit() if limit is None else limit
     most = min(most, limit // 8)
-    return Bounds(
+    return ConnectionBounds(
         silent=most,
         unproven=most,
         unproven_of_one=most,
@@ -127,7 +127,7 @@ class BoundedListener(socket.socket):
     def __init__(
         self,
         bound: socket.socket,
-        bounds: Bounds,
+        bounds: ConnectionBounds,
         is_known: Callable[[bytes], bool] = lambda first: False,
     ) -> None:
         super().__init__(fileno=bound.detach())
@@ -138,9 +138,9 @@ class BoundedListener(socket.socket):
         self._poll = select.epoll()
         self._poll.register(self._own, select.EPOLLIN)
         self._spare = _open_spare()
-        self._silent: dict[int, tuple[socket.socket, Any, float]] = {}
+        self._silent: dict[int, tuple[socket.socket, object, float]] = {}
         self._unproven: dict[Peer, tuple[socket.socket, str]] = {}
-        self._ready: deque[tuple[socket.socket, Any]] = deque()
+        self._ready: deque[tuple[socket.socket, object]] = deque()
         self._has_looked = False
         self._new: Counter[str] = Counter()
         self._window_s = 0.0
@@ -153,7 +153,7 @@ class BoundedListener(socket.socket):
         """
         return -1 if self._poll.closed else self._poll.fileno()
 
-    def accept(self) -> tuple[socket.socket, Any]:
+    def accept(self) -> tuple[socket.socket, object]:
         """A connection whose first bytes are there. Raises BlockingIOError when none is left in
         this turn.
         """
@@ -210,7 +210,7 @@ class BoundedListener(socket.socket):
             connection.setblocking(False)
             self._hear(connection, address)
 
-    def _hear(self, connection: socket.socket, address: Any) -> None:
+    def _hear(self, connection: socket.socket, address: object) -> None:
         """Hand over a connection that says something, keep one that does not, close one that is
         gone.
         """
@@ -226,7 +226,7 @@ class BoundedListener(socket.socket):
         else:
             connection.close()
 
-    def _keep(self, connection: socket.socket, address: Any) -> None:
+    def _keep(self, connection: socket.socket, address: object) -> None:
         handle = connection.fileno()
         is_full = len(self._silent) >= self._bounds.silent or handle >= self._bounds.handle
         if is_full and not self._drop_silent():

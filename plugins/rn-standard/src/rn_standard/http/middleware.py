@@ -16,7 +16,7 @@ from starlette.middleware.cors import CORSMiddleware
 from starlette.responses import JSONResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from rn_standard.http.connection_loss import Connection
+from rn_standard.http.connection_loss import RequestConnection
 from rn_standard.http.connections import PROTOCOL_KEY, BoundedProtocol, ConnectionTable
 from rn_standard.http.local_clients import account_of, local_client
 from rn_standard.http.origins import HostRules
@@ -100,7 +100,7 @@ class AccessMiddleware:
         user = AuthenticatedUser(
             AccessToken(token="", client_id=account_of(holder), scopes=[holder.role])
         )
-        connection = Connection(receive)
+        connection = RequestConnection(receive)
         inner = {
             **scope,
             access.HOLDER_KEY: replace(holder, watched=connection.watched),

@@ -8,8 +8,8 @@ import logging
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
 
+from mcp.server.context import CallNext, HandlerResult, ServerRequestContext
 from mcp.server.streamable_http import GET_STREAM_KEY
 from mcp.server.transport_security import RequestBodyLimitMiddleware
 from pydantic_core import from_json
@@ -164,7 +164,7 @@ class Sessions:
             self._on_end(name)
 
 
-async def note_handled(ctx: Any, call_next: Callable[[Any], Any]) -> Any:
+async def note_handled(ctx: ServerRequestContext, call_next: CallNext) -> HandlerResult:
     """Middleware of the SDK's server: tells the Sessions that the handler of a request has
     ended.
     """

@@ -77,7 +77,7 @@ def _loosen(file: object) -> int:
     Raises:
         RefusedError: there is no terminal, or neither file nor audit can be written.
     """
-    from rn_standard.tools_arm.tightening import Record, Tightening, TighteningFile
+    from rn_standard.tools_arm.tightening import TightenedRecord, Tightening, TighteningFile
     from roboneuron import RefusedError
     from roboneuron.feature import AUDIT_FILE, AuditLog, AuditRecord, roles
 
@@ -97,6 +97,6 @@ def _loosen(file: object) -> int:
     who = f"{getpass.getuser()} at the command line"
     audit = AuditLog(file.path.parent / AUDIT_FILE, time.time_ns)
     audit.write(AuditRecord(who=who, role=roles.ADMIN, tool="limits --loosen", verdict="loosened"))
-    file.write(Record(tightening=Tightening(), who=who, at_ns=time.time_ns()))
+    file.write(TightenedRecord(tightening=Tightening(), who=who, at_ns=time.time_ns()))
     print("Loosened.")
     return 0

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import secrets
 from collections import deque
-from typing import Any
 
 import anyio
 from mcp import types
@@ -20,7 +19,7 @@ from roboneuron.feature import UnfinishedCallError
 
 _ASKED_IN_RESULT = "2026-07-28"
 _KEY, _FIELD, _TYPED = "confirm", "confirmed", "typed"
-_SCHEMA: dict[str, Any] = {
+_SCHEMA: dict[str, object] = {
     "type": "object",
     "properties": {
         _FIELD: {
@@ -46,7 +45,7 @@ class Questions:
 
     async def ask(
         self,
-        request: ServerRequestContext[Any, Any],
+        request: ServerRequestContext[object, object],
         params: types.CallToolRequestParams,
         text: str,
         what: str = "",
@@ -85,7 +84,7 @@ class Questions:
         )
 
 
-def _schema(what: str) -> dict[str, Any]:
+def _schema(what: str) -> dict[str, object]:
     """A box to tick, or what is to be typed in."""
     if not what:
         return _SCHEMA
@@ -96,7 +95,7 @@ def _schema(what: str) -> dict[str, Any]:
     }
 
 
-def _told(answer: Any, what: str) -> str:
+def _told(answer: object, what: str) -> str:
     """What was typed, or "yes"; empty without agreement."""
     if not isinstance(answer, types.ElicitResult) or answer.action != "accept":
         return ""

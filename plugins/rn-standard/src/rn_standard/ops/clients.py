@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from mcp import types
 from mcp.server import NotificationOptions
 from mcp.server.context import CallNext, HandlerResult, ServerRequestContext
@@ -30,23 +28,21 @@ class Clients(Feature[None]):
         host.events.resource.listen(self._notices.resource_updated)
         notices, server = self._notices, host.server
 
-        async def remember(
-            ctx: ServerRequestContext[Any, Any], call_next: CallNext
-        ) -> HandlerResult:
+        async def remember(ctx: ServerRequestContext, call_next: CallNext) -> HandlerResult:
             if ctx.method == "tools/list":
                 notices.remember(ctx)
             return await call_next(ctx)
 
         async def subscribe(
-            context: ServerRequestContext[Any, Any], params: types.SubscribeRequestParams
-        ) -> Any:
+            context: ServerRequestContext, params: types.SubscribeRequestParams
+        ) -> types.EmptyResult:
             host.check_resource(str(params.uri))
             notices.subscribe(context, str(params.uri))
             return types.EmptyResult()
 
         async def unsubscribe(
-            context: ServerRequestContext[Any, Any], params: types.UnsubscribeRequestParams
-        ) -> Any:
+            context: ServerRequestContext, params: types.UnsubscribeRequestParams
+        ) -> types.EmptyResult:
             notices.unsubscribe(context, str(params.uri))
             return types.EmptyResult()
 

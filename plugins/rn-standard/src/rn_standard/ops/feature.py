@@ -100,7 +100,7 @@ class Operations(Feature[OpsOptions]):
             },
         )
 
-    def _last_actions(self) -> list[dict[str, Any]]:
+    def _last_actions(self) -> list[dict[str, object]]:
         stream = self._host.loop.streams.get(self._host.config.namespace)
         newest = list(stream.copy())[-_ACTIONS:] if stream is not None else []
         return [{"sent_ns": at, "values": list(values)} for at, values in newest]

@@ -13,7 +13,6 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
 
 from roboneuron.feature import log_files
 
@@ -46,7 +45,7 @@ class Incidents:
         self._newest: dict[tuple[str, str], float] = {}
         self._count = 0
 
-    def record(self, module: str, what: str, facts: Mapping[str, Any]) -> Path | None:
+    def record(self, module: str, what: str, facts: Mapping[str, object]) -> Path | None:
         """Write one; None when it repeats a recent one, or cannot be written (that goes to the
         log).
         """
@@ -82,7 +81,7 @@ class Incidents:
         log.warning("Incident recorded: %s", path)
         return path
 
-    def listing(self, most: int) -> list[dict[str, Any]]:
+    def listing(self, most: int) -> list[dict[str, object]]:
         """The newest records, newest first."""
         found = []
         for path in self._files()[-most:][::-1]:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Awaitable, Callable
-from typing import Any
 
 from anyio import BrokenResourceError, ClosedResourceError
 from mcp.server.context import ServerRequestContext
+from mcp.server.session import ServerSession
 from mcp.server.subscriptions import InMemorySubscriptionBus, ResourceUpdated, ToolsListChanged
 from mcp.shared.exceptions import MCPError
 
@@ -27,12 +27,12 @@ class ToolNotices:
 
     def __init__(self) -> None:
         self.bus = InMemorySubscriptionBus()
-        self._sessions: dict[int, Any] = {}
+        self._sessions: dict[int, ServerSession] = {}
         self._loop: asyncio.AbstractEventLoop | None = None
         self._tasks: set[asyncio.Task[None]] = set()
-        self._subscribers: dict[str, dict[int, Any]] = {}
+        self._subscribers: dict[str, dict[int, ServerSession]] = {}
 
-    def remember(self, request: ServerRequestContext[Any, Any]) -> None:
+    def remember(self, request: ServerRequestContext) -> None:
         """A client listed the tools; called on the event loop."""
         self._loop = asyncio.get_running_loop()
         if request.protocol_version < _FIRST_WITHOUT_HANDSHAKE:
@@ -40,14 +40,14 @@ class ToolNotices:
             while len(self._sessions) > _MOST_SESSIONS:
                 del self._sessions[next(iter(self._sessions))]
 
-    def subscribe(self, request: ServerRequestContext[Any, Any], uri: str) -> None:
+    def subscribe(self, request: ServerRequestContext, uri: str) -> None:
         """A client of an older revision wants to know when the resource `uri` changes; called on
         the event loop.
         """
         self._loop = asyncio.get_running_loop()
         self._subscribers.setdefault(uri, {})[id(request.session)] = request.session
 
-    def unsubscribe(self, request: ServerRequestContext[Any, Any], uri: str) -> None:
+    def unsubscribe(self, request: ServerRequestContext, uri: str) -> None:
         """It does not want to any more."""
         self._subscribers.get(uri, {}).pop(id(request.session), None)
 
@@ -67,7 +67,10 @@ class ToolNotices:
         )
 
     def _tell(
-        self, event: Any, sessions: dict[int, Any], send: Callable[[Any], Awaitable[None]]
+        self,
+        event: ResourceUpdated | ToolsListChanged,
+        sessions: dict[int, ServerSession],
+        send: Callable[[ServerSession], Awaitable[None]],
     ) -> None:
         async def tell() -> None:
             await self.bus.publish(event)

@@ -8,12 +8,22 @@ from typing import Any, Literal
 
 from pydantic import Field
 
-from roboneuron import Arguments, CallContext, Feature, Host, RefusedError, Section, Tool
+from roboneuron import (
+    Arguments,
+    CallContext,
+    Feature,
+    Host,
+    RefusedError,
+    Reply,
+    Result,
+    Section,
+    Tool,
+)
 from roboneuron.feature import AuditRecord
 
 _STARTS = ("start_robot", "start_all")
 _DOWN = ("stopped", "exited")
-Handler = Callable[[Any, CallContext], Awaitable[Any]]
+Handler = Callable[[Arguments, CallContext], Awaitable[Result | Reply]]
 
 
 class RealRobotOptions(Section):
@@ -46,7 +56,7 @@ class RealRobotFeature(Feature[RealRobotOptions]):
             host.tools.replace(replace(tool, handler=self._asking(host, tool), description=text))
 
     def _asking(self, host: Host, tool: Tool[Any]) -> Handler:
-        async def handler(arguments: Arguments, context: CallContext) -> Any:
+        async def handler(arguments: Arguments, context: CallContext) -> Result | Reply:
             if host.modules.view("robot").phase in _DOWN:
                 await self._ask(
                     host, tool.name, arguments if tool.name == _STARTS[0] else None, context

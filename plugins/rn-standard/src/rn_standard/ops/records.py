@@ -81,11 +81,11 @@ class Incident(Result):
         default="", description="what that means, and the module's error if it had one"
     )
     before: str = Field(default="", description="how it was before")
-    status: dict[str, Any] = Field(
+    status: dict[str, object] = Field(
         default_factory=dict, description="the module's last status, as in get_status"
     )
     log: list[str] = Field(default_factory=list, description="the end of its log")
-    actions: list[dict[str, Any]] = Field(
+    actions: list[dict[str, object]] = Field(
         default_factory=list,
         description="the last actions on the action topic: when they were sent, and their values",
     )
@@ -107,10 +107,13 @@ def incident_line(record: Mapping[str, Any]) -> Incident:
     error = (record.get("status") or {}).get("error") or {}
     if error.get("message"):
         told = f"{told}: {error['message']}" if told else str(error["message"])
-    named: dict[str, Any] = {
-        key: str(record.get(key, "")) for key in ("id", "at", "module", "what")
-    }
-    return Incident(**named, explanation=told if len(told) <= _LINE else f"{told[:_LINE]} ...")
+    return Incident(
+        id=str(record.get("id", "")),
+        at=str(record.get("at", "")),
+        module=str(record.get("module", "")),
+        what=str(record.get("what", "")),
+        explanation=told if len(told) <= _LINE else f"{told[:_LINE]} ...",
+    )
 
 
 def whole_incident(record: Mapping[str, Any]) -> Incident:
@@ -123,7 +126,7 @@ def whole_incident(record: Mapping[str, Any]) -> Incident:
     return Incident.model_validate(parts)
 
 
-def _filled(facts: Mapping[str, Any]) -> dict[str, Any]:
+def _filled(facts: Mapping[str, object]) -> dict[str, Any]:
     return {key: value for key, value in facts.items() if value not in (None, "", [], {})}
 
 

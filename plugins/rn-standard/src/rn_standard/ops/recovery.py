@@ -45,7 +45,7 @@ class RecoveryFeature(Feature[None]):
         return (_tool(host),) if driver is not None and driver.recovers else ()
 
 
-def _tool(host: Host) -> Tool[Any]:
+def _tool(host: Host) -> Tool[NoArguments]:
     async def recover_robot(_: NoArguments, context: CallContext) -> RecoveryResult:
         who = context.who
         if host.config.server.reset_emergency_stop == "person":

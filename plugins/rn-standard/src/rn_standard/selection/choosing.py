@@ -6,20 +6,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 
-from rn_standard.selection.options import named_models
+from rn_standard.selection.options import named_models, selection_options
 from rn_standard.selection.permission import check_addresses, check_may_load, check_may_set
 from rn_standard.selection.requests import REQUESTS
 from roboneuron import Arguments, DriverSpec, InvalidInputError, Spec
 from roboneuron.feature import (
+    KIND_ENTRIES,
     Config,
     ModuleKind,
+    ModuleSection,
     Registry,
     Selection,
     check_instruction,
     configured_section,
-    module_kinds,
     plan_of,
     select,
     takes_checkpoint,
@@ -82,7 +82,7 @@ def choose(
 
 def _configured_names(kind: ModuleKind, config: Config) -> set[str]:
     """Names of the plugins that the configuration chooses for a kind of module."""
-    section: module_kinds.ModuleSection | None = getattr(config, kind)
+    section: ModuleSection | None = getattr(config, kind)
     fields = ("driver", "source", "controller", "backend", "runtime", "acceleration")
     return (
         set()
@@ -127,13 +127,13 @@ def _with_model(config: Config, request: Arguments, name: str) -> tuple[Config, 
 
 def _section(
     kind: ModuleKind, config: Config, registry: Registry, request: Arguments
-) -> module_kinds.ModuleSection:
+) -> ModuleSection:
     """The configured section with what the request names; one of its own for another plugin than
     the configured.
     """
-    entry = module_kinds.KIND_ENTRIES[kind]
+    entry = KIND_ENTRIES[kind]
     field = "name" if kind == "robot" else entry.noun
-    section: module_kinds.ModuleSection | None = getattr(config, kind)
+    section: ModuleSection | None = getattr(config, kind)
     named = {
         key: getattr(request, key)
         for key in REQUESTS[kind].model_fields
@@ -154,7 +154,7 @@ def _section(
 
 
 def _merge(
-    config: Config, name: str, spec: Spec | DriverSpec, options: Mapping[str, Any], role: str
+    config: Config, name: str, spec: Spec | DriverSpec, options: Mapping[str, object], role: str
 ) -> Config:
     """The configuration with a client's `options` laid over `[plugins.<name>]`, where the client
     may set them.
@@ -163,5 +163,5 @@ def _merge(
         return config
     before = config.options(name)
     merged = {**before, **options}
-    check_may_set(spec, name, before, merged, config.server.agent_options, role)
+    check_may_set(spec, name, before, merged, selection_options(config).agent_options, role)
     return config.model_copy(update={"plugins": {**config.plugins, name: merged}})

@@ -8,15 +8,21 @@ from typing import Any
 
 from rn_standard.selection.choosing import choose
 from rn_standard.selection.options import SelectionSections
+from rn_standard.selection.permission import check_listed
 from rn_standard.selection.requests import REQUESTS, choices_of
 from roboneuron import Feature, Host, InternalError, Tool
-from roboneuron.feature import module_kinds
+from roboneuron.feature import KIND_ENTRIES, Config, discover
 
 
 class SelectionFeature(Feature[SelectionSections]):
     """Lets clients say what start_robot, start_perception, start_control and start_inference
     start.
     """
+
+    def check(self, config: Config) -> None:
+        """Check that `agent_options` names options of installed plugins. See `Feature.check`."""
+        if listed := self.options.selection.agent_options:
+            check_listed(listed, discover(config.disabled_plugins))
 
     def tools(self, host: Host) -> Sequence[Tool[Any]]:
         """None of its own: those of core get arguments. See `Feature.tools`."""
@@ -27,7 +33,7 @@ class SelectionFeature(Feature[SelectionSections]):
                 raise InternalError(f"There is no tool start_{kind}.")
             choices = {
                 argument: _installed(
-                    host, offer, with_summaries=argument == module_kinds.KIND_ENTRIES[kind].noun
+                    host, offer, with_summaries=argument == KIND_ENTRIES[kind].noun
                 )
                 for argument, offer in choices_of(kind).items()
             }

@@ -1,8 +1,8 @@
-"""Its section of roboneuron.toml: models by name."""
+"""Its sections of roboneuron.toml: what agents may set, and models by name."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated
 
 from pydantic import Field
 
@@ -11,7 +11,7 @@ from roboneuron.feature import Config
 from roboneuron.feature import models as core_models
 
 
-class ModelConfig(Section):
+class NamedModelOptions(Section):
     """`[models.<name>]`: a policy that agents may choose by its name."""
 
     backend: core_models.Name = Field(description="a backend offered by an installed plugin")
@@ -25,7 +25,7 @@ class ModelConfig(Section):
     preset: core_models.Name | None = Field(
         default=None, description="acceleration preset; none when not given"
     )
-    options: dict[str, Any] = Field(
+    options: dict[str, object] = Field(
         default_factory=dict, description="laid over the backend's own in [plugins]"
     )
     summary: str = Field(
@@ -33,14 +33,40 @@ class ModelConfig(Section):
     )
 
 
+class SelectionOptions(Section):
+    """`[selection]`: what agents may set beside what the configuration names."""
+
+    checkpoint_roots: tuple[str, ...] = Field(
+        default=(),
+        strict=False,
+        description="folders whose checkpoints agents may name, besides those that this "
+        "configuration names",
+    )
+    agent_options: tuple[Annotated[str, Field(pattern=r"^[a-z0-9-]+(\.[^.]+)+$")], ...] = Field(
+        default=(),
+        strict=False,
+        description="options for the configuration only that an admin may set all the same, such "
+        'as "pi0-remote.url"',
+    )
+
+
 class SelectionSections(Section):
     """The sections of the feature."""
 
-    models: dict[core_models.Name, ModelConfig] = Field(
+    selection: SelectionOptions = Field(
+        default=SelectionOptions(), description="what agents may set"
+    )
+
+    models: dict[core_models.Name, NamedModelOptions] = Field(
         default_factory=dict, description="policies by the name agents choose by"
     )
 
 
-def named_models(config: Config) -> dict[str, ModelConfig]:
+def named_models(config: Config) -> dict[str, NamedModelOptions]:
     """The models of a configuration by name."""
     return SelectionSections(models=config.sections.get("models", {})).models
+
+
+def selection_options(config: Config) -> SelectionOptions:
+    """`[selection]` of a configuration."""
+    return SelectionOptions.model_validate(config.sections.get("selection", {}))

@@ -5,9 +5,18 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from pathlib import Path
 
+from rn_standard.selection.options import selection_options
 from rn_standard.selection.restricted import restricted_values, unnamed_addresses
-from roboneuron import CheckpointError, DriverSpec, MissingDependencyError, RefusedError, Spec
-from roboneuron.feature import Config, loading, roles
+from roboneuron import (
+    CheckpointError,
+    ConfigurationError,
+    DriverSpec,
+    MissingDependencyError,
+    PluginError,
+    RefusedError,
+    Spec,
+)
+from roboneuron.feature import Config, Registry, check_name, loading, nearest, readers_of, roles
 
 _ABSENT = object()
 
@@ -30,7 +39,7 @@ def check_may_set(
         spec: whose options these are.
         name: of their section, `[plugins.<name>]`.
         configured, wanted: without and with what the client gave.
-        listed: `agent_options` of `[server]`.
+        listed: `agent_options` of `[selection]`.
         role: of the client.
 
     Raises:
@@ -64,13 +73,41 @@ def check_may_set(
     if barred:
         raise RefusedError(
             f"Only the configuration may set {_list(barred)}.",
-            hint="A person can set it there, or list it in agent_options of [server] for admins.",
+            hint="A person can set it there, or list it in agent_options of [selection] for "
+            "admins.",
         )
     if keys and role != roles.ADMIN:
         raise RefusedError(
             f"Only a client with the role 'admin' may set {_list(keys)}.",
             hint="Ask a person who has it.",
         )
+
+
+def check_listed(entries: Collection[str], registry: Registry) -> None:
+    """Refuse `agent_options` that name no option of a plugin.
+
+    Raises:
+        ConfigurationError: names the entry, and the nearest option there is.
+    """
+    for entry in entries:
+        name, *path = entry.split(".")
+        check_name(f"agent_options {entry!r}", name, registry)
+        try:
+            models = [loading.load_options_model(spec) for spec in readers_of(name, registry)]
+        except (MissingDependencyError, PluginError):
+            continue  # not to be judged here; told where it is chosen
+        known = {
+            field.alias or key
+            for model in models
+            if model is not None
+            for key, field in model.model_fields.items()
+        }
+        if path[0] not in known:
+            listed = ", ".join(sorted(known)) or "none"
+            raise ConfigurationError(
+                f"agent_options {entry!r}: {name!r} has no option {path[0]!r}. "
+                f"{nearest(path[0], known, f'Its options: {listed}.')}"
+            )
 
 
 def check_addresses(spec: Spec | DriverSpec, options: Mapping[str, object]) -> None:
@@ -115,9 +152,8 @@ def check_may_load(config: Config, checkpoint: str) -> None:
     """
     named = [config.inference.checkpoint if config.inference else None]
     named += [options.get("checkpoint") for options in config.plugins.values()]
-    allowed = [
-        path for path in (*named, *config.server.checkpoint_roots) if isinstance(path, str) and path
-    ]
+    roots = selection_options(config).checkpoint_roots
+    allowed = [path for path in (*named, *roots) if isinstance(path, str) and path]
     try:
         wanted = _resolve(checkpoint)
         if any(wanted.is_relative_to(_resolve(path)) for path in allowed):
@@ -130,7 +166,7 @@ def check_may_load(config: Config, checkpoint: str) -> None:
         f"The configuration does not allow the checkpoint {checkpoint!r}.",
         hint=f"Allowed folders: {', '.join(allowed) or 'nothing yet'}. A person can add a "
         "folder of models to "
-        "checkpoint_roots in [server].",
+        "checkpoint_roots in [selection].",
     )
 
 

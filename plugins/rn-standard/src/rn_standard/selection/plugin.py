@@ -8,7 +8,7 @@ FEATURE = FeatureSpec(
     "what they start.",
     target="rn_standard.selection.feature:SelectionFeature",
     config="rn_standard.selection.options:SelectionSections",
-    sections=("models",),
+    sections=("selection", "models"),
 )
 """Descriptor of the feature."""
 

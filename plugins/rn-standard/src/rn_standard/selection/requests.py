@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any
+from typing import Annotated
 
 from pydantic import Field
 
 from roboneuron import Arguments
-from roboneuron.feature import ModuleKind, module_kinds
+from roboneuron.feature import KIND_ENTRIES, Instruction, ModuleKind
 
 Options = Annotated[
-    dict[str, Any],
+    dict[str, object],
     Field(
         default_factory=dict,
         description="Plugin options, overriding the configuration's; addresses and files only "
@@ -56,7 +56,7 @@ class StartControl(Arguments):
     options: Options
 
 
-class StartInference(Arguments):
+class StartChosenInference(Arguments):
     """Arguments of start_inference."""
 
     backend: str | None = Field(
@@ -79,7 +79,7 @@ class StartInference(Arguments):
     model: str | None = Field(
         default=None, description="Name of a model in the configuration, instead of these four."
     )
-    instruction: module_kinds.Instruction = None
+    instruction: Instruction = None
     cameras: dict[str, str] | None = Field(
         default=None,
         description="Camera name by role of the backend; the robot's own roles when omitted.",
@@ -91,7 +91,7 @@ REQUESTS: Mapping[ModuleKind, type[Arguments]] = {
     "robot": StartRobot,
     "perception": StartPerception,
     "control": StartControl,
-    "inference": StartInference,
+    "inference": StartChosenInference,
 }
 """Arguments of the start tool by kind of module; the argument that names what such a module runs is
 its `noun`.
@@ -101,4 +101,4 @@ its `noun`.
 def choices_of(kind: ModuleKind) -> dict[str, str]:
     """Arguments that name plugins -> kind of these plugins."""
     more = {"runtime": "runtime", "acceleration": "acceleration"} if kind == "inference" else {}
-    return {module_kinds.KIND_ENTRIES[kind].noun: module_kinds.KIND_ENTRIES[kind].offer, **more}
+    return {KIND_ENTRIES[kind].noun: KIND_ENTRIES[kind].offer, **more}

@@ -1,7 +1,7 @@
 """Which plugin options an agent may not set: those that name hosts, files, commands or environment
 variables.
 
-They are marked in the options model of the plugin, see `roboneuron.plugins.restricted`; an option
+They are marked in the options model of the plugin, see `roboneuron.plugins.specs`; an option
 without a mark is judged by its type and name.
 """
 

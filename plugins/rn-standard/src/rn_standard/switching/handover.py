@@ -45,6 +45,7 @@ class TimedHandover(Handover):
 
     Attributes:
         moments: the node's parameters and their first values.
+        not_before_ns: images captured before it are not predicted on, not even in shadow.
         period_s: tells the period of a backend's rows [s]; 0 before the first one.
     """
 
@@ -62,6 +63,7 @@ class TimedHandover(Handover):
             PLAY_UNTIL: 0,
             PLAY_FROM: 0,
         }
+        self.not_before_ns = 0
         self._now_ns = now_ns
         self._now_s = now_s
         self._moments_ns = dict(self.moments)

@@ -4,11 +4,21 @@ from __future__ import annotations
 
 from functools import partial
 
+from std_msgs.msg import Empty
+
 from rn_standard.switching.acceleration import AccelerationInForce
 from rn_standard.switching.handover import TimedHandover
+from rn_standard.switching.inference_handover import come_between
 from rn_standard.switching.predecessor import follow_predecessor
-from rn_standard.switching.standby import restore
-from roboneuron.feature import InferenceModule, Module, ModuleHost
+from rn_standard.switching.standby import LISTENERS, restore
+from roboneuron.feature import InferenceModule, Module, ModuleHost, qos
+
+WARM_UP = "_warm_up"
+"""std_msgs/Empty, hidden as ROS hides names with an underscore: opens the ports of a module in
+shadow.
+"""
+_LOOK_S = 0.05
+_WARM_UPS, _WARM_UP_PERIOD_S = 30, 0.1
 
 
 def join(host: ModuleHost) -> None:
@@ -24,10 +34,48 @@ def join(host: ModuleHost) -> None:
 def _extend(host: ModuleHost, handover: TimedHandover, module: Module) -> None:
     if isinstance(module, InferenceModule):
         AccelerationInForce(host, module)
-        module.before_prediction.append(handover.rest)
+        come_between(module, handover)
+    module.node.subscribe(Empty, WARM_UP, lambda _: None)
     if host.settings.shadow:
         follow_predecessor(module, handover)
+        _open_ports(module)
+    _count_listeners(module)
     restore()  # loaded: from now on as urgent as other modules
+
+
+def _count_listeners(module: Module) -> None:
+    """Report how many subscriptions each output has found, as `listeners.<topic>`: what replaces a
+    module must be heard by all who hear that.
+    """
+    known: dict[str, int] = {}
+
+    def look() -> None:
+        for topic, publisher in module.node.outputs.items():
+            count = publisher.get_subscription_count()
+            if count != known.get(topic):
+                known[topic] = count
+                module.status.set_value(f"{LISTENERS}{topic}", count)
+
+    module.node.repeat(_LOOK_S, look)
+
+
+def _open_ports(module: Module) -> None:
+    """Send something to all modules while in shadow: the first message to a process opens a port,
+    which may take long.
+
+    Fast DDS checks that a port's listener lives and, when it was checked a moment ago, waits for a
+    third of `healthy_check_timeout_ms`, inside publish() and with the interpreter's lock held.
+    """
+    node = module.node
+    publisher = node.create_lifecycle_publisher(Empty, WARM_UP, qos.NEWEST)
+    node.resources.callback(node.destroy_lifecycle_publisher, publisher)
+    left = iter(range(_WARM_UPS))
+
+    def send() -> None:
+        if publisher.is_activated and next(left, None) is not None:
+            publisher.publish(Empty())
+
+    node.repeat(_WARM_UP_PERIOD_S, send)
 
 
 def _refusal(moment_ns: int) -> str:

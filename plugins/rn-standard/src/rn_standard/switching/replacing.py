@@ -7,13 +7,14 @@ import time
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from rn_standard.selection.requests import StartInference, StartPerception
+from rn_standard.selection.requests import StartChosenInference, StartPerception
 from rn_standard.switching.in_place import AccelerationSwitch, differs_in_acceleration_only
 from rn_standard.switching.standby import JOIN
 from rn_standard.switching.switch_checks import CHECKS, SwitchCheck
 from rn_standard.switching.warm_switch import ARRIVAL_S, Change, WarmSwitch
 from roboneuron import Arguments, InvalidInputError, RoboNeuronError, StateError
 from roboneuron.feature import (
+    KIND_ENTRIES,
     MODULE_KINDS,
     ClosedLoop,
     ModuleKind,
@@ -21,7 +22,6 @@ from roboneuron.feature import (
     Report,
     Selection,
     Stage,
-    module_kinds,
     running_selection,
 )
 
@@ -89,7 +89,7 @@ class Switching:
         old = self._supervisor.require_running(kind)
         ticket, instruction = self.loop.starts.ticket, self.loop.starts.instruction
         selection = self.loop.select(kind, _keep(old, request), role)
-        if isinstance(request, StartInference):
+        if isinstance(request, StartChosenInference):
             if request.instruction:
                 self.loop.starts.permit()
             selection = with_instruction(selection, request.instruction or instruction)
@@ -111,8 +111,7 @@ class Switching:
         selection = self._before.get(kind)
         if selection is None:
             raise StateError(
-                f"There is no {module_kinds.KIND_ENTRIES[kind].noun} to go back to: none was "
-                "replaced yet."
+                f"There is no {KIND_ENTRIES[kind].noun} to go back to: none was replaced yet."
             )
         ticket = self.loop.starts.ticket
         if kind == "inference":

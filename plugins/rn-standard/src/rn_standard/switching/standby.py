@@ -30,6 +30,8 @@ PLAY_FROM = "play_from_ns"
 """ROS parameter: nothing is sent before this ROS time [ns]; the predecessor plays what it has until
 then. 0: none.
 """
+LISTENERS = "listeners."
+"""Metrics of a module: subscriptions that its outputs have found, by topic."""
 NEVER_NS = 2**62
 """As ACT_FROM: in shadow until told otherwise."""
 log = logging.getLogger(__name__)

@@ -12,7 +12,7 @@ from typing import ClassVar
 
 from rn_standard.switching.gap import Gap, action_gap
 from roboneuron import ACTION_FIELDS, NotReadyError, RefusedError
-from roboneuron.feature import ClosedLoop, ModuleKind, Report, Selection, module_kinds
+from roboneuron.feature import KIND_ENTRIES, ClosedLoop, ModuleKind, Report, Selection
 
 _LOOKS = 3
 """So many shadow actions are compared: reports come every 0.2 s. Control compares in its own
@@ -46,7 +46,7 @@ class SwitchCheck(ABC):
     @property
     def noun(self) -> str:
         """What such a module runs, for messages."""
-        return module_kinds.KIND_ENTRIES[self.kind].noun
+        return KIND_ENTRIES[self.kind].noun
 
     @abstractmethod
     def compare(self, shadow: Shadow) -> float | None:

@@ -4,14 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, TypeVar
+from typing import Literal, TypeVar
 
 from pydantic import Field, model_validator
 
-from rn_standard.selection.requests import StartControl, StartInference, StartPerception
+from rn_standard.selection.requests import StartChosenInference, StartControl, StartPerception
 from rn_standard.switching.replacing import Switched, Switching
 from roboneuron import Arguments, CallContext, Tool
-from roboneuron.feature import ClosedLoop, ModuleKind, Stage, module_kinds, results, settings
+from roboneuron.feature import (
+    KIND_ENTRIES,
+    ClosedLoop,
+    KindEntry,
+    ModuleKind,
+    Stage,
+    results,
+    settings,
+)
 
 S = TypeVar("S", bound="Switch")
 
@@ -35,7 +43,7 @@ class Switch(Arguments):
         return self
 
 
-class SwitchInference(Switch, StartInference):
+class SwitchInference(Switch, StartChosenInference):
     """Arguments of switch_inference."""
 
     instruction: str | None = Field(
@@ -127,18 +135,17 @@ _TEXTS: Mapping[ModuleKind, _Text] = {
 }
 
 
-def switch_tools(loop: ClosedLoop) -> list[Tool[Any]]:
+def switch_tools(loop: ClosedLoop) -> list[Tool[Switch]]:
     """One for each kind of module that can be replaced."""
     switching = Switching(loop)
     return [
-        _switch_tool(loop, switching, module_kinds.KIND_ENTRIES[kind], text)
-        for kind, text in _TEXTS.items()
+        _switch_tool(loop, switching, KIND_ENTRIES[kind], text) for kind, text in _TEXTS.items()
     ]
 
 
 def _switch_tool(
-    loop: ClosedLoop, switching: Switching, entry: module_kinds.KindEntry, text: _Text
-) -> Tool[Any]:
+    loop: ClosedLoop, switching: Switching, entry: KindEntry, text: _Text
+) -> Tool[Switch]:
     kind = entry.kind
 
     async def handler(request: Switch, context: CallContext) -> SwitchResult:

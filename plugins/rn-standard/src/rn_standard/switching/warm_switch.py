@@ -19,6 +19,7 @@ from rn_standard.switching.gap import Gap
 from rn_standard.switching.standby import (
     ACT_FROM,
     ACT_UNTIL,
+    LISTENERS,
     NEVER_NS,
     PLAY_FROM,
     PLAY_UNTIL,
@@ -57,7 +58,6 @@ _LATE_S = 3.0
 """A newcomer that is late for this long in shadow is too slow; now and then a busy machine makes
 anything late.
 """
-LISTENERS = "listeners."
 ARRIVAL_S = 0.5
 """A status may arrive before the action that it tells of."""
 

@@ -13,12 +13,15 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING
 
 from rn_standard.direct_path.fields import check_path, load_type, read_value
 from rn_standard.tasks.options import EventOptions, ThresholdOptions
 from roboneuron import ConfigurationError, Host, InvalidInputError, Resource, RoboNeuronError
 from roboneuron.feature import EXPLANATIONS, FAULTS, Health, ModuleView, check_topic
+
+if TYPE_CHECKING:
+    from sensor_msgs.msg import BatteryState
 
 log = logging.getLogger(__name__)
 URI = "roboneuron://events/"
@@ -90,11 +93,11 @@ class EventLog:
 
     def __init__(self, kept: int, tell: Callable[[str], object]) -> None:
         self._lock = threading.Lock()
-        self._kept = {kind: deque[dict[str, Any]](maxlen=kept) for kind in KINDS}
+        self._kept = {kind: deque[dict[str, object]](maxlen=kept) for kind in KINDS}
         self._count = 0
         self._tell = tell
 
-    def add(self, kind: str, **facts: Any) -> None:
+    def add(self, kind: str, **facts: object) -> None:
         """Something happened; `facts` are what JSON can hold."""
         with self._lock:
             self._count += 1
@@ -171,7 +174,7 @@ class Watching:
             error = view.report.error if view.report is not None and view.report.error_code else ""
             self._incident(view.kind, health, EXPLANATIONS[health], error)
 
-    def _on_fault(self, module: str, what: str, facts: Mapping[str, Any]) -> None:
+    def _on_fault(self, module: str, what: str, facts: Mapping[str, object]) -> None:
         self._incident(module, what, str(facts.get("explanation", "")), "")
 
     def _incident(self, module: str, what: str, explanation: str, error: str) -> None:
@@ -183,7 +186,7 @@ class Watching:
                 INCIDENTS, module=module, what=what, explanation=explanation, error=error
             )
 
-    def _on_battery(self, low: Crossing, message: Any) -> None:
+    def _on_battery(self, low: Crossing, message: BatteryState) -> None:
         share = float(message.percentage)
         if low.observe(share):
             self._events.add(
@@ -191,7 +194,7 @@ class Watching:
             )
 
     def _on_message(
-        self, name: str, threshold: ThresholdOptions, crossing: Crossing, message: Any
+        self, name: str, threshold: ThresholdOptions, crossing: Crossing, message: object
     ) -> None:
         try:
             value = float(read_value(message, threshold.field))

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-EXAMPLES: dict[str, dict[str, Any]] = {
+EXAMPLES: dict[str, dict[str, object]] = {
     "the red cube is lifted and held for a second": {
         "kind": "held",
         "for_s": 1.0,

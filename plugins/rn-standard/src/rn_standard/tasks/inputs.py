@@ -6,7 +6,7 @@ import logging
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -20,6 +20,10 @@ from roboneuron import (
     RobotProfile,
     frame_from_buffer,
 )
+
+if TYPE_CHECKING:
+    from builtin_interfaces.msg import Time
+    from geometry_msgs.msg import PoseStamped
 
 log = logging.getLogger(__name__)
 _AGE_S, _IMAGE_AGE_S = 0.5, 2.0
@@ -44,7 +48,7 @@ class Inputs:
         _ = self._host.graph  # first: two threads must not import rclpy at the same time
         ros_type = load_type(type_name)
 
-        def take(message: Any) -> None:
+        def take(message: object) -> None:
             self._newest[topic] = time.monotonic(), message
 
         self._ends.append(self._host.subscribe(ros_type, topic, take, latched=True))
@@ -100,11 +104,11 @@ class Inputs:
                 self._ends.pop()()
 
 
-def _stamp_ns(stamp: Any) -> int:
+def _stamp_ns(stamp: Time) -> int:
     return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
 
 
-def pose_of(message: Any) -> Pose | None:
+def pose_of(message: PoseStamped | None) -> Pose | None:
     """geometry_msgs/PoseStamped -> Pose."""
     if message is None:
         return None

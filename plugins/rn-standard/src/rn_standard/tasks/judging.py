@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
 
 from rn_standard.direct_path.fields import read_value
 from rn_standard.tasks.monitor import Monitor, Score
@@ -36,7 +35,7 @@ _MOST_TEXT = 120
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Judgement:
+class PredicateState:
     """What a look at a predicate tells.
 
     Attributes:
@@ -48,7 +47,7 @@ class Judgement:
     reason: str
 
 
-class Judge:
+class PredicateJudge:
     """Judges one predicate over the course of a task; remembers what predicates over time need.
     Used from one thread.
 
@@ -91,7 +90,7 @@ class Judge:
         for monitor in self._monitors.values():
             monitor.reset(observation)
 
-    def look(self, snapshot: Snapshot) -> Judgement:
+    def look(self, snapshot: Snapshot) -> PredicateState:
         """Judge now; to be called in the order of time."""
         if (
             snapshot.gripper_open is not None
@@ -114,7 +113,7 @@ class Judge:
         for part in predicate.parts():
             self._collect(part, monitor_for)
 
-    def _judge(self, predicate: Predicate, snapshot: Snapshot) -> Judgement:
+    def _judge(self, predicate: Predicate, snapshot: Snapshot) -> PredicateState:
         match predicate:
             case All():
                 return _all([self._judge(part, snapshot) for part in predicate.of])
@@ -136,24 +135,24 @@ class Judge:
                 return self._gripper(predicate, snapshot)
             case Still():
                 if snapshot.still_s is None:
-                    return Judgement(value=None, reason="the joints are not measured")
+                    return PredicateState(value=None, reason="the joints are not measured")
                 reason = f"no joint has moved for {snapshot.still_s:.1f} s"
-                return Judgement(
+                return PredicateState(
                     value=self._is_lenient or snapshot.still_s >= predicate.for_s, reason=reason
                 )
             case PolicyDone():
                 if snapshot.policy_done is None:
-                    return Judgement(
+                    return PredicateState(
                         value=None, reason="the policy does not say whether it has finished"
                     )
                 said = "has" if snapshot.policy_done else "has not"
-                return Judgement(
+                return PredicateState(
                     value=snapshot.policy_done, reason=f"the policy says that it {said} finished"
                 )
             case MonitorSays():
                 return self._monitor(predicate, snapshot)
 
-    def _held(self, predicate: Held, snapshot: Snapshot) -> Judgement:
+    def _held(self, predicate: Held, snapshot: Snapshot) -> PredicateState:
         inner = self._judge(predicate.of, snapshot)
         if self._is_lenient:
             return inner
@@ -161,29 +160,31 @@ class Judge:
             self._true_since_s.pop(id(predicate), None)
             return inner
         held_s = snapshot.now_s - self._true_since_s.setdefault(id(predicate), snapshot.now_s)
-        return Judgement(
+        return PredicateState(
             value=held_s >= predicate.for_s, reason=f"{inner.reason}, for {held_s:.1f} s"
         )
 
-    def _gripper(self, predicate: GripperHolds, snapshot: Snapshot) -> Judgement:
+    def _gripper(self, predicate: GripperHolds, snapshot: Snapshot) -> PredicateState:
         opening = snapshot.gripper_open
         if opening is None:
-            return Judgement(value=None, reason="the opening of the gripper is not measured")
+            return PredicateState(value=None, reason="the opening of the gripper is not measured")
         if not predicate.least_open <= opening <= predicate.most_open:
             where = "closed on nothing" if opening < predicate.least_open else "open"
-            return Judgement(value=False, reason=f"the gripper is {where} ({opening:.2f})")
+            return PredicateState(value=False, reason=f"the gripper is {where} ({opening:.2f})")
         if snapshot.now_s - self._opening[1] < GRIPPER_STILL_S and not self._is_lenient:
-            return Judgement(value=False, reason=f"the gripper is moving ({opening:.2f})")
+            return PredicateState(value=False, reason=f"the gripper is moving ({opening:.2f})")
         reason = f"the gripper stands at {opening:.2f}"
         if predicate.least_effort is not None:
             effort = snapshot.effort.get(self._gripper_joint)
             if effort is None:
-                return Judgement(value=None, reason=f"{reason}, and its effort is not measured")
+                return PredicateState(
+                    value=None, reason=f"{reason}, and its effort is not measured"
+                )
             reason += f" with an effort of {abs(effort):.1f}"
-            return Judgement(value=abs(effort) >= predicate.least_effort, reason=reason)
-        return Judgement(value=True, reason=reason)
+            return PredicateState(value=abs(effort) >= predicate.least_effort, reason=reason)
+        return PredicateState(value=True, reason=reason)
 
-    def _monitor(self, predicate: MonitorSays, snapshot: Snapshot) -> Judgement:
+    def _monitor(self, predicate: MonitorSays, snapshot: Snapshot) -> PredicateState:
         stamps = {role: frame.stamp_ns for role, frame in snapshot.frames.items()}
         known = self._scores.get(id(predicate))
         if known is None or not stamps or known[0] != stamps:
@@ -194,65 +195,65 @@ class Judge:
         score = known[1]
         value = None if score.value is None else score.value >= predicate.at_least
         told = "" if score.value is None else f" ({score.value:.2f})"
-        return Judgement(value=value, reason=f"{predicate.name}: {score.reason}{told}")
+        return PredicateState(value=value, reason=f"{predicate.name}: {score.reason}{told}")
 
 
-def _all(parts: list[Judgement]) -> Judgement:
+def _all(parts: list[PredicateState]) -> PredicateState:
     """False when one is false, else not to be judged when one is not, else true."""
     for value in (False, None):
         found = [part.reason for part in parts if part.value is value]
         if found:
-            return Judgement(value=value, reason="; ".join(found))
-    return Judgement(value=True, reason="; ".join(part.reason for part in parts))
+            return PredicateState(value=value, reason="; ".join(found))
+    return PredicateState(value=True, reason="; ".join(part.reason for part in parts))
 
 
-def _negated(judgement: Judgement) -> Judgement:
+def _negated(judgement: PredicateState) -> PredicateState:
     value = None if judgement.value is None else not judgement.value
-    return Judgement(value=value, reason=judgement.reason)
+    return PredicateState(value=value, reason=judgement.reason)
 
 
-def _tcp(predicate: TcpIn, snapshot: Snapshot) -> Judgement:
+def _tcp(predicate: TcpIn, snapshot: Snapshot) -> PredicateState:
     if snapshot.tcp is None:
-        return Judgement(value=None, reason="the pose of the TCP is not measured")
+        return PredicateState(value=None, reason="the pose of the TCP is not measured")
     place = snapshot.tcp.position_m.tolist()
     inside = all(
         low <= value <= high
         for low, value, high in zip(predicate.lower_m, place, predicate.upper_m, strict=True)
     )
     told = ", ".join(f"{value:.3f}" for value in place)
-    return Judgement(value=inside, reason=f"the TCP is at [{told}] m")
+    return PredicateState(value=inside, reason=f"the TCP is at [{told}] m")
 
 
-def _joints(predicate: JointsIn, joints: Mapping[str, float] | None) -> Judgement:
+def _joints(predicate: JointsIn, joints: Mapping[str, float] | None) -> PredicateState:
     missing = [name for name in predicate.joints if joints is None or name not in joints]
     if joints is None or missing:
-        return Judgement(value=None, reason=f"{', '.join(missing)} is not measured")
+        return PredicateState(value=None, reason=f"{', '.join(missing)} is not measured")
     outside = [
         name for name, (low, high) in predicate.joints.items() if not low <= joints[name] <= high
     ]
     told = ", ".join(f"{name} {joints[name]:.3f}" for name in outside or predicate.joints)
-    return Judgement(
+    return PredicateState(
         value=not outside, reason=f"{told} {'outside' if outside else 'inside'} the range"
     )
 
 
-def _field(predicate: FieldIs, message: Any) -> Judgement:
+def _field(predicate: FieldIs, message: object) -> PredicateState:
     place = f"{predicate.field} of {predicate.topic}"
     if message is None:
-        return Judgement(value=None, reason=f"no message on {predicate.topic}")
+        return PredicateState(value=None, reason=f"no message on {predicate.topic}")
     try:
         value = read_value(message, predicate.field)
     except LookupError as error:
-        return Judgement(value=None, reason=str(error))
+        return PredicateState(value=None, reason=str(error))
     if predicate.equals is not None:
-        return Judgement(
+        return PredicateState(
             value=bool(value == predicate.equals), reason=f"{place} is {_quoted(value)}"
         )
     if isinstance(value, bool) or not isinstance(value, int | float):
-        return Judgement(value=None, reason=f"{place} is {_quoted(value)}, no number")
+        return PredicateState(value=None, reason=f"{place} is {_quoted(value)}, no number")
     low, high = predicate.at_least, predicate.at_most
     inside = (low is None or value >= low) and (high is None or value <= high)
-    return Judgement(value=inside and value == value, reason=f"{place} is {value:g}")
+    return PredicateState(value=inside and value == value, reason=f"{place} is {value:g}")
 
 
 def _quoted(value: object) -> str:

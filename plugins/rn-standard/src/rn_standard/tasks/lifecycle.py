@@ -8,8 +8,8 @@ from typing import Any
 from pydantic import Field
 
 from rn_standard.selection.choosing import choose
-from rn_standard.selection.options import ModelConfig, named_models
-from rn_standard.selection.requests import StartInference
+from rn_standard.selection.options import NamedModelOptions, named_models
+from rn_standard.selection.requests import StartChosenInference
 from rn_standard.tasks.starting import ParallelStart, requests_for
 from roboneuron import Arguments, CallContext, Host, NoArguments, Result, RoboNeuronError, Tool
 from roboneuron.feature import ModuleKind, Registry, results, settings
@@ -59,14 +59,17 @@ class Models(Result):
     models: list[ModelInfo]
 
 
-def start_all_tool(host: Host) -> Tool[Any]:
+def start_all_tool(host: Host) -> Tool[StartAll]:
     """start_all."""
 
     async def handler(arguments: StartAll, context: CallContext) -> StartAllResult:
         model = (
-            None if arguments.model is None else StartInference(model=arguments.model, options={})
+            None
+            if arguments.model is None
+            else StartChosenInference(model=arguments.model, options={})
         )
-        start = ParallelStart(host.loop, requests_for(arguments.instruction, model), context.role)
+        requests = requests_for(arguments.instruction, model)
+        start = ParallelStart(host.loop, host.modules, requests, context.role)
         done = await context.run(start.run, on_cancel=start.cancel)
         return StartAllResult(
             started=[results.ModuleSummary(**results.module_summary(view)) for view in done.views],
@@ -79,7 +82,7 @@ def start_all_tool(host: Host) -> Tool[Any]:
         name="start_all",
         title="Start everything",
         description="Start everything that is configured and does not run yet: robot, cameras, "
-        "controller and policy, in parallel. The robot is the {host.loop.robot_facts}. Returns "
+        f"controller and policy, in parallel. The robot is the {host.loop.robot_facts}. Returns "
         "when everything works; "
         "if something fails, "
         "what this call started is stopped again. Then call run_task.",
@@ -90,7 +93,7 @@ def start_all_tool(host: Host) -> Tool[Any]:
     )
 
 
-def list_models_tool(host: Host) -> Tool[Any]:
+def list_models_tool(host: Host) -> Tool[NoArguments]:
     """list_models."""
 
     async def handler(_: NoArguments, context: CallContext) -> Models:
@@ -123,7 +126,7 @@ def list_models_tool(host: Host) -> Tool[Any]:
     )
 
 
-def _info(name: str, model: ModelConfig, host: Host, running: bool) -> ModelInfo:
+def _info(name: str, model: NamedModelOptions, host: Host, running: bool) -> ModelInfo:
     problem = _problem(name, host)
     return ModelInfo(
         name=name,
@@ -140,7 +143,9 @@ def _info(name: str, model: ModelConfig, host: Host, running: bool) -> ModelInfo
 
 def _problem(name: str, host: Host) -> str:
     try:
-        choose("inference", host.config, host.registry, StartInference(model=name, options={}))
+        choose(
+            "inference", host.config, host.registry, StartChosenInference(model=name, options={})
+        )
     except RoboNeuronError as error:
         return str(error)
     return ""

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 
-from rn_standard.selection.requests import StartInference
+from rn_standard.selection.requests import StartChosenInference
 from rn_standard.tasks.inputs import Inputs, pose_of
 from rn_standard.tasks.runner import PolicyState
 from rn_standard.tasks.snapshot import Snapshot, StillClock
@@ -139,7 +139,7 @@ class LiveCell:
         loop = self._host.loop
         self._starting = True
         try:
-            selection = loop.select("inference", StartInference(options={}), self._role)
+            selection = loop.select("inference", StartChosenInference(options={}), self._role)
             section = selection.config.inference
             assert section is not None
             section = section.model_copy(update={"instruction": ""})

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 from roboneuron import Observation
 
@@ -47,6 +47,6 @@ class RememberingMonitor(Protocol):
     task before.
     """
 
-    def follow(self, previous: Any) -> None:
+    def follow(self, previous: object) -> None:
         """Take over what stays true between two tasks; called before `reset`."""
         ...

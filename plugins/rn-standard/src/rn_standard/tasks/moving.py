@@ -149,7 +149,7 @@ class Mover:
         )
 
     async def _call(
-        self, tool_name: str, arguments: dict[str, Any], context: CallContext
+        self, tool_name: str, arguments: Mapping[str, object], context: CallContext
     ) -> dict[str, Any]:
         tool = self._host.tools.get(tool_name)
         if tool is None:
@@ -182,7 +182,7 @@ def check_places(options: TasksSections) -> None:
             raise InvalidInputError(f"The quaternion of the place {name!r} is not of unit length.")
 
 
-def move_to_tool(mover: Mover, places: Places, approval: Approval) -> Tool[Any]:
+def move_to_tool(mover: Mover, places: Places, approval: Approval) -> Tool[MoveToArguments]:
     """move_to."""
 
     async def handler(arguments: MoveToArguments, context: CallContext) -> MovedTo:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, model_validator
 
@@ -152,7 +152,7 @@ class MonitorSays(_Predicate):
 
     kind: Literal["monitor"]
     name: Annotated[str, Field(min_length=1, description="of an installed monitor")]
-    options: dict[str, Any] = Field(default_factory=dict, description="of that monitor")
+    options: dict[str, object] = Field(default_factory=dict, description="of that monitor")
     at_least: Annotated[float, Field(gt=0, le=1)] = 0.9
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 from mcp import types
 from mcp.server import Server
@@ -12,7 +11,7 @@ from mcp.shared.exceptions import MCPError
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Prompt:
+class TaskPrompt:
     """A prompt.
 
     Attributes:
@@ -28,8 +27,8 @@ class Prompt:
     arguments: Mapping[str, str] = field(default_factory=dict)
 
 
-PROMPTS: Mapping[str, Prompt] = {
-    "bring_up": Prompt(
+PROMPTS: Mapping[str, TaskPrompt] = {
+    "bring_up": TaskPrompt(
         title="Bring the robot up",
         description="Start everything and check that it works.",
         text="Call get_status. If the emergency stop is latched, tell me why and stop there. "
@@ -37,7 +36,7 @@ PROMPTS: Mapping[str, Prompt] = {
         "look through the cameras with get_camera_image, and tell me what you see and whether "
         "every module is ok.",
     ),
-    "pick_up": Prompt(
+    "pick_up": TaskPrompt(
         title="Pick something up",
         description="Pick up an object of a colour and say whether it worked.",
         arguments={"colour": "red, orange, yellow, green, blue or purple"},
@@ -51,14 +50,14 @@ PROMPTS: Mapping[str, Prompt] = {
         "before and after, and "
         "say that it is your judgement.",
     ),
-    "put_away": Prompt(
+    "put_away": TaskPrompt(
         title="Put the robot away",
         description="End what runs, go to a safe posture, stop everything.",
         text="Call stop_inference if a policy runs. If move_to knows home, go there; make sure "
         "before, by a camera "
         "image, that nothing is in the way. Then call stop_all and tell me what was stopped.",
     ),
-    "what_is_wrong": Prompt(
+    "what_is_wrong": TaskPrompt(
         title="Find out what is wrong",
         description="Look at status, incidents and logs, and explain.",
         text="Call get_status and read roboneuron://events/incidents. For each module that is not "
@@ -67,7 +66,7 @@ PROMPTS: Mapping[str, Prompt] = {
         "what a person should "
         "do. Start, stop or move nothing.",
     ),
-    "compare_models": Prompt(
+    "compare_models": TaskPrompt(
         title="Compare models",
         description="Let each configured model try the same task.",
         arguments={
@@ -85,10 +84,12 @@ PROMPTS: Mapping[str, Prompt] = {
 """Prompt by name."""
 
 
-def offer_prompts(server: Server[Any]) -> None:
+def offer_prompts(server: Server[object]) -> None:
     """Have the server answer prompts/list and prompts/get; called before it serves clients."""
 
-    async def list_prompts(_: Any, params: types.PaginatedRequestParams) -> types.ListPromptsResult:
+    async def list_prompts(
+        _: object, params: types.PaginatedRequestParams
+    ) -> types.ListPromptsResult:
         return types.ListPromptsResult(
             prompts=[
                 types.Prompt(
@@ -104,7 +105,7 @@ def offer_prompts(server: Server[Any]) -> None:
             ]
         )
 
-    async def get_prompt(_: Any, params: types.GetPromptRequestParams) -> types.GetPromptResult:
+    async def get_prompt(_: object, params: types.GetPromptRequestParams) -> types.GetPromptResult:
         return filled(params.name, params.arguments or {})
 
     server.add_request_handler("prompts/list", types.PaginatedRequestParams, list_prompts)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import threading
-from collections.abc import Callable, Iterable, Mapping
-from typing import Any, Literal, cast
+from collections.abc import Awaitable, Callable, Iterable, Mapping
+from typing import Literal, cast
 
 from pydantic import Field
 
@@ -13,7 +13,7 @@ from rn_standard.direct_path.fields import check_path, load_type
 from rn_standard.tasks.approval import Approval
 from rn_standard.tasks.arbiter import TaskArbiter
 from rn_standard.tasks.hooks import MonitorSpec
-from rn_standard.tasks.judging import Judge
+from rn_standard.tasks.judging import PredicateJudge
 from rn_standard.tasks.live import LiveCell
 from rn_standard.tasks.monitor import Monitor, RememberingMonitor
 from rn_standard.tasks.options import TaskOptions
@@ -47,7 +47,7 @@ HOLD, STOP = "hold", "stop"
 """What is done when a task has ended, besides the names of postures and places."""
 _EVIDENCE = 2
 _MOST_MONITORS = 16
-MoveTo = Callable[[str, CallContext], Any]
+MoveTo = Callable[[str, CallContext], Awaitable[object]]
 
 
 class RunTask(Arguments):
@@ -57,7 +57,7 @@ class RunTask(Arguments):
         max_length=settings.MAX_INSTRUCTION_LENGTH,
         description='What to do, such as "pick up the red cube".',
     )
-    until: dict[str, Any] | None = Field(
+    until: dict[str, object] | None = Field(
         default=None,
         description=f"What is true when it is done, a predicate P: {UNTIL}. Without it success "
         "is not judged.",
@@ -150,7 +150,7 @@ class TaskTool:
         topics = {} if predicate is None else topics_of(predicate)
         judge = None if predicate is None else self._judge(predicate, instruction, profile)
         for kind in ("robot", "control"):
-            self._host.modules.require_running(cast("Any", kind))
+            self._host.modules.require_running(kind)
         await self._approval.ask("run_task", f"Let the robot carry out {instruction!r}?", context)
         plan = TaskPlan(
             instruction=instruction,
@@ -197,9 +197,11 @@ class TaskTool:
             return f"{HOLD}: {on_end!r} was not possible: {error}"
         return on_end
 
-    def _judge(self, predicate: Predicate, instruction: str, profile: RobotProfile | None) -> Judge:
+    def _judge(
+        self, predicate: Predicate, instruction: str, profile: RobotProfile | None
+    ) -> PredicateJudge:
         gripper = profile.gripper if profile is not None else None
-        return Judge(
+        return PredicateJudge(
             predicate, instruction, self._monitor, "" if gripper is None else gripper.joint
         )
 
@@ -298,7 +300,7 @@ def _state(snapshot: Snapshot) -> FinalState:
     )
 
 
-def run_task_tool(handler: TaskTool) -> Tool[Any]:
+def run_task_tool(handler: TaskTool) -> Tool[RunTask]:
     """run_task."""
     return Tool(
         name="run_task",

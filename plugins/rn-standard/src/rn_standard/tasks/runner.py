@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Protocol
 
-from rn_standard.tasks.judging import Judge, Judgement
+from rn_standard.tasks.judging import PredicateJudge, PredicateState
 from rn_standard.tasks.snapshot import Snapshot
 from roboneuron import Picture, RoboNeuronError
 
@@ -169,7 +169,7 @@ class Task:
     """
 
     def __init__(
-        self, cell: Cell, judge: Judge | None, plan: TaskPlan, tell: Callable[[str], None]
+        self, cell: Cell, judge: PredicateJudge | None, plan: TaskPlan, tell: Callable[[str], None]
     ) -> None:
         self._cell = cell
         self._judge = judge
@@ -286,9 +286,9 @@ class Task:
             if cell.wait(plan.period_s):
                 return self._ended()
 
-    def _look(self, snapshot: Snapshot) -> Judgement:
+    def _look(self, snapshot: Snapshot) -> PredicateState:
         if self._judge is None:
-            return Judgement(value=None, reason="the call named no predicate")
+            return PredicateState(value=None, reason="the call named no predicate")
         return self._judge.look(snapshot)
 
     def _ended(self, stop_s: float | None = None) -> _Attempt:
@@ -296,13 +296,13 @@ class Task:
         reason = self._cell.policy().taken or _CANCELLED
         return _Attempt(outcome=Outcome.STOPPED, reason=reason, stop_s=stop_s)
 
-    def _unfulfilled(self, judgement: Judgement, outcome: Outcome, why: str) -> _Attempt:
+    def _unfulfilled(self, judgement: PredicateState, outcome: Outcome, why: str) -> _Attempt:
         reason = f"{why}; {judgement.reason}"
         if judgement.value is None:
             return _Attempt(outcome=Outcome.UNCLEAR, reason=reason)
         return _Attempt(outcome=outcome, reason=reason, again=True)
 
-    def _confirm(self, first: Judgement, found_s: float) -> _Attempt:
+    def _confirm(self, first: PredicateState, found_s: float) -> _Attempt:
         """Stop the arm, and look whether it is still so once it stands: a cube may fall, an arm may
         coast.
         """

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 from roboneuron import Frame, Observation, Pose
 
@@ -33,7 +32,7 @@ class Snapshot:
     still_s: float | None = None
     policy_done: bool | None = None
     frames: Mapping[str, Frame] = field(default_factory=dict)
-    messages: Mapping[str, Any] = field(default_factory=dict)
+    messages: Mapping[str, object] = field(default_factory=dict)
 
     def observation(self, instruction: str) -> Observation:
         """As a monitor is shown it."""

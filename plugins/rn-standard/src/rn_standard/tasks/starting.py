@@ -8,13 +8,21 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 
-from rn_standard.selection.requests import StartInference
+from rn_standard.selection.requests import StartChosenInference
 from roboneuron import Arguments, NotReadyError, RoboNeuronError, StateError
-from roboneuron.feature import MODULE_KINDS, ClosedLoop, ModuleKind, ModuleView, Selection, Stage
+from roboneuron.feature import (
+    MODULE_KINDS,
+    ClosedLoop,
+    ModuleKind,
+    Modules,
+    ModuleView,
+    Selection,
+    Stage,
+)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Started:
+class StartedModules:
     """What one call of start_all did.
 
     Attributes:
@@ -38,13 +46,20 @@ class ParallelStart:
     starts, and stops what had started.
     """
 
-    def __init__(self, loop: ClosedLoop, requests: dict[ModuleKind, Arguments], role: str) -> None:
+    def __init__(
+        self,
+        loop: ClosedLoop,
+        modules: Modules,
+        requests: dict[ModuleKind, Arguments],
+        role: str,
+    ) -> None:
         """Args:
-        loop: the closed loop.
+        loop, modules: of the server.
         requests: what the caller named, by kind; what is configured otherwise.
         role: of the caller.
         """
         self._loop = loop
+        self._modules = modules
         self._requests = requests
         self._role = role
         self._lock = threading.Lock()
@@ -52,7 +67,7 @@ class ParallelStart:
         self._took_s: dict[ModuleKind, float] = {}
         self._kinds: tuple[ModuleKind, ...] = ()
 
-    def run(self, on_stage: Stage) -> Started:
+    def run(self, on_stage: Stage) -> StartedModules:
         """Start; returns when everything has proved that it works.
 
         Raises:
@@ -62,7 +77,7 @@ class ParallelStart:
                 call is left.
         """
         began_s = time.monotonic()
-        phases = {kind: self._loop.supervisor.view(kind).phase for kind in MODULE_KINDS}
+        phases = {kind: self._modules.view(kind).phase for kind in MODULE_KINDS}
         if busy := [
             f"{kind} is {phase}"
             for kind, phase in phases.items()
@@ -104,8 +119,8 @@ class ParallelStart:
         if self._failure is not None:
             self._undo(on_stage)
             raise self._failure
-        views = tuple(self._loop.supervisor.view(kind) for kind in wanted)
-        return Started(
+        views = tuple(self._modules.view(kind) for kind in wanted)
+        return StartedModules(
             views=views, took_s=self._took_s, already=already, total_s=time.monotonic() - began_s
         )
 
@@ -151,11 +166,11 @@ class ParallelStart:
             kinds = self._kinds
         if first:
             for kind in kinds:
-                self._loop.supervisor.cancel(kind, reason)
+                self._loop.cancel(kind, reason)
 
     def _undo(self, on_stage: Callable[[str], None]) -> None:
         for kind in reversed(self._kinds):
-            if kind in self._took_s and self._loop.supervisor.view(kind).phase == "running":
+            if kind in self._took_s and self._modules.view(kind).phase == "running":
                 on_stage(f"{kind}: stopping it again")
                 self._stop(kind)
 
@@ -165,12 +180,12 @@ class ParallelStart:
 
 
 def requests_for(
-    instruction: str | None, model: StartInference | None = None
+    instruction: str | None, model: StartChosenInference | None = None
 ) -> dict[ModuleKind, Arguments]:
     """What start_all asks of inference: a model, and an instruction for it."""
     if instruction is None and model is None:
         return {}
-    request = model or StartInference(options={})
+    request = model or StartChosenInference(options={})
     if instruction is not None:
         request = request.model_copy(update={"instruction": instruction})
     return {"inference": request}

@@ -16,21 +16,22 @@ import uuid
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from typing import Any
+from typing import Any, cast
 
 from mcp import types
+from mcp.server.context import CallNext, HandlerResult, ServerRequestContext
+from mcp.server.session import ServerSession
 from mcp.shared.exceptions import MCPError
 
 VERSION = "2025-11-25"
 TOOLS = frozenset({"run_task"})
 RELATED = "io.modelcontextprotocol/related-task"
-_CAPABILITY: dict[str, Any] = {"list": {}, "cancel": {}, "requests": {"tools": {"call": {}}}}
+_CAPABILITY: dict[str, object] = {"list": {}, "cancel": {}, "requests": {"tools": {"call": {}}}}
 _POLL_MS = 500
 _TTL_MS, _LONGEST_TTL_MS = 3_600_000, 86_400_000
 _MOST = 64
 _CANCEL_S = 2.0
 """So long the answer to a cancellation waits for the task's end; the arm is told to stop before."""
-CallNext = Callable[[Any], Awaitable[Any]]
 
 
 class _Session:
@@ -39,13 +40,13 @@ class _Session:
     """
 
     def __init__(
-        self, session: Any, token: str | int | None, note: Callable[[str], object]
+        self, session: ServerSession, token: str | int | None, note: Callable[[str], object]
     ) -> None:
         self._session = session
         self._token = token
         self._note = note
 
-    def __getattr__(self, name: str) -> Any:
+    def __getattr__(self, name: str) -> object:
         return getattr(self._session, name)
 
     async def report_progress(
@@ -63,7 +64,7 @@ class _TaskCall:
     number: str
     ttl_ms: int
     began_s: float
-    work: asyncio.Task[Any]
+    work: asyncio.Task[dict[str, Any]]
     created: str
     updated: str
     status: types.TaskStatus = "working"
@@ -83,7 +84,7 @@ class _TaskCall:
             self.note(message)
             self.status = status
 
-    def told(self) -> dict[str, Any]:
+    def told(self) -> dict[str, object]:
         """As it goes to the client."""
         task = types.Task(
             task_id=self.number,
@@ -108,19 +109,19 @@ class TaskCalls:
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
         self._calls: dict[str, _TaskCall] = {}
-        self._methods: dict[str, Callable[[Mapping[str, Any]], Awaitable[dict[str, Any]]]] = {
+        self._methods: dict[str, Callable[[Mapping[str, object]], Awaitable[dict[str, object]]]] = {
             "tasks/get": self._get,
             "tasks/result": self._result,
             "tasks/cancel": self._cancel,
             "tasks/list": self._list,
         }
 
-    async def __call__(self, ctx: Any, call_next: CallNext) -> Any:
+    async def __call__(self, ctx: ServerRequestContext, call_next: CallNext) -> HandlerResult:
         """Answer what is about tasks, and hand everything else on."""
         if ctx.request is not None or ctx.request_id is None:
             return await call_next(ctx)
         if ctx.method == "initialize":
-            result = await call_next(ctx)
+            result = _as_sent(await call_next(ctx))
             if result.get("protocolVersion") != VERSION:
                 return result
             return {
@@ -135,16 +136,18 @@ class TaskCalls:
             return await self._methods[ctx.method](params)
         if ctx.method == "tools/call" and params.get("task") is not None:
             return self._begin(ctx, params, call_next)
-        result = await call_next(ctx)
         if ctx.method == "tools/list":
+            result = _as_sent(await call_next(ctx))
             optional = {"execution": {"taskSupport": "optional"}}
             tools = [
                 {**tool, **optional} if tool["name"] in TOOLS else tool for tool in result["tools"]
             ]
             return {**result, "tools": tools}
-        return result
+        return await call_next(ctx)
 
-    def _begin(self, ctx: Any, params: Mapping[str, Any], call_next: CallNext) -> dict[str, Any]:
+    def _begin(
+        self, ctx: ServerRequestContext, params: Mapping[str, Any], call_next: CallNext
+    ) -> dict[str, object]:
         if params.get("name") not in TOOLS:
             raise MCPError(
                 types.METHOD_NOT_FOUND, f"{str(params.get('name'))[:80]} does not run as a task."
@@ -154,11 +157,12 @@ class TaskCalls:
         ttl_ms = min(max(asked.ttl if asked.ttl is not None else _TTL_MS, 0), _LONGEST_TTL_MS)
         plain = {key: value for key, value in params.items() if key != "task"}
 
-        async def work() -> Any:
+        async def work() -> dict[str, Any]:
             token = (params.get("_meta") or {}).get("progressToken")
             session = _Session(ctx.session, token, lambda message: call.note(message))
             try:
-                result = await call_next(replace(ctx, params=plain, session=session))
+                asked_now = replace(ctx, params=plain, session=cast("ServerSession", session))
+                result = _as_sent(await call_next(asked_now))
             except asyncio.CancelledError:
                 call.settle("cancelled", "cancelled")
                 raise
@@ -182,10 +186,10 @@ class TaskCalls:
         self._calls[call.number] = call
         return {"task": call.told()}
 
-    async def _get(self, params: Mapping[str, Any]) -> dict[str, Any]:
+    async def _get(self, params: Mapping[str, object]) -> dict[str, object]:
         return self._find(params).told()
 
-    async def _result(self, params: Mapping[str, Any]) -> dict[str, Any]:
+    async def _result(self, params: Mapping[str, object]) -> dict[str, object]:
         """What the plain call would have returned or raised; waits for it."""
         call = self._find(params)
         await asyncio.wait([call.work])
@@ -194,7 +198,7 @@ class TaskCalls:
         result = call.work.result()
         return {**result, "_meta": {**result.get("_meta", {}), RELATED: {"taskId": call.number}}}
 
-    async def _cancel(self, params: Mapping[str, Any]) -> dict[str, Any]:
+    async def _cancel(self, params: Mapping[str, object]) -> dict[str, object]:
         call = self._find(params)
         if call.is_over:
             raise MCPError(types.INVALID_PARAMS, f"The task has ended already: {call.status}.")
@@ -203,12 +207,12 @@ class TaskCalls:
         await asyncio.wait([call.work], timeout=_CANCEL_S)
         return call.told()
 
-    async def _list(self, params: Mapping[str, Any]) -> dict[str, Any]:
+    async def _list(self, params: Mapping[str, object]) -> dict[str, object]:
         if params.get("cursor") is not None:
             raise MCPError(types.INVALID_PARAMS, "There is one page only.")
         return {"tasks": [call.told() for call in self._calls.values()]}
 
-    def _find(self, params: Mapping[str, Any]) -> _TaskCall:
+    def _find(self, params: Mapping[str, object]) -> _TaskCall:
         call = self._calls.get(str(params.get("taskId")))
         if call is None:
             raise MCPError(types.INVALID_PARAMS, "There is no such task, or it was too long ago.")
@@ -222,6 +226,12 @@ class TaskCalls:
         for index, call in enumerate(over):
             if self._clock() - call.began_s > call.ttl_ms / 1e3 or index < len(over) - _MOST:
                 del self._calls[call.number]
+
+
+def _as_sent(result: HandlerResult) -> dict[str, Any]:
+    """A result as middleware gets it: as it goes over the wire."""
+    assert isinstance(result, dict)
+    return result
 
 
 def _now() -> str:

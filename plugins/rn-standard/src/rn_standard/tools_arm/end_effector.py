@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import dataclass, replace
 from itertools import count
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from pydantic import Field
@@ -207,7 +207,7 @@ class EndEffectorMover:
             options.ee_turn_rad_s, limits.max_turn_rad_s
         )
 
-    def _message(self, delta: F64, gripper_open: float) -> Any:
+    def _message(self, delta: F64, gripper_open: float) -> object:
         """An action of the contract: deltas of the TCP in the base frame, and the gripper."""
         from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayout  # heavy
 

@@ -245,7 +245,7 @@ class _JointMover:
         return {name: value for name, value in target.items() if name != gripper.joint}
 
     def _commands(
-        self, target: Mapping[str, float], message: Any, duration_s: float, stage: Stage
+        self, target: Mapping[str, float], message: object, duration_s: float, stage: Stage
     ) -> Iterator[TimedCommand]:
         """The trajectory, then waiting until the arm is measured at its end, at rest.
 
@@ -302,7 +302,7 @@ class _JointMover:
         )
 
 
-def _message(target: Mapping[str, float], duration_s: float) -> Any:
+def _message(target: Mapping[str, float], duration_s: float) -> object:
     """A JointTrajectory of one point."""
     from builtin_interfaces.msg import Duration  # heavy
     from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint  # heavy

@@ -13,7 +13,7 @@ from functools import partial
 from typing import Any
 
 from rn_standard.tools_arm.limits_tools import limits_tools
-from rn_standard.tools_arm.tightening import FILE_NAME, Record, Tightening, TighteningFile
+from rn_standard.tools_arm.tightening import FILE_NAME, TightenedRecord, Tightening, TighteningFile
 from roboneuron import Feature, Host, NotReadyError, RoboNeuronError, RobotProfile, Tool
 from roboneuron.feature import AuditRecord, ModuleKind, Slot, load_profile, settings
 
@@ -39,7 +39,7 @@ class LimitsFeature(Feature[None]):
         self._file = TighteningFile(host.state_directory / FILE_NAME)
         self._lock = threading.Lock()
         self._stop = threading.Event()
-        self._record = Record(tightening=Tightening(), who="", at_ns=0)
+        self._record = TightenedRecord(tightening=Tightening(), who="", at_ns=0)
         if host.config.control is None or host.config.robot.name not in host.registry.specs(
             "robot"
         ):
@@ -79,7 +79,7 @@ class LimitsFeature(Feature[None]):
             both = self._record.tightening.tighter(more)
             if both == self._record.tightening:
                 return
-            record = Record(tightening=both, who=who, at_ns=time.time_ns())
+            record = TightenedRecord(tightening=both, who=who, at_ns=time.time_ns())
             self._use(record)  # first: a full disk must not keep the robot from being limited
             self._tell_control()
             self._file.write(record)
@@ -91,12 +91,12 @@ class LimitsFeature(Feature[None]):
         """
         with self._lock:
             self._audit("loosen_limits", who, role, "loosened", self._record.tightening)
-            record = Record(tightening=Tightening(), who=who, at_ns=time.time_ns())
+            record = TightenedRecord(tightening=Tightening(), who=who, at_ns=time.time_ns())
             self._file.write(record)
             self._use(record)
             self._tell_control()
 
-    def _use(self, record: Record) -> None:
+    def _use(self, record: TightenedRecord) -> None:
         """From now on modules are started with these limits, and the gate judges by them; direct
         motion ends.
         """

@@ -5,11 +5,14 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from roboneuron import Host, NotReadyError, Pose
+
+if TYPE_CHECKING:
+    from geometry_msgs.msg import PoseStamped
 
 _AGE_S = 0.5
 """Older measurements are as good as none."""
@@ -26,7 +29,7 @@ class MeasuredPose:
         self._topic = f"/{namespace}/ee_pose"
         self._lock = threading.Lock()
         self._is_open = False
-        self._newest: tuple[float, Any] | None = None
+        self._newest: tuple[float, object] | None = None
         self.listeners: list[Callable[[float], object]] = []
         """Called with the height of the TCP [m] of each message, on the thread of the ROS node."""
 
@@ -61,13 +64,13 @@ class MeasuredPose:
                 self._host.subscribe(PoseStamped, self._topic, self._take)
                 self._is_open = True
 
-    def _take(self, message: Any) -> None:
+    def _take(self, message: PoseStamped) -> None:
         self._newest = time.monotonic(), message
         for listener in self.listeners:
             listener(float(message.pose.position.z))
 
 
-def _pose(message: Any) -> Pose:
+def _pose(message: PoseStamped) -> Pose:
     """geometry_msgs/PoseStamped -> Pose."""
     stamp, p, q = message.header.stamp, message.pose.position, message.pose.orientation
     return Pose(

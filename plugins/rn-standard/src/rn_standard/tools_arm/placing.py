@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import time
-from typing import Any
 
 from pydantic import Field
 
@@ -157,7 +156,7 @@ def _check(moved: EndEffectorMove) -> None:
         raise StateError(f"The hand has lost what it held, at {moved.position_m} m or before.")
 
 
-def place_tool(mover: EndEffectorMover, grip: GripHeight, robot: str) -> Tool[Any]:
+def place_tool(mover: EndEffectorMover, grip: GripHeight, robot: str) -> Tool[PlaceArguments]:
     """place."""
     return Tool(
         name="place",

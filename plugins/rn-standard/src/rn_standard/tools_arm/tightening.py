@@ -9,7 +9,7 @@ import os
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -26,7 +26,7 @@ Metres = Annotated[float, Field(ge=-_FAR_M, le=_FAR_M)]
 Corner = Annotated[list[Metres], Field(min_length=3, max_length=3)]
 
 
-class Box(BaseModel):
+class WorkspaceBox(BaseModel):
     """A box in the base frame."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -48,7 +48,7 @@ class Tightening(BaseModel):
     y_max_m: Metres | None = None
     z_min_m: Metres | None = None
     z_max_m: Metres | None = None
-    keep_out: tuple[Box, ...] = ()
+    keep_out: tuple[WorkspaceBox, ...] = ()
 
     def tighter(self, more: Tightening) -> Tightening:
         """Both together: of each number the tighter one.
@@ -61,7 +61,7 @@ class Tightening(BaseModel):
             raise InvalidInputError(
                 f"There would be {len(boxes)} boxes to keep out of, at most {_MOST_ZONES} are kept."
             )
-        made: dict[str, Any] = {
+        made: dict[str, object] = {
             "keep_out": [{"lower_m": lower, "upper_m": upper} for lower, upper in boxes]
         }
         for name in type(self).model_fields:
@@ -87,7 +87,7 @@ class Tightening(BaseModel):
             models.ZoneConfig(name=f"kept out {number}", lower_m=box.lower_m, upper_m=box.upper_m)
             for number, box in enumerate(self.keep_out, 1)
         ]
-        changes: dict[str, Any] = {
+        changes: dict[str, object] = {
             "workspace_lower_m": lower,
             "workspace_upper_m": upper,
             "zones": (*configured.zones, *boxes),
@@ -110,7 +110,7 @@ class Tightening(BaseModel):
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Record:
+class TightenedRecord:
     """What the file says: the limits, who set them, and when."""
 
     tightening: Tightening
@@ -126,7 +126,7 @@ class TighteningFile:
     def __init__(self, path: Path) -> None:
         self.path = path
 
-    def read(self) -> Record | None:
+    def read(self) -> TightenedRecord | None:
         """What was written last; None when there is no file.
 
         Raises:
@@ -136,7 +136,7 @@ class TighteningFile:
             with self.path.open(encoding="utf-8") as file:
                 told = json.loads(file.read(_MAX_BYTES))
             tightening = Tightening.model_validate(told["tightened"])
-            return Record(
+            return TightenedRecord(
                 tightening=tightening, who=str(told["who"])[:200], at_ns=int(told["at_ns"])
             )
         except FileNotFoundError:
@@ -147,7 +147,7 @@ class TighteningFile:
                 hint="A person writes them anew: roboneuron limits --loosen.",
             ) from error
 
-    def write(self, record: Record) -> None:
+    def write(self, record: TightenedRecord) -> None:
         """Write it whole or not at all.
 
         Raises:
@@ -172,7 +172,7 @@ class TighteningFile:
             ) from error
 
 
-def _frozen(box: Box) -> tuple[tuple[float, ...], tuple[float, ...]]:
+def _frozen(box: WorkspaceBox) -> tuple[tuple[float, ...], tuple[float, ...]]:
     return tuple(box.lower_m), tuple(box.upper_m)
 
 

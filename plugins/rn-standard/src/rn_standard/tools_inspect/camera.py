@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import time
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 from pydantic import Field
 
@@ -54,7 +54,7 @@ class CameraImage(Result):
     frame_id: str = Field(description="the camera's optical frame")
 
 
-def camera_tool(host: Host) -> Tool[Any]:
+def camera_tool(host: Host) -> Tool[GetCameraImage]:
     """get_camera_image."""
 
     async def get_camera_image(arguments: GetCameraImage, context: CallContext) -> Reply:

@@ -24,7 +24,7 @@ from roboneuron import (
 from roboneuron.feature import Offer, Registry, models
 
 
-class Entry(Result):
+class CatalogueEntry(Result):
     """One installed thing."""
 
     name: str
@@ -36,7 +36,7 @@ class Entry(Result):
     reason: str = Field(default="", description="why it is not ready, and what to do")
 
 
-class Backend(Entry):
+class BackendEntry(CatalogueEntry):
     """A policy."""
 
     needs_checkpoint: bool = Field(description="start_inference must name a checkpoint directory")
@@ -53,7 +53,7 @@ class Backend(Entry):
     accelerations: list[str] = Field(description="installed accelerations that know its family")
 
 
-class Runtime(Entry):
+class RuntimeEntry(CatalogueEntry):
     """An engine that executes models."""
 
     families: list[str]
@@ -61,21 +61,21 @@ class Runtime(Entry):
     served: bool = Field(description="the model runs in another process or on another host")
 
 
-class Acceleration(Entry):
+class AccelerationEntry(CatalogueEntry):
     """A preset."""
 
     families: list[str]
     capability: str = Field(description="what the runtime must offer")
 
 
-class PerceptionSource(Entry):
+class PerceptionSourceEntry(CatalogueEntry):
     """A source of images."""
 
     robots: list[str] = Field(description="robots it serves; any when empty")
     drivers: list[str] = Field(description="robot drivers it needs; any when empty")
 
 
-class Controller(Entry):
+class ControllerEntry(CatalogueEntry):
     """What turns actions into joint commands."""
 
     robot_kinds: list[str]
@@ -92,50 +92,50 @@ class Driver(Result):
     configured: bool = Field(description="start_robot uses it when nothing else is named")
 
 
-class Camera(Result):
+class CameraEntry(Result):
     """A camera a robot has."""
 
     name: str
     role: str
 
 
-class Robot(Entry):
+class Robot(CatalogueEntry):
     """A robot model."""
 
     kind: str
     configured: bool = Field(description="start_robot starts it when nothing else is named")
     drivers: list[Driver]
-    cameras: list[Camera]
+    cameras: list[CameraEntry]
 
 
 class Backends(Result):
     """Answer of list_backends."""
 
-    backends: list[Backend]
+    backends: list[BackendEntry]
 
 
 class Runtimes(Result):
     """Answer of list_runtimes."""
 
-    runtimes: list[Runtime]
+    runtimes: list[RuntimeEntry]
 
 
 class Accelerations(Result):
     """Answer of list_accelerations."""
 
-    accelerations: list[Acceleration]
+    accelerations: list[AccelerationEntry]
 
 
 class PerceptionSources(Result):
     """Answer of list_perception_sources."""
 
-    perception_sources: list[PerceptionSource]
+    perception_sources: list[PerceptionSourceEntry]
 
 
 class Controllers(Result):
     """Answer of list_controllers."""
 
-    controllers: list[Controller]
+    controllers: list[ControllerEntry]
 
 
 class Robots(Result):
@@ -159,7 +159,7 @@ def backends(registry: Registry) -> Backends:
     runtimes, accelerations = registry.specs(RuntimeSpec), registry.specs(AccelerationSpec)
     return Backends(
         backends=[
-            Backend(
+            BackendEntry(
                 **_common(offer),
                 needs_checkpoint=spec.needs_checkpoint,
                 needs_state=spec.needs_state,
@@ -186,7 +186,7 @@ def runtimes(registry: Registry) -> Runtimes:
     """All runtimes."""
     return Runtimes(
         runtimes=[
-            Runtime(
+            RuntimeEntry(
                 **_common(offer),
                 families=list(spec.families),
                 capabilities=list(spec.capabilities),
@@ -202,7 +202,9 @@ def accelerations(registry: Registry) -> Accelerations:
     """All acceleration presets."""
     return Accelerations(
         accelerations=[
-            Acceleration(**_common(offer), families=list(spec.families), capability=spec.capability)
+            AccelerationEntry(
+                **_common(offer), families=list(spec.families), capability=spec.capability
+            )
             for offer in registry.offers("acceleration")
             if isinstance(spec := offer.spec, AccelerationSpec)
         ]
@@ -213,7 +215,9 @@ def perception_sources(registry: Registry) -> PerceptionSources:
     """All sources of images."""
     return PerceptionSources(
         perception_sources=[
-            PerceptionSource(**_common(offer), robots=list(spec.robots), drivers=list(spec.drivers))
+            PerceptionSourceEntry(
+                **_common(offer), robots=list(spec.robots), drivers=list(spec.drivers)
+            )
             for offer in registry.offers("perception")
             if isinstance(spec := offer.spec, PerceptionSpec)
         ]
@@ -224,7 +228,7 @@ def controllers(registry: Registry) -> Controllers:
     """All controllers."""
     return Controllers(
         controllers=[
-            Controller(**_common(offer), robot_kinds=list(spec.robot_kinds))
+            ControllerEntry(**_common(offer), robot_kinds=list(spec.robot_kinds))
             for offer in registry.offers("controller")
             if isinstance(spec := offer.spec, ControllerSpec)
         ]
@@ -248,7 +252,7 @@ def robots(registry: Registry, configured: models.RobotConfig) -> Robots:
                     )
                     for driver in spec.drivers
                 ],
-                cameras=[Camera(name=c.name, role=c.role) for c in spec.cameras],
+                cameras=[CameraEntry(name=c.name, role=c.role) for c in spec.cameras],
             )
             for offer in registry.offers("robot")
             if isinstance(spec := offer.spec, RobotSpec)
@@ -256,7 +260,7 @@ def robots(registry: Registry, configured: models.RobotConfig) -> Robots:
     )
 
 
-_LISTS: tuple[tuple[str, str, type[Result], Any], ...] = (
+_LISTS: tuple[tuple[str, str, type[Result], object], ...] = (
     (
         "list_robots",
         "robots, with their drivers (real or simulated, and which one is configured) and cameras",
@@ -276,10 +280,10 @@ _LISTS: tuple[tuple[str, str, type[Result], Any], ...] = (
 )
 
 
-def catalogue_tools(host: Host) -> list[Tool[Any]]:
+def catalogue_tools(host: Host) -> list[Tool[NoArguments]]:
     """One tool for each kind of plugin."""
 
-    def tool(name: str, what: str, result: type[Result], build: Any) -> Tool[Any]:
+    def tool(name: str, what: str, result: type[Result], build: Any) -> Tool[NoArguments]:
         async def handler(_: NoArguments, context: CallContext) -> Result:
             given = (host.registry, host.loop.base.robot) if result is Robots else (host.registry,)
             answer: Result = build(*given)

@@ -55,7 +55,7 @@ class GoalResult(Judged):
 def goal_model(targets: Targets) -> Derived[GoalResult]:
     """The result, with the schema of the decoded one of the action."""
     interface = action_of(targets.first)
-    own: dict[str, dict[str, Any]] = {name: {} for name in GoalResult.model_fields}
+    own: dict[str, dict[str, object]] = {name: {} for name in GoalResult.model_fields}
     required = [name for name in own if name != "result"]
     return Derived(
         model=GoalResult,
@@ -133,7 +133,7 @@ class _Progress:
         self._told_s = 0.0
         self.count = 0
 
-    def take(self, feedback: Any) -> None:
+    def take(self, feedback: object) -> None:
         """Called on the executor's thread."""
         self.count += 1
         now_s = time.monotonic()

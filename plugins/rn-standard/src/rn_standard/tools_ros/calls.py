@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, TypedDict
 
 from pydantic import Field
 
@@ -14,7 +14,10 @@ from rn_standard.tools_ros.interfaces import MessageInterface
 from roboneuron import Arguments, InvalidInputError, Result
 from roboneuron.feature import Verdict
 
-Value = dict[str, Any]
+if TYPE_CHECKING:
+    from trajectory_msgs.msg import JointTrajectory
+
+Value = dict[str, object]
 """A ROS message as an agent gives it, or reads it."""
 
 
@@ -49,7 +52,16 @@ class Judged(Result):
     reason: str = Field(description="dry run: why")
 
 
-def verdict_fields(verdict: Verdict) -> dict[str, Any]:
+class JudgedFields(TypedDict):
+    """The values of `Judged` by name."""
+
+    dry_run: bool
+    allowed: bool
+    rule: str
+    reason: str
+
+
+def verdict_fields(verdict: Verdict) -> JudgedFields:
     """The values of `Judged`."""
     return {
         "dry_run": verdict.dry_run,
@@ -59,7 +71,7 @@ def verdict_fields(verdict: Verdict) -> dict[str, Any]:
     }
 
 
-def encode_argument(part: MessageInterface, value: Mapping[str, Any], name: str) -> Any:
+def encode_argument(part: MessageInterface, value: Mapping[str, object], name: str) -> object:
     """The value of argument `name` as a message; raises InvalidInputError with the path inside the
     arguments.
     """
@@ -70,7 +82,7 @@ def encode_argument(part: MessageInterface, value: Mapping[str, Any], name: str)
         raise InvalidInputError(f"{name}: {error.message}", hint=error.hint, path=path) from error
 
 
-def duration_s(trajectory: Any) -> float:
+def duration_s(trajectory: JointTrajectory) -> float:
     """When the last point of a JointTrajectory is reached, in seconds after it was sent."""
     if not trajectory.points:
         return 0.0

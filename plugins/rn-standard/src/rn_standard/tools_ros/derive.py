@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Callable, Collection, Iterable
 from typing import Any
 
 from rn_standard.direct_path.derived import Derived
@@ -50,7 +50,7 @@ def derive_tools(
 
 
 def _make(use: str, name: str, noun: str, targets: Targets, host: Host) -> Tool[Any]:
-    makers = {
+    makers: dict[str, Callable[[str, str, Targets, Host], Tool[Any]]] = {
         "publish": _publish,
         "sequence": _sequence,
         "read": _read,
@@ -60,7 +60,7 @@ def _make(use: str, name: str, noun: str, targets: Targets, host: Host) -> Tool[
     return makers[use](name, noun, targets, host)
 
 
-def _publish(name: str, noun: str, targets: Targets, host: Host) -> Tool[Any]:
+def _publish(name: str, noun: str, targets: Targets, host: Host) -> Tool[Publish]:
     gate = host.gate
     message = message_schema(
         message_of(targets.first), hull([e.endpoint for e in targets.endpoints])
@@ -91,7 +91,7 @@ def _publish(name: str, noun: str, targets: Targets, host: Host) -> Tool[Any]:
     )
 
 
-def _sequence(name: str, noun: str, targets: Targets, host: Host) -> Tool[Any]:
+def _sequence(name: str, noun: str, targets: Targets, host: Host) -> Tool[PublishSequence]:
     gate = host.gate
     needed = [
         *(["message"] if message_of(targets.first).fields else []),
@@ -153,7 +153,7 @@ def _sequence(name: str, noun: str, targets: Targets, host: Host) -> Tool[Any]:
     )
 
 
-def _read(name: str, noun: str, targets: Targets, host: Host) -> Tool[Any]:
+def _read(name: str, noun: str, targets: Targets, host: Host) -> Tool[Read]:
     return Tool(
         name=name,
         title=f"Read {noun}",
@@ -172,7 +172,7 @@ def _read(name: str, noun: str, targets: Targets, host: Host) -> Tool[Any]:
     )
 
 
-def _service(name: str, noun: str, targets: Targets, host: Host) -> Tool[Any]:
+def _service(name: str, noun: str, targets: Targets, host: Host) -> Tool[CallService]:
     interface = service_of(targets.first)
     request = message_schema(interface.request, hull([e.endpoint for e in targets.endpoints]))
     return Tool(
@@ -190,7 +190,7 @@ def _service(name: str, noun: str, targets: Targets, host: Host) -> Tool[Any]:
     )
 
 
-def _action(name: str, noun: str, targets: Targets, host: Host) -> Tool[Any]:
+def _action(name: str, noun: str, targets: Targets, host: Host) -> Tool[SendGoal]:
     gate = host.gate
     interface = action_of(targets.first)
     sending = GoalSending(gate, targets, name)

@@ -5,7 +5,7 @@ listed.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from pydantic import Field
@@ -45,30 +45,39 @@ class CallEndpoint(Arguments):
     """Arguments of call_endpoint."""
 
     tool: str = Field(min_length=1, max_length=200, description="Name, as find_tools gives it.")
-    arguments: dict[str, Any] = Field(default_factory=dict, description="As in its input schema.")
+    arguments: dict[str, object] = Field(
+        default_factory=dict, description="As in its input schema."
+    )
 
 
 class EndpointResult(Result):
     """What the tool answered."""
 
     tool: str
-    result: dict[str, Any]
+    result: dict[str, object]
 
 
-def directory_tools(tools: Callable[[], Mapping[str, Tool[Any]]]) -> list[Tool[Any]]:
-    """The pair, over whatever `tools` returns, by name, at the time of the call."""
+def directory_tools(
+    tools: Callable[[], Sequence[Tool[Any]]], tool_of: Callable[[str], Tool[Any] | None]
+) -> list[Tool[Any]]:
+    """The pair, over what there is at the time of the call.
+
+    Args:
+        tools: all of them.
+        tool_of: one of them by name: a call does not look at all of a thousand.
+    """
 
     async def find(arguments: FindTools, context: CallContext) -> FoundTools:
-        mine = [tool for tool in tools().values() if access.may_call(context.role, tool)]
+        mine = [tool for tool in tools() if access.may_call(context.role, tool)]
         ranked = _rank(mine, _words(arguments.query))
         found = [_found(tool, arguments.schemas) for tool in ranked[: arguments.limit]]
         return FoundTools(tools=found, matching=len(ranked), total=len(mine))
 
     async def call(arguments: CallEndpoint, context: CallContext) -> Reply:
         name = arguments.tool
-        found = tools().get(name)
+        found = tool_of(name)
         if found is None:
-            near = [tool.name for tool in _rank(list(tools().values()), _words(name))[:3]]
+            near = [tool.name for tool in _rank(tools(), _words(name))[:3]]
             hint = f"Nearest: {', '.join(near)}." if near else "See find_tools."
             raise InvalidInputError(f"There is no endpoint tool {name!r}.", hint=hint, path="tool")
         access.check_role(found, context)

@@ -4,9 +4,9 @@ runs.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, Protocol, TypeVar
 
 from pydantic import Field
 
@@ -48,7 +48,7 @@ class Admin:
     who: str
     role: str
     tool: str
-    arguments: dict[str, Any]
+    arguments: dict[str, object]
 
 
 class Exposing(Protocol):
@@ -119,14 +119,17 @@ def exposing_tools(path: Exposing, local_may: bool) -> list[Tool[Any]]:
     ]
 
 
+A = TypeVar("A", bound=Arguments)
+
+
 def _tool(
     name: str,
     title: str,
     text: str,
-    arguments: type[Arguments],
-    handler: Callable[..., Any],
+    arguments: type[A],
+    handler: Callable[[A, CallContext], Awaitable[ExposureChange]],
     destructive: bool = False,
-) -> Tool[Any]:
+) -> Tool[A]:
     return Tool(
         name=name,
         title=title,

@@ -227,12 +227,13 @@ class RosTools(Feature[RosToolsOptions]):
         if len(derived) <= self.options.direct.listed_tools:
             return [*settings, *derived]
         unlisted = [replace(tool, listed=False) for tool in derived]
-        return [*settings, *directory_tools(self._searched), *unlisted]
+        return [*settings, *directory_tools(self._searched, self._found), *unlisted]
 
-    def _searched(self) -> dict[str, Tool[Any]]:
-        return {
-            tool.name: tool for tool in self._host.tools.derived() if tool.name not in _DIRECTORY
-        }
+    def _searched(self) -> list[Tool[Any]]:
+        return [tool for tool in self._host.tools.derived() if tool.name not in _DIRECTORY]
+
+    def _found(self, name: str) -> Tool[Any] | None:
+        return None if name in _DIRECTORY else self._host.tools.derived_tool(name)
 
     def _profile(self, robot: str) -> RobotProfile | None:
         registry = self._host.registry

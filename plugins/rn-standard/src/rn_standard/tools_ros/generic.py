@@ -4,8 +4,8 @@ exposed.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from typing import Any
+from collections.abc import Awaitable, Callable, Iterable
+from typing import Any, TypeVar
 
 from pydantic import Field
 
@@ -52,7 +52,7 @@ class InterfaceDescription(Result):
 
     name: str
     kind: str = Field(description="msg, srv or action")
-    parts: dict[str, dict[str, Any]] = Field(
+    parts: dict[str, dict[str, object]] = Field(
         description="JSON schema by part: message; request, response; goal, result, feedback"
     )
 
@@ -178,14 +178,17 @@ def generic_tools(exposure: Callable[[], Exposure], graph: GraphNames) -> list[T
     ]
 
 
+A = TypeVar("A", bound=Arguments)
+
+
 def _reading(
     name: str,
     title: str,
     description: str,
-    arguments: type[Any],
+    arguments: type[A],
     result: type[Result],
-    handler: Any,
-) -> Tool[Any]:
+    handler: Callable[[A, CallContext], Awaitable[Result]],
+) -> Tool[A]:
     return Tool(
         name=name,
         title=title,

@@ -7,7 +7,7 @@ import time
 import uuid
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Protocol
 
 from rn_standard.direct_path.arbiter import Ending, MotionEnd
 from roboneuron import NotReadyError, RoboNeuronError, StateError
@@ -21,6 +21,12 @@ _CANCEL_S = 2.0
 """How long the server gets to confirm that a goal was cancelled."""
 
 
+class _Answer(Protocol):
+    """A future of rclpy that is done."""
+
+    def result(self) -> Any: ...
+
+
 class _Goal:
     """A goal that was sent. `accepted` and `outcome` are None until the server answers."""
 
@@ -29,7 +35,7 @@ class _Goal:
         self._changed = threading.Event()
         self._cancel_wanted = False
         self.accepted: bool | None = None
-        self.outcome: Any = None
+        self.outcome: Any = None  # the response of the get_result service
 
     @property
     def status(self) -> str:
@@ -57,7 +63,7 @@ class _Goal:
         self._cancel_wanted = True
         self._cancel()
 
-    def on_answer(self, future: Any) -> None:
+    def on_answer(self, future: _Answer) -> None:
         """The server accepted or rejected it; called on the thread of the ROS node."""
         handle = future.result()
         self.accepted = bool(handle is not None and handle.accepted)
@@ -67,7 +73,7 @@ class _Goal:
                 self._cancel()
         self._changed.set()
 
-    def _on_result(self, future: Any) -> None:
+    def _on_result(self, future: _Answer) -> None:
         self.outcome = future.result()
         self._changed.set()
 
@@ -85,7 +91,7 @@ class GoalEnd:
 
     verdict: Verdict
     status: str = ""
-    result: Any = None
+    result: object = None
     took_s: float = 0.0
 
 
@@ -97,7 +103,7 @@ def send_goal(
     timeout_s: float,
     server_s: float,
     halt: threading.Event,
-    on_feedback: Callable[[Any], None],
+    on_feedback: Callable[[object], None],
 ) -> GoalEnd:
     """Own the robot's motion, send the goal and wait for its result; blocks.
 

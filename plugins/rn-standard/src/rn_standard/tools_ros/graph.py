@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Protocol
 
 from roboneuron import Host
 from roboneuron.feature import RosGraph
@@ -67,6 +67,12 @@ def _with_one_type(types: dict[str, list[str]]) -> dict[str, str]:
     return {name: found[0] for name, found in types.items() if len(found) == 1}
 
 
-def _others(infos: Sequence[Any], graph: RosGraph) -> bool:
+class _OfNode(Protocol):
+    """A publisher or subscription of the graph."""
+
+    node_name: str
+
+
+def _others(infos: Sequence[_OfNode], graph: RosGraph) -> bool:
     """Whether somebody else than this server is there."""
     return any(info.node_name != graph.node_name for info in infos)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -59,7 +59,7 @@ class ExposeConfig(Section):
     nonfinite: tuple[str, ...] = Field(
         default=(), strict=False, description="fields that may hold NaN and infinities"
     )
-    stop_message: Literal["", "zero"] | dict[str, Any] = Field(
+    stop_message: Literal["", "zero"] | dict[str, object] = Field(
         default="", description='ends every motion: "zero", or the message itself'
     )
     repeat_hz: Annotated[float, Field(ge=0, le=100)] | None = Field(

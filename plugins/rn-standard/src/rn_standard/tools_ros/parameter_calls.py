@@ -44,7 +44,9 @@ class NamedParameters(ListParameters):
 class SetParameters(ListParameters):
     """Arguments of set_parameters."""
 
-    parameters: dict[str, Any] = Field(min_length=1, max_length=MOST, description="Value by name.")
+    parameters: dict[str, object] = Field(
+        min_length=1, max_length=MOST, description="Value by name."
+    )
     dry_run: bool = Field(default=False, description="Only answer what would happen.")
 
 
@@ -59,7 +61,7 @@ class Parameters(Result):
     """Values, or descriptions, by name."""
 
     node: str
-    parameters: dict[str, Any]
+    parameters: dict[str, object]
 
 
 class Setting(Parameters):
@@ -130,7 +132,7 @@ class ParameterCalls:
             context, "describe_parameters", node, "describe_parameters", request, arguments
         )
         part = load_message("rcl_interfaces/msg/ParameterDescriptor")
-        found: dict[str, Plain] = {
+        found: dict[str, object] = {
             d.name: {
                 **part.decode(d),
                 "type": TYPE_WORDS[d.type] if d.type < len(TYPE_WORDS) else "unknown",
@@ -144,7 +146,8 @@ class ParameterCalls:
         node = self._nodes[arguments.node]
         names = _names(node, arguments)
         values = await self._values(context, "get_parameters", node, names, arguments)
-        return Parameters(node=node.name, parameters={n: v for n, (_, v) in values.items()})
+        shown: dict[str, object] = {n: v for n, (_, v) in values.items()}
+        return Parameters(node=node.name, parameters=shown)
 
     async def set(self, arguments: SetParameters, context: CallContext) -> Setting:
         """Set after the gate; raises RefusedError when the node does not accept one."""
@@ -231,7 +234,7 @@ class ParameterCalls:
         tool: str,
         node: ParameterNode,
         service: str,
-        message: Any,
+        message: object,
         arguments: ListParameters,
     ) -> Any:
         """The response of a service that only reads."""

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING
 
 from rn_standard.tools_ros.interfaces import Plain, load_message
 from rn_standard.tools_ros.interfaces.refusal import describe_value
 from rn_standard.tools_ros.parameter_nodes import ParameterNode, check_parameter_name
 from roboneuron import ConfigurationError, InvalidInputError, RefusedError
+
+if TYPE_CHECKING:
+    from rcl_interfaces.msg import ParameterValue
 
 _FIELDS = {
     1: "bool_value",
@@ -54,7 +57,7 @@ def check_exposed(node: ParameterNode, text: str) -> None:
         )
 
 
-def check_bounds(node: ParameterNode, name: str, value: Any) -> None:
+def check_bounds(node: ParameterNode, name: str, value: object) -> None:
     """Raise InvalidInputError for what no parameter can hold, RefusedError for what is not exposed
     or out of bounds.
     """
@@ -71,7 +74,7 @@ def check_bounds(node: ParameterNode, name: str, value: Any) -> None:
             raise RefusedError(f"{name} is {describe_value(item)}, allowed is {low:g} .. {high:g}.")
 
 
-def to_plain(value: Any) -> Plain:
+def to_plain(value: ParameterValue) -> Plain:
     """What a ParameterValue holds; None when the parameter is not set."""
     if value.type not in _FIELDS:
         return None
@@ -81,7 +84,7 @@ def to_plain(value: Any) -> Plain:
     return list(found) if value.type > 5 else found
 
 
-def to_value(name: str, kind: int, given: Any) -> Any:
+def to_value(name: str, kind: int, given: object) -> object:
     """A ParameterValue of the parameter's own type. Raises InvalidInputError when the value is of
     another.
     """

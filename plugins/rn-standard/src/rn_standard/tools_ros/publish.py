@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Mapping
-from typing import Any
 
 from pydantic import Field
 
@@ -112,7 +111,7 @@ class Publishing:
 
 
 def encode_step(
-    exposed: ExposedEndpoint, value: Mapping[str, Any], duration_s: float
+    exposed: ExposedEndpoint, value: Mapping[str, object], duration_s: float
 ) -> MessageStep:
     """The message of a call, encoded. Raises InvalidInputError with the path inside the
     arguments.
@@ -123,7 +122,7 @@ def encode_step(
     )
 
 
-def is_stamp_omitted(exposed: ExposedEndpoint, value: Mapping[str, Any]) -> bool:
+def is_stamp_omitted(exposed: ExposedEndpoint, value: Mapping[str, object]) -> bool:
     """Whether the message has a header whose stamp the agent left to us."""
     if not any(field.name == "header" for field in message_of(exposed).fields):
         return False

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import threading
 import time
-from typing import Any
+from collections.abc import Mapping, Sequence
 
 from pydantic import Field
 
@@ -13,6 +13,7 @@ from rn_standard.direct_path.derived import Derived
 from rn_standard.direct_path.exposed import gate_request
 from rn_standard.tools_ros.calls import RobotCall, Value
 from rn_standard.tools_ros.exposed_types import message_of
+from rn_standard.tools_ros.interfaces.description import Plain
 from rn_standard.tools_ros.reading import read_messages
 from rn_standard.tools_ros.schemas import decoded_schema
 from rn_standard.tools_ros.targets import Targets
@@ -45,7 +46,7 @@ class Messages(Result):
 
 def messages_model(targets: Targets) -> Derived[Messages]:
     """The result, with the schema of the decoded messages."""
-    own: dict[str, dict[str, Any]] = {name: {} for name in Messages.model_fields}
+    own: dict[str, dict[str, object]] = {name: {} for name in Messages.model_fields}
     return Derived(
         model=Messages,
         properties=own | {"messages": {"items": decoded_schema(message_of(targets.first))}},
@@ -109,21 +110,21 @@ class Reading:
         return Reply(result=told, pictures=pictures)
 
 
-def newest(messages: list[dict[str, Any]]) -> list[dict[str, Any]]:
+def newest(messages: Sequence[Mapping[str, Plain]]) -> list[dict[str, object]]:
     """The last messages, at least one, of at most so many characters together as an agent can
     read.
     """
-    kept: list[dict[str, Any]] = []
+    kept: list[dict[str, object]] = []
     room = _MOST_TEXT
     for message in reversed(messages):
         room -= len(json.dumps(message))
         if kept and room < 0:
             break
-        kept.append(message)
+        kept.append(dict(message))
     return kept[::-1]
 
 
-def _pictures(exposed: ExposedEndpoint, messages: list[Any]) -> tuple[tuple[Picture, ...], str]:
+def _pictures(exposed: ExposedEndpoint, messages: list[object]) -> tuple[tuple[Picture, ...], str]:
     """Pictures of the newest messages; what cannot be shown is said in the note."""
     found: list[Picture] = []
     notes: list[str] = []

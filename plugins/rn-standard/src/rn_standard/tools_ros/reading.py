@@ -6,7 +6,6 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
 
 from rn_standard.direct_path.fields import load_type
 from roboneuron import ConfigurationError, Host, StateError
@@ -25,7 +24,7 @@ class Heard:
     """
 
     publishers: int = 0
-    messages: list[tuple[float, Any]] = field(default_factory=list)
+    messages: list[tuple[float, object]] = field(default_factory=list)
 
 
 def read_messages(
@@ -47,7 +46,7 @@ def read_messages(
     unsubscribe: Callable[[], None] | None = None
     subscribed: set[tuple[object, object]] = set()
 
-    def take(message: Any) -> None:
+    def take(message: object) -> None:
         if len(heard.messages) < count:
             heard.messages.append((time.monotonic(), message))
         if len(heard.messages) >= count:

@@ -11,8 +11,8 @@ from typing import Any
 from rn_standard.tools_ros.interfaces import (
     Array,
     FieldType,
-    Message,
     MessageInterface,
+    MessageType,
     Nested,
     Scalar,
 )
@@ -83,7 +83,7 @@ def decoded_schema(part: MessageInterface) -> Schema:
     return _object(part.message, _DEPTH)
 
 
-def _object(message: Message, depth: int) -> Schema:
+def _object(message: MessageType, depth: int) -> Schema:
     if depth == 0:
         return {"type": "object"}
     properties = {}

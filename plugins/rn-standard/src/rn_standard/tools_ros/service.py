@@ -27,7 +27,7 @@ class CallService(SendingCall):
     )
 
 
-class Served(Judged):
+class ServiceAnswer(Judged):
     """What the service answered; nothing in a dry run."""
 
     robot: str
@@ -37,13 +37,13 @@ class Served(Judged):
     took_s: float
 
 
-def served_model(targets: Targets) -> Derived[Served]:
+def served_model(targets: Targets) -> Derived[ServiceAnswer]:
     """The result, with the schema of the response; a dry run has none."""
     interface = service_of(targets.first)
-    own: dict[str, dict[str, Any]] = {name: {} for name in Served.model_fields}
+    own: dict[str, dict[str, object]] = {name: {} for name in ServiceAnswer.model_fields}
     required = [name for name in own if name != "response"]
     return Derived(
-        model=Served,
+        model=ServiceAnswer,
         properties=own | {"response": decoded_schema(interface.response)},
         required=required,
     )
@@ -57,7 +57,7 @@ class Calling:
         self._targets = targets
         self._tool = tool
 
-    async def __call__(self, arguments: CallService, context: CallContext) -> Served:
+    async def __call__(self, arguments: CallService, context: CallContext) -> ServiceAnswer:
         """Raises InvalidInputError, RefusedError, NotReadyError."""
         exposed = self._targets.of(arguments.robot)
         interface = service_of(exposed)
@@ -76,7 +76,7 @@ class Calling:
             if response.message is None
             else {"response": interface.response.decode(response.message)}
         )
-        return Served(
+        return ServiceAnswer(
             robot=exposed.robot,
             service=exposed.topic,
             type=exposed.endpoint.type,

@@ -6,7 +6,6 @@ import threading
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from roboneuron.feature import ExposedEndpoint, GateRequest, MotionGate, Sent, Stage, TimedCommand
 
@@ -17,7 +16,7 @@ class MessageStep:
     sending.
     """
 
-    message: Any
+    message: object
     duration_s: float
     stamped: bool = False
 

@@ -18,8 +18,8 @@ from rn_standard.tools_ros.interfaces import (
     Array,
     Field,
     InterfaceName,
-    Message,
     MessageInterface,
+    MessageType,
     Nested,
     Scalar,
     ServiceInterface,
@@ -48,7 +48,7 @@ class ValueGenerator:
         self._random = random.Random(seed)
         self._portable = portable
 
-    def value(self, message: Message) -> dict[str, Any]:
+    def value(self, message: MessageType) -> dict[str, Any]:
         chosen = [
             f for f in message.fields if f.name in message.required or self._random.random() < 0.85
         ]
@@ -96,7 +96,7 @@ class ValueGenerator:
 
 
 def differences(
-    message: Message, given: Mapping[str, Any], decoded: Mapping[str, Any], path: str = ""
+    message: MessageType, given: Mapping[str, Any], decoded: Mapping[str, Any], path: str = ""
 ) -> list[str]:
     """Where the decoded message does not hold the given value; written without the encoder's
     code.

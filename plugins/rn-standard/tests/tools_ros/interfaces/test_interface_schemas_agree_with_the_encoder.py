@@ -16,7 +16,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 
-from rn_standard.tools_ros.interfaces import Array, Message, Nested, list_interfaces, load_message
+from rn_standard.tools_ros.interfaces import (
+    Array,
+    MessageType,
+    Nested,
+    list_interfaces,
+    load_message,
+)
 from roboneuron.errors import InvalidInputError
 
 NAMES = [str(name) for name in list_interfaces()]
@@ -131,7 +137,7 @@ def damage(value: Any, rng: random.Random) -> Any:
     return rng.choice(JUNK)
 
 
-def says_base64(message: Message, value: Any) -> bool:
+def says_base64(message: MessageType, value: Any) -> bool:
     """Whether some bytes field holds a text: the schema cannot tell valid base64 from other
     text.
     """

@@ -7,7 +7,7 @@ from contextlib import suppress
 from typing import Any
 
 
-class Wheels:
+class CommandedWheels:
     """A subscriber of `cmd_vel` with a ROS context of its own.
 
     Attributes:

@@ -1,9 +1,7 @@
 """Every rule, by subject. `RULES["backend"]` are the rules a backend's contract class runs."""
 
-from typing import Any
-
 from rn_testing.kinds import brought_kind
-from rn_testing.rule import Rule
+from rn_testing.rule import AnyRule
 from rn_testing.rules import (
     acceleration,
     backend,
@@ -22,9 +20,9 @@ from rn_testing.rules import (
     runtime,
 )
 
-OF_EVERY_DESCRIPTOR: tuple[Rule[Any], ...] = (*descriptor.RULES, *restricted.RULES)
+OF_EVERY_DESCRIPTOR: tuple[AnyRule, ...] = (*descriptor.RULES, *restricted.RULES)
 """Rules that apply to descriptors of any kind with options."""
-RULES: dict[str, tuple[Rule[Any], ...]] = {
+RULES: dict[str, tuple[AnyRule, ...]] = {
     "backend": (*descriptor.RULES, *restricted.RULES, *backend.RULES, *backend_observation.RULES),
     "runtime": (*descriptor.RULES, *restricted.RULES, *runtime.RULES),
     "acceleration": (*descriptor.RULES, *restricted.RULES, *acceleration.RULES),
@@ -49,7 +47,7 @@ RULES: dict[str, tuple[Rule[Any], ...]] = {
 """Rules by kind of descriptor, and those of packages."""
 
 
-def rules_of(kind: str) -> tuple[Rule[Any], ...]:
+def rules_of(kind: str) -> tuple[AnyRule, ...]:
     """Rules by kind of descriptor; of a kind that another plugin has brought those it names, of
     every one at least.
     """

@@ -32,7 +32,7 @@ def _built(case: AccelerationCase) -> Acceleration[Any]:
     return bounded(attempt(case, case.build), case.limits_s)
 
 
-def _decoder(case: AccelerationCase) -> Callable[[], Any]:
+def _decoder(case: AccelerationCase) -> Callable[[], object]:
     if case.decoder is None:
         raise NotApplicable("the case gives no decoder")
     return case.decoder

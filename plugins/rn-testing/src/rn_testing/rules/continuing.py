@@ -5,8 +5,8 @@ predicted.
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,7 +42,7 @@ class ContinuingRules:
         rule: from a name, a text, a source and a check.
     """
 
-    running: Callable[[BackendCase], Any]
+    running: Callable[[BackendCase], AbstractContextManager[Backend]]
     predict: Predict
     rule: Callable[[str, str, str, Callable[[BackendCase], None]], Rule[BackendCase]]
 

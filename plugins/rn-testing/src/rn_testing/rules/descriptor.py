@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import inspect
-from typing import Any
 
 from pydantic import ValidationError
 
@@ -13,7 +12,7 @@ from rn_testing.rule import NotApplicable, Rule, Violation, require
 from roboneuron import CONTRACT_VERSION, DriverSpec, RobotSpec, Spec
 from roboneuron.feature import descriptor, loading
 
-AnyCase = Case[Any]
+AnyCase = Case[Spec]
 
 SUMMARY_LENGTH = 120
 """Characters of a summary that a table and an agent's choice can show."""

@@ -126,7 +126,7 @@ def _check_closes(case: FeatureCase) -> None:
     made.close()
     made.close()
     with _server(case) as application:
-        loaded = application.features.get(case.spec.name)
+        loaded = application.features.loaded.get(case.spec.name)
         require(loaded is not None, "it was left out of the server")
         assert loaded is not None
         feature = bounded(loaded, case.limits_s)
@@ -144,7 +144,7 @@ def _check_closes(case: FeatureCase) -> None:
 def _check_process(case: FeatureCase) -> None:
     def run() -> None:
         with _server(case) as application:
-            feature = application.features.get(case.spec.name)
+            feature = application.features.loaded.get(case.spec.name)
             if feature is not None:
                 bounded(feature, case.limits_s).start(application.host)
 

@@ -33,7 +33,7 @@ from rn_testing.kinds import named_by
 from rn_testing.rule import Rule, require
 from rn_testing.unsafe_calls import unsafe_calls
 from roboneuron import CommandSpec, DriverSpec, FeatureSpec, RobotSpec, Spec
-from roboneuron.feature import discover
+from roboneuron.feature import Registry, discover
 
 SENDING_NAME = "RosLink"
 """What joins the ROS graph and could send past the gate: for commands, which are processes of their
@@ -74,7 +74,7 @@ def _check_hooks(case: PackageCase) -> None:
 
 def _check_light(case: PackageCase) -> None:
     # a suite's descriptor
-    brought = {spec.__module__.rpartition(".")[0] for spec in discover().kinds.values()}
+    brought = {spec.__module__.rpartition(".")[0] for spec in _installed().kinds.values()}
     for point in find_entry_points(case):
         packages = brought | {find_package(case, point.module)}
         heavy = {_foreign(name, packages) for name in probe(case, point.module).loaded} - {""}
@@ -211,7 +211,7 @@ def _check_kit(case: PackageCase) -> None:
     if normalise(case.distribution) == KIT or any(line.startswith(KIT) for line in needed):
         return
     cases = {str(spec.case).partition(":")[0] for spec in _specs(case) if isinstance(spec, Spec)}
-    cases |= {named_by(kind).partition(":")[0] for kind in discover().kinds.values()}
+    cases |= {named_by(kind).partition(":")[0] for kind in _installed().kinds.values()}
     roots = [find_package_directory(case, point.module).parent for point in find_entry_points(case)]
     for path in source_files(case):
         module = next(
@@ -295,7 +295,7 @@ def _specs(case: PackageCase) -> Iterator[Spec | DriverSpec]:
     """The descriptors of a distribution or plugin that can be read here, those of drivers
     included.
     """
-    for offer in discover().all_offers:
+    for offer in _installed().all_offers:
         if normalise(offer.distribution) == normalise(case.distribution) and case.plugin in (
             "",
             offer.plugin,
@@ -303,6 +303,17 @@ def _specs(case: PackageCase) -> Iterator[Spec | DriverSpec]:
             yield offer.spec
             if isinstance(offer.spec, RobotSpec):
                 yield from offer.spec.drivers
+
+
+def _installed() -> Registry:
+    """The plugins that are installed here."""
+    return _discovered(tuple(sys.path))
+
+
+@functools.lru_cache(maxsize=4)
+def _discovered(path: tuple[str, ...]) -> Registry:
+    """The plugins on an import path, for which most rules ask."""
+    return discover()
 
 
 _SOURCE = "docs/writing-a-plugin.md"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any, get_args
+from typing import get_args
 
 from pydantic import BaseModel
 
@@ -39,7 +39,7 @@ def _tables(annotation: object) -> Iterator[type[BaseModel]]:
         yield from _tables(part)
 
 
-def _check_restricted_options(case: Case[Any]) -> None:
+def _check_restricted_options(case: Case[Spec]) -> None:
     spec = case.spec
     specs: tuple[Spec | DriverSpec, ...] = (
         (spec, *spec.drivers) if isinstance(spec, RobotSpec) else (spec,)
@@ -56,7 +56,7 @@ def _check_restricted_options(case: Case[Any]) -> None:
     )
 
 
-RULES: tuple[Rule[Case[Any]], ...] = (
+RULES: tuple[Rule[Case[Spec]], ...] = (
     Rule(
         id="descriptor/restricted-options-marked",
         text="Options that look as if they name hosts, files, commands or secrets say whether "

@@ -38,11 +38,11 @@ def _load(case: RuntimeCase, runtime: Tried) -> None:
     runtime.load(_given(case.model, "model")())
 
 
-def _run(case: RuntimeCase, runtime: Tried) -> Any:
+def _run(case: RuntimeCase, runtime: Tried) -> object:
     return _answer(runtime, _given(case.request, "request")())
 
 
-def _answer(runtime: Tried, request: object) -> Any:
+def _answer(runtime: Tried, request: object) -> object:
     answer = runtime.run(request)
     require(answer is not None, "run returned None, expected the answer")
     require(not has_nan(answer), "the answer holds a number that is NaN")
@@ -158,10 +158,10 @@ class _Recorded:
     def __init__(self, inner: Acceleration[Any], *, refuses: bool = False) -> None:
         self.inner, self.refuses, self.count = inner, refuses, 0
 
-    def __getattr__(self, name: str) -> Any:
+    def __getattr__(self, name: str) -> object:
         return getattr(self.inner, name)
 
-    def apply(self, decoder: Any) -> None:
+    def apply(self, decoder: object) -> None:
         self.count += 1
         if self.refuses:
             raise InvalidInputError("The decoder is of a kind that the preset does not know.")

@@ -22,7 +22,7 @@ from rn_vla.checkpoint_files import (
 )
 from rn_vla.decoding import DecoderShape, Shard
 from rn_vla.openvla.layout import TowerShape, VisionShape, expected_weights
-from rn_vla.openvla.model_files import Index, ModelConfig, ProcessorConfig, TextConfig
+from rn_vla.openvla.model_files import OpenvlaConfig, ProcessorConfig, ShardIndex, TextConfig
 from rn_vla.openvla.preprocessing import TowerPixels
 from rn_vla.openvla.statistics import DatasetStatistics, Key
 from roboneuron import CheckpointError
@@ -57,7 +57,7 @@ BACKBONES: Mapping[str, tuple[TowerShape, ...]] = MappingProxyType(
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Checkpoint:
+class OpenvlaCheckpoint:
     """What the small files of a checkpoint say.
 
     Attributes:
@@ -84,7 +84,7 @@ class Checkpoint:
     shards: tuple[Shard, ...]
 
     @classmethod
-    def read(cls, path: Path) -> Checkpoint:
+    def read(cls, path: Path) -> OpenvlaCheckpoint:
         """Read config.json, preprocessor_config.json, dataset_statistics.json and the index of the
         weights.
 
@@ -124,7 +124,7 @@ class Checkpoint:
         )
 
 
-def _check_resizing(path: Path, config: ModelConfig, processor: ProcessorConfig) -> None:
+def _check_resizing(path: Path, config: OpenvlaConfig, processor: ProcessorConfig) -> None:
     """Raise CheckpointError for resizing that keeps the aspect, whichever of the two files asks for
     it.
     """
@@ -142,7 +142,7 @@ def _check_resizing(path: Path, config: ModelConfig, processor: ProcessorConfig)
         )
 
 
-def _read_config(path: Path) -> ModelConfig:
+def _read_config(path: Path) -> OpenvlaConfig:
     raw = read_json(path / "config.json")
     family = raw.get("model_type") or raw.get("type") if isinstance(raw, dict) else None
     if family != "openvla":
@@ -150,7 +150,7 @@ def _read_config(path: Path) -> ModelConfig:
             f"{path} is a checkpoint of the family {clip(repr(family))}, expected 'openvla'.",
             hint=explain_families(family),
         )
-    return check_schema(raw, TypeAdapter(ModelConfig), path / "config.json")
+    return check_schema(raw, TypeAdapter(OpenvlaConfig), path / "config.json")
 
 
 def _decoder_shape(text: TextConfig, path: Path) -> DecoderShape:
@@ -181,7 +181,7 @@ def _decoder_shape(text: TextConfig, path: Path) -> DecoderShape:
     )
 
 
-def _towers(config: ModelConfig, path: Path) -> tuple[TowerShape, ...]:
+def _towers(config: OpenvlaConfig, path: Path) -> tuple[TowerShape, ...]:
     towers = BACKBONES.get(config.vision_backbone_id)
     if towers is None:
         raise CheckpointError(
@@ -204,7 +204,7 @@ def _towers(config: ModelConfig, path: Path) -> tuple[TowerShape, ...]:
 
 
 def _read_statistics(
-    path: Path, config: ModelConfig
+    path: Path, config: OpenvlaConfig
 ) -> tuple[Mapping[str, DatasetStatistics], str]:
     """Fine-tuned checkpoints ship a file of their own, which replaces what config.json says."""
     own = path / "dataset_statistics.json"
@@ -226,7 +226,7 @@ def _read_shards(path: Path, vision: VisionShape, decoder: DecoderShape) -> tupl
     index = path / "model.safetensors.index.json"
     if not _is_there(index):
         return (Shard(path=path / "model.safetensors", weights=expected),)
-    files = read_schema(index, Index, _MAX_INDEX_BYTES).weight_map
+    files = read_schema(index, ShardIndex, _MAX_INDEX_BYTES).weight_map
     missing, extra = sorted(expected.keys() - files.keys()), sorted(files.keys() - expected.keys())
     if missing or extra:
         raise CheckpointError(

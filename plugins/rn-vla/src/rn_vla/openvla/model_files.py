@@ -7,7 +7,7 @@ costing memory or time before it is compared with the tensors it describes.
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
@@ -37,7 +37,7 @@ class TextConfig(BaseModel):
     vocab_size: Annotated[int, Field(ge=1, le=1_000_000, strict=True)] = 32000
     rms_norm_eps: Annotated[float, Field(ge=1e-12, le=0.01)] = 1e-6
     rope_theta: Annotated[float, Field(ge=100, le=1e8)] = 10000.0
-    rope_scaling: dict[Name, Any] | None = None
+    rope_scaling: dict[Name, object] | None = None
     max_position_embeddings: Annotated[int, Field(ge=1, le=32_768, strict=True)] = 2048
     hidden_act: Name = "silu"
     attention_bias: bool = False
@@ -77,7 +77,7 @@ class TinyVision(BaseModel):
         return self
 
 
-class ModelConfig(BaseModel):
+class OpenvlaConfig(BaseModel):
     """What is used of config.json."""
 
     model_config = ConfigDict(extra="ignore", frozen=True)
@@ -93,7 +93,7 @@ class ModelConfig(BaseModel):
     tiny_vision_overrides: TinyVision | None = None
 
     @model_validator(mode="after")
-    def _check_vocabulary(self) -> ModelConfig:
+    def _check_vocabulary(self) -> OpenvlaConfig:
         if self.text_config.vocab_size - self.pad_to_multiple_of <= self.n_action_bins:
             raise ValueError(
                 f"text_config.vocab_size {self.text_config.vocab_size} less pad_to_multiple_of "
@@ -128,7 +128,7 @@ class ProcessorConfig(BaseModel):
     interpolations: Annotated[tuple[Literal["bicubic"], ...], Field(max_length=2)] | None = None
 
 
-class Index(BaseModel):
+class ShardIndex(BaseModel):
     """model.safetensors.index.json: file by tensor."""
 
     model_config = ConfigDict(extra="ignore", frozen=True)

@@ -10,9 +10,9 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
-from rn_vla.decoding import PolicyModel, Prompt, TokenRequest
+from rn_vla.decoding import DecodingPrompt, PolicyModel, TokenRequest
 from rn_vla.openvla.bins import ActionBins
-from rn_vla.openvla.checkpoint import Checkpoint
+from rn_vla.openvla.checkpoint import OpenvlaCheckpoint
 from rn_vla.openvla.prompt import BOS_ID, FINAL_ID, PromptEncoder
 
 F32 = NDArray[np.float32]
@@ -25,7 +25,7 @@ FAMILY = "openvla"
 
 
 def policy_model(
-    checkpoint: Checkpoint,
+    checkpoint: OpenvlaCheckpoint,
     *,
     action_width: int,
     max_prompt_tokens: int,
@@ -66,18 +66,20 @@ def token_request(
         timeout_s: time from now after which the answer is of no use.
     """
     return TokenRequest(
-        prompt=Prompt(text=text, ids=ids, images=(image,), arrays={"pixel_values": pixel_values}),
+        prompt=DecodingPrompt(
+            text=text, ids=ids, images=(image,), arrays={"pixel_values": pixel_values}
+        ),
         max_new_tokens=action_width,
         deadline_s=None if timeout_s is None else time.monotonic() + timeout_s,
     )
 
 
-def action_bins(checkpoint: Checkpoint) -> ActionBins:
+def action_bins(checkpoint: OpenvlaCheckpoint) -> ActionBins:
     """The checkpoint's action tokens."""
     return ActionBins(checkpoint.action_bins, checkpoint.token_vocabulary)
 
 
-def prompt_encoder(checkpoint: Checkpoint, template: str) -> PromptEncoder:
+def prompt_encoder(checkpoint: OpenvlaCheckpoint, template: str) -> PromptEncoder:
     """The checkpoint's tokenizer, compared with its configuration. Raises CheckpointError."""
     return PromptEncoder(
         checkpoint.path / "tokenizer.json",
@@ -92,7 +94,7 @@ def example_ids(count: int) -> I64:
     return np.array([BOS_ID] + [FINAL_ID] * (count - 1), dtype=np.int64)
 
 
-def _example(checkpoint: Checkpoint, action_width: int, prompt_tokens: int) -> TokenRequest:
+def _example(checkpoint: OpenvlaCheckpoint, action_width: int, prompt_tokens: int) -> TokenRequest:
     side = checkpoint.vision.towers[0].image
     return token_request(
         text="",
@@ -103,7 +105,7 @@ def _example(checkpoint: Checkpoint, action_width: int, prompt_tokens: int) -> T
     )
 
 
-def _build_front(checkpoint: Checkpoint) -> object:
+def _build_front(checkpoint: OpenvlaCheckpoint) -> object:
     from rn_vla.openvla.front import OpenVlaFront  # heavy: torch
 
     return OpenVlaFront(checkpoint.vision)

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from rn_vla.decoding import Weight
-from rn_vla.openvla.checkpoint import Checkpoint
+from rn_vla.openvla.checkpoint import OpenvlaCheckpoint
 from rn_vla.openvla.prompt import BOS_ID, FINAL_ID
 from roboneuron import ConfigurationError
 
@@ -166,7 +166,7 @@ def _write_weights(path: Path, seed: int) -> None:
     from safetensors.torch import save_file
 
     generator = np.random.default_rng(seed)
-    weights = Checkpoint.read(path).shards[0].weights
+    weights = OpenvlaCheckpoint.read(path).shards[0].weights
     files = ("model-00001-of-00002.safetensors", "model-00002-of-00002.safetensors")
     placed = {name: files[name.startswith("language_model.")] for name in weights}
     for file in files:

@@ -75,15 +75,15 @@ class Setpoint:
     """The last command sent: a straight line in joint space at constant velocity.
 
     Attributes:
-        start, way: float64 (n,) [rad or m].
-        duration_s: time for `way`.
+        start, displacement: float64 (n,) [rad or m].
+        duration_s: time for `displacement`.
         sent_s: monotonic time.
         immediate: the command carries no time, so that the robot may jump to its end (JointState
             commands).
     """
 
     start: F64
-    way: F64
+    displacement: F64
     duration_s: float
     sent_s: float
     immediate: bool
@@ -94,9 +94,10 @@ class Setpoint:
         # An immediate one was chosen for the time before it; the arm has that velocity until the
         # next one is due.
         is_moving = passed <= 2.0 if self.immediate else passed < 1.0
-        velocity = self.way / self.duration_s if is_moving else np.zeros_like(self.way)
+        velocity = self.displacement / self.duration_s
         share = 1.0 if self.immediate else min(1.0, max(0.0, passed))
-        return self.start + self.way * share, velocity
+        position = self.start + self.displacement * share
+        return position, velocity if is_moving else np.zeros_like(velocity)
 
 
 @dataclass(kw_only=True, slots=True, eq=False)

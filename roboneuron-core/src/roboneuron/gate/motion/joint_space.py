@@ -13,9 +13,9 @@ from roboneuron.contract.arrays import F64
 from roboneuron.gate.motion.rules import MotionRules
 
 SLACK = 1e-6
-"""Relative: what rounding and decimals on the way may add to a limit."""
+"""Relative: what rounding and decimals in between may add to a limit."""
 _NOTHING = 1e-9
-"""A way this short [rad or m] is rounding, not motion."""
+"""A displacement this short [rad or m] is rounding, not motion."""
 
 
 def braking_velocity(
@@ -35,11 +35,11 @@ def braking_velocity(
 
     Source: libfranka rate_limiting.h for step_s = 0.
     """
-    reach = offset + deceleration * step_s
+    reserve = offset + deceleration * step_s
     return max(
         0.0,
-        math.sqrt(max(0.0, reach * reach - offset * offset + 2.0 * deceleration * distance))
-        - reach,
+        math.sqrt(max(0.0, reserve * reserve - offset * offset + 2.0 * deceleration * distance))
+        - reserve,
     )
 
 
@@ -129,25 +129,30 @@ class JointSpace:
         self._names, self._limits = names, limits
         self._acceleration = [limit.acceleration for limit in limits]
 
-    def pace(self, start: F64, change: F64, step_s: float) -> Iterator[tuple[str, float, str]]:
+    def violations(
+        self, start: F64, change: F64, step_s: float
+    ) -> Iterator[tuple[str, float, str]]:
         """Limits of position and velocity that `change` in `step_s` breaks: name, share that is
         allowed, reason.
 
-        A joint that starts outside of its positions may move back in, and any way towards them.
+        A joint that starts outside of its positions may move back in, and by
+        any displacement towards them.
         """
         position, velocity = (1.0, ""), (1.0, "")
-        for name, limit, begin, way in zip(
+        for name, limit, begin, displacement in zip(
             self._names, self._limits, start.tolist(), change.tolist(), strict=True
         ):
-            length = abs(way)
+            length = abs(displacement)
             if length == 0.0:
                 continue
-            left = limit.upper - begin if way > 0.0 else begin - limit.lower
-            if length - left > SLACK * max(1.0, abs(limit.upper if way > 0.0 else limit.lower)):
-                share = max(0.0, left / length)
+            remaining = limit.upper - begin if displacement > 0.0 else begin - limit.lower
+            bound = limit.upper if displacement > 0.0 else limit.lower
+            if length - remaining > SLACK * max(1.0, abs(bound)):
+                share = max(0.0, remaining / length)
                 if share < position[0]:
-                    position = share, f"{name} would go to {begin + way:.4f}, beyond its limits."
-            share = limit.fastest(begin, way > 0.0, step_s) * step_s / length
+                    end = begin + displacement
+                    position = share, f"{name} would go to {end:.4f}, beyond its limits."
+            share = limit.fastest(begin, displacement > 0.0, step_s) * step_s / length
             if length > _NOTHING and share < velocity[0] * (1.0 - SLACK):
                 speed = length / step_s
                 velocity = (
@@ -158,12 +163,12 @@ class JointSpace:
             if reason:
                 yield quantity, share, reason
 
-    def reach(self, before: F64, wanted: F64, passed_s: float) -> tuple[F64, str]:
+    def nearest_velocity(self, before: F64, wanted: F64, passed_s: float) -> tuple[F64, str]:
         """The velocity nearest to `wanted` that the joints can have `passed_s` after `before`, and
         the limiting joint.
 
         It is a share of `wanted`, so that the direction is kept, whenever such a share is within
-        reach. When the arm is too fast to turn or stop at once, it is the velocity on the way from
+        reach. When the arm is too fast to turn or stop at once, it is the velocity on the line from
         `before` to `wanted` that is.
 
         Returns:
@@ -173,11 +178,11 @@ class JointSpace:
             return wanted, ""
         least, most, joint = 0.0, 1.0, 0
         for i, (old, new) in enumerate(zip(before.tolist(), wanted.tolist(), strict=True)):
-            room = self._acceleration[i] * passed_s
+            most_change = self._acceleration[i] * passed_s
             if new == 0.0:
-                least = math.inf if abs(old) > room else least
+                least = math.inf if abs(old) > most_change else least
                 continue
-            low, high = sorted(((old - room) / new, (old + room) / new))
+            low, high = sorted(((old - most_change) / new, (old + most_change) / new))
             least = max(least, low)
             if high < most:
                 most, joint = high, i

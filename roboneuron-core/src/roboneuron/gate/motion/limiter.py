@@ -38,7 +38,7 @@ in task space.
 """
 
 
-class _Stop(Exception):
+class _Rejection(Exception):
     """A limit rejects the command: its reaction is "hold" or "refuse", or no scaled command is
     within the limits.
     """
@@ -49,7 +49,7 @@ class _Stop(Exception):
 
 
 def _ratio(of_all: float, of_step: float) -> float:
-    """How many steps the whole way has; 1 without a step."""
+    """How many steps the whole path has; 1 without a step."""
     return of_all / of_step if of_step > 0.0 else 1.0
 
 
@@ -89,7 +89,7 @@ class MotionLimiter:
         self._reach = Reach(profile)
         slides = prismatic_joints(profile.urdf)
         self._lost = np.array([LOST_M if name in slides else LOST for name in self._names])
-        self._checks_way = profile.collision is not None
+        self._checks_path = profile.collision is not None
         self._forward, self._inspect = forward, inspect
         self._immediate, self._longest_s = immediate, longest_s
         self._sent: Setpoint | None = None
@@ -125,28 +125,29 @@ class MotionLimiter:
             step = self._step(command, joints, now_s)
             wanted = step.target - step.start
             sent = self._shorten(step)
-        except (UnsafeError, _Stop) as error:
+        except (UnsafeError, _Rejection) as error:
             acted, hold = (), Hold(code="unsafe_command", reason=str(error))
-            if isinstance(error, _Stop):
+            if isinstance(error, _Rejection):
                 acted, hold = (
                     (*(step.acted if step else ()), error.name),
                     replace(hold, code=f"limit_{error.name}"),
                 )
             return LimitedCommand(
-                command=None if isinstance(error, _Stop) and error.refuse else hold,
+                command=None if isinstance(error, _Rejection) and error.refuse else hold,
                 acted=tuple(dict.fromkeys(acted)),
                 reason=hold.reason,
                 share=0.0,
                 asked=step.asked if step else None,
                 reference_lost=step is not None and step.is_lost,
             )
-        way, length = step.target - step.start, float(np.linalg.norm(wanted))
+        asked_length = float(np.linalg.norm(wanted))
+        sent_length = float(np.linalg.norm(step.target - step.start))
         self._commit(step, now_s)
         return LimitedCommand(
             command=self._command(command, step),
             acted=tuple(dict.fromkeys(step.acted)),
             reason=step.reason,
-            share=float(np.linalg.norm(way)) / length if step.acted and length > 0.0 else 1.0,
+            share=sent_length / asked_length if step.acted and asked_length > 0.0 else 1.0,
             asked=step.asked,
             sent=sent,
             reference_lost=step.is_lost,
@@ -169,20 +170,19 @@ class MotionLimiter:
         if joints is None:
             return
         with suppress(UnsafeError):
-            here = pick(joints.names, joints.position, self._names)
+            measured = pick(joints.names, joints.position, self._names)
             self._sent = Setpoint(
-                start=here,
-                way=np.zeros_like(here),
+                start=measured,
+                displacement=np.zeros_like(measured),
                 duration_s=1.0,
                 sent_s=now_s,
                 immediate=self._immediate,
             )
 
     def _commit(self, step: Step, now_s: float) -> None:
-        way = step.target - step.start
         self._sent = Setpoint(
             start=step.start,
-            way=way,
+            displacement=step.target - step.start,
             duration_s=step.duration_s,
             sent_s=now_s,
             immediate=self._immediate,
@@ -219,36 +219,41 @@ class MotionLimiter:
 
     def _shorten(self, step: Step) -> Motion:
         """Scale the step's target to within the limits; returns the motion that is sent, raises
-        _Stop.
+        _Rejection.
         """
-        here = start = self._forward(self._sample(step, step.measured))
+        measured = start = self._forward(self._sample(step, step.measured))
         if step.start is not step.measured:
             start = self._forward(self._sample(step, step.start))
-        there = self._evaluate(step, step.target)
-        step.asked = self._motion(step, here, start, there)
-        self._apply_joint_limits(step, step.asked, here, there)
+        target = self._evaluate(step, step.target)
+        step.asked = self._motion(step, measured, start, target)
+        self._apply_joint_limits(step, step.asked, measured, target)
         if step.acted:
-            there = self._evaluate(step, step.target)
-        there = self._apply_cartesian_limits(step, here, there)
+            target = self._evaluate(step, step.target)
+        target = self._apply_cartesian_limits(step, measured, target)
         if not step.acted:
-            return (
-                self._motion(step, here, start, there)
-                if self._extend(step, here, there)
-                else step.asked
-            )
+            if self._extend(step, measured, target):
+                return self._motion(step, measured, start, target)
+            return step.asked
         # Check what would be sent once more: scaling for one limit may violate another one.
-        sent, way = self._motion(step, here, start, there), step.target - step.start
-        for name, _, reason in self._joints.pace(step.start, way, step.duration_s):
-            raise _Stop(name, f"No part of the command is within the limits: {reason}")
-        if not self._joints.is_reachable(step.before, way / step.duration_s, step.passed_s):
-            raise _Stop("acceleration", f"The arm is too fast for a limit before it: {step.reason}")
+        sent = self._motion(step, measured, start, target)
+        displacement = step.target - step.start
+        for name, _, reason in self._joints.violations(step.start, displacement, step.duration_s):
+            raise _Rejection(name, f"No part of the command is within the limits: {reason}")
+        if not self._joints.is_reachable(
+            step.before, displacement / step.duration_s, step.passed_s
+        ):
+            raise _Rejection(
+                "acceleration", f"The arm is too fast for a limit before it: {step.reason}"
+            )
         for name, _, reason in self._task.excess(sent):
-            raise _Stop(name, reason)
-        for name, reason in self._broken(step, here, there):
-            raise _Stop(name, reason)
-        return self._motion(step, here, start, there) if self._extend(step, here, there) else sent
+            raise _Rejection(name, reason)
+        for name, reason in self._cartesian_violations(step, measured, target):
+            raise _Rejection(name, reason)
+        if self._extend(step, measured, target):
+            return self._motion(step, measured, start, target)
+        return sent
 
-    def _extend(self, step: Step, here: Pose, there: Posture) -> bool:
+    def _extend(self, step: Step, measured: Pose, target: Posture) -> bool:
         """Give the command the time that the TCP needs from where it is measured; returns whether
         it needed more.
 
@@ -257,15 +262,15 @@ class MotionLimiter:
         """
         if self._immediate:
             return False
-        times = self._behind(here, there, step.duration_s)
+        times = self._speed_ratio(measured, target, step.duration_s)
         if times <= 1.0:
             return False
-        way, least_s = step.target - step.start, step.duration_s
+        displacement, least_s = step.target - step.start, step.duration_s
         most_s = min(least_s * times / _RESERVE, self._longest_s)
-        if not self._joints.is_reachable(step.before, way / most_s, step.passed_s):
+        if not self._joints.is_reachable(step.before, displacement / most_s, step.passed_s):
             for _ in range(_HALVINGS):  # it brakes no harder than the joints may
                 middle_s = (least_s + most_s) / 2.0
-                if self._joints.is_reachable(step.before, way / middle_s, step.passed_s):
+                if self._joints.is_reachable(step.before, displacement / middle_s, step.passed_s):
                     least_s = middle_s
                 else:
                     most_s = middle_s
@@ -273,17 +278,19 @@ class MotionLimiter:
         step.duration_s = most_s
         return True
 
-    def _behind(self, here: Pose, there: Posture, duration_s: float) -> float:
-        """How many times a speed limit the TCP would have on its way from the measured pose."""
-        motion = self._task.motion(here, here, there, duration_s, 0.0)
+    def _speed_ratio(self, measured: Pose, target: Posture, duration_s: float) -> float:
+        """How many times a speed limit the TCP would have on its path from the measured pose."""
+        motion = self._task.motion(measured, measured, target, duration_s, 0.0)
         return max(
             (times for name, times, _ in self._task.excess(motion) if name == "speed"), default=1.0
         )
 
-    def _apply_joint_limits(self, step: Step, asked: Motion, here: Pose, there: Posture) -> None:
+    def _apply_joint_limits(
+        self, step: Step, asked: Motion, measured: Pose, target: Posture
+    ) -> None:
         """Scale the step to the limits of joints, TCP step and TCP speed."""
-        way, share = step.target - step.start, 1.0
-        if self._immediate and (times := self._behind(here, there, _STATE_STEP_S)) > 1.0:
+        displacement, share = step.target - step.start, 1.0
+        if self._immediate and (times := self._speed_ratio(measured, target, _STATE_STEP_S)) > 1.0:
             self._act(
                 step,
                 "speed",
@@ -292,14 +299,16 @@ class MotionLimiter:
             parts = [_ratio(asked.step_m, asked.speed_m_s * step.duration_s)]
             parts.append(_ratio(asked.step_rad, asked.turn_rad_s * step.duration_s))
             share = max(0.0, 1.0 - (1.0 - _RESERVE / times) * max(parts))
-        for name, part, reason in self._joints.pace(step.start, way, step.duration_s):
+        for name, part, reason in self._joints.violations(
+            step.start, displacement, step.duration_s
+        ):
             self._act(step, name, reason)
             share = min(share, part)
         for name, times, reason in self._task.excess(asked):
             self._act(step, name, reason)
             share = min(share, _RESERVE / times)
-        velocity, joint = self._joints.reach(
-            step.before, way * (share / step.duration_s), step.passed_s
+        velocity, joint = self._joints.nearest_velocity(
+            step.before, displacement * (share / step.duration_s), step.passed_s
         )
         if joint:
             self._act(
@@ -310,27 +319,30 @@ class MotionLimiter:
         if step.acted:
             step.target = step.start + velocity * step.duration_s
 
-    def _apply_cartesian_limits(self, step: Step, here: Pose, there: Posture) -> Posture:
+    def _apply_cartesian_limits(self, step: Step, measured: Pose, target: Posture) -> Posture:
         """Scale the step to the Cartesian limits, to 1/64 of its length; returns the posture at its
         end.
         """
-        broken = list(self._broken(step, here, there))
-        if not broken:
-            return there
-        for name, reason in broken:
+        violations = list(self._cartesian_violations(step, measured, target))
+        if not violations:
+            return target
+        for name, reason in violations:
             self._act(step, name, reason)
-        good, bad, way = 0.0, 1.0, step.target - step.start
+        good, bad, displacement = 0.0, 1.0, step.target - step.start
         for _ in range(_HALVINGS):
             middle = (good + bad) / 2.0
-            step.target = step.start + middle * way
-            if next(self._broken(step, here, self._evaluate(step, step.target)), None) is None:
+            step.target = step.start + middle * displacement
+            end = self._evaluate(step, step.target)
+            if next(self._cartesian_violations(step, measured, end), None) is None:
                 good = middle
             else:
                 bad = middle
-        step.target = step.start + good * way
+        step.target = step.start + good * displacement
         return self._evaluate(step, step.target)
 
-    def _broken(self, step: Step, here: Pose, there: Posture) -> Iterator[tuple[str, str]]:
+    def _cartesian_violations(
+        self, step: Step, measured: Pose, target: Posture
+    ) -> Iterator[tuple[str, str]]:
         """Cartesian limits that the path from the measured posture to the step's target violates:
         name, reason.
         """
@@ -338,28 +350,28 @@ class MotionLimiter:
         def evaluate_start() -> Posture:
             return self._evaluate(step, step.measured)
 
-        yield from self._task.places(here, there, evaluate_start)
-        if not self._checks_way:
+        yield from self._task.places(measured, target, evaluate_start)
+        if not self._checks_path:
             return
-        way = step.target - step.measured
-        count = self._reach.count(self._names, np.abs(way))
+        displacement = step.target - step.measured
+        count = self._reach.count(self._names, np.abs(displacement))
         for number in range(1, count):
-            passed = self._evaluate(step, step.measured + way * (number / count))
-            for broken in self._task.collisions(passed, evaluate_start):
-                yield broken
+            passed = self._evaluate(step, step.measured + displacement * (number / count))
+            for violation in self._task.collisions(passed, evaluate_start):
+                yield violation
                 return
 
     def _act(self, step: Step, name: str, reason: str) -> None:
-        """Record a violated limit; raises _Stop unless its reaction is to scale."""
+        """Record a violated limit; raises _Rejection unless its reaction is to scale."""
         reaction = self._rules.reactions[name]
         if reaction != "scale":
-            raise _Stop(name, reason, refuse=reaction == "refuse")
+            raise _Rejection(name, reason, refuse=reaction == "refuse")
         step.acted.append(name)
         step.reason = reason
 
-    def _motion(self, step: Step, here: Pose, start: Pose, there: Posture) -> Motion:
+    def _motion(self, step: Step, measured: Pose, start: Pose, target: Posture) -> Motion:
         speed = float(np.abs(step.target - step.start).max(initial=0.0)) / step.duration_s
-        return self._task.motion(here, start, there, step.duration_s, speed)
+        return self._task.motion(measured, start, target, step.duration_s, speed)
 
     def _evaluate(self, step: Step, position: F64) -> Posture:
         return self._inspect(self._sample(step, position))

@@ -22,7 +22,7 @@ class Motion:
 
     Attributes:
         step_m, step_rad: how far the TCP would go from where it is measured.
-        speed_m_s, turn_rad_s: how fast it would go there from the posture commanded so far.
+        speed_m_s, turn_rad_s: how fast it would go to that pose from the posture commanded so far.
         joint_speed: velocity of the fastest joint [rad/s or m/s].
         smallest_singular_value: at the end of the step; None when the controller cannot tell.
     """
@@ -89,58 +89,57 @@ class TaskSpace:
                 )
 
     def places(
-        self, here: Pose, there: Posture, look_here: Callable[[], Posture]
+        self, start: Pose, end: Posture, evaluate_start: Callable[[], Posture]
     ) -> Iterator[tuple[str, str]]:
         """Limits of place and posture that the path from one posture to another violates: name,
         reason.
 
         Args:
-            here: TCP at the start of the path.
-            there: end of the path.
-            look_here: the posture at the start; asked for only when it matters.
+            start: TCP at the start of the path.
+            end: end of the path.
+            evaluate_start: the posture at the start; asked for only when it matters.
 
         Paths that lead out of a forbidden place are allowed.
         """
         rules = self._rules
-        start, end = here.position_m, there.pose.position_m
-        outside = _depth_outside_m(end, rules.lower_m, rules.upper_m)
-        if _is_worse(outside, _depth_outside_m(start, rules.lower_m, rules.upper_m)):
-            at = np.round(end, 4).tolist()
+        start_m, end_m = start.position_m, end.pose.position_m
+        outside = _depth_outside_m(end_m, rules.lower_m, rules.upper_m)
+        if _is_worse(outside, _depth_outside_m(start_m, rules.lower_m, rules.upper_m)):
+            at = np.round(end_m, 4).tolist()
             yield "workspace", f"The TCP would be {outside:.4f} m outside the workspace, at {at} m."
-        if _is_worse(rules.min_height_m - end[2], rules.min_height_m - start[2]):
+        if _is_worse(rules.min_height_m - end_m[2], rules.min_height_m - start_m[2]):
             yield (
                 "height",
-                f"The TCP would be at a height of {end[2]:.4f} m, allowed is "
+                f"The TCP would be at a height of {end_m[2]:.4f} m, allowed is "
                 f"{rules.min_height_m:g} m.",
             )
         for zone in rules.zones:
-            if _breaks_zone(zone, start, end):
-                yield (
-                    "zone",
-                    f"The TCP would enter {zone.name!r} on its way to {np.round(end, 4).tolist()} "
-                    "m.",
-                )
-        least, singular = rules.min_singular_value, there.smallest_singular_value
+            if _breaks_zone(zone, start_m, end_m):
+                at = np.round(end_m, 4).tolist()
+                yield "zone", f"The TCP would enter {zone.name!r} on its way to {at} m."
+        least, singular = rules.min_singular_value, end.smallest_singular_value
         if singular is not None and singular < least:
-            before = look_here().smallest_singular_value or 0.0
+            before = evaluate_start().smallest_singular_value or 0.0
             if _is_worse(least - singular, least - before):
                 yield (
                     "singularity",
                     f"The smallest singular value would be {singular:.4f}, allowed is {least:g}.",
                 )
-        yield from self.collisions(there, look_here)
+        yield from self.collisions(end, evaluate_start)
 
     def collisions(
-        self, there: Posture, look_here: Callable[[], Posture]
+        self, end: Posture, evaluate_start: Callable[[], Posture]
     ) -> Iterator[tuple[str, str]]:
         """Pairs that are too near in a posture and no farther apart than at the start of the path;
         as `places`.
         """
-        if not there.near:
+        if not end.near:
             return
-        start_m = {(pair.first, pair.second): pair.distance_m for pair in look_here().near or ()}
-        for pair in there.near:
-            if pair.distance_m <= start_m.get((pair.first, pair.second), pair.least_m):
+        start_distances_m = {
+            (pair.first, pair.second): pair.distance_m for pair in evaluate_start().near or ()
+        }
+        for pair in end.near:
+            if pair.distance_m <= start_distances_m.get((pair.first, pair.second), pair.least_m):
                 apart = (
                     f"{pair.distance_m * 1e3:.1f} mm apart, at least {pair.least_m * 1e3:g} "
                     "mm are required."
@@ -148,14 +147,14 @@ class TaskSpace:
                 yield "collision", f"{pair.first} and {pair.second} would be {apart}"
 
 
-def distance_m(here: Pose, there: Pose) -> float:
+def distance_m(start: Pose, end: Pose) -> float:
     """Distance of two TCP positions."""
-    return math.dist(here.position_m.tolist(), there.position_m.tolist())
+    return math.dist(start.position_m.tolist(), end.position_m.tolist())
 
 
-def angle_rad(here: Pose, there: Pose) -> float:
+def angle_rad(start: Pose, end: Pose) -> float:
     """Angle of the rotation between two TCP orientations, 0 .. pi."""
-    cosine = abs(float(np.dot(here.quaternion_xyzw, there.quaternion_xyzw)))
+    cosine = abs(float(np.dot(start.quaternion_xyzw, end.quaternion_xyzw)))
     sine = math.sqrt(max(0.0, 1.0 - cosine * cosine))
     return 2.0 * math.atan2(sine, cosine)
 
@@ -177,18 +176,18 @@ def _breaks_zone(zone: Obstacle, start_m: F64, end_m: F64) -> bool:
     start_depth = -_depth_outside_m(start_m, zone.lower_m, zone.upper_m)
     if start_depth > 0.0:
         return -_depth_outside_m(end_m, zone.lower_m, zone.upper_m) >= start_depth
-    # slab test: the shares of the way between which it is within the box along every axis
+    # slab test: the shares of the line between which it is within the box along every axis
     enter, leave = 0.0, 1.0
     axes = zip(
         start_m.tolist(), end_m.tolist(), zone.lower_m.tolist(), zone.upper_m.tolist(), strict=True
     )
     for begin, end, low, high in axes:
-        way = end - begin
-        if way == 0.0:
+        displacement = end - begin
+        if displacement == 0.0:
             if not low < begin < high:
                 return False
             continue
-        near, far = sorted(((low - begin) / way, (high - begin) / way))
+        near, far = sorted(((low - begin) / displacement, (high - begin) / displacement))
         enter, leave = max(enter, near), min(leave, far)
         if enter >= leave:
             return False

@@ -60,7 +60,7 @@ def answer(request: pipe.Message, world: Any) -> pipe.Message:
     raise TypeError(f"{type(request).__name__} is no request")
 
 
-def serve(source: BinaryIO, sink: BinaryIO, world: Any) -> None:
+def serve(source: BinaryIO, sink: BinaryIO, world: object) -> None:
     """Answer until the other end closes."""
 
     def read(count: int) -> bytes:

@@ -108,14 +108,14 @@ class Failed:
 
 
 Message = Hello | Ready | Open | PipeStep | State | Render | Image | Failed
-_KINDS: dict[str, type[Any]] = {
+_KINDS: dict[str, type[object]] = {
     cls.__name__: cls for cls in (Hello, Ready, Open, PipeStep, State, Render, Image, Failed)
 }
 
 
 def send(stream: BinaryIO, message: Message) -> None:
     """Write one message. Raises PipeError when the other end has gone."""
-    fields: dict[str, Any] = {}
+    fields: dict[str, object] = {}
     arrays: list[tuple[str, str, tuple[int, ...]]] = []
     payload = bytearray()
     for field in dataclasses.fields(message):

@@ -17,7 +17,7 @@ from __future__ import annotations
 import copy
 import os
 from types import SimpleNamespace
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from libero.libero import benchmark, get_libero_path
@@ -27,6 +27,12 @@ from robosuite.utils.errors import RandomizationError
 from robosuite.utils.observables import sensor
 
 from rn_eval.libero.simulator.pipe import Image, State
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from numpy.typing import NDArray
+    from robosuite.utils.binding_utils import MjSim
 
 DUMMY_ACTION = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0)
 WAIT_STEPS = 10
@@ -39,15 +45,15 @@ class Snapshots:
     """The state of the simulation when its observation was sampled."""
 
     def __init__(self) -> None:
-        self._data: Any = None
-        self._looks: dict[str, Any] = {}
+        self._data: object = None
+        self._looks: dict[str, object] = {}
 
-    def take(self, sim: Any) -> None:
+    def take(self, sim: MjSim) -> None:
         """Keep the state of this moment."""
         self._data = copy.copy(sim.data._data)
         self._looks = {name: np.array(getattr(sim.model, name)) for name in _LOOKS}
 
-    def render(self, sim: Any, camera: str, size: int) -> Any:
+    def render(self, sim: MjSim, camera: str, size: int) -> NDArray[np.uint8]:
         """The image of the kept state: uint8 (H, W, 3), the lowest row first."""
         context, model = sim._render_context_offscreen, sim.model
         data, looks = context.data, {name: np.array(getattr(model, name)) for name in _LOOKS}
@@ -55,20 +61,23 @@ class Snapshots:
         try:
             for name, values in self._looks.items():
                 getattr(model, name)[:] = values
-            return sim.render(camera_name=camera, width=size, height=size)
+            image: NDArray[np.uint8] = sim.render(camera_name=camera, width=size, height=size)
+            return image
         finally:
             context.data = data
             for name, values in looks.items():
                 getattr(model, name)[:] = values
 
 
-def _camera_sensors(environment: Any, cam_name: str, *_: Any, **__: Any) -> Any:
+def _camera_sensors(
+    environment: RobotEnv, cam_name: str, *_: object, **__: object
+) -> tuple[list[Callable[[object], NDArray[np.float64]]], list[str]]:
     """Instead of a sensor that renders, one that keeps the state; for
     `RobotEnv._create_camera_sensors`.
     """
 
     @sensor(modality="image")  # type: ignore[untyped-decorator]
-    def keep(cache: Any) -> Any:
+    def keep(cache: object) -> NDArray[np.float64]:
         if cam_name == environment.camera_names[0]:
             environment.snapshots.take(environment.sim)
         return np.zeros(2)
@@ -82,14 +91,14 @@ class LiberoWorld:
     def __init__(self) -> None:
         RobotEnv._create_camera_sensors = _camera_sensors
         self._task: tuple[str, int, int] | None = None
-        self._env: Any = None
-        self._states: Any = None
+        self._env: OffScreenRenderEnv = None  # until open()
+        self._states: NDArray[np.float64] = np.empty((0, 0))
         self._instruction = ""
-        self._reset_body: tuple[Any, Any] | None = None
-        self._original_reset: Any = None
-        self._samplers: list[Any] = []
+        self._reset_body: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
+        self._original_reset: Callable[[], None] = lambda: None
+        self._samplers: list[object] = []
         self._snapshots = Snapshots()
-        self._observation: Any = None
+        self._observation: Mapping[str, NDArray[np.float64]] = {}
 
     def open(self, suite: str, task: int, state: int, image_px: int) -> State:
         """Begin an episode; returns the state after the waiting steps."""
@@ -105,7 +114,7 @@ class LiberoWorld:
             self._observation, _, done, _ = self._env.step(DUMMY_ACTION)
         return self._state(bool(done))
 
-    def step(self, action: Any) -> State:
+    def step(self, action: NDArray[np.float64]) -> State:
         """One control period."""
         self._observation, _, done, _ = self._env.step(action.tolist())
         return self._state(bool(done))

@@ -5,7 +5,6 @@ extrapolates.
 from __future__ import annotations
 
 from math import isfinite, sqrt
-from typing import Any
 
 from rn_robot_fr3.fci.follower import JOINTS, STEP_S, Arm
 from rn_robot_fr3.limits import (
@@ -25,7 +24,7 @@ _LEAST_RAD_S = 1e-3
 """Creeping where the arm accepts no velocity at all."""
 
 
-class Judge:
+class CommandJudge:
     """Keeps the books of one arm over all its motions.
 
     Attributes:
@@ -64,7 +63,7 @@ class Judge:
         self.counts["longest_gap"] = max(self.counts["longest_gap"], self._gap)
         self._judge(self.arm.missed(1), "extrapolation")
 
-    def report(self) -> dict[str, Any]:
+    def report(self) -> dict[str, object]:
         """Everything, as shares of the limits where there are limits."""
         worst = {f"worst_{name}": round(value, 4) for name, value in self.worst.items()}
         return {**self.counts, **worst, "beyond": self.beyond}

@@ -21,10 +21,9 @@ import signal
 import socket
 import time
 from dataclasses import fields, replace
-from typing import Any
 
 from rn_robot_fr3.fci.box import services, wire
-from rn_robot_fr3.fci.box.judge import Judge
+from rn_robot_fr3.fci.box.judge import CommandJudge
 from rn_robot_fr3.fci.box.network import Cable, Faults
 from rn_robot_fr3.fci.box.wire import Service
 
@@ -65,7 +64,7 @@ class Stream:
         )
 
 
-class Box:
+class BoxProxy:
     """One client at a time, as the FCI."""
 
     def __init__(self, host: str, upstream: str, seed: int) -> None:
@@ -73,7 +72,7 @@ class Box:
         self._listener = socket.create_server((host, wire.PORT))
         self._asking = _datagrams(host, ASKING_PORT)
         self._to_arm, self._to_client = Cable(seed), Cable(seed + 1)
-        self._judge = Judge()
+        self._judge = CommandJudge()
         self._counts = dict.fromkeys(("states", "repeated", "late", "refused"), 0)
         self._is_latched = self._is_lenient = False
         self._client: Stream | None = None
@@ -95,7 +94,7 @@ class Box:
                 self._hang_up()
 
     def _turn(self) -> None:
-        sockets: list[Any] = [self._listener, self._asking]
+        sockets: list[socket.socket] = [self._listener, self._asking]
         sockets += [stream.connection for stream in (self._client, self._robot) if stream]
         sockets += [udp for udp in (self._states, self._commands) if udp]
         due = [
@@ -235,7 +234,7 @@ class Box:
         self._is_latched = bool(asked.get("latched", self._is_latched))
         self._is_lenient = bool(asked.get("lenient", self._is_lenient))
         if asked.get("fresh"):
-            self._judge, arm = Judge(), self._judge.arm
+            self._judge, arm = CommandJudge(), self._judge.arm
             self._judge.arm = arm
             self._counts = dict.fromkeys(self._counts, 0)
         report = {**self._counts, **self._judge.report(), "mode": self._mode}
@@ -256,7 +255,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     arguments = parser.parse_args()
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
-    box = Box(arguments.host, arguments.upstream, arguments.seed)
+    box = BoxProxy(arguments.host, arguments.upstream, arguments.seed)
     gc.freeze()
     gc.disable()
     box.run()

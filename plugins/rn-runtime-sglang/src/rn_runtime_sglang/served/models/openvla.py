@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
 import torch
 from sglang.srt.managers.mm_utils import (
@@ -16,7 +15,7 @@ from sglang.srt.models.llama import LlamaForCausalLM
 from torch import Tensor, nn
 
 from rn_runtime_sglang.served.configuration import OpenVlaServedConfig
-from rn_vla.openvla.checkpoint import Checkpoint
+from rn_vla.openvla.checkpoint import OpenvlaCheckpoint
 from rn_vla.openvla.front import OpenVlaFront
 
 UNUSABLE_TOKEN = 0
@@ -29,11 +28,11 @@ class OpenVLAForActionPrediction(nn.Module):
     """Named as checkpoints name it, which is how SGLang finds it."""
 
     def __init__(
-        self, config: OpenVlaServedConfig, quant_config: Any = None, prefix: str = ""
+        self, config: OpenVlaServedConfig, quant_config: object = None, prefix: str = ""
     ) -> None:
         super().__init__()
         self.config = config
-        checkpoint = Checkpoint.read(Path(config._name_or_path))
+        checkpoint = OpenvlaCheckpoint.read(Path(config._name_or_path))
         self._weights = {
             name: weight for shard in checkpoint.shards for name, weight in shard.weights.items()
         }
@@ -47,7 +46,7 @@ class OpenVLAForActionPrediction(nn.Module):
         embedding: nn.Module = self.language_model.get_input_embeddings()
         return embedding
 
-    def pad_input_ids(self, input_ids: Any, mm_inputs: MultimodalInputs) -> Any:
+    def pad_input_ids(self, input_ids: object, mm_inputs: MultimodalInputs) -> object:
         """Mark the image positions with the image's hash, which keys the prefix cache."""
         return MultiModalityDataPaddingPatternMultimodalTokens().pad_input_tokens(
             input_ids, mm_inputs
@@ -63,8 +62,8 @@ class OpenVLAForActionPrediction(nn.Module):
 
     @torch.no_grad()
     def forward(
-        self, input_ids: Tensor, positions: Tensor, forward_batch: Any, **others: Any
-    ) -> Any:
+        self, input_ids: Tensor, positions: Tensor, forward_batch: object, **others: object
+    ) -> object:
         """One prefill or decode step of a batch."""
         output = general_mm_embed_routine(
             input_ids=input_ids,

@@ -21,7 +21,7 @@ from sglang.srt.managers.schedule_batch import (
 from sglang.srt.multimodal.processors.base_processor import BaseMultimodalProcessor
 
 from rn_runtime_sglang.served.models.openvla import OpenVLAForActionPrediction
-from rn_vla.openvla.checkpoint import Checkpoint
+from rn_vla.openvla.checkpoint import OpenvlaCheckpoint
 from rn_vla.openvla.preprocessing import Preprocessor
 from rn_vla.openvla.prompt import BOS_ID, FINAL_ID
 
@@ -38,7 +38,7 @@ class OpenVlaProcessor(BaseMultimodalProcessor):  # type: ignore[misc, unused-ig
         self, hf_config: Any, server_args: Any, processor: Any, transport_mode: Any, **others: Any
     ) -> None:
         super().__init__(hf_config, server_args, processor, transport_mode, **others)
-        checkpoint = Checkpoint.read(Path(hf_config._name_or_path))
+        checkpoint = OpenvlaCheckpoint.read(Path(hf_config._name_or_path))
         tower = checkpoint.vision.towers[0]
         self._preprocessor = Preprocessor(size=tower.image, towers=checkpoint.towers)
         self._patches = tower.patches
@@ -75,7 +75,7 @@ class OpenVlaProcessor(BaseMultimodalProcessor):  # type: ignore[misc, unused-ig
         )
 
 
-def check_ids(ids: Any, embeddings: int) -> list[int]:
+def check_ids(ids: object, embeddings: int) -> list[int]:
     """Return the prompt's ids; raises ValueError unless they begin and end as the model was trained
     with.
 

@@ -9,10 +9,10 @@ from __future__ import annotations
 from rn_standard.tools_ros.interfaces.bounds import LOSSLESS, DecodeLimits, InputLimits
 from rn_standard.tools_ros.interfaces.description import (
     Array,
-    Choice,
     Field,
+    FieldChoice,
     FieldType,
-    Message,
+    MessageType,
     Nested,
     Plain,
     Scalar,
@@ -33,24 +33,24 @@ from rn_standard.tools_ros.interfaces.naming import (
     interface_prefixes,
     list_interfaces,
 )
-from rn_standard.tools_ros.interfaces.picture import Picture, to_picture
+from rn_standard.tools_ros.interfaces.picture import MessagePicture, to_picture
 
 __all__ = [
     "LOSSLESS",
     "ActionInterface",
     "Array",
-    "Choice",
     "DecodeLimits",
     "Field",
+    "FieldChoice",
     "FieldType",
     "InputLimits",
     "Interface",
     "InterfaceLoader",
     "InterfaceName",
-    "Message",
     "MessageInterface",
+    "MessagePicture",
+    "MessageType",
     "Nested",
-    "Picture",
     "Plain",
     "Scalar",
     "ServiceInterface",

@@ -55,7 +55,7 @@ def make_array_encoder(shape: Array, element: Encoder) -> Encoder:
     )
     kinds = describe_shape(shape)
 
-    def encode(value: Any, budget: Budget) -> Any:
+    def encode(value: object, budget: Budget) -> object:
         if value.__class__ is not list and not isinstance(value, list | tuple):
             if not shape.is_bytes or not isinstance(value, str):
                 raise Mismatch(describe_value(value), kinds)

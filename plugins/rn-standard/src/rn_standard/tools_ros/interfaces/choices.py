@@ -24,7 +24,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from rn_standard.tools_ros.interfaces.description import Choice, Scalar
+from rn_standard.tools_ros.interfaces.description import FieldChoice, Scalar
 
 HOLDER_WORDS = (
     "type",
@@ -44,7 +44,7 @@ HOLDER_WORDS = (
 
 def assign_choices(
     fields: Sequence[tuple[str, Scalar]], constants: Mapping[str, int]
-) -> dict[str, tuple[Choice, ...]]:
+) -> dict[str, tuple[FieldChoice, ...]]:
     """Return the choices by field name.
 
     Args:
@@ -65,7 +65,7 @@ def assign_choices(
     for owner, names in _place(rest, free, constants) or _place(plain, free, constants):
         groups[owner] = names
     return {
-        owner: tuple(Choice(name=name, value=constants[name]) for name in names)
+        owner: tuple(FieldChoice(name=name, value=constants[name]) for name in names)
         for owner, names in groups.items()
         if all(ranges[owner][0] <= constants[name] <= ranges[owner][1] for name in names)
     }

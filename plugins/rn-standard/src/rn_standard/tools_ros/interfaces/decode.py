@@ -19,7 +19,7 @@ from rn_standard.tools_ros.interfaces.description import (
     Array,
     Field,
     FieldType,
-    Message,
+    MessageType,
     Plain,
     Scalar,
 )
@@ -36,7 +36,7 @@ class _Room:
     values: float
 
 
-_Decoder = Callable[[Any, _Room], Plain]
+_Decoder = Callable[[object, _Room], Plain]
 
 
 class MessageDecoder:
@@ -44,20 +44,22 @@ class MessageDecoder:
     thread.
     """
 
-    def __init__(self, message: Message, cache: dict[int, MessageDecoder] | None = None) -> None:
+    def __init__(
+        self, message: MessageType, cache: dict[int, MessageDecoder] | None = None
+    ) -> None:
         made = {} if cache is None else cache
         self._fields = [
             (f.name, _make(f, f.type, made), SUMMARIES.get((message.type_name, f.name)))
             for f in message.fields
         ]
 
-    def decode(self, message: Any, limits: DecodeLimits) -> dict[str, Plain]:
+    def decode(self, message: object, limits: DecodeLimits) -> dict[str, Plain]:
         """Return the message as plain values within `limits`."""
         return self.read(
             message, _Room(limits, math.inf if limits.values is None else limits.values)
         )
 
-    def read(self, message: Any, room: _Room) -> dict[str, Plain]:
+    def read(self, message: object, room: _Room) -> dict[str, Plain]:
         """Like `decode`, for a message inside another."""
         lossless = room.limits.items is None
         result: dict[str, Plain] = {}

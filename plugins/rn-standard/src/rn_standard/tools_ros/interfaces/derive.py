@@ -20,7 +20,7 @@ from rn_standard.tools_ros.interfaces.description import (
     Array,
     Field,
     FieldType,
-    Message,
+    MessageType,
     Nested,
     Plain,
     Scalar,
@@ -42,12 +42,12 @@ class Deriver:
     """
 
     prefixes: Sequence[Path] = ()
-    _messages: dict[type, Message] = field(default_factory=dict)
+    _messages: dict[type, MessageType] = field(default_factory=dict)
     _comments: dict[tuple[str, str, str], dict[str, StructComments]] = field(default_factory=dict)
 
     def derive(
         self, ros_type: type, *, nonfinite: frozenset[str] = frozenset(), path: str = ""
-    ) -> Message:
+    ) -> MessageType:
         """Return the description of a message class.
 
         Args:
@@ -67,7 +67,7 @@ class Deriver:
             self._messages[ros_type] = message
         return message
 
-    def _derive(self, ros_type: type, nonfinite: frozenset[str], path: str) -> Message:
+    def _derive(self, ros_type: type, nonfinite: frozenset[str], path: str) -> MessageType:
         package, kind = ros_type.__module__.split(".")[:2]
         type_name = f"{package}/{kind}/{ros_type.__name__}"
         comments = self._read_comments(package, kind, ros_type.__name__)
@@ -81,7 +81,7 @@ class Deriver:
             n: _to_plain(v) for n, v in declared.items() if not n.endswith(_DEFAULT_SUFFIX)
         }
         names: Sequence[str] = list(ros_type.get_fields_and_field_types())  # type: ignore[attr-defined]
-        slots: Sequence[Any] = ros_type.SLOT_TYPES  # type: ignore[attr-defined]
+        slots: Sequence[object] = ros_type.SLOT_TYPES  # type: ignore[attr-defined]
         fields = []
         for name, slot in zip(names, slots, strict=True):
             here = f"{path}.{name}" if path else name
@@ -98,7 +98,7 @@ class Deriver:
                     unit=comments.units.get(name, ""),
                 )
             )
-        return Message(
+        return MessageType(
             type_name=type_name,
             ros_type=ros_type,
             fields=_with_choices(fields, declared),
@@ -111,7 +111,7 @@ class Deriver:
 
     def _field_type(
         self,
-        slot: Any,
+        slot: object,
         owner: type,
         owner_name: str,
         path: str,
@@ -152,7 +152,7 @@ class Deriver:
         return self._comments[key].get(struct, NO_COMMENTS)
 
 
-def _declared(ros_type: type) -> Mapping[str, Any]:
+def _declared(ros_type: type) -> Mapping[str, object]:
     """Constants and defaults (`NAME__DEFAULT`) as the generated metaclass lists them."""
     return type(ros_type).__prepare__(ros_type.__name__, ())
 

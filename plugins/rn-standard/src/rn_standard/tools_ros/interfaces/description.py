@@ -62,7 +62,7 @@ class Scalar:
 class Nested:
     """A message inside a message."""
 
-    message: Message
+    message: MessageType
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -89,7 +89,7 @@ FieldType = Scalar | Nested | Array
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Choice:
+class FieldChoice:
     """A named constant that belongs to a field."""
 
     name: str
@@ -112,13 +112,13 @@ class Field:
     name: str
     type: FieldType
     default: Plain = None
-    choices: tuple[Choice, ...] = ()
+    choices: tuple[FieldChoice, ...] = ()
     text: str = ""
     unit: str = ""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Message:
+class MessageType:
     """A message, or one half of a service, or one part of an action.
 
     Attributes:

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from rn_standard.tools_ros.interfaces.arrays import make_array_encoder, make_list_encoder
-from rn_standard.tools_ros.interfaces.description import Array, Message, Nested, Scalar
+from rn_standard.tools_ros.interfaces.description import Array, MessageType, Nested, Scalar
 from rn_standard.tools_ros.interfaces.refusal import Mismatch, describe_value, unknown_field
 from rn_standard.tools_ros.interfaces.scalars import Budget, Encoder, make_scalar_encoder
 
@@ -22,7 +22,9 @@ class MessageEncoder:
     thread.
     """
 
-    def __init__(self, message: Message, cache: dict[int, MessageEncoder] | None = None) -> None:
+    def __init__(
+        self, message: MessageType, cache: dict[int, MessageEncoder] | None = None
+    ) -> None:
         made = {} if cache is None else cache
         self._message = message
         self.has_stamp: bool = message.is_header
@@ -50,13 +52,13 @@ class MessageEncoder:
         if shape.fixed and element.has_stamp:
             self._stamped_lists[name] = element
 
-    def make(self, value: Any, budget: Budget) -> Any:
+    def make(self, value: object, budget: Budget) -> object:
         """Return a new message filled with `value`. Raises Mismatch."""
         message = self._message.ros_type()
         self.fill(message, value, budget)
         return message
 
-    def fill(self, message: Any, value: Any, budget: Budget) -> None:
+    def fill(self, message: object, value: object, budget: Budget) -> None:
         """Set what `value` names, leave the defaults of the rest, stamp omitted headers. Raises
         Mismatch.
         """
@@ -133,12 +135,12 @@ def split_seconds(seconds: float) -> tuple[int, int]:
     return whole + carry, nanoseconds
 
 
-def raise_unknown(name: Any, names: tuple[str, ...]) -> None:
+def raise_unknown(name: object, names: tuple[str, ...]) -> None:
     """Raise the Mismatch for a field that does not exist."""
     raise unknown_field(name, names)
 
 
-def encoder_for(message: Message, cache: dict[int, MessageEncoder]) -> MessageEncoder:
+def encoder_for(message: MessageType, cache: dict[int, MessageEncoder]) -> MessageEncoder:
     """Return the encoder of a message, made once per description."""
     found = cache.get(id(message))
     if found is None:

@@ -14,7 +14,7 @@ from pydantic import BaseModel
 from rn_standard.tools_ros.interfaces.bounds import LOSSLESS, DecodeLimits, InputLimits
 from rn_standard.tools_ros.interfaces.decode import MessageDecoder
 from rn_standard.tools_ros.interfaces.derive import Deriver
-from rn_standard.tools_ros.interfaces.description import Array, Field, Message, Nested, Plain
+from rn_standard.tools_ros.interfaces.description import Array, Field, MessageType, Nested, Plain
 from rn_standard.tools_ros.interfaces.encode import MessageEncoder, encoder_for
 from rn_standard.tools_ros.interfaces.model import make_model
 from rn_standard.tools_ros.interfaces.naming import (
@@ -25,7 +25,7 @@ from rn_standard.tools_ros.interfaces.naming import (
     parse_interface_name,
     unknown_interface,
 )
-from rn_standard.tools_ros.interfaces.picture import PICTURE_TYPES, Picture, to_picture
+from rn_standard.tools_ros.interfaces.picture import PICTURE_TYPES, MessagePicture, to_picture
 from rn_standard.tools_ros.interfaces.refusal import Mismatch
 from rn_standard.tools_ros.interfaces.scalars import Budget
 from rn_standard.tools_ros.interfaces.schema import INLINE_BYTES, make_schema
@@ -47,7 +47,7 @@ class MessageInterface:
 
     kind: ClassVar[str] = "msg"
 
-    def __init__(self, message: Message, *, name: InterfaceName | None = None) -> None:
+    def __init__(self, message: MessageType, *, name: InterfaceName | None = None) -> None:
         self.message = message
         self._name = name
         self._encoder: MessageEncoder = encoder_for(message, {})
@@ -64,11 +64,11 @@ class MessageInterface:
         return self.message.fields
 
     @property
-    def ros_type(self) -> Any:
+    def ros_type(self) -> object:
         """The rosidl class, as rclpy wants it."""
         return self.message.ros_type
 
-    def json_schema(self, *, inline_bytes: int = INLINE_BYTES) -> dict[str, Any]:
+    def json_schema(self, *, inline_bytes: int = INLINE_BYTES) -> dict[str, object]:
         """Return a new JSON schema of what `encode` accepts. See `interfaces.schema` for what it
         cannot say.
         """
@@ -81,11 +81,11 @@ class MessageInterface:
 
     def encode(
         self,
-        value: Mapping[str, Any] | BaseModel,
+        value: Mapping[str, object] | BaseModel,
         *,
         now_ns: int | None,
         limits: InputLimits = _DEFAULT_INPUT,
-    ) -> Any:
+    ) -> object:
         """Return a new rosidl message that holds exactly `value`.
 
         Args:
@@ -103,7 +103,7 @@ class MessageInterface:
         )
         return _encode(self._encoder, self.message, plain, now_ns, limits)
 
-    def decode(self, message: Any, limits: DecodeLimits = _DEFAULT_DECODE) -> dict[str, Plain]:
+    def decode(self, message: object, limits: DecodeLimits = _DEFAULT_DECODE) -> dict[str, Plain]:
         """Return a received message as JSON-able values within `limits`; never refuses what was
         received.
 
@@ -116,7 +116,9 @@ class MessageInterface:
             )
         return self._decoder.decode(message, limits)
 
-    def pictures(self, message: Any, limits: DecodeLimits = _DEFAULT_DECODE) -> tuple[Picture, ...]:
+    def pictures(
+        self, message: object, limits: DecodeLimits = _DEFAULT_DECODE
+    ) -> tuple[MessagePicture, ...]:
         """Return the images inside a message, at most four, ready to be shown.
 
         Raises:
@@ -136,7 +138,7 @@ class ServiceInterface:
     def __init__(
         self,
         name: InterfaceName,
-        ros_type: Any,
+        ros_type: object,
         request: MessageInterface,
         response: MessageInterface,
     ) -> None:
@@ -154,7 +156,7 @@ class ActionInterface:
     def __init__(
         self,
         name: InterfaceName,
-        ros_type: Any,
+        ros_type: object,
         goal: MessageInterface,
         result: MessageInterface,
         feedback: MessageInterface,
@@ -262,13 +264,13 @@ def load_action(type_name: str, *, nonfinite: frozenset[str] = frozenset()) -> A
     )
 
 
-def _import(name: InterfaceName) -> Any:
+def _import(name: InterfaceName) -> object:
     if not is_interface_package(name.package, name.kind):
         return None
     return getattr(importlib.import_module(f"{name.package}.{name.kind}"), name.name, None)
 
 
-def _check_paths(message: Message, nonfinite: frozenset[str]) -> None:
+def _check_paths(message: MessageType, nonfinite: frozenset[str]) -> None:
     known = {path for path, field in message.walk() if _is_float(field)}
     for path in sorted(nonfinite - {"*"} - known):
         raise ConfigurationError(
@@ -283,21 +285,27 @@ def _is_float(field: Field) -> bool:
 
 
 def _encode(
-    encoder: MessageEncoder, message: Message, value: Any, now_ns: int | None, limits: InputLimits
-) -> Any:
+    encoder: MessageEncoder,
+    message: MessageType,
+    value: object,
+    now_ns: int | None,
+    limits: InputLimits,
+) -> object:
     try:
         return encoder.make(value, Budget(limits, limits.items, now_ns))
     except Mismatch as mismatch:
         raise mismatch.to_error(message.type_name) from None
 
 
-def _canonical(message: Message, value: Mapping[str, Any]) -> dict[str, Plain]:
+def _canonical(message: MessageType, value: Mapping[str, object]) -> dict[str, Plain]:
     """What a model holds: everything given, checked, as plain values without summaries."""
     made = _encode(encoder_for(message, {}), message, value, None, _DEFAULT_INPUT)
     return MessageDecoder(message).decode(made, LOSSLESS)
 
 
-def _find_pictures(description: Message, message: Any, path: str) -> list[tuple[str, Any]]:
+def _find_pictures(
+    description: MessageType, message: object, path: str
+) -> list[tuple[str, object]]:
     if description.type_name in PICTURE_TYPES:
         return [(path, message)]
     found = []

@@ -25,14 +25,14 @@ from pydantic_core import PydanticCustomError
 from rn_standard.tools_ros.interfaces.description import (
     Array,
     FieldType,
-    Message,
+    MessageType,
     Nested,
     Plain,
     Scalar,
 )
 from roboneuron import InvalidInputError
 
-Canonical = Callable[[Message, Mapping[str, Any]], dict[str, Plain]]
+Canonical = Callable[[MessageType, Mapping[str, object]], dict[str, Plain]]
 """Checks a value and returns all of its fields as plain values. Raises InvalidInputError."""
 
 _TAKEN = frozenset(dir(BaseModel)) | frozenset(BaseModel.__annotations__)
@@ -48,7 +48,7 @@ def attribute_name(field: str) -> str:
     return name
 
 
-def make_model(message: Message, canonical: Canonical) -> type[BaseModel]:
+def make_model(message: MessageType, canonical: Canonical) -> type[BaseModel]:
     """Return the model class of a message; nested messages get classes of their own, each once."""
     return _Maker(canonical).make(message)
 
@@ -58,12 +58,12 @@ class _Maker:
         self._canonical = canonical
         self._made: dict[int, type[BaseModel]] = {}
 
-    def make(self, message: Message) -> type[BaseModel]:
+    def make(self, message: MessageType) -> type[BaseModel]:
         if id(message) not in self._made:
             self._made[id(message)] = self._make(message)
         return self._made[id(message)]
 
-    def _make(self, message: Message) -> type[BaseModel]:
+    def _make(self, message: MessageType) -> type[BaseModel]:
         fields: dict[str, Any] = {}
         for field in message.fields:
             name = attribute_name(field.name)
@@ -99,7 +99,7 @@ class _Maker:
         )
         return model
 
-    def _annotation(self, field_type: FieldType) -> Any:
+    def _annotation(self, field_type: FieldType) -> object:
         if isinstance(field_type, Array):
             return list[self._annotation(field_type.element)]  # type: ignore[misc]
         if isinstance(field_type, Nested):
@@ -108,7 +108,7 @@ class _Maker:
             return bool
         return int if field_type.is_integer else float if field_type.is_float else str
 
-    def _default(self, field_type: FieldType, declared: Plain) -> Callable[[], Any]:
+    def _default(self, field_type: FieldType, declared: Plain) -> Callable[[], object]:
         if declared is not None:
             return lambda: list(declared) if isinstance(declared, list) else declared
         if isinstance(field_type, Scalar):
@@ -122,7 +122,7 @@ class _Maker:
         return list
 
 
-def prune(whole: Plain, given: Any) -> Any:
+def prune(whole: Plain, given: object) -> object:
     """Keep of the complete value only the fields that were given, so that a model knows what was
     omitted.
     """

@@ -8,13 +8,17 @@ from __future__ import annotations
 
 import io
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from roboneuron import InvalidInputError, frame_from_buffer
 from roboneuron.feature import READABLE_ENCODINGS
+
+if TYPE_CHECKING:
+    import PIL.Image
+    from sensor_msgs.msg import CompressedImage, Image
 
 _GREY_DTYPES = {
     "16UC1": "u2",
@@ -32,7 +36,7 @@ PICTURE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Picture:
+class MessagePicture:
     """An image for an agent.
 
     Attributes:
@@ -51,7 +55,9 @@ class Picture:
     note: str = ""
 
 
-def to_picture(message: Any, *, longest_side_px: int, path: str = "") -> Picture:
+def to_picture(
+    message: Image | CompressedImage, *, longest_side_px: int, path: str = ""
+) -> MessagePicture:
     """Return an Image or CompressedImage message as a picture of at most `longest_side_px`.
 
     Raises:
@@ -92,7 +98,7 @@ def to_picture(message: Any, *, longest_side_px: int, path: str = "") -> Picture
         image.save(buffer, "PNG")
     else:
         image.convert("RGB").save(buffer, "JPEG", quality=_JPEG_QUALITY)
-    return Picture(
+    return MessagePicture(
         path=path,
         data=buffer.getvalue(),
         mime_type="image/png" if grey_mode else "image/jpeg",
@@ -102,7 +108,7 @@ def to_picture(message: Any, *, longest_side_px: int, path: str = "") -> Picture
     )
 
 
-def _open_compressed(message: Any) -> Any:
+def _open_compressed(message: CompressedImage) -> PIL.Image.Image:
     from PIL import Image, UnidentifiedImageError  # heavy
 
     try:
@@ -125,7 +131,7 @@ def _open_compressed(message: Any) -> Any:
     )
 
 
-def _to_grey(message: Any, encoding: str) -> tuple[NDArray[np.uint8], str]:
+def _to_grey(message: Image, encoding: str) -> tuple[NDArray[np.uint8], str]:
     dtype = np.dtype((">" if message.is_bigendian else "<") + _GREY_DTYPES[encoding])
     raw = np.frombuffer(message.data, dtype=np.uint8)
     height, width, step = int(message.height), int(message.width), int(message.step)

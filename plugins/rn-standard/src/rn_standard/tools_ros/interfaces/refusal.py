@@ -8,7 +8,6 @@ import difflib
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
 
 from roboneuron import InvalidInputError
 
@@ -39,7 +38,7 @@ def format_path(steps: Iterable[str | int]) -> str:
     return path
 
 
-def describe_value(value: Any) -> str:
+def describe_value(value: object) -> str:
     """Say what came in a few words, without looking inside of containers."""
     if value is None:
         return "null"
@@ -66,7 +65,7 @@ def describe_value(value: Any) -> str:
     return f"a Python {type(value).__name__}"
 
 
-def unknown_field(name: Any, known: Sequence[str]) -> Mismatch:
+def unknown_field(name: object, known: Sequence[str]) -> Mismatch:
     """The mismatch for a field that the type does not have."""
     shown = _clip(name) if isinstance(name, str) else describe_value(name)
     near = difflib.get_close_matches(shown, known, n=1, cutoff=0.5)

@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 from rn_standard.tools_ros.interfaces.bounds import InputLimits
-from rn_standard.tools_ros.interfaces.description import FLOAT32_MAX, Choice, Scalar
+from rn_standard.tools_ros.interfaces.description import FLOAT32_MAX, FieldChoice, Scalar
 from rn_standard.tools_ros.interfaces.refusal import Mismatch, describe_value
 
 NONFINITE_NAMES = {"NaN": math.nan, "Infinity": math.inf, "-Infinity": -math.inf}
@@ -39,10 +38,10 @@ class Budget:
             )
 
 
-Encoder = Callable[[Any, Budget], Any]
+Encoder = Callable[[object, Budget], object]
 
 
-def make_scalar_encoder(scalar: Scalar, choices: tuple[Choice, ...] = ()) -> Encoder:
+def make_scalar_encoder(scalar: Scalar, choices: tuple[FieldChoice, ...] = ()) -> Encoder:
     """Return a function (value, budget) -> wire value that raises Mismatch for what does not
     fit.
     """
@@ -60,15 +59,15 @@ def make_scalar_encoder(scalar: Scalar, choices: tuple[Choice, ...] = ()) -> Enc
     return _make_text_encoder(scalar)
 
 
-def _encode_boolean(value: Any, budget: Budget) -> bool:
+def _encode_boolean(value: object, budget: Budget) -> bool:
     if value is True or value is False:
         return bool(value)
     raise Mismatch(describe_value(value), "true or false")
 
 
 def _make_integer_encoder(
-    scalar: Scalar, choices: tuple[Choice, ...]
-) -> Callable[[Any, Budget], int]:
+    scalar: Scalar, choices: tuple[FieldChoice, ...]
+) -> Callable[[object, Budget], int]:
     lower, upper = scalar.lower or 0, scalar.upper or 0
     names = {choice.name: choice.value for choice in choices}
     allowed = f"an integer {lower}..{upper}"
@@ -76,7 +75,7 @@ def _make_integer_encoder(
         listed = [f"{name}={number}" for name, number in list(names.items())[:20]]
         allowed += f" or one of {', '.join(listed)}{' ...' if len(names) > 20 else ''}"
 
-    def encode(value: Any, budget: Budget) -> int:
+    def encode(value: object, budget: Budget) -> int:
         if value.__class__ is not int:
             value = _to_integer(value)
         if lower <= value <= upper:
@@ -84,7 +83,7 @@ def _make_integer_encoder(
             return number
         raise Mismatch(describe_value(value), allowed)
 
-    def _to_integer(value: Any) -> int:
+    def _to_integer(value: object) -> int:
         if isinstance(value, str):
             if value in names:
                 return names[value]
@@ -98,7 +97,7 @@ def _make_integer_encoder(
     return encode
 
 
-def _make_float_encoder(scalar: Scalar) -> Callable[[Any, Budget], float]:
+def _make_float_encoder(scalar: Scalar) -> Callable[[object, Budget], float]:
     limit = FLOAT32_MAX if scalar.ros == "float" else math.inf
     allowed = "a finite number" + (
         f" of at most {FLOAT32_MAX} (float32)" if scalar.ros == "float" else ""
@@ -107,7 +106,7 @@ def _make_float_encoder(scalar: Scalar) -> Callable[[Any, Budget], float]:
         allowed += ' or one of the texts "NaN", "Infinity", "-Infinity"'
     finite = scalar.finite
 
-    def encode(value: Any, budget: Budget) -> float:
+    def encode(value: object, budget: Budget) -> float:
         if value.__class__ is not float:
             value = _to_float(value)
         if -limit <= value <= limit and value - value == 0.0:
@@ -117,7 +116,7 @@ def _make_float_encoder(scalar: Scalar) -> Callable[[Any, Budget], float]:
             return float(value)
         raise Mismatch(describe_value(value), allowed)
 
-    def _to_float(value: Any) -> float:
+    def _to_float(value: object) -> float:
         if isinstance(value, int | float) and not isinstance(value, bool):
             try:
                 return float(value)
@@ -130,7 +129,7 @@ def _make_float_encoder(scalar: Scalar) -> Callable[[Any, Budget], float]:
     return encode
 
 
-def _make_text_encoder(scalar: Scalar) -> Callable[[Any, Budget], str]:
+def _make_text_encoder(scalar: Scalar) -> Callable[[object, Budget], str]:
     wide, bound = scalar.ros == "wstring", scalar.max_length
     allowed = (
         "a text"
@@ -138,7 +137,7 @@ def _make_text_encoder(scalar: Scalar) -> Callable[[Any, Budget], str]:
         else f"a text of at most {bound} {'UTF-16 units' if wide else 'bytes'}"
     )
 
-    def encode(value: Any, budget: Budget) -> str:
+    def encode(value: object, budget: Budget) -> str:
         if not isinstance(value, str):
             raise Mismatch(describe_value(value), allowed)
         longest = budget.limits.text_bytes

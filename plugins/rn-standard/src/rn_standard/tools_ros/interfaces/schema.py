@@ -16,7 +16,7 @@ from rn_standard.tools_ros.interfaces.description import (
     Array,
     Field,
     FieldType,
-    Message,
+    MessageType,
     Nested,
     Scalar,
 )
@@ -31,7 +31,7 @@ _SHORT, _LONG = 110, 400
 Schema = dict[str, Any]
 
 
-def make_schema(message: Message, *, inline_bytes: int = INLINE_BYTES) -> Schema:
+def make_schema(message: MessageType, *, inline_bytes: int = INLINE_BYTES) -> Schema:
     """Return the schema of what the encoder of `message` accepts; a new dictionary at each call."""
     schema = _Writer(shared=frozenset()).write_root(message)
     if len(json.dumps(schema)) <= inline_bytes:
@@ -41,7 +41,7 @@ def make_schema(message: Message, *, inline_bytes: int = INLINE_BYTES) -> Schema
     return _Writer(shared=shared).write_root(message)
 
 
-def _nested_names(message: Message) -> list[str]:
+def _nested_names(message: MessageType) -> list[str]:
     names = []
     for _, field in message.walk():
         element = field.type.element if isinstance(field.type, Array) else field.type
@@ -57,7 +57,7 @@ class _Writer:
         self._shared = shared
         self._defs: dict[str, Schema] = {}
 
-    def write_root(self, message: Message) -> Schema:
+    def write_root(self, message: MessageType) -> Schema:
         schema = self._object(message)
         text = _clip(_message_text(message), _LONG)
         schema = {"type": "object", **({"description": text} if text else {}), **schema}
@@ -65,7 +65,7 @@ class _Writer:
             schema["$defs"] = dict(sorted(self._defs.items()))
         return schema
 
-    def _object(self, message: Message) -> Schema:
+    def _object(self, message: MessageType) -> Schema:
         schema: Schema = {
             "type": "object",
             "properties": {f.name: self._field(f) for f in message.fields},
@@ -106,7 +106,7 @@ class _Writer:
             else schema
         )
 
-    def _nested(self, message: Message) -> Schema:
+    def _nested(self, message: MessageType) -> Schema:
         if message.type_name not in self._shared:
             return self._message(message)
         name = message.type_name.replace("/", ".")
@@ -115,7 +115,7 @@ class _Writer:
             self._defs[name] = self._message(message)
         return {"$ref": f"#/$defs/{name}"}
 
-    def _message(self, message: Message) -> Schema:
+    def _message(self, message: MessageType) -> Schema:
         if not message.is_time:
             return self._object(message)
         parts = {f.name: self._type(f.type) for f in message.fields}
@@ -170,7 +170,7 @@ def field_text(field: Field) -> str:
     return text
 
 
-def _message_text(message: Message) -> str:
+def _message_text(message: MessageType) -> str:
     placed = {c.name for f in message.fields for c in f.choices}
     loose = [f"{name}={value}" for name, value in message.constants if name not in placed]
     notes = (

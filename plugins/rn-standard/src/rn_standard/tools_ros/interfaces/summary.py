@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,11 +14,14 @@ from numpy.typing import NDArray
 from rn_standard.tools_ros.interfaces.bounds import DecodeLimits
 from rn_standard.tools_ros.interfaces.description import Plain
 
+if TYPE_CHECKING:
+    from sensor_msgs.msg import Image, LaserScan, PointCloud2
+
 _SECTORS = 8
 _POINT_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """numpy kinds by PointField.datatype. Source: sensor_msgs/msg/PointField constants."""
 
-Summarizer = Callable[[Any, DecodeLimits], Plain]
+Summarizer = Callable[[object, DecodeLimits], Plain]
 
 
 def to_number(value: float, digits: int = 6) -> Plain:
@@ -54,7 +57,7 @@ def _mean(values: NDArray[Any]) -> float:
     return mean if math.isfinite(mean) else float(np.sum(values.astype(np.float64) / values.size))
 
 
-def summarize_scan(scan: Any, limits: DecodeLimits) -> Plain:
+def summarize_scan(scan: LaserScan, limits: DecodeLimits) -> Plain:
     """LaserScan.ranges: how many beams are valid, where the nearest obstacle is, the nearest range
     per sector.
 
@@ -83,11 +86,11 @@ def summarize_scan(scan: Any, limits: DecodeLimits) -> Plain:
     return summary
 
 
-def _beam(range_m: Any, angle_rad: Any) -> Plain:
+def _beam(range_m: np.floating[Any], angle_rad: np.floating[Any]) -> Plain:
     return {"range_m": to_number(float(range_m), 4), "angle_rad": to_number(float(angle_rad), 4)}
 
 
-def summarize_cloud(cloud: Any, limits: DecodeLimits) -> Plain:
+def summarize_cloud(cloud: PointCloud2, limits: DecodeLimits) -> Plain:
     """PointCloud2.data: number of points, and smallest, largest and mean of each field over its
     finite values.
     """
@@ -129,7 +132,7 @@ def summarize_cloud(cloud: Any, limits: DecodeLimits) -> Plain:
     return summary
 
 
-def summarize_pixels(image: Any, limits: DecodeLimits) -> Plain:
+def summarize_pixels(image: Image, limits: DecodeLimits) -> Plain:
     """Image.data and CompressedImage.data: only its length; the picture itself is given as an
     image.
     """

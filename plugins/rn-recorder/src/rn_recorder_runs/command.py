@@ -1,0 +1,360 @@
+"""The command `roboneuron runs`."""
+
+from __future__ import annotations
+
+import json
+import sys
+from argparse import ArgumentParser, Namespace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rn_standard.console.plugin_options import add_option, read_options
+from roboneuron import ConfigurationError, InvalidInputError
+
+if TYPE_CHECKING:
+    from rn_recorder_runs.store import Run, Store
+
+_NEWEST = 'id of a run (its beginning will do), "latest", or a path of MCAP files'
+_SEVERAL = f'{_NEWEST}; "all" for all recordings'
+
+
+class Runs:
+    """List, show, export, replay and delete what the recorder has written."""
+
+    def configure(self, parser: ArgumentParser) -> None:
+        """Add the arguments of `roboneuron runs`."""
+        parser.add_argument(
+            "--config", type=Path, metavar="FILE", help="a roboneuron.toml that names the directory"
+        )
+        parser.add_argument("--directory", type=Path, help="the directory of runs itself")
+        actions = parser.add_subparsers(
+            dest="action", required=True, metavar="ACTION", help="what to do (each: --help)"
+        )
+        listing = actions.add_parser(
+            "list", help="recordings and incidents, oldest first; repairs what was cut short"
+        )
+        listing.add_argument("--json", action="store_true", help="for programs")
+        show = actions.add_parser(
+            "show", help="topics, counts, lost messages, tool calls and incidents of a run"
+        )
+        show.add_argument("run", help=_NEWEST)
+        show.add_argument("--json", action="store_true", help="for programs")
+        delete = actions.add_parser("delete", help="delete runs")
+        delete.add_argument("runs", nargs="+", metavar="RUN", help="ids")
+        delete.add_argument("--yes", action="store_true", help="do not ask")
+        self._configure_replay(
+            actions.add_parser(
+                "replay",
+                help="feed a run to a backend and compare, or play its actions into a simulation",
+            )
+        )
+        self._configure_export(
+            actions.add_parser("export", help="write runs as a data set, or as one MCAP file")
+        )
+
+    def _configure_export(self, parser: ArgumentParser) -> None:
+        add = parser.add_argument
+        add("runs", nargs="+", metavar="RUN", help=_SEVERAL)
+        target = parser.add_mutually_exclusive_group(required=True)
+        target.add_argument(
+            "--lerobot",
+            type=Path,
+            metavar="DIRECTORY",
+            help="a LeRobotDataset v3 of their episodes",
+        )
+        target.add_argument("--mcap", type=Path, metavar="FILE", help="one MCAP file of all parts")
+        add(
+            "--outcome",
+            choices=("success", "failure", "unknown"),
+            help="only episodes that ended so",
+        )
+        add(
+            "--fps",
+            type=int,
+            help="rows per second of the data set; default: the rate of the actions",
+        )
+        add(
+            "--codec",
+            choices=("av1", "h264"),
+            default="av1",
+            help="of the data set's videos (default: av1)",
+        )
+
+    def _configure_replay(self, parser: ArgumentParser) -> None:
+        add = parser.add_argument
+        add("run", help=_NEWEST)
+        add(
+            "--against",
+            choices=("backend", "robot"),
+            default="backend",
+            help="robot: recorded actions, in simulation",
+        )
+        add(
+            "--backend",
+            help="which backend gets the observations (default: the one that was recorded)",
+        )
+        add("--checkpoint", help="folder of the model's files")
+        add("--runtime", help="runtime; default: the backend's own")
+        add("--acceleration", help="acceleration preset")
+        add_option(parser, "the backend")
+        add(
+            "--tolerance",
+            type=float,
+            default=1e-9,
+            help="differences up to this count as equal (default: 1e-9)",
+        )
+        add("--out", type=Path, help="folder for comparison.json and comparison.png")
+
+    def run(self, arguments: Namespace) -> int:
+        """Run `roboneuron runs`."""
+        store = open_store(arguments)
+        if arguments.action == "list":
+            return _list(store, arguments.json)
+        if arguments.action == "show":
+            return _show(find_run(store, arguments.run), arguments.json)
+        if arguments.action == "delete":
+            return _delete(store, arguments.runs, arguments.yes)
+        if arguments.action == "replay":
+            return _replay(find_run(store, arguments.run), arguments)
+        return _export(store, arguments)
+
+
+def open_store(arguments: Namespace) -> Store:
+    """The directory that the arguments name. Raises ConfigurationError for a configuration that is
+    wrong.
+    """
+    from rn_recorder.feature import runs_directory
+    from rn_recorder.options import RecorderOptions
+    from rn_recorder.plugin import FEATURE
+    from rn_recorder_runs.store import Store
+    from roboneuron.feature import environment, feature_options, load_config
+
+    if arguments.directory:
+        return Store(arguments.directory)
+    config = load_config(arguments.config)
+    options = feature_options(FEATURE, config)
+    assert isinstance(options, RecorderOptions)
+    return Store(
+        runs_directory(options, environment.state_directory(config.supervisor.state_directory))
+    )
+
+
+def find_run(store: Store, name: str) -> Run:
+    """The run of that id, or the MCAP files at that path. Raises InvalidInputError when there is
+    none.
+    """
+    from rn_recorder_runs.files import read_about
+    from rn_recorder_runs.store import Run
+
+    path = Path(name)
+    if path.suffix == ".mcap" and path.is_file():
+        return Run(id=path.stem, kind="recording", files=(path,), facts=dict(read_about(path)))
+    if path.is_dir() and (files := tuple(sorted(path.glob("*.mcap")))):
+        return Run(id=path.name, kind="recording", files=files, facts={})
+    return store.get(name)
+
+
+def find_runs(store: Store, name: str) -> list[Run]:
+    """As `find_run`; "all" stands for all recordings."""
+    if name == "all":
+        return [run for run in store.runs() if run.kind == "recording"]
+    return [find_run(store, name)]
+
+
+def _list(store: Store, as_json: bool) -> int:
+    for path in store.repair():
+        print(f"Repaired: {path}", file=sys.stderr)
+    rows: list[dict[str, Any]] = []
+    for run in store.runs():
+        first_ns, last_ns, messages = run.span()
+        rows.append(
+            {
+                "id": run.id,
+                "kind": run.kind,
+                "begun_at": _time(first_ns or int(run.facts.get("begun_ns") or 0)),
+                "duration_s": round((last_ns - first_ns) / 1e9, 1),
+                "messages": messages,
+                "size_bytes": run.size_bytes,
+                "files": [str(path) for path in run.files],
+                "state": str(run.facts.get("state", "finished")),
+                "outcome": str(run.facts.get("outcome", "")),
+                "note": str(run.facts.get("note") or run.facts.get("incident") or ""),
+                "complete": run.is_complete,
+            }
+        )
+    if as_json:
+        print(json.dumps(rows, indent=1))
+        return 0
+    for row in rows:
+        what = " ".join(str(row[key]) for key in ("state", "outcome", "note") if row[key])
+        size = f"{row['size_bytes'] / 1e6:.1f} MB"
+        print(
+            f"{row['id']:<52} {row['kind']:<9} {row['duration_s']:>7.1f} s {size:>11} "
+            f"{row['messages']:>8}  {what}"
+        )
+    if not rows:
+        print(f"There are no runs in {store.directory}.")
+    return 0
+
+
+def _show(run: Run, as_json: bool) -> int:
+    from rn_recorder_runs.files import read_about
+    from rn_recorder_runs.reading import count_topics, iterate
+
+    topics = count_topics(run.files)
+    about = read_about(run.files[0]) if run.files else {}
+    events = []
+    for found in iterate(run.files, lambda topic: topic.startswith("/roboneuron/")):
+        events.append(
+            {
+                "topic": found.record.topic,
+                "at_ns": found.record.publish_ns,
+                **json.loads(found.message.data),
+            }
+        )
+    if as_json:
+        rows = {
+            topic: {name: getattr(counts, name) for name in counts.__dataclass_fields__}
+            for topic, counts in topics.items()
+        }
+        print(
+            json.dumps(
+                {
+                    "id": run.id,
+                    "about": about,
+                    "facts": run.facts,
+                    "topics": rows,
+                    "events": events,
+                },
+                indent=1,
+            )
+        )
+        return 0
+    print(
+        f"{run.id} ({run.kind}), robot {about.get('robot', '?')}, images {about.get('images', '?')}"
+    )
+    for path in run.files:
+        print(f"  {path}")
+    print(f"\n{'topic':<46} {'type':<34} {'count':>7} {'rate':>8} {'lost':>5}")
+    for topic, counts in topics.items():
+        span_s = (counts.last_ns - counts.first_ns) / 1e9
+        rate = f"{(counts.messages - 1) / span_s:.1f} Hz" if span_s > 0 else ""
+        lost = "?" if counts.lost is None else str(counts.lost)
+        print(f"{topic:<46} {counts.type:<34} {counts.messages:>7} {rate:>8} {lost:>5}")
+    print()
+    for event in events:
+        facts = {
+            k: v for k, v in event.items() if k not in ("topic", "at_ns", "time", "time_ns") and v
+        }
+        print(f"{_time(event['at_ns'])} {json.dumps(facts)[:160]}")
+    return 0
+
+
+def _delete(store: Store, names: list[str], agreed: bool) -> int:
+    runs = [store.get(name) for name in names]
+    if not agreed:
+        if not sys.stdin.isatty():
+            raise InvalidInputError("Nobody can be asked whether to delete.", hint="Say --yes.")
+        print("\n".join(run.id for run in runs))
+        if input("Delete? [y/N] ").strip().lower() not in ("y", "yes"):
+            return 1
+    for run in runs:
+        store.delete(run)
+        print(f"Deleted: {run.id}")
+    return 0
+
+
+def _replay(run: Run, arguments: Namespace) -> int:
+    """Status 1 when the backend diverges, or control refused an action."""
+    if arguments.against == "robot":
+        from rn_recorder_runs.against_robot import play
+
+        played = play(run.files, arguments.config)
+        refused = ", ".join(f"{count} {reason}" for reason, count in played.dropped.items())
+        print(f"{played.sent} actions sent; not acted on: {refused or 'none'}.")
+        if played.end_m is not None:
+            print(
+                f"The TCP ended {played.end_m * 1e3:.1f} mm from where it was recorded; path "
+                f"{played.path_m:.3f} m."
+            )
+        return int(bool(set(played.dropped) - {"holds"}))  # it holds when the actions have ended
+    from rn_recorder_runs.comparison import compare, describe, write_report
+    from rn_recorder_runs.files import read_about
+    from rn_recorder_runs.replay import load_replayed, replay
+
+    about = read_about(run.files[0])
+    recorded = ((json.loads(about.get("config", "{}")) or {}).get("inference") or {}).get("backend")
+    backend = arguments.backend or recorded
+    if backend is None:
+        raise InvalidInputError(
+            "The run does not say which backend it is of.", hint="Give --backend NAME."
+        )
+    if about.get("images") == "jpeg":
+        print(
+            "Images were recorded as JPEG: answers differ from what the pixels before gave.",
+            file=sys.stderr,
+        )
+    observations, loaded = load_replayed(
+        run.files,
+        backend=backend,
+        config=arguments.config,
+        checkpoint=arguments.checkpoint,
+        runtime=arguments.runtime,
+        acceleration=arguments.acceleration,
+        options=read_options(arguments.option, backend),
+    )
+    try:
+        found = list(replay(observations, loaded))
+    finally:
+        loaded.close()
+    comparison = compare(found, arguments.tolerance, observations.gaps)
+    print(describe(comparison, found))
+    if arguments.out is not None:
+        write_report(arguments.out, found, comparison)
+        print(f"{arguments.out}: comparison.json, comparison.png")
+    return int(comparison.diverging > 0)
+
+
+def _export(store: Store, arguments: Namespace) -> int:
+    """Status 1 when something was left out."""
+    from rn_recorder_runs.files import copy_records, read_about
+
+    runs = [found for name in arguments.runs for found in find_runs(store, name)]
+    if arguments.lerobot is not None:
+        from rn_recorder_runs.lerobot import export
+
+        written = export(
+            runs,
+            arguments.lerobot,
+            outcome=arguments.outcome,
+            fps=arguments.fps,
+            codec=arguments.codec,
+        )
+        frames = f"{written.frames} frames at {written.fps} Hz"
+        print(f"{arguments.lerobot}: {written.episodes} episodes, {frames}")
+        for left in written.skipped:
+            print(f"Left out: {left}.", file=sys.stderr)
+        if written.skipped:
+            print(
+                f"{len(written.skipped)} left out; what is in the data set is whole.",
+                file=sys.stderr,
+            )
+        return int(bool(written.skipped))
+    files = [path for run in runs for path in run.files]
+    if not files:
+        raise InvalidInputError("These runs hold no files.")
+    if arguments.mcap.exists():
+        raise ConfigurationError(f"{arguments.mcap} exists.", hint="Name another file.")
+    arguments.mcap.parent.mkdir(parents=True, exist_ok=True)
+    count = copy_records(
+        files, arguments.mcap, {**read_about(files[0]), "run": " ".join(run.id for run in runs)}
+    )
+    print(f"{arguments.mcap}: {count} messages")
+    return 0
+
+
+def _time(at_ns: int) -> str:
+    return (
+        datetime.fromtimestamp(at_ns / 1e9, UTC).isoformat(timespec="milliseconds") if at_ns else ""
+    )

@@ -1,0 +1,232 @@
+"""A recorded run, cut into episodes: rows of observation and action, without the pixels.
+
+An episode is what was done for one instruction. Each action that was sent is one row; its
+observation is the one that the backend saw, as far as `predictions` tells, otherwise the newest
+that had come when the action was sent.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from bisect import bisect_right
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rn_recorder_runs.files import read_about
+from rn_recorder_runs.reading import camera_of, iterate
+from roboneuron import InvalidInputError
+
+F64 = NDArray[np.float64]
+EVENTS = "/roboneuron/events"
+EPISODE_END = "episode_end"
+"""Event that closes an episode: facts `outcome` and `reason`."""
+UNKNOWN = "unknown"
+
+
+@dataclass(frozen=True, slots=True)
+class EpisodeRow:
+    """One action and what was seen before it.
+
+    Attributes:
+        action: float64 (7,), contract units.
+        sent_ns: when it was sent [ns].
+        images: capture time [ns] by camera.
+        joints: float64 (n,), rad or m; empty when there were none.
+        ee_pose: float64 (7,), x y z [m] and quaternion x y z w; empty when there was none.
+    """
+
+    action: F64
+    sent_ns: int
+    images: dict[str, int]
+    joints: F64
+    ee_pose: F64
+
+
+@dataclass(slots=True)
+class RecordedEpisode:
+    """What was done for one instruction."""
+
+    instruction: str
+    outcome: str
+    run: str
+    rows: list[EpisodeRow] = field(default_factory=list)
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedPrediction:
+    """One line of the topic `predictions`; `facts` as `rn_recorder_runs.predictions` writes
+    them, `sequence` the publisher's.
+    """
+
+    at_ns: int
+    facts: dict[str, Any]
+    sequence: int = 0
+
+
+@dataclass(slots=True)
+class Streams:
+    """The numbers of a run, in order of time; images by their stamps.
+
+    Predictions from images that came before the run began are left out.
+    """
+
+    actions: list[tuple[int, F64]] = field(default_factory=list)
+    predictions: list[RecordedPrediction] = field(default_factory=list)
+    joints: list[tuple[int, F64]] = field(default_factory=list)
+    poses: list[tuple[int, F64]] = field(default_factory=list)
+    images: dict[str, list[tuple[int, int]]] = field(default_factory=dict)
+    events: list[dict[str, Any]] = field(default_factory=list)
+    joint_names: tuple[str, ...] = ()
+
+
+def stamp_of(data: bytes) -> int:
+    """The stamp of a CDR message that begins with a header [ns]."""
+    sec, nanosec = struct.unpack_from("<iI", data, 4)
+    return int(sec) * 1_000_000_000 + int(nanosec)
+
+
+def read_streams(files: Sequence[Path]) -> Streams:
+    """Read everything but pixels."""
+    found = Streams()
+    names = ("action", "predictions", "joint_states", "ee_pose")
+    for entry in iterate(
+        files, lambda topic: topic == EVENTS or camera_of(topic) != "", decode=False
+    ):
+        record = entry.record
+        if record.topic != EVENTS:
+            found.images.setdefault(camera_of(record.topic), []).append(
+                (record.log_ns, stamp_of(record.data))
+            )
+    for entry in iterate(files, lambda topic: topic == EVENTS or topic.rpartition("/")[2] in names):
+        record, message = entry.record, entry.message
+        name = record.topic.rpartition("/")[2]
+        if record.topic == EVENTS:
+            found.events.append(json.loads(message.data))
+        elif name == "action" and len(message.data) == 7:
+            found.actions.append((record.publish_ns, np.array(message.data, dtype=np.float64)))
+        elif name == "predictions":
+            found.predictions.append(
+                RecordedPrediction(record.publish_ns, json.loads(message.data), record.sequence)
+            )
+        elif name == "joint_states":
+            found.joint_names = found.joint_names or tuple(message.name)
+            if tuple(message.name) == found.joint_names:
+                found.joints.append((record.log_ns, np.array(message.position, dtype=np.float64)))
+        elif name == "ee_pose":
+            p, q = message.pose.position, message.pose.orientation
+            found.poses.append((record.log_ns, np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w])))
+    found.actions.sort(key=lambda pair: pair[0])
+    first_ns = {
+        camera: min(stamp_ns for _, stamp_ns in seen) for camera, seen in found.images.items()
+    }
+    found.predictions = [
+        prediction
+        for prediction in sorted(found.predictions, key=lambda prediction: prediction.at_ns)
+        if all(
+            f["stamp_ns"] >= first_ns.get(f["camera"], 0)
+            for f in prediction.facts.get("frames", {}).values()
+        )
+    ]
+    return found
+
+
+def read_episodes(
+    run: str, files: Sequence[Path], facts: dict[str, Any]
+) -> tuple[list[RecordedEpisode], Streams]:
+    """The episodes of a run, oldest first; those without an action are left out.
+
+    Raises:
+        InvalidInputError: it holds no images, or no actions.
+    """
+    streams = read_streams(files)
+    if not streams.actions or not streams.images:
+        what = "actions" if not streams.actions else "images"
+        raise InvalidInputError(f"The run {run!r} holds no {what}, so it is no demonstration.")
+    told = str(facts.get("outcome") or UNKNOWN)
+    fallback = str(facts.get("note") or read_about(files[0]).get("name") or run)
+    cuts = _cuts(streams, fallback)
+    ends = sorted(
+        (int(e["at_ns"]), str(e.get("outcome", UNKNOWN)))
+        for e in streams.events
+        if e["what"] == EPISODE_END
+    )
+    episodes: list[RecordedEpisode] = []
+    for number, (begin_ns, instruction) in enumerate(cuts):
+        until_ns = cuts[number + 1][0] if number + 1 < len(cuts) else 2**63
+        end = next(((at, word) for at, word in ends if begin_ns <= at < until_ns), None)
+        last_ns, outcome = (
+            end if end is not None else (until_ns, told if len(cuts) == 1 else UNKNOWN)
+        )
+        rows = _rows(streams, begin_ns, min(last_ns, until_ns))
+        if rows:
+            episodes.append(RecordedEpisode(instruction, outcome, run, rows))
+    return episodes, streams
+
+
+def _cuts(streams: Streams, fallback: str) -> list[tuple[int, str]]:
+    """When each instruction began [ns]: by predictions, else by the calls that gave one, else one
+    for all.
+    """
+    found: list[tuple[int, str]] = []
+    for prediction in streams.predictions:
+        instruction = str(prediction.facts.get("instruction", ""))
+        if not found or found[-1][1] != instruction or prediction.facts.get("resets"):
+            found.append((prediction.at_ns, instruction))
+    if not found:
+        for event in streams.events:
+            given = event.get("arguments")
+            if (
+                event["what"] == "call"
+                and not event.get("error")
+                and isinstance(given, dict)
+                and given.get("instruction")
+            ):
+                found.append((int(event["at_ns"]), str(given["instruction"])))
+    return found or [(0, fallback)]
+
+
+def _rows(streams: Streams, begin_ns: int, end_ns: int) -> list[EpisodeRow]:
+    times = [at for at, _ in streams.actions]
+    predicted = [prediction.at_ns for prediction in streams.predictions]
+    image_times = {camera: [at for at, _ in seen] for camera, seen in streams.images.items()}
+    joint_times, pose_times = [at for at, _ in streams.joints], [at for at, _ in streams.poses]
+    rows: list[EpisodeRow] = []
+    used = -1
+    for index in range(bisect_right(times, begin_ns - 1), len(times)):
+        sent_ns, action = streams.actions[index]
+        if sent_ns > end_ns:
+            break
+        images = {
+            camera: streams.images[camera][place - 1][1]
+            for camera, seen in image_times.items()
+            if (place := bisect_right(seen, sent_ns)) > 0
+        }
+        joints = _newest(streams.joints, joint_times, sent_ns)
+        pose = _newest(streams.poses, pose_times, sent_ns)
+        latest = bisect_right(predicted, sent_ns) - 1
+        if latest > used:  # the first action of a chunk: what the backend saw is told
+            used = latest
+            facts = streams.predictions[latest].facts
+            for frame in facts.get("frames", {}).values():
+                if frame["camera"] in images:
+                    images[frame["camera"]] = int(frame["stamp_ns"])
+            if "joints" in facts and tuple(facts["joints"]["names"]) == streams.joint_names:
+                joints = np.array(facts["joints"]["position"])
+            if "ee_pose" in facts:
+                pose = np.array(
+                    [*facts["ee_pose"]["position_m"], *facts["ee_pose"]["quaternion_xyzw"]]
+                )
+        if len(images) == len(image_times):
+            rows.append(EpisodeRow(action, sent_ns, images, joints, pose))
+    return rows
+
+
+def _newest(stream: list[tuple[int, F64]], times: list[int], at_ns: int) -> F64:
+    place = bisect_right(times, at_ns)
+    return stream[place - 1][1] if place else np.zeros(0)

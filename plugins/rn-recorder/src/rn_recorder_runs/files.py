@@ -1,0 +1,358 @@
+"""MCAP files with the profile "ros2": written so that a killed writer loses at most half a second,
+read when cut short.
+
+Every file stands for itself: it holds the message definitions, what was configured, and units and
+frames.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import struct
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import IO, cast
+from zlib import error as ZlibError
+
+from mcap.exceptions import McapError
+from mcap.reader import make_reader
+from mcap.records import Channel, McapRecord, Message, Metadata, Schema, Statistics
+from mcap.stream_reader import StreamReader
+from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
+from zstandard import ZstdError
+
+from rn_recorder_runs.schemas import definition
+from roboneuron.feature import log_files
+
+CHUNK_BYTES = 1 << 20
+FLUSH_S = 0.5
+"""A chunk is written at the latest after this time: what a killed recorder loses."""
+METADATA = "roboneuron"
+"""Name of the metadata record that says what the file holds, and by what configuration."""
+LATCHED = "roboneuron.latched"
+"""Key of a channel's metadata: every file begins with the newest messages of its topic."""
+DAMAGE = (McapError, ZstdError, ZlibError, struct.error, ValueError, EOFError, UnicodeDecodeError)
+"""What a reader raises at the end of a file that was cut short."""
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """One recorded message.
+
+    Attributes:
+        topic, type: absolute topic, type such as "sensor_msgs/msg/Image".
+        log_ns: when the recorder received it [ns, wall clock].
+        publish_ns: when its publisher sent it [ns]; `log_ns` when unknown.
+        sequence: the publisher's own count, from 1; 0 when unknown.
+        data: CDR.
+    """
+
+    topic: str
+    type: str
+    log_ns: int
+    publish_ns: int
+    sequence: int
+    data: bytes
+
+
+class _Unbuffered:
+    """What the MCAP writer writes to: each chunk goes to the operating system at once, whole or not
+    at all counted.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o640)
+        self._size = 0
+
+    def write(self, data: bytes) -> int:
+        rest = memoryview(data)
+        while rest:
+            written = os.write(self._descriptor, rest)
+            self._size += written
+            rest = rest[written:]
+        return len(data)
+
+    def tell(self) -> int:
+        return self._size
+
+    def flush(self) -> None:
+        """Nothing waits."""
+
+    def close(self) -> None:
+        if self._descriptor >= 0:
+            descriptor, self._descriptor = self._descriptor, -1
+            os.close(descriptor)
+
+
+class RunFile:
+    """Writes one MCAP file. Used from one thread. Every method may raise OSError.
+
+    Args:
+        path: must not exist yet; others cannot read what is made.
+        about: strings for the metadata record at the beginning.
+        definitions: definition by type, of those that are not installed here (copied from another
+            file).
+        channels: metadata by topic, such as its quality of service; asked when the topic first
+            occurs.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        about: Mapping[str, str],
+        definitions: Mapping[str, str] | None = None,
+        channels: Mapping[str, Mapping[str, str]] | None = None,
+    ) -> None:
+        self.path = path
+        self.messages = 0
+        self.unwritten = 0
+        """Messages in the chunk in progress: not handed to the operating system yet."""
+        self.first_ns = 0
+        self.last_ns = 0
+        self._definitions = {} if definitions is None else definitions
+        self._topics = {} if channels is None else channels
+        self._file = _Unbuffered(path)
+        self._writer = Writer(
+            cast("IO[bytes]", self._file), chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD
+        )
+        self._channels: dict[tuple[str, str], int] = {}
+        self._schemas: dict[str, int] = {}
+        try:
+            self._writer.start(profile="ros2", library="rn-recorder")
+            self._writer.add_metadata(METADATA, dict(about))
+            self._writer.flush()  # type: ignore[no-untyped-call]
+        except OSError:
+            self.abandon()
+            with suppress(OSError):
+                path.unlink()
+            raise
+
+    @property
+    def size_bytes(self) -> int:
+        """What was handed to the operating system."""
+        return self._file.tell()
+
+    def write(self, record: Record) -> None:
+        """Add a message. Raises FileNotFoundError when the definition of its type is not known."""
+        channel = self._channels.get((record.topic, record.type))
+        if channel is None:
+            channel = self._channels[record.topic, record.type] = self._register(record)
+        before = self.size_bytes
+        self._writer.add_message(
+            channel, record.log_ns, record.data, record.publish_ns, record.sequence & 0xFFFFFFFF
+        )
+        self.messages += 1
+        self.unwritten = self.unwritten + 1 if self.size_bytes == before else 0
+        self.first_ns = self.first_ns or record.log_ns
+        self.last_ns = max(self.last_ns, record.log_ns)
+
+    def flush(self) -> None:
+        """Write the chunk in progress."""
+        self._writer.flush()  # type: ignore[no-untyped-call]
+        self.unwritten = 0
+
+    def attach(self, name: str, media_type: str, data: bytes, at_ns: int) -> None:
+        """Add an attachment."""
+        self._writer.add_attachment(at_ns, at_ns, name, media_type, data)
+
+    def finish(self) -> None:
+        """Write the index and close; the file is closed also when that fails."""
+        try:
+            self.flush()
+            self._writer.finish()  # type: ignore[no-untyped-call]
+        finally:
+            self._file.close()
+
+    def abandon(self) -> None:
+        """Close without an index; what was flushed can be read."""
+        with suppress(OSError):
+            self._file.close()
+
+    def _register(self, record: Record) -> int:
+        schema = self._schemas.get(record.type)
+        if schema is None:
+            text = self._definitions.get(record.type) or definition(record.type)
+            schema = self._schemas[record.type] = self._writer.register_schema(
+                record.type, "ros2msg", text.encode()
+            )
+        return self._writer.register_channel(
+            record.topic, "cdr", schema, dict(self._topics.get(record.topic, {}))
+        )
+
+
+def is_finished(path: Path) -> bool:
+    """Whether the file ends as a complete MCAP file does."""
+    try:
+        with path.open("rb") as file:
+            file.seek(-len(MCAP0_MAGIC), os.SEEK_END)
+            return file.read() == MCAP0_MAGIC and file.tell() > 2 * len(MCAP0_MAGIC)
+    except OSError:
+        return False
+
+
+def whole_records(file: IO[bytes], *, emit_chunks: bool = False) -> Iterator[McapRecord]:
+    """The records of an MCAP file, from its beginning to its end or to the first damage.
+
+    Args:
+        file: open for reading.
+        emit_chunks: chunks come as they are, otherwise the records in them do.
+    """
+    with suppress(*DAMAGE):
+        yield from StreamReader(file, emit_chunks=emit_chunks).records
+
+
+def read_records(
+    path: Path,
+    definitions: dict[str, str] | None = None,
+    metadata: dict[str, dict[str, str]] | None = None,
+) -> Iterator[Record]:
+    """The messages of a file in the order in which they were written; what is cut off at its end is
+    left out.
+
+    Args:
+        path: finished or not.
+        definitions: filled with the definition of each type that occurs.
+        metadata: filled with the metadata of each topic that occurs.
+
+    Raises:
+        OSError: it cannot be read.
+    """
+    schemas: dict[int, Schema] = {}
+    channels: dict[int, Channel] = {}
+    with path.open("rb", buffering=1 << 20) as file:
+        for entry in whole_records(file):
+            if isinstance(entry, Schema):
+                schemas[entry.id] = entry
+                if definitions is not None:
+                    definitions[entry.name] = entry.data.decode()
+            elif isinstance(entry, Channel):
+                channels[entry.id] = entry
+                if metadata is not None:
+                    metadata[entry.topic] = dict(entry.metadata)
+            elif isinstance(entry, Message):
+                channel = channels[entry.channel_id]
+                name = schemas[channel.schema_id].name if channel.schema_id in schemas else ""
+                yield Record(
+                    channel.topic,
+                    name,
+                    entry.log_time,
+                    entry.publish_time,
+                    entry.sequence,
+                    entry.data,
+                )
+
+
+def read_about(path: Path) -> dict[str, str]:
+    """What the file says of itself; empty when its beginning is damaged."""
+    with path.open("rb") as file:
+        for entry in whole_records(file):
+            if isinstance(entry, Metadata) and entry.name == METADATA:
+                return dict(entry.metadata)
+            if isinstance(entry, Message):
+                break
+    return {}
+
+
+def read_statistics(path: Path) -> tuple[Statistics | None, dict[int, str]]:
+    """Statistics of a finished file from its index, and topic by channel; None for one without."""
+    with path.open("rb") as file, suppress(*DAMAGE):
+        summary = make_reader(file).get_summary()
+        if summary is not None and summary.statistics is not None:
+            return summary.statistics, {
+                key: channel.topic for key, channel in summary.channels.items()
+            }
+    return None, {}
+
+
+def read_attachments(path: Path) -> dict[str, bytes]:
+    """Attachments of a finished file, by name."""
+    with path.open("rb") as file, suppress(*DAMAGE):
+        return {entry.name: entry.data for entry in make_reader(file).iter_attachments()}
+    return {}
+
+
+def copy_records(
+    sources: list[Path],
+    target: Path,
+    about: Mapping[str, str],
+    *,
+    since_ns: int = 0,
+    until_ns: int | None = None,
+    attachments: Mapping[str, object] | None = None,
+    again_ns: int | None = None,
+) -> int:
+    """Write one finished file of what several hold, oldest first, and return the number of
+    messages.
+
+    A message that several files hold, as each holds the newest of latched topics, is written once.
+    Latched ones are written whenever they came. `again_ns`: what came before that time [ns] is in
+    the first source; later ones may be in several.
+
+    Raises:
+        OSError: it cannot be written; nothing is left of it then.
+    """
+    part = target.with_name(f".{target.name}.part")
+    part.unlink(missing_ok=True)
+    definitions: dict[str, str] = {}
+    metadata: dict[str, dict[str, str]] = {}
+    file = RunFile(part, about, definitions, metadata)
+    written: set[tuple[str, int, int, int, int]] = set()
+    try:
+        for number, source in enumerate(sources):
+            from_ns = since_ns if again_ns is None or not number else again_ns
+            with suppress(FileNotFoundError):  # the ring goes on meanwhile
+                for record in read_records(source, definitions, metadata):
+                    is_latched = LATCHED in metadata.get(record.topic, {})
+                    if until_ns is not None and record.log_ns > until_ns:
+                        continue
+                    if record.log_ns < from_ns and not is_latched:
+                        continue
+                    if is_latched or (again_ns is not None and record.log_ns >= again_ns):
+                        came_ns = 0 if is_latched else record.log_ns
+                        key = (
+                            record.topic,
+                            came_ns,
+                            record.publish_ns,
+                            record.sequence,
+                            hash(record.data),
+                        )
+                        if key in written:
+                            continue
+                        written.add(key)
+                    if is_latched:
+                        record = replace(record, log_ns=max(record.log_ns, since_ns))
+                    file.write(record)
+        for name, value in (attachments or {}).items():
+            file.attach(
+                name, "application/json", json.dumps(value, indent=1).encode(), file.last_ns
+            )
+        file.finish()
+    except BaseException:
+        file.abandon()
+        part.unlink(missing_ok=True)
+        raise
+    part.replace(target)
+    return file.messages
+
+
+def repair(path: Path) -> bool:
+    """Give a file that was cut short an index; returns whether it needed one.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    if is_finished(path):
+        return False
+    copy_records([path], path, {**read_about(path), "repaired": "true"})
+    return True
+
+
+def write_json(path: Path, value: Mapping[str, object]) -> None:
+    """Write a small file at once or not at all."""
+    temporary = path.with_name(f".{path.name}.part")
+    with open(temporary, "w", encoding="utf-8", opener=log_files.opener) as file:
+        json.dump(value, file, indent=1)
+    temporary.replace(path)

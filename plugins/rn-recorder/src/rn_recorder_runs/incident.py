@@ -1,0 +1,77 @@
+"""Incidents: what was in the ring around a fault, as one file of its own."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from rn_recorder_runs.files import copy_records
+from rn_recorder_runs.store import Store
+
+log = logging.getLogger(__name__)
+LATE_NS = 5_000_000_000
+"""A message may wait so long before it is written: it then is in the ring behind what the incident
+has already.
+"""
+
+
+@dataclass(slots=True)
+class OpenIncident:
+    """An incident whose time after the fault has not passed yet."""
+
+    id: str
+    at_ns: int
+    until_ns: int
+    facts: list[dict[str, object]] = field(default_factory=list)
+    kept_ns: int = 0
+    """Its file holds everything up to then; 0 before there is one."""
+
+    def begin_ns(self, ring_s: float) -> int:
+        """From when on the ring is still needed."""
+        return self.kept_ns - LATE_NS if self.kept_ns else self.at_ns - round(ring_s * 1e9)
+
+    def due_ns(self, ring_s: float, after_s: float) -> int:
+        """When it is to be written: soon for the first time, and then only once all has been quiet
+        for a while.
+        """
+        if not self.kept_ns:
+            return self.at_ns + round(after_s * 1e9)
+        return self.until_ns + round(ring_s * 1e9)
+
+
+def cut(
+    incident: OpenIncident,
+    segments: list[Path],
+    store: Store,
+    ring_s: float,
+    about: Mapping[str, str],
+) -> bool:
+    """Write the file, or what came after its end to it; returns whether that was possible.
+
+    Args:
+        segments: files of the ring, oldest first.
+        ring_s: time before the fault that is kept [s].
+        about: for the file's metadata.
+    """
+    names = ", ".join(str(fact["what"]) for fact in incident.facts)
+    try:
+        store.make()
+        target = store.incidents / f"{incident.id}.mcap"
+        earlier = [target] if incident.kept_ns and target.exists() else []
+        copy_records(
+            [*earlier, *segments],
+            target,
+            {**about, "run": incident.id, "incident": names, "at_ns": str(incident.at_ns)},
+            since_ns=incident.at_ns - round(ring_s * 1e9),
+            again_ns=incident.kept_ns - LATE_NS if earlier else None,
+            until_ns=incident.until_ns,
+            attachments={"incident.json": incident.facts},
+        )
+        (store.ring / f"{incident.id}.json").unlink(missing_ok=True)
+    except OSError as error:
+        log.error("The incident %s cannot be written: %s", incident.id, error)
+        return False
+    log.warning("Incident recorded: %s", incident.id)
+    return True

@@ -1,0 +1,279 @@
+"""Episodes as a LeRobotDataset v3: parquet, one video for each camera, statistics, tasks.
+
+Source of the layout: lerobot 0.6.1, `datasets/utils.py`, `datasets/dataset_writer.py` and a data
+set it wrote.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections import Counter, deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rn_recorder_runs import lerobot_meta as meta
+from rn_recorder_runs.episodes import RecordedEpisode, stamp_of
+from rn_recorder_runs.files import Record, read_records
+from rn_recorder_runs.images import pixels_of
+from rn_recorder_runs.lerobot_meta import ExportSource
+from rn_recorder_runs.reading import RecordDecoder, camera_of
+from rn_recorder_runs.statistics import Stats, image_stats, merge, stats_of
+from rn_recorder_runs.store import Run
+from rn_recorder_runs.video import CameraVideo, Codec, sample_every
+from rn_recorder_runs.whole_episodes import Skipped, whole_sources
+from roboneuron import ConfigurationError, InvalidInputError, MissingDependencyError, StateError
+
+_FILE = "chunk-000/file-000"
+
+
+@dataclass(frozen=True, slots=True)
+class Written:
+    """What was exported.
+
+    Attributes:
+        skipped: what was left out: run, instruction ("" for a whole run), and why.
+    """
+
+    episodes: int
+    frames: int
+    fps: int
+    skipped: tuple[Skipped, ...] = ()
+
+
+def export(
+    runs: Sequence[Run], directory: Path, *, outcome: str | None, fps: int | None, codec: Codec
+) -> Written:
+    """Write the episodes of these runs; those that lack something are left out and named in the
+    result.
+
+    The directory appears when all is in it: until then everything is in a hidden one beside it,
+    which is deleted when the export fails.
+
+    Args:
+        runs: in this order.
+        directory: must not exist yet.
+        outcome: only episodes that ended so.
+        fps: rows per second; by default the rate at which actions were sent.
+        codec: of the videos.
+
+    Raises:
+        ConfigurationError: the directory exists.
+        InvalidInputError: there is nothing to export, or nothing that is whole; says why of each.
+        StateError: the directory cannot be written.
+        MissingDependencyError: pyarrow or PyAV is not installed.
+    """
+    try:
+        import pyarrow as pa  # type: ignore[import-untyped]  # heavy
+        import pyarrow.parquet as pq  # type: ignore[import-untyped]
+    except ImportError as error:
+        raise MissingDependencyError(
+            "Data sets need pyarrow.",
+            hint="Install it: pip install './plugins/rn-recorder[export]'.",
+        ) from error
+    if directory.exists():
+        raise ConfigurationError(f"{directory} exists.", hint="Name another folder, or delete it.")
+    unfinished = directory.with_name(f".{directory.name}.part")
+    shutil.rmtree(unfinished, ignore_errors=True)
+    try:
+        written = _export(pa, pq, runs, unfinished, outcome, fps, codec)
+        unfinished.rename(directory)
+    except OSError as error:
+        raise StateError(
+            f"{error.filename or directory} cannot be written: {error.strerror or error}.",
+            hint="Free space on that disk or mend the permissions; nothing of the data set was "
+            "left.",
+        ) from error
+    finally:
+        shutil.rmtree(unfinished, ignore_errors=True)
+    return written
+
+
+def _export(
+    pa: Any,
+    pq: Any,
+    runs: Sequence[Run],
+    directory: Path,
+    outcome: str | None,
+    fps: int | None,
+    codec: Codec,
+) -> Written:
+    sources, skipped = whole_sources(runs, outcome)
+    episodes = [episode for source in sources for episode in source.episodes]
+    if not episodes:
+        raise InvalidInputError(
+            f"No episode{f' with the outcome {outcome!r}' if outcome else ''} in these runs can "
+            "be exported.",
+            hint=" ".join(f"{left}." for left in skipped),
+        )
+    first = sources[0]
+    rate = fps or _rate(episodes)
+    videos = {
+        camera: CameraVideo(
+            directory / f"videos/observation.images.{camera}/{_FILE}.mp4", rate, codec
+        )
+        for camera in first.cameras
+    }
+    tasks = list(dict.fromkeys(episode.instruction for episode in episodes))
+    columns: dict[str, list[Any]] = {}
+    listed: list[dict[str, Any]] = []
+    parts: list[dict[str, Stats]] = []
+    begin = 0
+    try:
+        for source in sources:
+            samples = _write_videos(source, videos)
+            for episode, sample in zip(source.episodes, samples, strict=True):
+                rows = _columns(episode, len(listed), begin, tasks.index(episode.instruction), rate)
+                stats = {name: stats_of(_matrix(values)) for name, values in rows.items()}
+                stats |= {
+                    f"observation.images.{camera}": image_stats(*sample[camera])
+                    for camera in first.cameras
+                }
+                parts.append(stats)
+                listed.append(
+                    _episode_entry(episode, len(listed), begin, rate, first.cameras, stats)
+                )
+                for name, values in rows.items():
+                    columns.setdefault(name, []).extend(values)
+                begin += len(episode.rows)
+    finally:
+        for video in videos.values():
+            video.close()
+    features = meta.features(first, videos, rate, codec)
+    table = pa.table(
+        {name: meta.array(pa, values, features[name]) for name, values in columns.items()}
+    )
+    for name, written in (
+        (f"data/{_FILE}.parquet", table),
+        (f"meta/episodes/{_FILE}.parquet", pa.Table.from_pylist(listed)),
+        ("meta/tasks.parquet", meta.tasks(pa, tasks)),
+    ):
+        path = directory / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        pq.write_table(written, path)
+    whole = {name: merge([part[name] for part in parts]).to_lists() for name in parts[0]}
+    _write_json(directory / "meta/stats.json", whole)
+    _write_json(directory / "meta/info.json", meta.info(first, features, episodes, tasks, rate))
+    _write_json(directory / "meta/roboneuron.json", meta.origin(sources, episodes))
+    return Written(len(episodes), begin, rate, tuple(skipped))
+
+
+def _rate(episodes: Sequence[RecordedEpisode]) -> int:
+    gaps = [
+        np.diff([row.sent_ns for row in episode.rows])
+        for episode in episodes
+        if len(episode.rows) > 1
+    ]
+    if not gaps:
+        raise InvalidInputError(
+            "No episode has two actions, so there is no rate.", hint="Give --fps."
+        )
+    return max(1, round(1e9 / float(np.median(np.concatenate(gaps)))))
+
+
+def _write_videos(
+    source: ExportSource, videos: Mapping[str, CameraVideo]
+) -> list[dict[str, tuple[NDArray[np.float64], int]]]:
+    """Add the images of the rows, in their order, and return drawn pixels by episode and camera.
+
+    One pass through the file; an image is kept undecoded from when it comes until no row needs it
+    any more.
+    """
+    samples: list[dict[str, tuple[NDArray[np.float64], int]]] = [{} for _ in source.episodes]
+    wanted = {
+        camera: deque(
+            (row.images[camera], number)
+            for number, episode in enumerate(source.episodes)
+            for row in episode.rows
+        )
+        for camera in videos
+    }
+    needed = {camera: Counter(stamp for stamp, _ in rows) for camera, rows in wanted.items()}
+    held: dict[str, dict[int, Record]] = {camera: {} for camera in videos}
+    decoder = RecordDecoder()
+    for record in (
+        record for path in source.run.files for record in read_records(path, decoder.definitions)
+    ):
+        camera = camera_of(record.topic)
+        if camera not in videos:
+            continue
+        stamp_ns = stamp_of(record.data)
+        if not needed[camera][stamp_ns]:
+            continue
+        held[camera].setdefault(stamp_ns, record)
+        rows, video = wanted[camera], videos[camera]
+        while rows and (found := held[camera].get(rows[0][0])) is not None:
+            stamp_ns, number = rows.popleft()
+            image = pixels_of(decoder.decode(found), found.type)
+            video.add(image, 1, sample_every(len(source.episodes[number].rows)))
+            needed[camera][stamp_ns] -= 1
+            if not needed[camera][stamp_ns]:
+                del held[camera][stamp_ns]
+            if not rows or rows[0][1] != number:
+                samples[number][camera] = video.take_sample()
+    assert not any(wanted.values()), "all images were there when the episodes were chosen"
+    return samples
+
+
+def _columns(
+    episode: RecordedEpisode, index: int, begin: int, task: int, fps: int
+) -> dict[str, list[object]]:
+    rows = episode.rows
+    leading = next(iter(rows[0].images))
+    columns: dict[str, list[object]] = {}
+    if rows[0].joints.size:
+        columns["observation.state"] = [row.joints.astype(np.float32) for row in rows]
+    if rows[0].ee_pose.size:
+        columns["observation.ee_pose"] = [row.ee_pose.astype(np.float32) for row in rows]
+    columns["action"] = [row.action.astype(np.float32) for row in rows]
+    columns["roboneuron.action"] = [row.action for row in rows]
+    columns["roboneuron.sent_ns"] = [row.sent_ns for row in rows]
+    columns["roboneuron.image_ns"] = [row.images[leading] for row in rows]
+    columns["timestamp"] = [np.float32(number / fps) for number in range(len(rows))]
+    columns["frame_index"] = list(range(len(rows)))
+    columns["episode_index"] = [index] * len(rows)
+    columns["index"] = list(range(begin, begin + len(rows)))
+    columns["task_index"] = [task] * len(rows)
+    return columns
+
+
+def _matrix(values: list[object]) -> NDArray[np.float64]:
+    array = np.array(values, dtype=np.float64)
+    return array.reshape(len(values), -1)
+
+
+def _episode_entry(
+    episode: RecordedEpisode,
+    index: int,
+    begin: int,
+    fps: int,
+    cameras: Sequence[str],
+    stats: Mapping[str, Stats],
+) -> dict[str, object]:
+    length = len(episode.rows)
+    entry: dict[str, object] = {
+        "episode_index": index,
+        "tasks": [episode.instruction],
+        "length": length,
+    }
+    entry |= {"data/chunk_index": 0, "data/file_index": 0}
+    entry |= {"dataset_from_index": begin, "dataset_to_index": begin + length}
+    for camera in cameras:
+        key = f"videos/observation.images.{camera}"
+        entry |= {f"{key}/chunk_index": 0, f"{key}/file_index": 0}
+        entry |= {
+            f"{key}/from_timestamp": begin / fps,
+            f"{key}/to_timestamp": (begin + length) / fps,
+        }
+    for name, values in stats.items():
+        entry |= {f"stats/{name}/{key}": value for key, value in values.to_lists().items()}
+    return entry | {"meta/episodes/chunk_index": 0, "meta/episodes/file_index": 0}
+
+
+def _write_json(path: Path, value: Mapping[str, object]) -> None:
+    path.write_text(json.dumps(value, indent=2), encoding="utf-8")

@@ -1,0 +1,163 @@
+"""Metadata of a LeRobotDataset v3: features, tasks, info, and where the episodes come from."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from rn_recorder_runs.episodes import RecordedEpisode
+from rn_recorder_runs.files import read_about
+from rn_recorder_runs.store import Run
+from rn_recorder_runs.video import CameraVideo, Codec
+
+VERSION = "v3.0"
+ACTION_NAMES = ("dx_m", "dy_m", "dz_m", "rx_rad", "ry_rad", "rz_rad", "gripper_open")
+POSE_NAMES = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
+
+
+@dataclass(frozen=True, slots=True)
+class ExportSource:
+    """A run and its episodes."""
+
+    run: Run
+    episodes: list[RecordedEpisode]
+    joint_names: tuple[str, ...]
+    cameras: tuple[str, ...]
+
+
+def features(
+    source: ExportSource, videos: Mapping[str, CameraVideo], fps: int, codec: Codec
+) -> dict[str, Any]:
+    """What the columns are, by name."""
+    features: dict[str, Any] = {}
+    if source.episodes[0].rows[0].joints.size:
+        features["observation.state"] = _feature("float32", source.joint_names)
+    if source.episodes[0].rows[0].ee_pose.size:
+        features["observation.ee_pose"] = _feature("float32", POSE_NAMES)
+    features["action"] = _feature("float32", ACTION_NAMES)
+    features["roboneuron.action"] = _feature("float64", ACTION_NAMES)
+    for camera, video in videos.items():
+        height, width, channels = video.shape
+        facts = {
+            "video.height": height,
+            "video.width": width,
+            "video.codec": codec,
+            "video.pix_fmt": "yuv420p",
+        }
+        features[f"observation.images.{camera}"] = {
+            "dtype": "video",
+            "shape": [height, width, channels],
+            "names": ["height", "width", "channels"],
+            "info": {
+                **facts,
+                "video.fps": fps,
+                "video.channels": 3,
+                "has_audio": False,
+                "is_depth_map": False,
+            },
+        }
+    features["timestamp"] = {"dtype": "float32", "shape": [1], "names": None}
+    for name in (
+        "roboneuron.sent_ns",
+        "roboneuron.image_ns",
+        "frame_index",
+        "episode_index",
+        "index",
+        "task_index",
+    ):
+        features[name] = {"dtype": "int64", "shape": [1], "names": None}
+    return features
+
+
+def _feature(dtype: str, names: Sequence[str]) -> dict[str, object]:
+    return {"dtype": dtype, "shape": [len(names)], "names": list(names)}
+
+
+def array(pa: Any, values: list[Any], feature: Mapping[str, Any]) -> Any:
+    """A column of a table of pyarrow, `pa`."""
+    kinds = {"float32": pa.float32(), "float64": pa.float64(), "int64": pa.int64()}
+    kind, size = kinds[feature["dtype"]], feature["shape"][0]
+    if feature["names"] is None:
+        return pa.array(values, type=kind)
+    flat = np.concatenate(values).astype(feature["dtype"])
+    return pa.FixedSizeListArray.from_arrays(pa.array(flat, type=kind), size)
+
+
+def tasks(pa: Any, tasks: Sequence[str]) -> Any:
+    """With the tasks as pandas' index, which lerobot reads them by."""
+    table = pa.table(
+        {
+            "task_index": pa.array(range(len(tasks)), pa.int64()),
+            "task": pa.array(tasks, pa.string()),
+        }
+    )
+    columns = [
+        {
+            "name": "task_index",
+            "field_name": "task_index",
+            "pandas_type": "int64",
+            "numpy_type": "int64",
+        },
+        {"name": "task", "field_name": "task", "pandas_type": "unicode", "numpy_type": "object"},
+    ]
+    described = [{**column, "metadata": None} for column in columns]
+    pandas = {
+        "index_columns": ["task"],
+        "column_indexes": [],
+        "columns": described,
+        "pandas_version": "2.0.0",
+    }
+    return table.replace_schema_metadata({"pandas": json.dumps(pandas)})
+
+
+def info(
+    source: ExportSource,
+    features: dict[str, object],
+    episodes: Sequence[RecordedEpisode],
+    tasks: Sequence[str],
+    fps: int,
+) -> dict[str, object]:
+    """What meta/info.json says."""
+    return {
+        "codebase_version": VERSION,
+        "fps": fps,
+        "features": features,
+        "total_episodes": len(episodes),
+        "total_frames": sum(len(episode.rows) for episode in episodes),
+        "total_tasks": len(tasks),
+        "chunks_size": 1000,
+        "data_files_size_in_mb": 100,
+        "video_files_size_in_mb": 200,
+        "data_path": "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet",
+        "video_path": "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4",
+        "robot_type": read_about(source.run.files[0]).get("robot"),
+        "splits": {"train": f"0:{len(episodes)}"},
+    }
+
+
+def origin(
+    sources: Sequence[ExportSource], episodes: Sequence[RecordedEpisode]
+) -> dict[str, object]:
+    """Units, frames and where each episode comes from."""
+    about = read_about(sources[0].run.files[0])
+    contract = json.loads(about.get("contract", "{}"))
+    return {
+        "contract": contract,
+        "rows": "one for each action that was sent; timestamp is frame_index / fps, "
+        "roboneuron.sent_ns the time itself",
+        "config": json.loads(about.get("config", "{}")),
+        "roboneuron": about.get("roboneuron", ""),
+        "episodes": [
+            {
+                "run": e.run,
+                "instruction": e.instruction,
+                "outcome": e.outcome,
+                "begun_ns": e.rows[0].sent_ns,
+            }
+            for e in episodes
+        ],
+    }

@@ -1,0 +1,106 @@
+"""What the server tells the recorder's process when it starts it: one line of JSON on stdin."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Collection, Mapping
+from pathlib import Path
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict
+
+from rn_recorder_runs.transforms import CameraMount
+from roboneuron.feature import environment, log_files
+
+SWITCH, PLAY = "ROBONEURON_RECORDER", "play"
+"""Environment variable of a server: with "off" nothing is recorded (tests, small machines); with
+PLAY neither, but the server offers play_recording.
+"""
+_SLOT = 14
+"""Ports of the first recorder: those that modules use last, see `port_offset`."""
+
+
+class RulesSettings(BaseModel):
+    """As `rn_recorder_runs.recording.Rules`."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    ring_s: float
+    after_s: float
+    part_bytes: int
+    part_s: float
+    quota_bytes: int
+    min_free_bytes: int
+    keep_s: float = 0.0
+    incident_s: float = 300.0
+
+
+class RecorderSettings(BaseModel):
+    """Everything the recorder's process knows.
+
+    Attributes:
+        namespace: of the robot, without slashes around it.
+        state_directory: where the audit is.
+        directory: of the runs.
+        topics, exclude: patterns; those without a slash in front are under the namespace.
+        images: "jpeg" or "lossless".
+        about: for the metadata of every file.
+        urdf, mounts: of the robot, for `robot_description` and transforms; empty for none.
+        resume, resume_name: a recording that a recorder before this one was writing.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    namespace: str
+    state_directory: Path
+    directory: Path
+    topics: tuple[str, ...]
+    exclude: tuple[str, ...]
+    images: Literal["jpeg", "lossless"]
+    jpeg_quality: int
+    rules: RulesSettings
+    about: Mapping[str, str]
+    urdf: str = ""
+    mounts: tuple[CameraMount, ...] = ()
+    resume: str = ""
+    resume_name: str = ""
+
+
+def spawn_recorder(
+    settings: RecorderSettings, log_path: Path, start: int, secrets: Collection[str]
+) -> subprocess.Popen[bytes]:
+    """Start the recorder's process, in a group of its own within this session (the kernel then
+    wakes it, should it be stopped when the server dies); stdin and stdout are pipes.
+
+    Args:
+        settings: its first line.
+        log_path: gets its stderr.
+        start: how many recorders this server started before.
+        secrets: environment variables that it does not get.
+
+    Raises:
+        OSError: it cannot be started.
+    """
+    log_files.make_log_directory(log_path.parent)
+    with open(log_path, "ab", opener=log_files.opener) as output:
+        child = subprocess.Popen(  # its owner is RecorderProcess
+            [sys.executable, "-m", "rn_recorder_runs.node"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=output,
+            env={
+                **environment.module_environment(None, _SLOT + start, secrets),
+                "OMP_NUM_THREADS": "1",
+            },
+            cwd=os.getcwd(),
+            process_group=0,
+        )
+    assert child.stdin is not None
+    try:
+        child.stdin.write(settings.model_dump_json().encode() + b"\n")
+        child.stdin.flush()
+    except BrokenPipeError:  # it ended already; its owner sees that
+        pass
+    return child

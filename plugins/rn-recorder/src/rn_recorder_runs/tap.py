@@ -1,0 +1,205 @@
+"""Subscriptions of the recorder: every topic that a pattern names, as serialized messages, taken in
+turns.
+
+There is no executor: it would take each message when it comes, and so at the moment when an image
+is on its way to an action. A turn waits for an image, lets the control loop have it first, and then
+takes what has come on all topics.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from fnmatch import fnmatchcase
+from importlib import import_module
+from typing import Any
+
+# as rclpy.wait_for_message does
+from rclpy.impl.implementation_singleton import rclpy_implementation as ros
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from rclpy.subscription import Subscription
+
+from rn_recorder_runs.channels import describe_channel
+from rn_recorder_runs.files import Record
+from rn_recorder_runs.images import IMAGE
+from rn_recorder_runs.schemas import definition
+from roboneuron.feature import qos as core_qos
+
+log = logging.getLogger(__name__)
+LOOK_S = 0.1
+_IMAGES, _OTHERS = 30, 200
+"""Messages that may wait in the middleware while this process does not get on: about a second of
+each.
+"""
+GIVE_WAY_S = 0.008
+"""Head start of the control loop with an image: copying and encoding two of 640x480 take 8 ms of a
+core, and a loop at 30 Hz has both cores of a small machine for itself in the meantime.
+"""
+_TURN_S = 0.03
+
+
+class Tap:
+    """Subscribes to what appears on the graph, and counts gaps in the publishers' own counts.
+
+    Args:
+        node: of this process.
+        topics, exclude: absolute patterns as of `fnmatch`; hidden topics are left out.
+        take: gets every message, in the order in which they came, on the thread of `run`.
+        describe: gets what the publishers of a topic offer, before its messages and again when that
+            changes.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        topics: Sequence[str],
+        exclude: Sequence[str],
+        take: Callable[[Record], None],
+        describe: Callable[[str, Mapping[str, str]], None] = lambda topic, metadata: None,
+    ) -> None:
+        self._node = node
+        self._topics, self._exclude = tuple(topics), tuple(exclude)
+        self._take, self._describe = take, describe
+        self._found: dict[str, tuple[QoSProfile, Subscription]] = {}
+        self._types: dict[str, str] = {}
+        self._unusable: set[str] = set()
+        self._single: set[str] = set()
+        self._newest: dict[str, int] = {}
+        self.received: Counter[str] = Counter()
+        self.gaps: Counter[str] = Counter()
+        self._early: list[Record] = []
+
+    def run(self, leaving: threading.Event, taken: Callable[[], object]) -> None:
+        """Follow the graph and take messages until `leaving` is set; `taken` is called after each
+        turn.
+        """
+        looked_s = 0.0
+        while not leaving.is_set():
+            if time.monotonic() - looked_s >= LOOK_S:
+                looked_s = time.monotonic()
+                self.look()
+            self._wait(leaving)
+            self._turn()
+            taken()
+
+    def _wait(self, leaving: threading.Event) -> None:
+        """Until an image has come and the control loop has had its head start; for a turn without
+        one.
+        """
+        images = [
+            subscription for qos, subscription in self._found.values() if qos.depth == _IMAGES
+        ]
+        if not images:
+            leaving.wait(_TURN_S)
+            return
+        waiting = ros.WaitSet(len(images), 0, 0, 0, 0, 0, self._node.context.handle)
+        waiting.clear_entities()
+        for subscription in images:
+            waiting.add_subscription(subscription.handle)
+        waiting.wait(round(_TURN_S * 1e9))
+        if waiting.get_ready_entities("subscription"):
+            leaving.wait(GIVE_WAY_S)
+
+    def _turn(self) -> None:
+        """Hand on what came before this turn; what comes during it waits for the next one, for the
+        order of topics.
+        """
+        begun_ns = time.time_ns()
+        records, self._early = self._early, []
+        for topic, (qos, subscription) in self._found.items():
+            for _ in range(qos.depth):
+                taken = subscription.handle.take_message(subscription.msg_type, True)
+                if taken is None:
+                    break
+                record = self._record(topic, *taken)
+                (records if record.log_ns < begun_ns else self._early).append(record)
+        for record in sorted(records, key=lambda record: record.log_ns):
+            self._take(record)
+
+    def look(self) -> None:
+        """Follow the graph: new topics, and publishers that came with another reliability."""
+        for topic, types in self._node.get_topic_names_and_types():
+            if topic in self._unusable or not self._is_wanted(topic):
+                continue
+            publishers = self._node.get_publishers_info_by_topic(topic)
+            if not publishers:
+                continue
+            self._note_single(topic, len(publishers) == 1)
+            self._describe(topic, describe_channel(topic, publishers))
+            is_image = types[0] == IMAGE
+            qos = core_qos.requested_qos(publishers, _IMAGES if is_image else _OTHERS)
+            known = self._found.get(topic)
+            if known is not None and known[0] == qos:
+                continue
+            if known is not None:
+                self._node.destroy_subscription(known[1])
+            self._subscribe(topic, types[0], qos)
+
+    def _subscribe(self, topic: str, type_name: str, qos: QoSProfile) -> None:
+        try:
+            message_type = _message_class(type_name)
+            definition(type_name)
+        except (ImportError, AttributeError, FileNotFoundError, ValueError) as error:
+            self._unusable.add(topic)
+            log.warning(
+                "%s is not recorded: its type %s is not installed here (%s).",
+                topic,
+                type_name,
+                error,
+            )
+            return
+
+        def ignore(_: bytes) -> None:
+            """What comes is taken in turns."""
+
+        self._found[topic] = (
+            qos,
+            self._node.create_subscription(message_type, topic, ignore, qos, raw=True),
+        )
+        self._types[topic] = type_name
+        log.info("Recording %s (%s).", topic, type_name)
+
+    def _record(self, topic: str, data: bytes, info: dict[str, Any]) -> Record:
+        """A message that was taken; counts it and what its publisher sent before and did not
+        come.
+        """
+        came_ns = int(info.get("received_timestamp") or time.time_ns())
+        sequence = int(info.get("publication_sequence_number") or 0)
+        self.received[topic] += 1
+        if topic in self._single:
+            before = self._newest.get(topic)
+            self._newest[topic] = sequence
+            if before is not None and sequence > before + 1:
+                self.gaps[topic] += sequence - before - 1
+        return Record(
+            topic,
+            self._types[topic],
+            came_ns,
+            int(info.get("source_timestamp") or came_ns),
+            sequence,
+            data,
+        )
+
+    def _note_single(self, topic: str, single: bool) -> None:
+        if single:
+            self._single.add(topic)
+        else:
+            self._single.discard(topic)
+            self._newest.pop(topic, None)
+
+    def _is_wanted(self, topic: str) -> bool:
+        if any(part.startswith("_") for part in topic.split("/")):
+            return False
+        if any(fnmatchcase(topic, pattern) for pattern in self._exclude):
+            return False
+        return any(fnmatchcase(topic, pattern) for pattern in self._topics)
+
+
+def _message_class(type_name: str) -> type:
+    package, kind, name = type_name.split("/")
+    found: type = getattr(import_module(f"{package}.{kind}"), name)
+    return found

@@ -1,0 +1,19 @@
+"""The section `[direct_path]` of roboneuron.toml."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from roboneuron import Section
+from roboneuron.feature import models
+
+
+class DirectPathOptions(Section):
+    """`[direct_path]`: what holds for every direct call."""
+
+    dry_run: bool = Field(
+        default=False, description="direct calls answer what would happen, nothing is sent"
+    )
+    max_duration_s: models.Seconds = Field(
+        default=120.0, description="longest direct motion, sequence or goal"
+    )

@@ -1,0 +1,209 @@
+"""Which command reaches the driver, and for how long; on a clock of the test."""
+
+from __future__ import annotations
+
+import threading
+import time
+
+import numpy as np
+import pytest
+from robot_cell import ARM, SOON_S, TIMEOUT_S, Cell, MakeHost
+from sensor_msgs.msg import JointState
+
+from roboneuron.contract import JointCommand, JointSample
+from roboneuron.errors import UnsafeError
+from roboneuron.modules.worker import LIMIT_S
+from roboneuron.ros.messages import to_joint_state, to_joint_trajectory
+
+pytestmark = pytest.mark.usefixtures("no_threads")
+
+
+@pytest.fixture
+def cell(make_host: MakeHost) -> Cell:
+    return Cell(make_host)
+
+
+def test_a_command_reaches_the_driver_in_its_own_time(cell: Cell) -> None:
+    cell.command(0.3, step_s=0.25)
+    cell.play()
+    assert cell.sent == [(0.3, 0.25)]
+    assert cell.told[0].names == ARM
+    values = cell.host.values()
+    assert values["note"] == "moving"
+    assert cell.player.limit_s == 0.25 + LIMIT_S
+    assert cell.player.calls == ["start", f"progress {0.25 + LIMIT_S:g}"]
+
+
+def test_a_joint_state_is_a_command_too(cell: Cell) -> None:
+    cell.receive(to_joint_state(JointSample(names=ARM, position=np.array([0.3, 0.1]), stamp_ns=1)))
+    cell.play()
+    assert cell.sent == [(0.3, 0.1)]
+
+
+def test_a_trajectory_is_played_point_by_point(cell: Cell) -> None:
+    cell.command(0.1, 0.2, 0.3, step_s=0.01)
+    for _ in range(3):
+        cell.play()
+        cell.clock.go(0.01)
+    assert cell.sent == [(0.1, 0.01), (0.2, 0.01), (0.3, 0.01)]
+    cell.play()
+    assert len(cell.sent) == 3
+
+
+def test_the_next_point_waits_for_the_one_before(cell: Cell) -> None:
+    cell.command(0.1, 0.2, step_s=0.2)
+    started_s = time.monotonic()
+    cell.play()
+    assert time.monotonic() - started_s >= 0.19
+
+
+def test_the_last_point_is_not_waited_for(cell: Cell) -> None:
+    """The next command is played at once."""
+    cell.command(0.1, step_s=60.0)
+    started_s = time.monotonic()
+    cell.play()
+    assert time.monotonic() - started_s < SOON_S
+
+
+def test_a_newer_trajectory_replaces_the_rest_of_the_older_one(cell: Cell) -> None:
+    cell.command(0.1, 0.2, step_s=60.0)
+    timer = threading.Timer(0.05, cell.command, [-0.9])
+    timer.start()
+    started_s = time.monotonic()
+    cell.play()
+    timer.join()
+    assert time.monotonic() - started_s < SOON_S, "it waits for the end of the older one"
+    cell.play()
+    assert cell.sent == [(0.1, 60.0), (-0.9, 0.1)]
+
+
+def test_a_trajectory_that_is_replaced_while_it_is_sent_is_not_waited_for(cell: Cell) -> None:
+    cell.command(0.1, 0.2, step_s=60.0)
+    cell.while_sending = lambda: cell.command(-0.9)
+    started_s = time.monotonic()
+    cell.play()
+    assert time.monotonic() - started_s < SOON_S
+    cell.while_sending = lambda: None
+    cell.play()
+    assert cell.sent == [(0.1, 60.0), (-0.9, 0.1)]
+
+
+def test_the_end_of_the_thread_ends_the_wait_for_a_point(cell: Cell) -> None:
+    cell.command(0.1, 0.2, step_s=60.0)
+    cell.while_sending = cell.player.end.set
+    started_s = time.monotonic()
+    cell.play()
+    assert time.monotonic() - started_s < SOON_S
+
+
+def test_nothing_is_played_when_the_thread_is_to_end(cell: Cell) -> None:
+    cell.command(0.1)
+    cell.player.end.set()
+    cell.play()
+    assert cell.told == []
+
+
+def test_a_thread_without_commands_looks_again_soon(cell: Cell) -> None:
+    started_s = time.monotonic()
+    cell.play()
+    assert 0.04 <= time.monotonic() - started_s < SOON_S
+    assert cell.told == []
+
+
+def test_a_command_that_is_played_late_has_that_much_more_time(cell: Cell) -> None:
+    """Else the arm would catch up, faster than was asked for."""
+    cell.command(0.1, step_s=0.1)
+    cell.clock.go(0.2)
+    cell.play()
+    assert cell.sent == [(0.1, 0.3)]
+
+
+def test_a_point_is_late_against_the_end_of_the_one_before(cell: Cell) -> None:
+    cell.command(0.1, 0.2, step_s=0.05)
+    cell.play()
+    cell.clock.go(0.15)
+    cell.play()
+    assert cell.sent == [(0.1, 0.05), (0.2, 0.15)]
+
+
+def test_a_point_that_is_played_early_keeps_its_time(cell: Cell) -> None:
+    cell.command(0.1, 0.2, step_s=0.05)
+    cell.play()
+    cell.clock.go(0.01)
+    cell.play()
+    assert cell.sent == [(0.1, 0.05), (0.2, 0.05)]
+
+
+def test_what_is_left_of_a_plan_that_is_past_is_not_executed(cell: Cell) -> None:
+    """This process was frozen, or the driver did not return."""
+    cell.command(0.1, 0.2)
+    cell.clock.go(TIMEOUT_S + 1e-6)
+    cell.play()
+    assert cell.told == ["hold"]
+    assert cell.host.drops() == {"stale_command": 1}
+    cell.play()
+    assert cell.told == ["hold"]
+
+
+def test_a_command_as_late_as_the_timeout_is_still_executed(make_host: MakeHost) -> None:
+    """0.25 s are exact in binary."""
+    cell = Cell(make_host, replace={"command_timeout_s = 0.3": "command_timeout_s = 0.25"})
+    cell.command(0.1, step_s=0.125)
+    cell.clock.go(0.25)
+    cell.play()
+    assert cell.sent == [(0.1, 0.375)]
+
+
+def test_a_command_may_be_as_old_as_the_timeout(cell: Cell) -> None:
+    cell.command(0.1, age_s=TIMEOUT_S)
+    assert cell.host.drops() == {}
+    cell.command(0.2, age_s=TIMEOUT_S + 1e-6)
+    assert cell.host.drops() == {"stale_command": 1}
+    cell.play()
+    assert cell.sent == [(0.1, 0.1)]
+    assert cell.host.status.latency.median_and_p99() == pytest.approx((300.0, 300.0))
+
+
+def test_a_command_that_is_a_nanosecond_too_old_is_stale(make_host: MakeHost) -> None:
+    cell = Cell(make_host, replace={"command_timeout_s = 0.3": "command_timeout_s = 2.0"})
+    message = to_joint_state(JointSample(names=ARM, position=np.array([0.3, 0.1]), stamp_ns=1))
+    on_command = cell.host.subscribed[JointState, "joint_command"]
+    on_command(message, {"source_timestamp": cell.clock.wall_ns - 2_000_000_001})
+    assert cell.host.drops() == {"stale_command": 1}
+
+
+def test_a_command_may_come_from_a_clock_that_is_a_little_ahead(cell: Cell) -> None:
+    cell.command(0.1, age_s=-0.1)
+    assert cell.host.drops() == {}
+    cell.command(0.2, age_s=-0.1 - 1e-6)
+    assert cell.host.drops() == {"future_command": 1}
+
+
+@pytest.mark.parametrize("positions", [[float("nan"), 0.0], [0.1], [0.1, 0.2, 0.3]])
+def test_a_damaged_command_is_counted_and_leaves_the_one_before(
+    cell: Cell, positions: list[float]
+) -> None:
+    cell.command(0.1)
+    message = to_joint_trajectory(
+        JointCommand(names=ARM, position=np.array([0.5, 0.0]), duration_s=0.1)
+    )
+    message.points[0].positions = positions
+    cell.receive(message)
+    assert cell.host.drops() == {"malformed_command": 1}
+    assert cell.host.values()["error"]
+    cell.play()
+    assert cell.sent == [(0.1, 0.1)]
+    assert not cell.host.values().get("error"), "it works again"
+
+
+def test_a_command_that_the_driver_refuses_is_counted_and_told(cell: Cell) -> None:
+    def refuse(command: JointCommand) -> JointCommand:
+        raise UnsafeError("beyond the joint's travel")
+
+    cell.driver.send = refuse
+    cell.command(0.1)
+    cell.play()
+    assert cell.host.drops() == {"refused_command": 1}
+    assert "beyond the joint's travel" in cell.host.values()["error"]
+    assert not cell.robot._moving
+    assert cell.host.values().get("note", "") == ""
