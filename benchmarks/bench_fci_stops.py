@@ -32,7 +32,7 @@ from fci_cell import HOME, STILL_RAD_S, FciCell, Record, served_fci, watched
 sys.path.pop(0)
 
 from rn_robot_fr3.fci.planner import JERK_LIMIT_RAD_S3
-from roboneuron.gate.estop import ESTOP_FILE, EmergencyStopLatch
+from roboneuron.estop import ESTOP_FILE, EmergencyStopLatch
 from roboneuron.ros.qos import LATCHED
 
 OUT = Path("out/bench-fci/stops.jsonl")

@@ -30,8 +30,8 @@ from pathlib import Path
 from typing import Any
 
 from rn_testing.domain import free_ros_domain
+from roboneuron.estop import ESTOP_FILE, EmergencyStopLatch
 from roboneuron.gate.audit import AuditLog
-from roboneuron.gate.estop import ESTOP_FILE, EmergencyStopLatch
 
 TOKEN = "a-token-of-this-benchmark"
 CONFIG = """

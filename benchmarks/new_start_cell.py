@@ -22,7 +22,7 @@ from mcp import Client, StdioServerParameters
 from plugin_site import installed
 
 from rn_robot_fr3.fci.simulator import FrankaSim
-from roboneuron.gate.estop import ESTOP_FILE, RESET_SUFFIX
+from roboneuron.estop import ESTOP_FILE, RESET_SUFFIX
 from roboneuron.ros.environment import prepare_environment
 
 FRANKA_SIM = "franka-sim"

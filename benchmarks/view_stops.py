@@ -23,7 +23,7 @@ import numpy as np
 from anyio.from_thread import start_blocking_portal
 
 from rn_standard.console.client import spawned_server
-from roboneuron.gate.estop import ESTOP_FILE
+from roboneuron.estop import ESTOP_FILE
 
 CONFIG = """
 [robot]

@@ -25,6 +25,7 @@ PLUGINS = ROOT / "plugins"
 
 LIGHT = {"errors", "log_files"}
 CONTRACT = LIGHT | {"contract"}
+BELOW_GATE = CONTRACT | {"plugins", "planning", "config"}
 ALLOWED: dict[str, set[str]] = {
     "errors": set(),
     "feature": set(),
@@ -33,15 +34,23 @@ ALLOWED: dict[str, set[str]] = {
     "plugins": LIGHT,
     "planning": LIGHT | {"plugins"},
     "config": LIGHT | {"plugins"},
-    "gate": CONTRACT | {"plugins", "planning", "config"},
-    "ros": CONTRACT | {"plugins", "planning", "config", "gate"},
-    "modules": CONTRACT | {"plugins", "planning", "config", "gate", "ros"},
-    "supervisor": CONTRACT | {"plugins", "planning", "config", "gate", "ros", "modules"},
-    "server": CONTRACT | {"plugins", "planning", "config", "gate", "ros", "modules", "supervisor"},
+    "gate": BELOW_GATE,
+    "estop": BELOW_GATE | {"gate"},
+    "ros": BELOW_GATE | {"gate"},
+    "modules": BELOW_GATE | {"gate", "estop", "ros"},
+    "supervisor": BELOW_GATE | {"gate", "ros", "modules"},
+    "estop.server": BELOW_GATE | {"gate", "estop", "ros", "modules", "supervisor"},
+    "server": BELOW_GATE | {"gate", "estop", "ros", "modules", "supervisor", "estop.server"},
 }
 """Rooms of the core by the rooms they may import (and `log_files`, all of them); `cli` may import
 all.
 """
+ROOMS_OF_FILES = {
+    "estop.emergency": "estop.server",
+    "estop.motion_starts": "estop.server",
+    "estop.command": "cli",
+}
+"""Files that belong to another room than the folder they lie in."""
 ROS_ROOMS = {"ros", "modules"}
 """Where rclpy may be imported."""
 SENDING = (
@@ -93,7 +102,8 @@ def _imports(path: Path) -> list[tuple[str, int]]:
 
 
 def _room(path: Path) -> str:
-    return path.relative_to(CORE).parts[0].removesuffix(".py")
+    parts = path.relative_to(CORE).with_suffix("").parts
+    return ROOMS_OF_FILES.get(".".join(parts[:2]), parts[0])
 
 
 def _core_files() -> list[Path]:
@@ -109,7 +119,7 @@ def _breaches(path: Path) -> Iterator[str]:
             parts[0] == "roboneuron"
             and len(parts) > 1
             and parts[1] != "__version__"
-            and parts[1] not in allowed
+            and ROOMS_OF_FILES.get(".".join(parts[1:3]), parts[1]) not in allowed
         ):
             yield f"{path.relative_to(CORE)}:{line} imports {name}"
         if parts[0] == "rclpy" and room not in ROS_ROOMS:

@@ -85,9 +85,9 @@ AT = {
     "architecture.md": {"rn_standard": STANDARD}
     | {
         name: f"{CORE}{name}/"
-        for name in ("cli", "config", "contract", "data", "gate", "modules", "plugins", "ros")
+        for name in ("cli", "config", "contract", "data", "estop", "gate", "modules", "plugins")
     }
-    | {name: f"{CORE}{name}/" for name in ("server", "supervisor")},
+    | {name: f"{CORE}{name}/" for name in ("ros", "server", "supervisor")},
 }
 """By page: what the first part of a path stands for."""
 

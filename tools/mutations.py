@@ -109,7 +109,7 @@ class Part:
 PARTS = {
     "gate": Part(
         package=CORE,
-        files=("gate/motion/*.py", "gate/estop.py", "gate/audit.py", "gate/pin.py"),
+        files=("gate/motion/*.py", "estop/latch.py", "gate/audit.py", "estop/pin.py"),
         tests=(*CORE_TESTS, *DIRECT_TESTS, *ARM_TESTS),
     ),
     "modules": Part(

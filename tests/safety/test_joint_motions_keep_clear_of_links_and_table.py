@@ -23,8 +23,9 @@ from rn_standard.direct_path.gate import Gate
 from roboneuron.config import parse_config
 from roboneuron.contract import JointCommand, JointSample
 from roboneuron.errors import RefusedError
+from roboneuron.estop import EmergencyStopLatch
 from roboneuron.feature import GateRequest
-from roboneuron.gate import AuditLog, EmergencyStopLatch
+from roboneuron.gate import AuditLog
 from roboneuron.modules.plugin import load_profile
 from roboneuron.plugins.discovery import discover
 from roboneuron.ros.messages import to_joint_trajectory

@@ -26,7 +26,7 @@ from anyio.from_thread import BlockingPortal, start_blocking_portal
 from mcp import Client, StdioServerParameters
 
 from rn_testing.domain import free_ros_domain
-from roboneuron.gate.estop import ESTOP_FILE
+from roboneuron.estop import ESTOP_FILE
 from roboneuron.ros.environment import prepare_environment
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(240)]

@@ -13,7 +13,7 @@ from page_client import PageClient
 from view_page import wait_until
 from view_server import Call, attached_view, served_view
 
-from roboneuron.gate.estop import ESTOP_FILE
+from roboneuron.estop import ESTOP_FILE
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(300)]
 

@@ -11,7 +11,7 @@ from rn_testing.fakes import fake_registry
 from rn_view_attached.command import _chosen, _sources
 from roboneuron import ConfigurationError
 from roboneuron.config import parse_config
-from roboneuron.gate.estop import ESTOP_FILE
+from roboneuron.estop import ESTOP_FILE
 
 TWO = (
     '[robots.left]\nrobot = {name = "gantry", namespace = "hall_2/a"}\n[robots.right]\nrobot = '

@@ -5,6 +5,7 @@ time.
 # ruff: noqa: I001
 # Modules, whose public names may all be used.
 from . import (
+    estop as estop,
     log_files as log_files,
 )
 from .cli import (
@@ -14,8 +15,10 @@ from .config import (
     models as models,
     reading as reading,
 )
+from .estop import (
+    emergency as emergency,
+)
 from .gate import (
-    estop as estop,
     roles as roles,
 )
 from .gate.motion import (
@@ -39,7 +42,6 @@ from .ros import (
 )
 from .server import (
     access as access,
-    emergency as emergency,
     envelope as envelope,
     results as results,
     schema as schema,
@@ -77,6 +79,10 @@ from .contract.profile import (
 )
 from .errors import (
     nearest as nearest,
+)
+from .estop.motion_starts import (
+    AGAIN as AGAIN,
+    MotionStarts as MotionStarts,
 )
 from .gate.audit import (
     AUDIT_FILE as AUDIT_FILE,
@@ -176,10 +182,6 @@ from .server.motion_gate import (
     Sent as Sent,
     TimedCommand as TimedCommand,
     Verdict as Verdict,
-)
-from .server.motion_starts import (
-    AGAIN as AGAIN,
-    MotionStarts as MotionStarts,
 )
 from .server.plugins import (
     PluginCatalogue as PluginCatalogue,

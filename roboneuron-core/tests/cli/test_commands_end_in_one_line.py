@@ -198,7 +198,7 @@ def test_every_exception_becomes_a_status_and_a_line(
         raise error
 
     monkeypatch.delenv(terminal.TRACEBACK_VARIABLE, raising=False)
-    monkeypatch.setattr("roboneuron.cli.estop.run", fail)
+    monkeypatch.setattr("roboneuron.estop.command.run", fail)
     assert "estop" in COMMANDS
     assert main(["estop"]) == status
     shown = capsys.readouterr().err

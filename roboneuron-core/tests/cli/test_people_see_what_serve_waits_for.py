@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from roboneuron.cli.main import main
-from roboneuron.gate.estop import ESTOP_FILE, EmergencyStopLatch
+from roboneuron.estop import ESTOP_FILE, EmergencyStopLatch
 
 SERVE = [sys.executable, "-m", "roboneuron.cli.main", "serve"]
 CONFIG = """[robot]

@@ -15,10 +15,10 @@ from pathlib import Path
 import pytest
 
 from roboneuron.errors import InvalidInputError, RefusedError
+from roboneuron.estop import ESTOP_FILE, EmergencyStopLatch
+from roboneuron.estop.pin import FILE_NAME as PIN_NAME
+from roboneuron.estop.pin import ReleasePin
 from roboneuron.gate.audit import AUDIT_FILE, AuditLog
-from roboneuron.gate.estop import ESTOP_FILE, EmergencyStopLatch
-from roboneuron.gate.pin import FILE_NAME as PIN_NAME
-from roboneuron.gate.pin import ReleasePin
 
 PIN = "4711-ruby"
 PROMPTS = (b"none): ", b"Again: ", b"PIN: ", b"[y/N] ")

@@ -18,9 +18,9 @@ from pathlib import Path
 import pytest
 
 from roboneuron.errors import RefusedError, StateError, UnsafeError
-from roboneuron.gate import AuditLog, AuditRecord, EmergencyStopLatch
-from roboneuron.gate.estop import LatchState, press_together
-from roboneuron.gate.pin import ReleasePin
+from roboneuron.estop import EmergencyStopLatch, LatchState, press_together
+from roboneuron.estop.pin import ReleasePin
+from roboneuron.gate import AuditLog, AuditRecord
 
 TIME_NS = 1_700_000_000_000_000_000
 NOWHERE = Path("/proc/nothing/stop")
@@ -28,7 +28,7 @@ NOWHERE = Path("/proc/nothing/stop")
 CAUSE = """
 import sys, time
 from pathlib import Path
-from roboneuron.gate import EmergencyStopLatch
+from roboneuron.estop import EmergencyStopLatch
 print(ascii(EmergencyStopLatch(Path(sys.argv[1]), time.time_ns).read_state().who))
 """
 

@@ -19,12 +19,13 @@ from pathlib import Path
 import pytest
 
 from roboneuron.errors import RefusedError, StateError, UnsafeError
-from roboneuron.gate import AuditLog, EmergencyStopLatch
+from roboneuron.estop import EmergencyStopLatch
+from roboneuron.gate import AuditLog
 
 PRESS = """
 import os, signal, sys, time
 from pathlib import Path
-from roboneuron.gate import EmergencyStopLatch
+from roboneuron.estop import EmergencyStopLatch
 EmergencyStopLatch(Path(sys.argv[1]), time.time_ns).latch(who="other process", reason="test")
 os.kill(os.getpid(), signal.SIGKILL)
 """

@@ -15,8 +15,8 @@ from typing import Any
 import pytest
 
 from roboneuron.errors import InvalidInputError, RefusedError
+from roboneuron.estop.pin import ReleasePin
 from roboneuron.gate import AuditLog, AuditRecord
-from roboneuron.gate.pin import ReleasePin
 
 NOW_S = 1000.0
 NAME = "emergency_stop.pin"

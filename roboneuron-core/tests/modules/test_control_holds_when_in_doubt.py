@@ -17,8 +17,8 @@ from trajectory_msgs.msg import JointTrajectory
 
 from rn_testing.waiting import holds_within
 from roboneuron.contract import JointSample
+from roboneuron.estop import ESTOP_FILE, EmergencyStopLatch
 from roboneuron.gate.audit import AuditLog
-from roboneuron.gate.estop import ESTOP_FILE, EmergencyStopLatch
 from roboneuron.ros.messages import to_action_message, to_joint_state
 from roboneuron.ros.qos import LATCHED, NEWEST
 

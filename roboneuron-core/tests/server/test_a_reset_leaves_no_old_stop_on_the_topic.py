@@ -10,9 +10,9 @@ from typing import Any, cast
 
 import pytest
 
+from roboneuron.estop import ESTOP_FILE, EmergencyStopLatch
+from roboneuron.estop.emergency import EmergencyStop
 from roboneuron.gate.audit import AUDIT_FILE, AuditLog
-from roboneuron.gate.estop import ESTOP_FILE, EmergencyStopLatch
-from roboneuron.server.emergency import EmergencyStop
 
 
 class Topic:

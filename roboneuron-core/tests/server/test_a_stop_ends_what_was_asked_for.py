@@ -10,9 +10,9 @@ from typing import Any, cast
 import pytest
 
 from roboneuron.errors import NotReadyError, RefusedError, StateError
+from roboneuron.estop.motion_starts import MotionStarts
 from roboneuron.modules.report import Report
 from roboneuron.modules.settings import INSTRUCTION_PARAMETER, MODULE_KINDS, START_PARAMETER
-from roboneuron.server.motion_starts import MotionStarts
 from roboneuron.supervisor.health import ModuleView
 
 RECEIVED_S = 1.0

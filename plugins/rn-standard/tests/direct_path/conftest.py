@@ -22,8 +22,9 @@ from rn_standard.direct_path.motion_gate import DirectGate
 from rn_standard.direct_path.request import AllowedEndpoint
 from rn_testing.gate_fixtures import Clock
 from roboneuron.contract import Endpoint, GripperProfile, JointLimits, JointSample, RobotProfile
+from roboneuron.estop import EmergencyStopLatch
 from roboneuron.feature import ExposedEndpoint, GateRequest, TimedCommand
-from roboneuron.gate import AuditLog, EmergencyStopLatch
+from roboneuron.gate import AuditLog
 
 ONE = np.ones(2)
 PROFILE = RobotProfile(

@@ -14,8 +14,9 @@ from rn_standard.direct_path.gate import Gate
 from rn_standard.direct_path.request import AllowedEndpoint
 from roboneuron.contract import Endpoint, JointLimits, JointSample, RobotProfile
 from roboneuron.errors import RefusedError
+from roboneuron.estop import EmergencyStopLatch
 from roboneuron.feature import GateRequest
-from roboneuron.gate import AuditLog, EmergencyStopLatch
+from roboneuron.gate import AuditLog
 
 Ask = Callable[..., GateRequest]
 NO_ACCELERATION_LIMIT = RobotProfile(

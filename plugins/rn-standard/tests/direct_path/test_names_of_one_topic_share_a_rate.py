@@ -12,8 +12,9 @@ from rn_standard.direct_path.gate import Gate
 from rn_standard.direct_path.request import AllowedEndpoint
 from roboneuron.contract import Endpoint
 from roboneuron.errors import ConfigurationError, RefusedError
+from roboneuron.estop import EmergencyStopLatch
 from roboneuron.feature import GateRequest
-from roboneuron.gate import AuditLog, EmergencyStopLatch
+from roboneuron.gate import AuditLog
 
 Ask = Callable[..., GateRequest]
 FORWARD = {"linear": {"x": 0.25}}

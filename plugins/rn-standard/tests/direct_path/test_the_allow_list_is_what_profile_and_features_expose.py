@@ -18,8 +18,9 @@ from rn_testing.fakes import FAKE_CONTROLLER, fake_registry, gantry_profile
 from roboneuron.config import LimitsConfig, parse_config
 from roboneuron.contract import CollisionProfile, Endpoint, JointSample
 from roboneuron.errors import ConfigurationError, RefusedError
+from roboneuron.estop import EmergencyStopLatch
 from roboneuron.feature import ExposedEndpoint, GateRequest
-from roboneuron.gate import AuditLog, EmergencyStopLatch
+from roboneuron.gate import AuditLog
 
 PROFILE = gantry_profile()
 CONTROLLED = '[robot]\nname = "gantry"\n[control]\ncontroller = "gantry"\n'

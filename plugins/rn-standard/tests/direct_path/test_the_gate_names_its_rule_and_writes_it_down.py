@@ -15,8 +15,9 @@ from rn_standard.direct_path.path_limits import LimitError
 from rn_standard.direct_path.request import AllowedEndpoint
 from roboneuron.contract import Endpoint
 from roboneuron.errors import ConfigurationError, RefusedError
+from roboneuron.estop import EmergencyStopLatch
 from roboneuron.feature import GateRequest
-from roboneuron.gate import AuditLog, EmergencyStopLatch
+from roboneuron.gate import AuditLog
 
 Ask = Callable[..., GateRequest]
 Make = Callable[..., Gate]

@@ -15,8 +15,8 @@ from mcp import types
 
 from rn_standard.direct_path.feature import direct_path
 from rn_standard.fleet.fleet import Fleet
+from roboneuron.estop import ESTOP_FILE
 from roboneuron.feature import ExposedEndpoint
-from roboneuron.gate.estop import ESTOP_FILE
 
 Call = Callable[..., types.CallToolResult]
 STOPS = [("stop", "left"), ("stop", "right-arm")]

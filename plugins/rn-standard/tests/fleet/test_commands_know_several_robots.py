@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from roboneuron.cli.main import main
-from roboneuron.gate.estop import ESTOP_FILE
+from roboneuron.estop import ESTOP_FILE
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ from rn_standard.fleet.plugin import FEATURE
 from rn_standard.http.feature import HttpFeature
 from rn_testing.fakes import fake_registry
 from roboneuron.config import parse_config
-from roboneuron.gate.estop import ESTOP_FILE, EmergencyStopLatch
+from roboneuron.estop import ESTOP_FILE, EmergencyStopLatch
 from roboneuron.server.access import LOCAL_AGENT
 
 Call = Callable[..., types.CallToolResult]

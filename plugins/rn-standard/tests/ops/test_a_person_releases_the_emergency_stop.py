@@ -21,7 +21,7 @@ from rn_standard.ops.plugin import CLIENTS
 from rn_testing.domain import free_ros_domain
 from rn_testing.fakes import fake_registry
 from roboneuron.config import parse_config
-from roboneuron.gate.estop import ESTOP_FILE, EmergencyStopLatch
+from roboneuron.estop import ESTOP_FILE, EmergencyStopLatch
 from roboneuron.server.app import Application
 from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.supervisor.supervisor import Supervisor

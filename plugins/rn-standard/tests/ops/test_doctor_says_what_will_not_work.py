@@ -19,7 +19,7 @@ from rn_standard.doctor.images import ImageTransport
 from rn_testing.domain import free_ros_domain
 from roboneuron.config import Config, parse_config
 from roboneuron.errors import NotReadyError
-from roboneuron.gate.estop import ESTOP_FILE, EmergencyStopLatch
+from roboneuron.estop import ESTOP_FILE, EmergencyStopLatch
 
 MIB = 1 << 20
 

@@ -22,8 +22,9 @@ from rn_testing.fakes import fake_registry
 from roboneuron.config import feature_options, parse_config
 from roboneuron.contract import Endpoint
 from roboneuron.errors import ConfigurationError, RefusedError
+from roboneuron.estop import EmergencyStopLatch
 from roboneuron.feature import ExposedEndpoint, GateRequest
-from roboneuron.gate import AuditLog, EmergencyStopLatch
+from roboneuron.gate import AuditLog
 from roboneuron.modules.plugin import load_profile
 from roboneuron.server.app import Application
 

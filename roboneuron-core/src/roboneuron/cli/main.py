@@ -52,7 +52,7 @@ COMMANDS: dict[str, Command] = {
     "serve": Command(
         "roboneuron.cli.serve", "serve MCP tools for a robot (an agent's client starts this)"
     ),
-    "estop": Command("roboneuron.cli.estop", "stop all motion now, with or without a server"),
+    "estop": Command("roboneuron.estop.command", "stop all motion now, with or without a server"),
 }
 """Command by name, in the order of `roboneuron --help`."""
 GROUPS = ("config", "plugins")

@@ -1,7 +1,6 @@
-"""What keeps a robot safe whoever moves it: limits of motion, emergency stop, roles, audit."""
+"""What keeps a robot safe whoever moves it: limits of motion, roles, audit."""
 
 from roboneuron.gate.audit import AuditLog, AuditRecord
-from roboneuron.gate.estop import EmergencyStopLatch, LatchState
 from roboneuron.gate.roles import ADMIN, OPERATOR, ROLES, VIEWER
 
 __all__ = [
@@ -11,6 +10,4 @@ __all__ = [
     "VIEWER",
     "AuditLog",
     "AuditRecord",
-    "EmergencyStopLatch",
-    "LatchState",
 ]

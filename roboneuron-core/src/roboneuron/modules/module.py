@@ -18,7 +18,7 @@ from rclpy.lifecycle import (
 from std_msgs.msg import Bool
 
 from roboneuron.errors import ConfigurationError, RoboNeuronError, StateError, UnsafeError
-from roboneuron.gate.estop import ESTOP_FILE, EmergencyStopLatch
+from roboneuron.estop.latch import ESTOP_FILE, EmergencyStopLatch
 from roboneuron.modules.module_host import Handover, Module, ModuleHost, join
 from roboneuron.modules.parent_watch import watch_stdin
 from roboneuron.modules.requests import RequestGuard

@@ -20,10 +20,10 @@ from anyio import to_thread
 
 from roboneuron.config import Config, fleet_feature
 from roboneuron.errors import ConfigurationError, RoboNeuronError, StateError
+from roboneuron.estop.emergency import SIGNAL, SafetyReports, press_on_signal
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.loading import load_attribute
 from roboneuron.ros.environment import state_directory
-from roboneuron.server.emergency import SIGNAL, SafetyReports, press_on_signal
 from roboneuron.server.events import Events
 from roboneuron.server.feature import Features, Transport
 from roboneuron.server.host import Host
@@ -98,7 +98,7 @@ class Application:
         self.loop.emergency_stop.audit.on_record = self.events.decision.tell
         self.features = Features(config, self.plugins.current())
         self.supervisor.on_join = self.features.on_join
-        reports = SafetyReports(self.loop.starts, self.loop.emergency_stop, self.events)
+        reports = SafetyReports(self.loop.starts, self.loop.emergency_stop, self.events.fault)
         self._watch = Watch(reports.look, self.events.health.tell)
         self.events.health.listen(
             lambda view, before, health: self.events.resource.tell(STATUS_URI)

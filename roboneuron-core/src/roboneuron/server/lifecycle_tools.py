@@ -13,12 +13,12 @@ from typing import Any
 from pydantic import Field
 
 from roboneuron.errors import RefusedError, UnsafeError
-from roboneuron.gate.pin import ReleasePin
+from roboneuron.estop.emergency import reset_command
+from roboneuron.estop.motion_starts import AGAIN
+from roboneuron.estop.pin import ReleasePin
 from roboneuron.gate.roles import ADMIN, VIEWER
 from roboneuron.modules.settings import MAX_INSTRUCTION_LENGTH, MODULE_KINDS
-from roboneuron.server.emergency import reset_command
 from roboneuron.server.loop import ClosedLoop
-from roboneuron.server.motion_starts import AGAIN
 from roboneuron.server.results import (
     EmergencyStopResult,
     InstructionResult,

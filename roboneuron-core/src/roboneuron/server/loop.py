@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 from roboneuron.config import Config, LimitsConfig
 from roboneuron.errors import InvalidInputError, NotReadyError, RefusedError, StateError
+from roboneuron.estop.emergency import EmergencyStop
+from roboneuron.estop.motion_starts import MotionStarts
 from roboneuron.modules.report import Report
 from roboneuron.modules.settings import EMERGENCY_STOP, MODULE_KINDS, ModuleKind
 from roboneuron.plugins.specs import RobotSpec
-from roboneuron.server.emergency import EmergencyStop
-from roboneuron.server.motion_starts import MotionStarts
 from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.server.results import RobotFacts
 from roboneuron.server.selection import Choose, Selection, check_instruction, choose_configured

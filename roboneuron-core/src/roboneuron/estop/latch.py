@@ -24,8 +24,8 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from roboneuron.errors import RefusedError, StateError, UnsafeError
+from roboneuron.estop.pin import ReleasePin
 from roboneuron.gate.audit import AuditLog, AuditRecord
-from roboneuron.gate.pin import ReleasePin
 from roboneuron.gate.roles import ADMIN, has_role
 from roboneuron.log_files import make_log_directory
 

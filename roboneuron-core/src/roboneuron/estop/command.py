@@ -15,9 +15,9 @@ from pathlib import Path
 
 from roboneuron.config import read_state_directory, robot_folder
 from roboneuron.errors import ConfigurationError, RefusedError, RoboNeuronError
+from roboneuron.estop.latch import ESTOP_FILE, EmergencyStopLatch
+from roboneuron.estop.pin import ReleasePin
 from roboneuron.gate.audit import AUDIT_FILE, AuditLog, AuditRecord
-from roboneuron.gate.estop import ESTOP_FILE, EmergencyStopLatch
-from roboneuron.gate.pin import ReleasePin
 from roboneuron.gate.roles import ADMIN
 from roboneuron.ros.environment import state_directory
 

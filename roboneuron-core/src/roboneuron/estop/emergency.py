@@ -12,17 +12,18 @@ import shlex
 import signal
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from queue import SimpleQueue
+from typing import Any
 
 from roboneuron.errors import NotReadyError, UnsafeError
+from roboneuron.estop.latch import ESTOP_FILE, EmergencyStopLatch
+from roboneuron.estop.motion_starts import MotionStarts
 from roboneuron.gate.audit import AUDIT_FILE, AuditLog, AuditRecord
-from roboneuron.gate.estop import ESTOP_FILE, EmergencyStopLatch
 from roboneuron.modules.settings import EMERGENCY_STOP_TOPIC, FOREIGN_REQUEST, ModuleKind
-from roboneuron.server.events import Events
-from roboneuron.server.motion_starts import MotionStarts
+from roboneuron.supervisor.changes import Event
 from roboneuron.supervisor.health import ModuleView
 from roboneuron.supervisor.supervisor import Supervisor
 
@@ -253,10 +254,20 @@ class SafetyReports:
     It looks whenever the modules are looked at; used by the watching thread only.
     """
 
-    def __init__(self, starts: MotionStarts, emergency_stop: EmergencyStop, events: Events) -> None:
+    def __init__(
+        self,
+        starts: MotionStarts,
+        emergency_stop: EmergencyStop,
+        fault: Event[[str, str, Mapping[str, Any]]],
+    ) -> None:
+        """Args:
+        starts: counts the stops that modules report.
+        emergency_stop: whose file is looked at.
+        fault: told of each fault: where, a word for it, and facts that JSON can hold.
+        """
         self._starts = starts
         self._emergency_stop = emergency_stop
-        self._events = events
+        self._fault = fault
         self._foreign: dict[ModuleKind, int] = {}
 
     def look(self) -> Sequence[ModuleView]:
@@ -265,7 +276,7 @@ class SafetyReports:
             what = (
                 "its file vanished without a reset and was written again; everything stays stopped"
             )
-            self._events.fault.tell(
+            self._fault.tell(
                 "emergency_stop", "latch_vanished", {"explanation": what, "times": restored}
             )
         views = self._starts.look(self._emergency_stop.follow_file())
@@ -273,6 +284,6 @@ class SafetyReports:
             count = view.report.dropped_by.get(FOREIGN_REQUEST, 0) if view.report is not None else 0
             if count > self._foreign.get(view.kind, 0) and view.report is not None:
                 told = {"explanation": view.report.metrics.get(FOREIGN_REQUEST, ""), "count": count}
-                self._events.fault.tell(view.kind, FOREIGN_REQUEST, told)
+                self._fault.tell(view.kind, FOREIGN_REQUEST, told)
             self._foreign[view.kind] = count
         return views
