@@ -88,7 +88,8 @@ def packages() -> str:
     s = Sheet(900, 300, "Packages of the core and what they import")
     rows = (
         ("cli", BLUE), ("server", BLUE), ("supervisor", BLUE), ("modules", AMBER), ("ros", AMBER),
-        ("estop, gate", RED), ("plugins, planning, config", GREEN), ("contract", GREEN), ("errors", GREEN),
+        ("estop, gate", RED), ("plugins, planning, config", GREEN),
+        ("contract", GREEN), ("errors", GREEN),
     )  # fmt: skip
     for number, (name, fill) in enumerate(rows):
         s.box(30, 16 + 30 * number, 300, 26, name, fill=fill)

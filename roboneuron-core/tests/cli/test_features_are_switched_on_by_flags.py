@@ -10,8 +10,8 @@ from pydantic import Field
 from rn_testing.fakes import fake_registry
 from roboneuron import FeatureSpec, Section
 from roboneuron.cli.main import run_command
-from roboneuron.cli.serve import add_installed_flags, configure, with_server
-from roboneuron.config import Config, feature_options, parse_config
+from roboneuron.cli.serve import add_installed_flags, configure
+from roboneuron.config import Config, feature_options, parse_config, with_server
 from roboneuron.errors import ConfigurationError
 from roboneuron.plugins.registry import Registry
 

@@ -11,8 +11,7 @@ import pytest
 from rn_standard.fleet.plugin import FEATURE
 from rn_standard.selection.plugin import FEATURE as SELECTION
 from rn_testing.fakes import fake_registry
-from roboneuron.cli.serve import with_server
-from roboneuron.config import Config, parse_config
+from roboneuron.config import Config, parse_config, with_server
 from roboneuron.errors import ConfigurationError
 from roboneuron.plugins.specs import FeatureSpec
 

@@ -14,8 +14,8 @@ from rn_standard.http.server import listen
 from rn_standard.http.tokens import TokenFiles, TokenTable, read_tokens
 from rn_testing.fakes import fake_registry
 from roboneuron.cli.main import main
-from roboneuron.cli.serve import configure, with_server
-from roboneuron.config import Config, feature_options, parse_config
+from roboneuron.cli.serve import configure
+from roboneuron.config import Config, feature_options, parse_config, with_server
 from roboneuron.errors import ConfigurationError
 from roboneuron.server.app import serve
 

@@ -11,18 +11,12 @@ from argparse import SUPPRESS, Action, ArgumentError, ArgumentParser, Namespace
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from roboneuron.errors import ConfigurationError
 from roboneuron.log_files import begin_logging
 from roboneuron.plugins.availability import known_names
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.registry import Registry
 from roboneuron.plugins.specs import FeatureSpec
-
-if TYPE_CHECKING:
-    from roboneuron.config import Config
-
 
 _AT_A_TERMINAL = (
     "roboneuron serve waits for an MCP client on standard input, which is this terminal: an "
@@ -95,7 +89,7 @@ def run(arguments: Namespace) -> int:
     begin_logging(arguments.log_level.upper())
     # what a start makes stays, and to look for garbage in it takes 0.1 s; see `shorten_pauses`
     gc.disable()
-    from roboneuron.config import STDIO, load_config
+    from roboneuron.config import STDIO, load_config, with_server
 
     config = with_server(load_config(arguments.config), arguments)
     if config.server.transport == STDIO and os.isatty(wire[0]):
@@ -137,44 +131,3 @@ def quiet_streams() -> Iterator[None]:
             os.dup2(kept, target)
             os.close(kept)
         sys.stdout = stdout
-
-
-def with_server(config: Config, arguments: Namespace, registry: Registry | None = None) -> Config:
-    """The configuration, and that of each of several robots, with what the command line says about
-    the server.
-
-    Raises:
-        ConfigurationError: nothing serves the transport, or it does not take that address.
-    """
-    from roboneuron.config import STDIO, check_sections, transport_feature
-
-    if config.robots:
-        robots = {
-            name: with_server(one, arguments, registry) for name, one in config.robots.items()
-        }
-        config = config.model_copy(update={"robots": robots})
-    if arguments.transport is not None:
-        server = config.server.model_copy(update={"transport": arguments.transport})
-        config = config.model_copy(update={"server": server})
-    for spec in getattr(arguments, "switches", None) or ():
-        section = {**config.sections.get(spec.keys[0], {}), spec.switch: True}
-        config = config.model_copy(update={"sections": {**config.sections, spec.keys[0]: section}})
-    address = {
-        name: getattr(arguments, name)
-        for name in ("host", "port")
-        if getattr(arguments, name) is not None
-    }
-    if not address:
-        return config
-    if config.server.transport == STDIO:
-        raise ConfigurationError("--host and --port are for http.", hint="Add --transport http.")
-    registry = registry or discover(config.disabled_plugins)
-    keys = transport_feature(config.server.transport, registry).keys
-    if not keys:
-        raise ConfigurationError(
-            f"The transport {config.server.transport!r} takes no --host and no --port."
-        )
-    section = {**config.sections.get(keys[0], {}), **address}
-    config = config.model_copy(update={"sections": {**config.sections, keys[0]: section}})
-    check_sections(config, registry, "the command line")
-    return config

@@ -25,6 +25,7 @@ from roboneuron.config.reading import (
     read_state_directory,
     robot_folder,
     transport_feature,
+    with_server,
 )
 
 __all__ = [
@@ -50,4 +51,5 @@ __all__ = [
     "read_state_directory",
     "robot_folder",
     "transport_feature",
+    "with_server",
 ]

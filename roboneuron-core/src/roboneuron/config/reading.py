@@ -7,6 +7,7 @@ installed.
 from __future__ import annotations
 
 import tomllib
+from argparse import Namespace
 from collections.abc import Callable, Iterable, Mapping
 from importlib.resources import files
 from pathlib import Path
@@ -208,6 +209,50 @@ def transport_feature(transport: str, registry: Registry) -> FeatureSpec:
     raise ConfigurationError(
         f"transport = {transport!r}: nothing serves it; choose one of: {choices}."
     )
+
+
+def with_server(config: Config, arguments: Namespace, registry: Registry | None = None) -> Config:
+    """The configuration, and that of each of several robots, with what the command line says about
+    the server.
+
+    Args:
+        config: as the file says.
+        arguments: of `roboneuron serve`; what is None leaves the file's value.
+        registry: as of `parse_config`.
+
+    Raises:
+        ConfigurationError: nothing serves the transport, or it does not take that address.
+    """
+    if config.robots:
+        robots = {
+            name: with_server(one, arguments, registry) for name, one in config.robots.items()
+        }
+        config = config.model_copy(update={"robots": robots})
+    if arguments.transport is not None:
+        server = config.server.model_copy(update={"transport": arguments.transport})
+        config = config.model_copy(update={"server": server})
+    for spec in getattr(arguments, "switches", None) or ():
+        section = {**config.sections.get(spec.keys[0], {}), spec.switch: True}
+        config = config.model_copy(update={"sections": {**config.sections, spec.keys[0]: section}})
+    address = {
+        name: getattr(arguments, name)
+        for name in ("host", "port")
+        if getattr(arguments, name) is not None
+    }
+    if not address:
+        return config
+    if config.server.transport == STDIO:
+        raise ConfigurationError("--host and --port are for http.", hint="Add --transport http.")
+    registry = registry or discover(config.disabled_plugins)
+    keys = transport_feature(config.server.transport, registry).keys
+    if not keys:
+        raise ConfigurationError(
+            f"The transport {config.server.transport!r} takes no --host and no --port."
+        )
+    section = {**config.sections.get(keys[0], {}), **address}
+    config = config.model_copy(update={"sections": {**config.sections, keys[0]: section}})
+    check_sections(config, registry, "the command line")
+    return config
 
 
 def _spec(spec: object) -> FeatureSpec:

@@ -16,6 +16,7 @@ from contextlib import suppress
 
 from roboneuron.errors import NotReadyError, RefusedError, RoboNeuronError, StateError
 from roboneuron.modules.settings import (
+    ARM_KINDS,
     EMERGENCY_STOP,
     INSTRUCTION_PARAMETER,
     START_PARAMETER,
@@ -30,8 +31,6 @@ _TOLD_S = 1.0
 """What does not take its instruction back within this time is ended."""
 _PERMITTED_S = 5.0
 _SETTLED_S = 5.0
-_ARM: tuple[ModuleKind, ...] = ("robot", "control")
-"""What moves the arm."""
 AGAIN = (
     "Nothing moves by itself: give an instruction (set_instruction, run_task) or move the arm "
     "to go on."
@@ -78,7 +77,7 @@ class MotionStarts:
         if is_pressed:
             self.note_stop(EMERGENCY_STOP)
         for reason, kind in reasons:
-            self.note_stop(reason, holds_arm=kind in _ARM)
+            self.note_stop(reason, holds_arm=kind in ARM_KINDS)
         if any(kind != "inference" and reason != EMERGENCY_STOP for reason, kind in reasons):
             self._take_back_soon()  # the policy knows of the other ones itself
         return views
@@ -103,14 +102,14 @@ class MotionStarts:
         """A module was stopped, or is to be started again by itself: the policy forgets its
         instruction.
         """
-        self.note_stop(reason, holds_arm=kind in _ARM, is_asked=is_asked)
+        self.note_stop(reason, holds_arm=kind in ARM_KINDS, is_asked=is_asked)
         self._take_back()
 
     @property
     def are_needed(self) -> bool:
         """Whether a stop keeps a module still until `permit`."""
         reports = [
-            self._supervisor.report_of(slot) for kind in _ARM for slot in self._running(kind)
+            self._supervisor.report_of(slot) for kind in ARM_KINDS for slot in self._running(kind)
         ]
         return any(report is not None and report.needs_start for report in reports)
 
@@ -144,7 +143,7 @@ class MotionStarts:
             log.warning("What was started keeps still: %s", error)
 
     def _arm(self) -> None:
-        for kind in _ARM:
+        for kind in ARM_KINDS:
             for slot in self._running(kind):
                 report = self._supervisor.report_of(slot)
                 if report is None or not report.needs_start or slot.process is None:

@@ -7,29 +7,35 @@ from __future__ import annotations
 import gc
 import logging
 import math
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import cast
 
-from rclpy.lifecycle import (
-    LifecycleState,
-    TransitionCallbackReturn,
-)
+import rclpy
+from pydantic import ValidationError
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
+from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Bool
 
 from roboneuron.errors import ConfigurationError, RoboNeuronError, StateError, UnsafeError
 from roboneuron.estop.latch import ESTOP_FILE, EmergencyStopLatch
 from roboneuron.modules.module_host import Handover, Module, ModuleHost, join
-from roboneuron.modules.parent_watch import watch_stdin
+from roboneuron.modules.parent_watch import Signals, watch_stdin
 from roboneuron.modules.requests import RequestGuard
 from roboneuron.modules.settings import (
     EMERGENCY_STOP,
     EMERGENCY_STOP_TOPIC,
+    MODULE_CLASSES,
     SERVER_SILENT,
     START_PARAMETER,
     ModuleSettings,
 )
 from roboneuron.modules.status import StatusReporter
+from roboneuron.plugins.loading import load_attribute
+from roboneuron.ros.claim import LEAVE_S, claim
 from roboneuron.ros.qos import STOP_REQUESTS
 
 _LOOP_PERIOD_S = 0.02
@@ -253,3 +259,47 @@ class ModuleNode(ModuleHost):
             self.module.emergency_stop(self.stopped)
         self.status.set(emergency_stop=self.stopped)
         self.status.changed.set()
+
+
+def run(line: str) -> None:
+    """Run the module that a line of settings describes, on the main thread, until a signal or the
+    end of the parent asks it to leave.
+
+    Exits with a sentence when the settings are not valid or another process runs that node.
+    """
+    try:
+        settings = ModuleSettings.model_validate_json(line)
+        held = claim(f"/{settings.status_name}", LEAVE_S)
+    except ValidationError as error:
+        sys.exit(f"The settings are not valid: {error}")
+    except StateError as error:
+        sys.exit(f"{error.message} {error.hint}")
+    with held:
+        # rclpy's own handlers end the context first: then nobody could publish a last hold.
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+        signals = Signals()
+        signals.listen()
+        kind = load_attribute(MODULE_CLASSES[settings.kind], "class of the module")
+        node = ModuleNode(settings, cast("type[Module]", kind))
+        node.watch_parent(signals.leave)
+        try:
+            _spin(node, signals)
+        finally:
+            node.release()
+            node.destroy_node()
+            rclpy.try_shutdown()
+
+
+def _spin(node: ModuleNode, signals: Signals) -> None:
+    """Handle what comes for the node until the process is to leave."""
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    is_leaving = False
+    while not is_leaving:  # wakes with every turn of the node's loop timer
+        is_leaving = signals.is_leaving  # first: a stop before it counts
+        if signals.take_stop():
+            node.trigger_stop("the signal SIGUSR1")
+        try:
+            executor.spin_once()
+        except Exception as error:  # the module border: a plugin's callback may raise anything
+            node.report_unexpected(error)

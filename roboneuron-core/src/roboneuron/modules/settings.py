@@ -7,7 +7,7 @@ from unicodedata import category
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from roboneuron.config import Config, LimitsConfig
+from roboneuron.config import Config, LimitsConfig, ServerConfig
 
 ModuleKind = Literal["robot", "perception", "inference", "control"]
 MODULE_CLASSES: dict[ModuleKind, str] = {
@@ -18,6 +18,8 @@ MODULE_CLASSES: dict[ModuleKind, str] = {
 }
 """What a module process of each kind runs, "module:attribute": imported in that process alone."""
 MODULE_KINDS: tuple[ModuleKind, ...] = tuple(MODULE_CLASSES)
+ARM_KINDS: tuple[ModuleKind, ...] = ("robot", "control")
+"""Modules that move the arm: after a stop they obey nothing until somebody asks for motion."""
 
 
 class ModuleSettings(BaseModel):
@@ -52,6 +54,11 @@ class ModuleSettings(BaseModel):
     def status_name(self) -> str:
         """Name of the module's DiagnosticStatus: "<namespace>/<node name>"."""
         return f"{self.config.namespace}/{self.node_name}"
+
+    def to_line(self) -> str:
+        """The line for the module's stdin; plugins have no use for the server's own section."""
+        config = self.config.model_copy(update={"server": ServerConfig()})
+        return self.model_copy(update={"config": config}).model_dump_json()
 
 
 INSTRUCTION_PARAMETER = "instruction"

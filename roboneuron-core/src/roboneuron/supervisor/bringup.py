@@ -10,13 +10,14 @@ from pathlib import Path
 from roboneuron.errors import InternalError, NotReadyError, RoboNeuronError
 from roboneuron.modules.report import Report
 from roboneuron.modules.settings import ModuleKind
+from roboneuron.planning import Plan
 from roboneuron.ros.claim import LEAVE_S, claimant, runs_already
 from roboneuron.supervisor.changes import Lasting
 from roboneuron.supervisor.health import ModuleTable
-from roboneuron.supervisor.launching import Spawner, Stage
+from roboneuron.supervisor.launching import Launch, Spawner, Stage
 from roboneuron.supervisor.lifecycle import NodeClient
 from roboneuron.supervisor.process import ModuleProcess, end_processes
-from roboneuron.supervisor.slot import Choice, Phase, Slot
+from roboneuron.supervisor.slot import Phase, Slot
 
 log = logging.getLogger(__name__)
 _REASON_S = 1.0
@@ -44,38 +45,51 @@ class Bringup:
     _process: ModuleProcess
 
     def __init__(
-        self, spawner: Spawner, modules: ModuleTable, slot: Slot, choice: Choice, on_stage: Stage
+        self,
+        launch: Launch,
+        spawner: Spawner,
+        modules: ModuleTable,
+        slot: Slot,
+        plan: Plan | None,
+        on_stage: Stage,
     ) -> None:
+        """Args:
+        launch: what is started.
+        spawner: starts it.
+        modules: the others, some of which this one needs.
+        slot: claimed for it.
+        plan: the descriptors behind what was chosen; None where nobody has made one.
+        on_stage: called with a phrase whenever the start has come further.
+        """
+        self._launch = launch
         self._spawner = spawner
         self._modules = modules
         self._slot = slot
-        self._plan = choice.plan
-        self._settings = choice.settings
-        self._name = choice.settings.status_name
-        self._timeout_s = choice.settings.config.start_timeout_s(slot.kind)
+        self._plan = plan
+        self._name = launch.status_name
         self._board = modules.board
         self._changes = modules.changes
         self._on_stage = on_stage
         self._doing = "starting"
         self._since_s = self._reported_s = time.monotonic()
 
-    def run(self, python: str | None) -> None:
+    def run(self) -> None:
         """Spawn, configure, activate and wait for readiness; a failure ends the process.
 
         Raises:
             RoboNeuronError: as `Supervisor.start`.
         """
-        slot, deadline_s = self._slot, time.monotonic() + self._timeout_s
+        slot, deadline_s = self._slot, time.monotonic() + self._launch.start_timeout_s
         phase: Phase = "stopped"
         try:
             self._check_robot()
-            self._process = slot.process = self._spawn(python)
+            self._process = slot.process = self._spawn()
             self._prove(deadline_s)
             phase = "running"
         finally:
             try:
                 if phase != "running" and slot.process is not None:
-                    end_processes([slot.process], self._settings.config.supervisor.stop_timeout_s)
+                    end_processes([slot.process], self._launch.stop_timeout_s)
                     self._board.forget(self._name, slot.process.pid)
             finally:
                 # also when it survives SIGKILL, else nobody could start one again
@@ -106,8 +120,8 @@ class Bringup:
                 hint="Call start_robot first.",
             )
 
-    def _spawn(self, python: str | None) -> ModuleProcess:
-        process = self._spawner.start(self._settings, python)
+    def _spawn(self) -> ModuleProcess:
+        process = self._spawner.start(self._launch)
         log.info("Spawned %s: pid %d.", process.name, process.pid)
         self._board.watch(self._name, process.pid)
         process.reap(self._on_exit)
@@ -240,7 +254,7 @@ class Bringup:
         said = f" It says: {report.error}" if report is not None and report.error else ""
         return NotReadyError(
             f"{self._slot.kind} (pid {self._process.pid}) was not ready within "
-            f"{self._timeout_s:g} s; "
+            f"{self._launch.start_timeout_s:g} s; "
             f"missing: {missing}.{said}",
             hint=f"The process was ended; its log is {self._process.log_path}. If it only needs "
             "longer, raise "
@@ -269,7 +283,7 @@ class Bringup:
             self._reported_s = now_s
             self._on_stage(
                 f"{self._slot.kind}: {self._doing}, {now_s - self._since_s:.0f} of at most "
-                f"{self._timeout_s:g} s"
+                f"{self._launch.start_timeout_s:g} s"
                 f"{_memory(self._process.pid)}"
             )
 

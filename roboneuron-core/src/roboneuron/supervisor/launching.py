@@ -9,12 +9,12 @@ import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from concurrent.futures import TimeoutError as FutureTimeoutError
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from roboneuron.config import ServerConfig
 from roboneuron.errors import ConfigurationError, NotReadyError, StateError
-from roboneuron.modules.settings import ModuleSettings
+from roboneuron.modules.settings import ModuleKind
 from roboneuron.ros.environment import (
     check_state_directory,
     module_environment,
@@ -111,6 +111,29 @@ def module_command(python: str | None) -> list[str]:
     return [python or sys.executable, "-u", "-P", "-m", "roboneuron.modules"]
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Launch:
+    """One start of a module process, without the configuration: that is in `first_line`.
+
+    Attributes:
+        kind: which module.
+        node_name: its ROS node under the robot's namespace; names its process and its log too.
+        status_name: under which it reports.
+        first_line: its settings as JSON, for its stdin.
+        python: interpreter of its own environment; None for the server's.
+        start_timeout_s: from the spawn to the proof that it works [s].
+        stop_timeout_s: from SIGTERM to SIGKILL, when the start fails [s].
+    """
+
+    kind: ModuleKind
+    node_name: str
+    status_name: str
+    first_line: str
+    python: str | None
+    start_timeout_s: float
+    stop_timeout_s: float
+
+
 class Spawner:
     """Starts module processes, on a thread that lives as long as the server: PR_SET_PDEATHSIG
     follows the thread.
@@ -133,32 +156,30 @@ class Spawner:
         self._command = command
         self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="spawner")
 
-    def start(self, settings: ModuleSettings, python: str | None) -> ModuleProcess:
-        """Start a module under that interpreter, or under this one.
+    def start(self, launch: Launch) -> ModuleProcess:
+        """Start a module process.
 
         Raises:
             ConfigurationError: it cannot be started, or its log cannot be written.
         """
-        # A plugin has no use for the server's section.
-        config = settings.config.model_copy(update={"server": ServerConfig()})
         number = next(self.connection.starts)
-        command = self._command(python)
+        command = self._command(launch.python)
         check_state_directory(self.log_directory)
         try:
             return self._thread.submit(
                 spawn,
-                settings.node_name,
+                launch.node_name,
                 command,
-                module_environment(python, number, self.secret_variables),
-                settings.model_copy(update={"config": config}).model_dump_json(),
-                self.log_directory / f"{settings.node_name}.log",
+                module_environment(launch.python, number, self.secret_variables),
+                launch.first_line,
+                self.log_directory / f"{launch.node_name}.log",
                 self.events,
             ).result()
         except OSError as error:
             raise ConfigurationError(
-                f"The {settings.kind} process cannot be started with {command[0]!r}: "
+                f"The {launch.kind} process cannot be started with {command[0]!r}: "
                 f"{error.strerror or error}.",
-                hint=f"Check `python` in the section [{settings.kind}] of the configuration.",
+                hint=f"Check `python` in the section [{launch.kind}] of the configuration.",
             ) from error
 
     def shutdown(self) -> None:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 from roboneuron.config import Config, LimitsConfig
 from roboneuron.errors import RoboNeuronError, StateError
-from roboneuron.modules.settings import MODULE_KINDS, ModuleKind, ModuleSettings
+from roboneuron.modules.settings import ARM_KINDS, MODULE_KINDS, ModuleKind, ModuleSettings
 from roboneuron.planning import Plan
 from roboneuron.ros.environment import check_state_directory
 from roboneuron.supervisor.bringup import Bringup
@@ -26,6 +26,7 @@ from roboneuron.supervisor.launching import (
     Command,
     Connect,
     Connection,
+    Launch,
     Spawner,
     Stage,
     module_command,
@@ -150,29 +151,48 @@ class Supervisor(ModuleTable):
         with self.changes.lock:
             if self._closed:
                 raise StateError("The server is shutting down.")
-            working = self.slot(kind).choice
-            other_name = (
-                beside is not None and working is not None and working.settings.node_name == kind
-            )
-            slot = beside or self.slot(kind)
-            stopped_by = self.needs_start
-            if beside is not None and (report := self.report_of(self.slot(kind))) is not None:
-                stopped_by = report.needs_start
+            working = self.slot(kind)
             settings = ModuleSettings(
                 kind=kind,
-                node_name=f"{kind}_b" if other_name else kind,
+                node_name=kind,
                 config=config,
                 state_directory=str(self.state_directory),
                 tightened=self.tightened,
-                shadow=beside is not None,
-                needs_start=stopped_by if kind in ("robot", "control") else "",
+                needs_start=self.needs_start if kind in ARM_KINDS else "",
                 on_join=self.on_join,
             )
+            if beside is not None:
+                settings = self._in_shadow(settings, working)
+            slot = beside or working
             choice = Choice(settings=settings, names=names or {}, plan=plan)
             slot.begin_start(choice, next(self._order))
+        launch = Launch(
+            kind=kind,
+            node_name=settings.node_name,
+            status_name=settings.status_name,
+            first_line=settings.to_line(),
+            python=python,
+            start_timeout_s=config.start_timeout_s(kind),
+            stop_timeout_s=config.supervisor.stop_timeout_s,
+        )
         self.heartbeat.start()
-        Bringup(self.spawner, self, slot, choice, on_stage).run(python)
+        Bringup(launch, self.spawner, self, slot, plan, on_stage).run()
         return self.view(kind)
+
+    def _in_shadow(self, settings: ModuleSettings, working: Slot) -> ModuleSettings:
+        """Settings of what is to replace the module in `working`: in its shadow until the handover,
+        under the one of two node names that it does not use, and still for the same stop.
+        """
+        kind, report = settings.kind, self.report_of(working)
+        is_named_so = working.choice is not None and working.choice.settings.node_name == kind
+        changes: dict[str, object] = {
+            "shadow": True,
+            "node_name": f"{kind}_b" if is_named_so else kind,
+        }
+        # newer than what the server has counted: a module may have seen a stop before the server
+        if report is not None and kind in ARM_KINDS:
+            changes["needs_start"] = report.needs_start
+        return settings.model_copy(update=changes)
 
     def stop(self, kind: ModuleKind) -> Stopped | None:
         """Deactivate, end and reap a module; a start in progress is cancelled instead, and None is
