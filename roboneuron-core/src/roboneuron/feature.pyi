@@ -107,8 +107,10 @@ from .modules.control import (
 from .modules.inference import (
     InferenceModule as InferenceModule,
 )
-from .modules.module_host import (
+from .modules.handover import (
     Handover as Handover,
+)
+from .modules.module_host import (
     Module as Module,
     ModuleHost as ModuleHost,
 )

@@ -29,8 +29,8 @@ from roboneuron.contract import (
 )
 from roboneuron.errors import CheckpointError, NotReadyError, UngroundedError
 from roboneuron.modules.execution import Prediction
+from roboneuron.modules.handover import Handover
 from roboneuron.modules.inference import InferenceModule
-from roboneuron.modules.module_host import Handover
 from roboneuron.plugins.hookspecs import hookimpl
 from roboneuron.plugins.specs import (
     ActionSpace,

@@ -191,11 +191,12 @@ class ControlModule(Module):
 
     def _publish_pose(self, joints: JointSample) -> None:
         pose = self._controller.forward(joints)
-        if self.handover.is_shadow(joints.stamp_ns):
-            self.handover.withhold(pose)
-        elif not self.handover.is_over(joints.stamp_ns):
-            self._ee_pose.publish(to_pose_stamped(pose, self._profile.base_link))
-            self.handover.note_sent("pose")
+        self.handover.send(
+            "pose",
+            joints.stamp_ns,
+            pose,
+            lambda pose: self._ee_pose.publish(to_pose_stamped(pose, self._profile.base_link)),
+        )
         self.status.clear_error()
         self.status.set_ready()
 

@@ -20,9 +20,10 @@ from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Bool
 
-from roboneuron.errors import ConfigurationError, RoboNeuronError, StateError, UnsafeError
+from roboneuron.errors import RoboNeuronError, StateError, UnsafeError
 from roboneuron.estop.latch import ESTOP_FILE, EmergencyStopLatch
-from roboneuron.modules.module_host import Handover, Module, ModuleHost, join
+from roboneuron.modules.handover import check_replaceable
+from roboneuron.modules.module_host import Module, ModuleHost, join
 from roboneuron.modules.parent_watch import Signals, watch_stdin
 from roboneuron.modules.requests import RequestGuard
 from roboneuron.modules.settings import (
@@ -148,13 +149,7 @@ class ModuleNode(ModuleHost):
             self._reporter.stop()
 
     def _configure(self) -> None:
-        if self.settings.shadow and type(self.handover) is Handover:
-            raise ConfigurationError(
-                "This process was started to replace a running module, but nothing here says when "
-                "it takes over.",
-                hint="Install the package of the feature that replaces modules in this "
-                "interpreter's environment too.",
-            )
+        check_replaceable(self.settings, self.handover)
         try:
             self.module = self._kind(self)
             # What is loaded stays: a full collection over it all would be a pause of up to half a
