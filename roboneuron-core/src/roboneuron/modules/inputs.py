@@ -32,6 +32,7 @@ from roboneuron.ros.messages import (
 from roboneuron.ros.topics import EE_POSE, JOINT_STATES, camera_image
 
 _HAND_OVER_S = 1e-5
+"""Any sleep gives the interpreter lock away; the kernel makes about 60 us of it."""
 _IMAGE_TYPE = "sensor_msgs/msg/Image"
 
 
@@ -41,9 +42,14 @@ class CalibratedCamera:
     Where the camera is mounted comes from the robot's profile; its intrinsics come from the
     `camera_info` published beside the images, and from the profile, scaled to the image, as long as
     none was published for that image size.
+
+    Used from the executor's thread.
     """
 
     def __init__(self, profile: CameraProfile) -> None:
+        """Args:
+        profile: of the camera; without a calibration, frames have none.
+        """
         self._profile = profile
         self._shape: tuple[int, ...] = ()
         self._calibrations: dict[tuple[int, int], CameraCalibration | None] = {}
@@ -55,11 +61,10 @@ class CalibratedCamera:
         Raises:
             InvalidInputError: the message holds no calibration.
         """
-        size, values = (
-            (int(message.width), int(message.height)),
-            tuple(np.asarray(message.k).tolist()),
-        )
+        size = (int(message.width), int(message.height))
+        values = tuple(np.asarray(message.k).tolist())
         mounted = self._profile.calibration
+        # it comes with every image, and hardly ever changes
         if mounted is None or self._published.get(size) == values:
             return
         self._calibrations[size] = replace(mounted, intrinsics=intrinsics_from_camera_info(message))
@@ -95,6 +100,18 @@ class NewestInputs:
 
     `wait` hands out an observation when the first role has a frame that was not handed out before,
     all else is there, and nothing is older than `max_age_s` or from the future.
+
+    The `on_...` methods come on the executor's thread, all others on the predicting one; what they
+    share is guarded by the condition `_fresh`.
+
+    Args:
+        cameras: camera by role of the backend; the first role paces the loop.
+        optional: roles without which the backend works too.
+        needs_state: whether the backend needs joints and the pose of the TCP.
+        gripper: to tell the opening from a joint; None when there is none.
+        max_age_s: older images and states are never handed out [s].
+        status: where refusals are counted.
+        now_ns: ROS time [ns].
     """
 
     def __init__(
@@ -201,7 +218,7 @@ class NewestInputs:
         return observation.frames[self._leading].stamp_ns
 
     def silence_s(self) -> float:
-        """Seconds since the last observation was handed out."""
+        """Monotonic time since the last observation was handed out, or since the start [s]."""
         return time.monotonic() - self._usable_s
 
     def unusable(self) -> str:
@@ -254,7 +271,12 @@ class NewestInputs:
         )
 
     def _doubt(self, stamp_ns: int, now_ns: int) -> str:
-        """Word for what is wrong with a stamp; empty when nothing is."""
+        """Word for what is wrong with a stamp; empty when nothing is.
+
+        Args:
+            stamp_ns: when the input was captured or measured [ROS time, ns].
+            now_ns: the present [ROS time, ns].
+        """
         if stamp_ns < now_ns - int(self.max_age_s * 1e9):
             return "old"
         return "future" if stamp_ns > now_ns + int(FUTURE_S * 1e9) else ""
@@ -264,12 +286,16 @@ class NewestInputs:
         self._refused = what
 
     def _is_fresh(self) -> bool:
+        """Whether every role that is needed has a frame, the first one a new one; the lock is
+        held.
+        """
         needed = [role for role in self.cameras if role not in self._optional]
         if any(role not in self._frames for role in needed) or self._leading not in self._frames:
             return False
         return self._frames[self._leading].stamp_ns != self._used_ns
 
     def _opening(self, joints: JointSample | None) -> float | None:
+        """Measured opening of the gripper, 0 closed .. 1 open; None when it is not measured."""
         if joints is None or self._gripper is None or self._gripper.joint not in joints.names:
             return None
         return self._gripper.to_opening(

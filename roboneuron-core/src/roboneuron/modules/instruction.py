@@ -39,7 +39,9 @@ class Instruction:
         node.resources.callback(
             node.add_parameter(INSTRUCTION_PARAMETER, text, self._take, self._refusal)
         )
-        self._take("" if node.needs_start else text)  # a stop while the backend was loaded
+        # After a stop while the backend was loaded, the instruction of the start counts no more:
+        # motion needs a new one.
+        self._take("" if node.needs_start else text)
 
     def restart(self) -> None:
         """Begin with the same instruction again."""
@@ -57,7 +59,11 @@ class Instruction:
         self._status.set(actions_for_instruction=self._actions)
 
     def _take(self, text: str) -> None:
-        """Begin with a new instruction; an old failure no longer counts."""
+        """Begin with a new instruction, or with none; an old failure no longer counts.
+
+        Whoever gives an instruction asks for motion, so it also ends `needs_start` of this module.
+        That of robot and control is ended by the server, see `MotionStarts.permit`.
+        """
         self.text = text.strip()
         if self.text:
             self._node.needs_start = ""
@@ -70,6 +76,7 @@ class Instruction:
         self._status.changed.set()
 
     def _refusal(self, text: str) -> str:
+        """Why an instruction cannot be taken; empty when it can. None (empty) is always taken."""
         if text.strip() and self._node.stopped:
             return "the emergency stop is latched"
         return instruction_problem(text)

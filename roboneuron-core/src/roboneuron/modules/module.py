@@ -40,14 +40,24 @@ from roboneuron.ros.claim import LEAVE_S, claim
 from roboneuron.ros.qos import STOP_REQUESTS
 
 _LOOP_PERIOD_S = 0.02
-"""How often the executor shows that it turns, and looks at the latch file (1 us)."""
+"""How often the executor shows that it turns, and looks at the latch file (1 us): within this time
+it sees a stop by the file.
+"""
 log = logging.getLogger(__name__)
 
 
 class ModuleNode(ModuleHost):
-    """`/<namespace>/<node name>`: standard lifecycle services in front of a Module."""
+    """`/<namespace>/<node name>`: standard lifecycle services in front of a Module.
+
+    Callbacks run on the executor's thread, one at a time. `note_beat` comes on the thread that
+    reads stdin, and on the executor's when a request has to be judged.
+    """
 
     def __init__(self, settings: ModuleSettings, kind: Callable[[ModuleNode], Module]) -> None:
+        """Args:
+        settings: of the process.
+        kind: makes the module, at `configure`.
+        """
         super().__init__(settings)
         self._kind = kind
         self.status.set(emergency_stop=False)
@@ -57,6 +67,7 @@ class ModuleNode(ModuleHost):
         self._stop_requested = self._is_server_silent = False
         self._beat_s: float | None = None
         robot, control = settings.config.robot, settings.config.control
+        # the shorter one for every kind of module: all need a new start after the same silence
         self._silence_s = min(
             section.server_timeout_s for section in (robot, control) if section is not None
         )
@@ -77,7 +88,12 @@ class ModuleNode(ModuleHost):
         return "" if stops == self.stops else "a stop came since motion was asked for"
 
     def _permit(self, stops: int) -> None:
-        """Somebody has asked for motion after the newest stop."""
+        """Somebody has asked for motion after the newest stop; obey again.
+
+        Args:
+            stops: as in the report that the server has seen; older counts are refused, so that a
+                stop in between is not overruled by who did not know of it.
+        """
         self.needs_start = ""
         self.status.set(needs_start="")
         self.status.changed.set()
@@ -125,6 +141,8 @@ class ModuleNode(ModuleHost):
         if self._beat_s is not None and now_s - self._beat_s > self._silence_s:
             self._silences += 1  # first: the executor never sees this silence over and not counted
         self._beat_s = now_s
+        # Fed here and nowhere else: the order of signs of life and announcements is that of the
+        # pipe.
         self._requests.announcements.feed(data)
 
     def server_silence_s(self) -> float:
@@ -149,6 +167,7 @@ class ModuleNode(ModuleHost):
             self._reporter.stop()
 
     def _configure(self) -> None:
+        """Make the module; what it has acquired is released when that or an extension fails."""
         check_replaceable(self.settings, self.handover)
         try:
             self.module = self._kind(self)
@@ -217,6 +236,8 @@ class ModuleNode(ModuleHost):
         is_silent = self.server_silence_s() > self._silence_s
         if is_silent and not self._is_server_silent:
             self.require_start(SERVER_SILENT)
+        # `silences` was read before the silence was measured: one that ends in between is not taken
+        # for seen.
         self._is_server_silent, self._silences_seen = is_silent, silences
 
     def _on_emergency_stop(self, message: Bool) -> None:
@@ -231,6 +252,7 @@ class ModuleNode(ModuleHost):
         """Stop this module at once, then latch it for every process and restart: from then on the
         latch file counts.
         """
+        # The module first: the disk may be slow or full, and the robot must not wait for it.
         self._stop_requested = True
         self._check_stop()
         try:
@@ -241,8 +263,10 @@ class ModuleNode(ModuleHost):
             self._stop_requested = False
 
     def _check_stop(self) -> None:
-        """Two independent ways lead here: the topic, and the latch file, which needs no other
-        process to be alive.
+        """Stop, or end the stop, when that has changed.
+
+        Two independent ways lead here: the topic, and the latch file, which needs no other process
+        to be alive. A stop whose file could not be written lasts until the topic releases it.
         """
         stopped = self._stop_requested or self._latch.is_latched()
         if stopped == self.stopped:

@@ -53,6 +53,9 @@ class ModuleHost(LifecycleNode):  # type: ignore[misc]
     """
 
     def __init__(self, settings: ModuleSettings) -> None:
+        """Args:
+        settings: of the process; their namespace and node name are the node's.
+        """
         super().__init__(settings.node_name, namespace=settings.config.namespace)
         self.settings = settings
         self.status = StatusWriter(settings.status_name)
@@ -87,7 +90,12 @@ class ModuleHost(LifecycleNode):  # type: ignore[misc]
         return int(self.get_clock().now().nanoseconds)
 
     def advertise(self, message_type: type, topic: str) -> LifecyclePublisher:
-        """A publisher until cleanup, one of `outputs`."""
+        """A publisher until cleanup, one of `outputs`; it sends while the node is active.
+
+        Args:
+            message_type: an ordinary rosidl class.
+            topic: under the robot's namespace.
+        """
         publisher = self.outputs[topic] = self.create_lifecycle_publisher(
             message_type, topic, NEWEST
         )
@@ -102,13 +110,20 @@ class ModuleHost(LifecycleNode):  # type: ignore[misc]
         callback: Callable[..., None],
         qos: QoSProfile = NEWEST,
     ) -> None:
-        """Call `callback` with each message until cleanup."""
+        """Call `callback` with each message until cleanup, on the executor's thread.
+
+        Args:
+            message_type: an ordinary rosidl class.
+            topic: under the robot's namespace.
+            callback: takes the message, and its info where it has a second argument.
+            qos: only the newest message is kept by default.
+        """
         self.resources.callback(
             self.destroy_subscription, self.create_subscription(message_type, topic, callback, qos)
         )
 
     def repeat(self, period_s: float, callback: Callable[[], None]) -> None:
-        """Call `callback` once a period until cleanup."""
+        """Call `callback` once a period [s] until cleanup, on the executor's thread."""
         self.resources.callback(self.destroy_timer, self.create_timer(period_s, callback))
 
     def require_start(self, reason: str) -> None:
@@ -173,6 +188,9 @@ class Module(ABC):
     """
 
     def __init__(self, node: ModuleHost) -> None:
+        """Args:
+        node: lends everything; kept as `node`, its parts under their own names.
+        """
         self.node = node
         self.config = node.settings.config
         self.status = node.status
@@ -195,8 +213,11 @@ class Module(ABC):
 
 
 def join(host: ModuleHost, reference: str) -> None:
-    """Call what a feature wants called in every module process, "module:attribute"; a failure is
-    logged.
+    """Call what a feature wants called in every module process; a failure is logged.
+
+    Args:
+        host: the node of this process.
+        reference: "module:attribute" of a function that takes the node.
     """
     try:
         function = load_attribute(reference, "`on_join` of a feature")

@@ -26,7 +26,7 @@ _ALARM_S = 0.3
 """The kernel's alarm comes so long after the exit that should have made it needless."""
 
 _MOST_IN_A_PIPE = 2**20
-"""Bytes. Source: pipe(7), /proc/sys/fs/pipe-max-size."""
+"""Bytes, so that one read empties the pipe. Source: pipe(7), /proc/sys/fs/pipe-max-size."""
 
 
 class Signals:
@@ -61,6 +61,7 @@ class Signals:
     def take_stop(self) -> bool:
         """Whether the emergency stop was triggered since the last call."""
         requested = self._stop_requested
+        # Only when it was set: a signal that comes just here is seen the next time, not lost.
         if requested:
             self._stop_requested = False
         return requested
@@ -82,6 +83,7 @@ class ParentPipe:
 
     def __init__(self, on_data: Callable[[bytes], object]) -> None:
         self._on_data = on_data
+        # held while reading and handing over, so that `on_data` gets the bytes in their order
         self._lock = threading.Lock()
         self._descriptor = os.dup(0)
         null = os.open(os.devnull, os.O_RDONLY)
@@ -109,7 +111,15 @@ class ParentPipe:
 
 
 def follow_parent(expected_parent: int) -> None:
-    """Ask the kernel for SIGTERM at the parent's death; exits at once when it is already gone."""
+    """Ask the kernel for SIGTERM at the parent's death; exits at once when it is already gone.
+
+    Args:
+        expected_parent: process id of the parent, read first of all: a parent that dies before the
+            kernel was asked sends no signal, and is noticed by another parent's number.
+
+    Raises:
+        OSError: the kernel refuses.
+    """
     libc = ctypes.CDLL(None, use_errno=True)
     if libc.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0) != 0:
         raise OSError(ctypes.get_errno(), "prctl(PR_SET_PDEATHSIG) failed")
@@ -139,6 +149,11 @@ def watch_stdin(
 
     When stdin ends, call `on_end`, then leave the process the hard way after `grace_s` if it still
     runs. `on_end` may hang: by then SIGALRM is set, whose default action needs nobody's help.
+
+    Args:
+        on_end: asks the process to leave; called on the watching thread.
+        on_beat: gets the bytes.
+        grace_s: time to hold the robot and to release what was acquired [s].
 
     Returns:
         What this thread reads from; others may read too.

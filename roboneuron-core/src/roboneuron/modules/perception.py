@@ -20,15 +20,24 @@ from roboneuron.ros.messages import to_camera_info, to_image
 from roboneuron.ros.topics import camera_image, camera_info
 
 _READ_TIMEOUT_S = 0.25
+"""Below the 0.4 s after which the reading thread counts as stalled."""
 SILENCE_S = 3.0
 """A source that delivers nothing for this long is an error."""
 
 
 class PerceptionModule(Module):
-    """Publishes what one source delivers, for as many cameras as it serves."""
+    """Publishes what one source delivers, for as many cameras as it serves.
+
+    One thread reads and publishes; the transitions come on the executor's.
+    """
 
     def __init__(self, node: ModuleHost) -> None:
-        """Open the source for the configured cameras."""
+        """Open the source for the configured cameras.
+
+        Raises:
+            ConfigurationError: there is no [perception] section, or the robot has no such camera.
+            RoboNeuronError: the source cannot be opened.
+        """
         super().__init__(node)
         config = self.config.perception
         if config is None:
@@ -62,7 +71,11 @@ class PerceptionModule(Module):
         self._worker.start()
 
     def deactivate(self) -> None:
-        """Stop reading."""
+        """Stop reading.
+
+        Raises:
+            NotReadyError: the source hangs; nothing it delivers later is published.
+        """
         if not self._worker.stop():
             raise NotReadyError(f"Source {self.config.perception} hangs in read().")
 
@@ -71,6 +84,9 @@ class PerceptionModule(Module):
         self.status.set_waiting(f"the first image of camera {names}")
 
     def _step(self, stop: threading.Event) -> None:
+        """Read one frame and publish it; a source that is late is counted, and reported only after
+        `SILENCE_S`, because cameras drop frames now and then.
+        """
         try:
             frame = self._source.read(_READ_TIMEOUT_S)
         except NotReadyError as error:
@@ -83,6 +99,7 @@ class PerceptionModule(Module):
             raise PluginError(
                 f"The source delivered camera {frame.camera!r}, asked for {sorted(self._images)}."
             )
+        # deactivated while `read` was waiting
         if stop.is_set():
             return
         self._newest_s = time.monotonic()
@@ -90,6 +107,7 @@ class PerceptionModule(Module):
             f"size.{frame.camera}", f"{frame.image.shape[1]}x{frame.image.shape[0]}"
         )
         if self.handover.is_ours(frame.stamp_ns):
+            # before the image: whoever decodes that looks for its intrinsics
             info = to_camera_info(frame)
             if info is not None:
                 self._infos[frame.camera].publish(info)
@@ -111,7 +129,16 @@ class PerceptionModule(Module):
 def _choose(
     cameras: tuple[CameraProfile, ...], names: tuple[str, ...], robot: str
 ) -> tuple[CameraProfile, ...]:
-    """The profiles of `names`, or all. Raises ConfigurationError with the choices."""
+    """The profiles of `names`, or all of them when it is empty.
+
+    Args:
+        cameras: of the robot.
+        names: as configured.
+        robot: its name, for messages.
+
+    Raises:
+        ConfigurationError: the robot has no such camera, or none at all; names its cameras.
+    """
     by_name = {camera.name: camera for camera in cameras}
     unknown = [name for name in names if name not in by_name]
     if unknown or not by_name:

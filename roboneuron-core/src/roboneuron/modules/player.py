@@ -12,12 +12,18 @@ from roboneuron.modules.module_host import ModuleHost
 from roboneuron.modules.worker import Worker
 
 _WAIT_S = 0.1
+"""Longest wait for a row; well below the 0.4 s after which a thread counts as stalled."""
 _LOOK_S = 0.002
 """How often the successor in a handover looks whether the predecessor has finished."""
 
 
 class RowPlayer:
-    """Plays what an executor holds between `start` and `stop`."""
+    """Plays what an executor holds between `start` and `stop`.
+
+    Two threads send rows: the player's own, and the predicting one by `play_due`. Both hold the
+    executor's lock from the question which row is due until that row is out, so that rows keep
+    their order and none follows a stop.
+    """
 
     def __init__(
         self, node: ModuleHost, executor: ChunkExecutor, send: Callable[[Row], None]
@@ -44,6 +50,7 @@ class RowPlayer:
         """Send nothing more, on whichever thread; False when the player's thread hangs."""
         with self._executor.changed:
             self._is_playing = False
+        # without the lock: the player's thread needs it to come to its end
         return self._worker.stop()
 
     def play_due(self, stop: threading.Event) -> None:
@@ -69,6 +76,7 @@ class RowPlayer:
         with executor.changed:
             due_s = executor.due_s()
             wait_s = _WAIT_S if due_s is None else min(_WAIT_S, due_s - time.monotonic())
+            # both waits give the lock away, and end early when rows come or an epoch begins
             if wait_s > 0:
                 executor.changed.wait(wait_s)
             elif not self._send_due(stop):
@@ -78,6 +86,9 @@ class RowPlayer:
         """Send the row that is due; False when the predecessor in a handover is to send before.
 
         The executor's lock is held, and a row is due.
+
+        Raises:
+            NotReadyError: the image behind the row has become too old; nothing was sent.
         """
         executor, node = self._executor, self._node
         now_ns = node.now_ns()

@@ -93,7 +93,11 @@ class Report(ModuleFacts):
     received_s: float = 0.0
 
     def to_values(self) -> dict[str, str]:
-        """The pairs of a DiagnosticStatus; what is None is left out."""
+        """The pairs of a DiagnosticStatus; what is None is left out.
+
+        Tables become a pair for each entry, such as `dropped.stale_action`; metrics keep their own
+        names.
+        """
         plain = self.model_dump(include=set(_PLAIN), exclude_none=True)
         values = {name: to_text(value) for name, value in plain.items()}
         for prefix, table in _TABLES.items():
@@ -102,7 +106,13 @@ class Report(ModuleFacts):
 
     @classmethod
     def from_values(cls, values: Mapping[str, str], received_s: float = 0.0) -> Self:
-        """Read the pairs; what is malformed counts as not said."""
+        """Read the pairs; what is malformed counts as not said, because a report of another version
+        is worth more than none.
+
+        Args:
+            values: as `to_values` has written them.
+            received_s: monotonic time of arrival [s].
+        """
         plain: dict[str, str] = {}
         tables: dict[str, dict[str, str]] = {"dropped_by": {}, "detail": {}, "metrics": {}}
         for key, text in values.items():
@@ -118,6 +128,7 @@ class Report(ModuleFacts):
     @field_validator("*", mode="wrap")
     @classmethod
     def _or_not_said(cls, value: object, parse: Parse, info: ValidationInfo) -> object:
+        """The field as parsed, or its default when it cannot be."""
         try:
             return parse(value)
         except ValidationError:
@@ -149,6 +160,7 @@ def to_text(value: str | float | int | bool) -> str:
 
 
 def _subclasses(base: type[RoboNeuronError]) -> dict[str, type[RoboNeuronError]]:
+    """Every class of error by its code, `base` included; those of plugins too, once imported."""
     found = {base.code: base}
     for child in base.__subclasses__():
         found.update(_subclasses(child))

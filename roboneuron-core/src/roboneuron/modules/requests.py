@@ -34,12 +34,20 @@ from roboneuron.modules.status import StatusWriter
 
 log = logging.getLogger(__name__)
 _LOG_PERIOD_S = 1.0
+"""A node that asks all the time fills neither the log nor the status."""
 _MOST = 256
+"""Announcements that wait for their request; requests that never arrive are forgotten in order."""
 _REASON = "only the server of this module may do that; use its tools"
 
 
 def digest_of(request: object) -> bytes:
-    """Of a request with all that it asks for, the same in the server and in the module."""
+    """SHA-256, in hexadecimal, of a request with all that it asks for.
+
+    It is the same in the server and in the module, whatever their interpreters.
+
+    Args:
+        request: of a service.
+    """
     text = json.dumps(request, default=_contents, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest().encode()
 
@@ -68,6 +76,9 @@ class Announcements:
     """
 
     def __init__(self, catch_up: Callable[[], object] = lambda: None) -> None:
+        """Args:
+        catch_up: see `catch_up` above.
+        """
         self.catch_up = catch_up
         self._lock = threading.Lock()
         self._digests: deque[bytes] = deque(maxlen=_MOST)
@@ -75,14 +86,26 @@ class Announcements:
         self._is_supervised = False
 
     def feed(self, data: bytes) -> None:
-        """Bytes from stdin: a line for each announcement; empty lines are signs of life."""
+        """Take what was read from stdin.
+
+        Args:
+            data: a line for each announcement, empty lines for signs of life; a line may be cut
+                anywhere, its rest comes with the next call.
+        """
         with self._lock:
             self._is_supervised = True
             *lines, self._rest = (self._rest + data).split(b"\n")
             self._digests.extend(line for line in lines if line)
 
     def take(self, digest: bytes) -> bool:
-        """Whether that was announced; everything is, to a module without a server."""
+        """Whether a request was announced, and is not any more; each announcement counts once.
+
+        To a module without a server, as one is started by hand, everything counts as announced.
+
+        Args:
+            digest: of the request.
+        """
+        # Without the lock: this calls `feed`, on this thread.
         self.catch_up()
         with self._lock:
             if not self._is_supervised:
@@ -96,9 +119,19 @@ class Announcements:
 class RequestGuard:
     """Stands before a node's services; everything happens on the executor's thread, except
     `Announcements.feed`.
+
+    It belongs to the core and to every module process, because the services it guards undo stops:
+    the parameters `start`, `limits` and `instruction`, and the transition `activate`.
+
+    Attributes:
+        announcements: of the server.
     """
 
     def __init__(self, node: Node, status: StatusWriter) -> None:
+        """Args:
+        node: whose services of today are guarded; later ones are not.
+        status: where refusals are counted.
+        """
         self.announcements = Announcements()
         self._node = node
         self._status = status
@@ -109,6 +142,11 @@ class RequestGuard:
         node.add_on_set_parameters_callback(_refuse_simulated_time)
 
     def _guard(self, service: Any) -> None:
+        """Put the question before the service's own callback.
+
+        Args:
+            service: rclpy Service; a refusal is an answer too, so that nobody waits for one.
+        """
         answer = service.callback
 
         def guarded(request: Any, response: Any) -> Any:
@@ -125,6 +163,7 @@ class RequestGuard:
         service.callback = guarded
 
     def _report(self, request: Any, service: str) -> None:
+        """Count a refusal; say at most once a second in words what was asked for and by whom."""
         self._status.dropped.add(FOREIGN_REQUEST)
         now_s = time.monotonic()
         if now_s - self._logged_s < _LOG_PERIOD_S:
@@ -140,7 +179,10 @@ class RequestGuard:
         self._status.changed.set()
 
     def _senders(self, service: str) -> str:
-        """Nodes other than the server that may call the service."""
+        """Nodes other than the server that may call the service, by their publishers of requests.
+
+        Source: ROS 2 maps a service to the DDS topics rq/<name>Request and rr/<name>Reply.
+        """
         name = self._node.resolve_service_name(service)
         found = self._node.get_publishers_info_by_topic(f"rq{name}Request", no_mangle=True)
         names = {f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in found}

@@ -24,7 +24,15 @@ from roboneuron.ros.messages import commands_from_message, to_joint_state
 from roboneuron.ros.topics import JOINT_COMMAND, JOINT_STATES, JOINT_TRAJECTORY
 
 _DETAIL_PERIOD_S = 0.1
+"""Facts of the robot are reported this often, not with each of up to 1000 states a second."""
 _WATCH_S = 0.1
+"""Longest period of the watch for a silent server; a fifth of its bound where that is shorter, so
+that the hold comes at most a fifth late.
+"""
+_IDLE_S = 0.05
+"""Longest wait for a command; how exactly `command_timeout_s` is kept."""
+_MOST_BEHIND_S = 0.05
+"""States that are later than this are left out: a burst of old ones helps nobody."""
 _GRIPPER_CHANGE = 0.02
 """A change of the commanded opening that is reported at once."""
 
@@ -33,19 +41,30 @@ class RobotModule(Module):
     """Two threads beside the executor: one publishes measured states, one plays trajectories point
     by point.
 
+    The executor takes commands and stops. It replaces the plan under the condition `_arrived`; the
+    playing thread takes one point after the other from it, and sends outside the lock, so that a
+    driver that blocks never keeps a stop waiting.
+
     Attributes:
         driver: what moves the robot; open.
     """
 
     def __init__(self, node: ModuleHost) -> None:
-        """Connect to the robot or start the simulation; it holds where it is."""
+        """Connect to the robot or start the simulation; it holds where it is.
+
+        Raises:
+            ConfigurationError: the robot has no such driver.
+            RoboNeuronError: the driver cannot connect.
+        """
         super().__init__(node)
         self._active = False
         self._is_server_silent = self._has_fault = False
         self._next_state_s = 0.0
         self._detail_s = 0.0
+        # what is left of the newest trajectory, and when its next point is due [monotonic s]
         self._pending: list[JointCommand] = []
         self._due_s = 0.0
+        # guards these two
         self._arrived = threading.Condition()
         self._moving = False
         self._command_s = 0.0
@@ -85,9 +104,14 @@ class RobotModule(Module):
         self._player.start()
 
     def deactivate(self) -> None:
-        """Hold, then fall silent."""
+        """Hold, then fall silent.
+
+        Raises:
+            NotReadyError: the driver hangs in a call.
+        """
         self._active = False
         self._drop()
+        # first: a command that is being sent now must not come after the hold
         player_ended = self._player.stop()
         self.driver.hold()
         if not (self._reader.stop() and player_ended):
@@ -127,11 +151,13 @@ class RobotModule(Module):
         return NEEDS_NEW_START if self.node.needs_start else ""
 
     def _drop_and_hold(self) -> None:
+        """Brake now; in this order, because what is pending would follow the hold."""
         self._drop()
         self.driver.hold()
 
     def _drop(self) -> None:
         with self._arrived:
+            # another list: the playing thread sees by that that its plan is not in force any more
             self._pending = []
             self._arrived.notify()
 
@@ -149,6 +175,11 @@ class RobotModule(Module):
             self._arrived.notify()
 
     def _accepts(self, info: dict[str, Any]) -> bool:
+        """Whether a command may be executed now; why not is counted.
+
+        Args:
+            info: of the message; `source_timestamp` is when it was sent [ns].
+        """
         if not self._active:
             return False
         if reason := self._must_hold():
@@ -167,7 +198,7 @@ class RobotModule(Module):
         """
         with self._arrived:
             if not self._arrived.wait_for(
-                lambda: bool(self._pending) or stop.is_set(), timeout=0.05
+                lambda: bool(self._pending) or stop.is_set(), timeout=_IDLE_S
             ):
                 self._hold_when_silent()
                 return
@@ -226,6 +257,7 @@ class RobotModule(Module):
             self.status.changed.set()
 
     def _hold_when_silent(self) -> None:
+        """Hold once when commands have ceased for `command_timeout_s`."""
         if (
             self._moving
             and time.monotonic() - self._command_s > self.config.robot.command_timeout_s
@@ -235,11 +267,13 @@ class RobotModule(Module):
             self.status.set(note="holding: no command")
 
     def _publish_state(self, stop: threading.Event) -> None:
+        """Publish one state when it is due; the grid is kept, so that the mean rate is right."""
         delay_s = self._next_state_s - time.monotonic()
         if delay_s > 0:
             stop.wait(delay_s)
         self._next_state_s = max(
-            self._next_state_s + 1.0 / self.config.robot.state_rate_hz, time.monotonic() - 0.05
+            self._next_state_s + 1.0 / self.config.robot.state_rate_hz,
+            time.monotonic() - _MOST_BEHIND_S,
         )
         if stop.is_set():
             return

@@ -24,16 +24,24 @@ from roboneuron.ros.qos import STATUS
 from roboneuron.ros.topics import DIAGNOSTICS
 
 _WINDOW_S = 3.0
+"""Rates are means over this time: a pause shows within it, and one late message does not."""
+_EVENTS = 4096
+"""Three seconds of a robot's states at 1000 Hz, the highest `state_rate_hz`, and some more."""
 _SAMPLES = 256
+"""Latencies that a median and a 99th percentile are computed of."""
 
 
 class RateMeter:
-    """Events per second over the last three seconds of monotonic time; `total` counts those since
-    the start. One thread at a time counts.
+    """Events per second over the last three seconds of monotonic time.
+
+    One thread at a time counts; any thread reads.
+
+    Attributes:
+        total: events since the start.
     """
 
     def __init__(self) -> None:
-        self._times: deque[float] = deque(maxlen=4096)
+        self._times: deque[float] = deque(maxlen=_EVENTS)
         self.total = 0
 
     def tick(self) -> None:
@@ -42,14 +50,20 @@ class RateMeter:
         self.total += 1
 
     def rate_and_age(self) -> tuple[float, float | None]:
-        """Mean rate over the window [Hz], 0 when fewer than two events fell into it; and the time
-        since the newest of these [s].
+        """What the window says of the present.
+
+        Returns:
+            The mean rate [Hz], 0 when fewer than two events fell into the window; and the time
+            since the newest of these [s], None without one.
         """
         now_s = time.monotonic()
+        # a copy, because a deque that another thread appends to cannot be iterated over
         times = [at_s for at_s in self._times.copy() if now_s - at_s <= _WINDOW_S]
         if not times:
             return 0.0, None
-        return (len(times) - 1) / max(1e-9, times[-1] - times[0]), now_s - times[-1]
+        # n events bound n - 1 periods
+        rate_hz = (len(times) - 1) / max(1e-9, times[-1] - times[0])
+        return rate_hz, now_s - times[-1]
 
 
 class Samples:
@@ -61,6 +75,7 @@ class Samples:
 
     def median_and_p99(self) -> tuple[float | None, float | None]:
         """Median and 99th percentile [ms], None without values."""
+        # a copy, because any thread may append meanwhile
         values = self._values.copy()
         if not values:
             return None, None
@@ -87,15 +102,30 @@ class Counts:
 
 
 class StatusWriter:
-    """Everything a module reports; every method may be called from any thread."""
+    """Everything a module reports; every method may be called from any thread.
+
+    Values keep until they are set again. What changes the meaning of the report is published at
+    once (`changed`), all else with the next period.
+
+    Attributes:
+        name: of the DiagnosticStatus, "<namespace>/<node name>".
+        output: counts what the module publishes.
+        latency: from an input's stamp to its output [ms].
+        dropped: inputs that were not acted on, by a word for the reason.
+        changed: set to have the report published now.
+    """
 
     def __init__(self, name: str) -> None:
+        """Args:
+        name: of the DiagnosticStatus.
+        """
         self.name = name
         self.output = RateMeter()
         self.latency = Samples()
         self.dropped = Counts()
         self.changed = threading.Event()
         self._started_s = self._loop_s = time.monotonic()
+        # guards the dictionaries below; a leaf: nothing is called while it is held
         self._lock = threading.Lock()
         self._fields: dict[str, str | float | bool] = {
             "state": "unconfigured",
@@ -109,7 +139,11 @@ class StatusWriter:
         self._work: dict[str, tuple[float, float]] = {}
 
     def set_state(self, state: str) -> None:
-        """Lifecycle state's label; leaving "active" ends readiness."""
+        """Report the label of the lifecycle state.
+
+        Args:
+            state: leaving "active" ends readiness, which has to be proved again.
+        """
         if state != "active":
             self.set(ready=False)
         self._announce(state=state)
@@ -123,7 +157,12 @@ class StatusWriter:
         self._announce(ready=True, waiting_for="")
 
     def set_error(self, error: RoboNeuronError) -> None:
-        """Remember the newest failure; the same failure again is counted, not announced."""
+        """Remember the newest failure, until `clear_error`.
+
+        Args:
+            error: counted each time; announced at once unless it is the one that is reported
+                already, so that a step that fails 20 times a second does not flood /diagnostics.
+        """
         with self._lock:
             self._errors += 1
         self._announce(error_code=error.code, error=error.message, error_hint=error.hint)
@@ -169,7 +208,12 @@ class StatusWriter:
                 self._metrics.pop(key, None)
 
     def tick_work(self, worker: str, limit_s: float) -> None:
-        """A thread gets on; it is stalled when it does not say so again within `limit_s`."""
+        """A thread gets on.
+
+        Args:
+            worker: its name.
+            limit_s: it counts as stalled when it does not say so again within this time [s].
+        """
         with self._lock:
             self._work[worker] = (time.monotonic(), limit_s)
 
@@ -179,7 +223,7 @@ class StatusWriter:
             self._work.pop(worker, None)
 
     def tick_loop(self) -> None:
-        """The executor turned."""
+        """The executor turned; without the lock, because a float is replaced at once."""
         self._loop_s = time.monotonic()
 
     def report(self) -> Report:
@@ -204,6 +248,7 @@ class StatusWriter:
             work = list(self._work.values())
             told = {**self._fields, "detail": dict(self._detail), "metrics": dict(self._metrics)}
         if work:
+            # the thread that has used the largest share of its own limit
             at_s, limit_s = max(work, key=lambda tick: (now_s - tick[0]) / tick[1])
             measured |= {"work_age_s": round(now_s - at_s, 3), "work_limit_s": limit_s}
         return Report.model_validate({**measured, **told})
@@ -227,6 +272,10 @@ class StatusReporter(threading.Thread):
     """
 
     def __init__(self, node: Node, status: StatusWriter) -> None:
+        """Args:
+        node: publishes on /diagnostics.
+        status: what is published.
+        """
         super().__init__(name="status", daemon=True)
         self._node = node
         self._status = status
@@ -234,14 +283,14 @@ class StatusReporter(threading.Thread):
         self._end = threading.Event()
 
     def publish(self) -> None:
-        """Report now."""
+        """Report now; does nothing once ROS was shut down. Callable from any thread."""
         message = DiagnosticArray(status=[self._status.to_message()])
         message.header.stamp = self._node.get_clock().now().to_msg()
         if self._node.context.ok():
             self._publisher.publish(message)
 
     def stop(self) -> None:
-        """Stop reporting and wait for the thread."""
+        """Stop reporting and wait for the thread, for at most a second."""
         self._end.set()
         self._status.changed.set()
         if self.is_alive():
@@ -251,5 +300,6 @@ class StatusReporter(threading.Thread):
         """Report until `stop`."""
         while not self._end.is_set():
             self._status.changed.wait(STATUS_PERIOD_S)
+            # before the report is made: a change during it has another one published
             self._status.changed.clear()
             self.publish()

@@ -11,7 +11,9 @@ from roboneuron.errors import RoboNeuronError
 from roboneuron.modules.status import StatusWriter
 
 _RETRY_S = 0.05
+"""Pause after a failing step: a step that fails at once would use a whole core."""
 _GIVE_UP_S = 0.1
+"""Period of `give_up` in `Worker.stop`: what ends a wait may come just before the wait begins."""
 LIMIT_S = 0.4
 """A step that takes longer than this makes the module count as stalled, unless it says otherwise.
 """
@@ -36,6 +38,12 @@ class Worker:
         *,
         limit_s: float = LIMIT_S,
     ) -> None:
+        """Args:
+        name: of the thread, also in the status.
+        step: repeated; called with the event that ends the loop.
+        status: where failures and progress are reported.
+        limit_s: see `limit_s` above [s].
+        """
         self._name = name
         self._step = step
         self._status = status
@@ -58,10 +66,13 @@ class Worker:
     def stop(self, timeout_s: float = 2.0, give_up: Callable[[], object] = lambda: None) -> bool:
         """Ask the thread to end and wait; returns False when it still hangs in a step. Idempotent.
 
-        `give_up` is called at once and then every 0.1 s while the thread runs: it ends what the
-        step waits for.
+        Args:
+            timeout_s: longest wait for the step in progress [s].
+            give_up: called at once and then every 0.1 s while the thread runs: it ends what the
+                step waits for.
         """
         self._stop.set()
+        # Called from the step itself, waiting for its own end would never end.
         thread, self._thread = self._thread, None
         if thread is None or thread is threading.current_thread():
             return True
