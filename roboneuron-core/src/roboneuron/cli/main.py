@@ -113,6 +113,10 @@ def installed_commands(registry: Registry) -> dict[str, str]:
 def load_command(name: str, registry: Registry | None = None) -> CommandModule:
     """Import a command.
 
+    Args:
+        name: as in `COMMANDS`, or of a plugin's offer.
+        registry: what is installed; None for a command of core.
+
     Raises:
         ConfigurationError: no installed plugin offers it, or the plugin cannot be used; says why.
         PluginError, MissingDependencyError: it cannot be loaded.
@@ -133,7 +137,13 @@ def load_command(name: str, registry: Registry | None = None) -> CommandModule:
 
 
 def run_command(command: CommandModule, prog: str, words: Sequence[str]) -> int:
-    """Parse the words after `prog` as the command says, run it and return its exit status."""
+    """Parse the words after `prog` as the command says, run it and return its exit status.
+
+    Args:
+        command: configures the parser, and runs.
+        prog: how the command is called, for its help.
+        words: of the command line, without that.
+    """
     parser = ArgumentParser(prog=prog, description=command.__doc__)
     command.configure(parser)
     add_verbosity(parser)
@@ -152,6 +162,10 @@ def run_command(command: CommandModule, prog: str, words: Sequence[str]) -> int:
 def build_parser(registry: Registry, group: str = "") -> ArgumentParser:
     """The parser of `roboneuron` itself, or of a group of its commands; they are listed, not
     imported.
+
+    Args:
+        registry: what is installed.
+        group: one of `GROUPS`, or empty for all commands.
     """
     summaries = {name: command.summary for name, command in COMMANDS.items()} | installed_commands(
         registry
@@ -177,7 +191,11 @@ def build_parser(registry: Registry, group: str = "") -> ArgumentParser:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command line and return its exit status."""
+    """Run one command line and return its exit status.
+
+    Args:
+        argv: the words after `roboneuron`; those of this process by default.
+    """
     accept_any_text()
     words = with_verbosity_behind(sys.argv[1:] if argv is None else argv)
     name, own = named_command(words) if words else ("", [])

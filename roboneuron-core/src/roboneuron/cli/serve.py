@@ -120,6 +120,8 @@ def divert_standard_streams() -> tuple[int, int]:
 def quiet_streams() -> Iterator[None]:
     """Within the block nothing reads from stdin or writes to stdout, which may be the wire of an
     agent.
+
+    Discovery imports plugins, and importing them may print.
     """
     stdout = sys.stdout
     streams = divert_standard_streams()

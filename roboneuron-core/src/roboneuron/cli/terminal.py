@@ -20,6 +20,7 @@ TRACEBACK_VARIABLE = "ROBONEURON_TRACEBACK"
 EXIT_USAGE = 2
 """The command could not run: wrong arguments, a wrong configuration, something not installed."""
 EXIT_INTERRUPTED = 130
+"""As shells report a command that Ctrl-C has ended: 128 + SIGINT."""
 EXIT_INTERNAL = os.EX_SOFTWARE
 """A defect of RoboNeuron."""
 LOG_LEVELS = ("debug", "info", "warning", "error")
@@ -50,6 +51,7 @@ def accept_any_text() -> None:
 
 
 def _replace(error: UnicodeError) -> tuple[str, int]:
+    """What stands for the letters that cannot be encoded, and where to go on; see `codecs`."""
     if not isinstance(error, UnicodeEncodeError):
         raise error
     return "".join(
@@ -60,6 +62,10 @@ def _replace(error: UnicodeError) -> tuple[str, int]:
 def add_verbosity(parser: ArgumentParser, default: object = 0) -> None:
     """Add -v and -q to a command's parser and to those of its subcommands; options of the command
     itself win.
+
+    Args:
+        parser: of the command.
+        default: count without any of them.
     """
     for short, name, meaning in (("-v", "--verbose", "more"), ("-q", "--quiet", "less")):
         with suppress(ArgumentError):
@@ -84,7 +90,12 @@ def with_verbosity_behind(words: Sequence[str]) -> list[str]:
 
 
 def log_level(arguments: Namespace, level: str = "warning") -> str:
-    """`level`, made lower by each -v and higher by each -q."""
+    """The level of the log that a command line asks for.
+
+    Args:
+        arguments: with the counts of -v and -q.
+        level: made lower by each -v and higher by each -q, within `LOG_LEVELS`.
+    """
     steps = _count(arguments, "quiet") - _count(arguments, "verbose")
     return LOG_LEVELS[min(max(LOG_LEVELS.index(level) + steps, 0), len(LOG_LEVELS) - 1)]
 
@@ -108,6 +119,9 @@ def show_error(error: BaseException) -> int:
 
     Of a group of exceptions a deliberate one counts: task groups wrap whatever is raised inside of
     them.
+
+    Args:
+        error: what has ended the command.
     """
     if os.environ.get(TRACEBACK_VARIABLE):
         import traceback
@@ -134,6 +148,7 @@ def show_error(error: BaseException) -> int:
 
 
 def _leaves(error: BaseException) -> list[BaseException]:
+    """The exceptions in a group and its groups; of another exception itself."""
     if isinstance(error, BaseExceptionGroup):
         return [leaf for part in error.exceptions for leaf in _leaves(part)]
     return [error]

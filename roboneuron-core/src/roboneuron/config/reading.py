@@ -50,6 +50,7 @@ def parse_config(
 
 
 def _parse_toml(text: str, source: str) -> dict[str, Any]:
+    """The tables of a text. Raises ConfigurationError when it is not TOML; names the file."""
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -57,7 +58,16 @@ def _parse_toml(text: str, source: str) -> dict[str, Any]:
 
 
 def parse_tables(raw: Mapping[str, Any], source: str, registry: Registry | None) -> Config:
-    """The tables of one robot. Arguments and errors as of `parse_config`."""
+    """The tables of one robot: core's own become models, those of features are checked and kept.
+
+    Args:
+        raw: the tables.
+        source: file name for messages.
+        registry: as of `parse_config`.
+
+    Raises:
+        ConfigurationError: as `parse_config`.
+    """
     own = {key: value for key, value in raw.items() if key in KEYS}
     others = {key: value for key, value in raw.items() if key not in KEYS}
     try:
@@ -71,7 +81,10 @@ def parse_tables(raw: Mapping[str, Any], source: str, registry: Registry | None)
 
 
 def _read_robots(raw: Mapping[str, Any], source: str, registry: Registry | None) -> Config:
-    """A file with `[robots.<name>]`, which the feature reads that serves several robots."""
+    """A file with `[robots.<name>]`, which the feature reads that serves several robots.
+
+    Only `disabled_plugins` is looked at here, to know which feature that is; it checks the rest.
+    """
     disabled = raw.get("disabled_plugins")
     registry = registry or discover(tuple(disabled) if isinstance(disabled, list) else ())
     spec = fleet_feature(registry)
@@ -87,7 +100,12 @@ def fleet_feature(registry: Registry) -> FeatureSpec:
 
 
 def robot_folder(state_directory: Path, name: str = "*") -> Path:
-    """Where the logs, the latch and the audit of one of several robots are."""
+    """Where the logs, the latch and the audit of one of several robots are.
+
+    Args:
+        state_directory: of the server.
+        name: of the robot; a pattern for all by default.
+    """
     return state_directory / "robots" / name
 
 
@@ -126,6 +144,7 @@ def read_state_directory(path: Path) -> str | None:
 
 
 def _read_text(path: Path) -> str:
+    """A file's text. Raises ConfigurationError with what to do when it cannot be read."""
     try:
         return path.read_text(encoding="utf-8")
     except FileNotFoundError as error:
@@ -137,6 +156,11 @@ def _read_text(path: Path) -> str:
 
 def check_sections(config: Config, registry: Registry, source: str = "roboneuron.toml") -> None:
     """Check the sections of all features, and that there is a feature for each.
+
+    Args:
+        config: whose sections are checked.
+        registry: what is installed.
+        source: file name for messages.
 
     Raises:
         ConfigurationError: a key that nothing installed knows, a value that is not valid, or a
@@ -173,6 +197,14 @@ def feature_options(
 ) -> BaseModel | None:
     """The options of a feature: its sections of the configuration, or their defaults.
 
+    Args:
+        spec: of the feature.
+        config: whose sections are read.
+        source: file name for messages.
+
+    Returns:
+        An instance of the feature's model; None for a feature without options.
+
     Raises:
         ConfigurationError: a key or value is not valid.
         PluginError, MissingDependencyError: the model cannot be loaded.
@@ -180,6 +212,7 @@ def feature_options(
     model = load_options_model(spec)
     if model is None:
         return None
+    # several sections make one model, with a field for each; a single one is the model itself
     section = "" if spec.sections else spec.keys[0]
     raw: Any
     if spec.sections:
@@ -286,7 +319,13 @@ def _explain(
 
 
 def _unknown_key(source: str, key: str, valid: Iterable[str]) -> str:
-    """The sentence for a key that nothing knows."""
+    """The sentence for a key that nothing knows: where it has moved to, or what is most like it.
+
+    Args:
+        source: file name.
+        key: with the sections that it stands in.
+        valid: keys that may stand there.
+    """
     moved = tomllib.loads(
         files("roboneuron").joinpath("data/moved.toml").read_text(encoding="utf-8")
     )

@@ -22,6 +22,7 @@ from roboneuron.gate.roles import ADMIN
 from roboneuron.ros.environment import state_directory
 
 _AGAIN_S = 0.1
+"""Whoever holds the stop on the topic presses it again within this time after a release."""
 
 
 def configure(parser: ArgumentParser) -> None:

@@ -32,12 +32,16 @@ _ROUNDS = 3
 """Of the executor: what was published before the first has been delivered after the last."""
 SIGNAL = "the signal SIGUSR1"
 CONFIRM_S = 2.0
-"""Modules report a change at once; this is ten times their slowest period."""
+"""Modules report a change at once; this is ten times their slowest period, for a busy machine."""
 
 
 def press_on_signal(latch: Callable[[], object]) -> None:
-    """From now on SIGUSR1 calls `latch`, which latches the stop; called on the main thread."""
+    """From now on SIGUSR1 calls `latch`, which latches the stop; called on the main thread.
 
+    Args:
+        latch: called on a thread of its own.
+    """
+    # its `put` may be interrupted by another `put`: handlers run within handlers
     signals: SimpleQueue[int] = SimpleQueue()
 
     def press() -> None:
@@ -69,10 +73,15 @@ class EmergencyStop:
     """
 
     def __init__(self, supervisor: Supervisor) -> None:
+        """Args:
+        supervisor: of the modules that are stopped; the latch lies in its state directory.
+        """
         self._supervisor = supervisor
+        # guards the making of publishers; who presses only reads the dictionary
         self._lock = threading.Lock()
         self._publishers: dict[str, Callable[[bool], None]] = {}
         self._restored = 0
+        # what was published last
         self._is_told = False
         self.file = EmergencyStopLatch(supervisor.state_directory / ESTOP_FILE, time.time_ns)
         self.file.on_pressed(lambda: self._publish(True))
@@ -109,11 +118,18 @@ class EmergencyStop:
     def prepare(self, namespace: str) -> None:
         """Make the topic known before it is needed, and tell modules that start later what the
         latch says now.
+
+        Args:
+            namespace: of the robot.
+
+        Raises:
+            RoboNeuronError: ROS cannot be joined; the file stops without it.
         """
         self._advertise(namespace)
         self._publishers[namespace](self.file.is_latched())
 
     def _advertise(self, namespace: str) -> None:
+        """Publish and hear the stop in a namespace, once for the server's life."""
         link = self._supervisor.link  # first: two threads must not import rclpy at the same time
         from std_msgs.msg import Bool  # heavy
 
@@ -167,6 +183,11 @@ class EmergencyStop:
     def latch(self, namespace: str, *, who: str, reason: str) -> tuple[list[str], float]:
         """Stop all motion; returns the modules that confirmed it, and after how many seconds.
 
+        Args:
+            namespace: of the robot.
+            who: a client, person or signal.
+            reason: may be empty.
+
         Raises:
             UnsafeError: a running module did not confirm it in time (the message names it), or the
                 latch file cannot be written; the other way was used nevertheless.
@@ -191,6 +212,12 @@ class EmergencyStop:
         self, namespace: str, *, who: str, role: str, pin: str = ""
     ) -> tuple[list[str], float]:
         """Release the latch. Returns as `latch`.
+
+        Args:
+            namespace: of the robot.
+            who: which client.
+            role: of that client.
+            pin: what a person has typed, where one is set.
 
         Raises:
             RefusedError: `role` may not, the PIN is wrong, or the audit cannot be written.
@@ -217,6 +244,9 @@ class EmergencyStop:
                 self._supervisor.link.on_executor(lambda: None)
 
     def _tell(self, namespace: str, latched: bool) -> tuple[list[str], list[str], float]:
+        """Publish it and wait for the modules: those that confirmed it, those that did not, and
+        the time that took [s].
+        """
         started_s = time.monotonic()
         self._advertise(namespace)
         self._publish(latched)

@@ -80,11 +80,15 @@ class EmergencyStopLatch:
         self._reset_path = path.with_name(path.name + RESET_SUFFIX)
         self._clock_ns = clock_ns
         self._clock_s = clock_s
+        # What this process has seen or pressed: it stays stopped whatever becomes of the file.
         self._held: LatchState | None = None
         # device and inode of the newest file that was seen
         self._seen: tuple[int, int] | None = None
         self._tried_s = -_AGAIN_S
+        # a list, because `pop` takes a handle for one thread alone
         self._spare: list[int] = []
+        # Guards what is held and seen, over a few system calls at most. Listeners and disks that
+        # may be slow are not waited for while it is held.
         self._lock = threading.Lock()
         self._stop_listeners: list[Callable[[], object]] = []
         self._written_listeners: list[Callable[[], object]] = []
@@ -125,10 +129,12 @@ class EmergencyStopLatch:
             return self._check_file()
 
     def _check_file(self) -> bool:
+        """Whether the file stops, or has stopped and was not reset; the lock is held."""
         try:
             self._seen = _identity(self.path)
         except FileNotFoundError:
             return self._held is not None and not self._was_reset()
+        # a directory that cannot be entered, a disk that fails: unknown is latched
         except OSError:
             return True
         if self._held is None:
@@ -167,7 +173,14 @@ class EmergencyStopLatch:
             )
 
     def check(self, note: str = "") -> None:
-        """Raise RefusedError while latched; `note` follows the cause."""
+        """Do nothing unless it is latched.
+
+        Args:
+            note: a sentence that follows the cause.
+
+        Raises:
+            RefusedError: it is latched; says by whom, as far as that is known.
+        """
         if self.is_latched():
             cause = self.read_state().cause
             by = f" by {cause}" if cause else ""
@@ -183,6 +196,7 @@ class EmergencyStopLatch:
         return written if written.who or held is None else held
 
     def _parse(self) -> LatchState:
+        """What the file tells; anybody may have written it, so that nothing of it is required."""
         try:
             with self.path.open(encoding="utf-8", errors="replace") as file:
                 content = json.loads(file.read(_MAX_CHARACTERS))
@@ -229,6 +243,10 @@ class EmergencyStopLatch:
         """Forbid motion for every process; waits for no disk, so that it may be called where
         nothing may block.
 
+        Args:
+            who: a client, person or signal.
+            reason: may be empty.
+
         Raises:
             UnsafeError: the file cannot be created: only this process is stopped, the others do not
                 know.
@@ -272,6 +290,7 @@ class EmergencyStopLatch:
                 self.reserve()
 
     def _make_file(self, state: LatchState) -> None:
+        """Create the file, then write the cause; the file stops from its creation on."""
         try:
             descriptor = os.open(
                 self.path, os.O_CREAT | os.O_EXCL | os.O_WRONLY | os.O_CLOEXEC, 0o644
@@ -282,8 +301,10 @@ class EmergencyStopLatch:
             return
         content = {name: value for name, value in asdict(state).items() if name != "latched"}
         try:
+            # of what was made, not of what has its name by now
             made = os.fstat(descriptor)
             self._seen = made.st_dev, made.st_ino
+            # a full disk: it stops without its cause
             with suppress(OSError):
                 os.write(descriptor, json.dumps(content).encode())
         finally:
@@ -323,6 +344,7 @@ class EmergencyStopLatch:
                     # the next reset could not replace it
                     if stat.S_ISDIR(os.lstat(self.path).st_mode):
                         raise IsADirectoryError(errno.EISDIR, "it is a directory")
+                    # a rename keeps the inode, by which others tell a reset from a loss
                     os.replace(self.path, self._reset_path)
                     _sync(self.path.parent)
             except OSError as error:
@@ -342,6 +364,11 @@ def press_together(
     What stops the last robot is sent before the first file is written, and every file is written
     before a thread is woken: each system call gives the interpreter away, and woken threads keep it
     for up to a millisecond each time.
+
+    Args:
+        latches: of one robot each.
+        who: a client, person or signal.
+        reason: may be empty.
     """
     pressed: list[tuple[EmergencyStopLatch, LatchState]] = []
     failures: list[UnsafeError] = []
@@ -372,7 +399,7 @@ def _identity(path: Path) -> tuple[int, int]:
 
 
 def _sync(path: Path) -> None:
-    """Have a file or directory on the disk."""
+    """Have a file or directory on the disk. Raises OSError when it cannot be."""
     descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
     try:
         os.fsync(descriptor)

@@ -30,7 +30,11 @@ log = logging.getLogger(__name__)
 _TOLD_S = 1.0
 """What does not take its instruction back within this time is ended."""
 _PERMITTED_S = 5.0
+"""Bound on the answer of a module that is told to obey again, and on its report of that."""
 _SETTLED_S = 5.0
+"""Bound on the wait for instructions that are being taken back; each of them ends within `_TOLD_S`
+or with its process.
+"""
 AGAIN = (
     "Nothing moves by itself: give an instruction (set_instruction, run_task) or move the arm "
     "to go on."
@@ -53,8 +57,13 @@ class MotionStarts:
     """
 
     def __init__(self, supervisor: Supervisor) -> None:
+        """Args:
+        supervisor: of the modules.
+        """
         self._supervisor = supervisor
+        # Guards the counts; nothing is asked of a module while it is held.
         self._lock = threading.Lock()
+        # by process id: stops that it has reported, and whether its end was counted
         self._seen: dict[int, int] = {}
         self._gone: set[int] = set()
         self._was_latched = False
@@ -143,6 +152,7 @@ class MotionStarts:
             log.warning("What was started keeps still: %s", error)
 
     def _arm(self) -> None:
+        """Have robot and control obey again, and their successors. Raises as `permit`."""
         for kind in ARM_KINDS:
             for slot in self._running(kind):
                 report = self._supervisor.report_of(slot)
@@ -175,6 +185,10 @@ class MotionStarts:
         """Tell the policy that works, and one that is about to replace it; returns the ticket and
         why it was refused.
 
+        Args:
+            text: the instruction.
+            timeout_s: bound on each answer [s].
+
         Raises:
             StateError: none runs.
             NotReadyError: it does not answer.
@@ -204,7 +218,16 @@ class MotionStarts:
         self.settle()
 
     def follow(self, slot: Slot, ticket: int) -> None:
-        """Tell a policy that was being started what holds now, when that has changed since."""
+        """Tell a policy that was being started what holds now, when that has changed since.
+
+        Args:
+            slot: of the policy.
+            ticket: of its start, see `begin`.
+
+        Raises:
+            StateError: it does not drop its instruction.
+            NotReadyError: it does not answer.
+        """
         if self.ticket != ticket and self._set(
             slot, {INSTRUCTION_PARAMETER: self.instruction}, _PERMITTED_S
         ):
@@ -233,12 +256,18 @@ class MotionStarts:
         return (report.needs_start or "a stop") if report.stops > before else ""
 
     def _take_back_soon(self) -> None:
+        """Take the instruction back on a thread of its own: whoever looks must not wait for a
+        module.
+        """
         with self._lock:
             thread = threading.Thread(target=self._take_back, name="take-back", daemon=True)
             thread.start()  # before it is listed: whoever settles joins it
             self._telling = [other for other in self._telling if other.is_alive()] + [thread]
 
     def _take_back(self) -> None:
+        """Have every policy forget its instruction; one that cannot be told is ended, because it
+        would go on moving.
+        """
         for slot in self._running("inference"):
             try:
                 if self._set(slot, {INSTRUCTION_PARAMETER: ""}, _TOLD_S):
@@ -254,6 +283,7 @@ class MotionStarts:
             return [slot for slot in self._supervisor.slots[kind] if slot.phase == "running"]
 
     def _set(self, slot: Slot, values: dict[str, str | int], timeout_s: float) -> str:
+        """Set parameters of a module; returns why it refuses, empty when it does not."""
         choice, process = slot.choice, slot.process
         if choice is None or process is None:
             return "it has ended"
@@ -261,6 +291,12 @@ class MotionStarts:
         return client.set(values, timeout_s, lambda: slot.check_alive("told what to do"))
 
     def _await_obeying(self, slot: Slot, stops: int) -> None:
+        """Wait until a module reports that it obeys, or another stop: `check` tells of that.
+
+        Raises:
+            NotReadyError: it reports neither.
+        """
+
         def obeys() -> bool:
             report = self._supervisor.report_of(slot)
             return report is not None and (not report.needs_start or report.stops != stops)

@@ -26,7 +26,9 @@ from roboneuron.log_files import make_log_directory
 FILE_NAME = "emergency_stop.pin"
 """Name of the hash in the state directory; a fleet has one for all its robots."""
 _ROBOTS = "robots"
+"""Folder of the robots of a fleet, see `roboneuron.config.robot_folder`."""
 _LEAST, _MOST = 4, 64
+"""Characters: what a person types at a robot; delays make up for what is short."""
 _N, _R, _P, _MEMORY = 2**15, 8, 1, 64 * 2**20
 """Cost of scrypt: about 0.1 s and 32 MiB. Source: RFC 7914."""
 _FREE, _MOST_WAIT_S = 3, 300.0
@@ -36,7 +38,9 @@ _FREE, _MOST_WAIT_S = 3, 300.0
 
 
 class ReleasePin:
-    """The PIN of one state directory; usable by several processes at once."""
+    """The PIN of one state directory; usable by several processes at once. Nothing of it is kept in
+    memory: what another process sets or counts holds here too.
+    """
 
     def __init__(self, folder: Path, clock_s: Callable[[], float] = time.time) -> None:
         """Args:
@@ -73,6 +77,11 @@ class ReleasePin:
     def check(self, pin: str, *, who: str, audit: AuditLog) -> None:
         """Do nothing when no PIN is set or this is it; attempts are counted, delayed and audited.
 
+        Args:
+            pin: what a person has typed.
+            who: which client.
+            audit: gets a record of each refusal.
+
         Raises:
             RefusedError: it is wrong, or it was wrong so often that the next attempt has to wait.
         """
@@ -96,21 +105,23 @@ class ReleasePin:
             )
 
     def _attempt(self, pin: str) -> str:
+        """Why that PIN is refused; empty when it is right. The file's lock is held."""
         try:
             known = json.loads(self.path.read_text(encoding="utf-8"))
             salt, right = bytes.fromhex(known["salt"]), str(known["hash"])
-            failures, wait_s = (
-                int(known["failures"]),
-                float(known["not_before_s"]) - self._clock_s(),
-            )
+            failures = int(known["failures"])
+            wait_s = float(known["not_before_s"]) - self._clock_s()
         except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError):
             return f"the file of the PIN, {self.path}, cannot be read."
+        # a longer one was written before the clock was set back: it would lock people out
         if 0.0 < wait_s <= _MOST_WAIT_S:
             return f"after {failures} wrong PINs the next one is looked at in {wait_s:.0f} s."
+        # in a time that does not depend on how much of it is right
         if hmac.compare_digest(_hash(pin, salt), right):
             self._write({**known, "failures": 0, "not_before_s": 0.0})
             return ""
         failures += 1
+        # 2 s, 4 s, 8 s ...; the exponent is bounded, because 2.0 ** 1024 is an error
         delay_s = 0.0 if failures <= _FREE else min(2.0 ** min(failures - _FREE, 16), _MOST_WAIT_S)
         self._write({**known, "failures": failures, "not_before_s": self._clock_s() + delay_s})
         return (
@@ -119,6 +130,7 @@ class ReleasePin:
         )
 
     def _write(self, content: dict[str, Any]) -> None:
+        """Replace the file as a whole: a process that dies meanwhile leaves the old one."""
         make_log_directory(self.path.parent)
         new = self.path.with_name(f"{self.path.name}.new")
         new.unlink(missing_ok=True)
@@ -138,4 +150,5 @@ class ReleasePin:
 
 
 def _hash(pin: str, salt: bytes) -> str:
+    """scrypt of a PIN, in hexadecimal: slow, for whoever has read the file and tries them all."""
     return hashlib.scrypt(pin.encode(), salt=salt, n=_N, r=_R, p=_P, maxmem=_MEMORY).hex()

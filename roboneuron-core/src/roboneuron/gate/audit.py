@@ -23,6 +23,7 @@ from roboneuron.log_files import make_log_directory
 AUDIT_FILE = "audit.jsonl"
 """Name of the current file in the state directory; rotated ones end in .1, .2 ..."""
 _MAX_ARGUMENTS = 4096
+"""Characters of a call's arguments that are kept: an agent may send a megabyte."""
 log = logging.getLogger(__name__)
 
 
@@ -67,6 +68,15 @@ _CUT = AuditRecord(
 class AuditLog:
     """Append-only file of records, shared by several processes. Thread-safe. The constructor opens
     nothing.
+
+    A record is one `write` to a file that was opened with O_APPEND: the kernel puts each behind the
+    last one, so that processes need no lock between them. Only a rotation takes one.
+
+    Attributes:
+        path: the current file.
+        on_record: called with each record that was written, on the thread of the writer; must
+            return quickly.
+        failed: whether writing the last record failed; a motion in progress has to end then.
     """
 
     def __init__(
@@ -85,18 +95,16 @@ class AuditLog:
         """
         self.path = path
         self.on_record: Callable[[AuditRecord], object] = lambda record: None
-        """Called with each record that was written, on the thread of the writer; must return
-        quickly.
-        """
         self._clock_ns = clock_ns
         self._max_bytes = max_bytes
         self._backups = max(1, backups)
+        # guards what follows; `on_record` is called without it, so that a listener may write too
         self._lock = threading.Lock()
         self._descriptor = -1
         self._identity = (-1, -1)
+        # the file ends within a line: what is appended would be lost in it
         self._torn = False
         self.failed = False
-        """Whether writing the last record failed; a motion in progress has to end then."""
 
     def write(self, record: AuditRecord) -> None:
         """Append a record: handed to the operating system when this returns, not necessarily synced
@@ -147,11 +155,13 @@ class AuditLog:
             self._descriptor = -1
 
     def _append(self, line: bytes) -> None:
+        """Put a line behind the last one. Raises OSError when it is not wholly written."""
         if self._open() + len(line) > self._max_bytes:
             self._rotate(len(line))
         if self._torn:
             line = b"\n" + self._to_line(_CUT) + line
         written = os.write(self._descriptor, line)
+        # a full disk takes a part of it: taken back, so that no half record is read as a decision
         if written != len(line):
             end = os.lseek(self._descriptor, 0, os.SEEK_CUR)
             if os.fstat(self._descriptor).st_size == end:  # nobody has appended to it since
@@ -181,7 +191,12 @@ class AuditLog:
         return size
 
     def _rotate(self, coming: int) -> None:
-        """Rotate the files; the lock keeps two processes from doing so at once."""
+        """Rotate the files, and open the new one.
+
+        Args:
+            coming: bytes that are to be appended.
+        """
+        # Looked at again under the lock: another process may have rotated them meanwhile.
         with _locked(self.path.with_name(self.path.name + ".lock")):
             if self.path.exists() and self.path.stat().st_size + coming > self._max_bytes:
                 for number in range(self._backups, 0, -1):
@@ -196,6 +211,7 @@ class AuditLog:
         self._open()
 
     def _to_line(self, record: AuditRecord) -> bytes:
+        """A record as one line of ASCII; fields that are empty are left out."""
         now_ns = self._clock_ns()
         time = datetime.fromtimestamp(now_ns / 1e9, UTC).isoformat(timespec="milliseconds")
         parts = [f'"time":"{time}","time_ns":{now_ns}']
@@ -230,6 +246,11 @@ def _bounded(arguments: Mapping[str, Any]) -> str:
 
 
 def _to_json(arguments: Mapping[str, Any]) -> str:
+    """JSON that every reader takes.
+
+    Raises:
+        ValueError, TypeError, RecursionError: of an encoder, for a circle or too deep a tree.
+    """
     try:
         return _STRICT.encode(arguments)
     except ValueError:  # a NaN, which JSON has not: it becomes text
@@ -241,6 +262,9 @@ def _to_json(arguments: Mapping[str, Any]) -> str:
 
 @contextlib.contextmanager
 def _locked(path: Path) -> Iterator[None]:
+    """Hold the file's lock, alone on this machine; the kernel releases that of a process that
+    dies.
+    """
     descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o640)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX)

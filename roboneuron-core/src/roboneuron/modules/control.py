@@ -45,24 +45,34 @@ from roboneuron.ros.messages import (
 from roboneuron.ros.topics import ACTION, EE_POSE, JOINT_COMMAND, JOINT_STATES, JOINT_TRAJECTORY
 
 _POSE_PERIOD_S = 0.02
+"""The pose of the TCP is worked out 50 times a second, not for each of up to 1000 joint states."""
 
 
 class ControlModule(Module):
     """Executes actions one by one; everything happens in the executor's thread."""
 
     def __init__(self, node: ModuleHost) -> None:
-        """Parse the robot description and subscribe."""
+        """Parse the robot description and subscribe.
+
+        Raises:
+            ConfigurationError: there is no [control] section, the limits do not fit the robot, or
+                the tightened ones are wider than the configured ones.
+            PlanningError: the controller cannot move this robot.
+        """
         super().__init__(node)
         config = self.config.control
         if config is None:
             raise ConfigurationError("The configuration has no [control] section.")
         self._limits = config
+        # a command of ours has gone out: from then on the predecessor's count no more
         self._is_sent = False
         self._pose_s = 0.0
+        # the newest action: when it came [monotonic s], and when it was sent [ns]
         self._action_s = 0.0
         self._action_ns = 0
         self._active = False
         self._holding = True
+        # there was no joint state to hold at: the next one is held
         self._hold_is_due = False
         section = self.config.robot
         check_plan(
@@ -135,8 +145,14 @@ class ControlModule(Module):
             )
 
     def follow(self, message: JointTrajectory | JointState, sent_s: float) -> JointCommand:
-        """Go on from where a command of the control before this one, sent then [monotonic s], has
-        sent the arm.
+        """Go on from where a command of the control before this one has sent the arm.
+
+        Args:
+            message: as that control has published it.
+            sent_s: when [monotonic s].
+
+        Returns:
+            The command.
 
         Raises:
             InvalidInputError: it is malformed.
@@ -149,8 +165,10 @@ class ControlModule(Module):
         return command
 
     def _limits_of(self, text: str) -> LimitsConfig:
-        """Raises ConfigurationError unless they fit the robot and are no wider than the configured
-        ones.
+        """The limits that a parameter names: JSON of `[limits]`, or empty for the configured ones.
+
+        Raises:
+            ConfigurationError: they do not fit the robot, or are wider than the configured ones.
         """
         if not text:
             return self.config.limits
@@ -201,6 +219,9 @@ class ControlModule(Module):
         self.status.set_ready()
 
     def _on_action(self, message: Float64MultiArray, info: dict[str, Any]) -> None:
+        """Execute an action, or count why not. Its age is that since it was sent, by the time stamp
+        that DDS adds: the message has none.
+        """
         source_ns = int(info["source_timestamp"])
         if not self._active or self.handover.is_over(source_ns):
             return
@@ -218,7 +239,12 @@ class ControlModule(Module):
         self._execute(action, source_ns, age_s)
 
     def _why_not(self, age_s: float, source_ns: int) -> str | None:
-        """Word for what forbids acting now, or None."""
+        """Word for what forbids acting now, or None.
+
+        Args:
+            age_s: of the action, since it was sent [s].
+            source_ns: when it was sent [ns].
+        """
         if self.node.stopped:
             return "emergency_stop"
         if self._is_server_silent():
@@ -297,7 +323,11 @@ class ControlModule(Module):
         self.status.set_value("residual_rad", outcome.residual_rad)
 
     def _watch(self) -> None:
-        """Hold within one timeout after the last action."""
+        """Hold within one timeout after the last action.
+
+        It looks five times per timeout, and holds after `HOLD_SHARE` of it: so the arm has begun to
+        hold before the timeout is over.
+        """
         if not self._active or self._holding or not self._is_ours_now():
             return
         if self._is_server_silent():

@@ -26,6 +26,7 @@ _PACE = 0.8
 then carried out most of it.
 """
 _LEAST_WAIT_S = 0.001
+"""Of the predicting thread: a wait of nothing at all would keep the lock from the playing one."""
 _RESYNC = 0.5
 """A row that is later than this share of a period starts the period anew; less is jitter, and the
 grid is kept.

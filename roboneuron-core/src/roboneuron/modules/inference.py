@@ -46,6 +46,7 @@ from roboneuron.ros.topics import (
 )
 
 _WAIT_S = 0.1
+"""Longest wait for an image or for the wish for a prediction; a stop is seen within it."""
 _FIRST_LIMIT_S, _LEAST_LIMIT_S, _LIMIT_RATIO = 5.0, 0.4, 3.0
 _RECENT = 20
 """A backend is stalled when it takes three times as long as it usually does; before the first

@@ -34,6 +34,7 @@ _RECORD_PERIOD_S = 1.0
 second.
 """
 _CHANGE_PERIOD_S = 0.1
+"""See above: a command at the edge of a limit may change what acts with each message."""
 _SLACK, _SLACK_M = 0.05, 0.01
 """What noise and a late message may add to the way between two states [rad; m of slides]."""
 _HASTE = 2.0
@@ -76,6 +77,9 @@ class JointWatch:
     def accept(self, joints: JointSample, now_s: float, ros_now_ns: int) -> bool:
         """Take a state; False for one that repeats the one before.
 
+        A state that is refused is not compared with: one wild value does not make those after it
+        doubtful.
+
         Args:
             joints: as received.
             now_s: monotonic time.
@@ -110,6 +114,11 @@ class JointWatch:
         return True
 
     def _check_displacement(self, position: F64, now_s: float) -> None:
+        """Compare with the state before: |q - q'| <= _HASTE * v_max * dt + slack, for each joint.
+
+        Raises:
+            UnsafeError: names the joint that is farthest beyond.
+        """
         if self._velocity is None:
             return
         before = self._position
@@ -148,6 +157,15 @@ class MotionGuard:
         immediate: bool,
         longest_s: float,
     ) -> None:
+        """Args:
+        limits: in force.
+        profile: of the robot, with the collision bodies that are in force.
+        controller: tells poses, and distances where it can.
+        status: tells what the limits do.
+        state: directory of the audit.
+        immediate: commands are joint states, which the robot follows at once.
+        longest_s: a longer command is refused [s].
+        """
         is_checked = profile.collision is None or isinstance(controller, PostureInspector)
         if not is_checked:
             log.warning(
@@ -166,11 +184,9 @@ class MotionGuard:
         self._status = status
         self._counts: Counter[str] = Counter()
         self._audit = AuditLog(state / AUDIT_FILE, time_ns)
-        self.follow, self.rest, self.close = (
-            self._limiter.follow,
-            self._limiter.rest,
-            self._audit.close,
-        )
+        self.follow = self._limiter.follow
+        self.rest = self._limiter.rest
+        self.close = self._audit.close
         self._recorded: tuple[str, ...] = ()
         self._recorded_s = 0.0
 
@@ -207,6 +223,12 @@ class MotionGuard:
         return verdict.command
 
     def _report(self, word: str, motion: Motion | None) -> None:
+        """Tell a motion in the status.
+
+        Args:
+            word: "asked" or "sent".
+            motion: None where nothing was worked out.
+        """
         if motion is None:
             return
         self._status.set_value(f"{word}_step_m", motion.step_m)

@@ -81,6 +81,7 @@ LIMITS_PARAMETER = "limits"
 these themselves.
 """
 MAX_INSTRUCTION_LENGTH = 1000
+"""Characters: models read a few dozen words, and the status repeats it five times a second."""
 _BREAKS = "\t\n\r"
 """Control characters that may stand between the words of an instruction."""
 GRIPPER_COMMANDED = "gripper_commanded"

@@ -23,6 +23,7 @@ _CREDENTIALS = struct.Struct("3i")
 _QUEUE = 4096
 """Nobody takes up the connections of those who ask; they lie here until the process ends."""
 _RETRY_S = 0.05
+"""A name becomes free with the death of its holder, which tells nobody."""
 LEAVE_S = 3.0
 """The modules of a server that has ended leave within 2 s."""
 

@@ -22,11 +22,15 @@ _LOOK_AGAIN_S = 0.25
 class NodeTopics:
     """Implements `roboneuron.contract.Topics` on a node; `close` takes everything back.
 
-    `accepts` is asked before each message is delivered: a robot's driver hears nothing while the
-    emergency stop is latched or its module is not active.
+    Callbacks come on the executor's thread of that node.
     """
 
     def __init__(self, node: Node, accepts: Callable[[], bool] = lambda: True) -> None:
+        """Args:
+        node: of the module.
+        accepts: asked before each message is delivered: a robot's driver hears nothing while the
+            emergency stop is latched or its module is not active.
+        """
         self._node = node
         self._accepts = accepts
         self._made = ExitStack()
@@ -52,7 +56,11 @@ class NodeTopics:
             self._made.callback(self._node.destroy_subscription, subscription)
 
     def _follow(self, topic: str, message_type: type[M], deliver: Callable[[M], None]) -> None:
-        """Subscribe as reliably as the topic's publishers are, now and later."""
+        """Subscribe as reliably as the topic's publishers are, now and later.
+
+        DDS connects a subscription only with publishers that are at least as reliable, and a
+        subscription cannot change its own: it is made anew.
+        """
         node = self._node
         qos: QoSProfile | None = None
         subscription: Subscription | None = None
@@ -63,12 +71,11 @@ class NodeTopics:
             if wanted != qos:
                 if subscription is not None:
                     node.destroy_subscription(subscription)
-                qos, subscription = (
-                    wanted,
-                    node.create_subscription(message_type, topic, deliver, wanted),
-                )
+                qos = wanted
+                subscription = node.create_subscription(message_type, topic, deliver, wanted)
 
         look()
+        # of the subscription that is there then, not of the first one
         self._made.callback(lambda: node.destroy_subscription(subscription))
         self._made.callback(node.destroy_timer, node.create_timer(_LOOK_AGAIN_S, look))
 
@@ -79,6 +86,7 @@ class NodeTopics:
         context = self._node.context
 
         def publish(message: M) -> None:
+            # a plugin's own thread may be the last to hear that the process leaves
             if context.ok():
                 publisher.publish(message)
 

@@ -26,14 +26,26 @@ T = TypeVar("T")
 UNSENT = (rclpy_implementation.RCLError, InvalidHandle)
 """What publishing raises when the context is closed."""
 _TASK_TIMEOUT_S = 10.0
+"""An entity is made in milliseconds, on an overloaded machine in seconds; after that time the ROS
+thread hangs.
+"""
+_LEAVE_S = 2.0
+"""Bound on the end of the executor and of its thread: a callback that hangs must not keep the
+server from leaving.
+"""
 
 
 class Call:
-    """A service call on its way. `response` is None until `done`, and stays None when the call
-    failed.
+    """A service call on its way; usable from any thread.
+
+    `response` is None until `done`, and stays None when the call failed.
     """
 
     def __init__(self, client: Client, future: Any) -> None:
+        """Args:
+        client: that has sent the request.
+        future: rclpy Future of the answer.
+        """
         self._client = client
         self._future = future
 
@@ -48,7 +60,9 @@ class Call:
         return self._future.result() if self._future.done() else None
 
     def abandon(self) -> None:
-        """Forget the call; a late answer is dropped."""
+        """Forget the call; a late answer is dropped. Without this, rclpy would keep the request for
+        an answer that never comes.
+        """
         self._client.remove_pending_request(self._future)
 
 
@@ -56,10 +70,14 @@ class RosLink:
     """A node of the control plane.
 
     Entities are made and destroyed on the executor's thread, where callbacks run too; callbacks
-    must return quickly.
+    must return quickly. rclpy's wait set is built from the node's entities: another thread that
+    destroyed one meanwhile would leave a dead handle in it.
     """
 
     def __init__(self, node_name: str) -> None:
+        """Args:
+        node_name: in the root namespace.
+        """
         self._node_name = node_name
         self._context: Any = None
         self._node: Any = None
@@ -67,6 +85,8 @@ class RosLink:
         self._thread: threading.Thread | None = None
         self._is_closing = False
         self._clients: dict[tuple[type, str], Client] = {}
+        # Guards the clients, also while one is made on the executor's thread: callbacks, which run
+        # there, must not ask for a client.
         self._lock = threading.Lock()
 
     def open(self) -> None:
@@ -92,8 +112,8 @@ class RosLink:
         if self._thread is None:
             return
         self._is_closing = True
-        self._executor.shutdown(timeout_sec=2.0)
-        self._thread.join(timeout=2.0)
+        self._executor.shutdown(timeout_sec=_LEAVE_S)
+        self._thread.join(timeout=_LEAVE_S)
         self._thread = None
         self._clients.clear()
         # an action client would keep the node on the graph
@@ -115,8 +135,12 @@ class RosLink:
         return self._node
 
     def on_executor(self, task: Callable[[], T]) -> T:
-        """Run `task` on the executor's thread and return its result; not callable from that
-        thread.
+        """Run `task` on the executor's thread and return its result, or raise what it raises.
+
+        Not callable from that thread, which would wait for itself.
+
+        Raises:
+            InternalError: the link is not open, or its thread hangs.
         """
         if self._thread is None:
             raise InternalError("The ROS link is not open.")
@@ -130,7 +154,14 @@ class RosLink:
     def subscribe(
         self, message_type: type[M], topic: str, callback: Callable[[M], None], qos: QoSProfile
     ) -> Callable[[], None]:
-        """Subscribe to an absolute `topic`; call what is returned to end it."""
+        """Subscribe to an absolute `topic`; call what is returned to end it.
+
+        Args:
+            message_type: an ordinary rosidl class.
+            topic: absolute.
+            callback: called on the executor's thread; what it raises is logged.
+            qos: what is asked of publishers.
+        """
 
         def deliver(message: M) -> None:
             try:
@@ -147,8 +178,8 @@ class RosLink:
         return lambda: self.on_executor(lambda: node.destroy_subscription(subscription))
 
     def advertise(self, message_type: type[M], topic: str, qos: QoSProfile) -> Callable[[M], None]:
-        """Return a function that publishes on an absolute `topic`, for as long as the link is
-        open.
+        """Return a function that publishes on an absolute `topic`, for as long as the link is open;
+        after that it raises one of `UNSENT`.
         """
         publisher = self.on_executor(lambda: self._node.create_publisher(message_type, topic, qos))
         return cast("Callable[[M], None]", publisher.publish)
@@ -156,8 +187,13 @@ class RosLink:
     def call(
         self, service_type: type, name: str, request: object, on_answer: Callable[[], None]
     ) -> Call:
-        """Send a request to the service with that absolute name; `on_answer` is called when the
-        answer is there.
+        """Send a request to a service, without waiting.
+
+        Args:
+            service_type: an ordinary rosidl class.
+            name: absolute.
+            request: of that type.
+            on_answer: called on the executor's thread when the answer is there.
         """
         client = self._client(service_type, name)
         future = client.call_async(request)
@@ -165,7 +201,9 @@ class RosLink:
         return Call(client, future)
 
     def is_service_ready(self, service_type: type, name: str) -> bool:
-        """Whether somebody serves it, as far as this node has discovered."""
+        """Whether somebody serves it, as far as this node has discovered; a server that was killed
+        counts until its lease ends, after up to 20 s.
+        """
         return bool(self._client(service_type, name).service_is_ready())
 
     def _client(self, service_type: type, name: str) -> Client:

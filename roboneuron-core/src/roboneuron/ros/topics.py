@@ -1,15 +1,21 @@
 """Topic names of the contract, relative to the robot's namespace."""
 
 ACTION = "action"
+"""std_msgs/Float64MultiArray, from inference to control: one action."""
 JOINT_STATES = "joint_states"
+"""sensor_msgs/JointState, from the robot: what is measured, by name."""
 EE_POSE = "ee_pose"
+"""geometry_msgs/PoseStamped, from control: the measured TCP in the base frame."""
 PREDICTIONS = "predictions"
 """std_msgs/String: each prediction as a feature describes it, see
 `InferenceModule.on_prediction`.
 """
 JOINT_TRAJECTORY = "joint_trajectory"
+"""trajectory_msgs/JointTrajectory, to the robot."""
 JOINT_COMMAND = "joint_command"
+"""sensor_msgs/JointState, to the robot: another form of the same, see `control.command`."""
 DIAGNOSTICS = "/diagnostics"
+"""diagnostic_msgs/DiagnosticArray, from every module; absolute, as ROS tools expect it."""
 
 
 def camera_image(name: str) -> str:

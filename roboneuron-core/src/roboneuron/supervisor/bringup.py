@@ -25,6 +25,7 @@ _REASON_S = 1.0
 later.
 """
 _PROGRESS_S = 5.0
+"""Period of the reports of a long start, such as that of a large model."""
 _ABSENT_S = 3.0
 """Modules may be started side by side, in any order: what a start needs may be started this much
 later.
@@ -128,13 +129,18 @@ class Bringup:
         return process
 
     def _on_exit(self, process: ModuleProcess) -> None:
+        """The process has ended; called on its reaper's thread, and at the end of `run`."""
         if self._slot.note_exit(process):
             log.error("%s is gone: %s", self._slot.kind, self._slot.explain_exit())
             self._board.forget(self._name, process.pid)
             self._modules.on_change(self._slot.kind)
 
     def _prove(self, deadline_s: float) -> None:
-        """Configure, activate, wait for readiness until that monotonic time."""
+        """Configure, activate, wait for readiness until that monotonic time.
+
+        Each step waits for what the next one relies on: a first status says that the process lives
+        and that we hear it, an answering service that it can be driven.
+        """
         self._stage("starting")
         link, announce = self._spawner.connection.link(), self._process.announce
         client = self._client = NodeClient(
@@ -152,6 +158,12 @@ class Bringup:
         self._process.show()
 
     def _transition(self, name: str, deadline_s: float) -> None:
+        """Make one lifecycle transition.
+
+        Raises:
+            NotReadyError: no answer by then.
+            RoboNeuronError: why the module refused, as it reports.
+        """
         self._stage(f"{name.removesuffix('e')}ing")
         report = self._report()
         before = report.error_count if report is not None else 0
@@ -174,6 +186,12 @@ class Bringup:
         )
 
     def _await_ready(self, deadline_s: float) -> None:
+        """Wait until the module reports that it works.
+
+        Raises:
+            NotReadyError: something is missing: not in time, or a module that nobody starts.
+            RoboNeuronError: an error that the module reports, and that does not heal.
+        """
         self._stage("waiting for the first output")
         failing, absence = Lasting(), Lasting()
         reported = ""
@@ -250,6 +268,11 @@ class Bringup:
         )
 
     def _too_late(self, missing: str) -> RoboNeuronError:
+        """The error for a start that took too long.
+
+        Args:
+            missing: what was waited for.
+        """
         report = self._report()
         said = f" It says: {report.error}" if report is not None and report.error else ""
         return NotReadyError(
@@ -270,6 +293,7 @@ class Bringup:
         return self._board.newest(self._name, self._process.pid)
 
     def _check(self) -> None:
+        """What every wait of a start looks at; raises what makes waiting needless."""
         self._slot.check_not_cancelled()
         self._slot.check_alive(self._doing)
         self._report_progress()

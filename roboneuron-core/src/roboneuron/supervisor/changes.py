@@ -15,12 +15,17 @@ log = logging.getLogger(__name__)
 P = ParamSpec("P")
 T = TypeVar("T")
 _JOIN_S = 2.0
+"""Longest wait for the step of a `Periodic` that is under way at its end."""
 _POLL_S = 0.05
 """Facts that nobody announces (a service discovered) are looked at this often."""
 
 
 class Event(Generic[P]):
-    """Listeners of one event; a listener that raises is logged and disturbs nobody."""
+    """Listeners of one event; a listener that raises is logged and disturbs nobody.
+
+    Listeners are added while the server is put together, before anything happens: that needs no
+    lock.
+    """
 
     def __init__(self) -> None:
         self._listeners: list[Callable[P, object]] = []
@@ -32,7 +37,12 @@ class Event(Generic[P]):
         self._listeners.append(listener)
 
     def tell(self, *facts: P.args, **named: P.kwargs) -> None:
-        """It happened: call all listeners, in the order in which they came."""
+        """It happened: call all listeners, in the order in which they came, on this thread.
+
+        Args:
+            facts: what listeners are called with.
+            named: likewise, by name.
+        """
         for listener in self._listeners:
             try:
                 listener(*facts, **named)
@@ -43,7 +53,7 @@ class Event(Generic[P]):
 
 
 class Lasting:
-    """For how long a fact has held at every look."""
+    """For how long a fact has held at every look; one thread looks."""
 
     def __init__(self) -> None:
         self._since_s = math.inf
@@ -59,6 +69,9 @@ class Lasting:
 
 class Changes:
     """A condition variable whose waiters look again after every change, and every 50 ms.
+
+    Two locks: `lock` for the data, and one of its own for the count of changes. The second may be
+    taken while the first is held, never the other way round; a waiter looks without either.
 
     Attributes:
         lock: guards the data whose changes are announced; never held while waiting or calling out.
@@ -86,9 +99,15 @@ class Changes:
 
         Both run on the waiting thread without any lock, `check` after each look that found nothing;
         both may raise to end the wait.
+
+        Args:
+            look: cheap and without effect: it runs at least every 50 ms.
+            timeout_s: [s]; 0 looks once.
+            check: raises what makes waiting needless.
         """
         deadline_s = time.monotonic() + timeout_s
         while True:
+            # read before the look: a change during the look ends the wait below at once
             seen = self._version
             found = look()
             if found is not None and found is not False:
@@ -110,9 +129,15 @@ class Periodic:
     """
 
     def __init__(self, name: str, period_s: float, step: Callable[[], object]) -> None:
+        """Args:
+        name: of the thread.
+        period_s: pause between the end of a step and the next one [s].
+        step: repeated.
+        """
         self._period_s = period_s
         self._step = step
         self._end = threading.Event()
+        # held for ever by the first start, so that of two at once only one starts the thread
         self._started = threading.Lock()
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
 

@@ -22,7 +22,9 @@ if TYPE_CHECKING:
 
 _KINDS = tuple(f"/{kind}" for kind in MODULE_KINDS)
 _FOREIGN_S = 1.0
+"""A node that reports every 0.2 s and was not heard for this long is gone."""
 _FOREIGN = 64
+"""So many names of other servers' modules are kept: anybody may invent names on /diagnostics."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -71,14 +73,24 @@ class StatusBoard:
     """
 
     def __init__(self, changes: Changes) -> None:
+        """Args:
+        changes: its lock guards what is kept here.
+        """
         self.changes = changes
+        # by status name and process id, as text: that is how they come in a DiagnosticStatus
         self._reports: dict[tuple[str, str], Report | None] = {}
         self._ours: set[str] = set()
         self._foreign: dict[str, tuple[str, float]] = {}
 
     def watch(self, name: str, pid: int) -> None:
-        """Accept reports of the process `pid` under the status name `name`; those of anybody else
-        are ignored.
+        """Accept reports of a process of ours; those of anybody else are ignored.
+
+        Both are compared, because a successor reports under the same name as long as its
+        predecessor may still do so, and other servers' modules may have the same name.
+
+        Args:
+            name: of its DiagnosticStatus.
+            pid: its process id, which it reports as hardware id.
         """
         with self.changes.lock:
             self._reports[name, str(pid)] = None
@@ -103,7 +115,7 @@ class StatusBoard:
         return pid if pid and time.monotonic() - seen_s < _FOREIGN_S else None
 
     def receive(self, message: DiagnosticArray) -> None:
-        """Subscription callback of /diagnostics."""
+        """Subscription callback of /diagnostics, on the thread of the ROS link."""
         now_s = time.monotonic()
         with self.changes.lock:
             for status in message.status:
@@ -151,7 +163,7 @@ class ModuleTable:
         return self.board.newest(choice.settings.status_name, process.pid)
 
     def view(self, kind: ModuleKind) -> ModuleView:
-        """What is known of a module now."""
+        """What is known of a module now; all of it of one instant, because the lock is held."""
         with self.changes.lock:
             slot = self.slot(kind)
             report = self.report_of(slot)
@@ -160,6 +172,7 @@ class ModuleTable:
                 phase=slot.phase,
                 process=slot.process,
                 choice=slot.choice,
+                # the last words of a dead process tell nothing of the present
                 report=report if slot.phase != "exited" else None,
                 exit=slot.exit,
             )
@@ -200,6 +213,9 @@ overloaded.
 STUCK_S = 0.3
 """A module's executor turns every 0.02 s; the age it reports grows for up to one period more."""
 LOOK_S = 0.03
+"""Period of the watch: `SILENT_S` and this together stay below the half second within which a fault
+is reported.
+"""
 EXPLANATIONS: dict[Health, str] = {
     "stopped": "not running",
     "starting": "being started",
@@ -215,7 +231,15 @@ EXPLANATIONS: dict[Health, str] = {
 
 
 def assess(view: ModuleView, now_s: float) -> Health:
-    """How a module is at the monotonic time `now_s`."""
+    """How a module is; of several faults the one that explains the others.
+
+    A module that does not report says nothing else either; one whose executor hangs makes no
+    progress; one that is stalled may report an older error.
+
+    Args:
+        view: what is known of it.
+        now_s: monotonic time [s].
+    """
     if view.phase != "running":
         return view.phase
     report = view.report
@@ -236,7 +260,7 @@ Listener = Callable[[ModuleView, Health, Health], object]
 
 
 class Watch(Periodic):
-    """A thread that looks at all modules and tells of every change.
+    """A thread that looks at all modules and tells of every change of their health.
 
     Args:
         views: the modules.

@@ -30,10 +30,15 @@ if TYPE_CHECKING:
 
 
 _OPEN_TIMEOUT_S = 30.0
+"""Joining takes half a second; importing rclpy from a cold disk takes many times that."""
 
 
 class Connection:
-    """Opens the link once, on a thread of its own; `link` waits for it.
+    """Opens the link once, on a thread of its own; `link` waits for it. Usable from any thread.
+
+    Args:
+        on_status: called with each message of /diagnostics, on the link's thread.
+        log_directory: ROS logs go to its `ros` folder.
 
     Attributes:
         starts: numbers the module processes of one node, for ports of their own.
@@ -48,7 +53,11 @@ class Connection:
         self.starts = itertools.count(os.getpid())
 
     def begin(self) -> None:
-        """Start opening; returns at once, and does nothing the second time."""
+        """Start opening; returns at once, and does nothing the second time.
+
+        Raises:
+            StateError: the server is shutting down.
+        """
         with self._lock:
             if self._closed:
                 raise StateError("The server is shutting down.")
@@ -85,7 +94,13 @@ class Connection:
             opened.result().close()
 
     def _open(self, opened: Future[RosLink]) -> None:
+        """Import rclpy and join the graph.
+
+        Args:
+            opened: gets the link, or why there is none.
+        """
         try:
+            # before rclpy is imported, which reads the environment
             prepare_environment(self._log_directory / "ros")
             from diagnostic_msgs.msg import DiagnosticArray  # heavy
 

@@ -27,6 +27,7 @@ log = logging.getLogger(__name__)
 _LAST_LINES = 15
 """How much of a dead module's log goes into messages."""
 _TAIL_BYTES = 64 * 1024
+"""Read of a log's end; a model may have logged gigabytes."""
 KILL_S = 5.0
 """After SIGKILL the kernel needs no more than this, unless the process hangs in a driver."""
 _FROZEN_S = 0.3
@@ -82,12 +83,21 @@ class ModuleProcess:
         log_offset: int,
         events: ProcessEvents,
     ) -> None:
+        """Args:
+        name: of its node.
+        child: runs; its stdin is a pipe that does not block.
+        log_path: where its output goes.
+        log_offset: where in that file its own output begins [bytes].
+        events: told of its end.
+        """
         self.name = name
         self.pid = child.pid
         self.log_path = log_path
         self.started_at = datetime.now(UTC)
         self._child = child
         self._log_offset = log_offset
+        # held while the process is signalled, written to or reaped: after that its number and its
+        # pipe may be somebody else's
         self._reaping = threading.Lock()
         self._exited = threading.Event()
         self._events = events
@@ -154,12 +164,14 @@ class ModuleProcess:
         return True
 
     def terminate(self) -> None:
-        """SIGTERM to the process: hold, release, leave."""
+        """SIGTERM to the process: hold, release, leave. Does nothing when it has ended."""
         with self._reaping:
             self._signal(signal.SIGTERM)
 
     def kill(self) -> None:
-        """SIGKILL to the process and everything it has started in its group."""
+        """SIGKILL to the process and everything it has started in its group. Listeners look at it
+        before: after that, what it held cannot be found any more.
+        """
         self.show()
         with self._reaping:
             if self._child.returncode is None:
@@ -201,6 +213,12 @@ class ModuleProcess:
 def end_processes(processes: Sequence[ModuleProcess], timeout_s: float) -> set[int]:
     """SIGTERM, bounded wait, SIGKILL, reap; returns the pids that had to be killed.
 
+    All are asked before one is waited for: they leave side by side, within one bound.
+
+    Args:
+        processes: to be ended; those that have ended are no fault.
+        timeout_s: from SIGTERM to SIGKILL [s].
+
     Raises:
         NotReadyError: one survives SIGKILL.
     """
@@ -228,6 +246,7 @@ def end_processes(processes: Sequence[ModuleProcess], timeout_s: float) -> set[i
 
 
 def _kill_group(group: int) -> None:
+    """SIGKILL to all of a process group; one that is empty, or not ours any more, is left alone."""
     with suppress(ProcessLookupError, PermissionError):
         os.killpg(group, signal.SIGKILL)
 

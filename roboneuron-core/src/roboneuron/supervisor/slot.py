@@ -14,6 +14,8 @@ from roboneuron.supervisor.changes import Changes
 from roboneuron.supervisor.process import ModuleProcess
 
 Phase = Literal["stopped", "starting", "running", "stopping", "exited"]
+"""What is being done with a module, as the supervisor knows it: "exited" is what ended by itself.
+"""
 
 
 _NEXT: Mapping[str, str] = {
@@ -56,7 +58,7 @@ class Choice:
 
 
 class Claim(NamedTuple):
-    """What a slot held when a stop began."""
+    """What a slot held when a stop began: whoever got it ends that process, and nobody else."""
 
     slot: Slot
     process: ModuleProcess
@@ -64,9 +66,25 @@ class Claim(NamedTuple):
 
 
 class Slot:
-    """The phases of one module; every change is made under the lock of `changes` and announced."""
+    """The phases of one module; every change is made under the lock of `changes` and announced.
+
+    A start goes from "stopped" or "exited" to "starting" and then to "running", or back to
+    "stopped"; a stop from "running" to "stopping" and "stopped". Whoever begins one of them owns
+    the slot until `settle`.
+
+    Attributes:
+        kind: of the module.
+        phase: see above.
+        process, choice: what runs, and what it was started with; None when there is nothing.
+        order: the higher, the later it was started.
+        exit: how it ended by itself, until the next start.
+    """
 
     def __init__(self, kind: ModuleKind, changes: Changes) -> None:
+        """Args:
+        kind: of the module.
+        changes: of the table that the slot is in.
+        """
         self.kind = kind
         self.phase: Phase = "stopped"
         self.process: ModuleProcess | None = None
@@ -78,6 +96,10 @@ class Slot:
 
     def begin_start(self, choice: Choice, order: int) -> None:
         """Claim the slot for a start.
+
+        Args:
+            choice: what is started.
+            order: higher than that of all starts before.
 
         Raises:
             StateError: something is in it; the message says what.
@@ -109,7 +131,11 @@ class Slot:
         return claim
 
     def settle(self, phase: Phase) -> None:
-        """A start or stop has come to its end."""
+        """A start or stop has come to its end.
+
+        Args:
+            phase: from now on; "stopped" forgets what ran.
+        """
         with self._changes.lock:
             self.phase = phase
             if phase == "stopped":
@@ -117,7 +143,13 @@ class Slot:
         self._changes.notify()
 
     def cancel(self, reason: str) -> bool:
-        """End a start in progress; returns whether there was one."""
+        """End a start in progress; returns whether there was one.
+
+        Whoever runs the start notices within 50 ms and ends the process; see `check_not_cancelled`.
+
+        Args:
+            reason: for whoever had asked for the start.
+        """
         with self._changes.lock:
             starting = self.phase == "starting"
             if starting:
@@ -156,7 +188,11 @@ class Slot:
             )
 
     def note_exit(self, process: ModuleProcess) -> bool:
-        """The process ended; returns whether nobody had asked for that."""
+        """The process ended; returns whether nobody had asked for that.
+
+        Args:
+            process: compared with what is here now: a new one may have taken its place.
+        """
         code = process.exit_code
         with self._changes.lock:
             unexpected = self.process is process and self.phase == "running"
@@ -193,6 +229,7 @@ class Slot:
 
 
 def _ending(code: int) -> str:
+    """An exit code in words; negative ones are signals, as subprocess tells them."""
     return f"exit code {code}" if code >= 0 else f"signal {-code}"
 
 
