@@ -12,6 +12,7 @@ from pathlib import Path
 
 FORMAT = "%(asctime)s %(levelname)s %(name)s: %(message)s"
 FILE_MODE, DIRECTORY_MODE = 0o640, 0o750
+"""Logs hold instructions, paths and names: the owner writes them, the group reads them."""
 _RAW = re.compile(
     "[\x00-\x08\x0b-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2066-\u2069\ufeff\ud800-\udfff]"
 )
@@ -46,7 +47,7 @@ def escaped(text: str) -> str:
 
 
 class PlainFormatter(logging.Formatter):
-    """FORMAT, `escaped`."""
+    """FORMAT, `escaped`: what agents and plugins put into a message cannot forge an entry."""
 
     def __init__(self) -> None:
         super().__init__(FORMAT)
@@ -57,7 +58,11 @@ class PlainFormatter(logging.Formatter):
 
 
 def begin_logging(level: int | str) -> None:
-    """Log to stderr."""
+    """Log to stderr, once for the process: a second call changes nothing.
+
+    Args:
+        level: of what is logged, such as logging.INFO or "INFO".
+    """
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(PlainFormatter())
     logging.basicConfig(level=level, handlers=[handler])

@@ -224,11 +224,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # the reader of our output went away, as `| head` does
         sys.stderr.close()
         return os.EX_OK
-    except (
-        Exception,
-        KeyboardInterrupt,
-        BaseExceptionGroup,
-    ) as error:  # the border to whoever typed the command
+    # the border to whoever typed the command
+    except (Exception, KeyboardInterrupt, BaseExceptionGroup) as error:
         return show_error(error)
 
 

@@ -52,7 +52,10 @@ def configure(parser: ArgumentParser) -> None:
 
 
 def add_installed_flags(parser: ArgumentParser) -> None:
-    """Add a flag for each feature of an installed plugin that the command line can switch on."""
+    """Add a flag for each feature of an installed plugin that the command line can switch on.
+
+    A feature that is known and not installed has a hidden flag, which says what to install.
+    """
     with quiet_streams():
         features = switched_features()
     for spec in features:
@@ -84,7 +87,13 @@ def switched_features(registry: Registry | None = None) -> list[FeatureSpec]:
 
 
 def run(arguments: Namespace) -> int:
-    """Run `roboneuron serve`."""
+    """Run `roboneuron serve`.
+
+    Imports stand below, in the order in which they are needed: a client waits for the first answer.
+
+    Raises:
+        ConfigurationError, PlanningError: as `load_config`, `with_server` and `serve`.
+    """
     wire = divert_standard_streams()
     begin_logging(arguments.log_level.upper())
     # what a start makes stays, and to look for garbage in it takes 0.1 s; see `shorten_pauses`

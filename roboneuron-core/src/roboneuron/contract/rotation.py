@@ -9,11 +9,15 @@ import numpy as np
 from roboneuron.contract.arrays import F64
 
 _SMALL_ANGLE_RAD = 1e-8
+"""Below it, what the linear terms leave out (its square) is less than what a float64 rounds."""
 
 
 def matrix_from_rotvec(rotvec_rad: F64) -> F64:
-    """Exponential map: rotation vector (3,) [rad] -> rotation matrix (3, 3). Source: Rodrigues'
-    formula.
+    """Exponential map: rotation vector (3,) [rad] -> rotation matrix (3, 3).
+
+    R = I + sin(a) K + (1 - cos(a)) K^2, with the angle a and K v = axis x v.
+
+    Source: Rodrigues' formula.
     """
     angle = float(np.linalg.norm(rotvec_rad))
     x, y, z = (float(c) for c in rotvec_rad)
@@ -28,7 +32,11 @@ def matrix_from_rotvec(rotvec_rad: F64) -> F64:
 
 
 def rotvec_from_matrix(matrix: F64) -> F64:
-    """Logarithmic map: rotation matrix (3, 3) -> rotation vector (3,) [rad], angle in [0, pi]."""
+    """Logarithmic map: rotation matrix (3, 3) -> rotation vector (3,) [rad], angle in [0, pi].
+
+    By the quaternion (sin(a/2) axis, cos(a/2)): unlike the trace of the matrix, it tells small
+    angles and those close to pi as well as all others.
+    """
     x, y, z, w = quaternion_from_matrix(matrix)
     sine = float(np.sqrt(x * x + y * y + z * z))
     angle = 2.0 * float(np.arctan2(sine, w))
@@ -38,8 +46,12 @@ def rotvec_from_matrix(matrix: F64) -> F64:
 
 
 def quaternion_from_matrix(matrix: F64) -> F64:
-    """Rotation matrix (3, 3) -> unit quaternion (4,) x y z w with w >= 0. Source: Shepperd 1978
-    (largest pivot).
+    """Rotation matrix (3, 3) -> unit quaternion (4,) x y z w with w >= 0.
+
+    The largest of 4x^2, 4y^2, 4z^2 and 4w^2, each but for a constant, is divided by: never a number
+    close to 0.
+
+    Source: Shepperd 1978 (largest pivot).
     """
     m = matrix
     trace = m[0, 0] + m[1, 1] + m[2, 2]

@@ -55,58 +55,79 @@ def configure(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> int:
-    """Run `roboneuron estop`."""
+    """Run `roboneuron estop`.
+
+    Raises:
+        ConfigurationError: there is no such robot, or the file names no state directory.
+        RoboNeuronError: a stop could not be latched; the others are.
+    """
     configured = read_state_directory(arguments.config) if arguments.config else None
     directory = state_directory(str(arguments.state) if arguments.state else configured)
-    of_robots = robot_folder(directory).parent
-    if arguments.robot is not None and not (of_robots / arguments.robot).is_dir():
-        known = ", ".join(sorted(path.name for path in of_robots.glob("*"))) or "none"
-        raise ConfigurationError(
-            f"There is no robot {arguments.robot!r} in {of_robots}; there are: {known}."
-        )
+    _check_robot(directory, arguments.robot)
     who = f"{getpass.getuser()} at the command line"
     if arguments.set_pin:
         return _set_pin(ReleasePin(directory), AuditLog(directory / AUDIT_FILE, time.time_ns), who)
     done: set[Path] = set()
     status, failure = 0, None
-    while (
-        folders := (
-            {of_robots / arguments.robot} if arguments.robot else {directory, *of_robots.glob("*")}
-        )
-        - done
-    ):
-        for folder in sorted(folders):  # a server that starts meanwhile makes more of them
+    # again and again, because a server that starts meanwhile makes more folders
+    while folders := _folders(directory, arguments.robot) - done:
+        for folder in sorted(folders):
             latch = EmergencyStopLatch(folder / ESTOP_FILE, time.time_ns)
             audit = AuditLog(folder / AUDIT_FILE, time.time_ns)
             if arguments.status:
-                state = latch.read_state()
-                cause = f" by {state.cause}" if state.cause else ""
-                print(
-                    "The emergency stop is "
-                    f"{f'latched{cause}' if state.latched else 'not latched'} ({latch.path})."
-                )
-                status |= int(state.latched)
+                status |= _show(latch)
             elif arguments.reset:
                 status |= _reset(latch, audit, who)
             else:
                 try:
-                    latch.latch(who=who, reason=arguments.reason)
-                    print(f"Emergency stop latched: {latch.path}")
-                    audit.write(
-                        AuditRecord(
-                            who=who,
-                            role="",
-                            tool="estop",
-                            verdict="latched",
-                            reason=arguments.reason,
-                        )
-                    )
+                    _press(latch, audit, who, arguments.reason)
                 except RoboNeuronError as error:  # the others are to be stopped all the same
                     failure = error
         done |= folders
     if failure is not None:
         raise failure
     return status
+
+
+def _check_robot(directory: Path, robot: str | None) -> None:
+    """Refuse the name of a robot that has no folder: a stop of nothing must not look like one.
+
+    Raises:
+        ConfigurationError: names the robots that there are.
+    """
+    of_robots = robot_folder(directory).parent
+    if robot is not None and not (of_robots / robot).is_dir():
+        known = ", ".join(sorted(path.name for path in of_robots.glob("*"))) or "none"
+        raise ConfigurationError(f"There is no robot {robot!r} in {of_robots}; there are: {known}.")
+
+
+def _folders(directory: Path, robot: str | None) -> set[Path]:
+    """Where the latches are: of one robot, or of the server itself and of all its robots."""
+    of_robots = robot_folder(directory).parent
+    if robot:
+        return {of_robots / robot}
+    return {directory, *of_robots.glob("*")}
+
+
+def _show(latch: EmergencyStopLatch) -> int:
+    """Say whether it is latched, and by whom; returns the exit status."""
+    state = latch.read_state()
+    cause = f" by {state.cause}" if state.cause else ""
+    word = f"latched{cause}" if state.latched else "not latched"
+    print(f"The emergency stop is {word} ({latch.path}).")
+    return int(state.latched)
+
+
+def _press(latch: EmergencyStopLatch, audit: AuditLog, who: str, reason: str) -> None:
+    """Latch it, say so, and record it; in this order, because a stop waits for no disk.
+
+    Raises:
+        UnsafeError: the latch cannot be written.
+        RefusedError: it is latched, and the audit cannot be written.
+    """
+    latch.latch(who=who, reason=reason)
+    print(f"Emergency stop latched: {latch.path}")
+    audit.write(AuditRecord(who=who, role="", tool="estop", verdict="latched", reason=reason))
 
 
 def _reset(latch: EmergencyStopLatch, audit: AuditLog, who: str) -> int:

@@ -264,7 +264,12 @@ class EmergencyStop:
         )
 
     def _unconfirmed(self, latched: bool, since_s: float) -> list[str]:
-        """Running modules that have not reported the latch since then."""
+        """Running modules that have not reported the latch since then.
+
+        Args:
+            latched: what they have to report.
+            since_s: older reports do not count [monotonic s]: they were made before.
+        """
         return [
             view.kind
             for view in self._supervisor.views()
@@ -301,7 +306,10 @@ class SafetyReports:
         self._foreign: dict[ModuleKind, int] = {}
 
     def look(self) -> Sequence[ModuleView]:
-        """The modules; faults are reported on the way."""
+        """The modules; faults are reported on the way.
+
+        A counter that has gone up is news; one of a process that was started again begins at 0.
+        """
         if restored := self._emergency_stop.take_restored():
             what = (
                 "its file vanished without a reset and was written again; everything stays stopped"

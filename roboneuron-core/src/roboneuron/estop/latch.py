@@ -267,7 +267,11 @@ class EmergencyStopLatch:
         return True
 
     def _write(self, state: LatchState) -> None:
-        """Stop the other processes. Raises UnsafeError when the file cannot be created."""
+        """Stop the other processes.
+
+        Raises:
+            UnsafeError: the file cannot be created; later looks try again, see `_restore`.
+        """
         try:
             self._create(state)
         except OSError as error:

@@ -1,4 +1,8 @@
-"""Roles of those who call tools."""
+"""Roles of those who call tools.
+
+A role belongs to a client, by the transport that it came over or by its token; core only compares
+roles.
+"""
 
 VIEWER, OPERATOR, ADMIN = "viewer", "operator", "admin"
 ROLES = (VIEWER, OPERATOR, ADMIN)

@@ -14,7 +14,9 @@ from roboneuron.ros.environment import prepare_environment
 
 
 def _read_line() -> str:
-    """The first line of stdin, unbuffered: what follows are signs of life and announcements."""
+    """The first line of stdin, byte by byte: signs of life and announcements follow, and a buffer
+    would keep them from whoever reads them next.
+    """
     data = bytearray()
     while not data.endswith(b"\n"):
         byte = os.read(0, 1)
@@ -25,7 +27,11 @@ def _read_line() -> str:
 
 
 def main() -> None:
-    """Entry point of a module process."""
+    """Entry point of a module process.
+
+    In this order: a parent that dies from here on takes the process with it, and the environment is
+    set before rclpy is imported, which reads it.
+    """
     parent = os.getppid()
     begin_logging(logging.INFO)
     follow_parent(parent)

@@ -90,6 +90,7 @@ class ControlModule(Module):
         )
         node.resources.callback(self._controller.close)
         self._controller.load()
+        # only states that can be true are acted on
         self._watched = JointWatch(self._profile, config.state_timeout_s)
         state = Path(node.settings.state_directory)
         immediate = config.command == "joint_state"
@@ -208,6 +209,11 @@ class ControlModule(Module):
             self.status.set_error(error)
 
     def _publish_pose(self, joints: JointSample) -> None:
+        """Tell where the TCP is measured, which is what proves that control works.
+
+        Raises:
+            UnsafeError: the controller cannot tell it from these joints.
+        """
         pose = self._controller.forward(joints)
         self.handover.send(
             "pose",
@@ -274,6 +280,7 @@ class ControlModule(Module):
         if joints is None:  # excluded by `_why_not`
             return
         now_s = time.monotonic()
+        # The controller is told the time that the arm has: that since the action before this one.
         # By sending and by arrival: actions that were held up arrive together, and were not meant
         # to follow each other.
         spacing_s = (source_ns - self._action_ns) / 1e9 if self._action_ns else 0.0
@@ -357,6 +364,7 @@ class ControlModule(Module):
         self.status.set_value("hold_code", code)
         if self._holding:
             return
+        # before it is sent: a hold that is due is not sent twice
         self._holding = True
         self.status.dropped.add("holds")
         joints = self._watched.joints
@@ -370,6 +378,10 @@ class ControlModule(Module):
         return self.handover.is_ours(time.time_ns())
 
     def _command_hold(self, joints: JointSample) -> None:
+        """Command the arm to stay where it is measured; the limiter starts anew from there.
+
+        The gripper is not commanded: it keeps what it holds.
+        """
         self._hold_is_due = False
         arm = self._profile.arm_joints
         position = pick(joints.names, joints.position, arm)
@@ -379,6 +391,7 @@ class ControlModule(Module):
         self._guard.rest(joints, time.monotonic())
 
     def _to_message(self, command: JointCommand) -> JointTrajectory | JointState:
+        """A command as the configured type of message; a JointState carries no duration."""
         if self._limits.command == "joint_trajectory":
             return to_joint_trajectory(command)
         return to_joint_state(

@@ -86,7 +86,14 @@ class InferenceModule(Module):
     """
 
     def __init__(self, node: ModuleHost) -> None:
-        """Load the backend (weights and warm-up included), then subscribe to its inputs."""
+        """Load the backend (weights and warm-up included), then subscribe to its inputs.
+
+        Raises:
+            ConfigurationError: there is no [inference] section, the robot has no such camera, or
+                chunks cannot be executed as configured.
+            PlanningError: backend, runtime, acceleration and robot do not fit together.
+            RoboNeuronError: the backend cannot be loaded.
+        """
         super().__init__(node)
         config, robot = self.config.inference, self.config.robot
         if config is None:
@@ -146,7 +153,11 @@ class InferenceModule(Module):
         self._player = RowPlayer(node, self.executor, self._send)
 
     def activate(self) -> None:
-        """Start acting on the instruction, when there is one."""
+        """Start acting on the instruction, when there is one.
+
+        Raises:
+            ConfigurationError: somebody publishes images of another type on the backend's topics.
+        """
         self._inputs.check_types(
             dict(self.node.get_topic_names_and_types()), self.node.get_namespace()
         )
@@ -157,7 +168,11 @@ class InferenceModule(Module):
         self._worker.start()
 
     def deactivate(self) -> None:
-        """Stop publishing at once; a prediction in progress is given up, or thrown away."""
+        """Stop publishing at once; a prediction in progress is given up, or thrown away.
+
+        Raises:
+            NotReadyError: the backend hangs, and its thread cannot be ended.
+        """
         self.executor.begin_epoch()
         self._player.stop()
         if not self._worker.stop(give_up=self._give_up):
@@ -167,6 +182,7 @@ class InferenceModule(Module):
         """Forget what was planned; after a release, a new instruction is acted on by what is
         captured from then on.
         """
+        # also for a release: what was captured during the stop shows a robot that stood still
         self._not_before_ns = self.node.now_ns()
         self.executor.begin_epoch()
 
@@ -182,9 +198,8 @@ class InferenceModule(Module):
             return
         try:
             self.runtime.abort()
-        except (
-            Exception
-        ):  # the module border: silence matters more than what a plugin says about it
+        # the module border: silence matters more than what a plugin says about it
+        except Exception:
             log.exception("the runtime could not give up its prediction")
 
     def _subscribe(self, cameras: dict[str, CameraProfile], *, with_state: bool) -> None:
@@ -212,6 +227,7 @@ class InferenceModule(Module):
         if observation is None:
             return
         captured_ns = self._inputs.captured_ns(observation)
+        # before a stop, or not for this module
         if captured_ns < self._not_before_ns or not all(ask(captured_ns) for ask in self.accepts):
             return
         count, instruction = self._instruction.count, self._instruction.text
@@ -240,8 +256,10 @@ class InferenceModule(Module):
             self.status.dropped.add(f"{outcome}_chunk")
 
     def _observe(self) -> Observation | None:
-        """The newest observation, without its instruction; None when there is none to act on
-        now.
+        """The newest observation, without its instruction; None when there is none to act on now.
+
+        Raises:
+            NotReadyError: there was none for `SILENCE_S`; actions have stopped long before.
         """
         observation = self._inputs.wait(_WAIT_S)
         if observation is None:
@@ -263,7 +281,11 @@ class InferenceModule(Module):
         return observation
 
     def _predict(self, prediction: Prediction) -> tuple[ActionChunk, float]:
-        """Ask the backend; its answer, and how long it took [s]."""
+        """Ask the backend; its answer, and how long it took [s].
+
+        What the backend raises goes to the status as it is, after the rows of earlier answers were
+        dropped.
+        """
         resets = self._instruction.is_new
         if resets:
             self._instruction.is_new = False
@@ -282,7 +304,11 @@ class InferenceModule(Module):
         return chunk, took_s
 
     def _note_prediction(self, chunk: ActionChunk, took_s: float) -> None:
-        """Tell of an answer in the status."""
+        """Tell of an answer in the status.
+
+        The time after which the thread counts as stalled follows what predictions take: never less
+        than 0.4 s, three times their median, or two steps.
+        """
         self._took_s.append(took_s)
         self._worker.limit_s = max(
             _LEAST_LIMIT_S, _LIMIT_RATIO * statistics.median(self._took_s), 2.0 * chunk.step_s

@@ -83,6 +83,7 @@ class ModuleNode(ModuleHost):
         self._reporter.start()
 
     def _why_not_permit(self, stops: int) -> str:
+        """Why motion cannot be permitted; empty when it can. For the number see `_permit`."""
         if self.stopped:
             return "the emergency stop is latched"
         return "" if stops == self.stops else "a stop came since motion was asked for"
@@ -158,7 +159,10 @@ class ModuleNode(ModuleHost):
         self.status.set_unexpected(error)
 
     def release(self) -> None:
-        """Stop reporting and release the module; called once the executor has stopped."""
+        """Stop reporting and release the module; called once the executor has stopped.
+
+        The report comes last to its end, so that what the module says while it leaves is heard.
+        """
         try:
             self._shut_down()
         except RoboNeuronError as error:
@@ -187,6 +191,7 @@ class ModuleNode(ModuleHost):
             raise
 
     def _release(self) -> None:
+        # first: nothing may be asked of a module whose resources are going
         self.module = None
         self.resources.close()
 
@@ -205,14 +210,23 @@ class ModuleNode(ModuleHost):
     def _attempt(
         self, step: Callable[[], None], then: str, *, otherwise: str
     ) -> TransitionCallbackReturn:
+        """Make a transition and report how it went.
+
+        Args:
+            step: what is to be done; raises why it cannot be.
+            then: state after it.
+            otherwise: state after a failure.
+
+        Returns:
+            For rclpy: FAILURE leaves the node in the state that it was in.
+        """
         try:
             step()
         except RoboNeuronError as error:
             log.error("%s: %s", then, error)
             self.status.set_error(error)
-        except (
-            Exception
-        ) as error:  # the module border: whatever a plugin raises must not end the process silently
+        # the module border: whatever a plugin raises must not end the process silently
+        except Exception as error:
             log.exception("unexpected failure")
             self.status.set_unexpected(error)
         else:
@@ -220,6 +234,8 @@ class ModuleNode(ModuleHost):
             self.status.set_state(then)
             return TransitionCallbackReturn.SUCCESS
         self.status.set_state(otherwise)
+        # At once and on this thread: the reason is out before the answer to the request, and the
+        # server looks for it when it has the answer.
         self._reporter.publish()
         return TransitionCallbackReturn.FAILURE
 
@@ -241,7 +257,10 @@ class ModuleNode(ModuleHost):
         self._is_server_silent, self._silences_seen = is_silent, silences
 
     def _on_emergency_stop(self, message: Bool) -> None:
-        """Any node may stop; only the latch's own reset releases what it stopped."""
+        """Any node may stop; only the latch's own reset releases what it stopped.
+
+        A False from the topic takes back only a stop that could not be written to the file.
+        """
         if message.data:
             self.trigger_stop(f"a node on the topic {EMERGENCY_STOP_TOPIC}")
         else:

@@ -153,6 +153,7 @@ class RequestGuard:
             if self.announcements.take(digest_of(request)):
                 return answer(request, response)
             self._report(request, service.srv_name)
+            # in the words of the service, so that the caller's own library tells the reason
             refused = SetParametersResult(successful=False, reason=_REASON)
             if isinstance(response, SetParameters.Response):
                 response.results = [refused for _ in request.parameters]

@@ -195,6 +195,10 @@ class RobotModule(Module):
     def _play(self, stop: threading.Event) -> None:
         """Send the next pending command; a newer trajectory replaces what is left of the older
         one.
+
+        A point is taken under the lock, sent without it, and waited for under it again. What comes
+        in between is seen afterwards: a stop by `_must_hold`, another trajectory by its list, which
+        is another object.
         """
         with self._arrived:
             if not self._arrived.wait_for(
@@ -221,6 +225,7 @@ class RobotModule(Module):
             self.status.dropped.add("stale_command")
             self.driver.hold()
             return
+        # what the driver says it has sent counts from here on: it may have shortened the command
         try:
             sent = self.driver.send(command)
         except RoboNeuronError as error:
@@ -234,9 +239,11 @@ class RobotModule(Module):
         self._moving, self._command_s = True, time.monotonic() + sent.duration_s
         self.status.clear_error()
         self.status.set(note="moving")
+        # a slow motion is no hang
         self._player.limit_s = sent.duration_s + LIMIT_S
         self._player.progress()
         with self._arrived:
+            # the next point is due when this one was to be reached, whatever sending it took
             if plan and self._pending is plan:
                 self._due_s = began_s + sent.duration_s
                 self._arrived.wait_for(
@@ -246,6 +253,9 @@ class RobotModule(Module):
     def _note_gripper(self, sent: JointCommand) -> None:
         """Report the opening that was last commanded: it holds an object, and blocked fingers do
         not tell it.
+
+        Args:
+            sent: what the driver has sent; without the gripper's joint, nothing has changed.
         """
         gripper = self._gripper
         if gripper is None or gripper.joint not in sent.names:
@@ -284,6 +294,7 @@ class RobotModule(Module):
             self.status.forget_details("gripper_open")
             self._detail_s = 0.0
             raise
+        # first of all: control waits for it
         self._states.publish(to_joint_state(state.joints))
         self.status.output.tick()
         self.status.set_ready()
@@ -298,6 +309,9 @@ class RobotModule(Module):
     def _check_fault(self, fault: str) -> None:
         """A fault has stopped the robot: whoever clears it, also on the robot itself, sets nothing
         in motion.
+
+        Args:
+            fault: as the driver tells it; empty for none. Counted once, when it comes.
         """
         if fault and not self._has_fault:
             self.node.require_start(f"a fault of the robot: {fault}")

@@ -12,7 +12,12 @@ from roboneuron.plugins.specs import Requirement
 
 
 def is_importable(module: str) -> bool:
-    """Whether the top-level `module` could be imported; it is looked up, never executed."""
+    """Whether the top-level `module` could be imported; it is looked up, never executed.
+
+    Args:
+        module: without a dot: to look up a submodule would import its package.
+    """
+    # None marks a module that must not be imported, and has no `__spec__` to look up
     if module in sys.modules:
         return sys.modules[module] is not None
     try:
@@ -38,7 +43,11 @@ def missing(requirements: Iterable[Requirement]) -> tuple[Requirement, ...]:
 
 
 def explain(absent: Iterable[Requirement]) -> str:
-    """One sentence that names the absent modules and the commands that provide them."""
+    """One sentence that names the absent modules and the commands that provide them.
+
+    Args:
+        absent: at least one, see `missing`; commands that provide several of them are named once.
+    """
     parts = tuple(absent)
     modules = ", ".join(
         " or ".join(f"'{name}'" for name in (r.module, *r.alternatives)) for r in parts
@@ -88,6 +97,7 @@ def install_command(*packages: str) -> str:
 
 
 def _table() -> dict[str, dict[str, str]]:
+    """data/packages.toml, read when it is needed: most commands never ask for it."""
     return tomllib.loads(
         files("roboneuron").joinpath("data/packages.toml").read_text(encoding="utf-8")
     )

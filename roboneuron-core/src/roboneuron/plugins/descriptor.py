@@ -30,6 +30,10 @@ ROBOT_KINDS = ("arm", "base")
 def check_spec(spec: object, expected: type[Spec]) -> Spec:
     """Return `spec` when it is a well-formed descriptor of the class `expected`.
 
+    Args:
+        spec: what a hook has returned.
+        expected: of the hook.
+
     Raises:
         PluginError: another type, a mutable or wrongly typed field, a malformed name or target.
     """
@@ -55,6 +59,7 @@ def check_spec(spec: object, expected: type[Spec]) -> Spec:
 
 
 def _require(is_right: bool, otherwise: str) -> None:
+    """Do nothing when it is right. Raises PluginError with the text otherwise."""
     if not is_right:
         raise PluginError(otherwise)
 
@@ -116,8 +121,18 @@ def _hints_of(kind: Any) -> dict[str, object]:
 
 
 def _check_value(value: object, hint: object, who: str) -> None:
-    """Compare one field with its annotation; only the shapes that descriptors use are known
-    here.
+    """Compare one field with its annotation; only the shapes that descriptors use are known here:
+    classes, `X | None`, tuples of one type, and dataclasses of these.
+
+    Types are compared, not instances: True is no int here, and a subclass may be mutable.
+
+    Args:
+        value: of the field.
+        hint: its annotation.
+        who: the field, for messages.
+
+    Raises:
+        PluginError: they do not agree.
     """
     origin = get_origin(hint)
     if origin in (Union, UnionType):

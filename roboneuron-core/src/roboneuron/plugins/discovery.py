@@ -56,7 +56,15 @@ def discover(disabled: Collection[str] = ()) -> Registry:
 
 
 def discover_from(points: Iterable[EntryPoint], disabled: Collection[str] = ()) -> Registry:
-    """As `discover`, for the given entry points."""
+    """As `discover`, for the given entry points.
+
+    Two passes: plugins may bring kinds of their own with hooks of their own, so these are collected
+    before any plugin is asked for what it offers.
+
+    Args:
+        points: of the group `roboneuron`; their order does not matter.
+        disabled: as of `discover`.
+    """
     claims = sorted((_identify(point) for point in points), key=lambda claim: _order(claim.record))
     skipped = _check_disabled(disabled, {name for claim in claims for name in _names(claim.record)})
     hooks = Hooks()
@@ -111,6 +119,7 @@ def _bringing_hooks(claim: _Claim) -> tuple[FeatureSpec | CommandSpec, ...]:
 
 
 def _identify(point: EntryPoint) -> _Claim:
+    """An entry point with the record of its plugin, whose module is not imported for that."""
     distribution, version = point.name, ""
     if point.dist is not None:
         metadata = point.dist.metadata  # read from a file each time it is asked for
@@ -126,11 +135,16 @@ def _identify(point: EntryPoint) -> _Claim:
 
 
 def _normalise(name: str) -> str:
-    """Project names compare as PEP 503 says."""
+    """Project names compare as PEP 503 says: "RN_Standard" and "rn-standard" are one."""
     return re.sub(r"[-_.]+", "-", name).lower()
 
 
 def _check_disabled(disabled: Collection[str], installed: Collection[str]) -> set[str]:
+    """The disabled names, normalised.
+
+    Raises:
+        ConfigurationError: one is not installed; a plugin that was meant would be loaded.
+    """
     known = {_normalise(name) for name in installed}
     wanted = {_normalise(name): name for name in disabled}
     for normal, name in wanted.items():
@@ -146,7 +160,11 @@ def _failed(claim: _Claim, error: RoboNeuronError) -> PluginRecord:
 
 
 def _examine(claim: _Claim, hooks: Hooks, manager: pluggy.PluginManager) -> PluginRecord:
-    """Import one plugin and call its hooks; every failure ends in its own record."""
+    """Import one plugin and call its hooks; every failure ends in its own record.
+
+    What it prints goes to stderr: stdout may be the wire of an agent. A plugin that leaves by
+    SystemExit counts as failed, like any other.
+    """
     try:
         with redirect_stdout(sys.stderr):
             specs = _read(claim.point.load(), hooks, manager)
@@ -173,6 +191,7 @@ def read_module(module: object, hooks: Hooks | None = None) -> tuple[Spec, ...]:
 
 
 def _make_manager(hooks: Hooks) -> pluggy.PluginManager:
+    """What calls hooks, and checks that implementations have the arguments of their hook."""
     manager = pluggy.PluginManager(PROJECT)
     for container in hooks.containers:
         manager.add_hookspecs(container)
@@ -198,6 +217,12 @@ def _read(module: object, hooks: Hooks, manager: pluggy.PluginManager) -> tuple[
 
 
 def _call_all(module: ModuleType, hooks: Hooks, manager: pluggy.PluginManager) -> tuple[Spec, ...]:
+    """All that a registered plugin offers, each checked.
+
+    Raises:
+        PluginError: a hook returns what is no sequence, a descriptor is malformed, or there is
+            none.
+    """
     specs: list[Spec] = []
     for hook, expected in hooks.specs.items():
         for offered in _call(manager, hook):
@@ -248,6 +273,16 @@ def _call(manager: pluggy.PluginManager, hook: str) -> list[object]:
 
 
 def _offer(spec: Spec, record: PluginRecord) -> Offer:
+    """What a plugin offers, and whether it could be used as far as it alone is concerned.
+
+    Args:
+        spec: checked.
+        record: of the plugin.
+
+    Returns:
+        INCOMPATIBLE before UNAVAILABLE: to install something does not help a plugin that was
+        written for another contract.
+    """
     ready = Offer(
         spec=spec, plugin=record.name, distribution=record.distribution, status=Status.READY
     )
@@ -292,6 +327,10 @@ def _claimed(spec: Spec) -> list[tuple[str, str]]:
 
 
 def _contest(offer: Offer, claims: Mapping[tuple[str, str], Sequence[str]]) -> Offer:
+    """The offer, as a conflict where another plugin claims the same.
+
+    None of them wins: which plugin moves a robot must not depend on an order.
+    """
     for kind, name in _claimed(offer.spec):
         claimants = claims[kind, name]
         if len(claimants) > 1:
@@ -304,6 +343,8 @@ def _contest(offer: Offer, claims: Mapping[tuple[str, str], Sequence[str]]) -> O
 
 
 def _summarise(record: PluginRecord, offers: tuple[Offer, ...]) -> PluginRecord:
+    """The record with its offers, the worst of their statuses and all their reasons."""
+    # in the order of the enumeration, the best first
     worst = max((o.status for o in offers), key=list(Status).index, default=record.status)
     reasons = dict.fromkeys(f"{o.spec.kind} {o.spec.name}: {o.reason}" for o in offers if o.reason)
     return replace(record, status=worst, reason=" ".join(reasons) or record.reason, offers=offers)

@@ -166,9 +166,8 @@ class RosLink:
         def deliver(message: M) -> None:
             try:
                 callback(message)
-            except (
-                Exception
-            ):  # a failing callback must not end the thread that all modules are watched from
+            # a failing callback must not end the thread that all modules are watched from
+            except Exception:
                 log.exception("The callback of %s failed.", topic)
 
         node = self._node

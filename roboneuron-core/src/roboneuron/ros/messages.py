@@ -22,6 +22,7 @@ from roboneuron.errors import InvalidInputError
 
 NS_PER_S = 1_000_000_000
 _STATE_STEP_S = 0.1
+"""Time to reach positions that come without one."""
 _HALF_PIXEL = np.array([[0.0, 0.0, 0.5], [0.0, 0.0, 0.5], [0.0, 0.0, 0.0]])
 
 
@@ -119,7 +120,10 @@ def frame_from_message(
 
 
 def to_action_message(vector: F64) -> Float64MultiArray:
-    """Action vector (7,) -> std_msgs/Float64MultiArray with the contract's label."""
+    """Action vector (7,) -> std_msgs/Float64MultiArray with the contract's label.
+
+    The message has no stamp: control reads when it was sent from the time stamp of DDS.
+    """
     message = Float64MultiArray()
     message.layout.dim = [
         MultiArrayDimension(label=ACTION_LABEL, size=ACTION_SIZE, stride=ACTION_SIZE)
@@ -191,7 +195,9 @@ def to_pose_stamped(pose: Pose, frame_id: str) -> PoseStamped:
 
 
 def pose_from_message(message: PoseStamped) -> Pose:
-    """geometry_msgs/PoseStamped -> Pose."""
+    """geometry_msgs/PoseStamped -> Pose in the message's frame, which is not looked at: that of
+    `ee_pose` is the robot's base.
+    """
     p, q = message.pose.position, message.pose.orientation
     return Pose(
         position_m=np.array([p.x, p.y, p.z]),
@@ -201,8 +207,13 @@ def pose_from_message(message: PoseStamped) -> Pose:
 
 
 def to_joint_trajectory(command: JointCommand) -> JointTrajectory:
-    """JointCommand -> trajectory_msgs/JointTrajectory with one point, to start at once."""
+    """JointCommand -> trajectory_msgs/JointTrajectory with one point, to start at once.
+
+    The stamp stays 0: by the definition of the message that means "now", whatever the clock of the
+    robot's machine says.
+    """
     seconds = int(command.duration_s)
+    # rounding may make a whole second of it, which the field must not hold
     nanoseconds = round((command.duration_s - seconds) * NS_PER_S)
     point = JointTrajectoryPoint(
         time_from_start=Duration(sec=seconds, nanosec=min(nanoseconds, NS_PER_S - 1))

@@ -102,6 +102,9 @@ class Bringup:
     def _check_robot(self) -> None:
         """Refuse at once a source that shows what the robot's own driver moves, when no robot is
         there to show.
+
+        Raises:
+            NotReadyError: the robot is neither running nor being started.
         """
         plan = self._plan
         if (
@@ -262,6 +265,7 @@ class Bringup:
 
     def _other(self) -> int | str | None:
         """Process id of another node of our name."""
+        # the claim is known at once, before DDS has discovered the other node
         holder = claimant(f"/{self._name}")
         return (
             holder if holder not in (None, self._process.pid) else self._board.foreign(self._name)

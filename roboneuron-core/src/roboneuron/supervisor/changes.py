@@ -46,9 +46,8 @@ class Event(Generic[P]):
         for listener in self._listeners:
             try:
                 listener(*facts, **named)
-            except (
-                Exception
-            ):  # a failing listener must not stop the others, nor the thread that told it
+            # a failing listener must not stop the others, nor the thread that told it
+            except Exception:
                 log.exception("A listener failed.")
 
 
@@ -157,9 +156,8 @@ class Periodic:
         while not self._end.is_set():
             try:
                 self._step()
-            except (
-                Exception
-            ) as error:  # one failing look must not end a watch that safety depends on
+            # one failing look must not end a watch that safety depends on
+            except Exception as error:
                 if repr(error) != logged:
                     logged = repr(error)
                     log.exception("A step of %r failed.", self._thread.name)

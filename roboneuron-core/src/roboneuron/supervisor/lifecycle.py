@@ -30,6 +30,7 @@ _AFTER = {
     "deactivate": "inactive",
 }
 _STATE_CALL_S = 1.0
+"""Bound on one question for the state; a node answers in milliseconds or not at all."""
 _LOST_S = 1.0
 """A request that is not answered by then, though the node answers others and is where it was, did
 not reach it.

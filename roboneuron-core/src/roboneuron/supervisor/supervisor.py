@@ -40,6 +40,7 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 DEACTIVATE_S = 2.0
+"""Bound on the answer to `deactivate` when a module is stopped; then it is ended all the same."""
 _BEAT_S = 0.2
 """A module whose server has ended sees the end of stdin. One whose server is frozen, so that nobody
 could stop the arm, misses these signs of life on stdin; control holds then.
@@ -107,7 +108,12 @@ class Supervisor(ModuleTable):
         return self.connection.link()
 
     def parameters(self, node: str, process: ModuleProcess) -> NodeClient:
-        """The parameters of a module: the absolute name of its node, and its process."""
+        """The parameters of a module, for one request or several.
+
+        Args:
+            node: absolute name of its node.
+            process: is told of each request before it is sent; refuses those of anybody else.
+        """
         return NodeClient(self.link, self.changes, node, process.announce)
 
     def open(self) -> None:
@@ -214,6 +220,9 @@ class Supervisor(ModuleTable):
     def end(self, slot: Slot) -> Stopped:
         """Deactivate, end and reap the module in one of `slots`.
 
+        Args:
+            slot: also one that is about to replace another, or was replaced.
+
         Raises:
             StateError: it is not running.
         """
@@ -257,7 +266,15 @@ class Supervisor(ModuleTable):
         self.spawner.shutdown()  # a process that is still there gets its death signal
 
     def _finish(self, claims: Sequence[Claim], within_s: float = math.inf) -> list[Stopped]:
-        """Silence all in order, then end them together."""
+        """Silence all in order, then end them together.
+
+        Silence first: control holds the arm before any process is ended. Each gets an equal share
+        of the time, and what is left of it goes to the ending.
+
+        Args:
+            claims: in the order in which they are silenced.
+            within_s: bound on all of it [s].
+        """
         started_s = time.monotonic()
         share_s = within_s / (len(claims) + 1)
         for claim in claims:
@@ -284,6 +301,13 @@ class Supervisor(ModuleTable):
             log.warning("Deactivating %s: %s", settings.node_name, error)
 
     def _settle(self, claim: Claim, killed: bool, started_s: float) -> Stopped:
+        """Free the slot of an ended module; tells how its stop went.
+
+        Args:
+            claim: what was ended.
+            killed: it needed SIGKILL.
+            started_s: when the stop began [monotonic s].
+        """
         slot, process, settings = claim
         report = self.board.newest(settings.status_name, process.pid)
         self.board.forget(settings.status_name, process.pid)
@@ -312,6 +336,9 @@ class Supervisor(ModuleTable):
         return [slot.process for slot in self._all() if slot.process is not None]
 
     def _await_settled(self, slot: Slot) -> None:
+        """Wait for the end of a start that was cancelled: whoever runs it ends the process, which
+        takes as long as any stop, and a second for its thread.
+        """
         config = slot.choice.settings.config.supervisor if slot.choice is not None else None
         bound_s = (config.stop_timeout_s if config else 0.0) + KILL_S + 1.0
         self.changes.wait_for(lambda: slot.phase != "starting", bound_s)

@@ -28,6 +28,7 @@ counts as lost.
 _MEMORY_S = 1.0
 """Age at which the setpoint expires: the next command starts from the measured joints, at rest."""
 _SHORTEST_S = 1e-3
+"""Two messages that arrive together are no reason to divide by nothing."""
 _HALVINGS = 6
 """Bisections when a step is shortened to stay out of a zone: to 1/64 of the step."""
 _STATE_STEP_S = 0.1
@@ -49,7 +50,7 @@ class _Rejection(Exception):
 
 
 def _ratio(of_all: float, of_step: float) -> float:
-    """How many steps the whole path has; 1 without a step."""
+    """How many steps the whole path has, from the lengths of both; 1 without a step."""
     return of_all / of_step if of_step > 0.0 else 1.0
 
 
@@ -95,7 +96,10 @@ class MotionLimiter:
         self._sent: Setpoint | None = None
 
     def use(self, rules: MotionRules) -> None:
-        """Apply other numbers and reactions from the next command on."""
+        """Apply other numbers and reactions from the next command on.
+
+        The setpoint is kept: the arm's motion goes on, and the next step is judged by it.
+        """
         self._rules = rules
         self._limits = joint_limits(self._profile, rules)
         self._joints = JointSpace(
@@ -189,6 +193,12 @@ class MotionLimiter:
         )
 
     def _step(self, command: JointCommand, joints: JointSample, now_s: float) -> Step:
+        """The command as a straight line from the setpoint, or from the measured joints where there
+        is no setpoint, it has expired, or the arm does not follow it.
+
+        Raises:
+            UnsafeError: joints are missing or not finite, or it lasts no finite time > 0.
+        """
         measured = pick(joints.names, joints.position, self._names)
         target = pick(command.names, command.position, self._names)
         if not (math.isfinite(command.duration_s) and command.duration_s > 0.0):
@@ -296,6 +306,9 @@ class MotionLimiter:
                 "speed",
                 f"The arm is behind its setpoint; its TCP would be {times:.3g} times too fast.",
             )
+            # The arm has to cover two parts: what it is behind, and the step. Only the step can be
+            # scaled: (behind + share * step) / (behind + step) = _RESERVE / times, solved for
+            # share, with whole / step = `parts`; once for distances, once for turns.
             parts = [_ratio(asked.step_m, asked.speed_m_s * step.duration_s)]
             parts.append(_ratio(asked.step_rad, asked.turn_rad_s * step.duration_s))
             share = max(0.0, 1.0 - (1.0 - _RESERVE / times) * max(parts))
@@ -370,6 +383,13 @@ class MotionLimiter:
         step.reason = reason
 
     def _motion(self, step: Step, measured: Pose, start: Pose, target: Posture) -> Motion:
+        """The step in numbers, as limits and status tell it.
+
+        Args:
+            step: as it is now.
+            measured, start: TCP where the arm is measured, and at the setpoint.
+            target: posture at the step's target.
+        """
         speed = float(np.abs(step.target - step.start).max(initial=0.0)) / step.duration_s
         return self._task.motion(measured, start, target, step.duration_s, speed)
 
@@ -377,12 +397,18 @@ class MotionLimiter:
         return self._inspect(self._sample(step, position))
 
     def _sample(self, step: Step, position: F64) -> JointSample:
+        """A posture for the controller: the arm at `position`, all other joints as `step.others`
+        says, because the fingers count for collisions too.
+        """
         names, others = step.others
         if names:
             names, position = (*self._names, *names), np.concatenate([position, others])
         return JointSample(names=names or self._names, position=position, stamp_ns=step.stamp_ns)
 
     def _command(self, command: JointCommand, step: Step) -> JointCommand:
+        """What is sent: the command itself, or a copy whose arm joints end where the step does; the
+        gripper goes where it was commanded to.
+        """
         if not step.acted and step.duration_s == command.duration_s:
             return command
         position = command.position.copy()

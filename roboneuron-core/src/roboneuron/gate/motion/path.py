@@ -12,6 +12,9 @@ from roboneuron.contract import RobotProfile
 from roboneuron.contract.arrays import F64
 
 _FINEST_M, _COARSEST_M = 0.005, 0.02
+"""Farthest that a point of the arm may move between two postures: each one costs a computation, and
+one that is missed may be the one that touches.
+"""
 _SHAPE_M = 0.1
 """What a hand sticks out from the line of the joints."""
 
@@ -24,6 +27,9 @@ class Reach:
     """
 
     def __init__(self, profile: RobotProfile) -> None:
+        """Args:
+        profile: its description tells the levers, its collision bodies the distance.
+        """
         self._levers = levers_m(profile)
         least_m = (
             _COARSEST_M if profile.collision is None else 2.0 * profile.collision.min_distance_m
@@ -34,6 +40,8 @@ class Reach:
         """Into how many steps the absolute changes (n,) [rad or m] of the named joints are to be
         cut; at least 1.
         """
+        # no point moves farther than the sum of what each joint moves it at most; a joint that the
+        # description does not tell counts 1 m per rad
         travel_m = sum(
             self._levers.get(n, 1.0) * d for n, d in zip(names, change.tolist(), strict=True)
         )
@@ -50,6 +58,7 @@ def levers_m(profile: RobotProfile) -> dict[str, float]:
         root = ET.fromstring(profile.urdf)
     except ET.ParseError:
         return {}
+    # from the TCP down to the base, because each joint moves all that lies behind it
     above = {_attribute(joint.find("child"), "link"): joint for joint in root.findall("joint")}
     levers: dict[str, float] = {}
     link, length = profile.tcp_link, _SHAPE_M
