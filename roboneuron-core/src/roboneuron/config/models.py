@@ -276,7 +276,12 @@ class Config(Section):
         return self.plugins.get(name, {})
 
     def start_timeout_s(self, kind: str) -> float:
-        """Longest start of the module called `kind` [s]."""
+        """Longest start of a module [s]: its own section's, or the supervisor's; a policy with a
+        checkpoint is given the time that large models need.
+
+        Args:
+            kind: of the module, as its section is called.
+        """
         section = getattr(self, kind)
         if section is not None and section.start_timeout_s is not None:
             return float(section.start_timeout_s)

@@ -88,7 +88,10 @@ class EmergencyStop:
         self.audit = AuditLog(supervisor.state_directory / AUDIT_FILE, time.time_ns)
 
     def is_latched(self) -> bool:
-        """Whether the stop is latched: by the file, whoever wrote it, or in any module."""
+        """Whether the stop is latched: by the file, whoever wrote it, or in any module.
+
+        A module may be latched without the file: by the topic, where the file cannot be written.
+        """
         return self.file.is_latched() or any(
             view.report is not None and view.report.emergency_stop is True
             for view in self._supervisor.views()
@@ -104,7 +107,8 @@ class EmergencyStop:
         """How often the latch's file has vanished without a reset, when that is news: recorded, 0
         the next time.
 
-        Called now and then, which also keeps the server latched when the file vanishes.
+        Called now and then, which also keeps the server latched when the file vanishes. Whoever has
+        removed it is not known; that somebody has is recorded, because it looks like a release.
         """
         restored = self.file.read_state().restored
         is_news, self._restored = restored > self._restored, restored

@@ -168,14 +168,25 @@ class MotionStarts:
                 self._await_obeying(slot, report.stops)
 
     def check(self, stops: int) -> None:
-        """Raise StateError when a stop came since `permit` has returned `stops`."""
+        """Do nothing unless a stop came since `permit`.
+
+        Args:
+            stops: what `permit` has returned.
+
+        Raises:
+            StateError: there was one; says which.
+        """
         if self.stops != stops:
             raise StateError(
                 f"There was a stop meanwhile: {self.reason}. Nothing moves.", hint="Ask again."
             )
 
     def begin(self, text: str) -> int:
-        """A policy is about to be started or replaced with that instruction; returns the ticket."""
+        """A policy is about to be started or replaced; returns the ticket of its instruction.
+
+        Args:
+            text: the instruction; empty for none.
+        """
         with self._lock:
             self.instruction = text
             self.ticket += 1

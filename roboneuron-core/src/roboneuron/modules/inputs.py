@@ -143,7 +143,9 @@ class NewestInputs:
         self._leading = next(iter(self.cameras), "")
 
     def on_image(self, role: str, message: Image) -> None:
-        """Subscription callback for the camera with that role."""
+        """Subscription callback for the camera with that role; a damaged image is counted, and the
+        one before it kept until it is too old.
+        """
         with self._fresh:
             # first: the thread wakes while the image is decoded, and looks when it is there
             self._fresh.notify()
@@ -183,7 +185,12 @@ class NewestInputs:
             self._ee_pose = pose_from_message(message)
 
     def check_types(self, topics: Mapping[str, list[str]], namespace: str) -> None:
-        """Compare the graph's types with the contract's.
+        """Compare the graph's types with the contract's: DDS does not connect different types, and
+        says nothing about that.
+
+        Args:
+            topics: types by absolute topic.
+            namespace: of the robot.
 
         Raises:
             ConfigurationError: somebody publishes an image topic with another type.

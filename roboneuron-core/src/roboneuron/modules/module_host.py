@@ -79,7 +79,12 @@ class ModuleHost(LifecycleNode):  # type: ignore[misc]
 
     def create_timer(self, period_s: float, callback: Callable[[], None], **options: Any) -> Any:
         """As of Node, by the steady clock: a timer by ROS time stands still for an hour when the
-        clock is set back.
+        clock is set back by an hour.
+
+        Args:
+            period_s: [s].
+            callback: called on the executor's thread.
+            options: of Node; another `clock` is kept.
         """
         return super().create_timer(
             period_s, callback, **{"clock": Clock(clock_type=ClockType.STEADY_TIME)} | options
@@ -129,6 +134,11 @@ class ModuleHost(LifecycleNode):  # type: ignore[misc]
     def require_start(self, reason: str) -> None:
         """A stop has come, such as a recovery: nothing moves before somebody asks for it anew,
         whatever ends the stop; from any thread.
+
+        Perception moves nothing, so that it goes on.
+
+        Args:
+            reason: in words, for the status and for whoever asks why nothing moves.
         """
         if self.settings.kind == "perception":
             return

@@ -161,6 +161,8 @@ def watch_stdin(
     pipe = ParentPipe(on_beat)
 
     def watch() -> None:
+        # The alarm comes after the exit below, and only if this thread is kept from that: by
+        # `on_end`, or by somebody who holds the interpreter's lock.
         pipe.read_to_the_end()
         signal.setitimer(signal.ITIMER_REAL, grace_s + _ALARM_S)
         on_end()

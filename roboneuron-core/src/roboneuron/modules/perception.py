@@ -102,6 +102,7 @@ class PerceptionModule(Module):
         # deactivated while `read` was waiting
         if stop.is_set():
             return
+        # of any camera: one that is late while others deliver shows by its own `age_ms`
         self._newest_s = time.monotonic()
         self.status.set_value(
             f"size.{frame.camera}", f"{frame.image.shape[1]}x{frame.image.shape[0]}"

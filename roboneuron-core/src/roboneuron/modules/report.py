@@ -153,7 +153,11 @@ _PLAIN = frozenset(Report.model_fields) - {*_TABLES.values(), "metrics", "receiv
 
 
 def to_text(value: str | float | int | bool) -> str:
-    """A value as it is written; floats with six significant digits."""
+    """A value as it is written on the wire.
+
+    Args:
+        value: floats get six significant digits, truth values the words of JSON.
+    """
     if isinstance(value, bool):
         return "true" if value else "false"
     return f"{value:.6g}" if isinstance(value, float) else str(value)

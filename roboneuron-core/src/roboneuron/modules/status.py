@@ -87,6 +87,7 @@ class Counts:
     """Named counters that never go down ("stale", "non_finite" ...)."""
 
     def __init__(self) -> None:
+        # with a lock, because `+= 1` is a reading and a writing
         self._counts: Counter[str] = Counter()
         self._lock = threading.Lock()
 
@@ -168,7 +169,11 @@ class StatusWriter:
         self._announce(error_code=error.code, error=error.message, error_hint=error.hint)
 
     def set_unexpected(self, error: Exception) -> None:
-        """Remember what a plugin raised against its contract."""
+        """Remember what a plugin raised against its contract.
+
+        Args:
+            error: told as a defect, with its type; the traceback is in the log.
+        """
         self.set_error(
             InternalError(f"{type(error).__name__}: {error}", hint="See the module's log.")
         )
@@ -178,7 +183,11 @@ class StatusWriter:
         self._announce(error_code="", error="", error_hint="")
 
     def set(self, **fields: str | float | bool) -> None:
-        """Report fields of `Report` by their names."""
+        """Report fields of `Report` by their names, with the next period.
+
+        Args:
+            fields: names that `Report` does not have make the report fail.
+        """
         with self._lock:
             self._fields.update(fields)
 
@@ -191,7 +200,12 @@ class StatusWriter:
             self.changed.set()
 
     def set_value(self, key: str, value: str | float | bool) -> None:
-        """Report one more value among the metrics."""
+        """Report one more value among the metrics, with the next period.
+
+        Args:
+            key: without the prefix of a table, see `Report`.
+            value: written as `to_text` does.
+        """
         with self._lock:
             self._metrics[key] = to_text(value)
 
@@ -218,7 +232,7 @@ class StatusWriter:
             self._work[worker] = (time.monotonic(), limit_s)
 
     def end_work(self, worker: str) -> None:
-        """A thread has ended."""
+        """A thread has ended: it is expected to get on no more."""
         with self._lock:
             self._work.pop(worker, None)
 
@@ -227,7 +241,11 @@ class StatusWriter:
         self._loop_s = time.monotonic()
 
     def report(self) -> Report:
-        """Everything, as it is now."""
+        """Everything, as it is now.
+
+        Numbers that are measured are asked for here; the rest is as it was last set, all of it of
+        one instant.
+        """
         now_s = time.monotonic()
         dropped = self.dropped.items()
         latency_ms, latency_p99_ms = self.latency.median_and_p99()

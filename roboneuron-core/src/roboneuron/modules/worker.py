@@ -57,6 +57,7 @@ class Worker:
 
     def start(self) -> None:
         """Start the thread; it must not be running."""
+        # an event of its own for each thread: one that still hangs in a step stays stopped
         self._stop = threading.Event()
         self._thread = threading.Thread(
             target=self._run, args=(self._stop,), name=self._name, daemon=True

@@ -33,7 +33,9 @@ PARTICIPANTS = "ROBONEURON_PARTICIPANTS"
 profile reads it.
 """
 _STANDARD_OFFSET = 11
+"""Of the ports for data within a domain. Source: RTPS 2.2, 9.6.1.1."""
 MAX_DOMAIN = 232
+"""The highest whose ports are below 65536."""
 _SLOTS = tuple(250 * block + slot for block in range(5) for slot in (131, 163, 195))
 """Offsets of 16 ports each, above those of the first 60 participants of a domain: out of
 everybody's way.
@@ -119,7 +121,13 @@ def set_defaults(
 
 
 def _check_domain(domain: str) -> None:
-    """Source: RTPS 2.2, 9.6.1.1: ports of higher domains lie above 65535."""
+    """Refuse what is no domain: rcl would end the process without a word on what is wrong.
+
+    Source: RTPS 2.2, 9.6.1.1: ports of higher domains lie above 65535.
+
+    Raises:
+        ConfigurationError: names the range.
+    """
     if domain and not (domain.isascii() and domain.isdecimal() and int(domain) <= MAX_DOMAIN):
         raise ConfigurationError(
             f"ROS_DOMAIN_ID is {domain!r}, expected a whole number from 0 to {MAX_DOMAIN}.",

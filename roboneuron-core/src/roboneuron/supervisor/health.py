@@ -151,12 +151,21 @@ class ModuleTable:
         self.slots = {kind: [Slot(kind, self.changes)] for kind in MODULE_KINDS}
 
     def slot(self, kind: ModuleKind) -> Slot:
-        """The slot of the module that works now; another one after a replacement."""
+        """The slot of the module that works now; another one after a replacement, so that it is not
+        to be kept.
+        """
         with self.changes.lock:
             return self.slots[kind][0]
 
     def report_of(self, slot: Slot) -> Report | None:
-        """The newest report of a module, standby or not."""
+        """The newest report of a module, standby or not.
+
+        Args:
+            slot: one of `slots`.
+
+        Returns:
+            None before the first report, and without a process.
+        """
         process, choice = slot.process, slot.choice
         if process is None or choice is None:
             return None

@@ -66,6 +66,9 @@ class NodeClient:
 
         A node that was killed stays in the graph for some seconds, so only an answer proves that
         this one serves.
+
+        Args:
+            timeout_s: for both [s].
         """
         from lifecycle_msgs.srv import ChangeState, GetState  # heavy
 
@@ -86,7 +89,11 @@ class NodeClient:
         return False
 
     def state(self, timeout_s: float = _STATE_CALL_S) -> str | None:
-        """Label of the primary state, or None when nobody answered in time."""
+        """Label of the primary state, or None when nobody answered in time.
+
+        Args:
+            timeout_s: bound on the answer [s].
+        """
         from lifecycle_msgs.srv import GetState  # heavy
 
         call = self._link.call(
@@ -156,7 +163,14 @@ class NodeClient:
             raise NotReadyError(f"The service {name} was not found within {timeout_s:g} s.")
 
     def send(self, values: Mapping[str, str | int]) -> Call:
-        """Request a change of parameters without waiting for the answer."""
+        """Request a change of parameters without waiting for the answer; see `finish`.
+
+        Args:
+            values: by name; all of one request.
+
+        Raises:
+            NotReadyError: the process does not read that a request is coming.
+        """
         from rcl_interfaces.srv import SetParameters  # heavy
 
         from roboneuron.modules.requests import digest_of, parameters_request  # heavy
@@ -173,6 +187,8 @@ class NodeClient:
         """Wait for the answer; returns why the node refused, empty when it took the values.
 
         Args:
+            call: of `send`.
+            timeout_s: bound on the answer [s].
             check: called while waiting; raises to give up.
 
         Raises:

@@ -265,6 +265,14 @@ def spawn(
     To be called on a thread that lives as long as the server: PR_SET_PDEATHSIG follows the
     *thread*.
 
+    Args:
+        name: of its node.
+        command: with the interpreter.
+        environment: all of it.
+        first_line: without its end.
+        log_path: appended to.
+        events: told of the process.
+
     Raises:
         OSError: the command cannot be started.
     """
@@ -285,5 +293,6 @@ def spawn(
     with suppress(BrokenPipeError):
         child.stdin.write(first_line.encode() + b"\n\n")  # and a first sign of life
         child.stdin.flush()
+    # from now on: a module that does not read must never keep the server waiting
     os.set_blocking(child.stdin.fileno(), False)
     return ModuleProcess(name, child, log_path, offset, events)

@@ -158,7 +158,11 @@ class Slot:
         return starting
 
     def check_not_cancelled(self) -> None:
-        """Raises StateError when the start in progress was cancelled."""
+        """Do nothing unless the start in progress was cancelled.
+
+        Raises:
+            StateError: it was; says why.
+        """
         if self._cancelled:
             raise StateError(f"The start of {self.kind} was cancelled: {self._cancelled}")
 

@@ -229,7 +229,12 @@ class Supervisor(ModuleTable):
         return self._finish([slot.begin_stop()])[0]
 
     def cancel(self, kind: ModuleKind, reason: str) -> bool:
-        """End a start in progress, without waiting for its end; returns whether there was one."""
+        """End a start in progress, without waiting for its end; returns whether there was one.
+
+        Args:
+            kind: of the module; what is about to replace it is looked at first.
+            reason: for whoever had asked for the start.
+        """
         return any(slot.cancel(reason) for slot in reversed(self._all(kind)))
 
     def stop_all(self, within_s: float = math.inf) -> list[Stopped]:
@@ -250,14 +255,22 @@ class Supervisor(ModuleTable):
         return self._finish(claims, within_s)
 
     def log_path(self, kind: ModuleKind) -> Path:
-        """Where the present module of that kind logs."""
+        """Where the present module of that kind logs; without one, where it would.
+
+        Args:
+            kind: a module that has replaced another one may log under the other of its two names.
+        """
         choice = self.slot(kind).choice
         return (
             self.log_directory / f"{choice.settings.node_name if choice is not None else kind}.log"
         )
 
     def close(self) -> None:
-        """Stop everything, leave the ROS graph, end all threads; idempotent."""
+        """Stop everything, leave the ROS graph, end all threads; idempotent.
+
+        In this order: modules are silenced over ROS, the heartbeat goes on until they are gone so
+        that none of them takes its server for frozen, and the spawning thread ends last.
+        """
         with self.changes.lock:
             self._closed = True
         self.stop_all(LEAVE_S)

@@ -89,7 +89,14 @@ class Setpoint:
     immediate: bool
 
     def at(self, now_s: float) -> tuple[F64, F64]:
-        """Position and velocity at `now_s`."""
+        """Position and velocity at a monotonic time.
+
+        Args:
+            now_s: before `sent_s` counts as then.
+
+        Returns:
+            Both float64 (n,); at rest once the command has come to its end.
+        """
         passed = (now_s - self.sent_s) / self.duration_s
         # An immediate one was chosen for the time before it; the arm has that velocity until the
         # next one is due.

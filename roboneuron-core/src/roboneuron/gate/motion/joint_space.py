@@ -68,7 +68,7 @@ class JointLimit:
         return low - SLACK * max(1.0, abs(low)) <= value <= high + SLACK * max(1.0, abs(high))
 
     def range(self, quantity: str) -> tuple[float, float]:
-        """Lowest and highest value of a quantity."""
+        """Lowest and highest value of a quantity; all but positions are symmetric."""
         if quantity == "position":
             return self.lower, self.upper
         high: float = getattr(self, quantity)
@@ -152,6 +152,8 @@ class JointSpace:
                 if share < position[0]:
                     end = begin + displacement
                     position = share, f"{name} would go to {end:.4f}, beyond its limits."
+            # at the start of the step: a joint that brakes towards its limit is slower at its end,
+            # which `braking_velocity` takes into account
             share = limit.fastest(begin, displacement > 0.0, step_s) * step_s / length
             if length > _NOTHING and share < velocity[0] * (1.0 - SLACK):
                 speed = length / step_s
@@ -176,6 +178,8 @@ class JointSpace:
         """
         if self.is_reachable(before, wanted, passed_s):
             return wanted, ""
+        # Each joint allows an interval of shares s with |s * new - old| <= a_max * dt; the largest
+        # share that lies in all of them is taken.
         least, most, joint = 0.0, 1.0, 0
         for i, (old, new) in enumerate(zip(before.tolist(), wanted.tolist(), strict=True)):
             most_change = self._acceleration[i] * passed_s
@@ -188,6 +192,8 @@ class JointSpace:
                 most, joint = high, i
         if least <= most:
             return wanted * most, self._names[joint]
+        # No share lies in all: on the line between the two, the joint with the least acceleration
+        # for its change decides how far the velocity gets.
         change = (wanted - before).tolist()
         parts = [
             self._acceleration[i] * passed_s / abs(c) if c else math.inf
@@ -197,7 +203,13 @@ class JointSpace:
         return before + (wanted - before) * part, self._names[parts.index(part)]
 
     def is_reachable(self, before: F64, velocity: F64, passed_s: float) -> bool:
-        """Whether the joints can have `velocity` so soon after `before`."""
+        """Whether the joints can have `velocity` so soon after `before`: |v - v'| <= a_max * dt.
+
+        Args:
+            before, velocity: float64 (n,) [per s].
+            passed_s: time in between [s].
+        """
+        # twice the slack: a velocity that was scaled to the limit passes its second check
         return all(
             abs(new - old) <= most * passed_s * (1.0 + 2 * SLACK) + 1e-12
             for most, old, new in zip(

@@ -85,6 +85,10 @@ class MotionRules:
 def motion_rules(config: LimitsConfig, profile: RobotProfile) -> MotionRules:
     """The rules for one robot.
 
+    Args:
+        config: the limits of the configuration, or tighter ones.
+        profile: its workspace bounds the configured one.
+
     Raises:
         ConfigurationError: a box is empty, or a workspace is wider than the profile's.
     """
@@ -119,6 +123,13 @@ def motion_rules(config: LimitsConfig, profile: RobotProfile) -> MotionRules:
 
 def check_tighter(limits: LimitsConfig, configured: LimitsConfig) -> None:
     """Refuse limits that allow anything which the configured ones do not.
+
+    Every key is looked at: one that has no order, such as a reaction, must stay as it is, and a key
+    that is added later is refused until somebody says which way it is tighter.
+
+    Args:
+        limits: asked for by a client.
+        configured: by the person who is responsible for the robot.
 
     Raises:
         ConfigurationError: names the first key that is wider.
@@ -187,7 +198,16 @@ def inspector_of(controller: Controller) -> Callable[[JointSample], Posture]:
 
 
 def _box(key: str, name: str, lower_m: ArrayLike, upper_m: ArrayLike) -> Obstacle:
-    """A box of `[limits]`; raises ConfigurationError for an empty one."""
+    """A box of `[limits]`.
+
+    Args:
+        key: where it stands.
+        name: its own.
+        lower_m, upper_m: opposite corners (3,) in the base frame.
+
+    Raises:
+        ConfigurationError: it is empty; corners that were mixed up would forbid nothing.
+    """
     box = Obstacle(name=name, lower_m=np.array(lower_m), upper_m=np.array(upper_m))
     if not (box.lower_m < box.upper_m).all():
         ends = f"{box.lower_m.tolist()} to {box.upper_m.tolist()}"

@@ -153,7 +153,11 @@ def distance_m(start: Pose, end: Pose) -> float:
 
 
 def angle_rad(start: Pose, end: Pose) -> float:
-    """Angle of the rotation between two TCP orientations, 0 .. pi."""
+    """Angle of the rotation between two TCP orientations, 0 .. pi.
+
+    cos(a/2) is the product of the quaternions; its absolute value, because q and -q are one
+    orientation.
+    """
     cosine = abs(float(np.dot(start.quaternion_xyzw, end.quaternion_xyzw)))
     sine = math.sqrt(max(0.0, 1.0 - cosine * cosine))
     return 2.0 * math.atan2(sine, cosine)
@@ -165,7 +169,12 @@ def _depth_outside_m(point_m: F64, lower_m: F64, upper_m: F64) -> float:
 
 
 def _is_worse(end: float, start: float) -> bool:
-    """Whether a path ends inside a forbidden place (depth > 0) without leading out of it."""
+    """Whether a path ends inside a forbidden place (depth > 0) without leading out of it.
+
+    Args:
+        end, start: depths [m, or the unit of the limit]; a path that ends less deep is a way out,
+            and is allowed: otherwise an arm that got there could never leave.
+    """
     return end > 0.0 and end >= start
 
 
