@@ -37,7 +37,7 @@ class Event(Generic[P]):
         self._listeners.append(listener)
 
     def tell(self, *facts: P.args, **named: P.kwargs) -> None:
-        """It happened: call all listeners, in the order in which they came, on this thread.
+        """It happened: call all listeners in their order, on this thread.
 
         Args:
             facts: what listeners are called with.
