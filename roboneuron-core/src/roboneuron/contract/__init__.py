@@ -5,8 +5,6 @@ numpy only. Nothing here knows ROS, MCP, torch or a plugin.
 """
 
 from roboneuron.contract.action import (
-    ACTION_FIELDS,
-    ACTION_LABEL,
     ACTION_SIZE,
     Action,
     ActionChunk,
@@ -45,13 +43,27 @@ from roboneuron.contract.protocols import (
     PostureInspector,
     RobotDriver,
     Runtime,
+    SpaceController,
     Topics,
+)
+from roboneuron.contract.space import (
+    ACTION_FIELDS,
+    ACTION_LABEL,
+    EE_DELTA,
+    GRIPPER,
+    SPACE_KINDS,
+    Channel,
+    ControlSpace,
+    robot_space,
 )
 
 __all__ = [
     "ACTION_FIELDS",
     "ACTION_LABEL",
     "ACTION_SIZE",
+    "EE_DELTA",
+    "GRIPPER",
+    "SPACE_KINDS",
     "TOPIC_RULE",
     "Acceleration",
     "Action",
@@ -62,7 +74,9 @@ __all__ = [
     "Backend",
     "CameraCalibration",
     "CameraProfile",
+    "Channel",
     "CollisionProfile",
+    "ControlSpace",
     "Controller",
     "Endpoint",
     "Frame",
@@ -82,6 +96,7 @@ __all__ = [
     "RobotProfile",
     "RobotState",
     "Runtime",
+    "SpaceController",
     "Topics",
     "Workspace",
     "apply_delta",
@@ -89,4 +104,5 @@ __all__ = [
     "check_rgb8",
     "check_topic",
     "frame_from_buffer",
+    "robot_space",
 ]
