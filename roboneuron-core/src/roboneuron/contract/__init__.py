@@ -11,6 +11,7 @@ from roboneuron.contract.action import (
     apply_delta,
     check_action_vector,
 )
+from roboneuron.contract.agreement import SpaceAgreement, agree
 from roboneuron.contract.image import check_rgb8, frame_from_buffer
 from roboneuron.contract.motion import Hold, JointCommand, Posture, Proximity, RobotState
 from roboneuron.contract.observation import (
@@ -54,6 +55,7 @@ from roboneuron.contract.space import (
     SPACE_KINDS,
     Channel,
     ControlSpace,
+    channel_keys,
     robot_space,
 )
 
@@ -96,10 +98,13 @@ __all__ = [
     "RobotProfile",
     "RobotState",
     "Runtime",
+    "SpaceAgreement",
     "SpaceController",
     "Topics",
     "Workspace",
+    "agree",
     "apply_delta",
+    "channel_keys",
     "check_action_vector",
     "check_rgb8",
     "check_topic",

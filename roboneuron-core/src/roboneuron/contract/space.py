@@ -32,6 +32,7 @@ SPACE_KINDS = ("ee_delta", "ee_pose", "joint_position", "joint_velocity", "joint
 GRIPPER = "gripper_open"
 """Name of a gripper's channel: its absolute opening, 0 closed .. 1 open, in every space."""
 OPENING = "opening"
+GREATEST_RATE_HZ = 1000.0
 _LEAST_NORM, _GREATEST_NORM = 0.9, 1.1
 """Length of a quaternion that rounding and a cross-fade of neighbours can explain."""
 
@@ -66,10 +67,12 @@ class ControlSpace:
         kind: one of `SPACE_KINDS`.
         channels: what each value is, in order.
         rate_hz: rows per second that the policy was trained for; 0 when any rate will do.
-        label: kind and names of the channels, as the action message carries them.
+        quaternions: where four channels are a quaternion x y z w.
+        label: kind, rate and names of the channels, as the action message carries them:
+            "joint_velocity@15:fr3_joint1,fr3_joint2,gripper_open".
 
     Raises:
-        InvalidInputError: the kind is unknown, or a channel comes twice.
+        InvalidInputError: the kind or the rate is none, or a channel comes twice.
     """
 
     kind: str
@@ -77,7 +80,7 @@ class ControlSpace:
     rate_hz: float = 0.0
     label: str = field(init=False)
     _grippers: tuple[int, ...] = field(init=False, repr=False, compare=False)
-    _quaternions: tuple[slice, ...] = field(init=False, repr=False, compare=False)
+    quaternions: tuple[slice, ...] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         keys = [channel.key for channel in self.channels]
@@ -85,16 +88,23 @@ class ControlSpace:
             raise InvalidInputError(
                 f"{self.kind!r} is no control space; there are: {', '.join(SPACE_KINDS)}."
             )
+        if not 0.0 <= self.rate_hz <= GREATEST_RATE_HZ:
+            raise InvalidInputError(
+                f"A rate of {self.rate_hz} Hz is none; expected 0 .. {GREATEST_RATE_HZ:g} Hz."
+            )
         if len(set(keys)) != len(keys) or not keys:
             raise InvalidInputError(f"The channels of {self.kind!r} are not distinct: {keys}.")
         names = [channel.name for channel in self.channels]
-        label = ACTION_LABEL if self.kind == "ee_delta" else f"{self.kind}:{','.join(keys)}"
+        rate = f"@{self.rate_hz:g}" if self.rate_hz else ""
+        label = f"{self.kind}{rate}:{','.join(keys)}"
+        if self.kind == "ee_delta":
+            label = ACTION_LABEL
         object.__setattr__(self, "label", label)
         object.__setattr__(
             self, "_grippers", tuple(i for i, name in enumerate(names) if name == GRIPPER)
         )
         object.__setattr__(
-            self, "_quaternions", tuple(slice(i, i + 4) for i, n in enumerate(names) if n == "qx")
+            self, "quaternions", tuple(slice(i, i + 4) for i, n in enumerate(names) if n == "qx")
         )
 
     @property
@@ -130,7 +140,7 @@ class ControlSpace:
                 raise InvalidInputError(
                     f"{self.keys[i]} is {row[i]:g}, expected a value in [0 closed, 1 open]."
                 )
-        for part in self._quaternions:
+        for part in self.quaternions:
             norm = float(np.linalg.norm(row[part]))
             if not _LEAST_NORM <= norm <= _GREATEST_NORM:
                 raise InvalidInputError(
@@ -148,6 +158,22 @@ EE_DELTA = ControlSpace(
     ),
 )
 """The contract's 7-vector."""
+
+
+def split_label(label: str) -> tuple[str, float]:
+    """The label without its rate, and the rate [Hz]; 0 where it names none, or what is no rate."""
+    kind, colon, keys = label.partition(":")
+    kind, _, rate = kind.partition("@")
+    try:
+        rate_hz = float(rate or 0.0)
+    except ValueError:
+        rate_hz = 0.0
+    return f"{kind}{colon}{keys}", rate_hz
+
+
+def channel_keys(label: str) -> tuple[str, ...]:
+    """Names of the channels that a label names."""
+    return ACTION_FIELDS if label == ACTION_LABEL else tuple(label.partition(":")[2].split(","))
 
 
 def robot_space(kind: str, profile: RobotProfile, rate_hz: float = 0.0) -> ControlSpace:
