@@ -241,12 +241,21 @@ class ControlModule(Module):
         does not execute.
         """
         name, rate_hz = split_label(label)
-        if (space := self._spaces.get(name)) is None:
+        space = self._spaces.get(name)
+        if space is not None and rate_hz:
+            space = replace(space, rate_hz=rate_hz)
+        # the second: a rate that is none, or one of a space that has none
+        if space is None or space.label != label:
             raise InvalidInputError(
                 f"An action is labelled {label!r}; this control executes "
                 f"{', '.join(map(repr, self._spaces))}."
             )
-        return replace(space, rate_hz=rate_hz) if rate_hz else space
+        if space.kind == "joint_velocity" and not rate_hz:
+            raise InvalidInputError(
+                f"An action is labelled {label!r}, which does not say how long a velocity is held; "
+                "expected 'joint_velocity@<rows per second>:...'."
+            )
+        return space
 
     def _why_not(self, age_s: float, source_ns: int) -> str | None:
         """Word for what forbids acting now, or None."""

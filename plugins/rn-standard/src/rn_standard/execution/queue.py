@@ -221,4 +221,4 @@ def _align_quaternions(before: F64, after: F64, space: ControlSpace) -> None:
     """Turn the signs of quaternions in place so that a blend takes the shorter way."""
     for part in space.quaternions:
         opposite = np.einsum("ij,ij->i", before[:, part], after[:, part]) < 0.0
-        before[opposite, part] *= -1.0
+        before[np.ix_(opposite, part)] *= -1.0
