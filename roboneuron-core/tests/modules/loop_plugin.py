@@ -16,6 +16,7 @@ from roboneuron.contract import (
     Action,
     ActionChunk,
     CameraProfile,
+    ControlSpace,
     Frame,
     Hold,
     JointCommand,
@@ -99,6 +100,15 @@ def roboneuron_perceptions() -> Sequence[PerceptionSpec]:
 def roboneuron_controllers() -> Sequence[ControllerSpec]:
     return [
         ControllerSpec(name="adder", summary="x", target="loop_plugin:Adder"),
+        ControllerSpec(
+            name="follower",
+            summary="x",
+            target="loop_plugin:Follower",
+            spaces=("ee_delta", "ee_pose", "joint_position", "joint_velocity"),
+        ),
+        ControllerSpec(
+            name="boaster", summary="x", target="loop_plugin:Adder", spaces=("joint_position",)
+        ),
         ControllerSpec(
             name="wheels", summary="x", target="loop_plugin:Adder", robot_kinds=("base",)
         ),
@@ -328,6 +338,18 @@ class Adder:
         return JointCommand(names=JOINTS, position=position, duration_s=step_s)
 
     def close(self) -> None: ...
+
+
+class Follower(Adder):
+    """Executes rows of other spaces too; a pose is x for the first joint and y for the other."""
+
+    def execute(
+        self, space: ControlSpace, row: np.ndarray, joints: JointSample, step_s: float
+    ) -> JointCommand | Hold:
+        position = row[:2]
+        if space.kind == "joint_velocity":
+            position = joints.position + row[:2] * step_s
+        return JointCommand(names=JOINTS, position=position, duration_s=step_s)
 
 
 class Driver:
