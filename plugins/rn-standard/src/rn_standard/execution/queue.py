@@ -137,9 +137,9 @@ class SentRowQueue:
         if under_way and under_way[0].sent_ns < measured_ns:
             share = (measured_ns - under_way[0].sent_ns) / period_ns
         rows = [*(sent.vector for sent in under_way), *(row.vector for row in self.rows)]
-        if any(row is None for row in rows):
-            rows = []
-        return np.array(rows, dtype=np.float64).reshape(len(rows), -1), share
+        if not rows or any(row is None for row in rows):
+            return np.zeros((0, 0)), 0.0
+        return np.array(rows, dtype=np.float64), share
 
     def replace(
         self,
