@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -27,6 +27,7 @@ from roboneuron.contract import (
     RobotProfile,
     RobotState,
     Topics,
+    robot_space,
 )
 from roboneuron.errors import CheckpointError, NotReadyError, UngroundedError
 from roboneuron.modules.execution import Prediction
@@ -70,6 +71,13 @@ def roboneuron_backends() -> Sequence[BackendSpec]:
         for name, cls in names.items()
     ] + [
         BackendSpec(
+            name="fickle",
+            summary="x",
+            target="loop_plugin:Fickle",
+            action_space=SPACE,
+            space="loop_plugin:declared",
+        ),
+        BackendSpec(
             name="served",
             summary="x",
             target="loop_plugin:Served",
@@ -77,7 +85,7 @@ def roboneuron_backends() -> Sequence[BackendSpec]:
             family="pair",
             runtimes_required=True,
             default_runtime="patient",
-        )
+        ),
     ]
 
 
@@ -255,6 +263,27 @@ class Slow(Instant):
 class NaN(Instant):
     def predict(self, observation: Observation) -> ActionChunk:
         return ActionChunk(actions=np.full((1, 7), np.nan), step_s=0.02)
+
+
+def declared(options: Mapping[str, Any], profile: RobotProfile) -> ControlSpace:
+    """The space that the option `kind` names."""
+    kind = options.get("kind", "joint_velocity")
+    if kind == "number":
+        return 5  # type: ignore[return-value]
+    return robot_space(kind, profile, 50.0)
+
+
+class Fickle(Instant):
+    """Answers with velocities until the instruction is "another"."""
+
+    def __init__(self, config: None, runtime: Any = None, acceleration: Any = None) -> None:
+        super().__init__(config)
+        self.space = declared({}, profile())
+
+    def predict(self, observation: Observation) -> ActionChunk:
+        if observation.instruction == "another":
+            return super().predict(observation)
+        return ActionChunk(actions=np.array([[0.1, -0.1]]), step_s=0.02, space=self.space)
 
 
 class Chunked(Instant):
