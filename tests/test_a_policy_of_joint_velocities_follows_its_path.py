@@ -167,7 +167,7 @@ def test_the_fr3_behind_its_network_protocol_follows_the_path(
     policy = 'backend = "joint-path"\nexecution = "sequential"'
     config = fci_cell.CONFIG.replace('backend = "sway"', policy)
     monkeypatch.setattr(fci_cell, "CONFIG", config)
-    with fci_cell.served_fci(tmp_path, factor=1.0) as cell:
+    with fci_cell.served_fci(tmp_path) as cell:
         cell.start("robot", "perception", "control")
         begin_s = time.monotonic()
         cell.agent.do("start_inference", instruction="trace")

@@ -4,7 +4,7 @@ control does not execute do not; on a clock of the test.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -33,6 +33,7 @@ def joints_space(kind: str, *names: str, rate_hz: float = 0.0) -> ControlSpace:
 
 POSITIONS = joints_space("joint_position", *ARM)
 VELOCITIES = joints_space("joint_velocity", *ARM, rate_hz=1.0 / PERIOD_S)
+STEADY = replace(POSITIONS, rate_hz=1.0 / PERIOD_S)
 POSES = ControlSpace(
     kind="ee_pose",
     channels=tuple(Channel(name=name, unit="", frame="base") for name in "xyz")
@@ -90,20 +91,29 @@ class SpaceCell(Cell):
 
 
 @pytest.fixture
-def cell(make_host: MakeHost, monkeypatch: pytest.MonkeyPatch) -> SpaceCell:
+def make_cell(make_host: MakeHost, monkeypatch: pytest.MonkeyPatch) -> Callable[[float], SpaceCell]:
+    """Return a function that makes a cell whose joints accelerate so fast at most."""
     import loop_plugin
 
-    one = np.ones(2)
-    limits = JointLimits(
-        lower=-2 * one,
-        upper=2 * one,
-        velocity=FASTEST * one,
-        acceleration=QUICKEST * one,
-        effort=one,
-    )
-    profile = replace(loop_plugin.profile(), limits=limits)
-    monkeypatch.setattr(loop_plugin, "profile", lambda: profile)
-    return SpaceCell(make_host)
+    def make(acceleration: float) -> SpaceCell:
+        one = np.ones(2)
+        limits = JointLimits(
+            lower=-2 * one,
+            upper=2 * one,
+            velocity=FASTEST * one,
+            acceleration=acceleration * one,
+            effort=one,
+        )
+        profile = replace(loop_plugin.profile(), limits=limits)
+        monkeypatch.setattr(loop_plugin, "profile", lambda: profile)
+        return SpaceCell(make_host)
+
+    return make
+
+
+@pytest.fixture
+def cell(make_cell: Callable[[float], SpaceCell]) -> SpaceCell:
+    return make_cell(QUICKEST)
 
 
 @each_space
@@ -260,6 +270,31 @@ def test_a_missed_period_is_not_made_up_for(cell: SpaceCell) -> None:
         cell.go(PERIOD_S)
         assert cell.speed() <= SPEED * (1 + 1e-9)
     assert travelled(cell) == pytest.approx(9 * SPEED * PERIOD_S, abs=1e-12)
+
+
+@pytest.mark.parametrize("space", [VELOCITIES, STEADY], ids=lambda space: space.kind)
+def test_a_steady_motion_is_not_cut_off_because_a_message_was_late(
+    make_cell: Callable[[float], SpaceCell], space: ControlSpace
+) -> None:
+    """One comes 40 ms late, the next one in time: it must not be caught up within 10 ms."""
+    cell = make_cell(10.0)
+    speed = 0.28
+    for row, share in enumerate([1.0, 1.0, 1.8, 0.2, 1.0, 1.0, 1.8, 0.2, 1.0, 1.0], 1):
+        place = START[0] + row * speed * PERIOD_S
+        cell.send(space, [speed if space is VELOCITIES else place, START[1] * (space is STEADY)])
+        assert cell.speed() <= 1.3 * speed
+        cell.go(PERIOD_S * share)
+    assert not any(key.startswith("limited.") for key in cell.host.values())
+    assert travelled(cell) == pytest.approx(10 * speed * PERIOD_S, abs=1e-12)
+
+
+def test_an_arm_that_was_late_is_in_time_again_after_some_rows(cell: SpaceCell) -> None:
+    cell.send(VELOCITIES)
+    cell.go(0.2 * PERIOD_S)
+    for _ in range(8):
+        cell.send(VELOCITIES)
+        cell.go(PERIOD_S)
+    assert cell.place()[0] - START[0] == pytest.approx(9 * SPEED * PERIOD_S, abs=1e-4)
 
 
 def test_messages_that_arrive_together_are_no_faster_than_the_limit(cell: SpaceCell) -> None:

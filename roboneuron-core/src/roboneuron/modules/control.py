@@ -59,6 +59,10 @@ from roboneuron.ros.messages import (
 from roboneuron.ros.topics import ACTION, EE_POSE, JOINT_COMMAND, JOINT_STATES, JOINT_TRAJECTORY
 
 _POSE_PERIOD_S = 0.02
+_SHARE_OF_REST = 0.5
+"""How much of the time that is left of a row the next one is given beside its own: with all of it
+the arm would stay behind for ever, with none it would catch up at once.
+"""
 
 
 class ControlModule(Module):
@@ -348,7 +352,13 @@ class ControlModule(Module):
         # are to be reached by when the next row is due.
         if space.rate_hz:
             step_s = 1.0 / space.rate_hz
-        return controller.execute(space, row, self._guard.reference(joints, now_s), step_s)
+        answer = controller.execute(space, row, self._guard.reference(joints, now_s), step_s)
+        if space.rate_hz and isinstance(answer, JointCommand):
+            # Its message came early, or the one before came late: what is left of that one is not
+            # rushed, or the limits would cut off a part of a steady motion.
+            more_s = _SHARE_OF_REST * self._guard.remaining_s(now_s)
+            answer = replace(answer, duration_s=answer.duration_s + more_s)
+        return answer
 
     def _watch(self) -> None:
         """Hold within one timeout after the last action."""
