@@ -9,12 +9,16 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass, field
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
+import anyio
 import numpy as np
 import pinocchio
 import pytest
+from mcp import Client
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 import fci_cell
@@ -29,6 +33,7 @@ from rn_testing.waiting import wait_until
 from roboneuron.config import parse_config
 from roboneuron.plugins.availability import is_importable
 from roboneuron.ros.environment import prepare_environment
+from roboneuron.server.app import Application
 from roboneuron.supervisor.supervisor import Supervisor
 
 F64 = np.ndarray
@@ -85,22 +90,44 @@ def check_path(joints: F64) -> None:
     assert travelled_m > 0.5
 
 
+@dataclass
+class Witness:
+    """What was seen so far, with monotonic times.
+
+    Attributes:
+        joints: measured joints of the arm.
+        labels: of the actions.
+    """
+
+    joints: list[tuple[float, ...]] = field(default_factory=list)
+    labels: list[tuple[float, str]] = field(default_factory=list)
+
+    def note_action(self, message: Any) -> None:
+        """An action was sent."""
+        self.labels.append((time.monotonic(), message.layout.dim[0].label))
+
+
 @contextmanager
-def listening() -> Iterator[list[tuple[float, ...]]]:
-    """Measured joints of the arm, as a list that grows."""
+def listening() -> Iterator[Witness]:
+    """A node of its own that sees what moves the arm, and where it is."""
     import rclpy
     from rclpy.executors import SingleThreadedExecutor
     from sensor_msgs.msg import JointState
+    from std_msgs.msg import Float64MultiArray
 
     from roboneuron.ros.qos import NEWEST
 
     context = rclpy.Context()
     rclpy.init(context=context)
     node = rclpy.create_node("witness", namespace="fr3", context=context)
-    seen: list[tuple[float, ...]] = []
+    seen = Witness()
     node.create_subscription(
-        JointState, "joint_states", lambda state: seen.append(tuple(state.position[:7])), NEWEST
+        JointState,
+        "joint_states",
+        lambda state: seen.joints.append(tuple(state.position[:7])),
+        NEWEST,
     )
+    node.create_subscription(Float64MultiArray, "action", seen.note_action, NEWEST)
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(node)
     stop = threading.Event()
@@ -133,8 +160,8 @@ def test_the_simulated_fr3_follows_the_path(tmp_path: Path, engine: str) -> None
                 for kind in ("robot", "perception", "control", "inference"):
                     supervisor.start(kind, config)
                 wait_until(lambda: at_the_end(supervisor), PATH_S + 20.0, "the path is done")
-                count = len(seen)
-                wait_until(lambda: len(seen) > count + 20, 5.0, "the arm is measured")
+                count = len(seen.joints)
+                wait_until(lambda: len(seen.joints) > count + 20, 5.0, "the arm is measured")
             control = supervisor.view("control").report
             inference = supervisor.view("inference").report
         finally:
@@ -144,7 +171,7 @@ def test_the_simulated_fr3_follows_the_path(tmp_path: Path, engine: str) -> None
     assert inference.metrics["space"].startswith("joint_velocity@15:fr3_joint1,")
     assert [key for key in control.metrics if key.startswith("limited.")] == []
     assert control.dropped_by == {}
-    check_path(np.array(seen))
+    check_path(np.array(seen.joints))
 
 
 def at_the_end(supervisor: Supervisor) -> bool:
@@ -152,6 +179,53 @@ def at_the_end(supervisor: Supervisor) -> bool:
     report = supervisor.view("inference").report
     row = 0 if report is None else int(report.metrics.get("chunk_row", "0"))
     return report is not None and report.note == "at the end" and row > PATH_HZ
+
+
+@pytest.mark.ros
+@pytest.mark.timeout(150)
+def test_it_replaces_a_policy_of_tcp_deltas_while_the_arm_moves(tmp_path: Path) -> None:
+    """And that replaces it again; each time at the border of a row."""
+
+    async def scenario(application: Application, seen: Witness) -> None:
+        async with Client(application.server) as client:
+
+            async def do(name: str, **arguments: Any) -> dict[str, Any]:
+                result = await client.call_tool(name, arguments)
+                assert not result.is_error, result.content
+                return dict(result.structured_content or {})
+
+            for kind in ("robot", "perception", "control"):
+                await do(f"start_{kind}")
+            await do("start_inference", instruction="sway")
+            for backend in ("joint-path", "sway"):
+                switched = await do("switch_inference", backend=backend)
+                assert switched["started_with"]["backend"] == backend
+                count = len(seen.labels)
+                with anyio.fail_after(10.0):
+                    while len(seen.labels) < count + 20:
+                        await anyio.sleep(0.05)
+            control = next(
+                one for one in (await do("get_status"))["modules"] if one["module"] == "control"
+            )
+            assert control["dropped"] == 0
+            await do("stop_all")
+
+    config = CONFIG.format(engine="auto").replace('"joint-path"', '"sway"')
+    with installed(tmp_path, "rn-fci-cell", ("fci_plugin",)):
+        application = Application(parse_config(config), supervisor=Supervisor(tmp_path / "state"))
+        try:
+            with listening() as seen:
+                anyio.run(scenario, application, seen)
+        finally:
+            application.close()
+    kinds = [label.partition("@")[0].partition(":")[0] for _, label in seen.labels]
+    assert [kind for kind, _ in groupby(kinds)] == [
+        "ee_delta_base",
+        "joint_velocity",
+        "ee_delta_base",
+    ]
+    moves = np.abs(np.diff(np.array(seen.joints), axis=0)).max()
+    assert moves < 0.05, "no jump between two measurements"
 
 
 @pytest.mark.ros
