@@ -1,12 +1,12 @@
-"""The plugin that the served FR3 of `fci_cell` is moved with: a cheap camera, one policy under two
-names.
+"""The plugin that the served FR3 of `fci_cell` is moved with: a cheap camera, one policy of TCP
+deltas under two names, and one of joint velocities.
 """
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -15,7 +15,15 @@ from roboneuron.plugins.hookspecs import hookimpl
 from roboneuron.plugins.specs import ActionSpace, BackendSpec, PerceptionSpec
 
 if TYPE_CHECKING:
-    from roboneuron.contract import ActionChunk, CameraProfile, Frame, Observation, Topics
+    from roboneuron.contract import (
+        ActionChunk,
+        CameraProfile,
+        ControlSpace,
+        Frame,
+        Observation,
+        RobotProfile,
+        Topics,
+    )
 
 PLUGIN = "fci_plugin"
 RATE_HZ = 20.0
@@ -24,6 +32,12 @@ SWAY_M = (0.06, 0.12, 0.08)
 PERIODS_S = (7.0, 5.0, 11.0)
 STEP_M = 0.008
 """Longest way of one action; at 20 Hz that is 0.16 m/s."""
+
+PATH_HZ, PATH_ROWS, CHUNK_ROWS = 15.0, 150, 30
+"""Rows per second of the path, rows of all of it, and of one chunk."""
+PATH_RAD = (0.30, -0.15, 0.20, -0.25, 0.10, 0.20, -0.30)
+PATH_TURNS = (1, 2, 1, 2, 3, 1, 2)
+"""How far each joint leaves its home posture, and how often."""
 
 
 class SwayOptions(BaseModel):
@@ -98,10 +112,70 @@ class Sway:
         """Nothing to release."""
 
 
+def path_rad(row: float) -> list[float]:
+    """Joints at a row of the path, which begins and ends at rest and at home [rad]."""
+    from rn_robot_fr3.profile import HOME_RAD
+
+    done = min(1.0, max(0.0, row / PATH_ROWS))
+    smooth = done * done * (3.0 - 2.0 * done)
+    return [
+        home + far * math.sin(math.pi * turns * smooth) ** 2
+        for home, far, turns in zip(HOME_RAD, PATH_RAD, PATH_TURNS, strict=True)
+    ]
+
+
+def path_space(options: Mapping[str, object], profile: RobotProfile) -> ControlSpace:
+    """What `JointPath` yields."""
+    from roboneuron.contract import robot_space
+
+    return robot_space("joint_velocity", profile, PATH_HZ)
+
+
+class JointPath:
+    """Follows the protocol `Backend`: the velocities of a known path, open loop; a row that is lost
+    or sent twice shifts all that comes after it.
+    """
+
+    def __init__(self, config: None, runtime: Any = None, acceleration: Any = None) -> None:
+        self._row = 0
+
+    def load(self) -> None:
+        """What the rows are."""
+        from rn_robot_fr3.profile import profile
+
+        self._space = path_space({}, profile())
+
+    def predict(self, observation: Observation) -> ActionChunk:
+        """The next rows of the path; zeros after its end."""
+        import numpy as np
+
+        from roboneuron.contract import ActionChunk
+
+        places = np.array([path_rad(self._row + i) for i in range(CHUNK_ROWS + 1)])
+        self._row += CHUNK_ROWS
+        rows = np.column_stack([np.diff(places, axis=0) * PATH_HZ, np.ones(CHUNK_ROWS)])
+        note = "at the end" if self._row > PATH_ROWS else "on the way"
+        return ActionChunk(actions=rows, step_s=1.0 / PATH_HZ, space=self._space, note=note)
+
+    def reset(self) -> None:
+        """Begin anew."""
+        self._row = 0
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+
 @hookimpl
 def roboneuron_backends() -> Sequence[BackendSpec]:
-    """One policy under two names."""
-    return [
+    """One policy of TCP deltas under two names, and one of joint velocities."""
+    path = BackendSpec(
+        name="joint-path",
+        summary="Follows a path of the joints.",
+        target=f"{PLUGIN}:JointPath",
+        action_space=ActionSpace(horizon=CHUNK_ROWS, step_s=1.0 / PATH_HZ),
+        space=f"{PLUGIN}:path_space",
+    )
+    sways = [
         BackendSpec(
             name=name,
             summary="Sways before the arm.",
@@ -112,6 +186,7 @@ def roboneuron_backends() -> Sequence[BackendSpec]:
         )
         for name in ("sway", "swing")
     ]
+    return [path, *sways]
 
 
 @hookimpl

@@ -33,6 +33,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 import bench_direct
 import bench_ik
 import bench_loop
+import bench_spaces
 
 from rn_controller_urdf.ik import InverseKinematics
 from rn_controller_urdf.model import build_arm_model
@@ -164,6 +165,12 @@ def inverse_kinematics() -> tuple[float, float]:
     return statistics.median(ours), statistics.median(floor)
 
 
+def joint_space_row() -> tuple[float, float]:
+    """From answer to command: a row of joint velocities, and one of TCP deltas [ms]."""
+    took_ms = bench_spaces.measure(TARGETS)
+    return took_ms["joint_velocity"], took_ms["ee_delta"]
+
+
 def _least_us(call: Callable[[], object]) -> float:
     return min(bench_ik.timed_us(call)[1] for _ in range(REPEATS))
 
@@ -221,6 +228,12 @@ def main() -> int:
                 floor="one bare iteration",
                 bound=7.0,
                 measure=inverse_kinematics,
+            ),
+            Guard(
+                name="joint velocities to command",
+                floor="TCP delta to command",
+                bound=1.0,
+                measure=joint_space_row,
             ),
         ]
         return 0 if judge(guards, Console(width=130)) else 1

@@ -174,6 +174,21 @@ def test_a_backend_that_continues_rows_passes_what_its_mutants_fail(declared, ru
     assert outcome.verdict is RuleVerdict.PASSED, outcome
 
 
+def test_a_backend_of_joint_velocities_passes_what_its_mutants_fail():
+    spec = replace(
+        fakes.FAKE_BACKEND,
+        target="mutants_backend:VelocityBackend",
+        space="mutants_backend:velocities",
+    )
+    outcomes = {rule.id: verify(rule, BackendCase(spec=spec)) for rule in RULES["backend"]}
+    failed = [one for one in outcomes.values() if one.verdict is RuleVerdict.FAILED]
+    # it is made of the kit's fake, whose options it does not read
+    assert {one.rule for one in failed} <= {"backend/options-read"}
+    for name in ("space-answers", "space-light", "space-kept"):
+        assert outcomes[f"backend/{name}"].verdict is RuleVerdict.PASSED
+    assert outcomes["backend/units"].detail == "its chunks are in joint_velocity"
+
+
 def test_every_rule_of_a_kind_has_a_mutant_that_breaks_it_quickly():
     rules = {rule.id for kind, rules in RULES.items() if kind in GOOD for rule in rules}
     assert {mutant.rule for name, mutant in MUTANTS.items() if name not in SLOW} == rules

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -16,6 +16,7 @@ from roboneuron.contract import (
     Action,
     ActionChunk,
     CameraProfile,
+    ControlSpace,
     Frame,
     Hold,
     JointCommand,
@@ -26,6 +27,7 @@ from roboneuron.contract import (
     RobotProfile,
     RobotState,
     Topics,
+    robot_space,
 )
 from roboneuron.errors import CheckpointError, NotReadyError, UngroundedError
 from roboneuron.modules.execution import Prediction
@@ -69,6 +71,13 @@ def roboneuron_backends() -> Sequence[BackendSpec]:
         for name, cls in names.items()
     ] + [
         BackendSpec(
+            name="fickle",
+            summary="x",
+            target="loop_plugin:Fickle",
+            action_space=SPACE,
+            space="loop_plugin:declared",
+        ),
+        BackendSpec(
             name="served",
             summary="x",
             target="loop_plugin:Served",
@@ -76,7 +85,7 @@ def roboneuron_backends() -> Sequence[BackendSpec]:
             family="pair",
             runtimes_required=True,
             default_runtime="patient",
-        )
+        ),
     ]
 
 
@@ -99,6 +108,15 @@ def roboneuron_perceptions() -> Sequence[PerceptionSpec]:
 def roboneuron_controllers() -> Sequence[ControllerSpec]:
     return [
         ControllerSpec(name="adder", summary="x", target="loop_plugin:Adder"),
+        ControllerSpec(
+            name="follower",
+            summary="x",
+            target="loop_plugin:Follower",
+            spaces=("ee_delta", "ee_pose", "joint_position", "joint_velocity"),
+        ),
+        ControllerSpec(
+            name="boaster", summary="x", target="loop_plugin:Adder", spaces=("joint_position",)
+        ),
         ControllerSpec(
             name="wheels", summary="x", target="loop_plugin:Adder", robot_kinds=("base",)
         ),
@@ -247,6 +265,27 @@ class NaN(Instant):
         return ActionChunk(actions=np.full((1, 7), np.nan), step_s=0.02)
 
 
+def declared(options: Mapping[str, Any], profile: RobotProfile) -> ControlSpace:
+    """The space that the option `kind` names."""
+    kind = options.get("kind", "joint_velocity")
+    if kind == "number":
+        return 5  # type: ignore[return-value]
+    return robot_space(kind, profile, 50.0)
+
+
+class Fickle(Instant):
+    """Answers with velocities until the instruction is "another"."""
+
+    def __init__(self, config: None, runtime: Any = None, acceleration: Any = None) -> None:
+        super().__init__(config)
+        self.space = declared({}, profile())
+
+    def predict(self, observation: Observation) -> ActionChunk:
+        if observation.instruction == "another":
+            return super().predict(observation)
+        return ActionChunk(actions=np.array([[0.1, -0.1]]), step_s=0.02, space=self.space)
+
+
 class Chunked(Instant):
     def predict(self, observation: Observation) -> ActionChunk:
         actions = np.zeros((5, 7))
@@ -328,6 +367,18 @@ class Adder:
         return JointCommand(names=JOINTS, position=position, duration_s=step_s)
 
     def close(self) -> None: ...
+
+
+class Follower(Adder):
+    """Executes rows of other spaces too; a pose is x for the first joint and y for the other."""
+
+    def execute(
+        self, space: ControlSpace, row: np.ndarray, joints: JointSample, step_s: float
+    ) -> JointCommand | Hold:
+        position = row[:2]
+        if space.kind == "joint_velocity":
+            position = joints.position + row[:2] * step_s
+        return JointCommand(names=JOINTS, position=position, duration_s=step_s)
 
 
 class Driver:

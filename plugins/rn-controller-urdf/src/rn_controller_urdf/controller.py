@@ -21,6 +21,7 @@ from rn_controller_urdf.refusals import (
     JointBounds,
     check_action,
     check_reach,
+    check_row,
     check_solution,
     check_start,
     check_step,
@@ -47,6 +48,8 @@ F64 = NDArray[np.float64]
 
 _STOP_FRACTION = 0.1
 """The solver iterates to this share of the tolerances, so that small actions still move the arm."""
+_JOINT_KINDS = ("joint_position", "joint_velocity")
+_POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 
 
 def _not_loaded() -> StateError:
@@ -182,7 +185,10 @@ class UrdfController:
         refusal = check_start(start.tolist(), bounds) or check_time(step_s)
         if refusal is not None:
             return refusal
-        values = dict(zip((channel.name for channel in space.channels), row.tolist(), strict=True))
+        refusal = check_row(space, row, self._expected(space.kind))
+        if refusal is not None:
+            return refusal
+        values = dict(zip(space.keys, row.tolist(), strict=True))
         solution: Solution | None = None
         if space.kind == "ee_pose":
             found = self._solve_pose(values, start)
@@ -217,7 +223,7 @@ class UrdfController:
             np.array([values[name] for name in "xyz"]),
         )
         turn = float(np.linalg.norm(pinocchio.log3(here.rotation.T @ target.rotation)))
-        distance = float(np.linalg.norm(target.translation - here.translation))
+        distance = math.dist(here.translation.tolist(), target.translation.tolist())
         refusal = check_reach(distance, turn, options) or check_workspace(
             here.translation, target.translation, self._profile.workspace
         )
@@ -238,6 +244,14 @@ class UrdfController:
             max_iterations=options.max_iterations,
             track_rotation=options.track == "pose",
         )
+
+    def _expected(self, kind: str) -> tuple[str, ...]:
+        """Names of the channels of the robot's own space of that kind; none where it has none."""
+        profile = self._profile
+        gripper = () if profile.gripper is None else (GRIPPER,)
+        if kind == "ee_pose":
+            return (*_POSE, *gripper)
+        return (*profile.arm_joints, *gripper) if kind in _JOINT_KINDS else ()
 
     def close(self) -> None:
         """Forget the arm."""

@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from rn_controller_urdf.ik import Solution
 from rn_controller_urdf.model import ArmModel
 from rn_controller_urdf.options import UrdfControllerOptions
-from roboneuron import Action, Hold, Workspace
+from roboneuron import GRIPPER, Action, ControlSpace, Hold, Workspace
 
 F64 = NDArray[np.float64]
 
 BAD_ACTION = "bad_action"
-"""The action is not seven finite numbers with the gripper in [0, 1], or the step time is not a
-positive number.
+"""The action is of a space that is not the robot's, not finite, its gripper not in [0, 1], or the
+step time is not a positive number.
 """
 ACTION_TOO_LARGE = "action_too_large"
 """One action asks for a longer translation or a larger rotation than the options allow."""
@@ -109,6 +109,27 @@ def check_action(action: Action, step_s: float, options: UrdfControllerOptions) 
             "expected finite values and an opening in [0, 1].",
         )
     return check_time(step_s) or check_reach(length, angle, options)
+
+
+def check_row(space: ControlSpace, row: F64, expected: tuple[str, ...]) -> Hold | None:
+    """BAD_ACTION for a row of another space than one with the `expected` channels in order, or of
+    numbers that are none.
+    """
+    if space.keys != expected:
+        return Hold(
+            code=BAD_ACTION,
+            reason=f"A row of {space.kind} ({', '.join(space.keys)}) is not executed here"
+            f"{f'; expected {expected}' if expected else ''}.",
+        )
+    values = row.tolist() if row.shape == (len(expected),) else [math.nan]
+    has_gripper = GRIPPER in expected
+    if all(map(math.isfinite, values)) and (not has_gripper or 0.0 <= values[-1] <= 1.0):
+        return None
+    return Hold(
+        code=BAD_ACTION,
+        reason=f"A row of {space.kind} is {row}, expected {len(expected)} finite values"
+        f"{' with the opening in [0, 1]' if has_gripper else ''}.",
+    )
 
 
 def check_time(step_s: float) -> Hold | None:

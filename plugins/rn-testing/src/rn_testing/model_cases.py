@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar, cast
 
 from rn_testing.case import Case
-from rn_testing.fakes import MemoryTopics, make_observation
+from rn_testing.fakes import MemoryTopics, gantry_profile, make_observation
 from roboneuron import (
     Acceleration,
     AccelerationSpec,
@@ -16,6 +16,7 @@ from roboneuron import (
     Backend,
     BackendSpec,
     Observation,
+    RobotProfile,
     Runtime,
     RuntimeSpec,
 )
@@ -36,6 +37,7 @@ class BackendCase(Case[BackendSpec]):
             with negative pictures and another instruction when None.
         rows: how many actions a chunk has; when None those of the option that says so, or of the
             descriptor.
+        robot: makes the profile that `space` is asked with; the fake robot's when None.
     """
 
     subject: ClassVar[str] = "backend"
@@ -47,6 +49,11 @@ class BackendCase(Case[BackendSpec]):
     row_tolerance: float | None = None
     observe_next: Callable[[], Observation] | None = None
     rows: int | None = None
+    robot: Callable[[], RobotProfile] | None = None
+
+    def robot_profile(self) -> RobotProfile:
+        """The arm to move."""
+        return gantry_profile() if self.robot is None else self.robot()
 
     def arguments(self) -> tuple[tuple[object, ...], dict[str, object]]:
         """As the inference module calls it."""

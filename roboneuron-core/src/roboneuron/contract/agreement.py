@@ -45,12 +45,14 @@ class SpaceAgreement:
             InvalidInputError: the chunk has another space or period than the backend declares, or
                 the joints do not hold those of the space.
         """
-        if chunk.space is EE_DELTA and self.executed is EE_DELTA:
+        if chunk.space is EE_DELTA and self.declared is EE_DELTA:
             return chunk
-        if chunk.space.label != self.declared.label:
+        if chunk.space != self.declared:
+            alike = chunk.space.label == self.declared.label
             raise InvalidInputError(
-                f"The backend answered in {chunk.space.label!r}; it declares "
-                f"{self.declared.label!r}."
+                f"The backend answered in {_described(chunk.space)}"
+                f"{' with other units or frames' if alike else ''}; it declares "
+                f"{_described(self.declared)}."
             )
         rate_hz = self.declared.rate_hz
         if rate_hz and abs(chunk.step_s * rate_hz - 1.0) > _RATE_SHARE:

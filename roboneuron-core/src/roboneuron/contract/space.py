@@ -6,6 +6,8 @@ label travels with each action, so that nothing is mapped by place.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -59,6 +61,15 @@ class Channel:
         return f"{self.arm}/{self.name}" if self.arm else self.name
 
 
+def _quaternions(keys: Sequence[str]) -> Iterator[list[int]]:
+    """Places of x y z w of each arm that has all four."""
+    for key in keys:
+        arm, is_first, rest = key.rpartition("qx")
+        parts = [f"{arm}q{axis}" for axis in "xyzw"]
+        if is_first and not rest and arm[-1:] in ("", "/") and set(parts) <= set(keys):
+            yield [keys.index(part) for part in parts]
+
+
 @dataclass(frozen=True, kw_only=True)
 class ControlSpace:
     """What one row of a chunk means.
@@ -67,9 +78,9 @@ class ControlSpace:
         kind: one of `SPACE_KINDS`.
         channels: what each value is, in order.
         rate_hz: rows per second that the policy was trained for; 0 when any rate will do.
-        quaternions: where four channels are a quaternion x y z w.
+        quaternions: of each quaternion the places of x y z w, in whatever order they stand.
         label: kind, rate and names of the channels, as the action message carries them:
-            "joint_velocity@15:fr3_joint1,fr3_joint2,gripper_open".
+            "joint_velocity@15:fr3_joint1,fr3_joint2,gripper_open"; `ACTION_LABEL` for `EE_DELTA`.
 
     Raises:
         InvalidInputError: the kind or the rate is none, or a channel comes twice.
@@ -80,7 +91,7 @@ class ControlSpace:
     rate_hz: float = 0.0
     label: str = field(init=False)
     _grippers: tuple[int, ...] = field(init=False, repr=False, compare=False)
-    quaternions: tuple[slice, ...] = field(init=False, repr=False, compare=False)
+    quaternions: tuple[list[int], ...] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         keys = [channel.key for channel in self.channels]
@@ -97,15 +108,13 @@ class ControlSpace:
         names = [channel.name for channel in self.channels]
         rate = f"@{self.rate_hz:g}" if self.rate_hz else ""
         label = f"{self.kind}{rate}:{','.join(keys)}"
-        if self.kind == "ee_delta":
+        if label == f"ee_delta:{','.join(ACTION_FIELDS)}":
             label = ACTION_LABEL
         object.__setattr__(self, "label", label)
         object.__setattr__(
             self, "_grippers", tuple(i for i, name in enumerate(names) if name == GRIPPER)
         )
-        object.__setattr__(
-            self, "quaternions", tuple(slice(i, i + 4) for i, n in enumerate(names) if n == "qx")
-        )
+        object.__setattr__(self, "quaternions", tuple(_quaternions(keys)))
 
     @property
     def size(self) -> int:
@@ -141,11 +150,10 @@ class ControlSpace:
                     f"{self.keys[i]} is {row[i]:g}, expected a value in [0 closed, 1 open]."
                 )
         for part in self.quaternions:
-            norm = float(np.linalg.norm(row[part]))
+            norm = math.hypot(*row[part].tolist())
             if not _LEAST_NORM <= norm <= _GREATEST_NORM:
-                raise InvalidInputError(
-                    f"{', '.join(self.keys[part])} have the length {norm:.4g}, expected 1."
-                )
+                names = ", ".join(self.keys[i] for i in part)
+                raise InvalidInputError(f"{names} have the length {norm:.4g}, expected 1.")
         return row
 
 

@@ -60,6 +60,10 @@ from roboneuron.ros.topics import ACTION, EE_POSE, JOINT_COMMAND, JOINT_STATES, 
 
 _POSE_PERIOD_S = 0.02
 """The pose of the TCP is worked out 50 times a second, not for each of up to 1000 joint states."""
+_SHARE_OF_REST = 0.5
+"""How much of the time that is left of a row the next one is given beside its own: with all of it
+the arm would stay behind for ever, with none it would catch up at once.
+"""
 
 
 class ControlModule(Module):
@@ -269,12 +273,21 @@ class ControlModule(Module):
         does not execute.
         """
         name, rate_hz = split_label(label)
-        if (space := self._spaces.get(name)) is None:
+        space = self._spaces.get(name)
+        if space is not None and rate_hz:
+            space = replace(space, rate_hz=rate_hz)
+        # the second: a rate that is none, or one of a space that has none
+        if space is None or space.label != label:
             raise InvalidInputError(
                 f"An action is labelled {label!r}; this control executes "
                 f"{', '.join(map(repr, self._spaces))}."
             )
-        return replace(space, rate_hz=rate_hz) if rate_hz else space
+        if space.kind == "joint_velocity" and not rate_hz:
+            raise InvalidInputError(
+                f"An action is labelled {label!r}, which does not say how long a velocity is held; "
+                "expected 'joint_velocity@<rows per second>:...'."
+            )
+        return space
 
     def _why_not(self, age_s: float, source_ns: int) -> str | None:
         """Word for what forbids acting now, or None.
@@ -373,7 +386,13 @@ class ControlModule(Module):
         # are to be reached by when the next row is due.
         if space.rate_hz:
             step_s = 1.0 / space.rate_hz
-        return controller.execute(space, row, self._guard.reference(joints, now_s), step_s)
+        answer = controller.execute(space, row, self._guard.reference(joints, now_s), step_s)
+        if space.rate_hz and isinstance(answer, JointCommand):
+            # Its message came early, or the one before came late: what is left of that one is not
+            # rushed, or the limits would cut off a part of a steady motion.
+            more_s = _SHARE_OF_REST * self._guard.remaining_s(now_s)
+            answer = replace(answer, duration_s=answer.duration_s + more_s)
+        return answer
 
     def _watch(self) -> None:
         """Hold within one timeout after the last action.

@@ -138,8 +138,7 @@ class MotionGuard:
     """Applies the limits of `[limits]` to one arm; used from the executor's thread.
 
     Attributes:
-        follow, rest: see `MotionLimiter`: a command of the predecessor, and a hold where the arm is
-            measured.
+        follow, rest, reference, remaining_s: see `MotionLimiter`.
         close: closes the audit.
 
     Raises:
@@ -186,13 +185,11 @@ class MotionGuard:
         self._audit = AuditLog(state / AUDIT_FILE, time_ns)
         self.follow = self._limiter.follow
         self.rest = self._limiter.rest
+        self.reference = self._limiter.reference
+        self.remaining_s = self._limiter.remaining_s
         self.close = self._audit.close
         self._recorded: tuple[str, ...] = ()
         self._recorded_s = 0.0
-
-    def reference(self, joints: JointSample, now_s: float) -> JointSample:
-        """Joints where the command in progress ends; the measured ones where there is none."""
-        return self._limiter.reference(joints, now_s)
 
     def use(self, limits: LimitsConfig) -> None:
         """Apply other limits from the next command on. Raises ConfigurationError as

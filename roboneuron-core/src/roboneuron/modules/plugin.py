@@ -68,7 +68,8 @@ def agree_on_space(
 
     Raises:
         PlanningError: they do not fit, see `agree`.
-        ConfigurationError, PluginError: something named cannot be used; as what declares the space.
+        ConfigurationError, PluginError: something named cannot be used, or the descriptor does not
+            fit its space; as what declares the space.
     """
     profile = load_profile(registry, robot)
     declared: object = EE_DELTA
@@ -82,6 +83,11 @@ def agree_on_space(
         raise PluginError(
             f"The `space` of {backend.name!r} returned {type(declared).__name__}, expected "
             "ControlSpace."
+        )
+    if declared.kind == "joint_delta" and not backend.needs_state:
+        raise PluginError(
+            f"Backend {backend.name!r} yields joint_delta, which is relative to the measured "
+            "joints, but its descriptor does not say needs_state."
         )
     kinds: tuple[str, ...] = SPACE_KINDS
     name, longest_s = "", None

@@ -12,7 +12,7 @@ from rn_standard.execution.meter import DeliveryMeter, RowDelivery
 from rn_standard.execution.mode import Abilities, Mode, ModeChoice, ModeSelector
 from rn_standard.execution.queue import SentRowQueue, fade_rows_of
 from rn_standard.execution.roll_forward import roll_forward
-from roboneuron import EE_DELTA, ActionChunk, Ahead, Observation
+from roboneuron import EE_DELTA, ActionChunk, Ahead, JointSample, Observation, Pose
 from roboneuron.feature import F64, execution
 
 
@@ -174,7 +174,9 @@ class AdaptiveExecutor(execution.ChunkExecutor):
         return rows_in(self._latency.p99_s or 0.0, step_s)
 
     def _rolled(self, observation: Observation, step_s: float) -> Observation:
-        measured = observation.ee_pose or observation.joints
+        measured: Pose | JointSample | None = observation.ee_pose
+        if measured is None or self._space.kind.startswith("joint"):
+            measured = observation.joints
         if measured is None:
             return observation
         rows, done_share = self._queue.rows_to_roll(measured.stamp_ns, step_s)

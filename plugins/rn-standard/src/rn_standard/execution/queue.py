@@ -137,9 +137,9 @@ class SentRowQueue:
         if under_way and under_way[0].sent_ns < measured_ns:
             share = (measured_ns - under_way[0].sent_ns) / period_ns
         rows = [*(sent.vector for sent in under_way), *(row.vector for row in self.rows)]
-        if any(row is None for row in rows):
-            rows = []
-        return np.array(rows, dtype=np.float64).reshape(len(rows), -1), share
+        if not rows or any(row is None for row in rows):
+            return np.zeros((0, 0)), 0.0
+        return np.array(rows, dtype=np.float64), share
 
     def replace(
         self,
@@ -221,4 +221,4 @@ def _align_quaternions(before: F64, after: F64, space: ControlSpace) -> None:
     """Turn the signs of quaternions in place so that a blend takes the shorter way."""
     for part in space.quaternions:
         opposite = np.einsum("ij,ij->i", before[:, part], after[:, part]) < 0.0
-        before[opposite, part] *= -1.0
+        before[np.ix_(opposite, part)] *= -1.0

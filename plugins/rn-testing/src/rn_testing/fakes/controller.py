@@ -12,6 +12,7 @@ from roboneuron import (
     Action,
     ConfigurationError,
     ControllerSpec,
+    ControlSpace,
     Hold,
     JointCommand,
     JointSample,
@@ -23,6 +24,7 @@ from roboneuron import (
     matrix_from_quaternion,
     matrix_from_rotvec,
     quaternion_from_matrix,
+    robot_space,
 )
 
 F64 = NDArray[np.float64]
@@ -31,8 +33,21 @@ MAX_STEP = 0.3
 """Largest change of a joint per action [m or rad]."""
 
 
+def _joints_at(pose: Pose) -> F64:
+    """The gantry's joints at a pose of the TCP."""
+    m = matrix_from_quaternion(pose.quaternion_xyzw)
+    hinges = (
+        math.atan2(m[1, 0], m[0, 0]),
+        math.asin(np.clip(-m[2, 0], -1, 1)),
+        math.atan2(m[2, 1], m[2, 2]),
+    )
+    return np.concatenate([pose.position_m, hinges])
+
+
 class GantryController:
-    """Follows the protocol `Controller`, for profiles with the gantry's joints."""
+    """Follows the protocols `Controller` and `SpaceController`, for profiles with the gantry's
+    joints.
+    """
 
     def __init__(self, config: None, profile: RobotProfile) -> None:
         self._profile = profile
@@ -84,14 +99,37 @@ class GantryController:
                 code="bad_action",
                 reason=f"Action or step_s ({step_s}) is not finite, or there is no time.",
             )
-        target = apply_delta(self.forward(joints), action)
-        m = matrix_from_quaternion(target.quaternion_xyzw)
-        hinges = (
-            math.atan2(m[1, 0], m[0, 0]),
-            math.asin(np.clip(-m[2, 0], -1, 1)),
-            math.atan2(m[2, 1], m[2, 2]),
-        )
-        q = np.concatenate([target.position_m, hinges])
+        q = _joints_at(apply_delta(self.forward(joints), action))
+        return self._command(q, measured, action.gripper_open, step_s)
+
+    def execute(
+        self, space: ControlSpace, row: F64, joints: JointSample, step_s: float
+    ) -> JointCommand | Hold:
+        """The joints that a row says, or of the pose that it says; holds as `compute` does, and for
+        channels that are not the robot's.
+        """
+        try:
+            measured = self._measured(joints)
+        except UnsafeError as error:
+            return Hold(code="bad_state", reason=str(error))
+        own = robot_space(space.kind, self._profile)
+        if space.kind not in FAKE_CONTROLLER.spaces or space.keys != own.keys:
+            return Hold(code="bad_action", reason=f"{space.label!r} is not executed.")
+        if not np.isfinite(row).all() or not (math.isfinite(step_s) and step_s > 0):
+            return Hold(
+                code="bad_action",
+                reason=f"Row or step_s ({step_s}) is not finite, or there is no time.",
+            )
+        q = row[:6]
+        if space.kind == "ee_pose":
+            q = _joints_at(Pose(position_m=row[:3], quaternion_xyzw=row[3:7]))
+        elif space.kind == "joint_velocity":
+            q = measured + row[:6] * step_s
+        return self._command(q, measured, float(row[-1]), step_s)
+
+    def _command(
+        self, q: F64, measured: F64, gripper_open: float, step_s: float
+    ) -> JointCommand | Hold:
         step = float(np.abs(q - measured).max())
         limits, gripper = self._profile.limits, self._profile.gripper
         assert limits is not None
@@ -105,7 +143,7 @@ class GantryController:
         duration_s = max(step_s, float((np.abs(q - measured) / limits.velocity).max()))
         if gripper is None:
             return JointCommand(names=self._profile.arm_joints, position=q, duration_s=duration_s)
-        finger = gripper.to_position(action.gripper_open)
+        finger = gripper.to_position(gripper_open)
         names = (*self._profile.arm_joints, gripper.joint)
         return JointCommand(names=names, position=np.append(q, finger), duration_s=duration_s)
 
@@ -118,5 +156,6 @@ FAKE_CONTROLLER = ControllerSpec(
     name="gantry",
     summary="Reads the gantry's joints off the target pose.",
     target="rn_testing.fakes.controller:GantryController",
+    spaces=("ee_delta", "ee_pose", "joint_position", "joint_velocity"),
 )
 """Descriptor of the fake controller."""

@@ -6,9 +6,11 @@ from rn_testing.rules import (
     acceleration,
     backend,
     backend_observation,
+    backend_space,
     command,
     controller,
     controller_bounds,
+    controller_space,
     descriptor,
     driver,
     driver_motion,
@@ -23,7 +25,13 @@ from rn_testing.rules import (
 OF_EVERY_DESCRIPTOR: tuple[AnyRule, ...] = (*descriptor.RULES, *restricted.RULES)
 """Rules that apply to descriptors of any kind with options."""
 RULES: dict[str, tuple[AnyRule, ...]] = {
-    "backend": (*descriptor.RULES, *restricted.RULES, *backend.RULES, *backend_observation.RULES),
+    "backend": (
+        *descriptor.RULES,
+        *restricted.RULES,
+        *backend.RULES,
+        *backend_observation.RULES,
+        *backend_space.RULES,
+    ),
     "runtime": (*descriptor.RULES, *restricted.RULES, *runtime.RULES),
     "acceleration": (*descriptor.RULES, *restricted.RULES, *acceleration.RULES),
     "perception": (*descriptor.RULES, *restricted.RULES, *perception.RULES),
@@ -32,6 +40,7 @@ RULES: dict[str, tuple[AnyRule, ...]] = {
         *restricted.RULES,
         *controller.RULES,
         *controller_bounds.RULES,
+        *controller_space.RULES,
     ),
     "robot": (
         *descriptor.RULES,

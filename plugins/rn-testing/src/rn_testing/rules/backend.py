@@ -171,7 +171,10 @@ def _check_instructions(case: BackendCase) -> None:
 
 def _check_units(case: BackendCase) -> None:
     with loaded(case) as backend:
-        actions = predict(case, backend).actions
+        chunk = predict(case, backend)
+    if chunk.space.kind != "ee_delta":
+        raise NotApplicable(f"its chunks are in {chunk.space.kind}")
+    actions = chunk.actions
     far_m = float(np.linalg.norm(actions[:, :3], axis=1).max())
     far_rad = float(np.linalg.norm(actions[:, 3:6], axis=1).max())
     require(
@@ -346,4 +349,4 @@ RULES: tuple[Rule[BackendCase], ...] = (
     ),
     *ContinuingRules(loaded, predict, backend_rule).rules(),
 )
-"""Rules of backends, but for those of `backend_observation`."""
+"""Rules of backends, but for those of `backend_observation` and `backend_space`."""

@@ -139,7 +139,9 @@ class ContinuingRules:
         with self.running(case) as backend:
             first = self._running(case, backend)
             ahead = _ahead_of(first, case.spec.max_committed_rows)
-            none = Ahead(rows=np.zeros((0, 7)), committed_rows=0, step_s=first.step_s)
+            none = Ahead(
+                rows=np.zeros((0, first.space.size)), committed_rows=0, step_s=first.step_s
+            )
             for what, given in (
                 ("without rows ahead", None),
                 (
@@ -198,7 +200,10 @@ class ContinuingRules:
         with self.running(case) as backend:
             measured = self._first(case, backend, whole)
             ahead = Ahead(
-                rows=np.zeros((0, 7)), committed_rows=0, step_s=measured.step_s, state_ahead_s=0.1
+                rows=np.zeros((0, measured.space.size)),
+                committed_rows=0,
+                step_s=measured.step_s,
+                state_ahead_s=0.1,
             )
             moved = replace(pose, position_m=pose.position_m + MOVED_M)
             rolled = self._first(case, backend, replace(whole, ee_pose=moved, ahead=ahead))

@@ -116,8 +116,9 @@ def _check_forward(case: ControllerCase) -> None:
             )
 
 
-def _damaged(joints: JointSample) -> dict[str, JointSample]:
-    damaged = {
+def damaged(joints: JointSample) -> dict[str, JointSample]:
+    """The sample with one thing wrong, by what is wrong."""
+    found = {
         "a joint missing": replace(
             joints, names=joints.names[1:], position=joints.position[1:], velocity=None
         )
@@ -126,16 +127,14 @@ def _damaged(joints: JointSample) -> dict[str, JointSample]:
         for number in (np.nan, np.inf):
             position = joints.position.copy()
             position[index] = number
-            damaged[f"joint {joints.names[index]!r} of {number}"] = replace(
-                joints, position=position
-            )
-    return damaged
+            found[f"joint {joints.names[index]!r} of {number}"] = replace(joints, position=position)
+    return found
 
 
 def _check_forward_bad(case: ControllerCase) -> None:
     joints = home_sample(case.robot())
     with loaded(case) as controller:
-        for name, bad in _damaged(joints).items():
+        for name, bad in damaged(joints).items():
             expect_refusal(lambda j=bad: controller.forward(j), f"forward with {name}", UnsafeError)  # type: ignore[misc]
 
 
@@ -177,7 +176,7 @@ def _check_still(case: ControllerCase) -> None:
 def _check_bad_numbers(case: ControllerCase) -> None:
     profile = case.robot()
     joints = home_sample(profile)
-    bad = [(name, make_action(0.001), sample, STEP_S) for name, sample in _damaged(joints).items()]
+    bad = [(name, make_action(0.001), sample, STEP_S) for name, sample in damaged(joints).items()]
     for number in (np.nan, np.inf):
         wrong = np.full(3, number)
         bad.append(
@@ -385,4 +384,4 @@ RULES: tuple[Rule[ControllerCase], ...] = (
         f"{_SOURCE}.load",
     ),
 )
-"""Rules of controllers, but for those of `controller_bounds`."""
+"""Rules of controllers, but for those of `controller_bounds` and `controller_space`."""

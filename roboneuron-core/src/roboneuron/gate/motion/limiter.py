@@ -187,6 +187,13 @@ class MotionLimiter:
                 return replace(joints, position=ends)
         return joints
 
+    def remaining_s(self, now_s: float) -> float:
+        """Time until the command in progress has ended; 0 where there is none."""
+        sent = self._sent
+        if sent is None or sent.immediate or not sent.displacement.any():
+            return 0.0
+        return max(0.0, sent.sent_s + sent.duration_s - now_s)
+
     def rest(self, joints: JointSample | None, now_s: float) -> None:
         """Take the measured joints as the setpoint, at rest; None: they are not known."""
         self._sent = None

@@ -1,0 +1,163 @@
+"""The control module with its real controller and limits on a clock of the test, and an arm that
+follows exactly and is judged by `MotionJudge`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from motion_judge import MotionJudge
+from std_msgs.msg import Float64MultiArray
+
+from roboneuron.config import parse_config
+from roboneuron.contract import JointSample
+from roboneuron.modules.control import ControlModule
+from roboneuron.modules.module_host import Handover
+from roboneuron.modules.settings import ModuleSettings
+from roboneuron.modules.status import StatusWriter
+from roboneuron.ros.messages import to_joint_state
+
+
+class Clock:
+    """Stands in for the module `time` of control."""
+
+    def __init__(self) -> None:
+        self.now_s = 1000.0
+
+    def monotonic(self) -> float:
+        return self.now_s
+
+    def time_ns(self) -> int:
+        return 1_700_000_000_000_000_000 + round(self.now_s * 1e9)
+
+
+class _Publisher:
+    def __init__(self) -> None:
+        self.messages: list[Any] = []
+
+    def publish(self, message: Any) -> None:
+        self.messages.append(message)
+
+
+class _Host:
+    """What control asks of its node; no ROS process is there."""
+
+    def __init__(self, settings: ModuleSettings, clock: Clock) -> None:
+        self.settings, self._clock = settings, clock
+        self.status = StatusWriter(settings.status_name)
+        self.handover = Handover(self.status)
+        self.resources = ExitStack()
+        self.stopped, self.needs_start = False, ""
+        self.publishers: dict[str, _Publisher] = {}
+        self.subscribed: dict[str, Callable[..., None]] = {}
+        self.repeated: list[Callable[[], None]] = []
+
+    def now_ns(self) -> int:
+        return self._clock.time_ns()
+
+    def server_silence_s(self) -> float:
+        return 0.0
+
+    def advertise(self, message_type: type, topic: str) -> _Publisher:
+        return self.publishers.setdefault(topic, _Publisher())
+
+    def subscribe(self, message_type: type, topic: str, callback: Callable[..., None]) -> None:
+        self.subscribed[topic] = callback
+
+    def repeat(self, period_s: float, callback: Callable[[], None]) -> None:
+        self.repeated.append(callback)
+
+    def add_parameter(self, *_: Any) -> Callable[[], None]:
+        return lambda: None
+
+
+class ControlLoop:
+    """An active control and its arm.
+
+    Attributes:
+        control: the module.
+        holds: holds that were sent.
+        commands: other commands that were sent.
+    """
+
+    def __init__(self, config: str, judge: MotionJudge, state: Path, clock: Clock) -> None:
+        self.clock, self.judge = clock, judge
+        settings = ModuleSettings(
+            kind="control",
+            node_name="control",
+            config=parse_config(config),
+            state_directory=str(state),
+        )
+        self.host = _Host(settings, clock)
+        self.control = ControlModule(self.host)  # type: ignore[arg-type]
+        self.holds = self.commands = 0
+        self._command_hold = self.control._command_hold
+        self.control._command_hold = self._note_hold  # type: ignore[method-assign]
+        self._is_hold = False
+        self.control.activate()
+        self.measure()
+
+    def _note_hold(self, joints: JointSample) -> None:
+        self._is_hold = True
+        self._command_hold(joints)
+
+    def joints(self) -> JointSample:
+        """As measured now."""
+        facts, finger = self.judge.facts, self.judge.finger()
+        return JointSample(
+            names=(*facts.joints, facts.finger[0]),
+            position=np.append(self.judge.place(self.clock.now_s), finger),
+            stamp_ns=self.clock.time_ns(),
+        )
+
+    def measure(self) -> None:
+        """A joint state arrives."""
+        self.host.subscribed["joint_states"](to_joint_state(self.joints()))
+
+    def go(self, seconds: float) -> None:
+        """Time passes; the watchdog looks, and the arm is measured."""
+        self.clock.now_s += seconds
+        self.measure()
+        self.host.repeated[0]()
+        self._follow()
+
+    def receive(self, message: Float64MultiArray, age_s: float = 0.0) -> None:
+        """An action arrives that was sent so long ago."""
+        sent_ns = self.clock.time_ns() - round(age_s * 1e9)
+        self.host.subscribed["action"](message, {"source_timestamp": sent_ns})
+        self._follow()
+
+    def _follow(self) -> None:
+        sent = self.host.publishers["joint_trajectory"].messages
+        now_s = self.clock.now_s
+        for message in sent:
+            (point,) = message.points
+            lasts_s = point.time_from_start.sec + point.time_from_start.nanosec / 1e9
+            names, position = tuple(message.joint_names), np.array(point.positions)
+            if self._is_hold:
+                self.holds += 1
+                self.judge.hold(names, position, now_s)
+            else:
+                self.commands += 1
+                self.judge.command(names, position, lasts_s, now_s)
+        self._is_hold = False
+        sent.clear()
+
+    def acted(self) -> set[str]:
+        """Limits that have acted: scaled, held or refused."""
+        message = self.host.status.to_message()
+        values = {pair.key for pair in message.values}
+        return {key.removeprefix("limited.") for key in values if key.startswith("limited.")} | {
+            word.removeprefix("limit_") for word in self.drops() if word.startswith("limit_")
+        }
+
+    def drops(self) -> dict[str, int]:
+        """What was dropped, by word."""
+        return self.host.status.dropped.items()
+
+    def close(self) -> None:
+        self.host.resources.close()

@@ -1,0 +1,110 @@
+"""docs/action-spaces.md: its example works, and what it says is refused is, in those words."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rn_controller_urdf.controller import UrdfController
+from rn_controller_urdf.plugin import roboneuron_controllers
+from rn_robot_fr3.profile import profile
+from roboneuron.contract import (
+    EE_DELTA,
+    SPACE_KINDS,
+    ActionChunk,
+    Channel,
+    ControlSpace,
+    SpaceAgreement,
+    agree,
+    robot_space,
+)
+from roboneuron.errors import RoboNeuronError
+from roboneuron.modules.control import ControlModule, _executed_spaces
+
+PAGE = (Path(__file__).parents[1] / "docs" / "action-spaces.md").read_text(encoding="utf-8")
+ROBOT = profile()
+(CONTROLLER,) = roboneuron_controllers()
+
+
+def example() -> dict[str, Any]:
+    """What the page's code defines."""
+    (code,) = re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)
+    names: dict[str, Any] = {}
+    exec(compile(code, "action-spaces.md", "exec"), names)
+    return names
+
+
+def declared(**options: object) -> ControlSpace:
+    declare: Callable[[Mapping[str, object], object], ControlSpace] = example()["declare"]
+    return declare(options, ROBOT)
+
+
+def agreed(space: ControlSpace, kinds: tuple[str, ...] = SPACE_KINDS) -> SpaceAgreement:
+    return agree(space, ROBOT, kinds, backend="glide", controller="urdf", longest_s=0.3)
+
+
+def convert(space: ControlSpace, made: ControlSpace, rate_hz: float = 15.0) -> ActionChunk:
+    row = np.zeros((1, made.size))
+    return agreed(space).convert(ActionChunk(actions=row, step_s=1 / rate_hz, space=made), None)
+
+
+def label(text: str) -> None:
+    control = ControlModule.__new__(ControlModule)
+    control._spaces = _executed_spaces(CONTROLLER, UrdfController(None, ROBOT), ROBOT)
+    control._agreed_space(text)
+
+
+def first_channel(**changes: str) -> ControlSpace:
+    space = declared()
+    return replace(space, channels=(replace(space.channels[0], **changes), *space.channels[1:]))
+
+
+FAULTS: dict[str, Callable[[], object]] = {
+    "other channels": lambda: agreed(declared(joints=(*ROBOT.arm_joints[:6], "hip"))),
+    "other unit or frame": lambda: agreed(first_channel(unit="deg/s")),
+    "controller cannot execute it": lambda: agreed(declared(), ("ee_delta",)),
+    "velocities without a rate": lambda: agreed(replace(declared(), rate_hz=0.0)),
+    "period longer than control waits": lambda: agreed(replace(declared(), rate_hz=2.0)),
+    "chunk in another space": lambda: convert(declared(), EE_DELTA),
+    "chunk with another period": lambda: convert(declared(), declared(), 5.0),
+    "deltas without measured joints": lambda: convert(
+        robot_space("joint_delta", ROBOT), robot_space("joint_delta", ROBOT)
+    ),
+    "unknown label": lambda: label("torque:fr3_joint1"),
+    "not a number": lambda: declared().check([np.nan] * 8),
+    "opening outside 0 .. 1": lambda: declared().check([0.0] * 7 + [1.2]),
+    "no quaternion": lambda: robot_space("ee_pose", ROBOT).check([0.0] * 8),
+}
+
+
+def test_the_example_moves_an_fr3() -> None:
+    backend = example()["BACKEND"]
+    assert backend.space.endswith(":declare")
+    space = agreed(declared(), CONTROLLER.spaces).executed
+    label(space.label)
+    shown = space.label.replace(",".join(ROBOT.arm_joints[1:6]), "...")
+    assert f"`{shown}`" in PAGE
+
+
+def test_the_page_names_every_space_with_its_units() -> None:
+    rows = dict(re.findall(r"^\| `(\w+)` \| .* \| (.*) \|$", PAGE, flags=re.MULTILINE))
+    assert tuple(rows) == SPACE_KINDS
+    for kind, units in rows.items():
+        channels: tuple[Channel, ...] = robot_space(kind, ROBOT).channels
+        found = {channel.unit for channel in channels} - {"opening"}
+        assert found <= set(units.split(", "))
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_fault_is_refused_in_the_words_of_the_page(fault: str) -> None:
+    rows = dict(re.findall(r"^\| ([^`|]+) \| `(.*)` \|$", PAGE, flags=re.MULTILINE))
+    assert rows.keys() == FAULTS.keys()
+    with pytest.raises(RoboNeuronError) as refusal:
+        FAULTS[fault]()
+    assert rows[fault] in refusal.value.message
