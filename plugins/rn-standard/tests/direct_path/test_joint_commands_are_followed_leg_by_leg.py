@@ -170,7 +170,7 @@ def test_times_of_points_only_grow() -> None:
 
 def test_a_trajectory_takes_no_longer_than_its_step() -> None:
     command = trajectory(point(1.0, 0.1))
-    for lasts_s in (1.0, 1.0 - 5e-7, 2.0):
+    for lasts_s in (1.0, 1.0 - joint_space.SLACK, 2.0):
         check_joints(LIMITS, [command], ZERO, [lasts_s])
     assert refusal(command, durations_s=[0.99]) == (
         "The trajectory takes 1 s, its step only 0.99 s."
@@ -313,6 +313,7 @@ def test_a_command_after_a_rest_begins_from_rest() -> None:
     there, on = trajectory(point(0.6, 0.4)), trajectory(point(0.3, 0.7))
     check_joints(LIMITS, [there, on], ZERO, [0.6, 0.5])
     assert refusal(there, on, durations_s=[1.0, 0.5]).startswith("steps[1]: a cannot go 0.3")
+    check_joints(LIMITS, [there, trajectory(point(0.5, 0.7))], ZERO, [1.0, 0.5])
 
 
 # Joint states

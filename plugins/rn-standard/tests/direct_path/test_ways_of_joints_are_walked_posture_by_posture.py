@@ -143,6 +143,12 @@ def test_a_joint_that_nobody_has_measured_is_neither_moved_nor_asked_for(
     assert caught.value.limit == "kinematics"
 
 
+def test_a_measurement_with_more_names_than_positions_is_no_start(make: Make) -> None:
+    joints = JointSample(names=("x", "y", "finger"), position=np.array([1.0, 2.0]))
+    with pytest.raises(ValueError, match="shorter"):
+        make().check([leg(1.5, 2.0)], joints)
+
+
 # The cubic that a driver may take
 
 
