@@ -8,6 +8,7 @@ import signal
 import threading
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -123,9 +124,8 @@ def _thread_states(process: int) -> list[str]:
     ended.
     """
     states = []
-    for path in Path(f"/proc/{process}/task").glob("*/stat"):
-        try:
-            states.append(path.read_text("utf-8", "replace").rpartition(")")[2].split()[0])
-        except OSError:  # it has ended
-            continue
+    with suppress(OSError):  # the process has ended
+        for path in Path(f"/proc/{process}/task").glob("*/stat"):
+            with suppress(OSError):  # the thread has ended
+                states.append(path.read_text("utf-8", "replace").rpartition(")")[2].split()[0])
     return states
