@@ -20,7 +20,8 @@ from rn_eval.contract_cases import RULES, SuiteCase
 from rn_eval.hooks import SuiteSpec
 from rn_eval.suite import Setup
 from rn_testing.fakes import gantry_profile
-from rn_testing.rule import RuleVerdict, verify
+from rn_testing.rule import RuleVerdict
+from rn_testing.verification import verify
 from roboneuron import CameraProfile
 from roboneuron.config import load_config
 

@@ -1,16 +1,18 @@
-"""The controller "urdf": action and measured joints to a joint command, or a refusal with the
-reason.
+"""The controller "urdf": a row of any control space and measured joints to a joint command, or a
+refusal with the reason.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
+import pinocchio
 from numpy.typing import NDArray
 
 from rn_controller_urdf.collision import CollisionModel
-from rn_controller_urdf.ik import InverseKinematics
+from rn_controller_urdf.ik import InverseKinematics, Solution
 from rn_controller_urdf.model import ArmModel, build_arm_model
 from rn_controller_urdf.options import UrdfControllerOptions
 from rn_controller_urdf.refusals import (
@@ -18,15 +20,19 @@ from rn_controller_urdf.refusals import (
     UNKNOWN_JOINT,
     JointBounds,
     check_action,
+    check_reach,
     check_solution,
     check_start,
     check_step,
+    check_time,
     check_workspace,
     joint_bounds,
     shortest_duration_s,
 )
 from roboneuron import (
+    GRIPPER,
     Action,
+    ControlSpace,
     Hold,
     JointCommand,
     JointSample,
@@ -137,14 +143,7 @@ class UrdfController:
         refusal = check_workspace(here.translation, target.translation, self._profile.workspace)
         if refusal is not None:
             return refusal
-        solution = solver.solve(
-            np.minimum(np.maximum(measured, model.lower), model.upper),
-            target,
-            tolerance_m=options.position_tolerance_m * _STOP_FRACTION,
-            tolerance_rad=options.rotation_tolerance_rad * _STOP_FRACTION,
-            max_iterations=options.max_iterations,
-            track_rotation=options.track == "pose",
-        )
+        solution = self._solve(model, solver, measured, target)
         step = (solution.position - measured).tolist()
         refusal = check_solution(solution, options) or check_step(step, bounds)
         if refusal is not None:
@@ -159,6 +158,85 @@ class UrdfController:
             duration_s=max(step_s, shortest_duration_s(step, bounds)),
             residual_m=solution.residual_m,
             residual_rad=solution.residual_rad,
+        )
+
+    def execute(
+        self, space: ControlSpace, row: F64, joints: JointSample, step_s: float
+    ) -> JointCommand | Hold:
+        """Return joint positions for a row of `ee_pose`, `joint_position` or `joint_velocity`, or
+        why the robot should hold.
+
+        Args:
+            space: the robot's own space of that kind.
+            row: float64 (n,), checked.
+            joints: where the command in progress ends, or the measured joints.
+            step_s: time the row is meant for [s].
+
+        Raises:
+            StateError: called before `load`; nothing else.
+        """
+        model, _, bounds = self._loaded()
+        start = self._arm_position(model, joints)
+        if isinstance(start, Hold):
+            return start
+        refusal = check_start(start.tolist(), bounds) or check_time(step_s)
+        if refusal is not None:
+            return refusal
+        values = dict(zip((channel.name for channel in space.channels), row.tolist(), strict=True))
+        solution: Solution | None = None
+        if space.kind == "ee_pose":
+            found = self._solve_pose(values, start)
+            if isinstance(found, Hold):
+                return found
+            solution, target = found, found.position
+        else:
+            target = np.array([values[name] for name in model.joints])
+            if space.kind == "joint_velocity":
+                target = start + target * step_s
+        step = (target - start).tolist()
+        if (refusal := check_step(step, bounds)) is not None:
+            return refusal
+        names = model.joints
+        if self._profile.gripper is not None:
+            names = (*names, self._profile.gripper.joint)
+            target = np.append(target, self._profile.gripper.to_position(values[GRIPPER]))
+        return JointCommand(
+            names=names,
+            position=target,
+            duration_s=max(step_s, shortest_duration_s(step, bounds)),
+            residual_m=0.0 if solution is None else solution.residual_m,
+            residual_rad=0.0 if solution is None else solution.residual_rad,
+        )
+
+    def _solve_pose(self, values: Mapping[str, float], start: F64) -> Solution | Hold:
+        """Joints at an absolute pose of the TCP, seeded with those at the start."""
+        options, (model, solver, _) = self._options, self._loaded()
+        here = solver.place(start)
+        target = pinocchio.SE3(
+            pinocchio.Quaternion(*(values[f"q{name}"] for name in "wxyz")).normalized().matrix(),
+            np.array([values[name] for name in "xyz"]),
+        )
+        turn = float(np.linalg.norm(pinocchio.log3(here.rotation.T @ target.rotation)))
+        distance = float(np.linalg.norm(target.translation - here.translation))
+        refusal = check_reach(distance, turn, options) or check_workspace(
+            here.translation, target.translation, self._profile.workspace
+        )
+        if refusal is not None:
+            return refusal
+        solution = self._solve(model, solver, start, target)
+        return check_solution(solution, options) or solution
+
+    def _solve(
+        self, model: ArmModel, solver: InverseKinematics, start: F64, target: pinocchio.SE3
+    ) -> Solution:
+        options = self._options
+        return solver.solve(
+            np.minimum(np.maximum(start, model.lower), model.upper),
+            target,
+            tolerance_m=options.position_tolerance_m * _STOP_FRACTION,
+            tolerance_rad=options.rotation_tolerance_rad * _STOP_FRACTION,
+            max_iterations=options.max_iterations,
+            track_rotation=options.track == "pose",
         )
 
     def close(self) -> None:

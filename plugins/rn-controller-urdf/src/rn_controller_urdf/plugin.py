@@ -13,11 +13,12 @@ def roboneuron_controllers() -> Sequence[ControllerSpec]:
     return [
         ControllerSpec(
             name="urdf",
-            summary="Differential inverse kinematics for any URDF arm: converges within its "
-            "limits or holds",
+            summary="Inverse kinematics and joint motion for any URDF arm: within its limits or "
+            "it holds",
             target="rn_controller_urdf.controller:UrdfController",
             config="rn_controller_urdf.options:UrdfControllerOptions",
             requires=(Requirement(module="pinocchio", install="pip install pin"),),
             robot_kinds=("arm",),
+            spaces=("ee_delta", "ee_pose", "joint_position", "joint_velocity"),
         )
     ]

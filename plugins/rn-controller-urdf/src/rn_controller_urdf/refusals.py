@@ -108,11 +108,20 @@ def check_action(action: Action, step_s: float, options: UrdfControllerOptions) 
             f"{action.gripper_open:g}, "
             "expected finite values and an opening in [0, 1].",
         )
-    if not (math.isfinite(step_s) and step_s > 0):
-        return Hold(
-            code=BAD_ACTION,
-            reason=f"step_s is {step_s:g}, expected a finite number of seconds > 0.",
-        )
+    return check_time(step_s) or check_reach(length, angle, options)
+
+
+def check_time(step_s: float) -> Hold | None:
+    """BAD_ACTION."""
+    if math.isfinite(step_s) and step_s > 0:
+        return None
+    return Hold(
+        code=BAD_ACTION, reason=f"step_s is {step_s:g}, expected a finite number of seconds > 0."
+    )
+
+
+def check_reach(length: float, angle: float, options: UrdfControllerOptions) -> Hold | None:
+    """ACTION_TOO_LARGE for a translation [m] and a rotation [rad] in one step."""
     if length > options.max_translation_m or angle > options.max_rotation_rad:
         return Hold(
             code=ACTION_TOO_LARGE,

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rn_driver_ros2control.command import checked
 from rn_driver_ros2control.faults import FAULTS, violation, worded
 from rn_driver_ros2control.gripper import GripperGoals
-from rn_driver_ros2control.link import ControllerLink, End, connect
+from rn_driver_ros2control.link import ControllerLink, End
 from rn_driver_ros2control.options import Ros2ControlOptions
 from rn_driver_ros2control.trajectory import shortest_s, stop_point, to_message
 from rn_driver_ros2control.watch import ControllerWatch
@@ -23,6 +23,7 @@ from roboneuron import (
     InvalidInputError,
     JointCommand,
     JointLimits,
+    MissingDependencyError,
     NotReadyError,
     RefusedError,
     RobotProfile,
@@ -97,7 +98,17 @@ class Ros2ControlDriver:
 
     def _connect(self) -> ControllerLink:
         """The link to use; tests have others."""
-        return connect(self._options, self._profile.arm_joints)
+        try:
+            from rn_driver_ros2control.ros_link import RosControllerLink  # heavy
+        except ModuleNotFoundError as error:
+            if error.name is None or not error.name.startswith("control_msgs"):
+                raise
+            raise MissingDependencyError(
+                "The ROS 2 types of ros2_control are not installed (package control_msgs).",
+                hint="pip install ./plugins/rn-driver-ros2control (in RoboNeuron's source folder) "
+                "compiles them.",
+            ) from error
+        return RosControllerLink(self._options, self._profile.arm_joints)
 
     def read(self) -> RobotState:
         """Return the newest measured state.

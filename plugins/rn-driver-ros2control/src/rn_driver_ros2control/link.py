@@ -13,9 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 from trajectory_msgs.msg import JointTrajectory
 
-from rn_driver_ros2control.options import Ros2ControlOptions
-from roboneuron import MissingDependencyError
-
 F64 = NDArray[np.float64]
 
 
@@ -128,26 +125,3 @@ class ControllerLink(Protocol):
     def close(self) -> None:
         """Leave ROS; may be called twice."""
         ...
-
-
-def connect(options: Ros2ControlOptions, joints: tuple[str, ...]) -> ControllerLink:
-    """A link over ROS, not open yet.
-
-    Args:
-        options: of the driver.
-        joints: of the arm.
-
-    Raises:
-        MissingDependencyError: control_msgs is not installed.
-    """
-    try:
-        from rn_driver_ros2control.ros_link import RosControllerLink  # heavy
-    except ModuleNotFoundError as error:
-        if error.name is None or not error.name.startswith("control_msgs"):
-            raise
-        raise MissingDependencyError(
-            "The ROS 2 types of ros2_control are not installed (package control_msgs).",
-            hint="pip install ./plugins/rn-driver-ros2control (in RoboNeuron's source folder) "
-            "compiles them.",
-        ) from error
-    return RosControllerLink(options, joints)

@@ -11,8 +11,8 @@ from rn_robot_bases.drivetrain import BaseVelocity, JointValues
 from rn_robot_bases.odometry import PlanarPose, integrate
 from rn_robot_bases.platform import Platform, in_engine
 from rn_robot_bases.profile import check_twist
-from rn_robot_bases.world import BaseWorld, build_world
-from rn_simulation.engine import EngineChoice, choose_engine
+from rn_robot_bases.world import BaseWorld
+from rn_simulation.engine import Engine, EngineChoice, choose_engine
 from roboneuron import StateError
 
 STEP_S = 1.0 / 240.0
@@ -97,7 +97,7 @@ class BaseSimulation:
         if self._world is not None:
             raise StateError(f"The simulated {self.platform.name} is open already.")
         self._reset()
-        self._world = build_world(self.engine, self.platform, STEP_S)
+        self._world = _build_world(self.engine, self.platform, STEP_S)
         for _ in range(_SETTLING_STEPS):
             self._world.step(self._drivetrain.advance(STEP_S))
         self._positions = self._world.joint_positions()
@@ -174,3 +174,14 @@ class BaseSimulation:
                 hint="Call open() or use it as a context manager.",
             )
         return self._world
+
+
+def _build_world(engine: Engine, platform: Platform, step_s: float) -> BaseWorld:
+    """A world with `platform` in `engine`."""
+    if engine == "mujoco":
+        from rn_robot_bases.mujoco_world import MujocoBaseWorld  # heavy, and perhaps not installed
+
+        return MujocoBaseWorld(platform, step_s)
+    from rn_robot_bases.pybullet_world import PybulletBaseWorld  # likewise
+
+    return PybulletBaseWorld(platform, step_s)

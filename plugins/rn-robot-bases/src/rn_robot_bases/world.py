@@ -8,8 +8,6 @@ from typing import Protocol
 
 from rn_robot_bases.drivetrain import JointTargets, JointValues
 from rn_robot_bases.odometry import PlanarPose
-from rn_robot_bases.platform import Platform
-from rn_simulation.engine import Engine
 
 HINGE_TORQUE_NM = 10.0
 START_HEIGHT_M = 0.002
@@ -35,14 +33,3 @@ class BaseWorld(Protocol):
     def close(self) -> None:
         """Release it; may be called twice."""
         ...
-
-
-def build_world(engine: Engine, platform: Platform, step_s: float) -> BaseWorld:
-    """A world with `platform` in `engine`."""
-    if engine == "mujoco":
-        from rn_robot_bases.mujoco_world import MujocoBaseWorld  # heavy, and perhaps not installed
-
-        return MujocoBaseWorld(platform, step_s)
-    from rn_robot_bases.pybullet_world import PybulletBaseWorld  # likewise
-
-    return PybulletBaseWorld(platform, step_s)

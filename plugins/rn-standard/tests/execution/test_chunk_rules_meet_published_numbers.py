@@ -18,7 +18,7 @@ from rn_testing.chunk_merging import (
     state_of_running_chunk,
     temporal_ensemble,
 )
-from roboneuron.contract import Pose
+from roboneuron.contract import Observation, Pose
 
 GOLDEN = np.load(Path(__file__).parent / "data" / "chunk_execution.npz")
 ROWS = 6
@@ -40,13 +40,18 @@ def test_the_state_is_rolled_forward_row_by_row(case: int) -> None:
     pose = Pose(
         position_m=golden(f"{of}/position_m"), quaternion_xyzw=golden(f"{of}/quaternion_xyzw")
     )
-    for count in range(len(rows) + 1):
-        rolled, open_after = roll_forward(pose, opening, rows[:count])
+    measured = Observation(frames={}, instruction="go", ee_pose=pose, gripper_open=opening)
+    for count in range(1, len(rows) + 1):
+        after = roll_forward(measured, rows[:count])
+        rolled = after.ee_pose
+        assert rolled is not None
         np.testing.assert_allclose(
             rolled.position_m, golden(f"{of}/rolled_position_m")[count], atol=1e-12
         )
         assert same_rotation(rolled.quaternion_xyzw, golden(f"{of}/rolled_quaternion_xyzw")[count])
-        assert open_after == pytest.approx(golden(f"{of}/rolled_gripper_open")[count], abs=1e-12)
+        assert after.gripper_open == pytest.approx(
+            golden(f"{of}/rolled_gripper_open")[count], abs=1e-12
+        )
 
 
 @pytest.mark.parametrize("case", range(4))
@@ -56,7 +61,9 @@ def test_the_first_row_counts_with_the_share_that_is_left(case: int) -> None:
         position_m=golden(f"{of}/position_m"), quaternion_xyzw=golden(f"{of}/quaternion_xyzw")
     )
     share = float(golden(f"{of}/done_share_of_first"))
-    rolled, _ = roll_forward(pose, None, golden(f"{of}/committed_actions"), share)
+    measured = Observation(frames={}, instruction="go", ee_pose=pose)
+    rolled = roll_forward(measured, golden(f"{of}/committed_actions"), share).ee_pose
+    assert rolled is not None
     np.testing.assert_allclose(
         rolled.position_m, golden(f"{of}/rolled_position_m_partial"), atol=1e-12
     )

@@ -14,7 +14,7 @@ from trajectory_msgs.msg import JointTrajectory
 from rn_standard.switching import predecessor
 from rn_standard.switching.handover import TimedHandover
 from rn_standard.switching.predecessor import _on_action, _on_command, _on_pose
-from roboneuron.contract import JointCommand, Pose
+from roboneuron.contract import EE_DELTA, Channel, ControlSpace, JointCommand, Pose
 from roboneuron.modules.status import StatusWriter
 from roboneuron.ros import topics
 from roboneuron.ros.messages import (
@@ -36,12 +36,13 @@ def module(status: StatusWriter, followed: list[Any]) -> Any:
         followed.append((command, sent_s))
         return command
 
-    executor = SimpleNamespace(
-        note_sent=lambda vector, now_s, now_ns: followed.append(vector.tolist())
-    )
+    def note_sent(vector: Any, now_s: float, now_ns: int) -> None:
+        followed.append(None if vector is None else vector.tolist())
+
     return SimpleNamespace(
         status=status,
-        executor=executor,
+        executor=SimpleNamespace(note_sent=note_sent),
+        space=EE_DELTA,
         node=SimpleNamespace(now_ns=time.time_ns),
         follow=follow,
     )
@@ -58,6 +59,14 @@ def test_actions_of_the_predecessor_count_until_the_first_of_ones_own(
     handover.note_sent("action")
     _on_action(fake, handover, to_action_message(np.zeros(7)))
     assert followed == [[0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0]]
+
+
+def test_a_row_of_another_space_counts_without_its_numbers(handover: TimedHandover) -> None:
+    followed: list[Any] = []
+    joints = (Channel(name="a", unit="rad"), Channel(name="b", unit="rad"))
+    space = ControlSpace(kind="joint_position", channels=joints)
+    _on_action(module(handover.status, followed), handover, to_action_message(np.zeros(2), space))
+    assert followed == [None]
 
 
 def test_a_command_is_followed_from_the_time_it_was_sent(handover: TimedHandover) -> None:

@@ -15,7 +15,8 @@ from pydantic import BaseModel, ConfigDict, Field
 from rn_standard.tasks.contract_cases import RULES, MonitorCase, lifted_case
 from rn_standard.tasks.detectors import ColourLifted
 from rn_standard.tasks.monitor import Score
-from rn_testing.rule import RuleVerdict, verify
+from rn_testing.rule import RuleVerdict
+from rn_testing.verification import verify
 
 
 class Ignored(BaseModel):

@@ -42,7 +42,8 @@ if TYPE_CHECKING:
         RobotContract,
         RuntimeContract,
     )
-    from rn_testing.rule import NotApplicable, Rule, RuleResult, RuleVerdict, Violation, verify
+    from rn_testing.rule import NotApplicable, Rule, RuleVerdict, Violation
+    from rn_testing.verification import RuleResult, verify
 
 __all__ = [
     "AccelerationCase",
@@ -77,6 +78,11 @@ def __getattr__(name: str) -> object:
     """A public name, imported when it is first asked for."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    suffixes = {"Case": "cases", "Contract": "contracts"}
+    suffixes = {
+        "Case": "cases",
+        "Contract": "contracts",
+        "RuleResult": "verification",
+        "verify": "verification",
+    }
     module = next((place for suffix, place in suffixes.items() if name.endswith(suffix)), "rule")
     return getattr(import_module(f"{__name__}.{module}"), name)

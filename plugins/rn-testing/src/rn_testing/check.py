@@ -18,8 +18,9 @@ from typing import TextIO, TypedDict
 
 from rn_testing.automatic import make_case
 from rn_testing.cases import PackageCase
-from rn_testing.rule import AnyRule, RuleResult, RuleVerdict, verify
+from rn_testing.rule import AnyRule, RuleVerdict
 from rn_testing.rules import RULES, rules_of
+from rn_testing.verification import RuleResult, verify
 from roboneuron import RoboNeuronError
 from roboneuron.feature import discover
 

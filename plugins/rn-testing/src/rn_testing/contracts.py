@@ -8,8 +8,9 @@ import pytest
 
 from rn_testing.cases import CASES, PackageCase
 from rn_testing.kinds import kind_of
-from rn_testing.rule import AnyRule, RuleVerdict, verify
+from rn_testing.rule import AnyRule, RuleVerdict
 from rn_testing.rules import RULES
+from rn_testing.verification import verify
 from roboneuron import PluginError, Spec
 
 

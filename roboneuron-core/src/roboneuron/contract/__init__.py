@@ -5,14 +5,13 @@ numpy only. Nothing here knows ROS, MCP, torch or a plugin.
 """
 
 from roboneuron.contract.action import (
-    ACTION_FIELDS,
-    ACTION_LABEL,
     ACTION_SIZE,
     Action,
     ActionChunk,
     apply_delta,
     check_action_vector,
 )
+from roboneuron.contract.agreement import SpaceAgreement, agree
 from roboneuron.contract.image import check_rgb8, frame_from_buffer
 from roboneuron.contract.motion import Hold, JointCommand, Posture, Proximity, RobotState
 from roboneuron.contract.observation import (
@@ -45,13 +44,28 @@ from roboneuron.contract.protocols import (
     PostureInspector,
     RobotDriver,
     Runtime,
+    SpaceController,
     Topics,
+)
+from roboneuron.contract.space import (
+    ACTION_FIELDS,
+    ACTION_LABEL,
+    EE_DELTA,
+    GRIPPER,
+    SPACE_KINDS,
+    Channel,
+    ControlSpace,
+    channel_keys,
+    robot_space,
 )
 
 __all__ = [
     "ACTION_FIELDS",
     "ACTION_LABEL",
     "ACTION_SIZE",
+    "EE_DELTA",
+    "GRIPPER",
+    "SPACE_KINDS",
     "TOPIC_RULE",
     "Acceleration",
     "Action",
@@ -62,7 +76,9 @@ __all__ = [
     "Backend",
     "CameraCalibration",
     "CameraProfile",
+    "Channel",
     "CollisionProfile",
+    "ControlSpace",
     "Controller",
     "Endpoint",
     "Frame",
@@ -82,11 +98,16 @@ __all__ = [
     "RobotProfile",
     "RobotState",
     "Runtime",
+    "SpaceAgreement",
+    "SpaceController",
     "Topics",
     "Workspace",
+    "agree",
     "apply_delta",
+    "channel_keys",
     "check_action_vector",
     "check_rgb8",
     "check_topic",
     "frame_from_buffer",
+    "robot_space",
 ]

@@ -1,7 +1,8 @@
-"""The action: a 7-vector that means the same whichever model produced it.
+"""The action: a 7-vector that means the same whichever model produced it, and chunks of actions.
 
 dx dy dz [m] and rx ry rz [rad, rotation vector] move the TCP in the robot's base frame (p' = p + d,
-R' = exp(r) R); the last value is the absolute gripper opening, 0 closed .. 1 open.
+R' = exp(r) R); the last value is the absolute gripper opening, 0 closed .. 1 open. A chunk may hold
+rows of another space instead, which it names (see `roboneuron.contract.space`).
 """
 
 from __future__ import annotations
@@ -20,39 +21,16 @@ from roboneuron.contract.rotation import (
     matrix_from_rotvec,
     quaternion_from_matrix,
 )
-from roboneuron.errors import InvalidInputError, UnsafeError
+from roboneuron.contract.space import EE_DELTA, ControlSpace
+from roboneuron.errors import InvalidInputError
 
-ACTION_LABEL = "ee_delta_base"
-"""`layout.dim[0].label` of the action message."""
-ACTION_SIZE = 7
-"""Number of values in one action."""
-ACTION_FIELDS = ("dx_m", "dy_m", "dz_m", "rx_rad", "ry_rad", "rz_rad", "gripper_open")
-"""What each value is, in order, with its unit."""
+ACTION_SIZE = EE_DELTA.size
+"""Number of values in one action of the default space."""
 
 
 def check_action_vector(values: ArrayLike) -> F64:
-    """Return `values` as a float64 array of shape (7,).
-
-    Raises:
-        InvalidInputError: the size is not 7 or the gripper is outside [0, 1].
-        UnsafeError: a value is NaN or infinite.
-    """
-    vector = np.asarray(values, dtype=np.float64)
-    if vector.shape != (ACTION_SIZE,):
-        raise InvalidInputError(
-            f"An action has shape {vector.shape}, expected ({ACTION_SIZE},): {ACTION_FIELDS}."
-        )
-    finite = np.isfinite(vector)
-    if not finite.all():
-        bad = ACTION_FIELDS[int(np.argmin(finite))]
-        raise UnsafeError(
-            f"An action holds a non-finite value at {bad} ({vector[int(np.argmin(finite))]})."
-        )
-    if not 0.0 <= vector[6] <= 1.0:
-        raise InvalidInputError(
-            f"gripper_open is {vector[6]:g}, expected a value in [0 closed, 1 open]."
-        )
-    return vector
+    """Return `values` as a float64 array of shape (7,); raises as `ControlSpace.check`."""
+    return EE_DELTA.check(values)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -89,8 +67,8 @@ class ActionChunk:
     """What one inference yields: H actions, played out one per `step_s`, the first at once.
 
     Attributes:
-        actions: float64 (H, 7), H >= 1, finite, gripper in [0, 1]; checked at construction, kept as
-            a read-only copy.
+        actions: float64 (H, n), H >= 1, n = 7 in the default space, finite, gripper in [0, 1];
+            checked at construction, kept as a read-only copy.
         step_s: time between two actions [s], > 0.
         metrics: numbers worth watching (for instance "tokens_kept"); they go to /diagnostics and
             get_status.
@@ -99,9 +77,10 @@ class ActionChunk:
             `Ahead.context`, in the same process, never looked into.
         conditioned_rows: so many rows from row 0 on continue `Observation.ahead.rows`, 0 .. H. When
             it is not 0, the seam is not cross-faded.
+        space: what the values of a row are. It is the one that the backend's descriptor declares.
 
     Raises:
-        InvalidInputError, UnsafeError: as `check_action_vector`, or when the shape is not (H, 7).
+        InvalidInputError, UnsafeError: as `ControlSpace.check`, or when the shape is not (H, n).
     """
 
     actions: F64
@@ -110,15 +89,16 @@ class ActionChunk:
     note: str = ""
     context: Any = None
     conditioned_rows: int = 0
+    space: ControlSpace = EE_DELTA
 
     def __post_init__(self) -> None:
         actions = np.asarray(self.actions, dtype=np.float64)
-        if actions.ndim != 2 or actions.shape[0] < 1 or actions.shape[1] != ACTION_SIZE:
+        if actions.ndim != 2 or actions.shape[0] < 1 or actions.shape[1] != self.space.size:
             raise InvalidInputError(
-                f"A chunk has shape {actions.shape}, expected (H >= 1, {ACTION_SIZE})."
+                f"A chunk has shape {actions.shape}, expected (H >= 1, {self.space.size})."
             )
         for row in actions:
-            check_action_vector(row)
+            self.space.check(row)
         if not (np.isfinite(self.step_s) and self.step_s > 0):
             raise InvalidInputError(
                 f"step_s is {self.step_s}, expected a finite number of seconds > 0."

@@ -112,7 +112,8 @@ class Ahead:
     the new chunk. Some of the rows may have been sent when the backend sees them.
 
     Attributes:
-        rows: float64 (N, 7), N >= 0, contract units, oldest first.
+        rows: float64 (N, n), N >= 0, contract units, oldest first, in the space that control gets
+            (n = 7 in the default space).
         committed_rows: so many of them will be played whatever the backend answers, 0 .. N.
         step_s: their period [s], > 0.
         context: what the running chunk carried as `ActionChunk.context`; None when it carried
@@ -134,9 +135,9 @@ class Ahead:
 
     def __post_init__(self) -> None:
         rows = np.asarray(self.rows, dtype=np.float64)
-        if rows.ndim != 2 or rows.shape[1] != 7 or not np.isfinite(rows).all():
+        if rows.ndim != 2 or not np.isfinite(rows).all():
             raise InvalidInputError(
-                f"Rows ahead have shape {rows.shape}, expected finite numbers (N, 7)."
+                f"Rows ahead have shape {rows.shape}, expected finite numbers (N, n)."
             )
         if not 0 <= self.committed_rows <= len(rows) or self.context_row < 0:
             raise InvalidInputError(

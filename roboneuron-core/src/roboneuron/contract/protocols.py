@@ -12,8 +12,10 @@ from collections.abc import Callable
 from typing import Never, Protocol, TypeAlias, TypeVar, runtime_checkable
 
 from roboneuron.contract.action import Action, ActionChunk
+from roboneuron.contract.arrays import F64
 from roboneuron.contract.motion import Hold, JointCommand, Posture, RobotState
 from roboneuron.contract.observation import Frame, JointSample, Observation, Pose
+from roboneuron.contract.space import ControlSpace
 
 M = TypeVar("M")
 Model = TypeVar("Model", contravariant=True)
@@ -195,6 +197,27 @@ class Controller(Protocol):
 
     def close(self) -> None:
         """Release everything; may be called twice."""
+
+
+@runtime_checkable
+class SpaceController(Protocol):
+    """What a controller offers beside `Controller` when its descriptor names other `spaces` than
+    `ee_delta`.
+    """
+
+    def execute(
+        self, space: ControlSpace, row: F64, joints: JointSample, step_s: float
+    ) -> JointCommand | Hold:
+        """Return where to go within `step_s`, or why the robot should hold. Never raises for bad
+        numbers.
+
+        Args:
+            space: the robot's own space of that kind, see `robot_space`; never `joint_delta`.
+            row: float64 (n,), checked by `ControlSpace.check`.
+            joints: where the command in progress ends, so that velocities add up without loss;
+                the measured joints where none is in progress.
+            step_s: time the row is meant for [s].
+        """
 
 
 @runtime_checkable

@@ -15,8 +15,21 @@ from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
 from roboneuron.config import LimitsConfig
-from roboneuron.contract import Action, Controller, Hold, JointCommand, JointSample
-from roboneuron.errors import ConfigurationError, RoboNeuronError, UnsafeError
+from roboneuron.contract import (
+    EE_DELTA,
+    Action,
+    Controller,
+    ControlSpace,
+    Hold,
+    JointCommand,
+    JointSample,
+    RobotProfile,
+    SpaceController,
+    robot_space,
+)
+from roboneuron.contract.arrays import F64
+from roboneuron.contract.space import split_label
+from roboneuron.errors import ConfigurationError, InvalidInputError, RoboNeuronError, UnsafeError
 from roboneuron.gate.motion import check_tighter, collision_of, motion_rules
 from roboneuron.gate.motion.command import pick
 from roboneuron.modules.module_host import Module, ModuleHost
@@ -34,13 +47,14 @@ from roboneuron.modules.settings import (
     SHORTEST_STEP_S,
 )
 from roboneuron.planning import check_plan
+from roboneuron.plugins.specs import ControllerSpec
 from roboneuron.ros.messages import (
     commands_from_message,
     joints_from_message,
+    row_from_action_message,
     to_joint_state,
     to_joint_trajectory,
     to_pose_stamped,
-    vector_from_action_message,
 )
 from roboneuron.ros.topics import ACTION, EE_POSE, JOINT_COMMAND, JOINT_STATES, JOINT_TRAJECTORY
 
@@ -74,12 +88,14 @@ class ControlModule(Module):
         )
         profile = load_profile(self.registry, section.name)
         self._profile = replace(profile, collision=collision_of(self.config.limits, profile))
-        spec = self.registry.get("controller", config.controller)
+        spec = self.registry.get(ControllerSpec, config.controller)
         self._controller = cast(
             "Controller", build(spec, self.config.options(spec.name), self._profile)
         )
         node.resources.callback(self._controller.close)
         self._controller.load()
+        self._spaces = _executed_spaces(spec, self._controller, self._profile)
+        self._space = EE_DELTA
         self._watched = JointWatch(self._profile, config.state_timeout_s)
         state = Path(node.settings.state_directory)
         immediate = config.command == "joint_state"
@@ -209,12 +225,28 @@ class ControlModule(Module):
             self.status.dropped.add(reason)
             return
         try:
-            action = Action.from_vector(vector_from_action_message(message))
+            label, values = row_from_action_message(message)
+            if label != self._space.label:
+                self._space = self._agreed_space(label)
+            space = self._space
+            row = space.check(values)
         except RoboNeuronError as error:
             self.status.dropped.add("non_finite" if isinstance(error, UnsafeError) else "malformed")
             self.status.set_error(error)
             return
-        self._execute(action, source_ns, age_s)
+        self._execute(space, row, source_ns, age_s)
+
+    def _agreed_space(self, label: str) -> ControlSpace:
+        """The space of an action by its label. Raises InvalidInputError for one that this control
+        does not execute.
+        """
+        name, rate_hz = split_label(label)
+        if (space := self._spaces.get(name)) is None:
+            raise InvalidInputError(
+                f"An action is labelled {label!r}; this control executes "
+                f"{', '.join(map(repr, self._spaces))}."
+            )
+        return replace(space, rate_hz=rate_hz) if rate_hz else space
 
     def _why_not(self, age_s: float, source_ns: int) -> str | None:
         """Word for what forbids acting now, or None."""
@@ -242,7 +274,7 @@ class ControlModule(Module):
     def _are_joints_stale(self) -> bool:
         return self._watched.age_s(time.monotonic()) > self._limits.state_timeout_s
 
-    def _execute(self, action: Action, source_ns: int, age_s: float) -> None:
+    def _execute(self, space: ControlSpace, row: F64, source_ns: int, age_s: float) -> None:
         joints = self._watched.joints
         if joints is None:  # excluded by `_why_not`
             return
@@ -257,7 +289,7 @@ class ControlModule(Module):
             else FIRST_STEP_S
         )
         self._action_ns = source_ns
-        answer = self._controller.compute(action, joints, step_s)
+        answer = self._compute(space, row, joints, step_s, now_s)
         if self.handover.is_shadow(source_ns):
             self.handover.withhold(answer)
             return
@@ -294,6 +326,20 @@ class ControlModule(Module):
         self.status.set(note=FOLLOWING_NOTE)
         self.status.set_value("residual_m", outcome.residual_m)
         self.status.set_value("residual_rad", outcome.residual_rad)
+
+    def _compute(
+        self, space: ControlSpace, row: F64, joints: JointSample, step_s: float, now_s: float
+    ) -> JointCommand | Hold:
+        """The controller's answer to one row."""
+        if space is EE_DELTA:
+            return self._controller.compute(Action.from_vector(row), joints, step_s)
+        # `_executed_spaces` has looked
+        controller = cast("SpaceController", self._controller)
+        # A velocity holds for one period of the policy, whenever its message arrives. Positions
+        # are to be reached by when the next row is due.
+        if space.rate_hz:
+            step_s = 1.0 / space.rate_hz
+        return controller.execute(space, row, self._guard.reference(joints, now_s), step_s)
 
     def _watch(self) -> None:
         """Hold within one timeout after the last action."""
@@ -353,3 +399,19 @@ class ControlModule(Module):
         return to_joint_state(
             JointSample(names=command.names, position=command.position, stamp_ns=self.node.now_ns())
         )
+
+
+def _executed_spaces(
+    spec: ControllerSpec, controller: Controller, profile: RobotProfile
+) -> dict[str, ControlSpace]:
+    """Spaces that control executes, by label. Raises ConfigurationError when the controller cannot
+    do what its descriptor says.
+    """
+    # inference resolves `joint_delta`, which never travels
+    kinds = [kind for kind in spec.spaces if kind != "joint_delta"]
+    if kinds != ["ee_delta"] and not isinstance(controller, SpaceController):
+        raise ConfigurationError(
+            f"Controller {spec.name!r} declares {', '.join(kinds)}, but has no `execute`."
+        )
+    spaces = (robot_space(kind, profile) for kind in kinds)
+    return {space.label: space for space in spaces}

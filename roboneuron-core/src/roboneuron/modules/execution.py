@@ -37,7 +37,7 @@ class Row:
     """One action of a chunk.
 
     Attributes:
-        vector: float64 (7,), contract units.
+        vector: float64 (n,), contract units, in the space of its chunk.
         index, horizon: place in its chunk, and rows of that chunk.
         oldest_ns: capture time of the oldest image that it answers [ns].
         step_s: period of its chunk [s].
@@ -53,7 +53,7 @@ class Row:
 
 
 def rows_of(vectors: F64, chunk: ActionChunk, oldest_ns: int, first: int) -> list[Row]:
-    """`vectors`, float64 (N, 7), as the rows of `chunk` from number `first` on."""
+    """`vectors`, float64 (N, n), as the rows of `chunk` from number `first` on."""
     return [
         Row(vector, first + i, len(chunk.actions), oldest_ns, chunk.step_s, is_border=i == 0)
         for i, vector in enumerate(vectors)
@@ -231,9 +231,9 @@ class ChunkExecutor:
             self.changed.notify_all()
             return row
 
-    def note_sent(self, vector: F64, now_s: float, now_ns: int) -> None:
+    def note_sent(self, vector: F64 | None, now_s: float, now_ns: int) -> None:
         """Count a row that the predecessor of a handover sent; the next row is due a period after
-        it.
+        it. None: a row of another space.
         """
         with self.changed:
             self._predecessor_s = now_s

@@ -23,6 +23,7 @@ from roboneuron.contract import (
     AnyRuntime,
     Backend,
     CameraProfile,
+    ControlSpace,
     Observation,
     RobotProfile,
 )
@@ -32,7 +33,7 @@ from roboneuron.modules.inputs import NewestInputs
 from roboneuron.modules.instruction import Instruction
 from roboneuron.modules.module_host import Module, ModuleHost
 from roboneuron.modules.player import RowPlayer
-from roboneuron.modules.plugin import build, load_profile
+from roboneuron.modules.plugin import agree_on_space, build, load_profile
 from roboneuron.modules.worker import Worker
 from roboneuron.planning import Plan, check_plan
 from roboneuron.plugins.specs import BackendSpec
@@ -106,6 +107,10 @@ class InferenceModule(Module):
         options = dict(self.config.options(spec.name))
         if config.checkpoint is not None:
             options["checkpoint"] = config.checkpoint
+        self._agreement = agree_on_space(
+            self.registry, spec, options, robot.name, self.config.control
+        )
+        self.status.set_value("space", self._agreement.executed.label)
         parts = {
             part: None if chosen is None else build(chosen, self.config.options(chosen.name))
             for part, chosen in (("runtime", plan.runtime), ("acceleration", plan.acceleration))
@@ -143,6 +148,11 @@ class InferenceModule(Module):
         node.resources.callback(self._worker.stop, give_up=self._give_up)
         self._instruction = Instruction(node, config.instruction, self.executor.begin_epoch)
         self._player = RowPlayer(node, self.executor, self._send)
+
+    @property
+    def space(self) -> ControlSpace:
+        """What the rows are that are published."""
+        return self._agreement.executed
 
     def activate(self) -> None:
         """Start acting on the instruction, when there is one."""
@@ -269,7 +279,8 @@ class InferenceModule(Module):
             self.backend.reset()
         started_s = time.monotonic()
         try:
-            chunk = self.backend.predict(prediction.observation)
+            answer = self.backend.predict(prediction.observation)
+            chunk = self._agreement.convert(answer, prediction.observation.joints)
         except Exception as error:
             self._notify(prediction, resets, error)
             # rows that were planned before must not go on when the newest image is refused
@@ -302,7 +313,7 @@ class InferenceModule(Module):
 
     def _send(self, row: Row) -> None:
         """Publish one row; called by the player, which holds the executor's lock."""
-        self._actions.publish(to_action_message(row.vector))
+        self._actions.publish(to_action_message(row.vector, self.space))
         self.status.output.tick()
         self._instruction.note_action()
         if row.is_border:

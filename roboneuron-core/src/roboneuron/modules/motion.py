@@ -174,6 +174,10 @@ class MotionGuard:
         self._recorded: tuple[str, ...] = ()
         self._recorded_s = 0.0
 
+    def reference(self, joints: JointSample, now_s: float) -> JointSample:
+        """Joints where the command in progress ends; the measured ones where there is none."""
+        return self._limiter.reference(joints, now_s)
+
     def use(self, limits: LimitsConfig) -> None:
         """Apply other limits from the next command on. Raises ConfigurationError as
         `motion_rules`.

@@ -5,11 +5,20 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import cast
 
-from roboneuron.contract import RobotProfile
+from roboneuron.config import ControlConfig
+from roboneuron.contract import (
+    EE_DELTA,
+    SPACE_KINDS,
+    ControlSpace,
+    RobotProfile,
+    SpaceAgreement,
+    agree,
+)
 from roboneuron.errors import PluginError
-from roboneuron.plugins.loading import load_options, load_target
+from roboneuron.modules.settings import HOLD_SHARE
+from roboneuron.plugins.loading import load_attribute, load_options, load_target
 from roboneuron.plugins.registry import Registry
-from roboneuron.plugins.specs import DriverSpec, Spec
+from roboneuron.plugins.specs import BackendSpec, ControllerSpec, DriverSpec, Spec
 
 
 def build(
@@ -39,3 +48,47 @@ def load_profile(registry: Registry, robot: str) -> RobotProfile:
             "RobotProfile."
         )
     return profile
+
+
+def agree_on_space(
+    registry: Registry,
+    backend: BackendSpec,
+    options: Mapping[str, object],
+    robot: str,
+    control: ControlConfig | None,
+) -> SpaceAgreement:
+    """What the backend yields with these options, as the configured controller executes it.
+
+    Args:
+        registry: what is installed.
+        backend: its descriptor.
+        options: of the backend, with its checkpoint.
+        robot: name of the robot.
+        control: section of the configuration; None: every space is taken.
+
+    Raises:
+        PlanningError: they do not fit, see `agree`.
+        ConfigurationError, PluginError: something named cannot be used; as what declares the space.
+    """
+    profile = load_profile(registry, robot)
+    declared: object = EE_DELTA
+    if backend.space is not None:
+        declare = cast(
+            "Callable[..., object]",
+            load_attribute(backend.space, f"`space` of {backend.name!r}"),
+        )
+        declared = declare(options, profile)
+    if not isinstance(declared, ControlSpace):
+        raise PluginError(
+            f"The `space` of {backend.name!r} returned {type(declared).__name__}, expected "
+            "ControlSpace."
+        )
+    kinds: tuple[str, ...] = SPACE_KINDS
+    name, longest_s = "", None
+    if control is not None:
+        name = control.controller
+        kinds = registry.get(ControllerSpec, name, elsewhere=True).spaces
+        longest_s = control.action_timeout_s * HOLD_SHARE
+    return agree(
+        declared, profile, kinds, backend=backend.name, controller=name, longest_s=longest_s
+    )

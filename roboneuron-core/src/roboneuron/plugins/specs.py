@@ -105,6 +105,10 @@ class BackendSpec(Spec):
         takes_predicted_state: it was trained on states ahead of the image and reads TCP pose and
             gripper only (joints cannot be predicted from TCP deltas); it may be given them rolled
             forward to the end of the running chunk.
+        space: "module:attribute" of what says which space its chunks have: called with the options
+            (a mapping, unchecked) and the robot's profile, before anything heavy is imported,
+            returns a `ControlSpace` or raises a RoboNeuronError. It may read small files of the
+            checkpoint. None: `ee_delta`, always.
     """
 
     kind: ClassVar[str] = "backend"
@@ -121,6 +125,7 @@ class BackendSpec(Spec):
     conditions_on_rows: bool = False
     max_committed_rows: int = 0
     takes_predicted_state: bool = False
+    space: str | None = None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -176,11 +181,14 @@ class ControllerSpec(Spec):
 
     Attributes:
         robot_kinds: kinds of robot it can move ("arm", "base").
+        spaces: kinds of control spaces that it executes; others than `ee_delta` by
+            `SpaceController.execute`.
     """
 
     kind: ClassVar[str] = "controller"
 
     robot_kinds: tuple[str, ...] = ("arm",)
+    spaces: tuple[str, ...] = ("ee_delta",)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

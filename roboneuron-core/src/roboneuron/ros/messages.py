@@ -13,11 +13,11 @@ from sensor_msgs.msg import CameraInfo, Image, JointState
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from roboneuron.contract.action import ACTION_LABEL, ACTION_SIZE
 from roboneuron.contract.arrays import F64
 from roboneuron.contract.image import frame_from_buffer
 from roboneuron.contract.motion import JointCommand
 from roboneuron.contract.observation import CameraCalibration, Frame, JointSample, Pose
+from roboneuron.contract.space import ACTION_LABEL, EE_DELTA, ControlSpace
 from roboneuron.errors import InvalidInputError
 
 NS_PER_S = 1_000_000_000
@@ -118,28 +118,24 @@ def frame_from_message(
     )
 
 
-def to_action_message(vector: F64) -> Float64MultiArray:
-    """Action vector (7,) -> std_msgs/Float64MultiArray with the contract's label."""
+def to_action_message(row: F64, space: ControlSpace = EE_DELTA) -> Float64MultiArray:
+    """One row (n,) of a space -> std_msgs/Float64MultiArray with the label of the space."""
     message = Float64MultiArray()
     message.layout.dim = [
-        MultiArrayDimension(label=ACTION_LABEL, size=ACTION_SIZE, stride=ACTION_SIZE)
+        MultiArrayDimension(label=space.label, size=space.size, stride=space.size)
     ]
-    message.data = array.array("d", vector.tolist())
+    message.data = array.array("d", row.tolist())
     return message
 
 
-def vector_from_action_message(message: Float64MultiArray) -> F64:
-    """std_msgs/Float64MultiArray -> float64 (n,), unchecked in value.
+def row_from_action_message(message: Float64MultiArray) -> tuple[str, F64]:
+    """std_msgs/Float64MultiArray -> label of the space and float64 (n,), both unchecked.
 
-    Raises:
-        InvalidInputError: the layout names something else than the contract's action.
+    A message without a layout counts as the contract's 7-vector.
     """
     dims = message.layout.dim
-    if dims and dims[0].label != ACTION_LABEL:
-        raise InvalidInputError(
-            f"An action is labelled {dims[0].label!r}, expected {ACTION_LABEL!r}."
-        )
-    return np.array(message.data, dtype=np.float64)
+    label = dims[0].label if dims else ACTION_LABEL
+    return label, np.array(message.data, dtype=np.float64)
 
 
 def to_joint_state(joints: JointSample) -> JointState:

@@ -12,7 +12,7 @@ from rn_standard.execution.meter import DeliveryMeter, RowDelivery
 from rn_standard.execution.mode import Abilities, Mode, ModeChoice, ModeSelector
 from rn_standard.execution.queue import SentRowQueue, fade_rows_of
 from rn_standard.execution.roll_forward import roll_forward
-from roboneuron import ActionChunk, Ahead, Observation
+from roboneuron import EE_DELTA, ActionChunk, Ahead, Observation
 from roboneuron.feature import F64, execution
 
 
@@ -72,6 +72,7 @@ class AdaptiveExecutor(execution.ChunkExecutor):
         self._latency = LatencyWindow()
         self._meter = DeliveryMeter()
         self._horizon = 0
+        self._space = EE_DELTA
 
     def wants_prediction(self, now_s: float) -> bool:
         """As ChunkExecutor; not in `sequential`, while there are rows left."""
@@ -106,7 +107,7 @@ class AdaptiveExecutor(execution.ChunkExecutor):
         """As ChunkExecutor: its latency may change the mode."""
         with self.changed:
             super().measure(prediction, chunk, now_ns)
-            self._horizon = len(chunk.actions)
+            self._horizon, self._space = len(chunk.actions), chunk.space
             self._latency.add(max(0.0, (now_ns - prediction.captured_ns) / 1e9))
             self._selector.update(len(chunk.actions), chunk.step_s, self._latency)
 
@@ -115,10 +116,10 @@ class AdaptiveExecutor(execution.ChunkExecutor):
         with self.changed:
             row = super().play(now_s, now_ns)
             if row is not None:
-                self._meter.add(row, now_s)
+                self._meter.add(row, now_s, moves_tcp=self._space is EE_DELTA)
             return row
 
-    def note_sent(self, vector: F64, now_s: float, now_ns: int) -> None:
+    def note_sent(self, vector: F64 | None, now_s: float, now_ns: int) -> None:
         """As ChunkExecutor."""
         with self.changed:
             self._predecessor_s = now_s
@@ -173,17 +174,17 @@ class AdaptiveExecutor(execution.ChunkExecutor):
         return rows_in(self._latency.p99_s or 0.0, step_s)
 
     def _rolled(self, observation: Observation, step_s: float) -> Observation:
-        pose = observation.ee_pose
-        if pose is None:
+        measured = observation.ee_pose or observation.joints
+        if measured is None:
             return observation
-        rows, done_share = self._queue.rows_to_roll(pose.stamp_ns, step_s)
+        rows, done_share = self._queue.rows_to_roll(measured.stamp_ns, step_s)
         if not len(rows):
             return observation
-        rolled, gripper_open = roll_forward(pose, observation.gripper_open, rows, done_share)
         ahead = Ahead(
             rows=rows,
             committed_rows=len(rows),
             step_s=step_s,
             state_ahead_s=(len(rows) - done_share) * step_s,
         )
-        return replace(observation, ee_pose=rolled, gripper_open=gripper_open, ahead=ahead)
+        rolled = roll_forward(observation, rows, done_share, self._space, step_s)
+        return replace(rolled, ahead=ahead)

@@ -51,8 +51,8 @@ class DeliveryMeter:
         """Nothing is wanted for now; the time until the next row is no gap."""
         self._last = None
 
-    def add(self, row: execution.Row, now_s: float) -> None:
-        """A row was sent at that monotonic time [s]."""
+    def add(self, row: execution.Row, now_s: float, *, moves_tcp: bool = True) -> None:
+        """A row was sent at that monotonic time [s]; `moves_tcp`: it is a TCP delta."""
         if self._last is not None:
             last_s, last = self._last
             gap_s = now_s - last_s
@@ -61,8 +61,9 @@ class DeliveryMeter:
             # Half a period late is jitter; only a period without any row is starvation.
             self.starved_periods += max(0, int(gap_s / row.step_s + 0.5) - 1)
             self.longest_gap_s = max(self.longest_gap_s, gap_s)
-            jump_m = math.dist(row.vector[:3].tolist(), last.vector[:3].tolist())
-            self._jumps[row.is_border].append(jump_m * 1e3)
+            if moves_tcp:
+                jump_m = math.dist(row.vector[:3].tolist(), last.vector[:3].tolist())
+                self._jumps[row.is_border].append(jump_m * 1e3)
         self._last = (now_s, row)
 
     def delivery(self) -> RowDelivery:

@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from roboneuron import ActionChunk, Ahead
+from roboneuron import EE_DELTA, GRIPPER, ActionChunk, Ahead, ControlSpace
 from roboneuron.feature import execution
 
 F64 = NDArray[np.float64]
@@ -32,8 +32,10 @@ _MEMORY = 512
 
 @dataclass(slots=True)
 class _Sent:
+    """A row that was sent; its vector is None for one of a predecessor in another space."""
+
     sent_ns: int
-    vector: F64
+    vector: F64 | None
 
 
 @dataclass
@@ -70,9 +72,9 @@ class SentRowQueue:
         self._sent.append(_Sent(sent_ns, row.vector))
         return row
 
-    def note_sent(self, vector: F64, sent_ns: int) -> None:
+    def note_sent(self, vector: F64 | None, sent_ns: int) -> None:
         """Another module (the predecessor in a handover) sent a row: it moved the arm in place of
-        our next one.
+        our next one. None: a row of another space.
         """
         self._sent.append(_Sent(sent_ns, vector))
         if self.rows:
@@ -104,14 +106,14 @@ class SentRowQueue:
         """
         sent = self._sent_after(captured_ns)
         rows = [*sent, *(row.vector for row in self.rows)]
-        if not rows:
+        if not rows or any(row is None for row in rows):
             return None
         # A chunk's row k is aligned with the k-th row sent since its capture, so the running
         # chunk's context is aligned with what was sent before its border too.
         start = self.rows[0].index - len(sent) if self.rows else -1
         has_context = self._context is not None and start >= 0
         return Ahead(
-            rows=np.array(rows),
+            rows=np.array(rows, dtype=np.float64),
             committed_rows=min(len(rows), committed_rows),
             step_s=step_s,
             context=self._context if has_context else None,
@@ -126,8 +128,8 @@ class SentRowQueue:
             step_s: period of the rows [s].
 
         Returns:
-            float64 (N, 7), oldest first, and the share of the first that was carried out at the
-            measurement, 0 .. 1.
+            float64 (N, n), oldest first, and the share of the first that was carried out at the
+            measurement, 0 .. 1. No rows where one of another space is among them.
         """
         period_ns = step_s * 1e9
         under_way = [sent for sent in self._sent if sent.sent_ns > measured_ns - period_ns]
@@ -135,7 +137,9 @@ class SentRowQueue:
         if under_way and under_way[0].sent_ns < measured_ns:
             share = (measured_ns - under_way[0].sent_ns) / period_ns
         rows = [*(sent.vector for sent in under_way), *(row.vector for row in self.rows)]
-        return np.array(rows).reshape(-1, 7), share
+        if any(row is None for row in rows):
+            rows = []
+        return np.array(rows, dtype=np.float64).reshape(len(rows), -1), share
 
     def replace(
         self,
@@ -164,13 +168,14 @@ class SentRowQueue:
         vectors = chunk.actions[played:]
         if not chunk.conditioned_rows or is_overrun:
             fade_rows = fade_rows_of(len(chunk.actions), self.fade_rows)
-            vectors = cross_fade([row.vector for row in self.rows], vectors, fade_rows)
+            old = [row.vector for row in self.rows]
+            vectors = cross_fade(old, vectors, fade_rows, chunk.space)
         self.rows.clear()
         self.rows.extend(execution.rows_of(vectors, chunk, oldest_ns, first=played))
         self._context = chunk.context
         return "accepted"
 
-    def _sent_after(self, captured_ns: int) -> list[F64]:
+    def _sent_after(self, captured_ns: int) -> list[F64 | None]:
         return [sent.vector for sent in self._sent if sent.sent_ns >= captured_ns]
 
 
@@ -183,17 +188,18 @@ def fade_rows_of(horizon: int, most: int = FADE_ROWS) -> int:
     return max(0, min(most, horizon - most))
 
 
-def cross_fade(old: Sequence[F64], new: F64, rows: int) -> F64:
+def cross_fade(old: Sequence[F64], new: F64, rows: int, space: ControlSpace = EE_DELTA) -> F64:
     """Return `new` with its first rows faded in from `old`.
 
-    Deltas are blended, not poses: both hands of a blend are rates of motion, so the arm neither
-    jumps nor catches up. The gripper's opening is a decision and is never taken half-way: the new
-    value counts from the seam.
+    Deltas and velocities are blended as rates of motion, so the arm neither jumps nor catches up;
+    positions and poses as places, so it goes over from one path to the other. The gripper's opening
+    is a decision and is never taken half-way: the new value counts from the seam.
 
     Args:
-        old: float64 (7,) each: what would be played without the new chunk.
-        new: float64 (N, 7).
+        old: float64 (n,) each: what would be played without the new chunk.
+        new: float64 (N, n).
         rows: length of the fade; at most as many as both have.
+        space: of both.
     """
     count = min(rows, len(old), len(new))
     if count == 0:
@@ -201,5 +207,18 @@ def cross_fade(old: Sequence[F64], new: F64, rows: int) -> F64:
     faded = np.array(new)
     share = (np.arange(count) + 1.0)[:, None] / (count + 1.0)
     before = np.stack(list(islice(old, count)))
-    faded[:count, :6] = (1.0 - share) * before[:, :6] + share * new[:count, :6]
+    if space.kind == "ee_pose":
+        _align_quaternions(before, new[:count], space)
+    moving = [i for i, channel in enumerate(space.channels) if channel.name != GRIPPER]
+    blend = (1.0 - share) * before + share * new[:count]
+    faded[:count, moving] = blend[:, moving]
+    for part in space.quaternions:
+        faded[:count, part] /= np.linalg.norm(faded[:count, part], axis=1, keepdims=True)
     return faded
+
+
+def _align_quaternions(before: F64, after: F64, space: ControlSpace) -> None:
+    """Turn the signs of quaternions in place so that a blend takes the shorter way."""
+    for part in space.quaternions:
+        opposite = np.einsum("ij,ij->i", before[:, part], after[:, part]) < 0.0
+        before[opposite, part] *= -1.0

@@ -4,35 +4,89 @@ to be played.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
-from roboneuron import Action, Pose, apply_delta
+from roboneuron import (
+    EE_DELTA,
+    GRIPPER,
+    Action,
+    ControlSpace,
+    JointSample,
+    Observation,
+    Pose,
+    apply_delta,
+)
 
 F64 = NDArray[np.float64]
 
 
 def roll_forward(
-    pose: Pose, gripper_open: float | None, rows: F64, done_share: float = 0.0
-) -> tuple[Pose, float | None]:
-    """Return pose and opening after `rows`.
+    observation: Observation,
+    rows: F64,
+    done_share: float = 0.0,
+    space: ControlSpace = EE_DELTA,
+    step_s: float = 0.0,
+) -> Observation:
+    """Return the observation with the state after `rows`.
 
-    Commands overstate motion where the arm lags behind; joints cannot be rolled from TCP deltas.
+    What the space moves is rolled: the TCP pose by TCP deltas and poses, the joints by joint
+    positions and velocities, and the gripper. The rest stays as measured, since joints cannot be
+    told from TCP deltas nor the TCP from joints here. Commands overstate motion where the arm lags
+    behind.
 
     Args:
-        pose: measured, of the TCP in the base frame.
-        gripper_open: measured, 0 closed .. 1 open; None stays None.
-        rows: float64 (N, 7), oldest first, contract units.
-        done_share: of the first row, carried out when the pose was measured, 0 .. 1; its rotation
-            vector is scaled.
+        observation: measured.
+        rows: float64 (N, n), N >= 1, oldest first, contract units.
+        done_share: of the first row, carried out when the state was measured, 0 .. 1; of a TCP
+            delta the rotation vector is scaled.
+        space: of the rows.
+        step_s: their period [s].
 
-    Source: VLASH, arXiv 2512.01031, for absolute actions; here for TCP deltas in the base frame.
+    Source: VLASH, arXiv 2512.01031, for absolute actions; here for every space.
     """
-    for i, row in enumerate(rows):
-        left = 1.0 - done_share if i == 0 else 1.0
+    left = np.ones(len(rows))
+    left[0] -= done_share
+    keys = space.keys
+    opening = observation.gripper_open
+    if opening is not None and GRIPPER in keys:
+        opening = float(rows[-1, keys.index(GRIPPER)])
+    pose, joints = observation.ee_pose, observation.joints
+    if pose is not None and space.kind.startswith("ee"):
+        pose = _rolled_pose(pose, rows, left, space)
+    if joints is not None and space.kind.startswith("joint"):
+        joints = _rolled_joints(joints, rows, left * step_s, space)
+    return replace(observation, ee_pose=pose, joints=joints, gripper_open=opening)
+
+
+def _rolled_pose(pose: Pose, rows: F64, left: F64, space: ControlSpace) -> Pose:
+    if space.kind == "ee_pose":
+        end = dict(zip(space.keys, rows[-1].tolist(), strict=True))
+        quaternion = np.array([end[f"q{name}"] for name in "xyzw"])
+        return Pose(
+            position_m=np.array([end[name] for name in "xyz"]),
+            quaternion_xyzw=quaternion / np.linalg.norm(quaternion),
+            stamp_ns=pose.stamp_ns,
+        )
+    for row, share in zip(rows, left, strict=True):
         pose = apply_delta(
             pose,
-            Action(translation_m=row[:3] * left, rotation_rad=row[3:6] * left, gripper_open=1.0),
+            Action(translation_m=row[:3] * share, rotation_rad=row[3:6] * share, gripper_open=1.0),
         )
-        gripper_open = None if gripper_open is None else float(row[6])
-    return pose, gripper_open
+    return pose
+
+
+def _rolled_joints(
+    joints: JointSample, rows: F64, times_s: F64, space: ControlSpace
+) -> JointSample:
+    position = np.array(joints.position)
+    for column, key in enumerate(space.keys):
+        if key in joints.names:
+            joint = joints.names.index(key)
+            if space.kind == "joint_velocity":
+                position[joint] += float(rows[:, column] @ times_s)
+            else:
+                position[joint] = rows[-1, column]
+    return replace(joints, position=position)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 from pydantic import Field
 
@@ -12,8 +12,23 @@ from roboneuron import CallContext, InvalidInputError, NoArguments, Result, Tool
 from roboneuron.feature import EmergencyStopArguments, assess, results, roles
 
 if TYPE_CHECKING:
-    from rn_standard.fleet.fleet import Fleet
     from roboneuron.feature import Application
+
+
+class StoppedTogether(Protocol):
+    """Robots that have one emergency stop beside their own.
+
+    Attributes:
+        robots: by name.
+    """
+
+    robots: dict[str, Application]
+
+    def press(self, who: str, reason: str) -> None:
+        """Latch the stop of all robots at once."""
+
+    def latch(self, who: str, reason: str) -> tuple[list[str], float]:
+        """Latch, and return what has confirmed it and how long that took [s]."""
 
 
 class FleetRobot(Result):
@@ -63,7 +78,7 @@ def list_fleet_tool(robots: Mapping[str, Application]) -> Tool[NoArguments]:
     )
 
 
-def emergency_stop_tool(fleet: Fleet) -> Tool[FleetStop]:
+def emergency_stop_tool(fleet: StoppedTogether) -> Tool[FleetStop]:
     """emergency_stop of all robots; a call that names one goes to that robot's own tool."""
 
     def press(arguments: Mapping[str, object], context: CallContext) -> None:

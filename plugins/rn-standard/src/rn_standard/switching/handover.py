@@ -19,7 +19,7 @@ from collections.abc import Callable
 
 from rn_standard.switching.shadow_controller import ControllerComparison
 from rn_standard.switching.standby import ACT_FROM, ACT_UNTIL, NEVER_NS, PLAY_FROM, PLAY_UNTIL
-from roboneuron import ACTION_FIELDS, ActionChunk, Hold, JointCommand, Pose
+from roboneuron import ActionChunk, Hold, JointCommand, Pose
 from roboneuron.feature import Handover, StatusWriter
 
 _SETTLE_S = 5.0
@@ -126,7 +126,7 @@ class TimedHandover(Handover):
         """See `Handover.withhold`; the status tells what is compared."""
         if isinstance(output, ActionChunk):
             self._took_s = self._now_s() - self._begun_s
-            for name, value in zip(ACTION_FIELDS, output.actions[0].tolist(), strict=True):
+            for name, value in zip(output.space.keys, output.actions[0].tolist(), strict=True):
                 self.status.set_value(f"shadow_action.{name}", value)
             self._count += 1
             self.status.set_value("shadow_count", self._count)

@@ -15,7 +15,7 @@ from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
 from rn_standard.switching.handover import TimedHandover
-from roboneuron import ACTION_SIZE, InvalidInputError, Pose
+from roboneuron import ACTION_LABEL, InvalidInputError, Pose
 from roboneuron.feature import ControlModule, InferenceModule, Module
 
 ACTION, EE_POSE, JOINT_COMMAND, JOINT_TRAJECTORY = (
@@ -45,10 +45,15 @@ def follow_predecessor(module: Module, handover: TimedHandover) -> None:
 def _on_action(
     module: InferenceModule, handover: TimedHandover, message: Float64MultiArray
 ) -> None:
-    """Count what moves the arm until this module does."""
-    if not handover.has_sent("action") and len(message.data) == ACTION_SIZE:
-        handover.hear_action()
-        module.executor.note_sent(np.array(message.data), time.monotonic(), module.node.now_ns())
+    """Count what moves the arm until this module does; rows of another space only count."""
+    dims, space = message.layout.dim, module.space
+    is_ours = (dims[0].label if dims else ACTION_LABEL) == space.label
+    is_malformed = is_ours and len(message.data) != space.size
+    if handover.has_sent("action") or is_malformed:
+        return
+    handover.hear_action()
+    row = np.array(message.data) if is_ours else None
+    module.executor.note_sent(row, time.monotonic(), module.node.now_ns())
 
 
 def _on_pose(handover: TimedHandover, message: PoseStamped) -> None:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import ClassVar
 
 from rn_standard.switching.gap import Gap, action_gap
-from roboneuron import ACTION_FIELDS, NotReadyError, RefusedError
+from roboneuron import ACTION_LABEL, GRIPPER, NotReadyError, RefusedError, channel_keys
 from roboneuron.feature import KIND_ENTRIES, ClosedLoop, ModuleKind, Report, Selection
 
 _LOOKS = 3
@@ -103,12 +103,15 @@ class InferenceCheck(SwitchCheck):
             return None
         started_ns = time.time_ns()
         seen: dict[str, tuple[float, ...]] = {}
+        label = [ACTION_LABEL]
 
         def enough() -> bool:
             report = shadow()
             if "shadow_count" in report.metrics:
+                label[0] = report.metrics.get("space", ACTION_LABEL)
                 values = tuple(
-                    float(report.metrics[f"shadow_action.{name}"]) for name in ACTION_FIELDS
+                    float(report.metrics[f"shadow_action.{name}"])
+                    for name in channel_keys(label[0])
                 )
                 seen[report.metrics["shadow_count"]] = values
             return len(seen) >= _LOOKS
@@ -119,8 +122,11 @@ class InferenceCheck(SwitchCheck):
                 "replaced.",
                 hint="Do images come? See get_status.",
             )
+        old = self.old()
+        if old is not None and old.metrics.get("space", ACTION_LABEL) != label[0]:
+            return None  # positions and deltas have no difference
         sent = [values for sent_ns, values in self._stream.copy() if sent_ns >= started_ns]
-        difference = _difference(list(seen.values()), sent)
+        difference = _difference(list(seen.values()), sent, channel_keys(label[0]))
         if difference is not None and difference > self._bound:
             raise RefusedError(
                 f"In shadow the new backend's actions differ by {difference:.3g} m or rad from "
@@ -293,16 +299,19 @@ CHECKS: Mapping[ModuleKind, type[SwitchCheck]] = {
 
 
 def _difference(
-    shadow: Sequence[tuple[float, ...]], acting: Sequence[tuple[float, ...]]
+    shadow: Sequence[tuple[float, ...]],
+    acting: Sequence[tuple[float, ...]],
+    keys: Sequence[str],
 ) -> float | None:
-    """Largest difference of the medians over translation [m] and rotation [rad]; the gripper may
+    """Largest difference of the medians over the channels, in their own units; grippers may
     differ.
     """
     if not shadow or not acting:
         return None
     return max(
         abs(statistics.median(a[axis] for a in shadow) - statistics.median(a[axis] for a in acting))
-        for axis in range(6)
+        for axis, key in enumerate(keys)
+        if not key.endswith(GRIPPER)
     )
 
 

@@ -164,6 +164,25 @@ class MotionLimiter:
         except UnsafeError:
             self._sent = None
 
+    def reference(self, joints: JointSample, now_s: float) -> JointSample:
+        """Joints at the end of the command in progress, for a command that adds to it.
+
+        The measured ones when there is none, when it is too old, or when the arm does not follow
+        it: then nothing is to be made up for.
+        """
+        sent = self._sent
+        if sent is None or now_s - sent.sent_s >= _MEMORY_S:
+            return joints
+        with suppress(UnsafeError):
+            measured = pick(joints.names, joints.position, self._names)
+            position, _ = sent.at(now_s)
+            if (np.abs(position - measured) <= self._lost).all():
+                ends = np.array(joints.position)
+                arm = [joints.names.index(name) for name in self._names]
+                ends[arm] = sent.start + sent.displacement
+                return replace(joints, position=ends)
+        return joints
+
     def rest(self, joints: JointSample | None, now_s: float) -> None:
         """Take the measured joints as the setpoint, at rest; None: they are not known."""
         self._sent = None

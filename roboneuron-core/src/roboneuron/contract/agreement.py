@@ -1,0 +1,150 @@
+"""Agreement on a control space: what a backend declares beside what a robot and its controller
+execute, compared by names, units and frames before anything heavy is loaded.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from roboneuron.contract.action import ActionChunk
+from roboneuron.contract.arrays import F64
+from roboneuron.contract.observation import JointSample
+from roboneuron.contract.profile import RobotProfile
+from roboneuron.contract.space import EE_DELTA, GRIPPER, ControlSpace, robot_space
+from roboneuron.errors import InvalidInputError, PlanningError
+
+_RATE_SHARE = 0.02
+"""How far the period of a chunk may be from the declared rate: rates are told in whole Hz."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SpaceAgreement:
+    """What becomes of a backend's rows on their way to control.
+
+    Attributes:
+        declared: by the backend.
+        executed: by the robot: the same channels in its own order; positions for `joint_delta`.
+        columns: the declared column of each executed channel.
+    """
+
+    declared: ControlSpace
+    executed: ControlSpace
+    columns: tuple[int, ...]
+
+    def convert(self, chunk: ActionChunk, joints: JointSample | None) -> ActionChunk:
+        """The chunk as control gets it.
+
+        Args:
+            chunk: answer of the backend.
+            joints: measured with the observation that it answers; needed for `joint_delta`.
+
+        Raises:
+            InvalidInputError: the chunk has another space or period than the backend declares, or
+                the joints do not hold those of the space.
+        """
+        if chunk.space is EE_DELTA and self.executed is EE_DELTA:
+            return chunk
+        if chunk.space.label != self.declared.label:
+            raise InvalidInputError(
+                f"The backend answered in {chunk.space.label!r}; it declares "
+                f"{self.declared.label!r}."
+            )
+        rate_hz = self.declared.rate_hz
+        if rate_hz and abs(chunk.step_s * rate_hz - 1.0) > _RATE_SHARE:
+            raise InvalidInputError(
+                f"The backend answered with {1.0 / chunk.step_s:.4g} rows a second; it declares "
+                f"{rate_hz:g}."
+            )
+        actions = chunk.actions[:, self.columns]
+        if self.declared.kind == "joint_delta":
+            actions = actions + self._offsets(joints)
+        return replace(chunk, actions=actions, space=self.executed)
+
+    def _offsets(self, joints: JointSample | None) -> F64:
+        """What is added to each column: the measured joint; 0 for a gripper."""
+        measured = {GRIPPER: 0.0}
+        if joints is not None:
+            measured |= dict(zip(joints.names, joints.position.tolist(), strict=True))
+        names = [channel.name for channel in self.executed.channels]
+        missing = [name for name in names if name not in measured]
+        if missing:
+            raise InvalidInputError(
+                f"The measured joints lack {', '.join(missing)}, to which the backend's deltas "
+                "are relative."
+            )
+        return np.array([measured[name] for name in names])
+
+
+def agree(
+    declared: ControlSpace,
+    profile: RobotProfile,
+    kinds: Collection[str],
+    *,
+    backend: str,
+    controller: str,
+    longest_s: float | None = None,
+) -> SpaceAgreement:
+    """Compare both sides by the names of their channels.
+
+    Args:
+        declared: by the backend.
+        profile: of the robot.
+        kinds: which spaces the controller executes.
+        backend, controller: their names, for messages.
+        longest_s: time without an action after which control holds [s]; None: not known.
+
+    Raises:
+        PlanningError: names both sides, and every channel that is missing, too much or different.
+    """
+    kind = "joint_position" if declared.kind == "joint_delta" else declared.kind
+    if kind not in kinds:
+        raise PlanningError(
+            f"Backend {backend!r} yields {_described(declared)}; controller {controller!r} "
+            f"executes {', '.join(kinds)}.",
+            hint=f"Choose a controller that executes {kind!r}.",
+        )
+    try:
+        executed = robot_space(kind, profile, declared.rate_hz)
+    except InvalidInputError as error:
+        raise PlanningError(f"Backend {backend!r} does not fit: {error.message}") from error
+    ours = {channel.key: channel for channel in executed.channels}
+    theirs = {channel.key: channel for channel in declared.channels}
+    problems = []
+    if missing := [key for key in ours if key not in theirs]:
+        problems.append(f"the backend lacks {', '.join(missing)}")
+    if extra := [key for key in theirs if key not in ours]:
+        problems.append(f"the robot lacks {', '.join(extra)}")
+    for key in ours.keys() & theirs.keys():
+        for what in ("unit", "frame"):
+            mine, its = getattr(ours[key], what), getattr(theirs[key], what)
+            if mine != its:
+                problems.append(f"{what} of {key}: {its or 'none'!r}, expected {mine or 'none'!r}")
+    if kind == "joint_velocity" and not declared.rate_hz:
+        problems.append("the backend does not say how many rows a second it yields")
+    if longest_s is not None and declared.rate_hz and 1.0 / declared.rate_hz > longest_s:
+        problems.append(
+            f"{declared.rate_hz:g} rows a second are too few: control holds {longest_s:g} s after "
+            "the last one (control.action_timeout_s)"
+        )
+    if problems:
+        raise PlanningError(
+            f"Backend {backend!r} yields {_described(declared)}; robot {profile.name!r} executes "
+            f"{_described(executed)}: {'; '.join(sorted(problems))}.",
+            hint="Name the robot's joints, one for each of the policy's, in the options of the "
+            "backend.",
+        )
+    keys = declared.keys
+    return SpaceAgreement(
+        declared=declared,
+        executed=executed,
+        columns=tuple(keys.index(key) for key in executed.keys),
+    )
+
+
+def _described(space: ControlSpace) -> str:
+    relative = ", relative to the measured joints" if space.kind == "joint_delta" else ""
+    rate = f" at {space.rate_hz:g} Hz" if space.rate_hz else ""
+    return f"{space.kind} ({', '.join(space.keys)}{relative}{rate})"

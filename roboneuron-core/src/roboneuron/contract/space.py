@@ -1,0 +1,201 @@
+"""Control spaces: what the numbers of one action are, as named channels with unit, frame and arm.
+
+The default is `EE_DELTA`, the contract's 7-vector. A backend may declare another space instead; its
+label travels with each action, so that nothing is mapped by place.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from roboneuron.contract.arrays import F64
+from roboneuron.contract.profile import RobotProfile, prismatic_joints
+from roboneuron.errors import InvalidInputError, UnsafeError
+
+ACTION_LABEL = "ee_delta_base"
+"""`layout.dim[0].label` of the message of a 7-vector."""
+ACTION_FIELDS = ("dx_m", "dy_m", "dz_m", "rx_rad", "ry_rad", "rz_rad", "gripper_open")
+"""What each value of a 7-vector is, in order, with its unit."""
+SPACE_KINDS = ("ee_delta", "ee_pose", "joint_position", "joint_velocity", "joint_delta")
+"""Kinds of control spaces.
+
+- `ee_delta`: displacement of the TCP, see `roboneuron.contract.action`.
+- `ee_pose`: absolute pose of the TCP in the base frame: x y z [m], quaternion qx qy qz qw.
+- `joint_position`: absolute joint positions [rad, m of slides].
+- `joint_velocity`: joint velocities [rad/s, m/s of slides], each held for one period of the chunk.
+- `joint_delta`: joint positions relative to the joints measured with the observation. Inference
+  adds those, so that what it publishes is `joint_position`.
+"""
+GRIPPER = "gripper_open"
+"""Name of a gripper's channel: its absolute opening, 0 closed .. 1 open, in every space."""
+OPENING = "opening"
+GREATEST_RATE_HZ = 1000.0
+_LEAST_NORM, _GREATEST_NORM = 0.9, 1.1
+"""Length of a quaternion that rounding and a cross-fade of neighbours can explain."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Channel:
+    """One number of an action.
+
+    Attributes:
+        name: name of the joint, `GRIPPER`, or name of a coordinate ("x", "qw").
+        unit: "m", "rad", "m/s", "rad/s", "1" (quaternions) or "opening" (0 closed .. 1 open).
+        frame: "base" for coordinates of the TCP; "" for joints and grippers.
+        arm: which arm of a robot that has several; "" for the only one.
+    """
+
+    name: str
+    unit: str
+    frame: str = ""
+    arm: str = ""
+
+    @property
+    def key(self) -> str:
+        """Its name in labels and messages: "x", "left/x"."""
+        return f"{self.arm}/{self.name}" if self.arm else self.name
+
+
+@dataclass(frozen=True, kw_only=True)
+class ControlSpace:
+    """What one row of a chunk means.
+
+    Attributes:
+        kind: one of `SPACE_KINDS`.
+        channels: what each value is, in order.
+        rate_hz: rows per second that the policy was trained for; 0 when any rate will do.
+        quaternions: where four channels are a quaternion x y z w.
+        label: kind, rate and names of the channels, as the action message carries them:
+            "joint_velocity@15:fr3_joint1,fr3_joint2,gripper_open".
+
+    Raises:
+        InvalidInputError: the kind or the rate is none, or a channel comes twice.
+    """
+
+    kind: str
+    channels: tuple[Channel, ...]
+    rate_hz: float = 0.0
+    label: str = field(init=False)
+    _grippers: tuple[int, ...] = field(init=False, repr=False, compare=False)
+    quaternions: tuple[slice, ...] = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        keys = [channel.key for channel in self.channels]
+        if self.kind not in SPACE_KINDS:
+            raise InvalidInputError(
+                f"{self.kind!r} is no control space; there are: {', '.join(SPACE_KINDS)}."
+            )
+        if not 0.0 <= self.rate_hz <= GREATEST_RATE_HZ:
+            raise InvalidInputError(
+                f"A rate of {self.rate_hz} Hz is none; expected 0 .. {GREATEST_RATE_HZ:g} Hz."
+            )
+        if len(set(keys)) != len(keys) or not keys:
+            raise InvalidInputError(f"The channels of {self.kind!r} are not distinct: {keys}.")
+        names = [channel.name for channel in self.channels]
+        rate = f"@{self.rate_hz:g}" if self.rate_hz else ""
+        label = f"{self.kind}{rate}:{','.join(keys)}"
+        if self.kind == "ee_delta":
+            label = ACTION_LABEL
+        object.__setattr__(self, "label", label)
+        object.__setattr__(
+            self, "_grippers", tuple(i for i, name in enumerate(names) if name == GRIPPER)
+        )
+        object.__setattr__(
+            self, "quaternions", tuple(slice(i, i + 4) for i, n in enumerate(names) if n == "qx")
+        )
+
+    @property
+    def size(self) -> int:
+        """Values in one row."""
+        return len(self.channels)
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """Names of the channels, in order."""
+        return tuple(channel.key for channel in self.channels)
+
+    def check(self, values: ArrayLike) -> F64:
+        """Return one row as a float64 array of shape (size,).
+
+        Raises:
+            InvalidInputError: another size, an opening outside 0 .. 1, a quaternion that is none.
+            UnsafeError: a value is NaN or infinite.
+        """
+        row = np.asarray(values, dtype=np.float64)
+        if row.shape != (self.size,):
+            raise InvalidInputError(
+                f"An action has shape {row.shape}, expected ({self.size},): {self.keys}."
+            )
+        finite = np.isfinite(row)
+        if not finite.all():
+            bad = int(np.argmin(finite))
+            raise UnsafeError(
+                f"An action holds a non-finite value at {self.keys[bad]} ({row[bad]})."
+            )
+        for i in self._grippers:
+            if not 0.0 <= row[i] <= 1.0:
+                raise InvalidInputError(
+                    f"{self.keys[i]} is {row[i]:g}, expected a value in [0 closed, 1 open]."
+                )
+        for part in self.quaternions:
+            norm = float(np.linalg.norm(row[part]))
+            if not _LEAST_NORM <= norm <= _GREATEST_NORM:
+                raise InvalidInputError(
+                    f"{', '.join(self.keys[part])} have the length {norm:.4g}, expected 1."
+                )
+        return row
+
+
+EE_DELTA = ControlSpace(
+    kind="ee_delta",
+    channels=(
+        *(Channel(name=name, unit="m", frame="base") for name in ACTION_FIELDS[:3]),
+        *(Channel(name=name, unit="rad", frame="base") for name in ACTION_FIELDS[3:6]),
+        Channel(name=GRIPPER, unit=OPENING),
+    ),
+)
+"""The contract's 7-vector."""
+
+
+def split_label(label: str) -> tuple[str, float]:
+    """The label without its rate, and the rate [Hz]; 0 where it names none, or what is no rate."""
+    kind, colon, keys = label.partition(":")
+    kind, _, rate = kind.partition("@")
+    try:
+        rate_hz = float(rate or 0.0)
+    except ValueError:
+        rate_hz = 0.0
+    return f"{kind}{colon}{keys}", rate_hz
+
+
+def channel_keys(label: str) -> tuple[str, ...]:
+    """Names of the channels that a label names."""
+    return ACTION_FIELDS if label == ACTION_LABEL else tuple(label.partition(":")[2].split(","))
+
+
+def robot_space(kind: str, profile: RobotProfile, rate_hz: float = 0.0) -> ControlSpace:
+    """The space of that kind which the robot executes: its joints in the profile's order, and the
+    gripper last where there is one.
+
+    Raises:
+        InvalidInputError: the kind is unknown, or the robot has no arm.
+    """
+    if kind == "ee_delta":
+        return EE_DELTA
+    if not profile.arm_joints:
+        raise InvalidInputError(f"Robot {profile.name!r} has no arm that {kind!r} could move.")
+    slides = prismatic_joints(profile.urdf)
+    per_s = "/s" if kind == "joint_velocity" else ""
+    channels = [
+        Channel(name=joint, unit=("m" if joint in slides else "rad") + per_s)
+        for joint in profile.arm_joints
+    ]
+    if kind == "ee_pose":
+        channels = [Channel(name=name, unit="m", frame="base") for name in "xyz"]
+        channels += [Channel(name=f"q{name}", unit="1", frame="base") for name in "xyzw"]
+    if profile.gripper is not None:
+        channels.append(Channel(name=GRIPPER, unit=OPENING))
+    return ControlSpace(kind=kind, channels=tuple(channels), rate_hz=rate_hz)
