@@ -8,10 +8,12 @@ import signal
 import threading
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import psutil
+from mutmut import __main__ as mutmut_run
 from mutmut.runners.harness import PytestRunner
 from mutmut.state import state
 from mutmut.workers import isolation
@@ -21,9 +23,9 @@ _LOOK_S = 0.5
 _MOST_SLEEP_S = 20.0
 
 
-def install(folders: Sequence[str]) -> None:
+def install(folders: Sequence[str], *, goes_on: bool) -> None:
     """Have quick tests run first, those of the first folder before others, and mutants bounded by
-    `_end_sleeper`.
+    `_end_sleeper`; with `goes_on`, only those of which nothing is known.
 
     What is loaded before the first mutant is left out of garbage collection, which would copy that
     memory in the process of each mutant. The first test that fails ends a mutant's run. Computing
@@ -71,6 +73,15 @@ def install(folders: Sequence[str]) -> None:
     PytestRunner.warm_up = warm_up_and_freeze
     isolation.ForkServerRunner.submit = submit_in_order
     isolation.register_timeout = _watch
+    if goes_on:
+        collect = mutmut_run.collect_source_file_mutation_data
+
+        def collect_unknown(**options: Any) -> tuple[list[Any], dict[str, Any]]:
+            """mutmut tries again whatever it is given by name, as the functions of a part are."""
+            mutants, files = collect(**options)
+            return [mutant for mutant in mutants if mutant[2] is None], files
+
+        mutmut_run.collect_source_file_mutation_data = collect_unknown
 
 
 def _is_warning(error: BaseException) -> bool:
@@ -113,9 +124,8 @@ def _thread_states(process: int) -> list[str]:
     ended.
     """
     states = []
-    for path in Path(f"/proc/{process}/task").glob("*/stat"):
-        try:
-            states.append(path.read_text("utf-8", "replace").rpartition(")")[2].split()[0])
-        except OSError:  # it has ended
-            continue
+    with suppress(OSError):  # the process has ended
+        for path in Path(f"/proc/{process}/task").glob("*/stat"):
+            with suppress(OSError):  # the thread has ended
+                states.append(path.read_text("utf-8", "replace").rpartition(")")[2].split()[0])
     return states

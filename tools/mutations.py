@@ -228,7 +228,7 @@ def _run_in_a_fork(part: Part, work: Path, arguments: argparse.Namespace) -> Non
         from mutmut.__main__ import _run  # reads the settings of the directory where it is imported
 
         mutation_operators.install()
-        mutation_runs.install(part.tests)
+        mutation_runs.install(part.tests, goes_on=not arguments.only)
         only = tuple(f"*{name}*" for name in arguments.only)
         _run(only or part.patterns(), 1)
         status = 0

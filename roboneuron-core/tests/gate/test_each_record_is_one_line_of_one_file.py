@@ -131,6 +131,24 @@ def test_arguments_of_4096_characters_are_kept_and_longer_ones_cut_there(tmp_pat
     assert written(longer, tmp_path / "b") == {"length": 4097, "begins": begins}
 
 
+def test_only_arguments_are_cut(tmp_path: Path) -> None:
+    """Whoever writes a record bounds its other fields."""
+    reason = "y" * 5000
+    a_log(tmp_path / "a").write(
+        AuditRecord(who="ann", role="viewer", tool="t", verdict="refused", reason=reason)
+    )
+    assert json.loads((tmp_path / "a").read_text())["reason"] == reason
+
+
+def test_a_nan_in_arguments_of_4096_characters_is_no_number_of_the_line(tmp_path: Path) -> None:
+    """As text it is longer, so the end is cut."""
+    count = 4096 - len('{"n":NaN,"x":""}')
+    assert written({"n": float("nan"), "x": "y" * count}, tmp_path / "a") == {
+        "length": 4098,
+        "begins": '{"n":"NaN","x":"' + "y" * count,
+    }
+
+
 def test_the_file_is_for_its_owner_and_group_and_so_is_the_lock(tmp_path: Path) -> None:
     before = os.umask(0)
     try:

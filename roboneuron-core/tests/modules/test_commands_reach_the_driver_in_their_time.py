@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -103,10 +104,19 @@ def test_nothing_is_played_when_the_thread_is_to_end(cell: Cell) -> None:
     assert cell.told == []
 
 
-def test_a_thread_without_commands_looks_again_soon(cell: Cell) -> None:
-    started_s = time.monotonic()
+def test_a_thread_without_commands_looks_again_soon(
+    cell: Cell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """So soon after the timeout of commands the robot holds."""
+    waits_s: list[float] = []
+
+    def wait_for(is_due: Callable[[], bool], timeout: float) -> bool:
+        waits_s.append(timeout)
+        return is_due()
+
+    monkeypatch.setattr(cell.robot._arrived, "wait_for", wait_for)
     cell.play()
-    assert 0.04 <= time.monotonic() - started_s < SOON_S
+    assert waits_s == [0.05]
     assert cell.told == []
 
 

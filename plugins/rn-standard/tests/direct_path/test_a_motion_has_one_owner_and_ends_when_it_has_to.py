@@ -289,6 +289,15 @@ def test_control_may_take_all_of_its_time_to_hold(cell: Cell, place: Place) -> N
         assert cell.halt.waits_s == [0.01]
 
 
+def test_control_has_two_seconds_to_hold_when_nobody_gives_a_bound(
+    cell: Cell, place: Place
+) -> None:
+    arbiter = MotionArbiter(cell.gate, cell.policy, cell.starts, lambda exposed: True)
+    with pytest.raises(NotReadyError, match="nothing was sent"):
+        arbiter.claim(place(), "a test", cell.halt).__enter__()
+    assert sum(cell.halt.waits_s) == pytest.approx(2.0, abs=0.011)
+
+
 def test_a_stop_ends_the_wait_for_the_hold(cell: Cell, place: Place) -> None:
     cell.followed = [True]
     cell.halt.on_wait = lambda: cell.gate.latch.press(who="a person", reason="a test")

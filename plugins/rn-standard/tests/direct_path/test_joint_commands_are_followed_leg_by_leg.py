@@ -170,7 +170,7 @@ def test_times_of_points_only_grow() -> None:
 
 def test_a_trajectory_takes_no_longer_than_its_step() -> None:
     command = trajectory(point(1.0, 0.1))
-    for lasts_s in (1.0, 1.0 - 5e-7, 2.0):
+    for lasts_s in (1.0, 1.0 - joint_space.SLACK, 2.0):
         check_joints(LIMITS, [command], ZERO, [lasts_s])
     assert refusal(command, durations_s=[0.99]) == (
         "The trajectory takes 1 s, its step only 0.99 s."
@@ -223,6 +223,19 @@ def test_joints_that_were_not_measured_are_not_moved_in_a_time() -> None:
     assert refusal(command, joints=None).startswith("The joints were not measured yet")
     some = JointSample(names=("a",), position=np.zeros(1))
     assert refusal(command, joints=some).startswith("Joint 'b' is not among the measured ones")
+
+
+def test_a_measurement_has_a_number_for_each_joint() -> None:
+    command = trajectory(point(1.0, 0.1))
+    for numbers in (
+        {"position": np.zeros(1)},
+        {"position": np.zeros(3)},
+        {"position": np.zeros(2), "velocity": np.zeros(1)},
+        {"position": np.zeros(2), "velocity": np.zeros(3)},
+    ):
+        joints = JointSample(names=("a", "b"), **numbers)
+        with pytest.raises(ValueError, match=r"is (shorter|longer) than"):
+            check_joints(LIMITS, [command], joints)
 
 
 @pytest.mark.parametrize("unknown", [math.nan, math.inf])
@@ -306,6 +319,15 @@ def test_a_command_rests_when_its_step_lasts_longer_and_not_when_the_next_follow
         "steps[0]: a cannot go 0.4 in that time and rest there"
     )
     assert refusal(there).startswith("a cannot go 0.4 in that time and rest there")
+    quarter = trajectory(point(0.25, 0.25))
+    check_joints(LIMITS, [quarter, on], ZERO, [0.25, 0.5])
+
+
+def test_a_first_point_at_time_zero_leaves_the_rest_of_the_step_for_a_rest() -> None:
+    command = trajectory(point(0.0, 0.0), point(0.25, 0.25))
+    assert refusal(command, trajectory(point(0.5, 0.5)), durations_s=[1.0, 0.5]).startswith(
+        "steps[0]: points[1]: a cannot go 0.25 in that time and rest there"
+    )
 
 
 def test_a_command_after_a_rest_begins_from_rest() -> None:
@@ -313,6 +335,7 @@ def test_a_command_after_a_rest_begins_from_rest() -> None:
     there, on = trajectory(point(0.6, 0.4)), trajectory(point(0.3, 0.7))
     check_joints(LIMITS, [there, on], ZERO, [0.6, 0.5])
     assert refusal(there, on, durations_s=[1.0, 0.5]).startswith("steps[1]: a cannot go 0.3")
+    check_joints(LIMITS, [there, trajectory(point(0.5, 0.7))], ZERO, [1.0, 0.5])
 
 
 # Joint states

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from roboneuron.contract import JointSample
 from roboneuron.errors import RefusedError
+from roboneuron.feature import MotionRules
 
 
 def trajectory(
@@ -58,6 +59,18 @@ def test_a_trajectory_within_all_limits_passes(make_gate, ask, endpoints) -> Non
 def test_what_the_arm_cannot_do_is_refused(make_gate, ask, endpoints, value, text) -> None:
     with pytest.raises(RefusedError, match=text):
         make_gate().check(ask(endpoints["trajectory"], value))
+
+
+def test_a_joint_is_held_to_the_shares_of_its_limits_that_the_rules_allow(
+    make_gate, ask, endpoints
+) -> None:
+    rules = MotionRules(reactions={}, velocity_fraction=0.5, acceleration_fraction=0.2)
+    gate = make_gate(rules=rules)
+    with pytest.raises(RefusedError, match="allowed is 1"):
+        gate.check(ask(endpoints["trajectory"], trajectory((0.9, [1.0, 0.0]))))
+    with pytest.raises(RefusedError, match="acceleration is at most 2 per"):
+        gate.check(ask(endpoints["trajectory"], trajectory((1.2, [1.0, 0.0]))))
+    assert gate.check(ask(endpoints["trajectory"], trajectory((1.5, [1.0, 0.0])))).may_send
 
 
 def test_a_first_point_at_time_zero_may_repeat_where_the_joints_are(

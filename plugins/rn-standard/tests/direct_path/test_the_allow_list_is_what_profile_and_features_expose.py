@@ -353,8 +353,28 @@ def test_without_a_controller_in_the_configuration_there_must_be_just_one(
         lambda self, kind: dict.fromkeys(specs) if kind == "controller" else {},
     )
     arms = ArmPaths(parse_config('[robot]\nname = "gantry"\n'), lambda: registry)
-    with pytest.raises(ConfigurationError, match=text):
+    with pytest.raises(ConfigurationError, match=f"would move 'gantry': .*{text}"):
         arms.limiter("gantry", PROFILE)
+    with pytest.raises(ConfigurationError, match="would move 'gantry': "):
+        arms.load("gantry", PROFILE)
+
+
+def test_a_judge_is_of_the_only_controller_that_is_installed_now() -> None:
+    registry = fake_registry()
+    arms = ArmPaths(parse_config('[robot]\nname = "gantry"\n'), lambda: registry)
+    before = arms.limiter("gantry", PROFILE)
+    spare = fake_registry(replace(FAKE_CONTROLLER, name="spare"))
+    others = tuple(offer for offer in spare.all_offers if offer.spec != FAKE_CONTROLLER)
+    registry = replace(spare, all_offers=others)
+    assert list(registry.specs("controller")) == ["spare"]
+    assert arms.limiter("gantry", PROFILE) is not before
+
+
+def test_a_controller_is_made_with_its_options() -> None:
+    options = "[plugins.gantry]\ngain = 2.0\n[plugins.another]\ngain = 2.0\n"
+    with pytest.raises(ConfigurationError, match=r"gantry.*option"):
+        paths(CONTROLLED + options).limiter("gantry", PROFILE)
+    paths(CONTROLLED + options.replace("gantry", "third")).limiter("gantry", PROFILE)
 
 
 def test_a_profile_is_loaded_for_the_robot_that_is_configured_now(

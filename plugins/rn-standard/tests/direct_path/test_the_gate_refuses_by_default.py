@@ -133,11 +133,23 @@ def test_too_many_calls_are_refused_and_refusals_do_not_count(
             gate.check(ask(endpoints["velocity"], {"linear": {"x": 2.0}}))
     for _ in range(5):
         gate.check(ask(endpoints["velocity"], FORWARD))
-    with pytest.raises(RefusedError, match="Too many messages"):
+    with pytest.raises(RefusedError, match="Too many messages for 'velocity'"):
         gate.check(ask(endpoints["velocity"], FORWARD))
     assert gate.check(ask(endpoints["velocity"], FORWARD, repeated=True)).may_send
     clock.now_s += 1.0
     assert gate.check(ask(endpoints["velocity"], FORWARD)).may_send
+
+
+def test_what_was_sent_at_once_counts_also_when_the_rest_is_given_back(
+    make_gate, ask, endpoints
+) -> None:
+    gate = make_gate()
+    for _ in range(5):
+        request = ask(endpoints["velocity"], FORWARD)
+        gate.check(request)
+        gate.release(request)
+    with pytest.raises(RefusedError, match="Too many messages"):
+        gate.check(ask(endpoints["velocity"], FORWARD))
 
 
 def test_a_changed_allow_list_keeps_counting(make_gate, ask, endpoints) -> None:

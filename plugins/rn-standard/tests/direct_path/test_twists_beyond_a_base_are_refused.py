@@ -6,6 +6,8 @@ import math
 
 import pytest
 
+from rn_standard.direct_path.fields import load_type
+from rn_standard.direct_path.limits import check_steering
 from rn_standard.direct_path.twists import TWIST_FIELDS, check_twist
 from roboneuron.contract import Endpoint
 from roboneuron.errors import RefusedError
@@ -54,3 +56,13 @@ def test_the_hint_of_a_refused_turn_is_possible() -> None:
         check_twist(CAR, {"linear.x": 0.5, "angular.z": 1.4})
     assert "Turn at 1 rad/s" in refusal.value.hint
     check_twist(CAR, {"linear.x": 0.5, "angular.z": 1.0})
+
+
+def test_the_steering_of_a_message_is_judged_by_its_turn_alone() -> None:
+    """Its bounds have been applied before, to each field by its own path."""
+    message = load_type("geometry_msgs/msg/Twist")()
+    message.linear.x, message.angular.z = 3.0, 6.0
+    check_steering(CAR, message)
+    message.angular.z = 6.1
+    with pytest.raises(RefusedError, match="the steering ends there"):
+        check_steering(CAR, message)

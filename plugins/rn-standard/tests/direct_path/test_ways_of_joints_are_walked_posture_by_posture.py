@@ -143,6 +143,12 @@ def test_a_joint_that_nobody_has_measured_is_neither_moved_nor_asked_for(
     assert caught.value.limit == "kinematics"
 
 
+def test_a_measurement_with_more_names_than_positions_is_no_start(make: Make) -> None:
+    joints = JointSample(names=("x", "y", "finger"), position=np.array([1.0, 2.0]))
+    with pytest.raises(ValueError, match="shorter"):
+        make().check([leg(1.5, 2.0)], joints)
+
+
 # The cubic that a driver may take
 
 
@@ -275,7 +281,7 @@ def test_a_posture_that_cannot_be_computed_is_refused(make: Make, slide: Slide) 
         slide.fails_after = fails_after
         with pytest.raises(LimitError, match=r"cannot be checked: It cannot be computed") as caught:
             make().check([leg(2.0, 2.0)], START)
-        assert caught.value.limit == "kinematics"
+        assert (caught.value.limit, caught.value.hint) == ("kinematics", "")
         assert isinstance(caught.value.__cause__, UnsafeError)
         with pytest.raises(LimitError, match="cannot be checked"):
             make().slowdown([leg(2.0, 2.0)], START)
