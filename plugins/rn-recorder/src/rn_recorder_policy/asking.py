@@ -71,6 +71,11 @@ def ask(deployed: DeployedBackend, demonstration: Demonstration, question: Quest
         InvalidInputError: names, cameras or instruction are missing; or too few answers came.
         RoboNeuronError: as the backend.
     """
+    if demonstration.rows < LEAST_FRAMES:
+        raise InvalidInputError(
+            f"{demonstration.source} has {demonstration.rows} rows, {LEAST_FRAMES} are needed.",
+            hint="Choose a longer episode.",
+        )
     space = deployed.agreement.executed
     recorded = question.mapping.actions(demonstration, question.feature, space)
     states = question.mapping.states(demonstration, deployed.profile)
@@ -95,7 +100,7 @@ def ask(deployed: DeployedBackend, demonstration: Demonstration, question: Quest
         raise InvalidInputError(
             f"{len(chunks)} of {len(rows)} frames were answered, {LEAST_FRAMES} are needed.{told}",
             hint=f"Of the state the data set names: {', '.join(states.values) or 'nothing'}. "
-            "Map others with --map, or choose a longer episode.",
+            "Map others with --map.",
         )
     horizon = min(len(chunk.actions) for chunk in chunks)
     joints = np.full_like(recorded, np.nan)

@@ -126,7 +126,7 @@ def _cells(one: ChannelMeasures) -> Sequence[str]:
         f"{told(one.rms_error, '.3g')} {one.unit}",
         f"{one.rms_error / one.spread:.0%}" if moves else "still",
         told(one.scale, ".3g"),
-        told(one.offset, "+.3g"),
+        told(None if one.offset is None else round(one.offset, 9) + 0.0, "+.3g"),
         told(one.correlation, ".2f"),
         told(one.lag_rows, "+d"),
     )

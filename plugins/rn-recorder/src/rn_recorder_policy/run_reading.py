@@ -25,7 +25,8 @@ def read_run(files: Sequence[Path], episode: int) -> Demonstration:
     Raises:
         InvalidInputError: it holds no such episode, or one without two actions.
     """
-    name = files[0].stem if len(files) == 1 else files[0].parent.name
+    first = files[0]
+    name = first.parent.name if first.stem.startswith("part-") else first.stem
     episodes, streams = read_episodes(name, files, dict(read_about(files[0])))
     if not 0 <= episode < len(episodes):
         raise InvalidInputError(

@@ -244,7 +244,7 @@ def _swapped(answers: Answers, same: F64) -> Structure | None:
     told = ", ".join(f"{keys[c]} has the values of {keys[order[c]]}" for c in moved)
     return Structure(
         kind="swapped",
-        text=f"channels are swapped: {told}",
+        text=told,
         expected=same[..., order],
         channels=moved,
         cost=0.08 * (len(moved) - 1),
