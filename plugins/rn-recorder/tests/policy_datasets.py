@@ -87,7 +87,7 @@ def write_dataset(
     features["timestamp"] = {"dtype": "float32", "shape": [1], "names": None}
     folder = "chunk-{episode_chunk:03d}" if is_old else "chunk-{chunk_index:03d}"
     file = "episode_{episode_index:06d}" if is_old else "file-{file_index:03d}"
-    video = f"videos/{folder}/{{video_key}}/{file}" if is_old else f"videos/{{video_key}}/{folder}/{file}"
+    video = f"{folder}/{{video_key}}" if is_old else f"{{video_key}}/{folder}"
     info = {
         "codebase_version": version,
         "fps": RATE_HZ,
@@ -95,7 +95,7 @@ def write_dataset(
         "total_episodes": episode + 1,
         "chunks_size": 1000,
         "data_path": f"data/{folder}/{file}.parquet",
-        "video_path": f"{video}.mp4",
+        "video_path": f"videos/{video}/{file}.mp4",
     }
     (path / "meta").mkdir(parents=True)
     (path / "meta/info.json").write_text(json.dumps(info))

@@ -213,8 +213,10 @@ class KnowingPolicy:
         assert observation.joints is not None
         np.testing.assert_allclose(observation.joints.position[:7], STATE_JOINTS[row], atol=1e-5)
         whole = recorded(self.kind)
-        error = self.noise * whole.std(axis=0) * np.random.default_rng(row).normal(
-            size=(self.horizon, whole.shape[1])
+        error = (
+            self.noise
+            * whole.std(axis=0)
+            * np.random.default_rng(row).normal(size=(self.horizon, whole.shape[1]))
         )
         right = actions(self.kind)[MARGIN + row :][: self.horizon]
         error += (self.gain - 1.0) * (right - whole.mean(axis=0))

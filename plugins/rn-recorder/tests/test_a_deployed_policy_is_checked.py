@@ -118,7 +118,9 @@ def test_names_are_mapped_and_never_guessed(call: Call, tmp_path: Path) -> None:
     mapped += [f"--map=observation.state:motor_{i}=joint{i + 1}" for i in range(7)]
     mapped += ["--map=action:motor_7=gripper_open", "--map=observation.state:motor_7=finger"]
     assert call("joint_position", *words, *mapped)[0] == 0
-    swapped = [word.replace("motor_0=", "motor_x=") for word in mapped if word.startswith("--map=a")]
+    swapped = [
+        word.replace("motor_0=", "motor_x=") for word in mapped if word.startswith("--map=a")
+    ]
     with pytest.raises(ConfigurationError, match="'action:motor_x', which the data set does not"):
         call("joint_position", *words, *swapped)
     with pytest.raises(ConfigurationError, match="NAME=CHANNEL"):
@@ -155,22 +157,22 @@ def test_cameras_are_found_by_name_or_role(call: Call, tmp_path: Path) -> None:
 def test_what_cannot_be_checked_is_refused_in_a_sentence(call: Call, tmp_path: Path) -> None:
     path = write_dataset(tmp_path / "set", "ee_delta")
     words = ("--dataset", str(path), "--episode", "1")
-    with pytest.raises(InvalidInputError, match="neither a LeRobot data set .* nor a recording"):
+    with pytest.raises(InvalidInputError, match=r"neither a LeRobot data set .* nor a recording"):
         call("ee_delta", "--dataset", str(tmp_path))
     with pytest.raises(InvalidInputError, match="has no episode 9"):
         call("ee_delta", "--dataset", str(path), "--episode", "9")
-    with pytest.raises(InvalidInputError, match="episode 0 of .* has 7 rows, 10 are needed"):
+    with pytest.raises(InvalidInputError, match=r"episode 0 of .* has 7 rows, 10 are needed"):
         call("ee_delta", "--dataset", str(path), "--episode", "0")
     with pytest.raises(InvalidInputError, match="--frames is 3"):
         call("ee_delta", *words, "--frames", "3")
-    with pytest.raises(InvalidInputError, match="has no feature 'action.left'"):
+    with pytest.raises(InvalidInputError, match=r"has no feature 'action.left'"):
         call("ee_delta", *words, "--action", "action.left")
     (path / "videos/observation.images.front/chunk-000/file-000.mp4").unlink()
     with pytest.raises(InvalidInputError, match=r"The video .* is missing"):
         call("ee_delta", *words)
     info = path / "meta/info.json"
     info.write_text(info.read_text().replace("v3.0", "v1.6"))
-    with pytest.raises(InvalidInputError, match="has the version 'v1.6'"):
+    with pytest.raises(InvalidInputError, match=r"has the version 'v1.6'"):
         call("ee_delta", *words)
 
 

@@ -1,4 +1,4 @@
-"""Faults seeded into the wiring of a known policy are named; a policy without one gives no alarm."""
+"""Faults seeded into the wiring of a known policy are named; without one there is no alarm."""
 
 from __future__ import annotations
 
@@ -33,9 +33,7 @@ def deployed(policy: KnowingPolicy) -> DeployedBackend:
         ),
         profile=profile,
         cameras={"primary": profile.cameras[0]},
-        agreement=SpaceAgreement(
-            declared=space, executed=space, columns=tuple(range(space.size))
-        ),
+        agreement=SpaceAgreement(declared=space, executed=space, columns=tuple(range(space.size))),
     )
 
 

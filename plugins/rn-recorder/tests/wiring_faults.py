@@ -136,9 +136,7 @@ OFFSETS = (0.4, -0.3, 0.25, 0.5, -0.35, 0.3, -0.5)
 
 def statistics(count: int, unit: float) -> Fault:
     """Un-normalised by the statistics of another data set."""
-    return affine(
-        tuple(range(count)), np.array(SCALES[:count]), unit * np.array(OFFSETS[:count])
-    )
+    return affine(tuple(range(count)), np.array(SCALES[:count]), unit * np.array(OFFSETS[:count]))
 
 
 FAULTS: dict[str, Seeded] = {

@@ -105,14 +105,7 @@ def _play(
     if exposed is None:
         raise NotReadyError(f"The robot {config.robot.name!r} has no arm that follows actions.")
     streams = read_streams([Path(name) for name in arguments.files])
-    if not streams.actions:
-        raise InvalidInputError("The run holds no actions.", path="files")
-    if others := {action.label for action in streams.actions} - {ACTION_LABEL}:
-        raise InvalidInputError(
-            f"The run holds actions of {', '.join(sorted(others))}; only TCP displacements "
-            f"({ACTION_LABEL}) can be played.",
-            path="files",
-        )
+    check_playable(streams)
     requests = _motions(host, exposed, streams, context, arguments)
     host.modules.require_running("control")
     track = _Track(host, exposed)
@@ -134,6 +127,20 @@ def _play(
         path_m=round(path_m, 5),
         end_m=None if end_m is None else round(end_m, 5),
     )
+
+
+def check_playable(streams: Streams) -> None:
+    """Raises InvalidInputError when there is no action, or one of another control space than the
+    gate judges.
+    """
+    if not streams.actions:
+        raise InvalidInputError("The run holds no actions.", path="files")
+    if others := {action.label for action in streams.actions} - {ACTION_LABEL}:
+        raise InvalidInputError(
+            f"The run holds actions of {', '.join(sorted(others))}; only TCP displacements "
+            f"({ACTION_LABEL}) can be played.",
+            path="files",
+        )
 
 
 def _motions(

@@ -88,20 +88,20 @@ def diagnose(answers: Answers) -> Diagnosis:
     possible = list(structures(answers))
     same = possible[0]
     before = losses_of(answers, same.expected)
-    explained = [_explain(answers, structure, before) for structure in possible]
-    best = min(explained, key=lambda one: one.badness)
+    explanations = [_explain(answers, structure, before) for structure in possible]
+    best = min(explanations, key=lambda one: one.badness)
     judged = np.isfinite(before)
     if best.badness > badness(before[judged]) - _LEAST_GAIN:
         best = _Explanation(structure=same, corrections={}, losses=before, badness=0.0)
-    told = np.isfinite(best.structure.expected).any(axis=(0, 1))
+    touched = {*best.structure.channels, *best.corrections}
+    silent = ~np.isfinite(best.structure.expected).any(axis=(0, 1))
+    told = silent | np.isin(np.arange(answers.space.size), list(touched))
     faults = [
         *_faults_of(answers, best),
         *_declared_rate(answers),
         *_unexplained(answers, same.expected, best.losses, told),
     ]
-    return Diagnosis(
-        faults=tuple(faults), before=before, after=best.losses, expected=same.expected
-    )
+    return Diagnosis(faults=tuple(faults), before=before, after=best.losses, expected=same.expected)
 
 
 def _explain(answers: Answers, structure: Structure, before: F64) -> _Explanation:
@@ -252,13 +252,13 @@ def _declared_rate(answers: Answers) -> list[Fault]:
 def _unexplained(
     answers: Answers, expected: F64, losses: F64, told: NDArray[np.bool_]
 ) -> list[Fault]:
-    """Channels that move and whose answers follow nothing that was looked for; `told` are those of
-    which the explanation says something, (C,).
+    """Channels that move and whose answers follow nothing that was looked for, but for those that
+    are `told` of already or cannot be judged, (C,).
     """
     size = answers.space.size
     flat = expected.reshape(-1, size)
     moves = np.nanstd(flat, axis=0) >= answers.least_spreads(flat)
-    suspects = np.flatnonzero(moves & told & ~answers.is_gripper & (losses > _FOLLOWS))
+    suspects = np.flatnonzero(moves & ~told & ~answers.is_gripper & (losses > _FOLLOWS))
     if not suspects.size:
         return []
     names = tuple(answers.space.keys[c] for c in suspects)

@@ -92,9 +92,7 @@ class _Episode:
             cells = self._table.column(camera)
             return [self._image(cells[row].as_py(), camera) for row in rows]
         begin_s = float(self._entry.get(f"videos/{camera}/from_timestamp", 0.0))
-        path = self._info["video_path"].format(
-            video_key=camera, **self._place(f"videos/{camera}")
-        )
+        path = self._info["video_path"].format(video_key=camera, **self._place(f"videos/{camera}"))
         times = self._table.column("timestamp").to_pylist()
         return read_video_frames(
             self._directory / path, [begin_s + times[row] for row in rows], self._fps

@@ -1,4 +1,4 @@
-"""How the answers of each channel relate to the recording: error, scale, offset, correlation, lag."""
+"""The answers of each channel beside the recording: error, scale, offset, correlation, lag."""
 
 from __future__ import annotations
 

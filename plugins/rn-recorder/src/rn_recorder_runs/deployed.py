@@ -51,7 +51,7 @@ def build_backend(
         options: by name of the plugin that takes them; they come before those of `settings`.
 
     Raises:
-        ConfigurationError: options of a plugin that is not made here.
+        ConfigurationError: options of a plugin that is not used here.
         RoboNeuronError: the backend does not fit the robot, or cannot be built.
     """
     from roboneuron.feature import agree_on_space, build, check_plan, discover, load_profile
@@ -74,8 +74,8 @@ def build_backend(
     for name in options:
         if name not in made_of:
             raise ConfigurationError(
-                f"--option names {name!r}, which is not made here.",
-                hint=f"It is made: {', '.join(made_of)}.",
+                f"--option names {name!r}, which is not used here.",
+                hint=f"Used are: {', '.join(made_of)}.",
             )
 
     def options_of(name: str) -> dict[str, object]:

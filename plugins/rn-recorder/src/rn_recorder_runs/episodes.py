@@ -253,9 +253,7 @@ def _rows(streams: Streams, begin_ns: int, end_ns: int) -> list[EpisodeRow]:
                     [*facts["ee_pose"]["position_m"], *facts["ee_pose"]["quaternion_xyzw"]]
                 )
         if len(images) == len(image_times):
-            rows.append(
-                EpisodeRow(action.values, action.label, sent_ns, images, joints, pose)
-            )
+            rows.append(EpisodeRow(action.values, action.label, sent_ns, images, joints, pose))
     return rows
 
 
