@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
-from itertools import cycle
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
