@@ -56,6 +56,6 @@ def test_a_demonstration_is_recorded_exported_and_repeated(
     # the option arrives
     assert Runs().run(parser.parse_args([*replay, "--option", "servo.gain=0.01"])) == 1
     with pytest.raises(
-        ConfigurationError, match=r"names 'torch', which this replay does not make.*It makes: servo"
+        ConfigurationError, match=r"names 'torch', which is not used here.*Used are: servo"
     ):
         Runs().run(parser.parse_args([*replay, "--option", "torch.device=cpu"]))

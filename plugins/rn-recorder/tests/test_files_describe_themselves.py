@@ -16,13 +16,13 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
 
 from rn_controller_urdf.controller import UrdfController
-from rn_recorder_runs.channels import ACTION_FIELDS, describe_channel
+from rn_recorder_runs.channels import describe_channel
 from rn_recorder_runs.files import LATCHED, Record, copy_records
 from rn_recorder_runs.node import RecorderWorker
 from rn_recorder_runs.settings import RecorderSettings, RulesSettings
 from rn_recorder_runs.transforms import CameraMount, RobotTransforms
 from rn_robot_fr3.profile import profile
-from roboneuron import JointSample, matrix_from_quaternion
+from roboneuron import EE_DELTA, JointSample, matrix_from_quaternion
 from roboneuron.ros.messages import to_action_message, to_joint_state
 
 POSTURES = ((0.1, -0.4, 0.3, -2.0, 0.2, 1.7, 0.6), (-1.2, 0.5, -0.7, -1.1, 1.4, 2.9, -0.3))
@@ -55,7 +55,7 @@ def record_fr3(tmp_path: Path, foreign: Sequence[Record] = ()) -> Path:
     process._orders.append({"do": "start", "number": 1, "name": "demo", "facts": {}})
     process._turn()
     for topic in ("/fr3/action", "/fr3/joint_states"):
-        process.describe(topic, describe_channel(topic, [publisher()]))
+        process.describe(topic, describe_channel([publisher()]))
     for record in foreign:
         process.put(record)
     for number, posture in enumerate(POSTURES):
@@ -145,7 +145,7 @@ def test_channels_say_what_their_publishers_offer_and_what_values_are(tmp_path: 
         assert set(offered["deadline"]) == {"sec", "nsec"}
         assert channels["/fr3/joint_states"]["topic_type_hash"] == "RIHS01_00"
         fields = channels["/fr3/action"]["roboneuron.fields"]
-        assert fields == " ".join(f"data[{at}]={name}" for at, name in enumerate(ACTION_FIELDS))
+        assert fields == " ".join(f"data[{at}]={name}" for at, name in enumerate(EE_DELTA.keys))
 
 
 def test_the_library_rosbags_reads_transforms_and_quality_of_service(tmp_path: Path) -> None:
@@ -167,8 +167,8 @@ def test_who_publishes_transforms_himself_is_not_doubled(tmp_path: Path) -> None
 
 def test_only_what_all_publishers_keep_is_latched() -> None:
     keeps = {"durability": DurabilityPolicy.TRANSIENT_LOCAL}
-    assert LATCHED in describe_channel("/a", [publisher(**keeps), publisher(**keeps)])
-    mixed = describe_channel("/a", [publisher(**keeps), publisher()])
+    assert LATCHED in describe_channel([publisher(**keeps), publisher(**keeps)])
+    mixed = describe_channel([publisher(**keeps), publisher()])
     assert LATCHED not in mixed
     assert [one["durability"] for one in yaml.safe_load(mixed["offered_qos_profiles"])] == [
         "transient_local",

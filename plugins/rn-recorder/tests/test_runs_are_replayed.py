@@ -18,8 +18,10 @@ from rn_recorder_runs.lerobot import export
 from rn_recorder_runs.replay import EXACT, Compared, Observations, replay
 from rn_recorder_runs.store import Run
 from rn_testing.fakes import gantry_profile
-from roboneuron import ActionChunk, InvalidInputError, Observation, UngroundedError
+from roboneuron import EE_DELTA, ActionChunk, InvalidInputError, Observation, UngroundedError
+from roboneuron.feature import SpaceAgreement
 
+AGREEMENT = SpaceAgreement(declared=EE_DELTA, executed=EE_DELTA, columns=tuple(range(7)))
 INSTRUCTIONS = [("pick up the cup", "success"), ("put it down", "failure")]
 
 
@@ -70,7 +72,7 @@ def replayed(run: Run, backend: Recomputing) -> list[Compared]:
         for role, name in CAMERAS.items()
         if (camera := profile.camera(name)) is not None
     }
-    return list(replay(Observations(run.files, cameras, frozenset(), profile), backend))
+    return list(replay(Observations(run.files, cameras, frozenset(), profile), backend, AGREEMENT))
 
 
 def test_a_deterministic_backend_repeats_itself(tmp_path: Path) -> None:
@@ -168,7 +170,7 @@ def test_what_the_run_lacks_is_told(tmp_path: Path) -> None:
         if (camera := profile.camera(name)) is not None
     }
     observations = Observations(gappy.files, cameras, frozenset(), profile)
-    found = list(replay(observations, Counting()))  # type: ignore[arg-type]
+    found = list(replay(observations, Counting(), AGREEMENT))  # type: ignore[arg-type]
     comparison = compare(found, EXACT, observations.gaps)
     assert (observations.gaps.predictions, observations.gaps.without_image) == (1, 1)
     assert comparison.predictions == 14

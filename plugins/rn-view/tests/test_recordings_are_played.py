@@ -15,7 +15,13 @@ from rn_view.measured import MeasuredTopics
 from rn_view.plots import History
 from rn_view_attached.command import ViewCommand
 from rn_view_recorded.source import RecordedSource
-from roboneuron import ConfigurationError, InvalidInputError, MissingDependencyError, StateError
+from roboneuron import (
+    ACTION_LABEL,
+    ConfigurationError,
+    InvalidInputError,
+    MissingDependencyError,
+    StateError,
+)
 from roboneuron.config import load_config
 from roboneuron.plugins.registry import Registry
 
@@ -67,7 +73,8 @@ def test_the_slider_shows_everything_as_it_was(cinema: Cinema) -> None:
     assert measured.joints["slide_x"] == pytest.approx(0.13)
     assert measured.tcp is not None
     assert measured.tcp[0][0] == pytest.approx(0.13)
-    at_s, action = measured.actions[-1]
+    at_s, label, action = measured.actions[-1]
+    assert label == ACTION_LABEL
     assert at_s == pytest.approx(BEGIN_NS / 1e9 + 1.3)
     assert action == (0.001 * 13, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
     assert len(measured.actions) == 14  # of all seconds before, for the plots
@@ -90,7 +97,7 @@ def test_going_back_shows_nothing_of_what_came_later(cinema: Cinema) -> None:
     snapshot = cinema.source.snapshot()
     assert (snapshot.instruction, snapshot.is_latched) == ("push", False)
     assert max(point[0] for point in cinema.measured.trail) <= 0.05 + 1e-9
-    assert max(at_s for at_s, _ in cinema.measured.actions) <= BEGIN_NS / 1e9 + 0.5 + 1e-6
+    assert max(action.at_s for action in cinema.measured.actions) <= BEGIN_NS / 1e9 + 0.5 + 1e-6
     cinema.seek(0.0)
     assert cinema.texts() == []
     assert len(cinema.measured.actions) == 1

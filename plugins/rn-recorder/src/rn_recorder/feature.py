@@ -46,6 +46,7 @@ _MOST_ARGUMENTS = 4096
 CONTRACT = {
     "action": "dx dy dz [m], rx ry rz [rad, rotation vector], gripper [0 closed .. 1 open]",
     "action_frame": "base; p' = p + d, R' = exp(r) R",
+    "action_spaces": "other control spaces: names in roboneuron.fields of the channel",
     "joint_states": "rad, rad/s (m, m/s for prismatic joints)",
     "ee_pose": "TCP in the base frame; m, quaternion x y z w",
     "images": "rgb8, stamped with capture time",

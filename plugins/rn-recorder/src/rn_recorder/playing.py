@@ -105,8 +105,7 @@ def _play(
     if exposed is None:
         raise NotReadyError(f"The robot {config.robot.name!r} has no arm that follows actions.")
     streams = read_streams([Path(name) for name in arguments.files])
-    if not streams.actions:
-        raise InvalidInputError("The run holds no actions.", path="files")
+    check_playable(streams)
     requests = _motions(host, exposed, streams, context, arguments)
     host.modules.require_running("control")
     track = _Track(host, exposed)
@@ -130,6 +129,20 @@ def _play(
     )
 
 
+def check_playable(streams: Streams) -> None:
+    """Raises InvalidInputError when there is no action, or one of another control space than the
+    gate judges.
+    """
+    if not streams.actions:
+        raise InvalidInputError("The run holds no actions.", path="files")
+    if others := {action.label for action in streams.actions} - {ACTION_LABEL}:
+        raise InvalidInputError(
+            f"The run holds actions of {', '.join(sorted(others))}; only TCP displacements "
+            f"({ACTION_LABEL}) can be played.",
+            path="files",
+        )
+
+
 def _motions(
     host: Host,
     exposed: ExposedEndpoint,
@@ -143,8 +156,8 @@ def _motions(
     Raises:
         RefusedError: the gate would not let one of them pass.
     """
-    messages = [action_message(vector) for _, vector in streams.actions]
-    due_s = pace([sent_ns for sent_ns, _ in streams.actions], exposed.endpoint.rate_hz)
+    messages = [action_message(action.values) for action in streams.actions]
+    due_s = pace([action.sent_ns for action in streams.actions], exposed.endpoint.rate_hz)
     requests = []
     for piece in pieces(due_s, host.gate.max_duration_s):
         at_s = [due_s[i] - due_s[piece.start] for i in piece]

@@ -19,6 +19,13 @@ COMMAND = CommandSpec(
 )
 """Descriptor of the command."""
 
+CHECK_POLICY = CommandSpec(
+    name="check-policy",
+    summary="ask a policy for recorded frames and say what is probably wired wrong",
+    target="rn_recorder_policy.command:CheckPolicy",
+)
+"""Descriptor of the command."""
+
 
 @hookimpl
 def roboneuron_features() -> tuple[FeatureSpec, ...]:
@@ -29,4 +36,4 @@ def roboneuron_features() -> tuple[FeatureSpec, ...]:
 @hookimpl
 def roboneuron_commands() -> tuple[CommandSpec, ...]:
     """The commands of this package."""
-    return (COMMAND,)
+    return (COMMAND, CHECK_POLICY)

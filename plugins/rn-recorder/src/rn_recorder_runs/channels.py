@@ -1,5 +1,4 @@
-"""Metadata of a channel: the quality of service that publishers offer, as rosbag2 writes it, and
-names of values.
+"""Metadata of a channel: the quality of service that publishers offer, as rosbag2 writes it.
 
 Source: rosbag2_storage_mcap of ROS 2 Jazzy, keys `offered_qos_profiles` (YAML) and
 `topic_type_hash`.
@@ -12,13 +11,11 @@ from typing import Any
 
 from rn_recorder_runs.files import LATCHED
 
-ACTION_FIELDS = ("dx_m", "dy_m", "dz_m", "rx_rad", "ry_rad", "rz_rad", "gripper_open")
-"""Values of an action, in the order of its `data`."""
 _TRANSIENT_LOCAL = "transient_local"
 _FOREVER_NS = 2**63 - 1
 
 
-def describe_channel(topic: str, publishers: Sequence[Any]) -> dict[str, str]:
+def describe_channel(publishers: Sequence[Any]) -> dict[str, str]:
     """Metadata of a topic by what its publishers offer
     (`rclpy.node.Node.get_publishers_info_by_topic`).
     """
@@ -29,16 +26,7 @@ def describe_channel(topic: str, publishers: Sequence[Any]) -> dict[str, str]:
         found["topic_type_hash"] = str(kind)
     if profiles and all(_word(profile.durability) == _TRANSIENT_LOCAL for profile in profiles):
         found[LATCHED] = "true"
-    return found | named_values(topic)
-
-
-def named_values(topic: str) -> dict[str, str]:
-    """Names and units of the values of a message that is a plain array."""
-    if topic.rpartition("/")[2] != "action":
-        return {}
-    return {
-        "roboneuron.fields": " ".join(f"data[{at}]={name}" for at, name in enumerate(ACTION_FIELDS))
-    }
+    return found
 
 
 def latched_channel() -> dict[str, str]:

@@ -295,7 +295,7 @@ def _replay(run: Run, arguments: Namespace) -> int:
             "Images were recorded as JPEG: answers differ from what the pixels before gave.",
             file=sys.stderr,
         )
-    observations, loaded = load_replayed(
+    observations, deployed = load_replayed(
         run.files,
         backend=backend,
         config=arguments.config,
@@ -305,9 +305,9 @@ def _replay(run: Run, arguments: Namespace) -> int:
         options=read_options(arguments.option, backend),
     )
     try:
-        found = list(replay(observations, loaded))
+        found = list(replay(observations, deployed.backend, deployed.agreement))
     finally:
-        loaded.close()
+        deployed.backend.close()
     comparison = compare(found, arguments.tolerance, observations.gaps)
     print(describe(comparison, found))
     if arguments.out is not None:

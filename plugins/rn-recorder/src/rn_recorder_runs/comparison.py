@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rn_recorder_runs.replay import Compared, Gaps
-from roboneuron import MissingDependencyError
+from roboneuron import ACTION_LABEL, MissingDependencyError, channel_keys
 
 AXES = ("dx [m]", "dy [m]", "dz [m]", "rx [rad]", "ry [rad]", "rz [rad]", "gripper")
+"""Axes of the default control space."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,7 +24,8 @@ class Comparison:
     Attributes:
         predictions: how many were compared.
         diverging: how many differ by more than the tolerance.
-        largest, mean: |difference| by axis, float64 (7,).
+        axes: names of the channels.
+        largest, mean: |difference| by axis, float64 (n,).
         first: number of the first one that diverges; None when none does.
         took_ms: median time of a replayed prediction.
         gaps: what the run lacks.
@@ -31,6 +33,7 @@ class Comparison:
 
     predictions: int
     diverging: int
+    axes: tuple[str, ...]
     largest: NDArray[np.float64]
     mean: NDArray[np.float64]
     first: int | None
@@ -44,8 +47,8 @@ class Comparison:
             "predictions": self.predictions,
             "diverging": self.diverging,
             "tolerance": self.tolerance,
-            "largest": dict(zip(AXES, self.largest.tolist(), strict=True)),
-            "mean": dict(zip(AXES, self.mean.tolist(), strict=True)),
+            "largest": dict(zip(self.axes, self.largest.tolist(), strict=True)),
+            "mean": dict(zip(self.axes, self.mean.tolist(), strict=True)),
             "first_divergence": self.first,
             "median_prediction_ms": self.took_ms,
             "predictions_lost": self.gaps.predictions,
@@ -55,12 +58,14 @@ class Comparison:
 
 def compare(found: Sequence[Compared], tolerance: float, gaps: Gaps | None = None) -> Comparison:
     """Summarize a replay of at least one prediction."""
+    axes = axes_of(found[0].label)
     differences = [np.abs(one.difference) for one in found if one.difference.size]
-    every = np.concatenate(differences) if differences else np.zeros((1, 7))
+    every = np.concatenate(differences) if differences else np.zeros((1, len(axes)))
     diverging = [number for number, one in enumerate(found) if one.diverges(tolerance)]
     return Comparison(
         predictions=len(found),
         diverging=len(diverging),
+        axes=axes,
         largest=every.max(axis=0),
         mean=every.mean(axis=0),
         first=diverging[0] if diverging else None,
@@ -70,11 +75,18 @@ def compare(found: Sequence[Compared], tolerance: float, gaps: Gaps | None = Non
     )
 
 
+def axes_of(label: str) -> tuple[str, ...]:
+    """Names of the channels of a control space, for people."""
+    return AXES if label == ACTION_LABEL else channel_keys(label)
+
+
 def describe(comparison: Comparison, found: Sequence[Compared]) -> str:
     """For a terminal."""
-    lines = [f"{'axis':<10} {'largest':>12} {'mean':>12}"]
-    for axis, largest, mean in zip(AXES, comparison.largest, comparison.mean, strict=True):
-        lines.append(f"{axis:<10} {largest:>12.3e} {mean:>12.3e}")
+    axes = comparison.axes
+    width = max(10, *map(len, axes))
+    lines = [f"{'axis':<{width}} {'largest':>12} {'mean':>12}"]
+    for axis, largest, mean in zip(axes, comparison.largest, comparison.mean, strict=True):
+        lines.append(f"{axis:<{width}} {largest:>12.3e} {mean:>12.3e}")
     if comparison.first is None:
         lines.append(
             f"All {comparison.predictions} predictions equal the recorded ones within "
@@ -94,9 +106,9 @@ def describe(comparison: Comparison, found: Sequence[Compared]) -> str:
         elif len(one.recorded) != len(one.replayed):
             lines.append(f"It has {len(one.replayed)} rows, the recorded one {len(one.recorded)}.")
         else:
-            row, place = divmod(int(np.abs(one.difference).argmax()), len(AXES))
+            row, place = divmod(int(np.abs(one.difference).argmax()), len(axes))
             before, after = one.recorded[row, place], one.replayed[row, place]
-            lines.append(f"Row {row}, {AXES[place]}: {before:.6g} -> {after:.6g}")
+            lines.append(f"Row {row}, {axes[place]}: {before:.6g} -> {after:.6g}")
     lines += _explain_gaps(comparison, found)
     lines.append(f"A replayed prediction took {comparison.took_ms:.1f} ms (median).")
     return "\n".join(lines)
@@ -143,10 +155,11 @@ def write_report(directory: Path, found: Sequence[Compared], comparison: Compari
             "The plot needs matplotlib.",
             hint="Install it: pip install './plugins/rn-recorder[export]'.",
         ) from error
-    figure = Figure(figsize=(10, 12), layout="constrained")
-    panels = figure.subplots(len(AXES), 1, sharex=True)
+    axes = comparison.axes
+    figure = Figure(figsize=(10, 1.7 * len(axes)), layout="constrained")
+    panels = figure.subplots(len(axes), 1, sharex=True, squeeze=False)[:, 0]
     times = [(one.at_ns - found[0].at_ns) / 1e9 for one in found]
-    for axis, (panel, name) in enumerate(zip(panels, AXES, strict=True)):
+    for axis, (panel, name) in enumerate(zip(panels, axes, strict=True)):
         for values, label, style in (
             ([_first(one.recorded, axis) for one in found], "recorded", "-"),
             ([_first(one.replayed, axis) for one in found], "replayed", "--"),

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from rn_recorder_runs.files import read_about
 from rn_recorder_runs.reading import camera_of, iterate
-from roboneuron import InvalidInputError
+from roboneuron import ACTION_LABEL, InvalidInputError, channel_keys
 
 F64 = NDArray[np.float64]
 EVENTS = "/roboneuron/events"
@@ -30,11 +30,27 @@ UNKNOWN = "unknown"
 
 
 @dataclass(frozen=True, slots=True)
+class RecordedAction:
+    """One action that was sent.
+
+    Attributes:
+        sent_ns: when [ns].
+        values: float64 (n,), contract units.
+        label: of its control space; `roboneuron.channel_keys` names the values by it.
+    """
+
+    sent_ns: int
+    values: F64
+    label: str = ACTION_LABEL
+
+
+@dataclass(frozen=True, slots=True)
 class EpisodeRow:
     """One action and what was seen before it.
 
     Attributes:
-        action: float64 (7,), contract units.
+        action: float64 (n,), contract units.
+        label: of its control space.
         sent_ns: when it was sent [ns].
         images: capture time [ns] by camera.
         joints: float64 (n,), rad or m; empty when there were none.
@@ -42,6 +58,7 @@ class EpisodeRow:
     """
 
     action: F64
+    label: str
     sent_ns: int
     images: dict[str, int]
     joints: F64
@@ -56,6 +73,13 @@ class RecordedEpisode:
     outcome: str
     run: str
     rows: list[EpisodeRow] = field(default_factory=list)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Control spaces of its actions, the first one first; more than one where the policy was
+        switched to another space.
+        """
+        return tuple(dict.fromkeys(row.label for row in self.rows))
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +100,7 @@ class Streams:
     Predictions from images that came before the run began are left out.
     """
 
-    actions: list[tuple[int, F64]] = field(default_factory=list)
+    actions: list[RecordedAction] = field(default_factory=list)
     predictions: list[RecordedPrediction] = field(default_factory=list)
     joints: list[tuple[int, F64]] = field(default_factory=list)
     poses: list[tuple[int, F64]] = field(default_factory=list)
@@ -108,8 +132,13 @@ def read_streams(files: Sequence[Path]) -> Streams:
         name = record.topic.rpartition("/")[2]
         if record.topic == EVENTS:
             found.events.append(json.loads(message.data))
-        elif name == "action" and len(message.data) == 7:
-            found.actions.append((record.publish_ns, np.array(message.data, dtype=np.float64)))
+        elif name == "action":
+            dims = message.layout.dim
+            label = dims[0].label if dims else ACTION_LABEL
+            # control refuses rows of another size as well
+            if len(message.data) == len(channel_keys(label)):
+                values = np.array(message.data, dtype=np.float64)
+                found.actions.append(RecordedAction(record.publish_ns, values, label))
         elif name == "predictions":
             found.predictions.append(
                 RecordedPrediction(record.publish_ns, json.loads(message.data), record.sequence)
@@ -121,7 +150,7 @@ def read_streams(files: Sequence[Path]) -> Streams:
         elif name == "ee_pose":
             p, q = message.pose.position, message.pose.orientation
             found.poses.append((record.log_ns, np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w])))
-    found.actions.sort(key=lambda pair: pair[0])
+    found.actions.sort(key=lambda action: action.sent_ns)
     first_ns = {
         camera: min(stamp_ns for _, stamp_ns in seen) for camera, seen in found.images.items()
     }
@@ -192,14 +221,15 @@ def _cuts(streams: Streams, fallback: str) -> list[tuple[int, str]]:
 
 
 def _rows(streams: Streams, begin_ns: int, end_ns: int) -> list[EpisodeRow]:
-    times = [at for at, _ in streams.actions]
+    times = [action.sent_ns for action in streams.actions]
     predicted = [prediction.at_ns for prediction in streams.predictions]
     image_times = {camera: [at for at, _ in seen] for camera, seen in streams.images.items()}
     joint_times, pose_times = [at for at, _ in streams.joints], [at for at, _ in streams.poses]
     rows: list[EpisodeRow] = []
     used = -1
     for index in range(bisect_right(times, begin_ns - 1), len(times)):
-        sent_ns, action = streams.actions[index]
+        action = streams.actions[index]
+        sent_ns = action.sent_ns
         if sent_ns > end_ns:
             break
         images = {
@@ -223,7 +253,7 @@ def _rows(streams: Streams, begin_ns: int, end_ns: int) -> list[EpisodeRow]:
                     [*facts["ee_pose"]["position_m"], *facts["ee_pose"]["quaternion_xyzw"]]
                 )
         if len(images) == len(image_times):
-            rows.append(EpisodeRow(action, sent_ns, images, joints, pose))
+            rows.append(EpisodeRow(action.values, action.label, sent_ns, images, joints, pose))
     return rows
 
 

@@ -24,6 +24,7 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 from zstandard import ZstdError
 
+from rn_recorder_runs.action_labels import is_action, label_of, named_values
 from rn_recorder_runs.schemas import definition
 from roboneuron.feature import log_files
 
@@ -118,7 +119,7 @@ class RunFile:
         self._writer = Writer(
             cast("IO[bytes]", self._file), chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD
         )
-        self._channels: dict[tuple[str, str], int] = {}
+        self._channels: dict[tuple[str, str, str], int] = {}
         self._schemas: dict[str, int] = {}
         try:
             self._writer.start(profile="ros2", library="rn-recorder")
@@ -137,9 +138,12 @@ class RunFile:
 
     def write(self, record: Record) -> None:
         """Add a message. Raises FileNotFoundError when the definition of its type is not known."""
-        channel = self._channels.get((record.topic, record.type))
+        # a channel for each control space: its metadata names the values
+        label = label_of(record.data) if is_action(record.topic, record.type) else ""
+        key = (record.topic, record.type, label)
+        channel = self._channels.get(key)
         if channel is None:
-            channel = self._channels[record.topic, record.type] = self._register(record)
+            channel = self._channels[key] = self._register(record, label)
         before = self.size_bytes
         self._writer.add_message(
             channel, record.log_ns, record.data, record.publish_ns, record.sequence & 0xFFFFFFFF
@@ -171,16 +175,15 @@ class RunFile:
         with suppress(OSError):
             self._file.close()
 
-    def _register(self, record: Record) -> int:
+    def _register(self, record: Record, label: str) -> int:
         schema = self._schemas.get(record.type)
         if schema is None:
             text = self._definitions.get(record.type) or definition(record.type)
             schema = self._schemas[record.type] = self._writer.register_schema(
                 record.type, "ros2msg", text.encode()
             )
-        return self._writer.register_channel(
-            record.topic, "cdr", schema, dict(self._topics.get(record.topic, {}))
-        )
+        told = {**self._topics.get(record.topic, {}), **named_values(label)}
+        return self._writer.register_channel(record.topic, "cdr", schema, told)
 
 
 def is_finished(path: Path) -> bool:

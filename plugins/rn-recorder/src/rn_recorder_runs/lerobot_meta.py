@@ -13,9 +13,9 @@ from rn_recorder_runs.episodes import RecordedEpisode
 from rn_recorder_runs.files import read_about
 from rn_recorder_runs.store import Run
 from rn_recorder_runs.video import CameraVideo, Codec
+from roboneuron import channel_keys
 
 VERSION = "v3.0"
-ACTION_NAMES = ("dx_m", "dy_m", "dz_m", "rx_rad", "ry_rad", "rz_rad", "gripper_open")
 POSE_NAMES = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
 
 
@@ -38,8 +38,9 @@ def features(
         features["observation.state"] = _feature("float32", source.joint_names)
     if source.episodes[0].rows[0].ee_pose.size:
         features["observation.ee_pose"] = _feature("float32", POSE_NAMES)
-    features["action"] = _feature("float32", ACTION_NAMES)
-    features["roboneuron.action"] = _feature("float64", ACTION_NAMES)
+    names = channel_keys(source.episodes[0].labels[0])
+    features["action"] = _feature("float32", names)
+    features["roboneuron.action"] = _feature("float64", names)
     for camera, video in videos.items():
         height, width, channels = video.shape
         facts = {
@@ -147,6 +148,7 @@ def origin(
     contract = json.loads(about.get("contract", "{}"))
     return {
         "contract": contract,
+        "action_space": sources[0].episodes[0].labels[0],
         "rows": "one for each action that was sent; timestamp is frame_index / fps, "
         "roboneuron.sent_ns the time itself",
         "config": json.loads(about.get("config", "{}")),

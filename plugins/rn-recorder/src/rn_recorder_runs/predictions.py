@@ -80,8 +80,8 @@ def prediction_record(
     """One prediction.
 
     Observations are named by their stamps [ns]; state and rows are given as they are, in the
-    contract's units (numbers in JSON keep every bit of a float64). `ahead` says what ran meanwhile,
-    without the backend's own context.
+    contract's units (numbers in JSON keep every bit of a float64). `space` is the label of the
+    rows' control space. `ahead` says what ran meanwhile, without the backend's own context.
 
     Args:
         observation: what the backend got.
@@ -125,5 +125,5 @@ def prediction_record(
         record["error"] = str(answer)
     else:
         record |= {"rows": answer.actions.tolist(), "step_s": answer.step_s, "note": answer.note}
-        record["conditioned_rows"] = answer.conditioned_rows
+        record |= {"conditioned_rows": answer.conditioned_rows, "space": answer.space.label}
     return json.dumps(record)

@@ -9,21 +9,22 @@ from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rn_recorder_runs.deployed import DeployedBackend, build_backend
 from rn_recorder_runs.episodes import RecordedPrediction, read_streams, stamp_of
 from rn_recorder_runs.files import Record, read_about, read_records
 from rn_recorder_runs.images import pixels_of
 from rn_recorder_runs.reading import RecordDecoder, camera_of
 from roboneuron import (
+    ACTION_LABEL,
     ActionChunk,
     Ahead,
     Backend,
     CameraProfile,
-    ConfigurationError,
     Frame,
     InvalidInputError,
     JointSample,
@@ -31,7 +32,11 @@ from roboneuron import (
     Pose,
     RoboNeuronError,
     RobotProfile,
+    channel_keys,
 )
+
+if TYPE_CHECKING:
+    from roboneuron.feature import SpaceAgreement
 
 F64 = NDArray[np.float64]
 EXACT = 1e-9
@@ -45,12 +50,14 @@ class Compared:
 
     Attributes:
         at_ns: when it was recorded [ns].
-        recorded, replayed: float64 (H, 7), contract units; empty where the backend refused.
+        label: of the control space of both.
+        recorded, replayed: float64 (H, n), contract units; empty where the backend refused.
         error: why the replayed backend refused; empty when it answered.
         took_s: of the replayed prediction.
     """
 
     at_ns: int
+    label: str
     instruction: str
     recorded: F64
     replayed: F64
@@ -59,7 +66,7 @@ class Compared:
 
     @property
     def difference(self) -> F64:
-        """Replayed less recorded, float64 (n, 7), of the rows that both have."""
+        """Replayed less recorded, float64 (rows that both have, n)."""
         rows = min(len(self.recorded), len(self.replayed))
         difference: F64 = self.replayed[:rows] - self.recorded[:rows]
         return difference
@@ -133,6 +140,10 @@ class Observations:
         }
         self.gaps = self._find_gaps()
         """What the run lacks."""
+        self.labels = tuple(
+            dict.fromkeys(label_of(one.facts) for one in predictions if "rows" in one.facts)
+        )
+        """Control spaces of the recorded answers."""
         self._decoder = RecordDecoder()
         self._recent: dict[str, deque[tuple[int, Record]]] = {}
         self._infos: dict[str, Any] = {}
@@ -288,7 +299,7 @@ def _pose(told: Mapping[str, Any]) -> Pose:
 
 def _ahead(told: Mapping[str, Any]) -> Ahead:
     return Ahead(
-        rows=np.array(told["rows"], dtype=np.float64).reshape(-1, 7),
+        rows=_rows(told["rows"], len(channel_keys(ACTION_LABEL))),
         committed_rows=int(told["committed_rows"]),
         step_s=float(told["step_s"]),
         context_row=int(told["context_row"]),
@@ -296,10 +307,23 @@ def _ahead(told: Mapping[str, Any]) -> Ahead:
     )
 
 
-def replay(observations: Observations, backend: Backend) -> Iterator[Compared]:
+def _rows(told: Sequence[Sequence[float]], size: int) -> F64:
+    """Rows as JSON has them, float64 (H, n); `size` is n where there are none."""
+    return np.array(told, dtype=np.float64) if told else np.zeros((0, size))
+
+
+def label_of(facts: Mapping[str, Any]) -> str:
+    """Label of the control space of a recorded prediction."""
+    return str(facts.get("space", ACTION_LABEL))
+
+
+def replay(
+    observations: Observations, backend: Backend, agreement: SpaceAgreement
+) -> Iterator[Compared]:
     """Ask a loaded backend everything that was asked, resetting it where the recorded one was
-    reset.
+    reset. `agreement` makes of its answers what control would get.
     """
+    size, label = agreement.executed.size, agreement.executed.label
     backend.reset()
     for prediction, observation in observations:
         facts = prediction.facts
@@ -313,9 +337,13 @@ def replay(observations: Observations, backend: Backend) -> Iterator[Compared]:
         except RoboNeuronError as refusal:
             error = str(refusal)
         took_s = time.perf_counter() - begun_s
-        recorded = np.array(facts.get("rows", []), dtype=np.float64).reshape(-1, 7)
-        replayed = np.zeros((0, 7)) if answer is None else np.asarray(answer.actions)
-        yield Compared(prediction.at_ns, facts["instruction"], recorded, replayed, error, took_s)
+        recorded = _rows(facts.get("rows", []), size)
+        replayed = np.zeros((0, size))
+        if answer is not None:
+            replayed = agreement.convert(answer, observation.joints).actions
+        yield Compared(
+            prediction.at_ns, label, facts["instruction"], recorded, replayed, error, took_s
+        )
 
 
 def load_replayed(
@@ -327,64 +355,47 @@ def load_replayed(
     runtime: str | None,
     acceleration: str | None,
     options: Mapping[str, Mapping[str, object]],
-) -> tuple[Observations, Backend]:
+) -> tuple[Observations, DeployedBackend]:
     """The run's observations, and the backend, loaded, for the robot that the run is of.
 
     Args:
         options: by name of the plugin that takes them.
 
     Raises:
-        ConfigurationError: options of a plugin that this replay does not make.
+        InvalidInputError: the run's answers are of another control space than the backend's.
         RoboNeuronError: the backend does not fit the robot, or cannot be loaded; or as
-            `Observations`.
+            `build_backend` and `Observations`.
     """
-    from roboneuron.feature import build, check_plan, discover, load_config, load_profile
+    from roboneuron.feature import load_config
 
     about = read_about(files[0])
     settings = load_config(config)
-    robot, driver = (
-        about.get("robot", settings.robot.name),
-        about.get("driver", settings.robot.driver),
-    )
-    registry = discover(settings.disabled_plugins)
-    cameras = dict(settings.inference.cameras) if settings.inference else {}
-    plan = check_plan(
-        registry,
-        robot=robot,
-        driver=driver,
+    deployed = build_backend(
+        settings,
         backend=backend,
+        robot=about.get("robot", settings.robot.name),
+        driver=about.get("driver", settings.robot.driver),
+        checkpoint=checkpoint,
         runtime=runtime,
         acceleration=acceleration,
-        cameras=cameras,
+        options=options,
     )
-    assert plan.backend is not None
-    profile = load_profile(registry, robot)
-    made_of = [
-        part.name for part in (plan.backend, plan.runtime, plan.acceleration) if part is not None
-    ]
-    for name in options:
-        if name not in made_of:
-            raise ConfigurationError(
-                f"--option names {name!r}, which this replay does not make.",
-                hint=f"It makes: {', '.join(made_of)}.",
-            )
+    observations = Observations(
+        files, deployed.cameras, frozenset(deployed.spec.optional_cameras), deployed.profile
+    )
+    check_labels(observations, deployed.agreement)
+    deployed.backend.load()
+    return observations, deployed
 
-    def options_of(name: str) -> dict[str, object]:
-        return {**settings.options(name), **options.get(name, {})}
 
-    given = options_of(backend)
-    if checkpoint is not None:
-        given["checkpoint"] = checkpoint
-    parts = {
-        part: None if chosen is None else build(chosen, options_of(chosen.name))
-        for part, chosen in (("runtime", plan.runtime), ("acceleration", plan.acceleration))
-    }
-    made = cast("Backend", build(plan.backend, given, **parts))
-    found = {
-        role: camera
-        for role, name in plan.cameras.items()
-        if (camera := profile.camera(name)) is not None
-    }
-    observations = Observations(files, found, frozenset(plan.backend.optional_cameras), profile)
-    made.load()
-    return observations, made
+def check_labels(observations: Observations, agreement: SpaceAgreement) -> None:
+    """Raises InvalidInputError when recorded answers are of another control space than those of
+    the backend, so that nothing can be compared.
+    """
+    expected = agreement.executed.label
+    if others := [label for label in observations.labels if label != expected]:
+        raise InvalidInputError(
+            f"The recorded answers are of the control space {', '.join(map(repr, others))}; the "
+            f"backend's are of {expected!r}.",
+            hint="Name the backend that was recorded, with its options.",
+        )

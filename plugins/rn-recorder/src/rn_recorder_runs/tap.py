@@ -129,7 +129,7 @@ class Tap:
             if not publishers:
                 continue
             self._note_single(topic, len(publishers) == 1)
-            self._describe(topic, describe_channel(topic, publishers))
+            self._describe(topic, describe_channel(publishers))
             is_image = types[0] == IMAGE
             qos = core_qos.requested_qos(publishers, _IMAGES if is_image else _OTHERS)
             known = self._found.get(topic)

@@ -17,8 +17,10 @@ from roboneuron import InvalidInputError
 Sizes = dict[str, dict[int, tuple[int, ...]]]
 """Size (H, W) of each image that episodes need and that can be decoded, by camera and stamp [ns].
 """
-Kind = tuple[tuple[str, ...], tuple[tuple[str, tuple[int, ...]], ...], tuple[int, int]]
-"""Joint names; size of images (H, W) by camera; values of joints and pose in a row."""
+Kind = tuple[str, tuple[str, ...], tuple[tuple[str, tuple[int, ...]], ...], tuple[int, int]]
+"""Label of the actions' control space; joint names; size of images (H, W) by camera; values of
+joints and pose in a row.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,12 +108,20 @@ def _kind(source: ExportSource, episode: RecordedEpisode, sizes: Sizes) -> Kind 
     poses = {row.ee_pose.size for row in episode.rows}
     if len(joints) > 1 or len(poses) > 1:
         return "joint states or TCP poses begin only after its first action"
-    return (source.joint_names, tuple(sorted(shapes.items())), (joints.pop(), poses.pop()))
+    labels = episode.labels
+    if len(labels) > 1:
+        return f"its actions change from one control space to another ({' to '.join(labels)})"
+    return (
+        labels[0],
+        source.joint_names,
+        tuple(sorted(shapes.items())),
+        (joints.pop(), poses.pop()),
+    )
 
 
 def _differences(kind: Kind, wanted: Kind) -> str:
     """What an episode has other than the data set."""
-    words = ("joints", "cameras or sizes of images", "states")
+    words = ("control spaces", "joints", "cameras or sizes of images", "states")
     return "it has other " + ", ".join(
         f"{word} ({got}, not {expected})"
         for word, got, expected in zip(words, kind, wanted, strict=True)

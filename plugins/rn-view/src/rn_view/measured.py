@@ -9,13 +9,13 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rn_view.source import Source
-from roboneuron import RobotProfile, frame_from_buffer
+from roboneuron import ACTION_LABEL, RobotProfile, frame_from_buffer
 
 if TYPE_CHECKING:
     from geometry_msgs.msg import PoseStamped
@@ -32,6 +32,20 @@ _LEAST_STEP_M = 0.002
 """The trail gets a point when the TCP has moved this far."""
 
 
+class ShownAction(NamedTuple):
+    """One action.
+
+    Attributes:
+        at_s: when it came [s], as of `Source.now_s`.
+        label: of its control space.
+        values: as sent.
+    """
+
+    at_s: float
+    label: str
+    values: tuple[float, ...]
+
+
 class MeasuredTopics:
     """The newest messages; `open` subscribes and `close` ends that. Fields may be read from any
     thread.
@@ -42,8 +56,7 @@ class MeasuredTopics:
             before the first.
         commanded: positions by joint name that were commanded last; empty before the first command.
         trail: positions of the TCP [m], oldest first.
-        actions: time [s], as of `Source.now_s`, and values (7,) of the newest actions, oldest
-            first.
+        actions: the newest, oldest first.
         images: number, pixels (H, W, 3) and capture time [ns] of each camera's newest picture.
         news: notified with every picture.
     """
@@ -56,7 +69,7 @@ class MeasuredTopics:
         self.tcp: tuple[F64, F64] | None = None
         self.commanded: dict[str, float] = {}
         self.trail: deque[F64] = deque(maxlen=_TRAIL)
-        self.actions: deque[tuple[float, tuple[float, ...]]] = deque(maxlen=_ACTIONS)
+        self.actions: deque[ShownAction] = deque(maxlen=_ACTIONS)
         self.images: dict[str, tuple[int, U8, int]] = {}
         self.news = threading.Condition()
 
@@ -105,7 +118,9 @@ class MeasuredTopics:
             self.trail.append(position)
 
     def _on_action(self, message: Float64MultiArray) -> None:
-        self.actions.append((self._source.now_s(), tuple(message.data)))
+        dims = message.layout.dim
+        label = dims[0].label if dims else ACTION_LABEL
+        self.actions.append(ShownAction(self._source.now_s(), label, tuple(message.data)))
 
     def _on_command(self, message: JointTrajectory) -> None:
         if message.points:

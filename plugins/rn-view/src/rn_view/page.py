@@ -264,8 +264,7 @@ class _Content:
             }
             if not profile.cameras:
                 gui.add_markdown("This robot has no camera.")
-        with tabs.add_tab("Plots"):
-            self._plots = Plots(gui)
+        self._plots = Plots(gui, tabs.add_tab("Plots"))
         with tabs.add_tab("Joints"):
             self._joints = gui.add_html("")
         if not isinstance(tabs, viser.GuiTabGroupHandle):

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from contextlib import AbstractContextManager
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rn_view.measured import ShownAction
 from rn_view.source import PageState
+from roboneuron import ACTION_LABEL, GRIPPER, channel_keys
 
 if TYPE_CHECKING:
     import viser
@@ -17,9 +20,21 @@ if TYPE_CHECKING:
 F64 = NDArray[np.float64]
 SPAN_S = 30.0
 _MOST_POINTS = 240
-_COLOURS = ("#1f77b4", "#d62728", "#2ca02c", "#9467bd")
+_COLOURS = (
+    *("#1f77b4", "#d62728", "#2ca02c", "#9467bd"),
+    *("#ff7f0e", "#8c564b", "#e377c2", "#7f7f7f"),
+)
+_UNITS = {
+    "joint_position": "rad or m",
+    "joint_velocity": "rad/s or m/s",
+    "joint_delta": "rad or m",
+    "ee_pose": "m, quaternion",
+}
+"""Units of the channels but for grippers, by kind of control space."""
 _KINDS = ("robot", "perception", "inference", "control")
 _HEIGHT_PX = 130
+_BEHIND = 10.0
+"""Place of the plots after those of the actions."""
 
 
 class History:
@@ -59,35 +74,104 @@ def _value(row: tuple[float, dict[str, float], dict[str, float]], index: int, ki
     return table.get(kind, 0.0)
 
 
+class ActionPanel(NamedTuple):
+    """One plot of actions.
+
+    Attributes:
+        names: of the channels.
+        columns: of these channels in a row.
+        scale: what values are multiplied by to be shown.
+    """
+
+    title: str
+    names: tuple[str, ...]
+    columns: tuple[int, ...]
+    scale: float = 1.0
+
+
+def action_panels(label: str) -> tuple[ActionPanel, ...]:
+    """The plots of actions whose control space has this label."""
+    if label == ACTION_LABEL:
+        return (
+            ActionPanel("action: translation [mm]", ("dx", "dy", "dz"), (0, 1, 2), 1000.0),
+            ActionPanel(
+                "action: rotation [deg]", ("rx", "ry", "rz"), (3, 4, 5), float(np.degrees(1.0))
+            ),
+        )
+    kind = label.partition(":")[0].partition("@")[0]
+    keys = channel_keys(label)
+    grippers = tuple(i for i, key in enumerate(keys) if key.rpartition("/")[2] == GRIPPER)
+    motion = tuple(i for i in range(len(keys)) if i not in grippers)
+    told = kind.replace("_", " ")
+    panels = (
+        ActionPanel(
+            f"action: {told} [{_UNITS.get(kind, '?')}]", tuple(keys[i] for i in motion), motion
+        ),
+        ActionPanel("action: gripper [0..1]", tuple(keys[i] for i in grippers), grippers),
+    )
+    return tuple(panel for panel in panels if panel.columns)
+
+
 class Plots:
-    """The plots of one page."""
+    """The plots of one page.
 
-    def __init__(self, gui: viser.GuiApi) -> None:
-        self._translation = _plot(gui, "action: translation [mm]", ("dx", "dy", "dz"))
-        self._rotation = _plot(gui, "action: rotation [deg]", ("rx", "ry", "rz"))
-        self._latency = _plot(gui, "latency [ms]; 0: not said", _KINDS)
-        self._rate = _plot(gui, "rate [Hz]", _KINDS)
+    Args:
+        gui: of the page.
+        place: the container of the plots, entered to add others when actions have other channels.
+    """
 
-    def update(
-        self, actions: Sequence[tuple[float, tuple[float, ...]]], history: History, now_s: float
-    ) -> None:
+    def __init__(self, gui: viser.GuiApi, place: AbstractContextManager[object]) -> None:
+        self._gui, self._place = gui, place
+        self._label = ""
+        self._actions: list[tuple[ActionPanel, viser.GuiUplotHandle]] = []
+        self._show_channels(ACTION_LABEL)
+        with place:
+            self._latency = _plot(gui, "latency [ms]; 0: not said", _KINDS, order=_BEHIND)
+            self._rate = _plot(gui, "rate [Hz]", _KINDS, order=_BEHIND + 1.0)
+
+    def update(self, actions: Sequence[ShownAction], history: History, now_s: float) -> None:
         """Show the newest values; `now_s` as of `Source.now_s`."""
-        rows = [row for row in actions if now_s - row[0] <= SPAN_S and len(row[1]) == 7]
+        label = actions[-1].label if actions else self._label
+        if label != self._label:
+            self._show_channels(label)
+        size = len(channel_keys(label))
+        rows = [
+            row
+            for row in actions
+            if now_s - row.at_s <= SPAN_S and row.label == label and len(row.values) == size
+        ]
         rows = rows[:: 1 + len(rows) // _MOST_POINTS]
-        ages = np.array([at_s - now_s for at_s, _ in rows])
-        values = np.array([row for _, row in rows]).reshape(-1, 7)
-        self._translation.data = _filled((ages, *(values[:, :3].T * 1000.0)))
-        self._rotation.data = _filled((ages, *np.degrees(values[:, 3:6]).T))
+        ages = np.array([row.at_s - now_s for row in rows])
+        values = np.array([row.values for row in rows]).reshape(-1, size)
+        for panel, plot in self._actions:
+            shown = values[:, panel.columns].T * panel.scale
+            plot.data = _filled((ages, *shown))
         self._latency.data = _filled(history.series(2, now_s))
         self._rate.data = _filled(history.series(1, now_s))
 
+    def _show_channels(self, label: str) -> None:
+        """Put plots of these channels in place of those before."""
+        for _, plot in self._actions:
+            plot.remove()
+        self._label = label
+        with self._place:
+            self._actions = [
+                (panel, _plot(self._gui, panel.title, panel.names, order=float(place)))
+                for place, panel in enumerate(action_panels(label))
+            ]
 
-def _plot(gui: viser.GuiApi, title: str, names: Sequence[str]) -> viser.GuiUplotHandle:
+
+def _plot(
+    gui: viser.GuiApi, title: str, names: Sequence[str], *, order: float
+) -> viser.GuiUplotHandle:
     from viser import uplot
 
     series = [
         uplot.Series(label="s"),
-        *(uplot.Series(label=n, stroke=_COLOURS[i], width=1.5) for i, n in enumerate(names)),
+        *(
+            uplot.Series(label=n, stroke=_COLOURS[i % len(_COLOURS)], width=1.5)
+            for i, n in enumerate(names)
+        ),
     ]
     return gui.add_uplot(
         data=_filled(tuple(np.empty(0) for _ in series)),
@@ -96,6 +180,7 @@ def _plot(gui: viser.GuiApi, title: str, names: Sequence[str]) -> viser.GuiUplot
         scales={"x": uplot.Scale(time=False, range=(-SPAN_S, 0.0)), "y": uplot.Scale(auto=True)},
         legend=uplot.Legend(show=True),
         height=_HEIGHT_PX,
+        order=order,
     )
 
 

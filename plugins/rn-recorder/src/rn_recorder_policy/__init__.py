@@ -1,0 +1,1 @@
+"""A deployed policy beside recorded actions: the command `roboneuron check-policy`."""

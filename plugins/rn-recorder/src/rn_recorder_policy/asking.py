@@ -1,0 +1,223 @@
+"""Frames of a demonstration, put to a deployed backend as the server would."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rn_recorder_policy.answers import Answers
+from rn_recorder_policy.demonstration import ACTION, IMAGES, Demonstration
+from rn_recorder_policy.name_mapping import POSITION, QUATERNION, NameMapping, RecordedStates
+from rn_recorder_runs.deployed import DeployedBackend
+from roboneuron import (
+    ActionChunk,
+    ConfigurationError,
+    Frame,
+    InvalidInputError,
+    JointSample,
+    Observation,
+    Pose,
+    RoboNeuronError,
+    matrix_from_quaternion,
+)
+
+F64 = NDArray[np.float64]
+LEAST_FRAMES = 10
+"""Fewer answers say nothing of scale and lag."""
+_NS = 1_000_000_000
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Question:
+    """What is asked.
+
+    Attributes:
+        mapping: of names.
+        feature: the feature that holds the actions.
+        cameras: feature with pictures by role of the backend, where the names differ.
+        frames: how many observations of the episode.
+        instruction: in place of the recorded one.
+    """
+
+    mapping: NameMapping
+    feature: str = ACTION
+    cameras: Mapping[str, str]
+    frames: int = 50
+    instruction: str = ""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Asked:
+    """The answers, and what was refused.
+
+    Attributes:
+        refused: frames to which the backend gave no answer.
+        refusal: why, of the first of them.
+    """
+
+    answers: Answers
+    refused: int
+    refusal: str
+
+
+def ask(deployed: DeployedBackend, demonstration: Demonstration, question: Question) -> Asked:
+    """Ask a loaded backend for frames at equal distances; it is reset before each one, so that an
+    answer depends on its frame alone.
+
+    Raises:
+        InvalidInputError: names, cameras or instruction are missing; or too few answers came.
+        RoboNeuronError: as the backend.
+    """
+    if demonstration.rows < LEAST_FRAMES:
+        raise InvalidInputError(
+            f"{demonstration.source} has {demonstration.rows} rows, {LEAST_FRAMES} are needed.",
+            hint="Choose a longer episode.",
+        )
+    space = deployed.agreement.executed
+    recorded = question.mapping.actions(demonstration, question.feature, space)
+    states = question.mapping.states(demonstration, deployed.profile)
+    observations = _Observations(deployed, demonstration, states, question)
+    rows = np.unique(np.linspace(0, demonstration.rows - 1, question.frames).round().astype(int))
+    observations.read(rows.tolist())
+    answered: list[int] = []
+    chunks: list[ActionChunk] = []
+    refusal = ""
+    for row in rows.tolist():
+        observation = observations.at(row)
+        deployed.backend.reset()
+        try:
+            answer = deployed.backend.predict(observation)
+        except RoboNeuronError as error:
+            refusal = refusal or str(error)
+            continue
+        chunks.append(deployed.agreement.convert(answer, observation.joints))
+        answered.append(row)
+    if len(chunks) < LEAST_FRAMES:
+        told = f" The backend says: {refusal}" if refusal else ""
+        raise InvalidInputError(
+            f"{len(chunks)} of {len(rows)} frames were answered, {LEAST_FRAMES} are needed.{told}",
+            hint=f"Of the state the data set names: {', '.join(states.values) or 'nothing'}. "
+            "Map others with --map.",
+        )
+    horizon = min(len(chunk.actions) for chunk in chunks)
+    joints = np.full_like(recorded, np.nan)
+    for place, channel in enumerate(space.channels):
+        if channel.name in deployed.profile.arm_joints and channel.key in states.values:
+            joints[:, place] = states.values[channel.key]
+    orientations = states.stacked(QUATERNION)
+    answers = Answers(
+        space=space,
+        step_s=chunks[0].step_s,
+        fps=demonstration.fps,
+        frames=np.array(answered, dtype=np.int64),
+        predicted=np.stack([chunk.actions[:horizon] for chunk in chunks]),
+        recorded=recorded,
+        joints=joints,
+        positions_m=states.stacked(POSITION),
+        orientations=None
+        if orientations is None
+        else np.stack([matrix_from_quaternion(q) for q in orientations]),
+    )
+    return Asked(answers=answers, refused=len(rows) - len(chunks), refusal=refusal)
+
+
+class _Observations:
+    """Observations of a demonstration, as the backend's descriptor asks for them."""
+
+    def __init__(
+        self,
+        deployed: DeployedBackend,
+        demonstration: Demonstration,
+        states: RecordedStates,
+        question: Question,
+    ) -> None:
+        self._deployed, self._demonstration = deployed, demonstration
+        self._instruction = question.instruction or demonstration.instruction
+        if not self._instruction:
+            raise InvalidInputError(
+                f"{demonstration.source} tells no instruction.", hint="Give --instruction."
+            )
+        profile = deployed.profile
+        self._joints = states.stacked(profile.arm_joints)
+        self._positions, self._quaternions = states.stacked(POSITION), states.stacked(QUATERNION)
+        self._openings = states.openings(profile)
+        self._names = profile.arm_joints
+        gripper = profile.gripper
+        if self._joints is not None and gripper is not None and self._openings is not None:
+            # the driver reports the gripper's joint beside the arm's
+            fingers = [gripper.to_position(float(opening)) for opening in self._openings]
+            self._joints = np.column_stack([self._joints, fingers])
+            self._names = (*self._names, gripper.joint)
+        self._sources = self._choose_cameras(question.cameras)
+        self._frames: dict[int, dict[str, Frame]] = {}
+
+    def _choose_cameras(self, chosen: Mapping[str, str]) -> dict[str, str]:
+        """Feature by role. Raises ConfigurationError, InvalidInputError."""
+        cameras = self._demonstration.cameras
+        by_name = {key.removeprefix(IMAGES): key for key in cameras}
+        for role in chosen:
+            if role not in self._deployed.cameras:
+                raise ConfigurationError(
+                    f"--camera names the role {role!r}; the backend has "
+                    f"{', '.join(self._deployed.cameras) or 'none'}."
+                )
+        found: dict[str, str] = {}
+        for role, camera in self._deployed.cameras.items():
+            names = (chosen[role],) if role in chosen else (camera.name, role)
+            key = next((by_name.get(n, n) for n in names if by_name.get(n, n) in cameras), None)
+            if key is not None:
+                found[role] = key
+            elif role in chosen or role not in self._deployed.spec.optional_cameras:
+                raise InvalidInputError(
+                    f"{self._demonstration.source} has no pictures {' or '.join(names)} for the "
+                    f"role {role!r}. It has: {', '.join(by_name) or 'none'}.",
+                    hint="Name them: --camera ROLE=NAME.",
+                )
+        return found
+
+    def read(self, rows: Sequence[int]) -> None:
+        """Decode the pictures of these rows. Raises InvalidInputError, MissingDependencyError."""
+        for role, key in self._sources.items():
+            camera = self._deployed.cameras[role]
+            images = self._demonstration.read_pictures(key, rows)
+            for row, image in zip(rows, images, strict=True):
+                height, width = image.shape[:2]
+                self._frames.setdefault(row, {})[role] = Frame(
+                    camera=camera.name,
+                    image=image,
+                    stamp_ns=self._stamp_ns(row),
+                    frame_id=camera.frame_id or camera.name,
+                    calibration=camera.calibration_at(width, height),
+                )
+
+    def _stamp_ns(self, row: int) -> int:
+        return round((1 + row / self._demonstration.fps) * _NS)
+
+    def at(self, row: int) -> Observation:
+        """The observation of a row that was read."""
+        stamp_ns = self._stamp_ns(row)
+        joints = pose = opening = None
+        if self._deployed.spec.needs_state:
+            if self._joints is not None:
+                joints = JointSample(
+                    names=self._names, position=self._joints[row], stamp_ns=stamp_ns
+                )
+            if self._positions is not None and self._quaternions is not None:
+                pose = Pose(
+                    position_m=self._positions[row],
+                    quaternion_xyzw=self._quaternions[row],
+                    stamp_ns=stamp_ns,
+                )
+            if self._openings is not None:
+                opening = float(self._openings[row])
+        return Observation(
+            frames=self._frames.get(row, {}),
+            instruction=self._instruction,
+            joints=joints,
+            ee_pose=pose,
+            gripper_open=opening,
+            stamp_ns=stamp_ns,
+        )

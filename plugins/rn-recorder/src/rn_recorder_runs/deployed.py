@@ -1,0 +1,104 @@
+"""A backend as the server's inference module builds it, in this process and without ROS."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, cast
+
+from roboneuron import Backend, BackendSpec, CameraProfile, ConfigurationError, RobotProfile
+
+if TYPE_CHECKING:
+    from roboneuron.feature import Config, SpaceAgreement
+
+
+@dataclass(frozen=True, kw_only=True)
+class DeployedBackend:
+    """A backend that is built, and not loaded.
+
+    Attributes:
+        spec: its descriptor.
+        profile: of the robot.
+        cameras: camera by role, those that the robot has.
+        agreement: what becomes of its rows on their way to control.
+    """
+
+    backend: Backend
+    spec: BackendSpec
+    profile: RobotProfile
+    cameras: Mapping[str, CameraProfile]
+    agreement: SpaceAgreement
+
+
+def build_backend(
+    settings: Config,
+    *,
+    backend: str,
+    robot: str,
+    driver: str,
+    checkpoint: str | None,
+    runtime: str | None,
+    acceleration: str | None,
+    options: Mapping[str, Mapping[str, object]],
+) -> DeployedBackend:
+    """Build a backend with its runtime and acceleration, and agree on its space.
+
+    Args:
+        settings: options of plugins, cameras by role, and the controller are taken from it.
+        backend, robot, driver, runtime, acceleration: names.
+        checkpoint: folder of the model's files; None: what the options say.
+        options: by name of the plugin that takes them; they come before those of `settings`.
+
+    Raises:
+        ConfigurationError: options of a plugin that is not used here.
+        RoboNeuronError: the backend does not fit the robot, or cannot be built.
+    """
+    from roboneuron.feature import agree_on_space, build, check_plan, discover, load_profile
+
+    registry = discover(settings.disabled_plugins)
+    plan = check_plan(
+        registry,
+        robot=robot,
+        driver=driver,
+        backend=backend,
+        runtime=runtime,
+        acceleration=acceleration,
+        cameras=dict(settings.inference.cameras) if settings.inference else {},
+        elsewhere=("driver",),
+    )
+    assert plan.backend is not None
+    made_of = [
+        part.name for part in (plan.backend, plan.runtime, plan.acceleration) if part is not None
+    ]
+    for name in options:
+        if name not in made_of:
+            raise ConfigurationError(
+                f"--option names {name!r}, which is not used here.",
+                hint=f"Used are: {', '.join(made_of)}.",
+            )
+
+    def options_of(name: str) -> dict[str, object]:
+        return {**settings.options(name), **options.get(name, {})}
+
+    given = options_of(backend)
+    if checkpoint is not None:
+        given["checkpoint"] = str(Path(checkpoint).expanduser())
+    profile = load_profile(registry, robot)
+    agreement = agree_on_space(registry, plan.backend, given, robot, settings.control)
+    parts = {
+        part: None if chosen is None else build(chosen, options_of(chosen.name))
+        for part, chosen in (("runtime", plan.runtime), ("acceleration", plan.acceleration))
+    }
+    cameras = {
+        role: camera
+        for role, name in plan.cameras.items()
+        if (camera := profile.camera(name)) is not None
+    }
+    return DeployedBackend(
+        backend=cast("Backend", build(plan.backend, given, **parts)),
+        spec=plan.backend,
+        profile=profile,
+        cameras=cameras,
+        agreement=agreement,
+    )
