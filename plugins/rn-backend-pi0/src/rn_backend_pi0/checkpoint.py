@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 from rn_backend_pi0.architecture import Pi0Dims
-from rn_backend_pi0.statistics import ZScore
+from rn_backend_pi0.statistics import Scaling
 
 Family = Literal["lerobot", "openpi"]
 PROFILE_FILE = "roboneuron.json"
@@ -37,8 +37,8 @@ class Pi0Checkpoint:
     family: Family
     dims: Pi0Dims
     slots: tuple[str, ...]
-    state: ZScore
-    action: ZScore
+    state: Scaling
+    action: Scaling
     denoising_steps: int = 10
     action_steps: int = 50
     prompt_length: int = 48

@@ -12,13 +12,11 @@ from numpy.typing import NDArray
 
 from rn_backend_pi0.checkpoint import Pi0Checkpoint
 from rn_backend_pi0.chunking import Prefix, RunningChunk
+from rn_backend_pi0.conversion import Conversion
 from rn_backend_pi0.layouts import read_checkpoint
 from rn_backend_pi0.options import Pi0Options
-from rn_backend_pi0.profiles import Profile
-from rn_backend_pi0.statistics import ZScore
+from rn_backend_pi0.statistics import Scaling, Values
 from roboneuron import (
-    ACTION_FIELDS,
-    ACTION_SIZE,
     ActionChunk,
     Ahead,
     CheckpointError,
@@ -88,7 +86,7 @@ def resolve_slots(slots: Sequence[str], wanted: Sequence[str] | None) -> tuple[s
 
 
 def _fit(
-    score: ZScore, columns: Sequence[str], padded: int, what: str, checkpoint: Pi0Checkpoint
+    score: Scaling, columns: Sequence[str], padded: int, what: str, checkpoint: Pi0Checkpoint
 ) -> None:
     """Compare statistics with a profile's columns. Raises CheckpointError."""
     width = len(columns)
@@ -99,12 +97,11 @@ def _fit(
             hint="Choose the profile that belongs to the checkpoint, or describe it with profile "
             "= 'own'.",
         )
-    still = [
-        f"{i} ({name})" for i, name in enumerate(columns) if name != "padding" and score.std[i] == 0
-    ]
+    flat = score.is_flat
+    still = [f"{i} ({name})" for i, name in enumerate(columns) if name != "padding" and flat[i]]
     if still:
         raise CheckpointError(
-            f"{checkpoint.directory}: the standard deviation of the {what} values "
+            f"{checkpoint.directory}: the {score.spread} of the {what} values "
             f"{', '.join(still)} is 0, so they "
             "cannot be normalised.",
             hint="Copy the statistics of the original checkpoint again, or choose the profile "
@@ -123,7 +120,7 @@ class Pi0Backend:
         self._config = config
         self._model: Pi0Model | None = None
         self._prompt: InstructionEncoder | None = None
-        self._profile: Profile | None = None
+        self._conversion: Conversion | None = None
         self._slots: tuple[str, ...] = ()
         self._random = np.random.default_rng(config.numpy_seed)
         self._warm_ms = 0.0
@@ -139,16 +136,17 @@ class Pi0Backend:
 
         config = self._config
         checkpoint = read_checkpoint(config.checkpoint, asset_id=config.asset_id)
-        profile = config.resolve_profile(checkpoint.profile)
-        if checkpoint.relative_actions and not profile.action.adds_state:
+        conversion = config.resolve_conversion(checkpoint.profile)
+        if checkpoint.relative_actions and not len(conversion.relative):
             raise ConfigurationError(
                 f"{checkpoint.directory} was trained on actions relative to the state, the "
                 "profile's are not.",
-                hint="Choose profile 'libero-openpi', or 'own' with adds_state = true.",
+                hint="Choose profile 'libero-openpi', one of relative joints, or 'own' with "
+                "adds_state = true.",
             )
         dims = checkpoint.dims
-        _fit(checkpoint.state, profile.state.columns, dims.state, "state", checkpoint)
-        _fit(checkpoint.action, ACTION_FIELDS, dims.action, "action", checkpoint)
+        _fit(checkpoint.state, conversion.state_columns, dims.state, "state", checkpoint)
+        _fit(checkpoint.action, conversion.action_columns, dims.action, "action", checkpoint)
         self._slots = resolve_slots(checkpoint.slots, config.camera_slots)
         if config.action_steps is not None and config.action_steps > dims.chunk:
             raise ConfigurationError(
@@ -160,6 +158,7 @@ class Pi0Backend:
             family=checkpoint.family,
             max_tokens=checkpoint.prompt_length,
             vocabulary=dims.vocabulary,
+            variant=dims.variant,
         )
         self._model = Pi0Model(
             checkpoint,
@@ -170,11 +169,13 @@ class Pi0Backend:
             steps=config.denoising_steps,
             cpu_threads=config.cpu_threads,
         )
-        self._profile = profile
+        self._conversion = conversion
         cameras = sum(role != EMPTY for role in self._slots)
-        self._warm_ms = self._model.warm_up(cameras, checkpoint.prompt_length, profile.state.width)
+        width = len(conversion.state_columns)
+        self._warm_ms = self._model.warm_up(cameras, checkpoint.prompt_length, width)
         log.info(
-            "pi0 on %s in %s, warm inference %.0f ms",
+            "%s on %s in %s, warm inference %.0f ms",
+            dims.variant,
             self._model.device,
             self._model.dtype,
             self._warm_ms,
@@ -190,14 +191,15 @@ class Pi0Backend:
             UnsafeError: the measured state or the model's output is not finite.
             StateError: `load` was not called.
         """
-        if self._model is None or self._prompt is None or self._profile is None:
+        if self._model is None or self._prompt is None or self._conversion is None:
             raise StateError("Backend 'pi0' is not loaded; call load() first.")
         start = time.perf_counter()
-        model, profile, base = self._model, self._profile, np.array(self._config.base_position_m)
+        model, conversion = self._model, self._conversion
         images = self._images(observation)
-        token_ids = self._prompt.encode(observation.instruction)
-        state = profile.state.build(observation)
-        narrow = state.astype(np.float32)
+        state = conversion.read_state(observation)
+        narrow = state.astype(conversion.precision)
+        inside = model.state.head(len(narrow)).normalize(narrow)
+        token_ids = self._prompt.encode(observation.instruction, inside)
         prefix = self._prefix(observation.ahead, narrow)
         normalized = model.infer(
             images,
@@ -210,24 +212,21 @@ class Pi0Backend:
         if not np.isfinite(normalized).all():
             raise UnsafeError("The pi0 model produced non-finite values; nothing is executed.")
         steps = self._config.action_steps or model.checkpoint.action_steps
-        raw = (
-            model.action.head(ACTION_SIZE)
-            .denormalize(normalized[:steps, :ACTION_SIZE])
-            .astype(np.float64)
-        )
-        actions = profile.action.to_contract(
-            raw, state=state, pose=observation.ee_pose, base_position_m=base
-        )
-        deviation = float(np.abs(model.state.head(len(narrow)).normalize(narrow)).max())
+        width = len(conversion.action_columns)
+        answer = normalized[:steps, :width].astype(conversion.precision)
+        raw = model.action.head(width).denormalize(answer).astype(np.float64)
+        actions = conversion.to_contract(raw, state, observation)
+        deviation = float(np.abs(inside).max())
         note = ""
         if deviation > _FAR_FROM_TRAINING:
             note = (
-                f"proprioception is {deviation:.0f} standard deviations from the training "
+                f"proprioception is {deviation:.0f} {model.state.measure} from the training "
                 "data; check the profile"
             )
         return ActionChunk(
             actions=actions,
-            step_s=profile.action.step_s,
+            step_s=conversion.step_s,
+            space=conversion.space,
             metrics={
                 "inference_ms": (time.perf_counter() - start) * 1e3,
                 "chunk_horizon": float(len(actions)),
@@ -248,7 +247,7 @@ class Pi0Backend:
         """Release the weights."""
         if self._model is not None:
             self._model.release()
-        self._model = self._prompt = self._profile = None
+        self._model = self._prompt = self._conversion = None
 
     def _images(self, observation: Observation) -> list[NDArray[np.uint8] | None]:
         images: list[NDArray[np.uint8] | None] = []
@@ -262,27 +261,27 @@ class Pi0Backend:
             images.append(None if frame is None else frame.image)
         return images
 
-    def _prefix(self, ahead: Ahead | None, state: NDArray[np.float32]) -> Prefix | None:
+    def _prefix(self, ahead: Ahead | None, state: Values) -> Prefix | None:
         """The rest of the running chunk in the model's own form; None when there is none to
         continue.
         """
-        config, model, profile = self._config, self._model, self._profile
+        config, model, conversion = self._config, self._model, self._conversion
         running = None if ahead is None else ahead.context
         if (
             not config.rtc
             or ahead is None
             or not isinstance(running, RunningChunk)
             or model is None
-            or profile is None
+            or conversion is None
         ):
             return None
         rows = running.normalized[ahead.context_row :]
         if not len(rows):
             return None
-        if profile.action.adds_state:  # the rows are relative to a state that has changed meanwhile
-            score, rows = model.action.head(6), rows.copy()
-            moved = (running.state - state)[:6] / (score.std + np.float32(score.backward_eps))
-            rows[:, :6] += moved
+        at = conversion.relative
+        if len(at):  # the rows are relative to a state that has changed meanwhile
+            rows = rows.copy()
+            rows[:, at] += (running.state - state)[at] / model.action.unit(conversion.precision)[at]
         trained = model.checkpoint.trained_prefix_rows
         return Prefix(
             rows=rows,

@@ -31,7 +31,7 @@ def roboneuron_backends() -> Sequence[BackendSpec]:
     return [
         BackendSpec(
             name="pi0",
-            summary="pi0 in this process, from a LeRobot or openpi PyTorch checkpoint directory",
+            summary="pi0 or pi0.5 in this process, from a LeRobot or openpi PyTorch checkpoint",
             target="rn_backend_pi0.native:Pi0Backend",
             config="rn_backend_pi0.options:Pi0Options",
             case="rn_backend_pi0.case:native_case",
@@ -46,6 +46,7 @@ def roboneuron_backends() -> Sequence[BackendSpec]:
             needs_checkpoint=True,
             action_space=_action_space(),
             conditions_on_rows=True,
+            space="rn_backend_pi0.space:pi0_space",
         ),
         BackendSpec(
             name="pi0-remote",
