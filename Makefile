@@ -153,6 +153,28 @@ test-lerobot: $(VENV)/.develop .venv-lerobot/.ready ## exported data sets, opene
 	.venv-lerobot/bin/python -m pip install --quiet --disable-pip-version-check 'lerobot[dataset]==0.6.1'
 	@touch $@
 
+# OPENPI is a checkout of https://github.com/Physical-Intelligence/openpi (15a9616 made the numbers that are here).
+OPENPI ?= ../openpi
+PARITY := plugins/rn-backend-pi0/tests
+
+test-parity: $(VENV)/.develop .venv-parity/.ready ## pi0.5 against openpi's own code, run again (its own environment): OPENPI=path
+	rm -rf out/parity && mkdir -p out/parity
+	$(BIN)/roboneuron-pi0 make-tiny out/parity/tiny --variant pi05 --layout openpi --profile droid
+	.venv-parity/bin/python $(PARITY)/parity/openpi_numbers.py $(OPENPI) out/parity/tiny out/parity/pi05.npz
+	PI05_NUMBERS=out/parity/pi05.npz $(BIN)/python -m pytest $(PARITY)/test_pi05_matches_openpi.py $(ARGS)
+
+.venv-parity: .venv-parity/.ready
+
+# openpi replaces files of transformers 4.53.2 by its own.
+.venv-parity/.ready:
+	@echo "Setting up .venv-parity (once, about two minutes, 1.5 GB) ..."
+	$(PYTHON) -m venv .venv-parity
+	.venv-parity/bin/python -m pip install --quiet --disable-pip-version-check torch==2.13.0 \
+	  transformers==4.53.2 numpy safetensors sentencepiece einops
+	cp -r $(OPENPI)/src/openpi/models_pytorch/transformers_replace/* \
+	  "$$(.venv-parity/bin/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')/transformers/"
+	@touch $@
+
 train-cubes: $(VENV)/.demo-learned ## the small learned policy, from nothing: demonstrations, training; goes on where it was
 	$(BIN)/roboneuron cubes-policy train --workers $(JOBS) $(ARGS)
 
