@@ -169,7 +169,7 @@ test-parity: $(VENV)/.develop .venv-parity/.ready ## pi0.5 against openpi's own 
 .venv-parity/.ready:
 	@echo "Setting up .venv-parity (once, about two minutes, 1.5 GB) ..."
 	$(PYTHON) -m venv .venv-parity
-	.venv-parity/bin/python -m pip install --quiet --disable-pip-version-check torch==2.13.0 \
+	.venv-parity/bin/python -m pip install --quiet --disable-pip-version-check torch \
 	  transformers==4.53.2 numpy safetensors sentencepiece einops
 	cp -r $(OPENPI)/src/openpi/models_pytorch/transformers_replace/* \
 	  "$$(.venv-parity/bin/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')/transformers/"

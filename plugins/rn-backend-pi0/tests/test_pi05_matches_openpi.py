@@ -1,5 +1,5 @@
-"""pi0.5 against what openpi's own code computes for the same tiny checkpoint: prompts, the network's
-answers and un-normalised actions.
+"""pi0.5 against what openpi's own code computes for the same tiny checkpoint: prompts, answers of
+the network and un-normalised actions.
 
 parity/openpi_numbers.py made the numbers; `make test-parity` makes them again and compares with
 those.
