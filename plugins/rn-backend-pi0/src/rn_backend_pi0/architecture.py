@@ -1,5 +1,5 @@
-"""Dimensions of a pi0 or pi0.5 model and the tensors that a checkpoint of these dimensions must
-hold.
+"""Dimensions of a pi0, pi0.5 or pi0-FAST model and the tensors that a checkpoint of these
+dimensions must hold.
 """
 
 from __future__ import annotations
@@ -9,8 +9,8 @@ from typing import Literal
 
 from roboneuron import CheckpointError
 
-Variant = Literal["pi0", "pi05"]
-"""Which model: the public names are pi0 and pi0.5."""
+Variant = Literal["pi0", "pi05", "pi0_fast"]
+"""Which model: the public names are pi0, pi0.5 and pi0-FAST."""
 _PALIGEMMA = "paligemma_with_expert.paligemma."
 _VISION = _PALIGEMMA + "model.vision_tower.vision_model."
 _PREFIX = _PALIGEMMA + "model.language_model."
@@ -61,7 +61,7 @@ class Pi0Dims:
         vision, prefix, expert: the three stacks; prefix and expert share heads and depth.
         vocabulary: rows of the token embedding.
         variant: "pi0" has a token for the state; "pi05" has it in the prompt, and adaptive norms in
-            the expert.
+            the expert; "pi0_fast" has it in the prompt and no expert.
         chunk: actions per inference.
         state, action: padded widths of the state and of one action.
         min_period, max_period: of the sine-cosine embedding of the flow time.
@@ -166,6 +166,15 @@ def required_tensors(dims: Pi0Dims) -> dict[str, Shape]:
     The token embedding is not among them: see EMBEDDING_KEYS. Source: the key lists of openpi's and
     LeRobot's PyTorch checkpoints.
     """
+    common = {
+        **_vision(dims.vision),
+        **_linear(
+            _PALIGEMMA + "model.multi_modal_projector.linear", dims.prefix.width, dims.vision.width
+        ),
+        **_gemma(_PREFIX, dims.prefix),
+    }
+    if dims.variant == "pi0_fast":
+        return common
     width = dims.expert.width
     state: dict[str, Shape] = {}
     if dims.variant == "pi05":
@@ -175,11 +184,7 @@ def required_tensors(dims: Pi0Dims) -> dict[str, Shape]:
         times = _linear("action_time_mlp_in", width, 2 * width)
         times |= _linear("action_time_mlp_out", width, width)
     return {
-        **_vision(dims.vision),
-        **_linear(
-            _PALIGEMMA + "model.multi_modal_projector.linear", dims.prefix.width, dims.vision.width
-        ),
-        **_gemma(_PREFIX, dims.prefix),
+        **common,
         **_gemma(_EXPERT + "model.", dims.expert, adaptive=dims.variant == "pi05"),
         **state,
         **_linear("action_in_proj", width, dims.action),
@@ -192,6 +197,8 @@ def optional_tensors(dims: Pi0Dims) -> dict[str, Shape]:
     """Shape by key of tensors that a checkpoint may hold and that inference never reads (the
     expert's head).
     """
+    if dims.variant == "pi0_fast":
+        return {}
     shape = (dims.vocabulary, dims.expert.width)
     return {_EXPERT + "lm_head.weight": shape, _EXPERT + "model.embed_tokens.weight": shape}
 
@@ -199,16 +206,17 @@ def optional_tensors(dims: Pi0Dims) -> dict[str, Shape]:
 def module_keys(dims: Pi0Dims) -> dict[str, str]:
     """Checkpoint key by parameter name of the network, for everything that inference reads.
 
-    The last layer of the language model only yields keys and values for the expert, so the rest of
-    it is left out.
+    With an expert, the last layer of the language model only yields keys and values for it, so the
+    rest of it is left out.
     """
     last = f"{_PREFIX}layers.{dims.prefix.depth - 1}."
     last_used = ("input_layernorm.", "self_attn.k_proj.", "self_attn.v_proj.")
     names: dict[str, str] = {}
     for key in required_tensors(dims):
-        if key == _PREFIX + "norm.weight" or (
+        unread = key == _PREFIX + "norm.weight" or (
             key.startswith(last) and not key[len(last) :].startswith(last_used)
-        ):
+        )
+        if unread and dims.variant != "pi0_fast":
             continue
         names[_parameter_name(key)] = key
     return names

@@ -14,6 +14,19 @@ PROFILE_FILE = "roboneuron.json"
 """Optional file beside config.json that names the checkpoint's profile: {"profile": "libero"}."""
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class FastSettings:
+    """How pi0-FAST writes actions.
+
+    Attributes:
+        skip_tokens: ids at the end of the vocabulary that no action token has.
+        most_tokens: longest answer.
+    """
+
+    skip_tokens: int
+    most_tokens: int
+
+
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Pi0Checkpoint:
     """A described checkpoint.
@@ -31,6 +44,7 @@ class Pi0Checkpoint:
         profile: what PROFILE_FILE says; empty without one.
         trained_prefix_rows: it was trained to continue clean prefixes of up to so many rows; 0 when
             it was not.
+        fast: of pi0-FAST; None for others.
     """
 
     directory: Path
@@ -45,3 +59,4 @@ class Pi0Checkpoint:
     relative_actions: bool = False
     profile: str = ""
     trained_prefix_rows: int = 0
+    fast: FastSettings | None = None

@@ -25,7 +25,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "--layout", choices=("lerobot", "openpi"), default="lerobot", help="default: %(default)s"
     )
     make.add_argument(
-        "--variant", choices=("pi0", "pi05"), default="pi0", help="default: %(default)s"
+        "--variant", choices=("pi0", "pi05", "pi0_fast"), default="pi0", help="default: %(default)s"
     )
     make.add_argument(
         "--profile", choices=TINY_PROFILES, default="libero", help="default: %(default)s"

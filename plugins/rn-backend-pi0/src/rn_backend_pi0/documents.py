@@ -125,6 +125,10 @@ class LerobotConfig(DimensionsDocument):
     max_action_dim: Padded = 32
     num_inference_steps: Annotated[int, Field(ge=1, le=1000, strict=True)] = 10
     tokenizer_max_length: PromptLength | None = None
+    output_features: Annotated[dict[Name, PolicyFeature], Field(max_length=64)] = {}
+    temperature: Annotated[float, Field(ge=0, le=100)] = 0.0
+    max_decoding_steps: Annotated[int, Field(ge=1, le=2048, strict=True)] = 256
+    fast_skip_tokens: Annotated[int, Field(ge=0, le=100_000, strict=True)] = 128
     use_visual_memory: bool = False
     use_proprioceptive_memory: bool = False
     image_resolution: tuple[int, int] | None = None
@@ -160,6 +164,16 @@ class Pipeline(_Document):
     """policy_preprocessor.json or policy_postprocessor.json."""
 
     steps: Annotated[tuple[ProcessorStep, ...], Field(max_length=64)]
+
+
+class FastProcessor(_Document):
+    """processor_config.json of an action tokenizer."""
+
+    scale: Annotated[float, Field(gt=0, le=1e6)] = 10.0
+    vocab_size: Annotated[int, Field(ge=1, le=1_000_000, strict=True)] = 1024
+    min_token: Annotated[int, Field(ge=-1_000_000, le=1_000_000, strict=True)] = 0
+    time_horizon: Chunk | None = None
+    action_dim: Padded | None = None
 
 
 class Moments(_Document):

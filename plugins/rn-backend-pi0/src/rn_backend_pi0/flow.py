@@ -19,25 +19,21 @@ from torch.nn import functional as F
 from rn_backend_pi0.architecture import Pi0Dims
 from rn_backend_pi0.chunking import Prefix
 from rn_backend_pi0.guidance import CleanPrefix, Guide
-from rn_backend_pi0.layers import Gemma, KeyValue, Rotary, VisionTower
+from rn_backend_pi0.layers import KeyValue, Rotary
+from rn_backend_pi0.prefix import PrefixNetwork
 
 
-class FlowNetwork(nn.Module, ABC):
+class FlowNetwork(PrefixNetwork, ABC):
     """Images and text to a cache of keys and values, and the integration of the flow on top of it.
-    Parameters are named as in `architecture.module_keys`; projections at the border are float32.
+    Projections at the border are float32.
     """
 
     state_tokens: ClassVar[int]
     """Tokens between the prompt and the actions that hold the state."""
 
     def __init__(self, dims: Pi0Dims) -> None:
-        super().__init__()
-        self.dims = dims
+        super().__init__(dims, keys_only_last=True)
         width = dims.expert.width
-        self.vision = VisionTower(dims.vision)
-        self.projector = nn.Linear(dims.vision.width, dims.prefix.width)
-        self.embedding = nn.Embedding(dims.vocabulary, dims.prefix.width)
-        self.prefix = Gemma(dims.prefix, keys_only_last=True)
         self.action_in_proj = nn.Linear(dims.action, width)
         self.action_out_proj = nn.Linear(width, dims.action)
 
@@ -110,10 +106,10 @@ class FlowNetwork(nn.Module, ABC):
         prefix: Prefix | None,
     ) -> Tensor:
         dims, device, dtype = self.dims, noise.device, self.projector.weight.dtype
-        embedded = self._embed_prefix(pixels.to(dtype), token_ids)
+        embedded = self.embed_prefix(pixels.to(dtype), token_ids)
         length = embedded.shape[0]
         start = length + self.state_tokens
-        rotary = self._rotary(start + dims.chunk, device, dtype)
+        rotary = self.rotary_of(start + dims.chunk, device, dtype)
         cache = self._fill_prefix(embedded, part_of(rotary, 0, length))
         self.fill_state(state, part_of(rotary, length, start), cache, length)
         time_terms = self.time_terms(times, device)
@@ -139,21 +135,6 @@ class FlowNetwork(nn.Module, ABC):
                 v = guide.bend(x, velocity(x, term), index)
             x = x + step * v
         return x if clean is None else clean.put(x)
-
-    def _embed_prefix(self, pixels: Tensor, token_ids: Tensor) -> Tensor:
-        """(images x tokens + prompt, width): images as they are, the prompt scaled by
-        sqrt(width).
-        """
-        images = self.projector(self.vision(pixels)).flatten(0, 1)
-        return torch.cat([images, self.embedding(token_ids) * math.sqrt(self.dims.prefix.width)])
-
-    def _rotary(self, length: int, device: torch.device, dtype: torch.dtype) -> Rotary:
-        head_dim = self.dims.prefix.head_dim
-        exponents = torch.arange(0, head_dim, 2, device=device, dtype=torch.float32) / head_dim
-        angles = torch.arange(length, device=device, dtype=torch.float32)[:, None] / (
-            self.dims.prefix.rope_base**exponents
-        )
-        return angles.cos().to(dtype), angles.sin().to(dtype)
 
     def _fill_prefix(self, x: Tensor, rotary: Rotary) -> list[KeyValue]:
         """Run the language model over the prefix; returns each layer's cache with room for state

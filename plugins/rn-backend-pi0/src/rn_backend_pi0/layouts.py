@@ -1,5 +1,5 @@
-"""Describes a checkpoint in one of the two public layouts of pi0 and pi0.5: LeRobot's and openpi's.
-No weights are read.
+"""Describes a checkpoint in one of the two public layouts of the pi0 family, LeRobot's and
+openpi's. No weights are read.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from pathlib import Path
 from pydantic import TypeAdapter
 
 from rn_backend_pi0.architecture import Variant
-from rn_backend_pi0.checkpoint import PROFILE_FILE, Pi0Checkpoint
+from rn_backend_pi0.checkpoint import PROFILE_FILE, FastSettings, Pi0Checkpoint
 from rn_backend_pi0.dimensions import read_dims
 from rn_backend_pi0.documents import (
     LerobotConfig,
@@ -49,6 +49,8 @@ _KNOWN_STEPS = frozenset(
         "to_batch_processor",
         "pi0_new_line_processor",
         _STATE_IN_PROMPT,
+        "pi0_fast_prepare_state_tokenizer_processor_step",
+        "action_tokenizer_processor",
         "tokenizer_processor",
         "device_processor",
         "normalizer_processor",
@@ -57,12 +59,16 @@ _KNOWN_STEPS = frozenset(
         "absolute_actions_processor",
     }
 )
-_LEROBOT_VARIANTS: dict[str, Variant] = {"pi0": "pi0", "pi05": "pi05"}
+_LEROBOT_VARIANTS: dict[str, Variant] = {"pi0": "pi0", "pi05": "pi05", "pi0_fast": "pi0_fast"}
 """Variant by "type" of config.json."""
 _STATISTICS = {"MEAN_STD": ("mean", "std"), "QUANTILES": ("q01", "q99")}
-_MODES: dict[Variant, tuple[str, ...]] = {"pi0": ("MEAN_STD",), "pi05": tuple(_STATISTICS)}
+_MODES: dict[Variant, tuple[str, ...]] = {
+    "pi0": ("MEAN_STD",),
+    "pi05": tuple(_STATISTICS),
+    "pi0_fast": tuple(_STATISTICS),
+}
 """Normalisations of state and actions that are read."""
-_PROMPT_LENGTH: dict[Variant, int] = {"pi0": 48, "pi05": 200}
+_PROMPT_LENGTH: dict[Variant, int] = {"pi0": 48, "pi05": 200, "pi0_fast": 200}
 """Most tokens of a prompt, where config.json does not say it. Source: openpi and LeRobot alike."""
 _OPENPI_EPS = 1e-6
 _NO_MEMORY = "Only models without use_visual_memory and use_proprioceptive_memory are run."
@@ -108,7 +114,8 @@ def read_checkpoint(directory: Path, *, asset_id: str | None = None) -> Pi0Check
         )
     else:
         raise CheckpointError(
-            f'{path} has neither "type": "pi0" or "pi05" (LeRobot) nor "action_horizon" (openpi); '
+            f'{path} has neither "type": "pi0", "pi05" or "pi0_fast" (LeRobot) nor '
+            f'"action_horizon" (openpi); '
             f"keys: {list_names(sorted(config))}.",
             hint="Give the directory of a pi0 checkpoint; JAX checkpoints are converted by "
             "openpi's own script.",
@@ -159,7 +166,7 @@ def _lerobot(directory: Path, config: LerobotConfig, variant: Variant) -> Pi0Che
         path,
         chunk=config.chunk_size,
         state=config.max_state_dim,
-        action=config.max_action_dim,
+        action=config.max_action_dim if variant != "pi0_fast" else _action_width(config, path),
         variant=variant,
     )
     resolution = config.image_resolution
@@ -188,7 +195,24 @@ def _lerobot(directory: Path, config: LerobotConfig, variant: Variant) -> Pi0Che
         prompt_length=config.tokenizer_max_length or _PROMPT_LENGTH[variant],
         relative_actions=relative,
         trained_prefix_rows=min(config.chunk_size, config.rtc_training_max_delay or 0),
+        fast=_fast_settings(config, path) if variant == "pi0_fast" else None,
     )
+
+
+def _action_width(config: LerobotConfig, path: Path) -> int:
+    """Values of one row as the action tokens have it."""
+    action = config.output_features.get("action")
+    if action is None or len(action.shape) != 1:
+        raise CheckpointError(f"{path}: output_features says no width of 'action'.")
+    return action.shape[0]
+
+
+def _fast_settings(config: LerobotConfig, path: Path) -> FastSettings:
+    if config.temperature:
+        raise CheckpointError(
+            f"{path}: temperature is {config.temperature:g}; tokens are only chosen by likelihood."
+        )
+    return FastSettings(skip_tokens=config.fast_skip_tokens, most_tokens=config.max_decoding_steps)
 
 
 def _steps(path: Path) -> dict[str, ProcessorStep]:

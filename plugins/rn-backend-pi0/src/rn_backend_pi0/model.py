@@ -10,9 +10,11 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from rn_backend_pi0.checkpoint import Family, Pi0Checkpoint
 from rn_backend_pi0.chunking import Prefix
+from rn_backend_pi0.flow import FlowNetwork
 from rn_backend_pi0.image import Flip, Resize, to_pixels
 from rn_backend_pi0.numerics import flow_times, with_eps
 from rn_backend_pi0.statistics import Values
@@ -83,6 +85,11 @@ class Pi0Model:
         )
 
     @property
+    def is_flow(self) -> bool:
+        """It integrates a flow, which can be guided towards rows that are played meanwhile."""
+        return self.checkpoint.fast is None
+
+    @property
     def noise_shape(self) -> tuple[int, int]:
         """Shape of the noise and of the normalised actions."""
         return self.checkpoint.dims.chunk, self.checkpoint.dims.action
@@ -123,10 +130,24 @@ class Pi0Model:
             raise UngroundedError("All camera slots are empty; pi0 needs at least one image.")
         padded = np.zeros(dims.state, dtype=np.float32)
         padded[: len(state)] = self.state.head(len(state)).normalize(state)
-        actions = self._network.sample_actions(
+        return self._answer(
             torch.from_numpy(np.stack(present)).to(self.device),
             torch.tensor(list(token_ids), dtype=torch.int64, device=self.device),
-            torch.from_numpy(padded).to(self.device),
+            padded,
+            noise,
+            prefix,
+        )
+
+    def _answer(
+        self, pixels: Tensor, token_ids: Tensor, state: F32, noise: F32, prefix: Prefix | None
+    ) -> F32:
+        """Normalised actions, float32 of `noise_shape`."""
+        network = self._network
+        assert isinstance(network, FlowNetwork), type(network)
+        actions = network.sample_actions(
+            pixels,
+            token_ids,
+            torch.from_numpy(state).to(self.device),
             torch.from_numpy(noise).to(self.device),
             self._times,
             prefix,

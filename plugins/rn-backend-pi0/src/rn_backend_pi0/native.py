@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from rn_backend_pi0.checkpoint import Pi0Checkpoint
 from rn_backend_pi0.chunking import Prefix, RunningChunk
 from rn_backend_pi0.conversion import Conversion
+from rn_backend_pi0.fast_tokens import load_fast_tokenizer
 from rn_backend_pi0.layouts import read_checkpoint
 from rn_backend_pi0.options import Pi0Options
 from rn_backend_pi0.statistics import Scaling, Values
@@ -160,8 +162,10 @@ class Pi0Backend:
             vocabulary=dims.vocabulary,
             variant=dims.variant,
         )
-        self._model = Pi0Model(
-            checkpoint,
+        build: Callable[..., Pi0Model] = partial(Pi0Model, checkpoint)
+        if dims.variant == "pi0_fast":
+            build = self._fast_model(checkpoint, self._prompt)
+        self._model = build(
             device=config.device,
             dtype=config.dtype,
             numerics=config.numerics,
@@ -181,6 +185,23 @@ class Pi0Backend:
             self._warm_ms,
         )
         self.reset()
+
+    def _fast_model(
+        self, checkpoint: Pi0Checkpoint, prompt: InstructionEncoder
+    ) -> Callable[..., Pi0Model]:
+        """What builds the model of pi0-FAST. Raises CheckpointError: see `load_fast_tokenizer`."""
+        from rn_backend_pi0.fast_model import FastModel  # heavy
+
+        config, dims = self._config, checkpoint.dims
+        actions = load_fast_tokenizer(
+            checkpoint.directory,
+            config.action_tokenizer,
+            horizon=dims.chunk,
+            width=dims.action,
+            length=config.fast_length,
+        )
+        share = config.max_outside_share
+        return partial(FastModel, checkpoint, prompt, actions, max_outside_share=share)
 
     def predict(self, observation: Observation) -> ActionChunk:
         """Return the next actions.
@@ -272,6 +293,7 @@ class Pi0Backend:
             or ahead is None
             or not isinstance(running, RunningChunk)
             or model is None
+            or not model.is_flow
             or conversion is None
         ):
             return None

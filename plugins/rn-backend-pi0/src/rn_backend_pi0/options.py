@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from rn_backend_pi0.action_layout import ActionLayout, FrameName, Gripper, Meaning, Rotation
 from rn_backend_pi0.chunking import Jacobian, Schedule
 from rn_backend_pi0.conversion import Conversion, JointConversion, TcpConversion
+from rn_backend_pi0.fast_tokens import FastLength
 from rn_backend_pi0.image import Flip, Resize
 from rn_backend_pi0.profiles import JOINT_PROFILES, PROFILES, Profile
 from rn_backend_pi0.state import StateLayout, StateTerm
@@ -231,6 +232,23 @@ class Pi0Options(_Common):
     )
     noise: Literal["fresh", "fixed"] = Field(
         default="fresh", description="'fixed' starts every inference from the same noise"
+    )
+    action_tokenizer: Annotated[Path | None, ConfigurationOnly()] = Field(
+        default=None,
+        description="pi0-FAST: directory of the action tokenizer's files; the checkpoint's "
+        "action_tokenizer when not given",
+    )
+    max_outside_share: float = Field(
+        default=0.15,
+        ge=0,
+        le=1,
+        description="pi0-FAST: share of an answer's tokens for which another token than every "
+        "action token may be the likeliest; more is refused",
+    )
+    fast_length: FastLength = Field(
+        default="exact",
+        description="pi0-FAST: 'padded' takes coefficients that are missing at the end as 0 and "
+        "drops surplus ones, as LeRobot does",
     )
     rtc: bool = Field(
         default=True, description="continue the rows that are played meanwhile (real-time chunking)"

@@ -27,6 +27,10 @@ _WHERE = (
 )
 
 
+ANSWER = "Action: "
+"""What comes before the actions."""
+STOP = "|"
+"""What ends pi0-FAST's answer."""
 _EDGES = np.linspace(-1.0, 1.0, 257)[:-1]
 """Lower edges of the 256 bins of the state. Source: openpi, PaligemmaTokenizer."""
 
@@ -41,7 +45,8 @@ def state_bins(state: Values) -> list[int]:
 
 class InstructionEncoder:
     """Encodes instructions as the model was trained, without padding: for pi0 BOS, the text and a
-    newline of its own, for pi0.5 BOS and a text that names the state.
+    newline of its own, for the others BOS and a text that names the state; pi0-FAST's answer begins
+    with another BOS.
 
     Padding takes no positions and is masked in the original codes, so leaving it out changes
     nothing.
@@ -77,6 +82,16 @@ class InstructionEncoder:
                 hint=_WHERE,
             )
 
+    def token_ids(self, text: str) -> list[int]:
+        """Token ids of a text as it is."""
+        ids: list[int] = self._tokenizer.encode(text, add_special_tokens=False).ids
+        return ids
+
+    @property
+    def last_id(self) -> int:
+        """Greatest id of the tokenizer's own vocabulary, from which action tokens count down."""
+        return int(self._tokenizer.get_vocab_size(with_added_tokens=False)) - 1
+
     def encode(self, instruction: str, state: Values) -> list[int]:
         """Token ids of an instruction.
 
@@ -92,16 +107,18 @@ class InstructionEncoder:
         # Source: openpi's tokenizer replaces underscores and newlines, LeRobot's pipeline of pi0
         # does not; a newline inside the text would end the prompt early, so it becomes a space.
         text = instruction.strip().replace("\n", " ")
-        if self._family == "openpi" or self._variant == "pi05":
+        if self._family == "openpi" or self._variant != "pi0":
             text = text.replace("_", " ")
         if not text:
             raise UngroundedError("The instruction is empty; say what to do.")
         end = [self._newline]
-        if self._variant == "pi05":
+        if self._variant != "pi0":
             numbers = " ".join(map(str, state_bins(state)))
-            text, end = f"Task: {text}, State: {numbers};\nAction: ", []
+            text, end = f"Task: {text}, State: {numbers};\n", [self._bos]
+        if self._variant == "pi05":
+            text, end = f"{text}{ANSWER}", []
         with reading(Path(self._source), "a tokenizer"):
-            ids = [self._bos, *self._tokenizer.encode(text, add_special_tokens=False).ids, *end]
+            ids = [self._bos, *self.token_ids(text), *end]
         if len(ids) > self._max_tokens:
             raise UngroundedError(
                 f"The instruction takes {len(ids)} tokens, the model at most {self._max_tokens}; "

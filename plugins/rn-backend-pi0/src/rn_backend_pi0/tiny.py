@@ -1,5 +1,5 @@
-"""A tiny random pi0 or pi0.5 checkpoint in a public layout: for trying out the plumbing, useless on
-a robot.
+"""A tiny random checkpoint of the pi0 family in a public layout: for trying out the plumbing,
+useless on a robot.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from rn_backend_pi0.architecture import (
 from rn_backend_pi0.checkpoint import PROFILE_FILE, Family
 from rn_backend_pi0.layouts import OPENPI_SLOTS
 from rn_backend_pi0.prompt import TOKENIZER_FILE
+from rn_backend_pi0.tiny_fast import TINY_SKIP_TOKENS, write_fast_tokenizer
 from rn_backend_pi0.tiny_statistics import TINY_PROFILES, Block, tiny_statistics
 from roboneuron import ConfigurationError
 
@@ -79,18 +80,20 @@ def make_tiny(
         directory: new or empty.
         layout: "lerobot" or "openpi".
         seed: of the weights.
-        variant: "pi0" or "pi05".
+        variant: "pi0", "pi05", or "pi0_fast" (only in LeRobot's layout).
         profile: one of `TINY_PROFILES`, which the checkpoint then names.
 
     Raises:
-        ConfigurationError: there is no such profile, or the directory holds something or cannot be
-            written.
+        ConfigurationError: there is no such profile or layout, or the directory holds something or
+            cannot be written.
     """
     if profile not in TINY_PROFILES:
         raise ConfigurationError(
             f"There is no tiny checkpoint of profile {profile!r}; choose one of "
             f"{', '.join(TINY_PROFILES)}."
         )
+    if variant == "pi0_fast" and layout != "lerobot":
+        raise ConfigurationError("openpi has no PyTorch layout of pi0_fast; choose 'lerobot'.")
     dims, statistics = replace(TINY, variant=variant), tiny_statistics(profile, variant)
     if directory.exists() and (not directory.is_dir() or any(directory.iterdir())):
         raise ConfigurationError(
@@ -101,6 +104,9 @@ def make_tiny(
         _write_weights(directory, dims, layout, seed)
         make_tokenizer(TINY.vocabulary).save(str(directory / TOKENIZER_FILE))
         _write_json(directory / PROFILE_FILE, {"profile": profile})
+        if variant == "pi0_fast":
+            width = len(statistics[1]["mean"])
+            write_fast_tokenizer(directory, horizon=dims.chunk, width=width)
         if layout == "lerobot":
             _write_lerobot(directory, variant, statistics)
         else:
@@ -129,8 +135,12 @@ def _write_weights(directory: Path, dims: Pi0Dims, layout: Family, seed: int) ->
                 values = values * 0.1
         elif "lm_head" in key:
             values = values / dims.prefix.width**0.5
+            if dims.variant == "pi0_fast":
+                values = values * 0.1  # the head is tied: a larger one repeats the token before
         else:
             values = values / float(np.prod(shape[1:])) ** 0.5
+        if dims.variant == "pi0_fast" and key.endswith(("q_proj.weight", "k_proj.weight")):
+            values = values * 3.0  # attention that is not spread evenly over all pictures
         prefix = "model." if layout == "lerobot" else ""
         tensors[prefix + key] = values.to(torch.bfloat16)
     save_file(tensors, directory / "model.safetensors", metadata={"format": "pt"})
@@ -201,6 +211,8 @@ def _write_lerobot(directory: Path, variant: Variant, blocks: tuple[Block, Block
         "tokenizer_max_length": 48 if variant == "pi0" else 200,
         **_dimension_blocks(),
     }
+    if variant == "pi0_fast":
+        config |= {"max_decoding_steps": 96, "fast_skip_tokens": TINY_SKIP_TOKENS}
     _write_json(directory / "config.json", config)
     statistics = {"observation.state": state, "action": actions}
     tensors = {

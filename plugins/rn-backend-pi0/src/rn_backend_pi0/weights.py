@@ -23,10 +23,11 @@ from rn_backend_pi0.architecture import (
     required_tensors,
 )
 from rn_backend_pi0.documents import Pi0ShardIndex
-from rn_backend_pi0.flow import FlowNetwork
+from rn_backend_pi0.fast_network import FastNetwork
 from rn_backend_pi0.names import INDEX_FILE, LEROBOT_PREFIX, MAX_INDEX_BYTES, WEIGHT_FILE
 from rn_backend_pi0.network import Pi0Network
 from rn_backend_pi0.pi05_network import Pi05Network
+from rn_backend_pi0.prefix import PrefixNetwork
 from rn_vla.checkpoint_files import check_safetensors, clip, list_names, read_schema, reading
 from roboneuron import CheckpointError, ConfigurationError
 
@@ -40,9 +41,14 @@ _FLOAT32 = (
     "action_out_proj.",
 )
 _REAL_NUMBERS = frozenset({"F64", "F32", "F16", "BF16"})
-_NAMES: dict[Variant, str] = {"pi0": "pi0", "pi05": "pi0.5"}
-_MARKS: dict[Variant, str] = {"pi0": "action_time_mlp_in.", "pi05": "time_mlp_in."}
-"""Beginning of keys that only this variant has."""
+_NETWORKS: dict[Variant, type[Pi0Network] | type[Pi05Network] | type[FastNetwork]] = {
+    "pi0": Pi0Network,
+    "pi05": Pi05Network,
+    "pi0_fast": FastNetwork,
+}
+_NAMES: dict[Variant, str] = {"pi0": "pi0", "pi05": "pi0.5", "pi0_fast": "pi0-FAST"}
+_MARKS: dict[str, Variant] = {"action_time_mlp_in.": "pi0", "time_mlp_in.": "pi05"}
+"""Variant by the beginning of keys that only it has."""
 
 
 class _Slice(Protocol):
@@ -125,10 +131,9 @@ def check_keys(shapes: Mapping[str, Shape], dims: Pi0Dims) -> str:
             )
             if names
         ]
-        other: Variant = "pi05" if dims.variant == "pi0" else "pi0"
-        found = any(name.startswith(_MARKS[other]) for name in unexpected)
+        found = [v for mark, v in _MARKS.items() if any(n.startswith(mark) for n in unexpected)]
         said = f"config.json says {_NAMES[dims.variant]}"
-        hint = f"These look like the keys of {_NAMES[other]}, {said}." if found else ""
+        hint = f"These look like the keys of {_NAMES[found[0]]}, {said}." if found else ""
         raise CheckpointError(
             f"The weights do not fit a {_NAMES[dims.variant]} model of these dimensions. "
             f"{'. '.join(parts)}.",
@@ -139,7 +144,7 @@ def check_keys(shapes: Mapping[str, Shape], dims: Pi0Dims) -> str:
 
 def load_network(
     directory: Path, dims: Pi0Dims, *, device: torch.device, dtype: torch.dtype
-) -> FlowNetwork:
+) -> PrefixNetwork:
     """Build the network and fill it.
 
     Args:
@@ -160,7 +165,7 @@ def load_network(
             }
             embedding = check_keys(shapes, dims)
             with torch.device("meta"):
-                network = (Pi05Network if dims.variant == "pi05" else Pi0Network)(dims)
+                network = _NETWORKS[dims.variant](dims)
             names = {
                 key: name
                 for name, key in (module_keys(dims) | {"embedding.weight": embedding}).items()
