@@ -28,13 +28,16 @@ from rn_vla.openvla.statistics import Scaling, VectorStatistics
 from rn_vla.openvla.tiny import random_values
 from roboneuron import (
     EE_DELTA,
+    SPACE_KINDS,
     ConfigurationError,
     Frame,
     JointSample,
     Observation,
+    PlanningError,
     RobotProfile,
     UngroundedError,
 )
+from roboneuron.contract import agree
 
 ARM = tuple(f"joint{i}" for i in range(1, 7))
 ROBOT = RobotProfile(name="six", arm_joints=ARM)
@@ -132,10 +135,12 @@ def test_rows_of_aloha_are_two_arms_with_openings_cut_to_their_range(aloha):
         space.check(row)
 
 
-def test_planning_is_told_of_both_arms_and_loading_is_refused(tiny):
+def test_both_arms_of_aloha_are_refused_by_planning_and_by_loading(tiny):
     options = {"constants": "aloha", "profile": "joints", "joints": list(BOTH_ARMS)}
     arms = [channel.arm for channel in oft_space(options, ROBOT).channels]
     assert arms == ["left"] * 7 + ["right"] * 7
+    with pytest.raises(PlanningError, match="robot lacks left/left_joint1"):
+        agree(oft_space(options, ROBOT), ROBOT, SPACE_KINDS, backend="oft", controller="urdf")
     with pytest.raises(ConfigurationError, match="state of one arm"):
         _backend(tiny, own_constants=None, **options).load()
 

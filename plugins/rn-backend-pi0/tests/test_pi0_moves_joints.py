@@ -22,17 +22,25 @@ from rn_backend_pi0.space import pi0_space
 from rn_backend_pi0.tiny import make_tiny
 from roboneuron import (
     EE_DELTA,
+    SPACE_KINDS,
     Ahead,
     ConfigurationError,
+    GripperProfile,
     JointSample,
     Observation,
+    PlanningError,
     RobotProfile,
     UngroundedError,
 )
+from roboneuron.contract import agree
 
 Observe = Callable[..., Observation]
 ARM = tuple(f"arm_joint{i}" for i in range(1, 8))
-ROBOT = RobotProfile(name="seven", arm_joints=ARM)
+ROBOT = RobotProfile(
+    name="seven",
+    arm_joints=ARM,
+    gripper=GripperProfile(joint="finger", closed_position=0.0, open_position=0.04),
+)
 POSTURE = np.array([0.1, -0.7, 0.2, -2.2, 0.3, 1.5, 0.9])
 
 
@@ -196,8 +204,26 @@ def test_two_arms_are_declared_and_not_run(checkpoints: dict[str, Path]) -> None
     joints = tuple(f"{arm}_{i}" for arm in ("left", "right") for i in range(6))
     space = pi0_space({"checkpoint": checkpoints["aloha"], "joints": joints}, ROBOT)
     assert {channel.arm for channel in space.channels} == {"left", "right"}
+    with pytest.raises(PlanningError, match="robot lacks left/left_0"):
+        agree(space, ROBOT, SPACE_KINDS, backend="pi0", controller="urdf")
     with pytest.raises(ConfigurationError, match="moves 2 arms"):
         _backend(checkpoints["aloha"], joints=joints).load()
+
+
+@pytest.mark.parametrize("name", ["droid", "franka"])
+def test_a_robot_executes_the_space_in_its_own_order(
+    checkpoints: dict[str, Path], observe: Observe, name: str
+) -> None:
+    """What planning compares, and what inference makes of a chunk."""
+    backend = _backend(checkpoints[name], joints=ARM[::-1])
+    backend.load()
+    options = {"checkpoint": checkpoints[name], "joints": ARM[::-1]}
+    space = pi0_space(options, ROBOT)
+    agreement = agree(space, ROBOT, SPACE_KINDS, backend="pi0", controller="urdf")
+    chunk = backend.predict(_seen(observe))
+    executed = agreement.convert(chunk, None)
+    assert executed.space.keys == (*ARM, "gripper_open")
+    np.testing.assert_array_equal(executed.actions[:, :7], chunk.actions[:, 6::-1])
 
 
 @pytest.mark.parametrize("name", JOINT_PROFILES)
