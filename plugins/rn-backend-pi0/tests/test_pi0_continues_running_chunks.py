@@ -205,7 +205,7 @@ def test_relative_rows_are_re_expressed_against_the_new_state(backend: Pi0Backen
     old, new = np.zeros(width, np.float32), np.full(width, 0.25, np.float32)
     running = RunningChunk(normalized=np.zeros(backend._model.noise_shape, np.float32), state=old)
     ahead = Ahead(rows=np.zeros((4, 7)), committed_rows=2, step_s=0.05, context=running)
-    prefix = backend._prefix(ahead, new)
+    prefix = backend.prefix_of(ahead, new)
     assert prefix is not None
     score = backend._model.action.head(6)
     before = score.denormalize(running.normalized[:, :6]) + old[:6]

@@ -18,13 +18,14 @@ import numpy as np
 import pytest
 import torch
 
+from rn_backend_pi0.fast import Pi0FastBackend
 from rn_backend_pi0.fast_model import FastModel
 from rn_backend_pi0.fast_network import FastNetwork
 from rn_backend_pi0.fast_tokens import FastTokenizer, load_fast_tokenizer
 from rn_backend_pi0.image import to_pixels
 from rn_backend_pi0.layouts import read_checkpoint
 from rn_backend_pi0.native import Pi0Backend
-from rn_backend_pi0.options import Pi0Options
+from rn_backend_pi0.options import Pi0FastOptions, Pi0Options
 from rn_backend_pi0.prompt import InstructionEncoder, load_prompt
 from rn_backend_pi0.tiny import make_tiny
 from rn_backend_pi0.weights import load_network
@@ -165,9 +166,10 @@ def _observation(observe: Callable[..., Observation], **changes: Any) -> Observa
     return replace(observe(wrist=40, **changes), joints=joints)
 
 
-def _backend(checkpoint: Path, **options: Any) -> Pi0Backend:
+def _backend(checkpoint: Path, **options: Any) -> Pi0FastBackend:
     given = {"joints": ARM, "max_outside_share": 1.0, "fast_length": "padded", **options}
-    backend = Pi0Backend(Pi0Options(checkpoint=checkpoint, device="cpu", cpu_threads=1, **given))
+    config = Pi0FastOptions(checkpoint=checkpoint, device="cpu", cpu_threads=1, **given)
+    backend = Pi0FastBackend(config)
     backend.load()
     return backend
 
@@ -192,6 +194,14 @@ def test_a_model_that_would_write_something_else_is_refused(
     with pytest.raises(UngroundedError, match="likelier than every action token"):
         backend.predict(_observation(observe))
     backend.close()
+
+
+def test_each_backend_runs_its_own_variants(checkpoint: Path, tiny_checkpoint: Path) -> None:
+    with pytest.raises(CheckpointError, match="holds a pi0_fast model") as refusal:
+        Pi0Backend(Pi0Options(checkpoint=checkpoint, joints=ARM)).load()
+    assert "'pi0-fast' for pi0_fast" in refusal.value.hint
+    with pytest.raises(CheckpointError, match="holds a pi0 model"):
+        Pi0FastBackend(Pi0FastOptions(checkpoint=tiny_checkpoint)).load()
 
 
 @pytest.mark.parametrize(

@@ -144,7 +144,7 @@ def test_relative_rows_follow_the_measured_joints(backend: Pi0Backend) -> None:
     old, new = np.zeros(8), np.full(8, 0.25)
     running = RunningChunk(normalized=np.zeros(backend._model.noise_shape, np.float32), state=old)
     ahead = Ahead(rows=np.zeros((4, 8)), committed_rows=2, step_s=0.05, context=running)
-    prefix = backend._prefix(ahead, new)
+    prefix = backend.prefix_of(ahead, new)
     assert prefix is not None
     at = backend._conversion.relative
     action = backend._model.action.head(8)

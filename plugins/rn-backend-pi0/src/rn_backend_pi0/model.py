@@ -85,11 +85,6 @@ class Pi0Model:
         )
 
     @property
-    def is_flow(self) -> bool:
-        """It integrates a flow, which can be guided towards rows that are played meanwhile."""
-        return self.checkpoint.fast is None
-
-    @property
     def noise_shape(self) -> tuple[int, int]:
         """Shape of the noise and of the normalised actions."""
         return self.checkpoint.dims.chunk, self.checkpoint.dims.action

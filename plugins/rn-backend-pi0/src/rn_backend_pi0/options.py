@@ -1,4 +1,4 @@
-"""What a user may set under `[plugins.pi0]` and `[plugins.pi0-remote]`."""
+"""What a user may set under `[plugins.pi0]`, `[plugins.pi0-fast]` and `[plugins.pi0-remote]`."""
 
 from __future__ import annotations
 
@@ -182,8 +182,8 @@ class _Common(_Section):
         return profile
 
 
-class Pi0Options(_Common):
-    """Options of the native backend."""
+class NativeOptions(_Common):
+    """Options of the backends that run a checkpoint in this process."""
 
     checkpoint: Annotated[Path, ConfigurationOnly()] = Field(
         description="directory of a LeRobot or openpi PyTorch checkpoint"
@@ -214,9 +214,6 @@ class Pi0Options(_Common):
         le=512,
         description="threads of PyTorch in this process; PyTorch's own choice if unset",
     )
-    denoising_steps: int | None = Field(
-        default=None, ge=1, le=1000, description="Euler steps; the checkpoint's if unset"
-    )
     numerics: Literal["lerobot", "openpi"] | None = Field(
         default=None,
         description="whose rounding, resizing and eps to follow; the family that wrote the "
@@ -226,29 +223,20 @@ class Pi0Options(_Common):
         default=None,
         description="'antialiased' as openpi serves, 'plain' as LeRobot; by numerics if unset",
     )
+
+
+class Pi0Options(NativeOptions):
+    """Options of the backend "pi0"."""
+
+    denoising_steps: int | None = Field(
+        default=None, ge=1, le=1000, description="Euler steps; the checkpoint's if unset"
+    )
     seed: Annotated[int, Field(ge=0)] | Literal["random"] = Field(
         default=0,
         description="of the noise, restarted by every reset; 'random' for another one each time",
     )
     noise: Literal["fresh", "fixed"] = Field(
         default="fresh", description="'fixed' starts every inference from the same noise"
-    )
-    action_tokenizer: Annotated[Path | None, ConfigurationOnly()] = Field(
-        default=None,
-        description="pi0-FAST: directory of the action tokenizer's files; the checkpoint's "
-        "action_tokenizer when not given",
-    )
-    max_outside_share: float = Field(
-        default=0.15,
-        ge=0,
-        le=1,
-        description="pi0-FAST: share of an answer's tokens for which another token than every "
-        "action token may be the likeliest; more is refused",
-    )
-    fast_length: FastLength = Field(
-        default="exact",
-        description="pi0-FAST: 'padded' takes coefficients that are missing at the end as 0 and "
-        "drops surplus ones, as LeRobot does",
     )
     rtc: bool = Field(
         default=True, description="continue the rows that are played meanwhile (real-time chunking)"
@@ -278,6 +266,28 @@ class Pi0Options(_Common):
         if self.noise == "fixed" and self.seed == "random":
             raise ValueError("noise 'fixed' needs a seed")
         return self
+
+
+class Pi0FastOptions(NativeOptions):
+    """Options of the backend "pi0-fast"."""
+
+    action_tokenizer: Annotated[Path | None, ConfigurationOnly()] = Field(
+        default=None,
+        description="directory of the action tokenizer's files; the checkpoint's "
+        "action_tokenizer when not given",
+    )
+    max_outside_share: float = Field(
+        default=0.15,
+        ge=0,
+        le=1,
+        description="share of an answer's tokens for which another token than every "
+        "action token may be the likeliest; more is refused",
+    )
+    fast_length: FastLength = Field(
+        default="exact",
+        description="'padded' takes coefficients that are missing at the end as 0 and "
+        "drops surplus ones, as LeRobot does",
+    )
 
 
 class Pi0RemoteOptions(_Common):

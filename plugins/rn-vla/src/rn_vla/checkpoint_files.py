@@ -32,7 +32,7 @@ FAMILIES = {
     "openvla": "openvla (OpenVLA), oft (OpenVLA-OFT)",
     "pi0": "pi0",
     "pi05": "pi0",
-    "pi0_fast": "pi0",
+    "pi0_fast": "pi0-fast",
 }
 """Backends that run a checkpoint, by the family that its config.json names."""
 _LISTED = 12
