@@ -153,6 +153,43 @@ test-lerobot: $(VENV)/.develop .venv-lerobot/.ready ## exported data sets, opene
 	.venv-lerobot/bin/python -m pip install --quiet --disable-pip-version-check 'lerobot[dataset]==0.6.1'
 	@touch $@
 
+# Checkouts of https://github.com/Physical-Intelligence/openpi (15a9616 made the numbers that are here) and
+# https://github.com/huggingface/lerobot (7427f31).
+OPENPI ?= ../openpi
+LEROBOT ?= ../lerobot
+PARITY := plugins/rn-backend-pi0/tests
+
+test-parity: $(VENV)/.develop .venv-openpi/.ready .venv-fast/.ready ## pi0.5 and pi0-FAST against the public code, run again: OPENPI=path LEROBOT=path
+	rm -rf out/parity && mkdir -p out/parity
+	$(BIN)/roboneuron-pi0 make-tiny out/parity/pi05 --variant pi05 --layout openpi --profile droid
+	$(BIN)/roboneuron-pi0 make-tiny out/parity/fast --variant pi0_fast --profile droid
+	.venv-openpi/bin/python $(PARITY)/parity/openpi_numbers.py $(OPENPI) out/parity/pi05 out/parity/pi05.npz
+	.venv-fast/bin/python $(PARITY)/parity/lerobot_fast_numbers.py $(LEROBOT) out/parity/fast out/parity/fast.npz
+	PI05_NUMBERS=out/parity/pi05.npz PI0_FAST_NUMBERS=out/parity/fast.npz $(BIN)/python -m pytest \
+	  $(PARITY)/test_pi05_matches_openpi.py $(PARITY)/test_pi0_fast_matches_lerobot.py $(ARGS)
+
+.venv-openpi: .venv-openpi/.ready
+
+# openpi replaces files of transformers 4.53.2 by its own.
+.venv-openpi/.ready:
+	@echo "Setting up .venv-openpi (once, about two minutes, 1.5 GB) ..."
+	$(PYTHON) -m venv .venv-openpi
+	.venv-openpi/bin/python -m pip install --quiet --disable-pip-version-check torch \
+	  transformers==4.53.2 numpy safetensors sentencepiece einops
+	cp -r $(OPENPI)/src/openpi/models_pytorch/transformers_replace/* \
+	  "$$(.venv-openpi/bin/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')/transformers/"
+	@touch $@
+
+.venv-fast: .venv-fast/.ready
+
+# What lerobot asks for; of lerobot itself only the files of pi0-FAST are loaded.
+.venv-fast/.ready:
+	@echo "Setting up .venv-fast (once, about two minutes, 1.5 GB) ..."
+	$(PYTHON) -m venv .venv-fast
+	.venv-fast/bin/python -m pip install --quiet --disable-pip-version-check torch transformers==5.5.4 numpy \
+	  safetensors scipy draccus
+	@touch $@
+
 train-cubes: $(VENV)/.demo-learned ## the small learned policy, from nothing: demonstrations, training; goes on where it was
 	$(BIN)/roboneuron cubes-policy train --workers $(JOBS) $(ARGS)
 

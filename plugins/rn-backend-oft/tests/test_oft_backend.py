@@ -164,7 +164,9 @@ def test_state_of_bridge_is_position_angles_against_gripper_down_and_opening():
 
 
 def test_two_arm_constants_are_refused_with_the_reason(tiny):
-    with pytest.raises(ConfigurationError, match=r"14 values per action .*one arm, 7 values"):
+    with pytest.raises(
+        ConfigurationError, match=r"14 values per action .left and right.*state of one arm"
+    ):
         _backend(tiny, constants="aloha").load()
 
 

@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 import torch
 
-from rn_backend_pi0.native import Pi0Backend, resolve_slots
+from rn_backend_pi0.in_process import resolve_slots
+from rn_backend_pi0.native import Pi0Backend
 from rn_backend_pi0.options import Pi0Options
 from roboneuron.contract import JointSample, Observation
 from roboneuron.errors import (

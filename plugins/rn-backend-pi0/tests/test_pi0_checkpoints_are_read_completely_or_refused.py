@@ -157,7 +157,7 @@ def test_a_shard_that_is_missing_is_named(copy: Path) -> None:
 @pytest.mark.parametrize(
     ("kind", "advice"),
     [
-        ("pi05", "No backend of RoboNeuron runs that family"),
+        ("act", "No backend of RoboNeuron runs that family"),
         ("smolvla", "No backend of RoboNeuron runs that family"),
         ("openvla", "Choose a backend that runs it: openvla (OpenVLA), oft (OpenVLA-OFT)."),
     ],

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 
 from rn_backend_pi0.chunking import Prefix, RunningChunk, guidance_weights, prefix_weights
+from rn_backend_pi0.conversion import TcpConversion
 from rn_backend_pi0.layouts import read_checkpoint
 from rn_backend_pi0.model import Pi0Model
 from rn_backend_pi0.native import Pi0Backend
@@ -195,15 +196,16 @@ def test_a_context_of_another_backend_is_left_alone(backend: Pi0Backend, observe
 def test_relative_rows_are_re_expressed_against_the_new_state(backend: Pi0Backend) -> None:
     """The same absolute targets, seen from a state that has moved, are other relative rows."""
     assert backend._model is not None
-    assert backend._profile is not None
-    backend._profile = replace(
-        backend._profile, action=replace(backend._profile.action, adds_state=True)
-    )
-    width = backend._profile.state.width
+    conversion = backend._conversion
+    assert isinstance(conversion, TcpConversion)
+    profile = conversion.profile
+    relative = replace(profile, action=replace(profile.action, adds_state=True))
+    backend._conversion = TcpConversion(relative, conversion.base_position_m)
+    width = profile.state.width
     old, new = np.zeros(width, np.float32), np.full(width, 0.25, np.float32)
     running = RunningChunk(normalized=np.zeros(backend._model.noise_shape, np.float32), state=old)
     ahead = Ahead(rows=np.zeros((4, 7)), committed_rows=2, step_s=0.05, context=running)
-    prefix = backend._prefix(ahead, new)
+    prefix = backend.prefix_of(ahead, new)
     assert prefix is not None
     score = backend._model.action.head(6)
     before = score.denormalize(running.normalized[:, :6]) + old[:6]

@@ -13,10 +13,10 @@ from typing import Any
 import pytest
 from pydantic import ValidationError
 
-from rn_backend_pi0.case import ROW_TOLERANCE
-from rn_backend_pi0.options import Pi0Options, Pi0RemoteOptions
+from rn_backend_pi0.case import ROW_TOLERANCE, fast_case
+from rn_backend_pi0.options import Pi0FastOptions, Pi0Options, Pi0RemoteOptions
 from rn_backend_pi0.plugin import roboneuron_backends
-from rn_backend_pi0.profiles import PROFILES
+from rn_backend_pi0.profiles import JOINT_PROFILES, PROFILES
 from rn_testing import BackendCase, BackendContract, PackageCase, PackageContract
 from roboneuron.contract import Observation
 from roboneuron.plugins.specs import BackendSpec
@@ -33,6 +33,14 @@ class TestNative(BackendContract):
         return BackendCase(
             spec=SPECS["pi0"], options=options, observe=observe, row_tolerance=ROW_TOLERANCE
         )
+
+
+class TestFast(BackendContract):
+    """The backend of pi0-FAST with a tiny checkpoint."""
+
+    @pytest.fixture
+    def plugin(self) -> BackendCase:
+        return fast_case()
 
 
 class TestRemote(BackendContract):
@@ -58,14 +66,19 @@ class TestPackage(PackageContract):
 
 def test_the_readme_names_every_option_and_profile_and_its_examples_are_valid() -> None:
     text = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
-    names = {*Pi0Options.model_fields, *Pi0RemoteOptions.model_fields, *PROFILES}
+    models = (Pi0Options, Pi0FastOptions, Pi0RemoteOptions)
+    names = {*PROFILES, *JOINT_PROFILES, *(name for model in models for name in model.model_fields)}
     assert [name for name in sorted(names) if f"`{name}`" not in text] == []
     examples = [
         tomllib.loads(block) for block in re.findall(r"```toml\n(.*?)```", text, flags=re.DOTALL)
     ]
-    plugins = [example["plugins"] for example in examples if "plugins" in example]
-    Pi0Options(checkpoint=Path("x"), **plugins[0]["pi0"])
-    Pi0RemoteOptions(**plugins[1]["pi0-remote"])
+    tables = [example["plugins"] for example in examples if "plugins" in example]
+    assert {name for table in tables for name in table} == {"pi0", "pi0-remote"}
+    for table in tables:
+        if "pi0" in table:
+            Pi0Options(checkpoint=Path("x"), **table["pi0"])
+        else:
+            Pi0RemoteOptions(**table["pi0-remote"])
 
 
 def test_every_profile_says_its_units_in_the_readme() -> None:

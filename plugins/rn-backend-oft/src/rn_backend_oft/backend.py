@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rn_backend_oft.config import OftConfig
+from rn_backend_oft.joints import JointActions
 from rn_backend_oft.policy import OftPolicy
 from rn_backend_oft.state import read_state, state_width
 from rn_vla.decoding import (
@@ -28,6 +29,7 @@ from rn_vla.openvla.prompt import PromptEncoder
 from rn_vla.openvla.statistics import DatasetStatistics, Scaling, choose_statistics
 from roboneuron import (
     ACTION_SIZE,
+    EE_DELTA,
     ActionChunk,
     ConfigurationError,
     Observation,
@@ -60,7 +62,8 @@ class OftBackend:
         acceleration: LlamaAcceleration | None = None,
     ) -> None:
         self._config = config
-        self._profile = config.action_profile()
+        self._profile = None if config.profile == "joints" else config.action_profile()
+        self._joints: JointActions | None = None
         self._constants = config.platform()
         self._runtime = runtime
         self._acceleration = acceleration
@@ -87,11 +90,11 @@ class OftBackend:
             raise ConfigurationError(
                 "Backend 'oft' needs a runtime.", hint="Install rn-runtime-torch."
             )
-        if constants.action_width != ACTION_SIZE:
+        self._joints = config.joint_actions()
+        if self._joints is None and constants.action_width != ACTION_SIZE:
             raise ConfigurationError(
-                f"constants = {config.constants!r} has {constants.action_width} values per action "
-                "(two arms' joints); "
-                f"the contract carries the TCP delta and gripper of one arm, {ACTION_SIZE} values."
+                f"constants = {config.constants!r} has {constants.action_width} values per action; "
+                f"TCP delta and gripper of one arm are {ACTION_SIZE} values."
             )
         checkpoint = OpenvlaCheckpoint.read(config.checkpoint)
         key, statistics = choose_statistics(
@@ -129,7 +132,7 @@ class OftBackend:
         self._proprio = None
         if not self._config.proprio:
             return
-        width = state_width(constants.state)
+        width = constants.action_width if self._joints else state_width(constants.state)
         if statistics.proprio is None or len(statistics.proprio.min) != width:
             has = "none" if statistics.proprio is None else str(len(statistics.proprio.min))
             raise ConfigurationError(
@@ -217,17 +220,22 @@ class OftBackend:
         }
         played = actions[: self._config.execute]
         told = " ".join(filter(None, (note, reply.note)))
-        return ActionChunk(actions=played, step_s=self._profile.step_s, metrics=metrics, note=told)
+        step_s = self._constants.step_s if self._profile is None else self._profile.step_s
+        space = EE_DELTA if self._joints is None else self._joints.space
+        return ActionChunk(actions=played, step_s=step_s, metrics=metrics, note=told, space=space)
 
     def _normalized_state(self, observation: Observation) -> F32 | None:
-        state = read_state(
-            observation,
-            self._constants.state,
-            finger_travel_m=self._config.finger_travel_m,
-            origin_m=np.array(self._config.state_origin_m),
-            finger_joints=self._config.finger_joints,
-            by_quaternion=self._config.state_rotation == "quaternion",
-        )
+        if self._joints is not None:
+            state = self._joints.read_state(observation)
+        else:
+            state = read_state(
+                observation,
+                self._constants.state,
+                finger_travel_m=self._config.finger_travel_m,
+                origin_m=np.array(self._config.state_origin_m),
+                finger_joints=self._config.finger_joints,
+                by_quaternion=self._config.state_rotation == "quaternion",
+            )
         return (
             None if self._proprio is None else self._proprio.to_normalized(state).astype(np.float32)
         )
@@ -251,7 +259,11 @@ class OftBackend:
         native = self._scaling.to_units(normalized)
         if not np.isfinite(native).all():
             raise UnsafeError("The model produced non-finite values; nothing was published.")
-        return self._profile.to_contract(native, observation.ee_pose)
+        if self._profile is not None:
+            return self._profile.to_contract(native, observation.ee_pose)
+        if self._joints is None:
+            raise StateError("Backend 'oft' is not loaded; call load first.")
+        return self._joints.to_contract(native)
 
     def reset(self) -> None:
         """Nothing is remembered between observations."""

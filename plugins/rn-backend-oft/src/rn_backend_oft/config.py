@@ -6,10 +6,12 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from rn_backend_oft.constants import CONSTANTS, Constants, StateLayout
+from rn_backend_oft.constants import CONSTANTS, Constants, JointGripper, StateLayout
+from rn_backend_oft.joints import JointActions
 from rn_backend_oft.plugin import MAX_CHUNK
 from rn_vla.openvla.options import ModelOptions
 from rn_vla.openvla.statistics import Bounds
+from roboneuron import ConfigurationError
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 
@@ -27,6 +29,20 @@ class OwnConstants(BaseModel):
     """Layout of proprioception."""
     bounds: Bounds
     """`q99` for the 1st and 99th percentile, `minmax` for the extremes."""
+    gripper: JointGripper = "open_fraction"
+    """With `state = "joints"`: 0 closed .. 1 open, or `closed_fraction` 0 open .. 1 closed."""
+    step_s: Annotated[float, Field(gt=0, le=10, allow_inf_nan=False)] | None = None
+    """With `state = "joints"`: time between two actions of the training data [s]."""
+
+    @model_validator(mode="after")
+    def _joints_have_a_step(self) -> OwnConstants:
+        if (self.state == "joints") != (self.step_s is not None):
+            raise ValueError('step_s must be given exactly when state is "joints"')
+        return self
+
+    def constants(self) -> Constants:
+        """They, as the backend takes them."""
+        return Constants(**self.model_dump(exclude_none=True))
 
 
 class OftConfig(ModelOptions):
@@ -36,6 +52,14 @@ class OftConfig(ModelOptions):
     """Platform whose chunk length, widths and normalisation the checkpoint was trained with."""
     own_constants: OwnConstants | None = None
     """The fields of `constants = "own"`."""
+    profile: Literal["libero", "bridge", "own", "joints"]  # type: ignore[assignment]
+    """What the actions mean, in which units and frame; never guessed. `joints` for platforms that
+    act on joints, whose constants say it.
+    """
+    joints: Annotated[tuple[str, ...], Field(max_length=64)] | None = None
+    """The robot's names of the policy's joints, in the policy's order (each arm from the base to
+    the tip), for platforms that act on joints; nothing is mapped by place otherwise.
+    """
     head: Literal["l1", "tokens"] = "l1"
     """`l1` reads action_head--*_checkpoint.pt; `tokens` is for checkpoints without a head, which
     decode bins.
@@ -72,4 +96,31 @@ class OftConfig(ModelOptions):
         """The chosen constants, whole."""
         if self.own_constants is None:
             return CONSTANTS[self.constants]
-        return Constants(**self.own_constants.model_dump())
+        return self.own_constants.constants()
+
+    def joint_actions(self) -> JointActions | None:
+        """What the rows are when they are joints; None when they move the TCP.
+
+        Raises:
+            ConfigurationError: `profile` and `joints` do not fit the constants, or they move more
+                than one arm.
+        """
+        constants = self.platform()
+        if constants.state == "joints" and len(constants.arms) > 1:
+            raise ConfigurationError(
+                f"constants = {self.constants!r} has {constants.action_width} values per action "
+                f"({' and '.join(constants.arms)} arm); an observation holds the state of one arm."
+            )
+        if (constants.state == "joints") != (self.profile == "joints"):
+            raise ConfigurationError(
+                f"constants = {self.constants!r} has the state {constants.state!r}, which does not "
+                f"fit profile = {self.profile!r}.",
+                hint='profile = "joints" belongs to constants whose state is "joints".',
+            )
+        if (constants.state == "joints") != (self.joints is not None):
+            raise ConfigurationError(
+                "The option 'joints' must be given exactly when profile is \"joints\"."
+            )
+        if self.joints is None:
+            return None
+        return JointActions(constants=constants, joints=self.joints)

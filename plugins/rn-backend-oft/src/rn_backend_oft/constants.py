@@ -12,6 +12,7 @@ from typing import Literal
 from rn_vla.openvla.statistics import Bounds
 
 StateLayout = Literal["xyz_rotvec_fingers", "xyz_rpy_opening", "joints"]
+JointGripper = Literal["open_fraction", "closed_fraction"]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -23,12 +24,20 @@ class Constants:
         action_width: values per action.
         state: how proprioception is laid out.
         bounds: which statistics -1 and +1 stand for.
+        arms: names of the arms, of platforms that act on joints; one empty name for one arm.
+        gripper: of platforms that act on joints: "open_fraction" 0 closed .. 1 open, or the
+            reverse.
+        step_s: time between two actions [s] of platforms that act on joints; the profile says it
+            for others.
     """
 
     chunk: int
     action_width: int
     state: StateLayout
     bounds: Bounds
+    arms: tuple[str, ...] = ("",)
+    gripper: JointGripper = "open_fraction"
+    step_s: float = 0.0
 
     @property
     def tokens(self) -> int:
@@ -36,12 +45,19 @@ class Constants:
         return self.chunk * self.action_width
 
 
-# Source: OpenVLA-OFT (Kim et al. 2025), platform constants.
+# Source: OpenVLA-OFT (Kim et al. 2025), platform constants; DT of its ALOHA environment.
 CONSTANTS: Mapping[str, Constants] = MappingProxyType(
     {
         "libero": Constants(chunk=8, action_width=7, state="xyz_rotvec_fingers", bounds="q99"),
         "bridge": Constants(chunk=5, action_width=7, state="xyz_rpy_opening", bounds="q99"),
-        "aloha": Constants(chunk=25, action_width=14, state="joints", bounds="minmax"),
+        "aloha": Constants(
+            chunk=25,
+            action_width=14,
+            state="joints",
+            bounds="minmax",
+            arms=("left", "right"),
+            step_s=0.04,
+        ),
     }
 )
 """Constants by platform."""

@@ -37,6 +37,7 @@ def _spec(name: str, summary: str, target: str, case: str, cameras: tuple[str, .
             horizon=MAX_CHUNK,
             step_s=0.0,
         ),
+        space="rn_backend_oft.space:oft_space",
         family="openvla-oft",
         runtimes_required=True,
         default_runtime="torch",

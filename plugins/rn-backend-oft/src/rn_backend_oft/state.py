@@ -21,13 +21,12 @@ STATE_WIDTHS: Mapping[StateLayout, int] = MappingProxyType(
 
 
 def state_width(layout: StateLayout) -> int:
-    """Values of the layout. Raises ConfigurationError for one that a single arm's state does not
+    """Values of the layout. Raises ConfigurationError for one that TCP pose and gripper do not
     give.
     """
     if layout not in STATE_WIDTHS:
         raise ConfigurationError(
-            f"The state layout {layout!r} is that of two arms' joints; the contract carries one "
-            "TCP pose and gripper.",
+            f"The state layout {layout!r} is no TCP pose and gripper.",
             hint=f"Layouts that can be filled: {', '.join(STATE_WIDTHS)}.",
         )
     return STATE_WIDTHS[layout]

@@ -1,11 +1,16 @@
-"""Dimensions of a pi0 model and the tensors that a checkpoint of these dimensions must hold."""
+"""Dimensions of a pi0, pi0.5 or pi0-FAST model and the tensors that a checkpoint of these
+dimensions must hold.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 from roboneuron import CheckpointError
 
+Variant = Literal["pi0", "pi05", "pi0_fast"]
+"""Which model: the public names are pi0, pi0.5 and pi0-FAST."""
 _PALIGEMMA = "paligemma_with_expert.paligemma."
 _VISION = _PALIGEMMA + "model.vision_tower.vision_model."
 _PREFIX = _PALIGEMMA + "model.language_model."
@@ -55,6 +60,8 @@ class Pi0Dims:
     Attributes:
         vision, prefix, expert: the three stacks; prefix and expert share heads and depth.
         vocabulary: rows of the token embedding.
+        variant: "pi0" has a token for the state; "pi05" has it in the prompt, and adaptive norms in
+            the expert; "pi0_fast" has it in the prompt and no expert.
         chunk: actions per inference.
         state, action: padded widths of the state and of one action.
         min_period, max_period: of the sine-cosine embedding of the flow time.
@@ -64,6 +71,7 @@ class Pi0Dims:
     prefix: GemmaDims
     expert: GemmaDims
     vocabulary: int
+    variant: Variant = "pi0"
     chunk: int = 50
     state: int = 32
     action: int = 32
@@ -131,8 +139,12 @@ def _vision(dims: VisionDims) -> dict[str, Shape]:
     return shapes | _norm(_VISION + "post_layernorm", dims.width)
 
 
-def _gemma(prefix: str, dims: GemmaDims) -> dict[str, Shape]:
-    shapes: dict[str, Shape] = {prefix + "norm.weight": (dims.width,)}
+def _rms_norm(name: str, width: int, *, adaptive: bool) -> dict[str, Shape]:
+    return _linear(f"{name}.dense", 3 * width, width) if adaptive else {f"{name}.weight": (width,)}
+
+
+def _gemma(prefix: str, dims: GemmaDims, *, adaptive: bool = False) -> dict[str, Shape]:
+    shapes = _rms_norm(prefix + "norm", dims.width, adaptive=adaptive)
     queries, keys = dims.heads * dims.head_dim, dims.kv_heads * dims.head_dim
     for index in range(dims.depth):
         layer = f"{prefix}layers.{index}."
@@ -143,8 +155,8 @@ def _gemma(prefix: str, dims: GemmaDims) -> dict[str, Shape]:
         shapes |= _linear(layer + "mlp.gate_proj", dims.mlp, dims.width, bias=False)
         shapes |= _linear(layer + "mlp.up_proj", dims.mlp, dims.width, bias=False)
         shapes |= _linear(layer + "mlp.down_proj", dims.width, dims.mlp, bias=False)
-        shapes[layer + "input_layernorm.weight"] = (dims.width,)
-        shapes[layer + "post_attention_layernorm.weight"] = (dims.width,)
+        shapes |= _rms_norm(layer + "input_layernorm", dims.width, adaptive=adaptive)
+        shapes |= _rms_norm(layer + "post_attention_layernorm", dims.width, adaptive=adaptive)
     return shapes
 
 
@@ -154,18 +166,29 @@ def required_tensors(dims: Pi0Dims) -> dict[str, Shape]:
     The token embedding is not among them: see EMBEDDING_KEYS. Source: the key lists of openpi's and
     LeRobot's PyTorch checkpoints.
     """
-    width = dims.expert.width
-    return {
+    common = {
         **_vision(dims.vision),
         **_linear(
             _PALIGEMMA + "model.multi_modal_projector.linear", dims.prefix.width, dims.vision.width
         ),
         **_gemma(_PREFIX, dims.prefix),
-        **_gemma(_EXPERT + "model.", dims.expert),
-        **_linear("state_proj", width, dims.state),
+    }
+    if dims.variant == "pi0_fast":
+        return common
+    width = dims.expert.width
+    state: dict[str, Shape] = {}
+    if dims.variant == "pi05":
+        times = _linear("time_mlp_in", width, width) | _linear("time_mlp_out", width, width)
+    else:
+        state = _linear("state_proj", width, dims.state)
+        times = _linear("action_time_mlp_in", width, 2 * width)
+        times |= _linear("action_time_mlp_out", width, width)
+    return {
+        **common,
+        **_gemma(_EXPERT + "model.", dims.expert, adaptive=dims.variant == "pi05"),
+        **state,
         **_linear("action_in_proj", width, dims.action),
-        **_linear("action_time_mlp_in", width, 2 * width),
-        **_linear("action_time_mlp_out", width, width),
+        **times,
         **_linear("action_out_proj", dims.action, width),
     }
 
@@ -174,6 +197,8 @@ def optional_tensors(dims: Pi0Dims) -> dict[str, Shape]:
     """Shape by key of tensors that a checkpoint may hold and that inference never reads (the
     expert's head).
     """
+    if dims.variant == "pi0_fast":
+        return {}
     shape = (dims.vocabulary, dims.expert.width)
     return {_EXPERT + "lm_head.weight": shape, _EXPERT + "model.embed_tokens.weight": shape}
 
@@ -181,16 +206,17 @@ def optional_tensors(dims: Pi0Dims) -> dict[str, Shape]:
 def module_keys(dims: Pi0Dims) -> dict[str, str]:
     """Checkpoint key by parameter name of the network, for everything that inference reads.
 
-    The last layer of the language model only yields keys and values for the expert, so the rest of
-    it is left out.
+    With an expert, the last layer of the language model only yields keys and values for it, so the
+    rest of it is left out.
     """
     last = f"{_PREFIX}layers.{dims.prefix.depth - 1}."
     last_used = ("input_layernorm.", "self_attn.k_proj.", "self_attn.v_proj.")
     names: dict[str, str] = {}
     for key in required_tensors(dims):
-        if key == _PREFIX + "norm.weight" or (
+        unread = key == _PREFIX + "norm.weight" or (
             key.startswith(last) and not key[len(last) :].startswith(last_used)
-        ):
+        )
+        if unread and dims.variant != "pi0_fast":
             continue
         names[_parameter_name(key)] = key
     return names

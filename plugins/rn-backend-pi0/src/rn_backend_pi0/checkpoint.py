@@ -7,11 +7,24 @@ from pathlib import Path
 from typing import Literal
 
 from rn_backend_pi0.architecture import Pi0Dims
-from rn_backend_pi0.statistics import ZScore
+from rn_backend_pi0.statistics import Scaling
 
 Family = Literal["lerobot", "openpi"]
 PROFILE_FILE = "roboneuron.json"
 """Optional file beside config.json that names the checkpoint's profile: {"profile": "libero"}."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class FastSettings:
+    """How pi0-FAST writes actions.
+
+    Attributes:
+        skip_tokens: ids at the end of the vocabulary that no action token has.
+        most_tokens: longest answer.
+    """
+
+    skip_tokens: int
+    most_tokens: int
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -31,17 +44,19 @@ class Pi0Checkpoint:
         profile: what PROFILE_FILE says; empty without one.
         trained_prefix_rows: it was trained to continue clean prefixes of up to so many rows; 0 when
             it was not.
+        fast: of pi0-FAST; None for others.
     """
 
     directory: Path
     family: Family
     dims: Pi0Dims
     slots: tuple[str, ...]
-    state: ZScore
-    action: ZScore
+    state: Scaling
+    action: Scaling
     denoising_steps: int = 10
     action_steps: int = 50
     prompt_length: int = 48
     relative_actions: bool = False
     profile: str = ""
     trained_prefix_rows: int = 0
+    fast: FastSettings | None = None

@@ -14,6 +14,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from rn_backend_pi0.statistics import Values
+
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 Schedule = Literal["linear", "exp", "ones", "zeros"]
@@ -26,11 +28,11 @@ class RunningChunk:
 
     Attributes:
         normalized: float32 (H, A), what the network yielded.
-        state: float32 (n,), measured state that it was computed from, in the training data's units.
+        state: (n,), measured state that it was computed from, in the training data's units.
     """
 
     normalized: F32
-    state: F32
+    state: Values
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -7,6 +7,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from rn_backend_pi0.tiny_statistics import TINY_PROFILES
 from roboneuron import MissingDependencyError, RoboNeuronError
 
 
@@ -23,6 +24,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     make.add_argument(
         "--layout", choices=("lerobot", "openpi"), default="lerobot", help="default: %(default)s"
     )
+    make.add_argument(
+        "--variant", choices=("pi0", "pi05", "pi0_fast"), default="pi0", help="default: %(default)s"
+    )
+    make.add_argument(
+        "--profile", choices=TINY_PROFILES, default="libero", help="default: %(default)s"
+    )
     make.add_argument("--seed", type=int, default=0, help="of the weights; default: %(default)s")
     check = commands.add_parser(
         "check", help="compare a checkpoint's files with what the backend needs"
@@ -34,7 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     chosen = parser.parse_args(arguments)
     try:
         if chosen.command == "make-tiny":
-            _make_tiny(chosen.directory, chosen.layout, chosen.seed)
+            _make_tiny(chosen)
         else:
             _check(chosen.directory, chosen.asset_id)
     except RoboNeuronError as error:
@@ -49,15 +56,21 @@ def _missing(error: ImportError) -> MissingDependencyError:
     )
 
 
-def _make_tiny(directory: Path, layout: str, seed: int) -> None:
+def _make_tiny(chosen: argparse.Namespace) -> None:
     try:
         from rn_backend_pi0.tiny import make_tiny  # heavy
     except ImportError as error:
         raise _missing(error) from error
-    make_tiny(directory, layout="openpi" if layout == "openpi" else "lerobot", seed=seed)
+    make_tiny(
+        chosen.directory,
+        layout=chosen.layout,
+        seed=chosen.seed,
+        variant=chosen.variant,
+        profile=chosen.profile,
+    )
     print(
-        f"Wrote a tiny random pi0 checkpoint to {directory}. Use it as the checkpoint of backend "
-        "'pi0'."
+        f"Wrote a tiny random {chosen.variant} checkpoint to {chosen.directory}. Use it as the "
+        "checkpoint of backend 'pi0'."
     )
 
 
@@ -76,6 +89,7 @@ def _check(directory: Path, asset_id: str | None) -> None:
         )
         count = len(shards)
     print(f"family          {checkpoint.family}")
+    print(f"variant         {checkpoint.dims.variant}")
     print(f"weights         {count} tensors, all accounted for")
     print(f"camera slots    {', '.join(checkpoint.slots)}")
     print(f"state, action   {checkpoint.state.width}, {checkpoint.action.width} values")

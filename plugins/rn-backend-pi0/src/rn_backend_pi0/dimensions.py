@@ -10,6 +10,7 @@ from rn_backend_pi0.architecture import (
     SO400M,
     GemmaDims,
     Pi0Dims,
+    Variant,
     VisionDims,
 )
 from rn_backend_pi0.documents import DimensionsDocument, GemmaBlock, VisionSettings
@@ -17,7 +18,13 @@ from roboneuron import CheckpointError
 
 
 def read_dims(
-    config: DimensionsDocument, path: Path, *, chunk: int, state: int, action: int
+    config: DimensionsDocument,
+    path: Path,
+    *,
+    chunk: int,
+    state: int,
+    action: int,
+    variant: Variant = "pi0",
 ) -> Pi0Dims:
     """Model dimensions: from the blocks vlm_config and dit_config when there, else by the names of
     the variants.
@@ -38,6 +45,7 @@ def read_dims(
         prefix=prefix,
         expert=expert,
         vocabulary=vocabulary,
+        variant=variant,
         chunk=chunk,
         state=state,
         action=action,

@@ -124,7 +124,13 @@ class LerobotConfig(DimensionsDocument):
     max_state_dim: Padded = 32
     max_action_dim: Padded = 32
     num_inference_steps: Annotated[int, Field(ge=1, le=1000, strict=True)] = 10
-    tokenizer_max_length: PromptLength = 48
+    tokenizer_max_length: PromptLength | None = None
+    output_features: Annotated[dict[Name, PolicyFeature], Field(max_length=64)] = {}
+    temperature: Annotated[float, Field(ge=0, le=100)] = 0.0
+    max_decoding_steps: Annotated[int, Field(ge=1, le=2048, strict=True)] = 256
+    fast_skip_tokens: Annotated[int, Field(ge=0, le=100_000, strict=True)] = 128
+    use_visual_memory: bool = False
+    use_proprioceptive_memory: bool = False
     image_resolution: tuple[int, int] | None = None
     rtc_training_max_delay: Annotated[int, Field(ge=0, le=1000, strict=True)] | None = None
 
@@ -134,7 +140,7 @@ class OpenpiConfig(DimensionsDocument):
 
     action_dim: Padded
     action_horizon: Chunk
-    max_token_len: PromptLength = 48
+    max_token_len: PromptLength | None = None
 
 
 class ProcessorStep(_Document):
@@ -151,12 +157,23 @@ class StepConfig(_Document):
     eps: Annotated[float, Field(ge=1e-12, le=0.1)] = 1e-8
     enabled: bool = False
     exclude_joints: Annotated[tuple[Name, ...], Field(max_length=64)] | None = ("gripper",)
+    include_state_in_prompt: bool = True
 
 
 class Pipeline(_Document):
     """policy_preprocessor.json or policy_postprocessor.json."""
 
     steps: Annotated[tuple[ProcessorStep, ...], Field(max_length=64)]
+
+
+class FastProcessor(_Document):
+    """processor_config.json of an action tokenizer."""
+
+    scale: Annotated[float, Field(gt=0, le=1e6)] = 10.0
+    vocab_size: Annotated[int, Field(ge=1, le=1_000_000, strict=True)] = 1024
+    min_token: Annotated[int, Field(ge=-1_000_000, le=1_000_000, strict=True)] = 0
+    time_horizon: Chunk | None = None
+    action_dim: Padded | None = None
 
 
 class Moments(_Document):
@@ -174,17 +191,45 @@ class Moments(_Document):
         return self
 
 
+class Range(_Document):
+    """1st and 99th percentile of one vector."""
+
+    q01: Vector
+    q99: Vector
+
+    @model_validator(mode="after")
+    def _is_ordered(self) -> Self:
+        if len(self.q01) != len(self.q99):
+            raise ValueError(f"q01 has {len(self.q01)} values, q99 {len(self.q99)}")
+        if any(low > high for low, high in zip(self.q01, self.q99, strict=True)):
+            raise ValueError("a value of q01 is above that of q99")
+        return self
+
+
 class NormStats(_Document):
-    """The object in norm_stats.json."""
+    """The object in norm_stats.json, for pi0."""
 
     state: Moments
     actions: Moments
+
+
+class RangeStats(_Document):
+    """The object in norm_stats.json, for pi0.5."""
+
+    state: Range
+    actions: Range
 
 
 class NormStatsDocument(_Document):
     """norm_stats.json of an openpi checkpoint."""
 
     norm_stats: NormStats
+
+
+class RangeStatsDocument(_Document):
+    """norm_stats.json of an openpi checkpoint of pi0.5."""
+
+    norm_stats: RangeStats
 
 
 class ProfileDocument(_Document):

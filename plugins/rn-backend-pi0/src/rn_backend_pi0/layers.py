@@ -89,14 +89,15 @@ def _rotate(x: Tensor, rotary: Rotary) -> Tensor:
     return torch.cat([first * cos - second * sin, second * cos + first * sin], dim=-1)
 
 
-class GemmaLayer(nn.Module):
-    """One Gemma block; with `keys_only` it holds just what yields keys and values."""
+class GemmaBlock(nn.Module):
+    """Attention and MLP of one Gemma block, without norms; with `keys_only` it holds just what
+    yields keys and values.
+    """
 
     def __init__(self, dims: GemmaDims, *, keys_only: bool = False) -> None:
         super().__init__()
         self.dims = dims
         queries, keys = dims.heads * dims.head_dim, dims.kv_heads * dims.head_dim
-        self.input_layernorm = RmsNorm(dims.width, dims.norm_eps)
         self.self_attn = nn.ModuleDict(
             {
                 "k_proj": nn.Linear(dims.width, keys, bias=False),
@@ -106,7 +107,6 @@ class GemmaLayer(nn.Module):
         if not keys_only:
             self.self_attn["q_proj"] = nn.Linear(dims.width, queries, bias=False)
             self.self_attn["o_proj"] = nn.Linear(queries, dims.width, bias=False)
-            self.post_attention_layernorm = RmsNorm(dims.width, dims.norm_eps)
             self.mlp = nn.ModuleDict(
                 {
                     "gate_proj": nn.Linear(dims.width, dims.mlp, bias=False),
@@ -124,9 +124,9 @@ class GemmaLayer(nn.Module):
         value = self.self_attn["v_proj"](normed).view(shape).transpose(0, 1)
         return _rotate(key, rotary), value
 
-    def forward(self, x: Tensor, normed: Tensor, rotary: Rotary, cached: KeyValue) -> Tensor:
-        """(tokens, width) -> the same shape, every token attending to all of `cached`."""
-        dims, tokens = self.dims, x.shape[0]
+    def attended(self, normed: Tensor, rotary: Rotary, cached: KeyValue) -> Tensor:
+        """(tokens, width), already normed -> what attention to all of `cached` adds."""
+        dims, tokens = self.dims, normed.shape[0]
         groups = dims.heads // dims.kv_heads
         query = (
             self.self_attn["q_proj"](normed).view(tokens, dims.heads, dims.head_dim).transpose(0, 1)
@@ -136,10 +136,29 @@ class GemmaLayer(nn.Module):
         # Nothing is masked, so the heads of one key head are just more queries.
         mixed = F.scaled_dot_product_attention(query[None], key[None], value[None])[0]
         mixed = mixed.reshape(dims.heads, tokens, dims.head_dim).transpose(0, 1).reshape(tokens, -1)
-        x = x + self.self_attn["o_proj"](mixed)
-        hidden = self.post_attention_layernorm(x)
+        out: Tensor = self.self_attn["o_proj"](mixed)
+        return out
+
+    def expanded(self, hidden: Tensor) -> Tensor:
+        """(tokens, width), already normed -> what the MLP adds."""
         gate = F.gelu(self.mlp["gate_proj"](hidden), approximate="tanh")
-        out: Tensor = x + self.mlp["down_proj"](gate * self.mlp["up_proj"](hidden))
+        out: Tensor = self.mlp["down_proj"](gate * self.mlp["up_proj"](hidden))
+        return out
+
+
+class GemmaLayer(GemmaBlock):
+    """One Gemma block with its norms."""
+
+    def __init__(self, dims: GemmaDims, *, keys_only: bool = False) -> None:
+        super().__init__(dims, keys_only=keys_only)
+        self.input_layernorm = RmsNorm(dims.width, dims.norm_eps)
+        if not keys_only:
+            self.post_attention_layernorm = RmsNorm(dims.width, dims.norm_eps)
+
+    def forward(self, x: Tensor, normed: Tensor, rotary: Rotary, cached: KeyValue) -> Tensor:
+        """(tokens, width) -> the same shape, every token attending to all of `cached`."""
+        x = x + self.attended(normed, rotary, cached)
+        out: Tensor = x + self.expanded(self.post_attention_layernorm(x))
         return out
 
 

@@ -1,5 +1,5 @@
-"""Describes a checkpoint in one of the two public layouts of pi0: LeRobot's and openpi's. No
-weights are read.
+"""Describes a checkpoint in one of the two public layouts of the pi0 family, LeRobot's and
+openpi's. No weights are read.
 """
 
 from __future__ import annotations
@@ -9,7 +9,8 @@ from pathlib import Path
 
 from pydantic import TypeAdapter
 
-from rn_backend_pi0.checkpoint import PROFILE_FILE, Pi0Checkpoint
+from rn_backend_pi0.architecture import Variant
+from rn_backend_pi0.checkpoint import PROFILE_FILE, FastSettings, Pi0Checkpoint
 from rn_backend_pi0.dimensions import read_dims
 from rn_backend_pi0.documents import (
     LerobotConfig,
@@ -19,9 +20,12 @@ from rn_backend_pi0.documents import (
     Pipeline,
     ProcessorStep,
     ProfileDocument,
+    Range,
+    RangeStatsDocument,
     StepConfig,
 )
-from rn_backend_pi0.statistics import ZScore
+from rn_backend_pi0.names import read_names, variant_of
+from rn_backend_pi0.statistics import Quantiles, Scaling, ZScore
 from rn_vla.checkpoint_files import (
     check_file,
     check_safetensors,
@@ -38,11 +42,15 @@ from roboneuron import CheckpointError
 OPENPI_SLOTS = ("base_0_rgb", "left_wrist_0_rgb", "right_wrist_0_rgb")
 """Camera slots of every openpi pi0. Source: openpi, models/model.py."""
 _IMAGES = "observation.images."
+_STATE_IN_PROMPT = "pi05_prepare_state_tokenizer_processor_step"
 _KNOWN_STEPS = frozenset(
     {
         "rename_observations_processor",
         "to_batch_processor",
         "pi0_new_line_processor",
+        _STATE_IN_PROMPT,
+        "pi0_fast_prepare_state_tokenizer_processor_step",
+        "action_tokenizer_processor",
         "tokenizer_processor",
         "device_processor",
         "normalizer_processor",
@@ -51,7 +59,19 @@ _KNOWN_STEPS = frozenset(
         "absolute_actions_processor",
     }
 )
+_LEROBOT_VARIANTS: dict[str, Variant] = {"pi0": "pi0", "pi05": "pi05", "pi0_fast": "pi0_fast"}
+"""Variant by "type" of config.json."""
+_STATISTICS = {"MEAN_STD": ("mean", "std"), "QUANTILES": ("q01", "q99")}
+_MODES: dict[Variant, tuple[str, ...]] = {
+    "pi0": ("MEAN_STD",),
+    "pi05": tuple(_STATISTICS),
+    "pi0_fast": tuple(_STATISTICS),
+}
+"""Normalisations of state and actions that are read."""
+_PROMPT_LENGTH: dict[Variant, int] = {"pi0": 48, "pi05": 200, "pi0_fast": 200}
+"""Most tokens of a prompt, where config.json does not say it. Source: openpi and LeRobot alike."""
 _OPENPI_EPS = 1e-6
+_NO_MEMORY = "Only models without use_visual_memory and use_proprioceptive_memory are run."
 _MAX_SLOTS = 16
 _MAX_STATISTICS_BYTES = 2**20
 
@@ -78,21 +98,25 @@ def read_checkpoint(directory: Path, *, asset_id: str | None = None) -> Pi0Check
     if not isinstance(config, dict):
         raise CheckpointError(f"{path} holds a {type(config).__name__}, expected an object.")
     kind = config.get("type", config.get("model_type"))
-    if kind is not None and kind != "pi0":
+    variant = _LEROBOT_VARIANTS.get(kind) if isinstance(kind, str) else None
+    if kind is not None and variant is None:
         raise CheckpointError(
-            f"{path} describes a {clip(repr(kind))} model, this backend runs 'pi0'.",
+            f"{path} describes a {clip(repr(kind))} model, this backend runs "
+            f"{', '.join(_LEROBOT_VARIANTS)}.",
             hint=explain_families(kind),
         )
-    if kind == "pi0":
-        checkpoint = _lerobot(directory, check_schema(config, TypeAdapter(LerobotConfig), path))
+    if variant is not None:
+        read = check_schema(config, TypeAdapter(LerobotConfig), path)
+        checkpoint = _lerobot(directory, read, variant)
     elif "action_horizon" in config:
         checkpoint = _openpi(
             directory, check_schema(config, TypeAdapter(OpenpiConfig), path), asset_id
         )
     else:
         raise CheckpointError(
-            f'{path} has neither "type": "pi0" (LeRobot) nor "action_horizon" (openpi); keys: '
-            f"{list_names(sorted(config))}.",
+            f'{path} has neither "type": "pi0", "pi05" or "pi0_fast" (LeRobot) nor '
+            f'"action_horizon" (openpi); '
+            f"keys: {list_names(sorted(config))}.",
             hint="Give the directory of a pi0 checkpoint; JAX checkpoints are converted by "
             "openpi's own script.",
         )
@@ -102,15 +126,20 @@ def read_checkpoint(directory: Path, *, asset_id: str | None = None) -> Pi0Check
     return checkpoint
 
 
-def _lerobot(directory: Path, config: LerobotConfig) -> Pi0Checkpoint:
+def _lerobot(directory: Path, config: LerobotConfig, variant: Variant) -> Pi0Checkpoint:
     path = directory / "config.json"
-    for kind, expected in (("VISUAL", "IDENTITY"), ("STATE", "MEAN_STD"), ("ACTION", "MEAN_STD")):
+    modes: dict[str, str] = {}
+    for kind in ("VISUAL", "STATE", "ACTION"):
+        expected = ("IDENTITY",) if kind == "VISUAL" else _MODES[variant]
         got = config.normalization_mapping.get(kind)
-        if got != expected:
+        if got not in expected:
             raise CheckpointError(
                 f"{path}: normalization_mapping.{kind} is {got!r}; this backend reads "
-                f"{expected!r} only."
+                f"{' or '.join(map(repr, expected))} only."
             )
+        modes[kind] = got
+    if config.use_visual_memory or config.use_proprioceptive_memory:
+        raise CheckpointError(f"{path}: the model remembers earlier observations.", hint=_NO_MEMORY)
     slots = [
         name.removeprefix(_IMAGES)
         for name, f in config.input_features.items()
@@ -137,15 +166,23 @@ def _lerobot(directory: Path, config: LerobotConfig) -> Pi0Checkpoint:
         path,
         chunk=config.chunk_size,
         state=config.max_state_dim,
-        action=config.max_action_dim,
+        action=config.max_action_dim if variant != "pi0_fast" else _action_width(config, path),
+        variant=variant,
     )
     resolution = config.image_resolution
     if resolution not in (None, (dims.vision.image, dims.vision.image)):
         raise CheckpointError(
             f"{path}: image_resolution is {resolution}, the vision tower takes {dims.vision.image}."
         )
-    state = _lerobot_statistics(directory, pre, before, "normalizer_processor", "observation.state")
-    action = _lerobot_statistics(directory, post, after, "unnormalizer_processor", "action")
+    prompt = before.get(_STATE_IN_PROMPT)
+    if prompt is not None and not _settings(prompt, pre).include_state_in_prompt:
+        raise CheckpointError(f"{pre}: the prompt lacks the state.", hint=_NO_MEMORY)
+    state = _lerobot_statistics(
+        directory, pre, before, ("normalizer_processor", "observation.state", modes["STATE"])
+    )
+    action = _lerobot_statistics(
+        directory, post, after, ("unnormalizer_processor", "action", modes["ACTION"])
+    )
     return Pi0Checkpoint(
         directory=directory,
         family="lerobot",
@@ -155,10 +192,27 @@ def _lerobot(directory: Path, config: LerobotConfig) -> Pi0Checkpoint:
         action=action,
         denoising_steps=config.num_inference_steps,
         action_steps=min(config.chunk_size, config.n_action_steps or config.chunk_size),
-        prompt_length=config.tokenizer_max_length,
+        prompt_length=config.tokenizer_max_length or _PROMPT_LENGTH[variant],
         relative_actions=relative,
         trained_prefix_rows=min(config.chunk_size, config.rtc_training_max_delay or 0),
+        fast=_fast_settings(config, path) if variant == "pi0_fast" else None,
     )
+
+
+def _action_width(config: LerobotConfig, path: Path) -> int:
+    """Values of one row as the action tokens have it."""
+    action = config.output_features.get("action")
+    if action is None or len(action.shape) != 1:
+        raise CheckpointError(f"{path}: output_features says no width of 'action'.")
+    return action.shape[0]
+
+
+def _fast_settings(config: LerobotConfig, path: Path) -> FastSettings:
+    if config.temperature:
+        raise CheckpointError(
+            f"{path}: temperature is {config.temperature:g}; tokens are only chosen by likelihood."
+        )
+    return FastSettings(skip_tokens=config.fast_skip_tokens, most_tokens=config.max_decoding_steps)
 
 
 def _steps(path: Path) -> dict[str, ProcessorStep]:
@@ -195,8 +249,10 @@ def _is_relative(steps: dict[str, ProcessorStep], path: Path) -> bool:
 
 
 def _lerobot_statistics(
-    directory: Path, path: Path, steps: dict[str, ProcessorStep], name: str, feature: str
-) -> ZScore:
+    directory: Path, path: Path, steps: dict[str, ProcessorStep], wanted: tuple[str, str, str]
+) -> Scaling:
+    """Statistics of `wanted`: registry name of the step, feature, normalisation."""
+    name, feature, mode = wanted
     if name not in steps:
         raise CheckpointError(
             f"{path} has no step {name!r}, so the statistics of {feature!r} are unknown."
@@ -206,16 +262,17 @@ def _lerobot_statistics(
         raise CheckpointError(f"{path}: state_file of {name!r} is missing, expected a file name.")
     source = directory / state_file
     tensors = _read_tensors(source)
-    absent = [key for key in (f"{feature}.mean", f"{feature}.std") if key not in tensors]
+    keys = [f"{feature}.{kind}" for kind in _STATISTICS[mode]]
+    absent = [key for key in keys if key not in tensors]
     if absent:
         raise CheckpointError(
             f"{source} lacks {', '.join(absent)}; it holds {list_names(sorted(tensors))}."
         )
-    moments = check_schema(
-        {"mean": tensors[f"{feature}.mean"], "std": tensors[f"{feature}.std"]},
-        TypeAdapter(Moments),
-        source,
-    )
+    found = {key.rpartition(".")[2]: tensors[key] for key in keys}
+    if mode == "QUANTILES":
+        limits = check_schema(found, TypeAdapter(Range), source)
+        return Quantiles.of(limits.q01, limits.q99, eps=0.0)
+    moments = check_schema(found, TypeAdapter(Moments), source)
     # LeRobot adds eps when it divides, and nothing when it multiplies back.
     return ZScore.of(
         moments.mean, moments.std, forward_eps=_settings(steps[name], path).eps, backward_eps=0.0
@@ -264,20 +321,40 @@ def _openpi(directory: Path, config: OpenpiConfig, asset_id: str | None) -> Pi0C
     source = (
         directory / "assets" / (asset_id or choices[0]) / "norm_stats.json" if choices else flat
     )
-    stats = read_schema(source, NormStatsDocument).norm_stats
+    variant = variant_of(read_names(directory))
+    state, action = _openpi_scalings(source, variant)
     chunk = config.action_horizon
+    dims = read_dims(
+        config,
+        path,
+        chunk=chunk,
+        state=config.action_dim,
+        action=config.action_dim,
+        variant=variant,
+    )
     return Pi0Checkpoint(
         directory=directory,
         family="openpi",
-        dims=read_dims(
-            config, path, chunk=chunk, state=config.action_dim, action=config.action_dim
-        ),
+        dims=dims,
         slots=OPENPI_SLOTS,
-        state=_openpi_statistics(stats.state),
-        action=_openpi_statistics(stats.actions),
+        state=state,
+        action=action,
         action_steps=chunk,
-        prompt_length=config.max_token_len,
+        prompt_length=config.max_token_len or _PROMPT_LENGTH[variant],
     )
+
+
+def _openpi_scalings(source: Path, variant: Variant) -> tuple[Scaling, Scaling]:
+    """Of state and actions. Source: openpi normalises pi0 by z-scores, all others by quantiles."""
+    if variant == "pi05":
+        limits = read_schema(source, RangeStatsDocument).norm_stats
+        state, action = (
+            Quantiles.of(part.q01, part.q99, eps=_OPENPI_EPS)
+            for part in (limits.state, limits.actions)
+        )
+        return state, action
+    stats = read_schema(source, NormStatsDocument).norm_stats
+    return _openpi_statistics(stats.state), _openpi_statistics(stats.actions)
 
 
 def _openpi_statistics(moments: Moments) -> ZScore:

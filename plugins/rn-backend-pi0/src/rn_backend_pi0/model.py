@@ -10,11 +10,14 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from rn_backend_pi0.checkpoint import Family, Pi0Checkpoint
 from rn_backend_pi0.chunking import Prefix
+from rn_backend_pi0.flow import FlowNetwork
 from rn_backend_pi0.image import Flip, Resize, to_pixels
 from rn_backend_pi0.numerics import flow_times, with_eps
+from rn_backend_pi0.statistics import Values
 from rn_backend_pi0.weights import load_network
 from roboneuron import ConfigurationError, UngroundedError
 
@@ -90,7 +93,7 @@ class Pi0Model:
         self,
         images: Sequence[U8 | None],
         token_ids: Sequence[int],
-        state: F32,
+        state: Values,
         noise: F32,
         *,
         flip: Flip = "none",
@@ -101,7 +104,7 @@ class Pi0Model:
         Args:
             images: uint8 (H, W, 3) for each slot, in order; None for a missing camera.
             token_ids: the prompt without padding.
-            state: float32 (n,), in the training data's units.
+            state: (n,), in the training data's units; pi0.5 has it in the prompt alone.
             noise: float32 of `noise_shape`.
             flip: how upright images are turned first.
             prefix: rows to continue; None for a chunk of its own.
@@ -122,10 +125,24 @@ class Pi0Model:
             raise UngroundedError("All camera slots are empty; pi0 needs at least one image.")
         padded = np.zeros(dims.state, dtype=np.float32)
         padded[: len(state)] = self.state.head(len(state)).normalize(state)
-        actions = self._network.sample_actions(
+        return self._answer(
             torch.from_numpy(np.stack(present)).to(self.device),
             torch.tensor(list(token_ids), dtype=torch.int64, device=self.device),
-            torch.from_numpy(padded).to(self.device),
+            padded,
+            noise,
+            prefix,
+        )
+
+    def _answer(
+        self, pixels: Tensor, token_ids: Tensor, state: F32, noise: F32, prefix: Prefix | None
+    ) -> F32:
+        """Normalised actions, float32 of `noise_shape`."""
+        network = self._network
+        assert isinstance(network, FlowNetwork), type(network)
+        actions = network.sample_actions(
+            pixels,
+            token_ids,
+            torch.from_numpy(state).to(self.device),
             torch.from_numpy(noise).to(self.device),
             self._times,
             prefix,
@@ -143,7 +160,7 @@ class Pi0Model:
             np.full((side, side, 3), 128, dtype=np.uint8) for _ in range(images)
         ]
         noise = np.zeros(self.noise_shape, dtype=np.float32)
-        state = self.state.mean[:state_width]
+        state = self.state.centre[:state_width].astype(np.float32)
         duration_ms = 0.0
         try:
             for _ in range(2):

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from rn_backend_pi0.checkpoint import Family
-from rn_backend_pi0.statistics import ZScore
+from rn_backend_pi0.statistics import Quantiles, Scaling
 
 
 def flow_times(family: Family, steps: int) -> tuple[float, ...]:
@@ -29,12 +29,14 @@ def flow_times(family: Family, steps: int) -> tuple[float, ...]:
     return tuple(times)
 
 
-def with_eps(score: ZScore, family: Family) -> ZScore:
+def with_eps(score: Scaling, family: Family) -> Scaling:
     """The same statistics with the family's eps.
 
-    Source: openpi adds 1e-6 to the standard deviation both ways; LeRobot 1e-8 when it divides,
-    nothing on the way back.
+    Source: openpi adds 1e-6 to the standard deviation or range both ways; LeRobot 1e-8 to the
+    standard deviation when it divides, nothing on the way back and nothing to a range.
     """
+    if isinstance(score, Quantiles):
+        return replace(score, eps=1e-6 if family == "openpi" else 0.0)
     if family == "openpi":
         return replace(score, forward_eps=1e-6, backward_eps=1e-6)
     return replace(score, forward_eps=1e-8, backward_eps=0.0)

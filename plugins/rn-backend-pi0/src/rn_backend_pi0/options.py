@@ -1,4 +1,4 @@
-"""What a user may set under `[plugins.pi0]` and `[plugins.pi0-remote]`."""
+"""What a user may set under `[plugins.pi0]`, `[plugins.pi0-fast]` and `[plugins.pi0-remote]`."""
 
 from __future__ import annotations
 
@@ -11,12 +11,27 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from rn_backend_pi0.action_layout import ActionLayout, FrameName, Gripper, Meaning, Rotation
 from rn_backend_pi0.chunking import Jacobian, Schedule
+from rn_backend_pi0.conversion import Conversion, JointConversion, TcpConversion
+from rn_backend_pi0.fast_tokens import FastLength
 from rn_backend_pi0.image import Flip, Resize
-from rn_backend_pi0.profiles import PROFILES, Profile
+from rn_backend_pi0.profiles import JOINT_PROFILES, PROFILES, Profile
 from rn_backend_pi0.state import StateLayout, StateTerm
 from roboneuron import AgentMaySet, ConfigurationError, ConfigurationOnly
 
-ProfileName = Literal["libero", "libero-openpi", "bridge", "own"]
+ProfileName = Literal[
+    "libero",
+    "libero-openpi",
+    "bridge",
+    "own",
+    "droid",
+    "droid-position",
+    "franka",
+    "ur5e",
+    "aloha",
+    "aloha-absolute",
+    "aloha-plain",
+    "aloha-plain-absolute",
+]
 Role = Annotated[str, Field(pattern=r"^([a-z][a-z0-9_]*|-)$")]
 Vector = tuple[float, float, float]
 
@@ -71,6 +86,12 @@ class _Common(_Section):
         default=None,
         description="what state and actions mean; the checkpoint's roboneuron.json when not given",
     )
+    joints: Annotated[tuple[str, ...], Field(max_length=64)] | None = Field(
+        default=None,
+        description="for profiles that move joints: the robot's names of the policy's joints, in "
+        "the policy's order (each arm from the base to the tip); nothing is mapped by place "
+        "otherwise",
+    )
     state: StateOptions | None = Field(default=None, description="for profile 'own'")
     action: ActionOptions | None = Field(default=None, description="for profile 'own'")
     base_position_m: Vector = Field(
@@ -93,8 +114,33 @@ class _Common(_Section):
             raise ValueError("the tables 'state' and 'action' are only read with profile 'own'")
         return self
 
+    def resolve_conversion(self, declared: str = "") -> Conversion:
+        """The conversion to use, of a profile that moves the TCP or joints.
+
+        Args:
+            declared: what the checkpoint says of itself; used when the user gives none.
+
+        Raises:
+            ConfigurationError: as `resolve_profile`, or the option `joints` is missing, does not
+                fit, or has no use.
+        """
+        name = self.profile or declared
+        if name not in JOINT_PROFILES:
+            if self.joints is not None:
+                raise ConfigurationError(
+                    "The option 'joints' has no use: the profile moves the TCP.",
+                    hint=f"Profiles that move joints: {', '.join(JOINT_PROFILES)}.",
+                )
+            return TcpConversion(self.resolve_profile(declared), np.array(self.base_position_m))
+        if self.joints is None:
+            raise ConfigurationError(
+                f"Profile {name!r} needs the option 'joints': the robot's joints in the policy's "
+                "order."
+            )
+        return JointConversion(JOINT_PROFILES[name], self.joints)
+
     def resolve_profile(self, declared: str = "") -> Profile:
-        """The profile to use.
+        """The profile to use, of those that move the TCP.
 
         Args:
             declared: what the checkpoint says of itself; used when the user gives none.
@@ -115,8 +161,14 @@ class _Common(_Section):
             profile = PROFILES[name]
         else:
             got = f", and the checkpoint names the unknown {name!r}" if name else ""
+            if name in JOINT_PROFILES:
+                raise ConfigurationError(
+                    f"Profile {name!r} moves joints, which this backend does not do.",
+                    hint="Use the backend 'pi0'.",
+                )
+            known = (*PROFILES, "own", *JOINT_PROFILES)
             raise ConfigurationError(
-                f"The option 'profile' is not set{got}; choose one of {', '.join(PROFILES)}, own.",
+                f"The option 'profile' is not set{got}; choose one of {', '.join(known)}.",
                 hint="The profile says what state the model takes and what its actions mean; it "
                 "is never guessed.",
             )
@@ -130,8 +182,8 @@ class _Common(_Section):
         return profile
 
 
-class Pi0Options(_Common):
-    """Options of the native backend."""
+class NativeOptions(_Common):
+    """Options of the backends that run a checkpoint in this process."""
 
     checkpoint: Annotated[Path, ConfigurationOnly()] = Field(
         description="directory of a LeRobot or openpi PyTorch checkpoint"
@@ -162,9 +214,6 @@ class Pi0Options(_Common):
         le=512,
         description="threads of PyTorch in this process; PyTorch's own choice if unset",
     )
-    denoising_steps: int | None = Field(
-        default=None, ge=1, le=1000, description="Euler steps; the checkpoint's if unset"
-    )
     numerics: Literal["lerobot", "openpi"] | None = Field(
         default=None,
         description="whose rounding, resizing and eps to follow; the family that wrote the "
@@ -173,6 +222,14 @@ class Pi0Options(_Common):
     resize: Resize | None = Field(
         default=None,
         description="'antialiased' as openpi serves, 'plain' as LeRobot; by numerics if unset",
+    )
+
+
+class Pi0Options(NativeOptions):
+    """Options of the backend "pi0"."""
+
+    denoising_steps: int | None = Field(
+        default=None, ge=1, le=1000, description="Euler steps; the checkpoint's if unset"
     )
     seed: Annotated[int, Field(ge=0)] | Literal["random"] = Field(
         default=0,
@@ -209,6 +266,28 @@ class Pi0Options(_Common):
         if self.noise == "fixed" and self.seed == "random":
             raise ValueError("noise 'fixed' needs a seed")
         return self
+
+
+class Pi0FastOptions(NativeOptions):
+    """Options of the backend "pi0-fast"."""
+
+    action_tokenizer: Annotated[Path | None, ConfigurationOnly()] = Field(
+        default=None,
+        description="directory of the action tokenizer's files; the checkpoint's "
+        "action_tokenizer when not given",
+    )
+    max_outside_share: float = Field(
+        default=0.15,
+        ge=0,
+        le=1,
+        description="share of an answer's tokens for which another token than every "
+        "action token may be the likeliest; more is refused",
+    )
+    fast_length: FastLength = Field(
+        default="exact",
+        description="'padded' takes coefficients that are missing at the end as 0 and "
+        "drops surplus ones, as LeRobot does",
+    )
 
 
 class Pi0RemoteOptions(_Common):

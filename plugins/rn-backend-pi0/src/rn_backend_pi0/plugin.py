@@ -1,5 +1,5 @@
-"""What this package offers RoboNeuron: the backends "pi0" (native) and "pi0-remote" (openpi policy
-server).
+"""What this package offers RoboNeuron: the backends "pi0" and "pi0-fast" (native) and "pi0-remote"
+(openpi policy server).
 """
 
 from __future__ import annotations
@@ -9,6 +9,9 @@ from collections.abc import Sequence
 from roboneuron import ActionSpace, BackendSpec, Requirement, hookimpl
 
 _NATIVE = "pip install torch safetensors tokenizers"
+_NATIVE_MODULES = tuple(
+    Requirement(module=module, install=_NATIVE) for module in ("torch", "safetensors", "tokenizers")
+)
 _REMOTE = "pip install msgpack websockets"
 
 
@@ -27,25 +30,36 @@ def _action_space() -> ActionSpace:
 
 @hookimpl
 def roboneuron_backends() -> Sequence[BackendSpec]:
-    """Offer the backends "pi0" and "pi0-remote"."""
+    """Offer the backends "pi0", "pi0-fast" and "pi0-remote"."""
     return [
         BackendSpec(
             name="pi0",
-            summary="pi0 in this process, from a LeRobot or openpi PyTorch checkpoint directory",
+            summary="pi0 or pi0.5 in this process, from a LeRobot or openpi PyTorch checkpoint",
             target="rn_backend_pi0.native:Pi0Backend",
             config="rn_backend_pi0.options:Pi0Options",
             case="rn_backend_pi0.case:native_case",
-            requires=(
-                Requirement(module="torch", install=_NATIVE),
-                Requirement(module="safetensors", install=_NATIVE),
-                Requirement(module="tokenizers", install=_NATIVE),
-            ),
+            requires=_NATIVE_MODULES,
             cameras=("primary",),
             optional_cameras=("wrist",),
             needs_state=True,
             needs_checkpoint=True,
             action_space=_action_space(),
             conditions_on_rows=True,
+            space="rn_backend_pi0.space:pi0_space",
+        ),
+        BackendSpec(
+            name="pi0-fast",
+            summary="pi0-FAST in this process, from a LeRobot checkpoint",
+            target="rn_backend_pi0.fast:Pi0FastBackend",
+            config="rn_backend_pi0.options:Pi0FastOptions",
+            case="rn_backend_pi0.case:fast_case",
+            requires=_NATIVE_MODULES,
+            cameras=("primary",),
+            optional_cameras=("wrist",),
+            needs_state=True,
+            needs_checkpoint=True,
+            action_space=_action_space(),
+            space="rn_backend_pi0.space:pi0_space",
         ),
         BackendSpec(
             name="pi0-remote",

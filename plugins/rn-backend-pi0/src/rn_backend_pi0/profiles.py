@@ -9,6 +9,7 @@ from types import MappingProxyType
 import numpy as np
 
 from rn_backend_pi0.action_layout import ActionLayout
+from rn_backend_pi0.joint_layout import JointLayout
 from rn_backend_pi0.state import StateLayout
 from rn_vla.rotation import DOWN_ROTVEC_RAD
 
@@ -74,4 +75,57 @@ training/config.py, extra_delta_transform of pi0_libero. openpi's policy server 
 itself, so the remote backend uses "libero". "bridge": metres and radians at 5 Hz, rotation as roll,
 pitch, yaw, gripper 1 open; the rotation of the state is taken against a gripper that points down.
 Source: see `rn_vla.rotation.rpy_by_down`.
+"""
+
+_ALOHA_SIGNS = (1, -1, -1, 1, 1, 1)
+_ALOHA_ARMS = ("left", "right")
+
+
+def _aloha(*, adapted: bool, relative: bool) -> JointLayout:
+    return JointLayout(
+        kind="joint_position",
+        joints=6,
+        rate_hz=50.0,
+        gripper="open_fraction",
+        arms=_ALOHA_ARMS,
+        relative=relative,
+        signs=_ALOHA_SIGNS if adapted else (),
+        angular=adapted,
+    )
+
+
+JOINT_PROFILES: Mapping[str, JointLayout] = MappingProxyType(
+    {
+        "droid": JointLayout(
+            kind="joint_velocity",
+            joints=7,
+            rate_hz=15.0,
+            gripper="closed_fraction",
+            limit=1.0,
+            scale=0.2 * 15.0,
+        ),
+        "droid-position": JointLayout(
+            kind="joint_position", joints=7, rate_hz=15.0, gripper="closed_fraction", relative=True
+        ),
+        "franka": JointLayout(
+            kind="joint_position", joints=7, rate_hz=20.0, gripper="closed_fraction", relative=True
+        ),
+        "ur5e": JointLayout(
+            kind="joint_position", joints=6, rate_hz=20.0, gripper="closed_fraction", relative=True
+        ),
+        "aloha": _aloha(adapted=True, relative=True),
+        "aloha-absolute": _aloha(adapted=True, relative=False),
+        "aloha-plain": _aloha(adapted=False, relative=True),
+        "aloha-plain-absolute": _aloha(adapted=False, relative=False),
+    }
+)
+"""Layout by name, of policies that act on joints, from the base to the tip.
+
+"droid": joint velocities at 15 Hz. They are shares of the greatest step of DROID's software, 0.2
+rad in one period, so 1 is 3 rad/s; clipped to -1..1 as openpi's example does. Gripper 0 open, 1
+closed. Source: droid robot_ik_solver.py, openpi examples/droid. "droid-position": the same data
+with joint positions as targets. "franka", "ur5e": the spaces of the base models, 20 Hz, gripper 0
+open, 1 closed. Source: openpi docs/norm_stats.md. "aloha": two arms at 50 Hz; the base models have
+other signs of three joints than ALOHA's software, and the gripper's angle. "-plain": trained on
+ALOHA's own values (`adapt_to_pi` is false). "-absolute": trained without deltas.
 """

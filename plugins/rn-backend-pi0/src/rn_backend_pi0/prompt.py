@@ -1,11 +1,17 @@
-"""Instructions to token ids, with a local tokenizer.json and nothing from the network."""
+"""Instructions, and pi0.5's state, to token ids, with a local tokenizer.json and nothing from the
+network.
+"""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
+from rn_backend_pi0.architecture import Variant
 from rn_backend_pi0.checkpoint import Family
+from rn_backend_pi0.statistics import Values
 from rn_vla.checkpoint_files import MAX_TOKENIZER_BYTES, check_file, reading
 from roboneuron import CheckpointError, UngroundedError
 
@@ -21,15 +27,40 @@ _WHERE = (
 )
 
 
+ANSWER = "Action: "
+"""What comes before the actions."""
+STOP = "|"
+"""What ends pi0-FAST's answer."""
+_EDGES = np.linspace(-1.0, 1.0, 257)[:-1]
+"""Lower edges of the 256 bins of the state. Source: openpi, PaligemmaTokenizer."""
+
+
+def state_bins(state: Values) -> list[int]:
+    """Numbers that say a normalised state (n,) in the prompt: 0..255 over -1..1, -1 below; values
+    beyond are not clipped first.
+    """
+    bins: list[int] = (np.digitize(state, _EDGES) - 1).tolist()
+    return bins
+
+
 class InstructionEncoder:
-    """Encodes instructions as pi0 was trained: BOS, the text, a newline of its own, no padding.
+    """Encodes instructions as the model was trained, without padding: for pi0 BOS, the text and a
+    newline of its own, for the others BOS and a text that names the state; pi0-FAST's answer begins
+    with another BOS.
 
     Padding takes no positions and is masked in the original codes, so leaving it out changes
     nothing.
     """
 
     def __init__(
-        self, tokenizer: Tokenizer, *, family: Family, max_tokens: int, vocabulary: int, source: str
+        self,
+        tokenizer: Tokenizer,
+        *,
+        family: Family,
+        max_tokens: int,
+        vocabulary: int,
+        source: str,
+        variant: Variant = "pi0",
     ) -> None:
         bos, newline = (
             tokenizer.token_to_id(_BOS),
@@ -41,7 +72,7 @@ class InstructionEncoder:
                 "a newline.",
                 hint=_WHERE,
             )
-        self._tokenizer, self._family = tokenizer, family
+        self._tokenizer, self._family, self._variant = tokenizer, family, variant
         self._bos, self._newline = bos, newline[0]
         self._max_tokens, self._vocabulary, self._source = max_tokens, vocabulary, source
         highest = max(bos, *newline, *tokenizer.get_vocab(with_added_tokens=True).values())
@@ -51,27 +82,43 @@ class InstructionEncoder:
                 hint=_WHERE,
             )
 
-    def encode(self, instruction: str) -> list[int]:
+    def token_ids(self, text: str) -> list[int]:
+        """Token ids of a text as it is."""
+        ids: list[int] = self._tokenizer.encode(text, add_special_tokens=False).ids
+        return ids
+
+    @property
+    def last_id(self) -> int:
+        """Greatest id of the tokenizer's own vocabulary, from which action tokens count down."""
+        return int(self._tokenizer.get_vocab_size(with_added_tokens=False)) - 1
+
+    def encode(self, instruction: str, state: Values) -> list[int]:
         """Token ids of an instruction.
+
+        Args:
+            instruction: what to do.
+            state: (n,) normalised, not padded; pi0's prompt does not name it.
 
         Raises:
             UngroundedError: the instruction is empty or longer than the model takes; it is never
                 cut short silently.
             CheckpointError: the tokenizer yields an id outside the model's vocabulary.
         """
-        # Source: openpi's tokenizer replaces underscores and newlines, LeRobot's pipeline does not;
-        # a newline inside the text would end the prompt early, so it becomes a space for both.
+        # Source: openpi's tokenizer replaces underscores and newlines, LeRobot's pipeline of pi0
+        # does not; a newline inside the text would end the prompt early, so it becomes a space.
         text = instruction.strip().replace("\n", " ")
-        if self._family == "openpi":
+        if self._family == "openpi" or self._variant != "pi0":
             text = text.replace("_", " ")
         if not text:
             raise UngroundedError("The instruction is empty; say what to do.")
+        end = [self._newline]
+        if self._variant != "pi0":
+            numbers = " ".join(map(str, state_bins(state)))
+            text, end = f"Task: {text}, State: {numbers};\n", [self._bos]
+        if self._variant == "pi05":
+            text, end = f"{text}{ANSWER}", []
         with reading(Path(self._source), "a tokenizer"):
-            ids = [
-                self._bos,
-                *self._tokenizer.encode(text, add_special_tokens=False).ids,
-                self._newline,
-            ]
+            ids = [self._bos, *self.token_ids(text), *end]
         if len(ids) > self._max_tokens:
             raise UngroundedError(
                 f"The instruction takes {len(ids)} tokens, the model at most {self._max_tokens}; "
@@ -87,7 +134,13 @@ class InstructionEncoder:
 
 
 def load_prompt(
-    directory: Path, path: Path | None, *, family: Family, max_tokens: int, vocabulary: int
+    directory: Path,
+    path: Path | None,
+    *,
+    family: Family,
+    max_tokens: int,
+    vocabulary: int,
+    variant: Variant = "pi0",
 ) -> InstructionEncoder:
     """Load the tokenizer from `path` (a tokenizer.json or its directory), else from the
     checkpoint's directory.
@@ -111,5 +164,10 @@ def load_prompt(
         tokenizer.no_padding()
         tokenizer.no_truncation()
         return InstructionEncoder(
-            tokenizer, family=family, max_tokens=max_tokens, vocabulary=vocabulary, source=str(file)
+            tokenizer,
+            family=family,
+            max_tokens=max_tokens,
+            vocabulary=vocabulary,
+            source=str(file),
+            variant=variant,
         )

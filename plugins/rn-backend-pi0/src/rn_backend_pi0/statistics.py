@@ -1,14 +1,21 @@
-"""Statistics of a checkpoint's training data, and the z-scores computed with them."""
+"""Statistics of a checkpoint's training data, and what is normalised with them: z-scores, or the
+range between two quantiles.
+
+All is computed in the number type of the values that are given.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-F32 = NDArray[np.float32]
+Real: TypeAlias = np.dtype[np.floating[Any]]
+Values: TypeAlias = NDArray[np.floating[Any]]
+F64 = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -17,22 +24,25 @@ class ZScore:
     the latter.
 
     Attributes:
-        mean, std: float32 (n,).
+        mean, std: float64 (n,).
         forward_eps: added to `std` when normalising.
         backward_eps: added to `std` when un-normalising.
+        measure, spread: names of normalised values and of `std` in messages.
     """
 
-    mean: F32
-    std: F32
+    mean: F64
+    std: F64
     forward_eps: float
     backward_eps: float
+    measure: ClassVar[str] = "standard deviations"
+    spread: ClassVar[str] = "standard deviation"
 
     @classmethod
     def of(
         cls, mean: Sequence[float], std: Sequence[float], *, forward_eps: float, backward_eps: float
     ) -> ZScore:
         """Build from what a file holds, two checked sequences of one length."""
-        numbers = (np.asarray(values, dtype=np.float32) for values in (mean, std))
+        numbers = (np.asarray(values, dtype=np.float64) for values in (mean, std))
         return cls(
             mean=next(numbers),
             std=next(numbers),
@@ -45,16 +55,102 @@ class ZScore:
         """Number of values."""
         return len(self.mean)
 
-    def normalize(self, values: F32) -> F32:
-        """float32 (n,) in the data's units -> float32 (n,), z-scores."""
-        out: F32 = (values - self.mean) / (self.std + np.float32(self.forward_eps))
+    @property
+    def centre(self) -> F64:
+        """float64 (n,), what 0 stands for."""
+        return self.mean
+
+    @property
+    def is_flat(self) -> NDArray[np.bool_]:
+        """bool (n,), True where the training data never varied."""
+        return np.equal(self.std, 0.0)
+
+    def unit(self, dtype: Real) -> Values:
+        """(n,), how far a normalised value of 1 moves the un-normalised one."""
+        return self.std.astype(dtype) + dtype.type(self.backward_eps)
+
+    def normalize(self, values: Values) -> Values:
+        """(..., n) in the data's units -> the same shape and number type, z-scores."""
+        kind = values.dtype
+        out: Values = (values - self.mean.astype(kind)) / (
+            self.std.astype(kind) + kind.type(self.forward_eps)
+        )
         return out
 
-    def denormalize(self, values: F32) -> F32:
-        """float32 (H, n), z-scores -> float32 (H, n) in the data's units."""
-        out: F32 = values * (self.std + np.float32(self.backward_eps)) + self.mean
+    def denormalize(self, values: Values) -> Values:
+        """(H, n), z-scores -> the same shape and number type, in the data's units."""
+        kind = values.dtype
+        out: Values = values * self.unit(kind) + self.mean.astype(kind)
         return out
 
     def head(self, width: int) -> ZScore:
         """The first `width` values (statistics padded to the model's width hold more)."""
         return replace(self, mean=self.mean[:width], std=self.std[:width])
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Quantiles:
+    """The 1st and 99th percentile of one vector, which become -1 and 1; nothing is clipped.
+
+    Attributes:
+        low, high: float64 (n,).
+        eps: added to the range, both ways.
+        measure, spread: names of normalised values and of the range in messages.
+    """
+
+    low: F64
+    high: F64
+    eps: float
+    measure: ClassVar[str] = "half ranges"
+    spread: ClassVar[str] = "range"
+
+    @classmethod
+    def of(cls, low: Sequence[float], high: Sequence[float], *, eps: float) -> Quantiles:
+        """Build from what a file holds, two checked sequences of one length."""
+        return cls(
+            low=np.asarray(low, dtype=np.float64), high=np.asarray(high, dtype=np.float64), eps=eps
+        )
+
+    @property
+    def width(self) -> int:
+        """Number of values."""
+        return len(self.low)
+
+    @property
+    def centre(self) -> F64:
+        """float64 (n,), what 0 stands for."""
+        return (self.low + self.high) / 2.0
+
+    @property
+    def is_flat(self) -> NDArray[np.bool_]:
+        """bool (n,), True where the training data never varied."""
+        return np.equal(self.high, self.low)
+
+    def unit(self, dtype: Real) -> Values:
+        """(n,), how far a normalised value of 1 moves the un-normalised one."""
+        return self._range(dtype) / dtype.type(2.0)
+
+    def normalize(self, values: Values) -> Values:
+        """(..., n) in the data's units -> the same shape and number type, about -1..1."""
+        kind = values.dtype
+        out: Values = (values - self.low.astype(kind)) / self._range(kind) * kind.type(
+            2.0
+        ) - kind.type(1.0)
+        return out
+
+    def denormalize(self, values: Values) -> Values:
+        """(H, n), about -1..1 -> the same shape and number type, in the data's units."""
+        kind = values.dtype
+        share = (values + kind.type(1.0)) / kind.type(2.0)
+        out: Values = share * self._range(kind) + self.low.astype(kind)
+        return out
+
+    def head(self, width: int) -> Quantiles:
+        """The first `width` values (statistics padded to the model's width hold more)."""
+        return replace(self, low=self.low[:width], high=self.high[:width])
+
+    def _range(self, dtype: Real) -> Values:
+        return self.high.astype(dtype) - self.low.astype(dtype) + dtype.type(self.eps)
+
+
+Scaling: TypeAlias = ZScore | Quantiles

@@ -1,11 +1,11 @@
-"""A tiny random pi0 checkpoint in a public layout: for trying out the plumbing, useless on a
-robot.
+"""A tiny random checkpoint of the pi0 family in a public layout: for trying out the plumbing,
+useless on a robot.
 """
 
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +17,7 @@ from rn_backend_pi0.architecture import (
     EMBEDDING_KEYS,
     GemmaDims,
     Pi0Dims,
+    Variant,
     VisionDims,
     optional_tensors,
     required_tensors,
@@ -24,6 +25,8 @@ from rn_backend_pi0.architecture import (
 from rn_backend_pi0.checkpoint import PROFILE_FILE, Family
 from rn_backend_pi0.layouts import OPENPI_SLOTS
 from rn_backend_pi0.prompt import TOKENIZER_FILE
+from rn_backend_pi0.tiny_fast import TINY_SKIP_TOKENS, write_fast_tokenizer
+from rn_backend_pi0.tiny_statistics import TINY_PROFILES, Block, tiny_statistics
 from roboneuron import ConfigurationError
 
 TINY = Pi0Dims(
@@ -34,11 +37,6 @@ TINY = Pi0Dims(
     chunk=10,
 )
 """Dimensions of the tiny model; the layout is that of the released ones."""
-_STATE = {
-    "mean": [0.45, 0.0, 0.45, float(np.pi), 0.0, 0.0, 0.02, -0.02],
-    "std": [0.2, 0.2, 0.2, 0.3, 0.3, 0.3, 0.02, 0.02],
-}
-_ACTION = {"mean": [0.0] * 7, "std": [0.15, 0.15, 0.15, 0.03, 0.03, 0.03, 0.6]}
 _SENTENCES = (
     "pick up the red cube and place it on the green plate",
     "put the blue bowl into the open drawer and close it",
@@ -68,27 +66,51 @@ def make_tokenizer(vocabulary: int) -> Tokenizer:
     return tokenizer
 
 
-def make_tiny(directory: Path, *, layout: Family = "lerobot", seed: int = 0) -> None:
-    """Write a complete tiny checkpoint with profile "libero" into `directory`.
+def make_tiny(
+    directory: Path,
+    *,
+    layout: Family = "lerobot",
+    seed: int = 0,
+    variant: Variant = "pi0",
+    profile: str = "libero",
+) -> None:
+    """Write a complete tiny checkpoint into `directory`.
 
     Args:
         directory: new or empty.
         layout: "lerobot" or "openpi".
         seed: of the weights.
+        variant: "pi0", "pi05", or "pi0_fast" (only in LeRobot's layout).
+        profile: one of `TINY_PROFILES`, which the checkpoint then names.
 
     Raises:
-        ConfigurationError: the directory holds something, or cannot be written.
+        ConfigurationError: there is no such profile or layout, or the directory holds something or
+            cannot be written.
     """
+    if profile not in TINY_PROFILES:
+        raise ConfigurationError(
+            f"There is no tiny checkpoint of profile {profile!r}; choose one of "
+            f"{', '.join(TINY_PROFILES)}."
+        )
+    if variant == "pi0_fast" and layout != "lerobot":
+        raise ConfigurationError("openpi has no PyTorch layout of pi0_fast; choose 'lerobot'.")
+    dims, statistics = replace(TINY, variant=variant), tiny_statistics(profile, variant)
     if directory.exists() and (not directory.is_dir() or any(directory.iterdir())):
         raise ConfigurationError(
             f"{directory} exists and is not an empty directory; choose another."
         )
     try:
         directory.mkdir(parents=True, exist_ok=True)
-        _write_weights(directory, layout, seed)
+        _write_weights(directory, dims, layout, seed)
         make_tokenizer(TINY.vocabulary).save(str(directory / TOKENIZER_FILE))
-        _write_json(directory / PROFILE_FILE, {"profile": "libero"})
-        (_write_lerobot if layout == "lerobot" else _write_openpi)(directory)
+        _write_json(directory / PROFILE_FILE, {"profile": profile})
+        if variant == "pi0_fast":
+            width = len(statistics[1]["mean"])
+            write_fast_tokenizer(directory, horizon=dims.chunk, width=width)
+        if layout == "lerobot":
+            _write_lerobot(directory, variant, statistics)
+        else:
+            _write_openpi(directory, statistics)
     except OSError as error:
         raise ConfigurationError(f"{directory} cannot be written: {error}.") from error
 
@@ -98,21 +120,27 @@ def _write_json(path: Path, value: object) -> None:
     path.write_text(json.dumps(value, indent=2) + "\n", encoding="utf-8")
 
 
-def _write_weights(directory: Path, layout: Family, seed: int) -> None:
+def _write_weights(directory: Path, dims: Pi0Dims, layout: Family, seed: int) -> None:
     generator = torch.Generator().manual_seed(seed)
-    shapes = required_tensors(TINY) | {EMBEDDING_KEYS[0]: (TINY.vocabulary, TINY.prefix.width)}
-    shapes |= dict(list(optional_tensors(TINY).items())[:1])
+    shapes = required_tensors(dims) | {EMBEDDING_KEYS[0]: (dims.vocabulary, dims.prefix.width)}
+    shapes |= dict(list(optional_tensors(dims).items())[:1])
     tensors: dict[str, torch.Tensor] = {}
     for key, shape in shapes.items():
         values = torch.randn(shape, generator=generator)
-        if key.endswith(".bias") or "norm" in key:
+        if key.endswith(".dense.weight"):
+            values = values / float(shape[1]) ** 0.5
+        elif key.endswith(".bias") or "norm" in key:
             values = values * 0.1 + (1.0 if "layer_norm" in key or "post_layernorm" in key else 0.0)
             if key.endswith(".bias"):
                 values = values * 0.1
         elif "lm_head" in key:
-            values = values / TINY.prefix.width**0.5
+            values = values / dims.prefix.width**0.5
+            if dims.variant == "pi0_fast":
+                values = values * 0.1  # the head is tied: a larger one repeats the token before
         else:
             values = values / float(np.prod(shape[1:])) ** 0.5
+        if dims.variant == "pi0_fast" and key.endswith(("q_proj.weight", "k_proj.weight")):
+            values = values * 3.0  # attention that is not spread evenly over all pictures
         prefix = "model." if layout == "lerobot" else ""
         tensors[prefix + key] = values.to(torch.bfloat16)
     save_file(tensors, directory / "model.safetensors", metadata={"format": "pt"})
@@ -157,17 +185,19 @@ def _dimension_blocks() -> dict[str, object]:
     }
 
 
-def _write_lerobot(directory: Path) -> None:
+def _write_lerobot(directory: Path, variant: Variant, blocks: tuple[Block, Block]) -> None:
     side = TINY.vision.image
-    norms = {"VISUAL": "IDENTITY", "STATE": "MEAN_STD", "ACTION": "MEAN_STD"}
+    state, actions = blocks
+    mode = "MEAN_STD" if variant == "pi0" else "QUANTILES"
+    norms = {"VISUAL": "IDENTITY", "STATE": mode, "ACTION": mode}
     inputs: dict[str, object] = {
         f"observation.images.{slot}": {"type": "VISUAL", "shape": [3, side, side]}
         for slot in OPENPI_SLOTS
     }
-    inputs["observation.state"] = {"type": "STATE", "shape": [len(_STATE["mean"])]}
-    action = {"action": {"type": "ACTION", "shape": [len(_ACTION["mean"])]}}
+    inputs["observation.state"] = {"type": "STATE", "shape": [len(state["mean"])]}
+    action = {"action": {"type": "ACTION", "shape": [len(actions["mean"])]}}
     config = {
-        "type": "pi0",
+        "type": variant,
         "input_features": inputs,
         "output_features": action,
         "normalization_mapping": norms,
@@ -178,11 +208,13 @@ def _write_lerobot(directory: Path) -> None:
         "num_inference_steps": 10,
         "image_resolution": [side, side],
         "empty_cameras": 0,
-        "tokenizer_max_length": 48,
+        "tokenizer_max_length": 48 if variant == "pi0" else 200,
         **_dimension_blocks(),
     }
+    if variant == "pi0_fast":
+        config |= {"max_decoding_steps": 96, "fast_skip_tokens": TINY_SKIP_TOKENS}
     _write_json(directory / "config.json", config)
-    statistics = {"observation.state": _STATE, "action": _ACTION}
+    statistics = {"observation.state": state, "action": actions}
     tensors = {
         f"{feature}.{name}": torch.tensor(values)
         for feature, block in statistics.items()
@@ -200,7 +232,8 @@ def _write_lerobot(directory: Path) -> None:
         _write_json(directory / f"policy_{stage}processor.json", document)
 
 
-def _write_openpi(directory: Path) -> None:
+def _write_openpi(directory: Path, blocks: tuple[Block, Block]) -> None:
+    # openpi's config.json does not say which variant it is; the names of the tensors do.
     config = {
         "action_dim": TINY.action,
         "action_horizon": TINY.chunk,
@@ -210,5 +243,5 @@ def _write_openpi(directory: Path) -> None:
         **_dimension_blocks(),
     }
     _write_json(directory / "config.json", config)
-    statistics = {"norm_stats": {"state": _STATE, "actions": _ACTION}}
+    statistics = {"norm_stats": {"state": blocks[0], "actions": blocks[1]}}
     _write_json(directory / "assets" / "tiny" / "norm_stats.json", statistics)

@@ -17,25 +17,38 @@ from rn_backend_pi0.architecture import (
     EMBEDDING_KEYS,
     Pi0Dims,
     Shape,
+    Variant,
     module_keys,
     optional_tensors,
     required_tensors,
 )
 from rn_backend_pi0.documents import Pi0ShardIndex
+from rn_backend_pi0.fast_network import FastNetwork
+from rn_backend_pi0.names import INDEX_FILE, LEROBOT_PREFIX, MAX_INDEX_BYTES, WEIGHT_FILE
 from rn_backend_pi0.network import Pi0Network
+from rn_backend_pi0.pi05_network import Pi05Network
+from rn_backend_pi0.prefix import PrefixNetwork
 from rn_vla.checkpoint_files import check_safetensors, clip, list_names, read_schema, reading
 from roboneuron import CheckpointError, ConfigurationError
 
-_LEROBOT_PREFIX = "model."
 _FLOAT32 = (
     "state_proj.",
     "action_in_proj.",
     "action_time_mlp_in.",
     "action_time_mlp_out.",
+    "time_mlp_in.",
+    "time_mlp_out.",
     "action_out_proj.",
 )
 _REAL_NUMBERS = frozenset({"F64", "F32", "F16", "BF16"})
-_MAX_INDEX_BYTES = 16 * 2**20
+_NETWORKS: dict[Variant, type[Pi0Network] | type[Pi05Network] | type[FastNetwork]] = {
+    "pi0": Pi0Network,
+    "pi05": Pi05Network,
+    "pi0_fast": FastNetwork,
+}
+_NAMES: dict[Variant, str] = {"pi0": "pi0", "pi05": "pi0.5", "pi0_fast": "pi0-FAST"}
+_MARKS: dict[str, Variant] = {"action_time_mlp_in.": "pi0", "time_mlp_in.": "pi05"}
+"""Variant by the beginning of keys that only it has."""
 
 
 class _Slice(Protocol):
@@ -57,11 +70,12 @@ def open_shards(directory: Path) -> Iterator[dict[str, tuple[_Shard, str]]]:
         CheckpointError: no file, a truncated or damaged one, one key in two shards, or a tensor of
             integers.
     """
-    index = directory / "model.safetensors.index.json"
+    index = directory / INDEX_FILE
     if index.is_symlink() or index.exists():
-        names = sorted(set(read_schema(index, Pi0ShardIndex, _MAX_INDEX_BYTES).weight_map.values()))
+        shards = read_schema(index, Pi0ShardIndex, MAX_INDEX_BYTES).weight_map
+        names = sorted(set(shards.values()))
     else:
-        names = ["model.safetensors"]
+        names = [WEIGHT_FILE]
     with ExitStack() as stack:
         by_key: dict[str, tuple[_Shard, str]] = {}
         for name in names:
@@ -72,7 +86,7 @@ def open_shards(directory: Path) -> Iterator[dict[str, tuple[_Shard, str]]]:
                     "_Shard", stack.enter_context(safe_open(path, framework="pt", device="cpu"))
                 )
             for key in shard.keys():  # noqa: SIM118 - not a mapping
-                plain = key.removeprefix(_LEROBOT_PREFIX)
+                plain = key.removeprefix(LEROBOT_PREFIX)
                 if plain in by_key:
                     raise CheckpointError(
                         f"{path} holds {clip(key)!r}, which another shard holds too."
@@ -117,10 +131,12 @@ def check_keys(shapes: Mapping[str, Shape], dims: Pi0Dims) -> str:
             )
             if names
         ]
-        pi05 = any(name.startswith("time_mlp_in.") for name in unexpected)
-        hint = "These look like the keys of pi0.5, which this backend does not run." if pi05 else ""
+        found = [v for mark, v in _MARKS.items() if any(n.startswith(mark) for n in unexpected)]
+        said = f"config.json says {_NAMES[dims.variant]}"
+        hint = f"These look like the keys of {_NAMES[found[0]]}, {said}." if found else ""
         raise CheckpointError(
-            "The weights do not fit a pi0 model of these dimensions. " + ". ".join(parts) + ".",
+            f"The weights do not fit a {_NAMES[dims.variant]} model of these dimensions. "
+            f"{'. '.join(parts)}.",
             hint=hint,
         )
     return present[0]
@@ -128,7 +144,7 @@ def check_keys(shapes: Mapping[str, Shape], dims: Pi0Dims) -> str:
 
 def load_network(
     directory: Path, dims: Pi0Dims, *, device: torch.device, dtype: torch.dtype
-) -> Pi0Network:
+) -> PrefixNetwork:
     """Build the network and fill it.
 
     Args:
@@ -149,7 +165,7 @@ def load_network(
             }
             embedding = check_keys(shapes, dims)
             with torch.device("meta"):
-                network = Pi0Network(dims)
+                network = _NETWORKS[dims.variant](dims)
             names = {
                 key: name
                 for name, key in (module_keys(dims) | {"embedding.weight": embedding}).items()

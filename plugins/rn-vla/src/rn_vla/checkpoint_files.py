@@ -28,7 +28,12 @@ MAX_TOKENIZER_BYTES = 64 * 2**20
 """Largest tokenizer.json (PaliGemma's has 34 MB)."""
 MAX_HEADER_BYTES = 32 * 2**20
 """Longest header of a safetensors file."""
-FAMILIES = {"openvla": "openvla (OpenVLA), oft (OpenVLA-OFT)", "pi0": "pi0"}
+FAMILIES = {
+    "openvla": "openvla (OpenVLA), oft (OpenVLA-OFT)",
+    "pi0": "pi0",
+    "pi05": "pi0",
+    "pi0_fast": "pi0-fast",
+}
 """Backends that run a checkpoint, by the family that its config.json names."""
 _LISTED = 12
 _AGAIN = "Check that the checkpoint is complete, or download it again."

@@ -1,0 +1,151 @@
+"""Between an observation, the network and the contract, for TCP policies and for joint policies
+alike.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rn_backend_pi0.joint_layout import JointLayout
+from rn_backend_pi0.profiles import Profile
+from rn_backend_pi0.state import StateLayout
+from rn_backend_pi0.statistics import Real
+from rn_vla.rotation import F64
+from roboneuron import ACTION_FIELDS, EE_DELTA, ConfigurationError, ControlSpace, Observation
+
+
+class Conversion(Protocol):
+    """What one profile makes of states and actions."""
+
+    @property
+    def space(self) -> ControlSpace:
+        """What the rows of a chunk are."""
+
+    @property
+    def step_s(self) -> float:
+        """Time between two actions [s]."""
+
+    @property
+    def state_columns(self) -> tuple[str, ...]:
+        """What each value of the state is."""
+
+    @property
+    def action_columns(self) -> tuple[str, ...]:
+        """What each value of an action is."""
+
+    @property
+    def relative(self) -> NDArray[np.intp]:
+        """Which action values are relative to the state value of the same place."""
+
+    @property
+    def precision(self) -> Real:
+        """Number type in which state and actions are normalised."""
+
+    def read_state(self, observation: Observation) -> F64:
+        """float64 (n,), un-normalised. Raises UngroundedError or UnsafeError."""
+
+    def to_contract(self, raw: F64, state: F64, observation: Observation) -> F64:
+        """Un-normalised actions (H, n) -> rows of `space`.
+
+        Raises:
+            UngroundedError, UnsafeError: something is missing or not finite.
+        """
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TcpConversion:
+    """For a policy whose actions move the TCP."""
+
+    profile: Profile
+    base_position_m: F64
+
+    @property
+    def space(self) -> ControlSpace:
+        return EE_DELTA
+
+    @property
+    def step_s(self) -> float:
+        return self.profile.action.step_s
+
+    @property
+    def state_columns(self) -> tuple[str, ...]:
+        return self.profile.state.columns
+
+    @property
+    def action_columns(self) -> tuple[str, ...]:
+        return ACTION_FIELDS
+
+    @property
+    def relative(self) -> NDArray[np.intp]:
+        return np.arange(6 if self.profile.action.adds_state else 0)
+
+    @property
+    def precision(self) -> Real:
+        return np.dtype(np.float32)
+
+    def read_state(self, observation: Observation) -> F64:
+        return self.profile.state.build(observation)
+
+    def to_contract(self, raw: F64, state: F64, observation: Observation) -> F64:
+        return self.profile.action.to_contract(
+            raw, state=state, pose=observation.ee_pose, base_position_m=self.base_position_m
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JointConversion:
+    """For a policy whose actions move the joints called `joints`, in its own order.
+
+    Raises:
+        ConfigurationError: the names do not fit, or the policy moves more than one arm.
+    """
+
+    layout: JointLayout
+    joints: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        self.layout.space(self.joints)
+        if len(self.layout.arms) > 1:
+            raise ConfigurationError(
+                f"The policy moves {len(self.layout.arms)} arms ({', '.join(self.layout.arms)}), "
+                "an observation holds the state of one."
+            )
+
+    @property
+    def space(self) -> ControlSpace:
+        return self.layout.space(self.joints)
+
+    @property
+    def step_s(self) -> float:
+        return 1.0 / self.layout.rate_hz
+
+    @property
+    def state_columns(self) -> tuple[str, ...]:
+        return self.layout.columns
+
+    @property
+    def action_columns(self) -> tuple[str, ...]:
+        return self.layout.columns
+
+    @property
+    def relative(self) -> NDArray[np.intp]:
+        return np.flatnonzero(~self.layout.grippers if self.layout.relative else [])
+
+    @property
+    def precision(self) -> Real:
+        return np.dtype(np.float64)
+
+    def read_state(self, observation: Observation) -> F64:
+        closed = self.layout.gripper == "closed_fraction"
+        terms = StateLayout(
+            terms=("joints", "gripper_closed" if closed else "gripper_open"),
+            joint_names=self.joints,
+        )
+        return self.layout.to_network(terms.build(observation))
+
+    def to_contract(self, raw: F64, state: F64, observation: Observation) -> F64:
+        return self.layout.to_contract(self.layout.to_robot(raw, state))

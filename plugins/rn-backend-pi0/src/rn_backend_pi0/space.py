@@ -1,0 +1,54 @@
+"""Which control space the chunks of a configured pi0 have, said before anything is loaded."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from rn_backend_pi0.checkpoint import PROFILE_FILE
+from rn_backend_pi0.documents import ProfileDocument
+from rn_backend_pi0.profiles import JOINT_PROFILES
+from rn_vla.checkpoint_files import read_schema
+from roboneuron import EE_DELTA, ConfigurationError, ControlSpace, RobotProfile
+
+
+def pi0_space(options: Mapping[str, object], profile: RobotProfile) -> ControlSpace:
+    """The space of the profile that the options or the checkpoint's roboneuron.json name.
+
+    Every profile that is not among `JOINT_PROFILES` moves the TCP; whether it exists at all is
+    checked when the backend loads.
+
+    Raises:
+        ConfigurationError: the option `joints` is missing or does not fit the policy or the robot.
+        CheckpointError: roboneuron.json cannot be read.
+    """
+    name = options.get("profile") or _declared(options.get("checkpoint"))
+    if not isinstance(name, str) or name not in JOINT_PROFILES:
+        return EE_DELTA
+    layout = JOINT_PROFILES[name]
+    joints = options.get("joints")
+    robots = ", ".join(f'"{joint}"' for joint in profile.arm_joints)
+    hint = f"Robot {profile.name!r} has, from base to tip: joints = [{robots}]"
+    if not isinstance(joints, list | tuple) or not all(isinstance(j, str) for j in joints):
+        raise ConfigurationError(
+            f"Profile {name!r} needs the option 'joints': the robot's joints in the policy's "
+            "order.",
+            hint=hint,
+        )
+    space = layout.space(joints)
+    absent = [joint for joint in joints if joint not in profile.arm_joints]
+    if len(layout.arms) == 1 and absent:
+        raise ConfigurationError(
+            f"The option 'joints' names {', '.join(absent)}, which the arm of robot "
+            f"{profile.name!r} does not have.",
+            hint=hint,
+        )
+    return space
+
+
+def _declared(checkpoint: object) -> str:
+    """What the checkpoint says of itself; empty where there is nothing to read."""
+    if not isinstance(checkpoint, str | Path):
+        return ""
+    sidecar = Path(checkpoint) / PROFILE_FILE
+    return read_schema(sidecar, ProfileDocument).profile if sidecar.exists() else ""
