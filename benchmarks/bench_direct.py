@@ -168,8 +168,11 @@ def server(path: Path) -> StdioServerParameters:
     """Our server, quiet; the check that the robot's plugin is installed is left out, because the
     robot is none.
     """
+    # because users start what they started before: where bytecode is not kept, each start compiles
+    # 320 modules
+    environment = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
     return StdioServerParameters(
-        command=sys.executable, args=["-c", SERVE, str(path)], env=dict(os.environ)
+        command=sys.executable, args=["-c", SERVE, str(path)], env=environment
     )
 
 

@@ -65,6 +65,7 @@ class Benchmark:
 
 
 BENCHMARKS = (
+    Benchmark(script="guard", quick=("--rounds", "1")),
     Benchmark(script="bench_plugins_list", quick=("--repeat", "3")),
     Benchmark(script="bench_ik", quick=("--targets", "50")),
     Benchmark(script="bench_loop", quick=("--frames", "60", "--rounds", "1")),

@@ -122,28 +122,22 @@ class InverseKinematics:
         Source: Nakamura and Hanafusa 1986 (damped least squares); joints that meet a limit are
         frozen and the step is taken again with the others.
         """
-        q, best, lowest = start, None, math.inf
+        # As long as no score is a number, the caller sees infinite residuals and refuses.
+        q, lowest = start, math.inf
+        best, best_m, best_rad, steps = start, math.inf, math.inf, 0
         for iteration in range(max_iterations + 1):
-            error, jacobian, residual_m, residual_rad = self._linearise(q, target, track_rotation)
+            error, residual_m, residual_rad = self._measure(q, target, track_rotation)
             score = residual_m + residual_rad if track_rotation else residual_m
             if score < lowest:
                 lowest = score
-                best = Solution(
-                    position=q,
-                    residual_m=residual_m,
-                    residual_rad=residual_rad,
-                    iterations=iteration,
-                )
+                best, best_m, best_rad, steps = q, residual_m, residual_rad, iteration
                 if residual_m <= tolerance_m and (
                     residual_rad <= tolerance_rad or not track_rotation
                 ):
                     break
             if iteration < max_iterations:
-                q = self._step(q, error, jacobian)
-        # No score was a number: the caller sees infinite residuals and refuses.
-        return best or Solution(
-            position=start, residual_m=math.inf, residual_rad=math.inf, iterations=0
-        )
+                q = self._step(q, error, self._jacobian(track_rotation))
+        return Solution(position=best, residual_m=best_m, residual_rad=best_rad, iterations=steps)
 
     def _chain_positions(self, position: F64) -> F64:
         if self._model.coupling is None:
@@ -152,27 +146,28 @@ class InverseKinematics:
         chain: F64 = gain @ position + offset
         return chain
 
-    def _linearise(
+    def _measure(
         self, position: F64, target: pinocchio.SE3, track_rotation: bool
-    ) -> tuple[F64, F64, float, float]:
-        """Error (k,), Jacobian (k, n), both in axes of the TCP frame, and the distances [m], [rad];
-        k is 6 or 3.
-        """
+    ) -> tuple[F64, float, float]:
+        """Error (k,) in axes of the TCP frame, and the distances [m], [rad]; k is 6 or 3."""
         model, pin = self._model, self._pin
         pin.computeJointJacobians(model.kinematics, self._data, self._chain_positions(position))
         pose = pin.updateFramePlacement(model.kinematics, self._data, model.tcp_frame)
-        jacobian: F64 = pin.getFrameJacobian(
-            model.kinematics, self._data, model.tcp_frame, self._local
-        )
-        if model.coupling is not None:
-            jacobian = jacobian @ model.coupling[0]
         difference = pose.actInv(target)
         error: F64 = pin.log6(difference).vector
         residual_m = math.hypot(*difference.translation.tolist())
         residual_rad = math.hypot(*error[3:].tolist())
-        if not track_rotation:
-            return difference.translation, jacobian[:3], residual_m, residual_rad
-        return error, jacobian, residual_m, residual_rad
+        return error if track_rotation else difference.translation, residual_m, residual_rad
+
+    def _jacobian(self, track_rotation: bool) -> F64:
+        """Jacobian (k, n) in axes of the TCP frame, of the posture that was measured last."""
+        model = self._model
+        jacobian: F64 = self._pin.getFrameJacobian(
+            model.kinematics, self._data, model.tcp_frame, self._local
+        )
+        if model.coupling is not None:
+            jacobian = jacobian @ model.coupling[0]
+        return jacobian if track_rotation else jacobian[:3]
 
     def _step(self, q: F64, error: F64, jacobian: F64) -> F64:
         lower, upper = self._model.lower, self._model.upper
