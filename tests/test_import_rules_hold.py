@@ -342,19 +342,62 @@ def test_features_send_only_through_the_gate():
     assert {"tools_ros", "tools_arm", "tasks", "ops", "http", "rn_recorder", "rn_view"} <= looked_at
 
 
-def _uses_of_the_supervisor() -> set[str]:
-    """Packages of plugins that reach the supervisor behind the closed loop."""
-    return {
-        path.parent.name
-        for path in PLUGINS.glob("*/src/**/*.py")
-        if re.search(r"loop\.supervisor\b", path.read_text(encoding="utf-8"))
-    }
+SUPERVISOR = {"supervisor", "_supervisor", "Supervisor"}
 
 
-def test_only_what_manages_processes_uses_the_supervisor():
-    """All others read `Host.modules`; the direct path joins the graph through it."""
-    managing = {"ops", "switching", "tools_arm"}
-    assert _uses_of_the_supervisor() == managing | {SENDING_PACKAGE.name}
+def _uses_of_the_supervisor(path: Path) -> Iterator[str]:
+    """Where a file names the supervisor; `[supervisor]` is a section of the configuration too."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        match node:
+            case ast.Attribute(attr=name, value=owner):
+                is_section = re.search(r"(^|\.|_)config(\(.*\))?$", ast.unparse(owner))
+                names = set() if is_section else {name}
+            case ast.Name(id=name) | ast.arg(arg=name) | ast.keyword(arg=str(name)):
+                names = {name}
+            case ast.alias(name=name, asname=other):
+                names = {name.rpartition(".")[2], other}
+            case _:
+                continue
+        if names & SUPERVISOR:
+            yield f"{path.name}:{node.lineno} uses the supervisor"
+
+
+def test_no_plugin_uses_the_supervisor():
+    """Features have `Host.modules` and the requests of `Host.loop`; the node is lent by
+    `Host.link`.
+    """
+    paths = sorted(PLUGINS.glob("*/src/**/*.py"))
+    assert [use for path in paths for use in _uses_of_the_supervisor(path)] == []
+    assert "Supervisor" not in roboneuron.feature.__all__
+
+
+@pytest.mark.parametrize(
+    ("line", "is_seen"),
+    [
+        ("host.loop.supervisor.stop('robot')", True),
+        ("host.loop._supervisor", True),
+        ("Application(config, supervisor=made)", True),
+        ("from roboneuron.feature import Supervisor", True),
+        ("def switch(supervisor): ...", True),
+        ("host.config.supervisor.state_directory", False),
+        ("load_config(path).supervisor.state_directory", False),
+    ],
+)
+def test_a_use_of_the_supervisor_is_seen(tmp_path, line, is_seen):
+    path = tmp_path / "feature.py"
+    path.write_text(f"{line}\n")
+    assert bool(list(_uses_of_the_supervisor(path))) is is_seen
+
+
+def test_the_node_is_lent_to_the_feature_of_the_gate_alone():
+    """`Host.link` asks who wants it; what it hands out is kept nowhere in the open."""
+    from roboneuron.errors import StateError
+    from roboneuron.server.feature import Feature
+    from roboneuron.server.host import Host
+
+    host = Host(**{name: None for name in Host.__dataclass_fields__})
+    with pytest.raises(StateError, match="gate"):
+        host.link(Feature(None))
 
 
 def test_one_plugin_sends_for_agents_and_one_of_its_modules_publishes():

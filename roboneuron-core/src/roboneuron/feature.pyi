@@ -157,7 +157,6 @@ from .server.feature import (
     Transport as Transport,
 )
 from .server.host import (
-    Modules as Modules,
     RosGraph as RosGraph,
 )
 from .server.lifecycle_tools import (
@@ -166,6 +165,9 @@ from .server.lifecycle_tools import (
 from .server.loop import (
     ClosedLoop as ClosedLoop,
     running_selection as running_selection,
+)
+from .server.module_views import (
+    Modules as Modules,
 )
 from .server.motion_gate import (
     Clamp as Clamp,
@@ -241,9 +243,6 @@ from .supervisor.process import (
 )
 from .supervisor.slot import (
     Slot as Slot,
-)
-from .supervisor.supervisor import (
-    Supervisor as Supervisor,
 )
 
 __all__: list[str]

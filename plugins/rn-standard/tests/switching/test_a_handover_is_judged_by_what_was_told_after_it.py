@@ -22,20 +22,20 @@ FIRST_S, BRIDGED_NS = 0.1, 40_000_000
 
 
 def switch_of(machine: object, check: object) -> WarmSwitch:
-    loop = SimpleNamespace(supervisor=machine, starts=None)
+    loop = SimpleNamespace(modules=machine, replacements=machine, starts=None)
     return WarmSwitch(cast(Any, loop), cast(Any, None), cast(Any, check), lambda stage: None)
 
 
 class Machine:
-    """A supervisor of an old and a new process, which report when the test says so."""
+    """An old and a new process, which report when the test says so."""
 
     def __init__(self) -> None:
         self.changes = Changes()
         self.newest = Report(received_s=time.monotonic())
         self._slot = SimpleNamespace(check_alive=lambda doing: None, phase="running")
 
-    def slot(self, kind: str) -> Any:
-        return self._slot
+    def slots(self, kind: str) -> Any:
+        return (self._slot,)
 
     def report_of(self, slot: Any) -> Report:
         return self.newest
@@ -53,7 +53,7 @@ def first_output(machine: Machine) -> None:
         kind="control", noun="controller", has_taken_over=lambda new: "acted" in new.metrics
     )
     switch = switch_of(machine, check)
-    switch._await_first_output(cast(Any, machine.slot("control")), time.monotonic(), 0.0)
+    switch._await_first_output(cast(Any, machine.slots("control")[0]), time.monotonic(), 0.0)
 
 
 @pytest.fixture(autouse=True)
@@ -106,7 +106,7 @@ def agree(client: Client) -> tuple[int, float]:
     machine = Machine()
     check = SimpleNamespace(kind="control", noun="controller")
     switch = switch_of(machine, check)
-    return switch._agree(cast(Any, client), cast(Any, machine.slot("control")), 0.5, BRIDGED_NS)
+    return switch._agree(cast(Any, client), cast(Any, machine.slots("control")[0]), 0.5, BRIDGED_NS)
 
 
 @pytest.mark.parametrize(("has_rows", "bridged_ns"), [(True, 125_000_000), (False, 0)])

@@ -36,6 +36,7 @@ from roboneuron.server.selection import check_configuration
 from roboneuron.server.stdio import serve_stdio
 from roboneuron.server.surface import Served, instructions_for, make_server
 from roboneuron.supervisor.health import Watch
+from roboneuron.supervisor.launching import Command, Connect, Connection, module_command
 from roboneuron.supervisor.supervisor import LEAVE_S, Supervisor
 
 SWITCH_S = 0.001
@@ -125,8 +126,10 @@ class Application:
             tools=self.tools,
             events=self.events,
             started_s=self.started_s,
+            state_directory=self.supervisor.state_directory,
             check_resource=lambda uri: self.resources.check(uri),
             end_motion=self.end_motion,
+            _link=lambda: self.supervisor.link,
         )
         offered = self.features.offer(self.host, self.tools)
         # without a gate nothing is sent for agents; with two the server does not start
@@ -139,6 +142,30 @@ class Application:
         self.resources = Resources(self.loop, self.started_s, offered)
         if attached:
             self.features.attach(self.host)
+
+    @classmethod
+    def in_directory(
+        cls,
+        config: Config,
+        directory: Path,
+        *,
+        plugins: PluginCatalogue | None = None,
+        command: Command = module_command,
+        connect: Connect = Connection,
+        attached: bool = True,
+    ) -> Application:
+        """One whose modules are started and joined in another way than usual.
+
+        Args:
+            config, plugins, attached: as of the class.
+            directory: for the state.
+            command: how to start a module under a given interpreter.
+            connect: makes the server's node, see `Supervisor`.
+        """
+        supervisor = Supervisor(directory, command=command, connect=connect)
+        made = cls(config, plugins=plugins, supervisor=supervisor, attached=attached)
+        supervisor.on_change = made.events.change.tell
+        return made
 
     def check(self) -> None:
         """Check the configuration against what is installed. Raises ConfigurationError,

@@ -69,13 +69,13 @@ class DirectPath(Feature[DirectPathOptions]):
         self.allow_list = AllowList(
             self.judge, lambda: host.config, lambda: host.registry, lambda: host.loop.limits
         )
-        traffic = Traffic(lambda: host.loop.supervisor.link)
+        traffic = Traffic(lambda: host.link(self))
         self._gate = DirectGate(
             self.judge, self.arbiter, traffic, self.allow_list, self.options.max_duration_s,
             self._permit, lambda: host.loop.starts.are_needed,
         )  # fmt: skip
         host.events.change.listen(self._on_module)
-        host.events.health.listen(HealthDiagnostics(host.loop.supervisor).publish)
+        host.events.health.listen(HealthDiagnostics(lambda: host.link(self)).publish)
         return ()
 
     def complete(self, host: Host) -> None:

@@ -27,10 +27,8 @@ from roboneuron.feature import (
     Config,
     Events,
     Features,
-    ModuleKind,
     Periodic,
     PluginCatalogue,
-    Supervisor,
     Transport,
     emergency,
     estop,
@@ -221,13 +219,14 @@ class Fleet:
         plugins: PluginCatalogue,
         command: launching.Command,
     ) -> Application:
-        def on_change(kind: ModuleKind) -> None:
-            if name in self.robots:
-                self.robots[name].events.change.tell(kind)
-
-        connect = self._connection.of_robot(config.namespace)
-        supervisor = Supervisor(folder, command=command, on_change=on_change, connect=connect)
-        made = Application(config, plugins=plugins, supervisor=supervisor, attached=False)
+        made = Application.in_directory(
+            config,
+            folder,
+            plugins=plugins,
+            command=command,
+            connect=self._connection.of_robot(config.namespace),
+            attached=False,
+        )
         made.events.tools.listen(self.events.tools.tell)
         made.events.resource.listen(lambda uri: self.events.resource.tell(uri_of(name, uri)))
         self.events.client.listen(made.events.client.tell)

@@ -62,9 +62,7 @@ class Switching:
 
     def __init__(self, loop: ClosedLoop) -> None:
         self.loop = loop
-        self._supervisor = loop.supervisor
-        if JOIN not in self._supervisor.on_join:
-            self._supervisor.on_join += (JOIN,)
+        loop.replacements.join(JOIN)
         self._before: dict[ModuleKind, Selection] = {}
         self._busy = {kind: threading.Lock() for kind in MODULE_KINDS}
 
@@ -86,7 +84,7 @@ class Switching:
             StateError: none is running.
             RoboNeuronError: warm, nothing was replaced; cold, nothing of that kind runs any more.
         """
-        old = self._supervisor.require_running(kind)
+        old = self.loop.modules.require_running(kind)
         ticket, instruction = self.loop.starts.ticket, self.loop.starts.instruction
         selection = self.loop.select(kind, _keep(old, request), role)
         if isinstance(request, StartChosenInference):
@@ -107,7 +105,7 @@ class Switching:
             StateError: there was no switch.
             RoboNeuronError: as `switch`.
         """
-        old = self._supervisor.require_running(kind)
+        old = self.loop.modules.require_running(kind)
         selection = self._before.get(kind)
         if selection is None:
             raise StateError(
@@ -134,7 +132,7 @@ class Switching:
         finally:
             self._busy[old.kind].release()
         return Switched(
-            view=self._supervisor.view(old.kind),
+            view=self.loop.modules.view(old.kind),
             replaced=dict(replaced.names),
             mode=way,
             change=change,
@@ -171,7 +169,7 @@ class Switching:
         kind = check.kind
         due = check.is_due()
         on_stage(f"{kind}: stopping the old {check.noun}")
-        stopped = self._supervisor.stop(kind)
+        stopped = self.loop.replacements.end(kind)
         last = stopped.report if stopped is not None else None
         # a stop, or the end of a task
         if kind == "inference" and self.loop.starts.ticket != ticket:
@@ -185,7 +183,7 @@ class Switching:
                 f"{error.hint} No {check.noun} is running now; before there was {before}.".strip()
             )
             raise
-        changes = self._supervisor.changes
+        changes = self.loop.modules.changes
         if due:  # a start is complete before the first output where that waits for somebody else's
             changes.wait_for(
                 lambda: (new := self._newest(kind)) is not None and check.has_taken_over(new),
@@ -195,7 +193,7 @@ class Switching:
         return Change(gap=gap, difference=None)
 
     def _newest(self, kind: ModuleKind) -> Report | None:
-        return self._supervisor.view(kind).report
+        return self.loop.modules.view(kind).report
 
 
 def check_same_commands(old: ModuleView, selection: Selection) -> None:
