@@ -18,7 +18,7 @@ from rn_standard.ops.memory import MemoryWatch
 from rn_standard.ops.options import MemoryOptions
 from rn_standard.selection.requests import StartChosenInference
 from roboneuron.server.loop import ClosedLoop
-from roboneuron.server.results import ModuleStatus, module_status
+from roboneuron.server.results import ModuleStatus
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 from fault_loop import PARTS, JointWitness, fail, moving_cell
@@ -48,7 +48,7 @@ class Cell:
 
     def status(self, kind: str) -> ModuleStatus:
         """As get_status tells it."""
-        return module_status(self.loop.modules.view(kind))  # type: ignore[arg-type]
+        return ModuleStatus.of(self.loop.modules.view(kind))  # type: ignore[arg-type]
 
     def health(self, kind: str) -> str:
         return self.status(kind).health

@@ -13,10 +13,12 @@ import sys
 import tomllib
 from collections.abc import Iterable, Iterator
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
 import roboneuron.feature
+from rn_testing.distribution import imported_modules
 from rn_testing.rules.package import SENDER, is_public
 
 ROOT = Path(__file__).parents[1]
@@ -198,7 +200,7 @@ def _private_imports(packages: Iterable[Path]) -> Iterator[str]:
     command = "CommandSpec" in offers
     sends = command or SENDING_PACKAGE in packages
     for path in sorted(path for package in packages for path in package.rglob("*.py")):
-        for name, line in _imports(path):
+        for name, line in imported_modules(path):
             if not is_public(name, for_features=command or "FeatureSpec" in offers, sends=sends):
                 yield f"{path.relative_to(PLUGINS)}:{line} imports {name}"
 
@@ -207,14 +209,37 @@ def test_plugins_import_only_what_is_public_of_the_core():
     assert [breach for _, packages in _plugins() for breach in _private_imports(packages)] == []
 
 
-def test_every_name_for_features_is_used_by_a_plugin():
+MOST_NAMES = 173
+"""For features, commands and the contract kit together; it only goes down."""
+
+
+def _offered_to_features() -> set[str]:
+    """Single names, and each name of a module: a module counts as all that may be used of it."""
+    groups = roboneuron.feature.GROUPS
+    return (set(roboneuron.feature.__all__) - groups.keys()) | {
+        f"{group}.{name}" for group, names in groups.items() for name in names
+    }
+
+
+def test_every_name_for_features_is_used_by_a_plugin_and_they_stay_few():
     used = {
         name.removeprefix("roboneuron.feature.")
         for path in PLUGINS.glob("*/src/**/*.py")
-        for name, _ in _imports(path)
+        for name, _ in imported_modules(path)
         if name.startswith("roboneuron.feature.")
     }
-    assert set(roboneuron.feature.__all__) - used == set()
+    assert used - roboneuron.feature.GROUPS.keys() == _offered_to_features()
+    assert len(_offered_to_features()) <= MOST_NAMES
+
+
+def test_every_name_of_a_module_for_features_is_there():
+    assert roboneuron.feature.GROUPS.keys() == {
+        name
+        for name in roboneuron.feature.__all__
+        if isinstance(getattr(roboneuron.feature, name), ModuleType)
+    }
+    for group, names in roboneuron.feature.GROUPS.items():
+        assert {n for n in names if not hasattr(getattr(roboneuron.feature, group), n)} == set()
 
 
 @pytest.mark.parametrize(
@@ -225,6 +250,9 @@ def test_every_name_for_features_is_used_by_a_plugin():
         ("BackendSpec", "from roboneuron.feature import Config", True),
         ("FeatureSpec", "from roboneuron.feature import Config", False),
         ("FeatureSpec", "from roboneuron.feature import RosLink", True),
+        ("FeatureSpec", "from roboneuron.feature import Supervisor", True),
+        ("FeatureSpec", "from roboneuron.feature import roles\nroles.ADMIN", False),
+        ("FeatureSpec", "from roboneuron.feature import roles as r\nr.anything", True),
         ("CommandSpec", "from roboneuron.feature import RosLink", False),
         ("FeatureSpec", "from roboneuron.config import Config", True),
         ("CommandSpec", "import roboneuron.server.app", True),
@@ -390,12 +418,12 @@ def test_a_use_of_the_supervisor_is_seen(tmp_path, line, is_seen):
 
 
 def test_the_node_is_lent_to_the_feature_of_the_gate_alone():
-    """`Host.link` asks who wants it; what it hands out is kept nowhere in the open."""
+    """`Host.link` asks who wants it."""
     from roboneuron.errors import StateError
     from roboneuron.server.feature import Feature
     from roboneuron.server.host import Host
 
-    host = Host(**{name: None for name in Host.__dataclass_fields__})
+    host = Host(**dict.fromkeys(Host.__dataclass_fields__))
     with pytest.raises(StateError, match="gate"):
         host.link(Feature(None))
 

@@ -14,7 +14,7 @@ import pytest
 from rn_standard.switching import warm_switch
 from rn_standard.switching.standby import ACT_FROM, PLAY_FROM
 from rn_standard.switching.warm_switch import WarmSwitch
-from roboneuron.errors import NotReadyError
+from roboneuron.errors import NotReadyError, RefusedError
 from roboneuron.modules.report import Report
 from roboneuron.supervisor.changes import Changes
 
@@ -132,3 +132,29 @@ def test_one_that_never_answers_in_time_is_not_waited_for_any_longer() -> None:
     with pytest.raises(NotReadyError):
         agree(client)
     assert len(client.heard) == 3
+
+
+def test_an_old_one_that_cannot_go_on_is_told_beside_the_cause_and_the_cause_stays_as_it_was(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    machine = Machine()
+    check = SimpleNamespace(kind="control", noun="controller", latency_s=lambda new: 0.1)
+    switch = switch_of(machine, check)
+    cause = RefusedError("The new one broke.", hint="Look at it.")
+    clients = [Client(late=10), Client(late=10)]
+    machine.parameters = lambda slot: clients.pop()  # type: ignore[attr-defined]
+    monkeypatch.setattr(switch, "_probe", lambda clients, standby: 0.5)
+    monkeypatch.setattr(switch, "_bridged_ns", lambda latency_s: 0)
+    monkeypatch.setattr(Client, "send", lambda self, values: 0.0)
+
+    def fail(*_: object) -> None:
+        raise cause
+
+    monkeypatch.setattr(switch, "_agree", fail)
+    with pytest.raises(RefusedError) as told:
+        switch._hand_over(cast(Any, machine.slots("control")[0]))
+    assert told.value.hint == (
+        "Look at it. The old one could not be told to go on either: It did not take its "
+        "parameters in time."
+    )
+    assert (told.value.__cause__, cause.hint) == (cause, "Look at it.")

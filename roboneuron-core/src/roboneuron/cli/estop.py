@@ -16,7 +16,7 @@ from pathlib import Path
 from roboneuron.config import read_state_directory, robot_folder
 from roboneuron.errors import ConfigurationError, RefusedError, RoboNeuronError
 from roboneuron.gate.audit import AUDIT_FILE, AuditLog, AuditRecord
-from roboneuron.gate.estop import ESTOP_FILE, EmergencyStopLatch
+from roboneuron.gate.estop import EmergencyStopLatch
 from roboneuron.gate.pin import ReleasePin
 from roboneuron.gate.roles import ADMIN
 from roboneuron.ros.environment import state_directory
@@ -75,7 +75,7 @@ def run(arguments: Namespace) -> int:
         - done
     ):
         for folder in sorted(folders):  # a server that starts meanwhile makes more of them
-            latch = EmergencyStopLatch(folder / ESTOP_FILE, time.time_ns)
+            latch = EmergencyStopLatch.in_directory(folder)
             audit = AuditLog(folder / AUDIT_FILE, time.time_ns)
             if arguments.status:
                 state = latch.read_state()

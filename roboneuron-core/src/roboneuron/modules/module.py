@@ -18,7 +18,7 @@ from rclpy.lifecycle import (
 from std_msgs.msg import Bool
 
 from roboneuron.errors import ConfigurationError, RoboNeuronError, StateError, UnsafeError
-from roboneuron.gate.estop import ESTOP_FILE, EmergencyStopLatch
+from roboneuron.gate.estop import EmergencyStopLatch
 from roboneuron.modules.module_host import Handover, Module, ModuleHost, join
 from roboneuron.modules.parent_watch import watch_stdin
 from roboneuron.modules.requests import RequestGuard
@@ -46,7 +46,7 @@ class ModuleNode(ModuleHost):
         self.status.set(emergency_stop=False)
         for qos in STOP_REQUESTS:
             self.create_subscription(Bool, EMERGENCY_STOP_TOPIC, self._on_emergency_stop, qos)
-        self._latch = EmergencyStopLatch(Path(settings.state_directory) / ESTOP_FILE, time.time_ns)
+        self._latch = EmergencyStopLatch.in_directory(Path(settings.state_directory))
         self._stop_requested = self._is_server_silent = False
         self._beat_s: float | None = None
         robot, control = settings.config.robot, settings.config.control

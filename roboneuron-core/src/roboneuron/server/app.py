@@ -23,7 +23,7 @@ from roboneuron.errors import ConfigurationError, RoboNeuronError, StateError
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.loading import load_attribute
 from roboneuron.ros.environment import state_directory
-from roboneuron.server.emergency import SIGNAL, SafetyReports, press_on_signal
+from roboneuron.server.emergency import SafetyReports, press_on_signal
 from roboneuron.server.events import Events
 from roboneuron.server.feature import Features, Transport
 from roboneuron.server.host import Host
@@ -150,7 +150,7 @@ class Application:
         directory: Path,
         *,
         plugins: PluginCatalogue | None = None,
-        command: Command = module_command,
+        command: Command | None = None,
         connect: Connect = Connection,
         attached: bool = True,
     ) -> Application:
@@ -159,10 +159,10 @@ class Application:
         Args:
             config, plugins, attached: as of the class.
             directory: for the state.
-            command: how to start a module under a given interpreter.
+            command: how to start a module under a given interpreter; None: as usual.
             connect: makes the server's node, see `Supervisor`.
         """
-        supervisor = Supervisor(directory, command=command, connect=connect)
+        supervisor = Supervisor(directory, command=command or module_command, connect=connect)
         made = cls(config, plugins=plugins, supervisor=supervisor, attached=attached)
         supervisor.on_change = made.events.change.tell
         return made
@@ -181,7 +181,7 @@ class Application:
     def press_on_signal(self) -> None:
         """From now on SIGUSR1 latches the emergency stop; called on the main thread."""
         stop, namespace = self.loop.emergency_stop, self.loop.config.namespace
-        press_on_signal(partial(stop.latch, namespace, who=SIGNAL, reason=""))
+        press_on_signal(lambda who: stop.latch(namespace, who=who, reason=""))
 
     def close(self) -> None:
         """Stop all motion, modules and threads; idempotent. What features move first, then modules,

@@ -19,7 +19,7 @@ from queue import SimpleQueue
 
 from roboneuron.errors import NotReadyError, UnsafeError
 from roboneuron.gate.audit import AUDIT_FILE, AuditLog, AuditRecord
-from roboneuron.gate.estop import ESTOP_FILE, EmergencyStopLatch
+from roboneuron.gate.estop import EmergencyStopLatch
 from roboneuron.modules.settings import EMERGENCY_STOP_TOPIC, FOREIGN_REQUEST, ModuleKind
 from roboneuron.server.events import Events
 from roboneuron.server.motion_starts import MotionStarts
@@ -34,8 +34,10 @@ CONFIRM_S = 2.0
 """Modules report a change at once; this is ten times their slowest period."""
 
 
-def press_on_signal(latch: Callable[[], object]) -> None:
-    """From now on SIGUSR1 calls `latch`, which latches the stop; called on the main thread."""
+def press_on_signal(latch: Callable[[str], object]) -> None:
+    """From now on SIGUSR1 calls `latch`, which latches the stop, with who pressed it; called on
+    the main thread.
+    """
 
     signals: SimpleQueue[int] = SimpleQueue()
 
@@ -45,7 +47,7 @@ def press_on_signal(latch: Callable[[], object]) -> None:
             while not signals.empty():  # pressed twice is pressed
                 signals.get()
             try:
-                latch()
+                latch(SIGNAL)
             except (UnsafeError, NotReadyError) as error:
                 log.error("%s", error)
 
@@ -73,7 +75,7 @@ class EmergencyStop:
         self._publishers: dict[str, Callable[[bool], None]] = {}
         self._restored = 0
         self._is_told = False
-        self.file = EmergencyStopLatch(supervisor.state_directory / ESTOP_FILE, time.time_ns)
+        self.file = EmergencyStopLatch.in_directory(supervisor.state_directory)
         self.file.on_pressed(lambda: self._publish(True))
         self.audit = AuditLog(supervisor.state_directory / AUDIT_FILE, time.time_ns)
 

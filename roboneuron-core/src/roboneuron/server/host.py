@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from roboneuron.contract import check_topic
 from roboneuron.errors import ConfigurationError, StateError
 from roboneuron.plugins.availability import install_command, package_of
+from roboneuron.ros.graph import RosGraph
 
 if TYPE_CHECKING:
     from roboneuron.config import Config
@@ -25,45 +26,6 @@ if TYPE_CHECKING:
     from roboneuron.server.motion_gate import MotionGate
     from roboneuron.server.registry import ToolRegistry
     from roboneuron.server.surface import AnnouncingServer
-
-
-class RosGraph:
-    """What the server's node has discovered of the ROS graph; it sends nothing.
-
-    Endpoints are `rclpy` TopicEndpointInfo.
-    """
-
-    def __init__(self, node: Any) -> None:
-        self._node = node
-
-    @property
-    def node_name(self) -> str:
-        """Name of the server's node, whose own endpoints are listed too."""
-        return str(self._node.get_name())
-
-    def topics(self) -> dict[str, list[str]]:
-        """Types by absolute topic name."""
-        return dict(self._node.get_topic_names_and_types())
-
-    def services(self) -> dict[str, list[str]]:
-        """Types by absolute service name."""
-        return dict(self._node.get_service_names_and_types())
-
-    def nodes(self) -> list[tuple[str, str]]:
-        """Name and namespace of all nodes."""
-        return list(self._node.get_node_names_and_namespaces())
-
-    def publishers(self, topic: str) -> list[Any]:
-        """Who publishes a topic."""
-        return list(self._node.get_publishers_info_by_topic(topic))
-
-    def subscriptions(self, topic: str) -> list[Any]:
-        """Who subscribes to a topic."""
-        return list(self._node.get_subscriptions_info_by_topic(topic))
-
-    def counts(self, topic: str) -> tuple[int, int]:
-        """Publishers and subscribers of a topic."""
-        return self._node.count_publishers(topic), self._node.count_subscribers(topic)
 
 
 F = TypeVar("F")

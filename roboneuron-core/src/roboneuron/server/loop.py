@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 from roboneuron.config import Config, LimitsConfig
 from roboneuron.errors import InvalidInputError, NotReadyError, RefusedError, StateError
 from roboneuron.modules.report import Report
-from roboneuron.modules.settings import EMERGENCY_STOP, MODULE_KINDS, ModuleKind
+from roboneuron.modules.settings import EMERGENCY_STOP, LIMITS_PARAMETER, MODULE_KINDS, ModuleKind
 from roboneuron.plugins.specs import RobotSpec
 from roboneuron.server.emergency import EmergencyStop
 from roboneuron.server.module_views import Modules
@@ -115,8 +115,17 @@ class ClosedLoop:
         return self._supervisor.tightened
 
     def tighten(self, limits: LimitsConfig | None) -> None:
-        """Start modules from now on with these limits; None: with the configured ones."""
+        """Start modules from now on with these limits; None: with the configured ones. See
+        `send_limits`.
+        """
         self._supervisor.tightened = limits
+
+    def send_limits(self, timeout_s: float, start_s: float) -> str:
+        """Have every control that runs, or is being started, move within the limits in force.
+        Arguments, answer and errors as of `set_parameters`.
+        """
+        text = "" if self.tightened is None else self.tightened.model_dump_json()
+        return self.set_parameters("control", {LIMITS_PARAMETER: text}, timeout_s, start_s)
 
     @property
     def robot_facts(self) -> RobotFacts:
@@ -378,24 +387,4 @@ def _running(view: ModuleView) -> Selection | None:
     """What the running module was started with."""
     if view.phase != "running" or view.choice is None or view.choice.plan is None:
         return None
-    return running_selection(view)
-
-
-def running_selection(view: ModuleView) -> Selection:
-    """What a module was started with, to start the same again.
-
-    Raises:
-        StateError: it was not started from a plan.
-    """
-    choice = view.choice
-    if choice is None or choice.plan is None:
-        raise StateError(f"It is not known what {view.kind} was started with.")
-    config = choice.settings.config
-    section = getattr(config, view.kind)
-    return Selection(
-        kind=view.kind,
-        config=config,
-        names=choice.names,
-        plan=choice.plan,
-        python=section.python if section is not None else None,
-    )
+    return Selection.running(view)

@@ -18,7 +18,7 @@ from rn_standard.direct_path.options import DirectPathOptions
 from rn_standard.direct_path.plugin import FEATURE
 from rn_standard.direct_path.traffic import Traffic
 from roboneuron import Feature, Host, RoboNeuronError, Tool
-from roboneuron.feature import ExposedEndpoint, MotionGate, assess, settings
+from roboneuron.feature import ExposedEndpoint, MotionGate, assess
 
 log = logging.getLogger(__name__)
 _CLOSE_S = 2.0
@@ -127,7 +127,7 @@ class DirectPath(Feature[DirectPathOptions]):
             "silent",
             "stuck",
         )
-        return is_turning and view.report.note == settings.FOLLOWING_NOTE
+        return is_turning and view.report.is_following
 
     def _on_module(self, kind: str) -> None:
         """Another robot has other interfaces."""

@@ -82,7 +82,7 @@ class Operations(Feature[OpsOptions]):
             return
         if health == "failing" and view.report is not None and view.report.error_code in _ORDINARY:
             return
-        status = results.module_status(view).model_dump(mode="json")
+        status = results.ModuleStatus.of(view).model_dump(mode="json")
         lines = list(view.process.last_lines()) if view.process is not None else []
         self._incidents.record(
             view.kind,

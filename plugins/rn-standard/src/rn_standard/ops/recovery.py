@@ -21,7 +21,7 @@ from roboneuron import (
     StateError,
     Tool,
 )
-from roboneuron.feature import AGAIN, AuditRecord, roles
+from roboneuron.feature import AuditRecord, roles
 
 _SET_S = 5.0
 _DONE_S = 20.0
@@ -138,5 +138,5 @@ def _recover(host: Host, who: str, role: str) -> RecoveryResult:
     return RecoveryResult(
         recovered_from=text,
         took_s=round(time.monotonic() - started_s, 3),
-        note=AGAIN,
+        note=host.loop.starts.AGAIN,
     )

@@ -22,7 +22,6 @@ from roboneuron.feature import (
     Report,
     Selection,
     Stage,
-    running_selection,
 )
 
 SwitchMode = Literal["warm", "cold"]
@@ -126,7 +125,7 @@ class Switching:
                 f"{old.kind} is already being replaced.", hint="Wait for the end of that call."
             )
         try:
-            replaced = running_selection(old)
+            replaced = Selection.running(old)
             way, change = self._change(old, replaced, selection, mode, on_stage, ticket)
             self._before[old.kind] = replaced
         finally:
@@ -179,10 +178,9 @@ class Switching:
             self.loop.start_selected(selection, on_stage)
         except RoboNeuronError as error:
             before = ", ".join(f"{key} {name!r}" for key, name in replaced.names.items())
-            error.hint = (
-                f"{error.hint} No {check.noun} is running now; before there was {before}.".strip()
-            )
-            raise
+            raise error.with_hint(
+                f"No {check.noun} is running now; before there was {before}."
+            ) from error
         changes = self.loop.modules.changes
         if due:  # a start is complete before the first output where that waits for somebody else's
             changes.wait_for(

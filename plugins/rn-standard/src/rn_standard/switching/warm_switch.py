@@ -226,7 +226,11 @@ class WarmSwitch:
                 self._await_first_output(standby, due_s, latency_s)
             return self._modules.adopt(standby)
         except BaseException as error:
-            self._roll_back(clients, old, error)
+            refused = self._roll_back(clients, old, error)
+            if refused and isinstance(error, RoboNeuronError):
+                raise error.with_hint(
+                    f"The old one could not be told to go on either: {refused}"
+                ) from error
             raise
 
     def _bridged_ns(self, latency_s: float) -> int:
@@ -295,9 +299,9 @@ class WarmSwitch:
                 hint=f"It was measured to need {latency_s * 1e3:.0f} ms; see its log.",
             )
 
-    def _roll_back(self, clients: Sequence[NodeClient], slot: Slot, cause: BaseException) -> None:
-        """The old one acts again; the new one is told not to, and ended by the caller in any
-        case.
+    def _roll_back(self, clients: Sequence[NodeClient], slot: Slot, cause: BaseException) -> str:
+        """The old one acts again; the new one is told not to, and ended by the caller in any case.
+        Returns why the old one could not be told, empty when it was.
         """
         log.warning("The handover is undone: %s", cause)
         old, new = clients
@@ -312,10 +316,7 @@ class WarmSwitch:
             refused = error.message
         if refused:
             log.error("The old %s could not be told to go on: %s", self._check.noun, refused)
-            if isinstance(cause, RoboNeuronError):
-                cause.hint = (
-                    f"{cause.hint} The old one could not be told to go on either: {refused}".strip()
-                )
+        return refused
 
     def _healthy(self, slot: Slot) -> Report:
         """The newest report of a process that works; raises what is wrong with it, or with the old

@@ -14,7 +14,7 @@ from typing import Any
 from rn_standard.tools_arm.limits_tools import limits_tools
 from rn_standard.tools_arm.tightening import FILE_NAME, TightenedRecord, Tightening, TighteningFile
 from roboneuron import Feature, Host, NotReadyError, RoboNeuronError, RobotProfile, Tool
-from roboneuron.feature import AuditRecord, ModuleKind, load_profile, settings
+from roboneuron.feature import AuditRecord, ModuleKind, load_profile
 
 log = logging.getLogger(__name__)
 _LOOK_S = 0.5
@@ -116,12 +116,8 @@ class LimitsFeature(Feature[None]):
         Raises:
             NotReadyError: one did not take them.
         """
-        loop = self._host.loop
-        text = "" if loop.tightened is None else loop.tightened.model_dump_json()
         try:
-            refused = loop.set_parameters(
-                "control", {settings.LIMITS_PARAMETER: text}, _SET_S, _START_S
-            )
+            refused = self._host.loop.send_limits(_SET_S, _START_S)
         except RoboNeuronError as error:
             refused = error.message
         if refused:
