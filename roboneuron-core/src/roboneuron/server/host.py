@@ -47,7 +47,7 @@ class Host:
         tools: all tools by name, for features that add or remove some while the server runs.
         events: what happens, for listeners.
         started_s: monotonic time of the server's start [s].
-        state_directory: where files that outlive the server are kept.
+        state_directory: for files that outlive the server.
         check_resource: raises MCPError unless there is a resource of that URI.
         end_motion: ends every motion, and the policy, for a reason: nobody looks after the robot
             any more; returns after at most so many seconds.
@@ -130,13 +130,10 @@ class Host:
         return RosGraph(self._link().node)
 
     def link(self, sender: Feature[Any]) -> RosLink:
-        """The server's ROS node, lent to the feature that lends `gate`, and to no other.
-
-        It may block for the second that joining the graph takes.
+        """The server's ROS node, for the feature that lends `gate`; it may take a second to join.
 
         Raises:
-            StateError: `sender` lends no gate.
-            RoboNeuronError: ROS cannot be joined.
+            StateError: `sender` lends none.
         """
         if sender.gate is None:
             raise StateError("Only the feature that lends the gate sends; others use `Host.gate`.")
