@@ -79,20 +79,28 @@ class Bench:
         self._told: deque[tuple[float, str, Health]] = deque(maxlen=200)
         self._holds: deque[float] = deque(maxlen=200)
         self._changed = threading.Condition()
-        link, namespace = loop.supervisor.link, loop.config.namespace
         from std_msgs.msg import Bool
         from trajectory_msgs.msg import JointTrajectory
 
+        from roboneuron.ros.link import RosLink
         from roboneuron.ros.qos import LATCHED
 
+        namespace = loop.config.namespace
+        self._link = link = RosLink("bench_faults")
+        link.open()
         link.on_executor(
             lambda: link.node.create_subscription(
                 JointTrajectory, f"/{namespace}/joint_trajectory", self._on_command, 100
             )
         )
         self._publish = link.advertise(Bool, f"/{namespace}/{EMERGENCY_STOP_TOPIC}", LATCHED)
-        self.watch = Watch(loop.supervisor.views, self._on_health)
-        self.watch.start()
+        self._watch = Watch(loop.modules.views, self._on_health)
+        self._watch.start()
+
+    def close(self) -> None:
+        """End the watch, and leave the ROS graph."""
+        self._watch.close()
+        self._link.close()
 
     def _on_command(self, message: Any) -> None:
         """A hold names the arm without its gripper."""
@@ -136,14 +144,14 @@ class Bench:
         """
 
         def holding() -> bool:
-            report = self.loop.supervisor.view("robot").report
+            report = self.loop.modules.view("robot").report
             return (
                 report is not None
                 and report.received_s > since_s + 0.4
                 and report.note == "holding: no command"
             )
 
-        if not self.loop.supervisor.changes.wait_for(holding, 3.0):
+        if not self.loop.modules.changes.wait_for(holding, 3.0):
             raise NotSeen("not within 3 s: the driver holds")
         return time.monotonic()
 
@@ -155,7 +163,7 @@ class Bench:
             if recent and max(recent) - min(recent) > 0.005:
                 return
             time.sleep(0.01)
-        said = {view.kind: view.report for view in self.loop.supervisor.views()}
+        said = {view.kind: view.report for view in self.loop.modules.views()}
         raise NotSeen(f"the arm does not move; the modules say: {said}")
 
     def stood_s(self, since_s: float) -> float:
@@ -176,7 +184,7 @@ class Bench:
     def kill(self, kind: ModuleKind) -> None:
         """One crash, and the restart of that module."""
         fault = f"{kind} killed"
-        process = self.loop.supervisor.view(kind).process
+        process = self.loop.modules.view(kind).process
         assert process is not None
         self.ready()
         at_s = time.monotonic()
@@ -200,7 +208,7 @@ class Bench:
     def _swing(self) -> None:
         """A restart and a release start no motion."""
         if (
-            self.loop.supervisor.view("inference").phase == "running"
+            self.loop.modules.view("inference").phase == "running"
             and not self.loop.starts.instruction
         ):
             self.loop.set_instruction("swing", 10.0)
@@ -213,12 +221,12 @@ class Bench:
             print(f"missed: {what}: {error}", flush=True)
             self._release()
             for kind in KINDS:
-                if self.loop.supervisor.view(kind).phase != "running":
+                if self.loop.modules.view(kind).phase != "running":
                     self._start(kind)
 
     def freeze(self) -> None:
         """Inference is stopped, and goes on."""
-        process = self.loop.supervisor.view("inference").process
+        process = self.loop.modules.view("inference").process
         assert process is not None
         self.ready()
         at_s = time.monotonic()
@@ -307,7 +315,7 @@ def main() -> int:
                     bench.stops()
                     progress.log(f"trial {trial + 1}/{arguments.trials}")
             finally:
-                bench.watch.close()
+                bench.close()
         times = {**bench.times, ("bare child killed", "floor"): floor_s(arguments.trials)}
     table = Table(title=f"{arguments.trials} trials of each fault, arm moving at 30 Hz")
     for head in ("fault", "what", "median [ms]", "p99 [ms]", "max [ms]", "bound [ms]"):

@@ -88,7 +88,7 @@ def judge(
 
 def _await_stream(switching: Switching, witness: object) -> None:
     """Some actions of the backend that works now: its own stream, and the end of the last gap."""
-    choice = switching.loop.supervisor.view("inference").choice
+    choice = switching.loop.modules.view("inference").choice
     tag = 2 if choice is not None and choice.names["backend"] == "second" else 1
     deadline_s = time.monotonic() + 5.0
     while time.monotonic() < deadline_s:
@@ -105,7 +105,7 @@ def series(
     first_command = len(witness.commands())  # type: ignore[attr-defined]
     took_s = []
     for number in range(count):
-        view = switching.loop.supervisor.view("inference")
+        view = switching.loop.modules.view("inference")
         assert view.choice is not None
         other = "second" if view.choice.names["backend"] == "first" else "first"
         try:
@@ -178,7 +178,7 @@ def main() -> None:
                         f"{value:.0f}" for value in np.percentile(values_s, shares) * 1e3
                     )
 
-                report = switching.loop.supervisor.view("inference").report
+                report = switching.loop.modules.view("inference").report
                 mode_now = "" if report is None else report.metrics.get("execution.mode", "")
                 executed = "" if arguments.rows == 1 else f", {mode_now} of {arguments.rows} rows"
                 row = [

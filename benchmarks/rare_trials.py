@@ -203,12 +203,12 @@ def control_restart(folder: Path) -> Iterator[Trial]:
 def _one_restart(loop: ClosedLoop, witness: JointWitness) -> dict[str, Any]:
     if not _wait(lambda: _moves_well(witness), MOVES_S):
         return {"outcome": "it did not move before", **_said(loop)}
-    process = loop.supervisor.view("control").process
+    process = loop.modules.view("control").process
     assert process is not None
     time.sleep(random.uniform(0.0, 0.3))
     os.kill(process.pid, signal.SIGKILL)
-    if not loop.supervisor.changes.wait_for(
-        lambda: loop.supervisor.view("control").phase == "exited", MOVES_S
+    if not loop.modules.changes.wait_for(
+        lambda: loop.modules.view("control").phase == "exited", MOVES_S
     ):
         return {"outcome": "its end was not noticed", **_said(loop)}
     time.sleep(random.choice((0.0, random.uniform(0.0, 1.5))))
@@ -217,7 +217,7 @@ def _one_restart(loop: ClosedLoop, witness: JointWitness) -> dict[str, Any]:
         loop.set_instruction("swing", MOVES_S)  # a restart starts no motion
     except RoboNeuronError as error:
         first = _said(loop)
-        if loop.supervisor.view("control").phase != "running":
+        if loop.modules.view("control").phase != "running":
             loop.start("control")
         loop.set_instruction("swing", MOVES_S)
         return {"outcome": f"start failed: {type(error).__name__}", "error": str(error), **first}
@@ -234,7 +234,7 @@ def _moves_well(witness: JointWitness) -> bool:
 
 
 def _said(loop: ClosedLoop) -> dict[str, Any]:
-    return {"said": {view.kind: f"{view.phase} {view.report}" for view in loop.supervisor.views()}}
+    return {"said": {view.kind: f"{view.phase} {view.report}" for view in loop.modules.views()}}
 
 
 def _wait(fact: Callable[[], bool], timeout_s: float) -> bool:
@@ -254,7 +254,7 @@ def control_switch(folder: Path) -> Iterator[Trial]:
 
 
 def _one_switch(switching: Switching, witness: Witness) -> dict[str, Any]:
-    supervisor = switching.loop.supervisor
+    loop = switching.loop
     witness.forget()
     seen: deque[str] = deque(maxlen=30)
     stages: list[str] = []
@@ -262,13 +262,13 @@ def _one_switch(switching: Switching, witness: Witness) -> dict[str, Any]:
 
     def look() -> None:
         while not over.wait(0.1):
-            for slot in supervisor.slots["control"][1:]:
-                seen.append(f"{time.time_ns()} new {supervisor.report_of(slot)}")
-            seen.append(f"{time.time_ns()} old {supervisor.view('control').report}")
+            for slot in loop.replacements.slots("control")[1:]:
+                seen.append(f"{time.time_ns()} new {loop.replacements.report_of(slot)}")
+            seen.append(f"{time.time_ns()} old {loop.modules.view('control').report}")
 
     looking = threading.Thread(target=look)
     looking.start()
-    choice = supervisor.view("control").choice
+    choice = loop.modules.view("control").choice
     assert choice is not None
     other = "faulty" if choice.names["controller"] == "gantry" else "gantry"
     try:
@@ -288,7 +288,7 @@ def _one_switch(switching: Switching, witness: Witness) -> dict[str, Any]:
         looking.join(10.0)
     gap = switched.change.gap
     reports = [
-        supervisor.view(kind).report for kind in ("robot", "perception", "inference", "control")
+        loop.modules.view(kind).report for kind in ("robot", "perception", "inference", "control")
     ]
     foreign = sum(
         report.dropped_by.get("foreign_request", 0) for report in reports if report is not None

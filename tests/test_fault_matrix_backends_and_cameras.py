@@ -18,7 +18,7 @@ from rn_standard.ops.memory import MemoryWatch
 from rn_standard.ops.options import MemoryOptions
 from rn_standard.selection.requests import StartChosenInference
 from roboneuron.server.loop import ClosedLoop
-from roboneuron.server.results import ModuleStatus, module_status
+from roboneuron.server.results import ModuleStatus
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 from fault_loop import PARTS, JointWitness, fail, moving_cell
@@ -48,7 +48,7 @@ class Cell:
 
     def status(self, kind: str) -> ModuleStatus:
         """As get_status tells it."""
-        return module_status(self.loop.supervisor.view(kind))  # type: ignore[arg-type]
+        return ModuleStatus.of(self.loop.modules.view(kind))  # type: ignore[arg-type]
 
     def health(self, kind: str) -> str:
         return self.status(kind).health
@@ -148,7 +148,7 @@ def test_black_images_are_the_backends_to_judge(cell: Cell) -> None:
 
 @pytest.mark.parametrize("part", ["perception", "inference"])
 def test_frozen_process_makes_the_arm_stand_and_goes_on_afterwards(cell: Cell, part: str) -> None:
-    process = cell.loop.supervisor.slot(part).process  # type: ignore[arg-type]
+    process = cell.loop.modules.view(part).process  # type: ignore[arg-type]
     assert process is not None
     os.kill(process.pid, signal.SIGSTOP)
     try:
@@ -219,7 +219,7 @@ def test_clock_that_jumps_makes_the_arm_stand_until_it_is_right(
 
 
 def test_robot_process_that_is_frozen_is_noticed_and_goes_on_without_a_jump(cell: Cell) -> None:
-    process = cell.loop.supervisor.slot("robot").process
+    process = cell.loop.modules.view("robot").process
     assert process is not None
     since_s = time.monotonic()
     os.kill(process.pid, signal.SIGSTOP)
@@ -236,7 +236,7 @@ def test_robot_process_that_is_frozen_is_noticed_and_goes_on_without_a_jump(cell
 def test_plugin_that_eats_memory_is_ended_and_the_arm_stands(cell: Cell) -> None:
     told: list[tuple[str, str]] = []
     watch = MemoryWatch(
-        cell.loop.supervisor,
+        cell.loop.modules,
         MemoryOptions(inference=MEMORY_LIMIT_MB),
         lambda kind, why: told.append((kind, why)),
     )
@@ -262,7 +262,7 @@ def test_module_whose_port_has_lost_its_file_hears_its_new_neighbour(cell: Cell)
     `rn_standard.fastdds.lost_ports`).
     """
     cell.loop.stop("perception")
-    process = cell.loop.supervisor.slot("inference").process
+    process = cell.loop.modules.view("inference").process
     assert process is not None
     ports = [name for name in owned_segments(process.pid) if name.startswith(PORT_PREFIX)]
     for name in ports:
@@ -290,7 +290,7 @@ def test_backend_that_never_answers_is_ended_by_a_stop(built: Cell) -> None:
 
 
 def test_killed_perception_leaves_an_arm_that_stands(built: Cell) -> None:
-    process = built.loop.supervisor.slot("perception").process
+    process = built.loop.modules.view("perception").process
     assert process is not None
     process.kill()
     wait_until(lambda: built.health("perception") == "exited", 2.0, "the status says so")
@@ -298,7 +298,7 @@ def test_killed_perception_leaves_an_arm_that_stands(built: Cell) -> None:
 
 
 def test_killed_robot_leaves_the_other_modules_at_work(built: Cell) -> None:
-    process = built.loop.supervisor.slot("robot").process
+    process = built.loop.modules.view("robot").process
     assert process is not None
     process.kill()
     wait_until(lambda: built.health("robot") == "exited", 2.0, "the status says so")

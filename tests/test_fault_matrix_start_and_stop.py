@@ -69,20 +69,20 @@ def check(
         for kind in starts:
             begun.append(pool.submit(work[kind]))
             wait_until(
-                lambda kind=kind: loop.supervisor.view(kind).process is not None,
+                lambda kind=kind: loop.modules.view(kind).process is not None,
                 10.0,
                 f"{kind} is spawned",
             )
         for start in begun:
             start.result(60.0)
     wait_until(witness.moves, 10.0, "the arm moves")
-    pids = [view.process.pid for view in loop.supervisor.views() if view.process is not None]
+    pids = [view.process.pid for view in loop.modules.views() if view.process is not None]
     assert len(pids) == 4
     for kind in stops:
         assert loop.stop(kind) is not None  # type: ignore[arg-type]
-        others = {view.kind: view.phase for view in loop.supervisor.views()}
+        others = {view.kind: view.phase for view in loop.modules.views()}
         assert "exited" not in others.values(), f"something ended by itself: {others}"
-    assert {view.phase for view in loop.supervisor.views()} == {"stopped"}
+    assert {view.phase for view in loop.modules.views()} == {"stopped"}
     assert not any(psutil.pid_exists(pid) for pid in pids)
 
 

@@ -13,10 +13,12 @@ import sys
 import tomllib
 from collections.abc import Iterable, Iterator
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
 import roboneuron.feature
+from rn_testing.distribution import imported_modules
 from rn_testing.rules.package import SENDER, is_public
 
 ROOT = Path(__file__).parents[1]
@@ -208,7 +210,7 @@ def _private_imports(packages: Iterable[Path]) -> Iterator[str]:
     command = "CommandSpec" in offers
     sends = command or SENDING_PACKAGE in packages
     for path in sorted(path for package in packages for path in package.rglob("*.py")):
-        for name, line in _imports(path):
+        for name, line in imported_modules(path):
             if not is_public(name, for_features=command or "FeatureSpec" in offers, sends=sends):
                 yield f"{path.relative_to(PLUGINS)}:{line} imports {name}"
 
@@ -217,14 +219,37 @@ def test_plugins_import_only_what_is_public_of_the_core():
     assert [breach for _, packages in _plugins() for breach in _private_imports(packages)] == []
 
 
-def test_every_name_for_features_is_used_by_a_plugin():
+MOST_NAMES = 173
+"""For features, commands and the contract kit together; it only goes down."""
+
+
+def _offered_to_features() -> set[str]:
+    """Single names, and each name of a module: a module counts as all that may be used of it."""
+    groups = roboneuron.feature.GROUPS
+    return (set(roboneuron.feature.__all__) - groups.keys()) | {
+        f"{group}.{name}" for group, names in groups.items() for name in names
+    }
+
+
+def test_every_name_for_features_is_used_by_a_plugin_and_they_stay_few():
     used = {
         name.removeprefix("roboneuron.feature.")
         for path in PLUGINS.glob("*/src/**/*.py")
-        for name, _ in _imports(path)
+        for name, _ in imported_modules(path)
         if name.startswith("roboneuron.feature.")
     }
-    assert set(roboneuron.feature.__all__) - used == set()
+    assert used - roboneuron.feature.GROUPS.keys() == _offered_to_features()
+    assert len(_offered_to_features()) <= MOST_NAMES
+
+
+def test_every_name_of_a_module_for_features_is_there():
+    assert roboneuron.feature.GROUPS.keys() == {
+        name
+        for name in roboneuron.feature.__all__
+        if isinstance(getattr(roboneuron.feature, name), ModuleType)
+    }
+    for group, names in roboneuron.feature.GROUPS.items():
+        assert {n for n in names if not hasattr(getattr(roboneuron.feature, group), n)} == set()
 
 
 @pytest.mark.parametrize(
@@ -235,6 +260,9 @@ def test_every_name_for_features_is_used_by_a_plugin():
         ("BackendSpec", "from roboneuron.feature import Config", True),
         ("FeatureSpec", "from roboneuron.feature import Config", False),
         ("FeatureSpec", "from roboneuron.feature import RosLink", True),
+        ("FeatureSpec", "from roboneuron.feature import Supervisor", True),
+        ("FeatureSpec", "from roboneuron.feature import roles\nroles.ADMIN", False),
+        ("FeatureSpec", "from roboneuron.feature import roles as r\nr.anything", True),
         ("CommandSpec", "from roboneuron.feature import RosLink", False),
         ("FeatureSpec", "from roboneuron.config import Config", True),
         ("CommandSpec", "import roboneuron.server.app", True),
@@ -352,19 +380,62 @@ def test_features_send_only_through_the_gate():
     assert {"tools_ros", "tools_arm", "tasks", "ops", "http", "rn_recorder", "rn_view"} <= looked_at
 
 
-def _uses_of_the_supervisor() -> set[str]:
-    """Packages of plugins that reach the supervisor behind the closed loop."""
-    return {
-        path.parent.name
-        for path in PLUGINS.glob("*/src/**/*.py")
-        if re.search(r"loop\.supervisor\b", path.read_text(encoding="utf-8"))
-    }
+SUPERVISOR = {"supervisor", "_supervisor", "Supervisor"}
 
 
-def test_only_what_manages_processes_uses_the_supervisor():
-    """All others read `Host.modules`; the direct path joins the graph through it."""
-    managing = {"ops", "switching", "tools_arm"}
-    assert _uses_of_the_supervisor() == managing | {SENDING_PACKAGE.name}
+def _uses_of_the_supervisor(path: Path) -> Iterator[str]:
+    """Where a file names the supervisor; `[supervisor]` is a section of the configuration too."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        match node:
+            case ast.Attribute(attr=name, value=owner):
+                is_section = re.search(r"(^|\.|_)config(\(.*\))?$", ast.unparse(owner))
+                names = set() if is_section else {name}
+            case ast.Name(id=name) | ast.arg(arg=name) | ast.keyword(arg=str(name)):
+                names = {name}
+            case ast.alias(name=name, asname=other):
+                names = {name.rpartition(".")[2], other}
+            case _:
+                continue
+        if names & SUPERVISOR:
+            yield f"{path.name}:{node.lineno} uses the supervisor"
+
+
+def test_no_plugin_uses_the_supervisor():
+    """Features have `Host.modules` and the requests of `Host.loop`; the node is lent by
+    `Host.link`.
+    """
+    paths = sorted(PLUGINS.glob("*/src/**/*.py"))
+    assert [use for path in paths for use in _uses_of_the_supervisor(path)] == []
+    assert "Supervisor" not in roboneuron.feature.__all__
+
+
+@pytest.mark.parametrize(
+    ("line", "is_seen"),
+    [
+        ("host.loop.supervisor.stop('robot')", True),
+        ("host.loop._supervisor", True),
+        ("Application(config, supervisor=made)", True),
+        ("from roboneuron.feature import Supervisor", True),
+        ("def switch(supervisor): ...", True),
+        ("host.config.supervisor.state_directory", False),
+        ("load_config(path).supervisor.state_directory", False),
+    ],
+)
+def test_a_use_of_the_supervisor_is_seen(tmp_path, line, is_seen):
+    path = tmp_path / "feature.py"
+    path.write_text(f"{line}\n")
+    assert bool(list(_uses_of_the_supervisor(path))) is is_seen
+
+
+def test_the_node_is_lent_to_the_feature_of_the_gate_alone():
+    """`Host.link` asks who wants it."""
+    from roboneuron.errors import StateError
+    from roboneuron.server.feature import Feature
+    from roboneuron.server.host import Host
+
+    host = Host(**dict.fromkeys(Host.__dataclass_fields__))
+    with pytest.raises(StateError, match="gate"):
+        host.link(Feature(None))
 
 
 def test_one_plugin_sends_for_agents_and_one_of_its_modules_publishes():

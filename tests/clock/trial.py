@@ -30,7 +30,7 @@ def main(folder: Path, jumps_s: list[float]) -> None:
         switching = Switching(loop)
 
         def health() -> dict[str, str]:
-            return {view.kind: assess(view, time.monotonic()) for view in loop.supervisor.views()}
+            return {view.kind: assess(view, time.monotonic()) for view in loop.modules.views()}
 
         def settled() -> bool:
             return witness.moves() and set(health().values()) == {"ok"}
@@ -57,7 +57,7 @@ def main(folder: Path, jumps_s: list[float]) -> None:
             seen_s = (time.time_ns() - before_ns) / 1e9
             time.sleep(1.5)
             recovered_s = wait(settled, _RECOVER_S)
-            pids = {view.kind: view.process.pid for view in loop.supervisor.views() if view.process}
+            pids = {view.kind: view.process.pid for view in loop.modules.views() if view.process}
             step_m = witness.largest_step_m(began_s)
             print(
                 json.dumps(

@@ -207,6 +207,10 @@ BROKEN: dict[str, tuple[str, Callable[[Sample], object]]] = {
         "package/import-direction",
         _write("policy.py", "import importlib\nimportlib.import_module('roboneuron.server')\n"),
     ),
+    "uses what a module for features does not open": (
+        "package/import-direction",
+        _write("policy.py", "from roboneuron.feature import topics as t\nprint(t.JOINT_COMMAND)\n"),
+    ),
     "a file that is no Python": ("package/import-direction", _write("policy.py", "def (:\n")),
     "no python": ("package/requires-python", lambda s: s.drop("Requires-Python")),
     "no core": ("package/requires-core", lambda s: s.drop("Requires-Dist")),
@@ -313,6 +317,10 @@ def test_a_package_with_features_may_import_what_features_may_use(sample, monkey
     assert verify(rule, sample.case()).verdict is RuleVerdict.FAILED
     (sample.package / "policy.py").write_text("from roboneuron.feature import RosLink\n")
     assert verify(rule, sample.case()).verdict is RuleVerdict.FAILED
+    for name, verdict in (("ACTION", RuleVerdict.PASSED), ("JOINT_COMMAND", RuleVerdict.FAILED)):
+        text = f"from roboneuron.feature import topics\nprint(topics.{name})\n"
+        (sample.package / "policy.py").write_text(text)
+        assert verify(rule, sample.case()).verdict is verdict
 
 
 def test_a_subpackage_that_another_program_loads_may_import_what_that_has(sample):

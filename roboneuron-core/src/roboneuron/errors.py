@@ -8,8 +8,9 @@ robot, or report a bug.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from copy import copy
 from difflib import SequenceMatcher, get_close_matches
-from typing import ClassVar
+from typing import ClassVar, Self
 
 _TYPING_ERROR = 0.8
 """Likeness of names that differ by a letter or two."""
@@ -47,6 +48,12 @@ class RoboNeuronError(Exception):
 
     def __str__(self) -> str:
         return f"{self.message} {self.hint}".strip() if self.hint else self.message
+
+    def with_hint(self, more: str) -> Self:
+        """The same error that says `more` after its hint, to be raised from this one."""
+        told = copy(self)
+        told.hint = f"{self.hint} {more}".strip()
+        return told
 
 
 class ConfigurationError(RoboNeuronError):

@@ -2,11 +2,12 @@
 private.
 
 Plugins of devices, models and robots need `roboneuron` alone. `feature.pyi` lists the names; some
-are modules (`topics`, `roles`, ...), of which all public names may be used. A name is imported when
-it is first asked for. They change with minor releases: CHANGELOG.md records it.
+are modules (`topics`, `roles`, ...), of which the names in `GROUPS` may be used. A name is imported
+when it is first asked for. They change with minor releases: CHANGELOG.md records it.
 """
 
 import ast
+from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
 
@@ -14,10 +15,41 @@ from pathlib import Path
 _MODULES = {
     alias.name: f"roboneuron.{node.module}" if node.module else "roboneuron"
     for node in ast.parse(Path(__file__).with_suffix(".pyi").read_text(encoding="utf-8")).body
-    if isinstance(node, ast.ImportFrom)
+    if isinstance(node, ast.ImportFrom) and node.level
     for alias in node.names
 }
 __all__ = sorted(_MODULES)
+GROUPS: Mapping[str, frozenset[str]] = {
+    name: frozenset(names.split())
+    for name, names in {
+        "access": "Holder check_role may_call",
+        "availability": "install_command missing present",
+        "descriptor": "NAME_PATTERN check_spec",
+        "emergency": "press_on_signal",
+        "envelope": "EnvelopeError check_id is_urgent",
+        "environment": "CLIENT_TOKEN module_environment prepare_environment state_directory",
+        "estop": "EmergencyStopLatch press_together",
+        "execution": "Bounds ChunkExecutor Prediction Row rows_of",
+        "joint_space": "JointLimit SLACK joint_limits",
+        "launching": "Command Connection",
+        "loading": "load_attribute load_options load_options_model load_target",
+        "log_files": "PlainFormatter begin_logging escaped make_log_directory opener",
+        "messages": "intrinsics_from_camera_info joints_from_message "
+        "to_image to_joint_trajectory to_ns",
+        "models": "InferenceConfig LimitsConfig Name Namespace Seconds ZoneConfig",
+        "qos": "NEWEST STATUS requested_qos",
+        "reading": "default_text parse_tables read_state_directory robot_folder",
+        "results": "EmergencyStopResult ModuleStatus ModuleSummary",
+        "roles": "ADMIN OPERATOR ROLES VIEWER has_role",
+        "schema": "no_choice parse unknown_name",
+        "settings": "EMERGENCY_STOP_TOPIC FIRST_STEP_S HOLD_DURATION_S "
+        "HOLD_SHARE MAX_INSTRUCTION_LENGTH SHORTEST_STEP_S",
+        "task_space": "TaskSpace angle_rad distance_m",
+        "terminal": "add_verbosity log_level",
+        "topics": "ACTION DIAGNOSTICS JOINT_STATES PREDICTIONS is_written_by_modules",
+    }.items()
+}
+"""What may be used of the modules among these names; a contract rule of packages checks it."""
 
 
 def __getattr__(name: str) -> object:

@@ -3,7 +3,9 @@ time.
 """
 
 # ruff: noqa: I001
-# Modules, whose public names may all be used.
+from collections.abc import Mapping
+
+# Modules, of which the names in `GROUPS` may be used.
 from . import (
     estop as estop,
     log_files as log_files,
@@ -52,9 +54,8 @@ from .supervisor import (
 
 # Single names.
 from .cli.main import (
-    COMMANDS as COMMANDS,
     CommandModule as CommandModule,
-    installed_commands as installed_commands,
+    all_commands as all_commands,
     load_command as load_command,
     spoken as spoken,
 )
@@ -82,7 +83,6 @@ from .errors import (
     nearest as nearest,
 )
 from .estop.motion_starts import (
-    AGAIN as AGAIN,
     MotionStarts as MotionStarts,
 )
 from .gate.audit import (
@@ -163,19 +163,16 @@ from .server.events import (
     Events as Events,
 )
 from .server.feature import (
-    Features as Features,
     Transport as Transport,
-)
-from .server.host import (
-    Modules as Modules,
-    RosGraph as RosGraph,
 )
 from .server.lifecycle_tools import (
     EmergencyStopArguments as EmergencyStopArguments,
 )
 from .server.loop import (
     ClosedLoop as ClosedLoop,
-    running_selection as running_selection,
+)
+from .server.module_views import (
+    Modules as Modules,
 )
 from .server.motion_gate import (
     Clamp as Clamp,
@@ -205,17 +202,10 @@ from .server.schema import (
 from .server.selection import (
     Instruction as Instruction,
     KIND_ENTRIES as KIND_ENTRIES,
-    KindEntry as KindEntry,
     ModuleSection as ModuleSection,
     Selection as Selection,
     check_configuration as check_configuration,
     check_instruction as check_instruction,
-    check_name as check_name,
-    configured_section as configured_section,
-    plan_of as plan_of,
-    readers_of as readers_of,
-    select as select,
-    takes_checkpoint as takes_checkpoint,
 )
 from .server.surface import (
     instructions_for as instructions_for,
@@ -248,8 +238,6 @@ from .supervisor.process import (
 from .supervisor.slot import (
     Slot as Slot,
 )
-from .supervisor.supervisor import (
-    Supervisor as Supervisor,
-)
 
 __all__: list[str]
+GROUPS: Mapping[str, frozenset[str]]

@@ -49,6 +49,18 @@ class Plan:
     acceleration: AccelerationSpec | None = None
     cameras: Mapping[str, str] = field(default_factory=dict)
 
+    @property
+    def takes_checkpoint(self) -> bool:
+        """Whether the backend needs a checkpoint, or has an option for one; raises as
+        `load_options_model`.
+        """
+        if self.backend is None or self.backend.needs_checkpoint:
+            return self.backend is not None
+        from roboneuron.plugins.loading import load_options_model  # heavy
+
+        model = load_options_model(self.backend)
+        return model is not None and "checkpoint" in model.model_fields
+
 
 def check_plan(
     registry: Registry,

@@ -18,7 +18,7 @@ from roboneuron.plugins.specs import (
     Requirement,
     RobotSpec,
 )
-from roboneuron.server.selection import select
+from roboneuron.server.selection import Selection
 
 TARGET = "never_imported_module:Thing"
 ABSENT = (Requirement(module="absent_x", install="pip install x"),)
@@ -63,8 +63,8 @@ def test_its_plugin_needs_nothing_here(kind):
     sections = {
         name: {**section, "python": "/other/bin/python"} for name, section in SECTIONS.items()
     }
-    selection = select(kind, Config.model_validate(sections), REGISTRY)
+    selection = Selection.of(kind, Config.model_validate(sections), REGISTRY)
     assert selection.python == "/other/bin/python"
     del sections[kind]["python"]
     with pytest.raises(RoboNeuronError, match="absent_x"):
-        select(kind, Config.model_validate(sections), REGISTRY)
+        Selection.of(kind, Config.model_validate(sections), REGISTRY)

@@ -19,7 +19,7 @@ from roboneuron.plugins.registry import Registry
 from roboneuron.plugins.specs import DriverSpec, RobotSpec
 from roboneuron.server.app import Application
 from roboneuron.server.plugins import PluginCatalogue
-from roboneuron.server.results import module_status
+from roboneuron.server.results import ModuleStatus
 from roboneuron.server.tool import CallContext, NoArguments, Result, Tool
 from roboneuron.supervisor.health import ModuleView
 
@@ -207,7 +207,7 @@ def test_what_a_plugin_reports_is_cut_in_the_status() -> None:
     long = {f"m{number:03}": "x" * 90 for number in range(500)}
     report = Report(metrics=long, detail=long, note="y" * 90_000, received_s=time.monotonic())
     view = ModuleView(kind="robot", phase="running", report=report)
-    told = module_status(view).model_dump(mode="json", exclude_unset=True)
+    told = ModuleStatus.of(view).model_dump(mode="json", exclude_unset=True)
     assert told["metrics"] == told["detail"] == dict(list(long.items())[: len(told["metrics"])])
     assert len(json.dumps(told)) < 20_000, "four of them stay below what an answer may hold"
     assert told["note"].endswith("(90000 characters)")

@@ -10,7 +10,6 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
 from rn_standard.direct_path.health_diagnostics import HealthDiagnostics
 from roboneuron.supervisor.health import Health, ModuleView
-from roboneuron.supervisor.supervisor import Supervisor
 
 CHOICE = SimpleNamespace(settings=SimpleNamespace(config=SimpleNamespace(namespace="cell")))
 
@@ -38,7 +37,7 @@ class Link:
 )
 def test_a_change_is_told_with_its_level(health: Health, level: Any) -> None:
     link = Link()
-    told = HealthDiagnostics(cast(Supervisor, SimpleNamespace(link=link)))
+    told = HealthDiagnostics(lambda: cast(Any, link))
     view = ModuleView(kind="control", phase="running", choice=cast(Any, CHOICE))
     for _ in range(2):
         told.publish(view, "starting", health)
@@ -53,6 +52,6 @@ def test_a_change_is_told_with_its_level(health: Health, level: Any) -> None:
 
 def test_a_module_that_was_never_chosen_is_not_told() -> None:
     link = Link()
-    told = HealthDiagnostics(cast(Supervisor, SimpleNamespace(link=link)))
+    told = HealthDiagnostics(lambda: cast(Any, link))
     told.publish(ModuleView(kind="control", phase="stopped"), "ok", "stopped")
     assert link.advertised == []

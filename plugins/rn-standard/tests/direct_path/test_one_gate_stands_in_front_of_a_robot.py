@@ -22,6 +22,7 @@ from roboneuron.config import parse_config
 from roboneuron.contract import Endpoint
 from roboneuron.errors import ConfigurationError, NotReadyError, RefusedError, StateError
 from roboneuron.feature import ExposedEndpoint, GateRequest
+from roboneuron.modules.report import Report
 from roboneuron.modules.settings import FOLLOWING_NOTE
 from roboneuron.server.app import Application
 from roboneuron.server.plugins import PluginCatalogue
@@ -178,10 +179,12 @@ def test_control_follows_from_an_action_until_it_holds_or_cannot_say(
     )
 
     def view(kind: str) -> ModuleView:
-        report = SimpleNamespace(
-            received_s=time.monotonic() - told["age_s"], note=told["note"], loop_age_s=0.0,
-            work_age_s=None, work_limit_s=None, error_code="", ready=True,
-        )  # fmt: skip
+        report = Report(
+            received_s=time.monotonic() - told["age_s"],
+            note=told["note"],
+            loop_age_s=0.0,
+            ready=True,
+        )
         choice = SimpleNamespace(
             settings=SimpleNamespace(config=SimpleNamespace(namespace=told["namespace"]))
         )

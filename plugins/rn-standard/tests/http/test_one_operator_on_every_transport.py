@@ -114,9 +114,7 @@ def test_a_robot_at_rest_is_not_moving_and_one_with_a_policy_is(
 ) -> None:
     host = make("").host
     assert not host.is_moving
-    monkeypatch.setattr(
-        host.loop.supervisor, "view", lambda kind: ModuleView(kind=kind, phase="running")
-    )
+    monkeypatch.setattr(host.modules, "view", lambda kind: ModuleView(kind=kind, phase="running"))
     assert host.is_moving
 
 

@@ -14,6 +14,8 @@ from rn_standard.ops.restarts import Restarts
 from rn_testing.waiting import wait_until
 from roboneuron.config import Config
 from roboneuron.modules.settings import ModuleKind
+from roboneuron.server.loop import ClosedLoop
+from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.supervisor.health import Watch
 from roboneuron.supervisor.supervisor import Supervisor
 
@@ -22,7 +24,7 @@ Make = Callable[..., tuple[Restarts, list[str]]]
 
 
 @pytest.fixture
-def make_restarts(supervisor: Supervisor) -> Iterator[Make]:
+def make_restarts(supervisor: Supervisor, config: Config) -> Iterator[Make]:
     """Return a function: options to the restarts, and what they tell."""
     ended: list[Callable[[], None]] = []
 
@@ -31,8 +33,9 @@ def make_restarts(supervisor: Supervisor) -> Iterator[Make]:
         rules = OpsOptions.model_validate(
             {"restart_backoff_s": 0.1, "unresponsive_s": 0.6} | options
         )
+        loop = ClosedLoop(config, PluginCatalogue(), supervisor)
         made = Restarts(
-            supervisor, rules, lambda kind, what: told.append(f"{kind}: {what}"), load=lambda: 0.0
+            loop, rules, lambda kind, what: told.append(f"{kind}: {what}"), load=lambda: 0.0
         )
         watch = Watch(supervisor.views, made.on_health)
         watch.start()

@@ -1,4 +1,4 @@
-"""Restarts on a machine that is overloaded, judged with a supervisor that only counts."""
+"""Restarts on a machine that is overloaded, judged with modules that only count their starts."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from roboneuron.errors import NotReadyError
 BUSY, IDLE = 20.0, 0.1
 
 
-class CountingSupervisor:
+class CountingModules:
     """Modules that end by themselves whenever they are started."""
 
     def __init__(self) -> None:
@@ -29,7 +29,7 @@ class CountingSupervisor:
     def view(self, kind: str) -> Any:
         return SimpleNamespace(phase="exited")
 
-    def start(self, kind: str, config: Any, **how: Any) -> None:
+    def start_again(self, view: Any, config: Any) -> None:
         self.started += 1
         if self.refuses:
             raise NotReadyError("No image came in time.")
@@ -47,12 +47,13 @@ class Rig:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, **options: Any) -> None:
         self.load = IDLE
-        self.supervisor = CountingSupervisor()
+        self.modules = CountingModules()
         self.told: list[str] = []
         rules = OpsOptions.model_validate({"restart_backoff_s": 0.001, **options})
         monkeypatch.setattr(restarts, "_LOOK_S", 0.001)
         monkeypatch.setattr(restarts, "_LONGEST_S", 0.002)
-        self.restarts = Restarts(self.supervisor, rules, self.record, load=lambda: self.load)  # type: ignore[arg-type]
+        loop: Any = SimpleNamespace(modules=self.modules, replacements=self.modules)
+        self.restarts = Restarts(loop, rules, self.record, load=lambda: self.load)
 
     def record(self, kind: str, what: str) -> None:
         self.told.append(what)
@@ -74,7 +75,7 @@ def rig(monkeypatch: pytest.MonkeyPatch) -> Rig:
 
 def test_a_module_that_is_at_fault_is_given_up_with_what_to_do(rig: Rig) -> None:
     rig.fail(5)
-    assert rig.supervisor.started == 3
+    assert rig.modules.started == 3
     assert rig.told[-1] == (
         "not restarted: 3 restarts within 120 s; get_logs tells why. Mend the cause, then call "
         "start_perception"
@@ -84,18 +85,18 @@ def test_a_module_that_is_at_fault_is_given_up_with_what_to_do(rig: Rig) -> None
 def test_an_overloaded_machine_does_not_use_up_the_restarts_of_a_fault(rig: Rig) -> None:
     rig.load = BUSY
     rig.fail(5)
-    assert rig.supervisor.started == 5
+    assert rig.modules.started == 5
     assert "the machine is overloaded" in rig.told[-1]
     assert "fewer cameras" in rig.told[-1]
     rig.load = IDLE
     rig.fail(5)
-    assert rig.supervisor.started == 5 + 3
+    assert rig.modules.started == 5 + 3
 
 
 def test_restarts_on_an_overloaded_machine_end_too(rig: Rig) -> None:
     rig.load = BUSY
     rig.fail(9)
-    assert rig.supervisor.started == 6
+    assert rig.modules.started == 6
     assert rig.told[-1].startswith(
         "not restarted: 6 restarts within 3600 s; the machine is overloaded"
     )
@@ -103,9 +104,9 @@ def test_restarts_on_an_overloaded_machine_end_too(rig: Rig) -> None:
 
 
 def test_starts_that_fail_under_load_are_tried_again_and_bounded(rig: Rig) -> None:
-    rig.load, rig.supervisor.refuses = BUSY, True
+    rig.load, rig.modules.refuses = BUSY, True
     rig.fail()
-    assert rig.supervisor.started == 6
+    assert rig.modules.started == 6
     assert rig.told[:6] == ["restart failed: No image came in time."] * 6
 
 
@@ -119,7 +120,7 @@ def test_a_start_by_somebody_else_makes_the_counts_begin_anew(rig: Rig) -> None:
     rig.fail(4)
     rig.restarts.on_health(ended(), "exited", "starting")
     rig.fail(4)
-    assert rig.supervisor.started == 3 + 3
+    assert rig.modules.started == 3 + 3
 
 
 @pytest.mark.parametrize(("load", "looks"), [(IDLE, 2), (BUSY, 10)])
@@ -132,7 +133,7 @@ def test_a_frozen_module_has_more_time_on_an_overloaded_machine(
     )
     monkeypatch.setattr(restarts, "assess", lambda view, now_s: "silent")
     view = SimpleNamespace(kind="perception", process=None)
-    monkeypatch.setattr(rig.supervisor, "view", lambda kind: view)
+    monkeypatch.setattr(rig.modules, "view", lambda kind: view)
     rig.load = load
     assert rig.restarts._is_still_frozen(view, threading.Event(), 2.0)  # type: ignore[arg-type]
     assert next(clock) // 2 == pytest.approx(looks, abs=1)

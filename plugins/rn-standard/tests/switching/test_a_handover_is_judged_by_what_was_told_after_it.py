@@ -14,7 +14,7 @@ import pytest
 from rn_standard.switching import warm_switch
 from rn_standard.switching.standby import ACT_FROM, PLAY_FROM
 from rn_standard.switching.warm_switch import WarmSwitch
-from roboneuron.errors import NotReadyError
+from roboneuron.errors import NotReadyError, RefusedError
 from roboneuron.modules.report import Report
 from roboneuron.supervisor.changes import Changes
 
@@ -22,20 +22,20 @@ FIRST_S, BRIDGED_NS = 0.1, 40_000_000
 
 
 def switch_of(machine: object, check: object) -> WarmSwitch:
-    loop = SimpleNamespace(supervisor=machine, starts=None)
+    loop = SimpleNamespace(modules=machine, replacements=machine, starts=None)
     return WarmSwitch(cast(Any, loop), cast(Any, None), cast(Any, check), lambda stage: None)
 
 
 class Machine:
-    """A supervisor of an old and a new process, which report when the test says so."""
+    """An old and a new process, which report when the test says so."""
 
     def __init__(self) -> None:
         self.changes = Changes()
         self.newest = Report(received_s=time.monotonic())
         self._slot = SimpleNamespace(check_alive=lambda doing: None, phase="running")
 
-    def slot(self, kind: str) -> Any:
-        return self._slot
+    def slots(self, kind: str) -> Any:
+        return (self._slot,)
 
     def report_of(self, slot: Any) -> Report:
         return self.newest
@@ -53,7 +53,7 @@ def first_output(machine: Machine) -> None:
         kind="control", noun="controller", has_taken_over=lambda new: "acted" in new.metrics
     )
     switch = switch_of(machine, check)
-    switch._await_first_output(cast(Any, machine.slot("control")), time.monotonic(), 0.0)
+    switch._await_first_output(cast(Any, machine.slots("control")[0]), time.monotonic(), 0.0)
 
 
 @pytest.fixture(autouse=True)
@@ -106,7 +106,7 @@ def agree(client: Client) -> tuple[int, float]:
     machine = Machine()
     check = SimpleNamespace(kind="control", noun="controller")
     switch = switch_of(machine, check)
-    return switch._agree(cast(Any, client), cast(Any, machine.slot("control")), 0.5, BRIDGED_NS)
+    return switch._agree(cast(Any, client), cast(Any, machine.slots("control")[0]), 0.5, BRIDGED_NS)
 
 
 @pytest.mark.parametrize(("has_rows", "bridged_ns"), [(True, 125_000_000), (False, 0)])
@@ -132,3 +132,29 @@ def test_one_that_never_answers_in_time_is_not_waited_for_any_longer() -> None:
     with pytest.raises(NotReadyError):
         agree(client)
     assert len(client.heard) == 3
+
+
+def test_an_old_one_that_cannot_go_on_is_told_beside_the_cause_and_the_cause_stays_as_it_was(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    machine = Machine()
+    check = SimpleNamespace(kind="control", noun="controller", latency_s=lambda new: 0.1)
+    switch = switch_of(machine, check)
+    cause = RefusedError("The new one broke.", hint="Look at it.")
+    clients = [Client(late=10), Client(late=10)]
+    machine.parameters = lambda slot: clients.pop()  # type: ignore[attr-defined]
+    monkeypatch.setattr(switch, "_probe", lambda clients, standby: 0.5)
+    monkeypatch.setattr(switch, "_bridged_ns", lambda latency_s: 0)
+    monkeypatch.setattr(Client, "send", lambda self, values: 0.0)
+
+    def fail(*_: object) -> None:
+        raise cause
+
+    monkeypatch.setattr(switch, "_agree", fail)
+    with pytest.raises(RefusedError) as told:
+        switch._hand_over(cast(Any, machine.slots("control")[0]))
+    assert told.value.hint == (
+        "Look at it. The old one could not be told to go on either: It did not take its "
+        "parameters in time."
+    )
+    assert (told.value.__cause__, cause.hint) == (cause, "Look at it.")

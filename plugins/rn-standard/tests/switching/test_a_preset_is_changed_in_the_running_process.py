@@ -91,7 +91,7 @@ def cell(built: tuple[Switching, Witness]) -> tuple[Switching, Witness]:
 
 
 def inference(switching: Switching) -> ModuleView:
-    return switching.loop.supervisor.require_running("inference")
+    return switching.loop.modules.require_running("inference")
 
 
 def report(switching: Switching) -> Report:
@@ -220,19 +220,18 @@ def test_what_else_is_to_change_needs_another_process_and_so_does_cold(
 
 def test_a_restart_after_a_crash_uses_the_new_preset(cell: tuple[Switching, Witness]) -> None:
     switching, _ = cell
-    supervisor = switching.loop.supervisor
+    loop = switching.loop
     switch(switching, "quarter")
     process = inference(switching).process
     assert process is not None
     os.kill(process.pid, signal.SIGKILL)
     wait_until(
-        lambda: supervisor.view("inference").phase == "exited",
+        lambda: loop.modules.view("inference").phase == "exited",
         what="the end of the process is noticed",
     )
-    choice = supervisor.view("inference").choice
-    assert choice is not None
-    # What a restart does: see rn_standard.ops.restarts.
-    supervisor.start("inference", choice.settings.config, names=choice.names, plan=choice.plan)
+    view = loop.modules.view("inference")
+    assert view.choice is not None
+    loop.replacements.start_again(view, view.choice.settings.config)
     wait_until(
         lambda: share(switching) == SHARES["quarter"], what="the new preset after the restart"
     )

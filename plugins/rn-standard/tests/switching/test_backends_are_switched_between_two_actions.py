@@ -69,7 +69,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Switching,
 def cell(built: tuple[Switching, Witness]) -> tuple[Switching, Witness]:
     """The loop of the module with the first backend at work; the witness has seen nothing yet."""
     switching, witness = built
-    choice = switching.loop.supervisor.view("inference").choice
+    choice = switching.loop.modules.view("inference").choice
     assert choice is not None
     assert choice.names["backend"] == "first"
     witness.forget()
@@ -94,12 +94,12 @@ def refused(
     **options: object,
 ) -> str:
     """Message of a warm switch to "second" that must fail and leave the present process at work."""
-    before = switching.loop.supervisor.view("inference").process
+    before = switching.loop.modules.view("inference").process
     with pytest.raises(error) as caught:
         switching.switch(
             "inference", StartChosenInference(backend="second", options=options), "warm", on_stage
         )
-    after = switching.loop.supervisor.view("inference")
+    after = switching.loop.modules.view("inference")
     assert before is not None
     assert after.process is before
     assert after.phase == "running"
@@ -117,7 +117,7 @@ def test_what_fails_before_its_turn_changes_nothing(
 
     def kill_new(stage: str) -> None:
         if stage == "inference: changing over":
-            (new,) = [slot.process for slot in loop.supervisor.slots["inference"][1:]]
+            (new,) = [slot.process for slot in loop.replacements.slots("inference")[1:]]
             assert new is not None
             os.kill(new.pid, signal.SIGKILL)
 
@@ -136,7 +136,7 @@ def test_what_fails_before_its_turn_changes_nothing(
     assert {action.tag for action in actions} == {1}
     times = [action.at_ns for action in actions]
     assert max(b - a for a, b in pairwise(times)) < 0.5e9
-    assert loop.supervisor.slots["inference"][1:] == []
+    assert loop.replacements.slots("inference")[1:] == ()
 
 
 SOON_S = 15.0
@@ -155,15 +155,13 @@ def test_a_process_that_freezes_ends_the_switch_at_once(
     cell: tuple[Switching, Witness], stage: str, which: str
 ) -> None:
     switching, witness = cell
-    supervisor = switching.loop.supervisor
+    replacements = switching.loop.replacements
     frozen: list[int] = []
     at_s: list[float] = []
 
     def freeze(told: str) -> None:
         if told == STAGES[stage]:
-            slot = (
-                supervisor.slot("inference") if which == "old" else supervisor.slots["inference"][1]
-            )
+            slot = replacements.slots("inference")[0 if which == "old" else 1]
             assert slot.process is not None
             frozen.append(slot.process.pid)
             at_s.append(time.monotonic())
@@ -178,7 +176,7 @@ def test_a_process_that_freezes_ends_the_switch_at_once(
     witness.forget()
     wait_until(lambda: len(witness.actions()) > 3, 10.0, "the old backend acts again")
     assert {action.tag for action in witness.more_actions()} == {1}
-    assert supervisor.slots["inference"][1:] == []
+    assert replacements.slots("inference")[1:] == ()
 
 
 def test_what_does_not_act_when_its_turn_comes_gives_it_back(

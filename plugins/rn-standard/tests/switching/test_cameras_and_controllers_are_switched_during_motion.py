@@ -58,14 +58,14 @@ def refused(
     loop: ClosedLoop, kind: ModuleKind, error: type[RoboNeuronError], switch: Callable[[], object]
 ) -> str:
     """Message of a switch that must fail and leave the present process at work."""
-    before = loop.supervisor.view(kind).process
+    before = loop.modules.view(kind).process
     with pytest.raises(error) as caught:
         switch()
-    after = loop.supervisor.view(kind)
+    after = loop.modules.view(kind)
     assert before is not None
     assert after.process is before
     assert after.phase == "running"
-    assert loop.supervisor.slots[kind][1:] == []
+    assert loop.replacements.slots(kind)[1:] == ()
     return str(caught.value)
 
 
@@ -129,7 +129,7 @@ def test_a_source_that_fails_leaves_the_old_one_at_work(
 
     def kill(stage: str) -> None:
         if stage == "perception: changing over":
-            (new,) = [slot.process for slot in loop.supervisor.slots["perception"][1:]]
+            (new,) = [slot.process for slot in loop.replacements.slots("perception")[1:]]
             assert new is not None
             os.kill(new.pid, signal.SIGKILL)
 
@@ -176,7 +176,7 @@ def test_a_controller_goes_on_from_the_last_command_of_the_old_one(
     # Times are those of sending, velocities those of targets: a late command makes one look slower,
     # the next faster.
     assert steps_m_s.max() < 2 * limits.acceleration[0] * np.diff(at_s).max()
-    report = loop.supervisor.view("control").report
+    report = loop.modules.view("control").report
     assert report is not None
     assert report.dropped_by.get("holds", 0) == 0
     cold = switching.switch("control", StartControl(controller="faulty"), "cold")

@@ -23,6 +23,7 @@ from roboneuron.contract import GripperProfile, JointSample, Pose, RobotProfile
 from roboneuron.errors import InvalidInputError, NotReadyError, RefusedError, StateError
 from roboneuron.feature import GateRequest, Sent, TimedCommand, Verdict
 from roboneuron.gate.motion.joint_space import JointLimit
+from roboneuron.modules.report import Report
 
 PROFILE = RobotProfile(
     name="arm",
@@ -116,7 +117,7 @@ class Arm:
     @property
     def host(self) -> Any:
         def view(kind: str) -> Any:
-            report = SimpleNamespace(
+            report = Report(
                 metrics={"gripper_commanded": f"{self.commanded:g}"}, detail={}, note=""
             )
             return SimpleNamespace(report=report, phase=self.phase)

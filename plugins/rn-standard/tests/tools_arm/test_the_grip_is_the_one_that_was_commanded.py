@@ -13,6 +13,7 @@ import pytest
 from rn_standard.tools_arm.grip import Grip, is_lost
 from roboneuron.contract import GripperProfile, JointSample, RobotProfile
 from roboneuron.errors import NotReadyError
+from roboneuron.modules.report import Report
 
 PROFILE = RobotProfile(
     name="arm", gripper=GripperProfile(joint="finger", closed_position=0.0, open_position=0.04)
@@ -27,7 +28,7 @@ class Hand:
     ) -> None:
         self.measured_m = list(measured_m)
         metrics = {} if commanded is None else {"gripper_commanded": f"{commanded:g}"}
-        report = SimpleNamespace(metrics=metrics, detail={"holding": holding} if holding else {})
+        report = Report(metrics=metrics, detail={"holding": holding} if holding else {})
         self.host: Any = SimpleNamespace(
             config=SimpleNamespace(namespace="arm"),
             modules=SimpleNamespace(view=lambda kind: SimpleNamespace(report=report)),

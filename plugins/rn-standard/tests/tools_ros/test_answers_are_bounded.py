@@ -13,7 +13,8 @@ from rn_standard.tools_ros.generic import ListNames, generic_tools
 from rn_standard.tools_ros.graph import GraphNames
 from rn_standard.tools_ros.read import newest
 from roboneuron.contract import Endpoint
-from roboneuron.feature import ExposedEndpoint, RosGraph
+from roboneuron.feature import ExposedEndpoint
+from roboneuron.ros.graph import RosGraph
 
 COUNT = 130
 

@@ -17,6 +17,7 @@ from importlib.machinery import PathFinder
 from importlib.metadata import Distribution, EntryPoint, distributions, entry_points
 from pathlib import Path
 
+import roboneuron.feature
 from rn_testing.cases import PackageCase
 from rn_testing.rule import Violation
 
@@ -176,7 +177,9 @@ def hosted_directories(case: PackageCase) -> Iterator[Path]:
 
 
 def imported_modules(path: Path) -> tuple[tuple[str, int], ...]:
-    """Absolute names of the modules that a file imports anywhere, with line numbers."""
+    """Absolute names of the modules that a file imports anywhere, with line numbers; of modules in
+    `roboneuron.feature` also the names that it uses.
+    """
     status = path.stat()
     return _imported_modules(path, status.st_mtime_ns, status.st_size)
 
@@ -197,6 +200,21 @@ def _imports(tree: ast.Module) -> Iterator[tuple[str, int]]:
             name = getattr(node.func, "attr", getattr(node.func, "id", ""))
             if name in ("import_module", "__import__") and isinstance(node.args[0].value, str):
                 yield node.args[0].value, node.lineno
+    yield from _uses_of_groups(tree)
+
+
+def _uses_of_groups(tree: ast.Module) -> Iterator[tuple[str, int]]:
+    groups = {
+        alias.asname or alias.name: alias.name
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ImportFrom) and node.module == "roboneuron.feature"
+        for alias in node.names
+        if alias.name in roboneuron.feature.GROUPS
+    }
+    for node in ast.walk(tree):
+        match node:
+            case ast.Attribute(value=ast.Name(id=name), attr=used) if name in groups:
+                yield f"roboneuron.feature.{groups[name]}.{used}", node.lineno
 
 
 def requirements(case: PackageCase) -> frozenset[str]:

@@ -31,11 +31,7 @@ class Admission:
         """Who a new page is: None until it gives a token."""
         if self.tokens:
             return None
-        return access.Holder(
-            who=f"{access.LOCAL_PROCESS.who} view {number}",
-            role=access.LOCAL_PROCESS.role,
-            client=f"view {number}",
-        )
+        return access.Holder.local(f"view {number}")
 
     def allows(self, headers: Any) -> bool:
         """Whether a connection may be: its Host is this machine, and its page comes from there or

@@ -84,7 +84,7 @@ class LiveSource:
 
     def snapshot(self) -> PageState:
         """See Source."""
-        statuses = [results.module_status(self._host.modules.view(kind)) for kind in _ORDER]
+        statuses = [results.ModuleStatus.of(self._host.modules.view(kind)) for kind in _ORDER]
         stop = self._host.loop.emergency_stop
         is_latched = stop.is_latched()
         instruction = next(

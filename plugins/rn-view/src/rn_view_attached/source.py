@@ -102,9 +102,7 @@ class AttachedSource:
                 text = f"{row.kind}: {row.health} (was {before})"
                 self.shown_events.add("health", text, is_bad=row.health in FAULTS)
             self._healths[row.kind] = row.health
-        latch = estop.EmergencyStopLatch(
-            self._state_directory / estop.ESTOP_FILE, time.time_ns
-        ).read_state()
+        latch = estop.EmergencyStopLatch.in_directory(self._state_directory).read_state()
         return PageState(
             modules=rows,
             is_latched=latch.latched,
@@ -114,9 +112,7 @@ class AttachedSource:
 
     def is_latched(self) -> bool:
         """See Source."""
-        return estop.EmergencyStopLatch(
-            self._state_directory / estop.ESTOP_FILE, time.time_ns
-        ).is_latched()
+        return estop.EmergencyStopLatch.in_directory(self._state_directory).is_latched()
 
     def look(self) -> None:
         """See Source."""
@@ -136,7 +132,7 @@ class AttachedSource:
 
     def press_stop(self, who: str) -> str:
         """See Source: written as `roboneuron estop` does."""
-        latch = estop.EmergencyStopLatch(self._state_directory / estop.ESTOP_FILE, time.time_ns)
+        latch = estop.EmergencyStopLatch.in_directory(self._state_directory)
         audit = AuditLog(self._state_directory / AUDIT_FILE, time.time_ns)
         latch.latch(who=who, reason="pressed in the attached view", audit=audit)
         audit.close()

@@ -110,8 +110,14 @@ def installed_commands(registry: Registry) -> dict[str, str]:
     }
 
 
+def all_commands(registry: Registry) -> dict[str, str]:
+    """Summary by name of the core's commands and of `installed_commands`."""
+    own = {name: command.summary for name, command in COMMANDS.items()}
+    return own | installed_commands(registry)
+
+
 def load_command(name: str, registry: Registry | None = None) -> CommandModule:
-    """Import a command.
+    """Import a command, one of the core or of a plugin.
 
     Args:
         name: as in `COMMANDS`, or of a plugin's offer.
@@ -121,7 +127,7 @@ def load_command(name: str, registry: Registry | None = None) -> CommandModule:
         ConfigurationError: no installed plugin offers it, or the plugin cannot be used; says why.
         PluginError, MissingDependencyError: it cannot be loaded.
     """
-    if registry is None:
+    if registry is None or name in COMMANDS:
         return cast(CommandModule, import_module(COMMANDS[name].module))
     target = load_target(registry.get("command", name))
     if not callable(target):
@@ -167,12 +173,9 @@ def build_parser(registry: Registry, group: str = "") -> ArgumentParser:
         registry: what is installed.
         group: one of `GROUPS`, or empty for all commands.
     """
-    summaries = {name: command.summary for name, command in COMMANDS.items()} | installed_commands(
-        registry
-    )
     listed = {
         spoken(name): text
-        for name, text in summaries.items()
+        for name, text in all_commands(registry).items()
         if spoken(name).startswith(f"{group} ".lstrip())
     }
     width = max(len(name) for name in listed)

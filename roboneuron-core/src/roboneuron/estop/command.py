@@ -15,7 +15,7 @@ from pathlib import Path
 
 from roboneuron.config import read_state_directory, robot_folder
 from roboneuron.errors import ConfigurationError, RefusedError, RoboNeuronError
-from roboneuron.estop.latch import ESTOP_FILE, EmergencyStopLatch
+from roboneuron.estop.latch import EmergencyStopLatch
 from roboneuron.estop.pin import ReleasePin
 from roboneuron.gate.audit import AUDIT_FILE, AuditLog, AuditRecord
 from roboneuron.gate.roles import ADMIN
@@ -72,7 +72,7 @@ def run(arguments: Namespace) -> int:
     # again and again, because a server that starts meanwhile makes more folders
     while folders := _folders(directory, arguments.robot) - done:
         for folder in sorted(folders):
-            latch = EmergencyStopLatch(folder / ESTOP_FILE, time.time_ns)
+            latch = EmergencyStopLatch.in_directory(folder)
             audit = AuditLog(folder / AUDIT_FILE, time.time_ns)
             if arguments.status:
                 status |= _show(latch)

@@ -19,7 +19,7 @@ from queue import SimpleQueue
 from typing import Any
 
 from roboneuron.errors import NotReadyError, UnsafeError
-from roboneuron.estop.latch import ESTOP_FILE, EmergencyStopLatch
+from roboneuron.estop.latch import EmergencyStopLatch
 from roboneuron.estop.motion_starts import MotionStarts
 from roboneuron.gate.audit import AUDIT_FILE, AuditLog, AuditRecord
 from roboneuron.modules.settings import EMERGENCY_STOP_TOPIC, FOREIGN_REQUEST, ModuleKind
@@ -35,11 +35,11 @@ CONFIRM_S = 2.0
 """Modules report a change at once; this is ten times their slowest period, for a busy machine."""
 
 
-def press_on_signal(latch: Callable[[], object]) -> None:
+def press_on_signal(latch: Callable[[str], object]) -> None:
     """From now on SIGUSR1 calls `latch`, which latches the stop; called on the main thread.
 
     Args:
-        latch: called on a thread of its own.
+        latch: called with who pressed it, on a thread of its own.
     """
     # its `put` may be interrupted by another `put`: handlers run within handlers
     signals: SimpleQueue[int] = SimpleQueue()
@@ -50,7 +50,7 @@ def press_on_signal(latch: Callable[[], object]) -> None:
             while not signals.empty():  # pressed twice is pressed
                 signals.get()
             try:
-                latch()
+                latch(SIGNAL)
             except (UnsafeError, NotReadyError) as error:
                 log.error("%s", error)
 
@@ -83,7 +83,7 @@ class EmergencyStop:
         self._restored = 0
         # what was published last
         self._is_told = False
-        self.file = EmergencyStopLatch(supervisor.state_directory / ESTOP_FILE, time.time_ns)
+        self.file = EmergencyStopLatch.in_directory(supervisor.state_directory)
         self.file.on_pressed(lambda: self._publish(True))
         self.audit = AuditLog(supervisor.state_directory / AUDIT_FILE, time.time_ns)
 

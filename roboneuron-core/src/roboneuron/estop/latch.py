@@ -68,6 +68,11 @@ class EmergencyStopLatch:
     Who is to hold whatever happens to the file has to call `is_latched` now and then.
     """
 
+    @classmethod
+    def in_directory(cls, state: Path) -> EmergencyStopLatch:
+        """The one of a state directory, with the clock of the machine."""
+        return cls(state / ESTOP_FILE, time.time_ns)
+
     def __init__(
         self, path: Path, clock_ns: Callable[[], int], clock_s: Callable[[], float] = time.monotonic
     ) -> None:

@@ -13,6 +13,7 @@ import logging
 import threading
 from collections.abc import Sequence
 from contextlib import suppress
+from typing import Final
 
 from roboneuron.errors import NotReadyError, RefusedError, RoboNeuronError, StateError
 from roboneuron.modules.settings import (
@@ -35,11 +36,8 @@ _SETTLED_S = 5.0
 """Bound on the wait for instructions that are being taken back; each of them ends within `_TOLD_S`
 or with its process.
 """
-AGAIN = (
-    "Nothing moves by itself: give an instruction (set_instruction, run_task) or move the arm "
-    "to go on."
-)
-"""What whoever releases a stop is told."""
+_ARM: tuple[ModuleKind, ...] = ("robot", "control")
+"""What moves the arm."""
 
 
 class MotionStarts:
@@ -54,7 +52,13 @@ class MotionStarts:
         instruction: what the policy was told last; empty when that was taken back.
         ticket: number of the newest instruction or of its end; tells whoever has given one whether
             it still holds.
+        AGAIN: what whoever releases a stop is told.
     """
+
+    AGAIN: Final = (
+        "Nothing moves by itself: give an instruction (set_instruction, run_task) or move the arm "
+        "to go on."
+    )
 
     def __init__(self, supervisor: Supervisor) -> None:
         """Args:

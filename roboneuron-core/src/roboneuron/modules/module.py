@@ -21,7 +21,7 @@ from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Bool
 
 from roboneuron.errors import RoboNeuronError, StateError, UnsafeError
-from roboneuron.estop.latch import ESTOP_FILE, EmergencyStopLatch
+from roboneuron.estop.latch import EmergencyStopLatch
 from roboneuron.modules.handover import check_replaceable
 from roboneuron.modules.module_host import Module, ModuleHost, join
 from roboneuron.modules.parent_watch import Signals, watch_stdin
@@ -63,7 +63,7 @@ class ModuleNode(ModuleHost):
         self.status.set(emergency_stop=False)
         for qos in STOP_REQUESTS:
             self.create_subscription(Bool, EMERGENCY_STOP_TOPIC, self._on_emergency_stop, qos)
-        self._latch = EmergencyStopLatch(Path(settings.state_directory) / ESTOP_FILE, time.time_ns)
+        self._latch = EmergencyStopLatch.in_directory(Path(settings.state_directory))
         self._stop_requested = self._is_server_silent = False
         self._beat_s: float | None = None
         robot, control = settings.config.robot, settings.config.control

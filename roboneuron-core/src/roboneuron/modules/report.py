@@ -4,6 +4,7 @@ same class.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Self
 
@@ -11,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationIn
 from pydantic import ValidatorFunctionWrapHandler as Parse
 
 from roboneuron.errors import InternalError, RoboNeuronError
+from roboneuron.modules.settings import FOLLOWING_NOTE, GRIPPER_COMMANDED
 
 _TABLES = {"dropped": "dropped_by", "detail": "detail"}
 """Fields of several pairs, by what stands before the dot in their names."""
@@ -134,6 +136,22 @@ class Report(ModuleFacts):
         except ValidationError:
             field = cls.model_fields[info.field_name or ""]
             return field.get_default(call_default_factory=True)
+
+    @property
+    def is_following(self) -> bool:
+        """Of control: whether it acts on what is asked for, and holds nothing."""
+        return self.note == FOLLOWING_NOTE
+
+    @property
+    def gripper_commanded(self) -> float | None:
+        """Of the robot: the opening last commanded, 0 closed .. 1 open; None when none was since
+        its start.
+        """
+        try:
+            opening = float(self.metrics.get(GRIPPER_COMMANDED, ""))
+        except ValueError:
+            return None
+        return opening if math.isfinite(opening) else None
 
     def failure(self) -> RoboNeuronError | None:
         """The module's newest error as an exception of its own class, InternalError for a code that

@@ -80,8 +80,9 @@ def known_names(kind: str = "") -> dict[str, str]:
 
 def install_command(*packages: str) -> str:
     """The command that installs packages of the project, with those that they need, from its source
-    folder.
+    folder; without arguments, what the embedded default configuration names.
     """
+    packages = packages or (WHOLE,)
     needs = _table()["needs"]
     wanted = dict.fromkeys(packages)
     for package in packages:

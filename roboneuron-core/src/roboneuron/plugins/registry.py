@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from types import MappingProxyType
 from typing import TypeVar, overload
 
 from roboneuron.errors import ConfigurationError, nearest
-from roboneuron.plugins.availability import install_command, package_of
-from roboneuron.plugins.specs import PLUGIN_KINDS, Spec
+from roboneuron.plugins.availability import install_command, known_names, package_of
+from roboneuron.plugins.specs import PLUGIN_KINDS, DriverSpec, RobotSpec, Spec
 
 S = TypeVar("S", bound=Spec)
 
@@ -95,6 +95,41 @@ class Registry:
         """
         _check_kind(kind, self.kinds)
         return tuple(o for o in self.all_offers if o.spec.kind == kind)
+
+    def readers_of(self, name: str) -> Iterator[Spec | DriverSpec]:
+        """Whatever reads `[plugins.<name>]`: offers of that name; of a robot, its drivers."""
+        for offer in self.all_offers:
+            if offer.spec.name == name:
+                yield from (
+                    offer.spec.drivers if isinstance(offer.spec, RobotSpec) else (offer.spec,)
+                )
+
+    def absent_packages(self) -> list[str]:
+        """The project's own packages that are not installed, sorted."""
+        known = {package.partition("[")[0] for package in known_names().values()}
+        return sorted(known - {record.distribution for record in self.plugins})
+
+    def check_name(self, place: str, name: str) -> None:
+        """Check that something that is installed, or left out on purpose, has that name.
+
+        Raises:
+            ConfigurationError: begins with the place where the name stands.
+        """
+        installed = {offer.spec.name for offer in self.all_offers}
+        known = known_names()
+        package = known.get(name)
+        if name in installed or (package is not None and self.not_loaded(package)):
+            return
+        if package is not None:
+            raise ConfigurationError(
+                f"{place}: {name!r} is not installed. Run: {install_command(package)}."
+            )
+        meant = nearest(name, {*installed, *known})
+        if meant or not self.not_loaded():  # else one that did not load may have that name
+            listed = ", ".join(sorted(installed)) or "none"
+            raise ConfigurationError(
+                f"{place}: nothing is called {name!r}. {meant or f'Installed are: {listed}.'}"
+            )
 
     @overload
     def specs(self, kind: type[S]) -> Mapping[str, S]: ...

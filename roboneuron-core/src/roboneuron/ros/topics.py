@@ -1,5 +1,7 @@
 """Topic names of the contract, relative to the robot's namespace."""
 
+import re
+
 ACTION = "action"
 """std_msgs/Float64MultiArray, from inference to control: one action."""
 JOINT_STATES = "joint_states"
@@ -18,6 +20,11 @@ DIAGNOSTICS = "/diagnostics"
 """diagnostic_msgs/DiagnosticArray, from every module; absolute, as ROS tools expect it."""
 
 
+def is_written_by_modules(topic: str) -> bool:
+    """Whether a module of the core publishes a topic that is named below the robot's namespace."""
+    return _WRITTEN.fullmatch(topic) is not None
+
+
 def camera_image(name: str) -> str:
     """Topic of a camera's images."""
     return f"camera/{name}/image"
@@ -26,3 +33,10 @@ def camera_image(name: str) -> str:
 def camera_info(name: str) -> str:
     """Topic of a camera's calibration, one message for each image."""
     return f"camera/{name}/camera_info"
+
+
+_WRITTEN = re.compile(
+    "|".join(
+        (ACTION, JOINT_STATES, EE_POSE, PREDICTIONS, camera_image("[^/]+"), camera_info("[^/]+"))
+    )
+)

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 from roboneuron.errors import RefusedError
 from roboneuron.gate.roles import ADMIN, OPERATOR, VIEWER, has_role
 from roboneuron.server.tool import CallContext, Tool
 
-HOLDER_KEY = "roboneuron.holder"
-"""Where a transport of a feature leaves the Holder in the scope of a request."""
+_LOCAL_CLIENT = "local HTTP client"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -25,20 +24,31 @@ class Holder:
         client: which of several clients without a token; empty for others.
         watched: calls a listener when the connection of this request is lost within the block, or
             was before; None where that cancels the call, as on stdio.
+        KEY: where a transport of a feature leaves the Holder in the scope of a request.
     """
+
+    KEY: ClassVar = "roboneuron.holder"
 
     who: str
     role: str
     client: str = ""
     watched: Callable[[Callable[[], object]], AbstractContextManager[None]] | None = None
 
+    @classmethod
+    def local(cls, client: str = "") -> Holder:
+        """A client of a server on loopback that asks for no token: anybody on this machine, who
+        could start one as well. `client` tells it apart from others: "session 1a2b", "pid 123".
+        """
+        return cls(who=f"{_LOCAL_CLIENT} {client}".rstrip(), role=ADMIN, client=client)
+
+    @staticmethod
+    def is_local(who: str) -> bool:
+        """Whether that client was let in without a token; no token can have such a name."""
+        return who == LOCAL_AGENT.who or who.startswith(_LOCAL_CLIENT)
+
 
 LOCAL_AGENT = Holder(who="agent on stdio", role=ADMIN)
 """The client of a stdio server: whoever started the server, so it has every role."""
-LOCAL_PROCESS = Holder(who="local HTTP client", role=ADMIN)
-"""A client of a server on loopback that asks for no token: anybody on this machine, who could start
-one as well.
-"""
 NOBODY = Holder(who="unknown", role="")
 
 
@@ -46,13 +56,8 @@ def holder_of(request: Any) -> Holder:
     """Who sent a request; None is stdio. A request without a Holder has no rights."""
     if request is None:
         return LOCAL_AGENT
-    holder = request.scope.get(HOLDER_KEY)
+    holder = request.scope.get(Holder.KEY)
     return holder if isinstance(holder, Holder) else NOBODY
-
-
-def is_local(who: str) -> bool:
-    """Whether that client was let in without a token; no token can have such a name."""
-    return who == LOCAL_AGENT.who or who.startswith(LOCAL_PROCESS.who)
 
 
 def least_role(tool: Tool[Any]) -> str:

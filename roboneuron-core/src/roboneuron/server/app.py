@@ -20,7 +20,7 @@ from anyio import to_thread
 
 from roboneuron.config import Config, fleet_feature
 from roboneuron.errors import ConfigurationError, RoboNeuronError, StateError
-from roboneuron.estop.emergency import SIGNAL, SafetyReports, press_on_signal
+from roboneuron.estop.emergency import SafetyReports, press_on_signal
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.loading import load_attribute
 from roboneuron.ros.environment import state_directory
@@ -36,6 +36,7 @@ from roboneuron.server.selection import check_configuration
 from roboneuron.server.stdio import serve_stdio
 from roboneuron.server.surface import Served, instructions_for, make_server
 from roboneuron.supervisor.health import Watch
+from roboneuron.supervisor.launching import Command, Connect, Connection, module_command
 from roboneuron.supervisor.supervisor import LEAVE_S, Supervisor
 
 SWITCH_S = 0.001
@@ -125,8 +126,10 @@ class Application:
             tools=self.tools,
             events=self.events,
             started_s=self.started_s,
+            state_directory=self.supervisor.state_directory,
             check_resource=lambda uri: self.resources.check(uri),
             end_motion=self.end_motion,
+            _link=lambda: self.supervisor.link,
         )
         offered = self.features.offer(self.host, self.tools)
         # without a gate nothing is sent for agents; with two the server does not start
@@ -139,6 +142,30 @@ class Application:
         self.resources = Resources(self.loop, self.started_s, offered)
         if attached:
             self.features.attach(self.host)
+
+    @classmethod
+    def in_directory(
+        cls,
+        config: Config,
+        directory: Path,
+        *,
+        plugins: PluginCatalogue | None = None,
+        command: Command | None = None,
+        connect: Connect = Connection,
+        attached: bool = True,
+    ) -> Application:
+        """One whose modules are started and joined in another way than usual.
+
+        Args:
+            config, plugins, attached: as of the class.
+            directory: for the state.
+            command: how to start a module under a given interpreter; None: as usual.
+            connect: makes the server's node, see `Supervisor`.
+        """
+        supervisor = Supervisor(directory, command=command or module_command, connect=connect)
+        made = cls(config, plugins=plugins, supervisor=supervisor, attached=attached)
+        supervisor.on_change = made.events.change.tell
+        return made
 
     def check(self) -> None:
         """Check the configuration against what is installed. Raises ConfigurationError,
@@ -154,7 +181,7 @@ class Application:
     def press_on_signal(self) -> None:
         """From now on SIGUSR1 latches the emergency stop; called on the main thread."""
         stop, namespace = self.loop.emergency_stop, self.loop.config.namespace
-        press_on_signal(partial(stop.latch, namespace, who=SIGNAL, reason=""))
+        press_on_signal(lambda who: stop.latch(namespace, who=who, reason=""))
 
     def close(self) -> None:
         """Stop all motion, modules and threads; idempotent. What features move first, then modules,

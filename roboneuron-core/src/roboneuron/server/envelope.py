@@ -5,14 +5,14 @@ gets an answer.
 from __future__ import annotations
 
 import json
-from typing import Any
+from typing import Any, Final, Self
 
 from mcp.types import JSONRPCMessage, jsonrpc_message_adapter
 from pydantic import ValidationError
 from pydantic_core import from_json
 
-INVALID_JSON, INVALID_REQUEST, BUSY = -32700, -32600, -32000
-"""Error codes. Source: JSON-RPC 2.0, section 5.1; the last is this server's own."""
+INVALID_JSON, INVALID_REQUEST = -32700, -32600
+"""Error codes. Source: JSON-RPC 2.0, section 5.1."""
 URGENT_TOOLS = frozenset({"emergency_stop"})
 """Calls of these overtake whatever else waits."""
 
@@ -20,11 +20,25 @@ URGENT_TOOLS = frozenset({"emergency_stop"})
 class EnvelopeError(Exception):
     """What came is no message; `answer` is what its sender gets."""
 
+    BUSY: Final = -32000
+    """Error code of this server's own: too many requests wait."""
+
     def __init__(self, code: int, message: str, request_id: object = None) -> None:
         super().__init__(message)
         known = isinstance(request_id, int | str) and not isinstance(request_id, bool)
         self.request_id = request_id if known else None
         self.error = {"code": code, "message": message}
+
+    @classmethod
+    def repeated(cls, request_id: int | str) -> Self:
+        """For a request whose id is that of another one at work: cancelling it could not tell
+        which is meant.
+        """
+        return cls(
+            INVALID_REQUEST,
+            "A request with this id is still being handled; use another id.",
+            request_id,
+        )
 
     @property
     def answer(self) -> str:
@@ -63,17 +77,6 @@ def check_id(raw: Any) -> None:
             raise EnvelopeError(
                 INVALID_REQUEST, "The id of a request must be a text or an integer."
             )
-
-
-def repeated(request_id: int | str) -> EnvelopeError:
-    """The error for a request whose id is that of another one at work: cancelling it could not tell
-    which is meant.
-    """
-    return EnvelopeError(
-        INVALID_REQUEST,
-        "A request with this id is still being handled; use another id.",
-        request_id,
-    )
 
 
 def is_urgent(method: object, params: object) -> bool:

@@ -7,93 +7,25 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from roboneuron.contract import check_topic
 from roboneuron.errors import ConfigurationError, StateError
 from roboneuron.plugins.availability import install_command, package_of
+from roboneuron.ros.graph import RosGraph
 
 if TYPE_CHECKING:
     from roboneuron.config import Config
     from roboneuron.gate import AuditLog
-    from roboneuron.modules.settings import ModuleKind
     from roboneuron.plugins.registry import Registry
+    from roboneuron.ros.link import RosLink
     from roboneuron.server.events import Events
-    from roboneuron.server.feature import Features
+    from roboneuron.server.feature import Feature, Features
     from roboneuron.server.loop import ClosedLoop
+    from roboneuron.server.module_views import Modules
     from roboneuron.server.motion_gate import MotionGate
     from roboneuron.server.registry import ToolRegistry
     from roboneuron.server.surface import AnnouncingServer
-    from roboneuron.supervisor.changes import Changes
-    from roboneuron.supervisor.health import ModuleView
-    from roboneuron.supervisor.process import ProcessEvents
-
-
-class Modules(Protocol):
-    """The processes of the modules, as features may read them and be told of them.
-
-    Attributes:
-        log_directory: where this server's modules log, one file for each.
-        changes: told of all that happens to modules, for waiting.
-        process_events: what happens to module processes, for listeners.
-        secret_variables: environment variables that modules do not get; features may add some.
-    """
-
-    log_directory: Path
-    changes: Changes
-    process_events: ProcessEvents
-    secret_variables: set[str]
-
-    def view(self, kind: ModuleKind) -> ModuleView:
-        """What is known of a module now."""
-
-    def views(self) -> list[ModuleView]:
-        """All modules, in the order robot, perception, inference, control."""
-
-    def require_running(self, kind: ModuleKind) -> ModuleView:
-        """The view of a running module. Raises StateError when it is not running."""
-
-    def log_path(self, kind: ModuleKind) -> Path:
-        """Where the present module of that kind logs."""
-
-
-class RosGraph:
-    """What the server's node has discovered of the ROS graph; it sends nothing.
-
-    Endpoints are `rclpy` TopicEndpointInfo.
-    """
-
-    def __init__(self, node: Any) -> None:
-        self._node = node
-
-    @property
-    def node_name(self) -> str:
-        """Name of the server's node, whose own endpoints are listed too."""
-        return str(self._node.get_name())
-
-    def topics(self) -> dict[str, list[str]]:
-        """Types by absolute topic name."""
-        return dict(self._node.get_topic_names_and_types())
-
-    def services(self) -> dict[str, list[str]]:
-        """Types by absolute service name."""
-        return dict(self._node.get_service_names_and_types())
-
-    def nodes(self) -> list[tuple[str, str]]:
-        """Name and namespace of all nodes."""
-        return list(self._node.get_node_names_and_namespaces())
-
-    def publishers(self, topic: str) -> list[Any]:
-        """Who publishes a topic."""
-        return list(self._node.get_publishers_info_by_topic(topic))
-
-    def subscriptions(self, topic: str) -> list[Any]:
-        """Who subscribes to a topic."""
-        return list(self._node.get_subscriptions_info_by_topic(topic))
-
-    def counts(self, topic: str) -> tuple[int, int]:
-        """Publishers and subscribers of a topic."""
-        return self._node.count_publishers(topic), self._node.count_subscribers(topic)
 
 
 F = TypeVar("F")
@@ -115,6 +47,7 @@ class Host:
         tools: all tools by name, for features that add or remove some while the server runs.
         events: what happens, for listeners.
         started_s: monotonic time of the server's start [s].
+        state_directory: for files that outlive the server.
         check_resource: raises MCPError unless there is a resource of that URI.
         end_motion: ends every motion, and the policy, for a reason: nobody looks after the robot
             any more; returns after at most so many seconds.
@@ -127,8 +60,10 @@ class Host:
     tools: ToolRegistry
     events: Events
     started_s: float
+    state_directory: Path
     check_resource: Callable[[str], None]
     end_motion: Callable[[str, float], None]
+    _link: Callable[[], RosLink]
 
     @property
     def config(self) -> Config:
@@ -138,7 +73,7 @@ class Host:
     @property
     def modules(self) -> Modules:
         """The processes of the modules; `loop` starts and stops them."""
-        return self.loop.supervisor
+        return self.loop.modules
 
     @property
     def registry(self) -> Registry:
@@ -188,16 +123,21 @@ class Host:
         return any(feature.identifies_clients for feature in self.features.loaded.values())
 
     @property
-    def state_directory(self) -> Path:
-        """Where files that outlive the server are kept."""
-        return self.loop.supervisor.state_directory
-
-    @property
     def graph(self) -> RosGraph:
         """What the server's node has discovered of the ROS graph. Raises RoboNeuronError when ROS
         cannot be joined.
         """
-        return RosGraph(self.loop.supervisor.link.node)
+        return RosGraph(self._link().node)
+
+    def link(self, sender: Feature[Any]) -> RosLink:
+        """The server's ROS node, for the feature that lends `gate`; it may take a second to join.
+
+        Raises:
+            StateError: `sender` lends none.
+        """
+        if sender.gate is None:
+            raise StateError("Only the feature that lends the gate sends; others use `Host.gate`.")
+        return self._link()
 
     def subscribe(
         self,
@@ -229,7 +169,7 @@ class Host:
         """
         check_topic(topic)
         # first: two threads must not import rclpy at the same time
-        link = self.loop.supervisor.link
+        link = self._link()
         from roboneuron.ros.qos import requested_qos  # heavy
 
         place = topic if topic.startswith("/") else f"/{self.config.namespace}/{topic}"

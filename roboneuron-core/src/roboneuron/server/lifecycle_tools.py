@@ -14,7 +14,6 @@ from pydantic import Field
 
 from roboneuron.errors import RefusedError, UnsafeError
 from roboneuron.estop.emergency import reset_command
-from roboneuron.estop.motion_starts import AGAIN
 from roboneuron.estop.pin import ReleasePin
 from roboneuron.gate.roles import ADMIN, VIEWER
 from roboneuron.modules.settings import MAX_INSTRUCTION_LENGTH, MODULE_KINDS
@@ -25,7 +24,6 @@ from roboneuron.server.results import (
     StartResult,
     StopAllResult,
     StopResult,
-    module_summary,
     stop_result,
 )
 from roboneuron.server.selection import KIND_ENTRIES, KindEntry
@@ -131,7 +129,7 @@ def _start_tool(loop: ClosedLoop, entry: KindEntry) -> Tool[Any]:
             lambda stage: loop.start(entry.kind, request, stage, context.role),
             on_cancel=lambda: loop.cancel(entry.kind),
         )
-        return StartResult(**module_summary(view), took_s=round(time.monotonic() - started_s, 3))
+        return StartResult.short_of(view, took_s=round(time.monotonic() - started_s, 3))
 
     return Tool(
         name=f"start_{entry.kind}",
@@ -219,7 +217,7 @@ def emergency_tools(loop: ClosedLoop) -> list[Tool[Any]]:
             lambda _: stop.reset(loop.config.namespace, who=who, role=context.role, pin=pin)
         )
         return EmergencyStopResult(
-            latched=False, confirmed_by=confirmed, took_s=round(took_s, 3), note=AGAIN
+            latched=False, confirmed_by=confirmed, took_s=round(took_s, 3), note=loop.starts.AGAIN
         )
 
     return [

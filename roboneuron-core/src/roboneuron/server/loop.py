@@ -8,6 +8,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 from roboneuron.config import Config, LimitsConfig
@@ -15,14 +16,17 @@ from roboneuron.errors import InvalidInputError, NotReadyError, RefusedError, St
 from roboneuron.estop.emergency import EmergencyStop
 from roboneuron.estop.motion_starts import MotionStarts
 from roboneuron.modules.report import Report
-from roboneuron.modules.settings import EMERGENCY_STOP, MODULE_KINDS, ModuleKind
+from roboneuron.modules.settings import EMERGENCY_STOP, LIMITS_PARAMETER, MODULE_KINDS, ModuleKind
 from roboneuron.plugins.specs import RobotSpec
+from roboneuron.server.module_views import Modules
 from roboneuron.server.plugins import PluginCatalogue
+from roboneuron.server.replacements import Replacements
 from roboneuron.server.results import RobotFacts
 from roboneuron.server.selection import Choose, Selection, check_instruction, choose_configured
 from roboneuron.server.tool import Arguments
 from roboneuron.supervisor.health import ModuleView, Stopped
 from roboneuron.supervisor.launching import Stage
+from roboneuron.supervisor.slot import Slot
 from roboneuron.supervisor.supervisor import Supervisor
 
 if TYPE_CHECKING:
@@ -71,12 +75,16 @@ class ClosedLoop:
         on_stop: told of a module before it is stopped.
         starts: who has asked for motion, and the stops since.
         streams: what was sent on action topics, by namespace, see `stream`.
+        modules: what is known of the module processes.
+        replacements: for features that replace or restart modules.
     """
 
     def __init__(self, config: Config, plugins: PluginCatalogue, supervisor: Supervisor) -> None:
         self.base = config
         self.plugins = plugins
-        self.supervisor = supervisor
+        self._supervisor = supervisor
+        self.modules: Modules = supervisor
+        self.replacements = Replacements(supervisor)
         self.emergency_stop = EmergencyStop(supervisor)
         self.starts = MotionStarts(supervisor)
         self.emergency_stop.file.on_pressed(lambda: self.starts.note_stop(EMERGENCY_STOP))
@@ -88,7 +96,7 @@ class ClosedLoop:
     @property
     def config(self) -> Config:
         """The configuration with the robot that is running, or the configured one."""
-        choice = self.supervisor.view("robot").choice
+        choice = self.modules.view("robot").choice
         others: dict[str, Any] = {
             kind: getattr(self.base, kind) for kind in MODULE_KINDS if kind != "robot"
         }
@@ -99,12 +107,25 @@ class ClosedLoop:
         """The limits in force: those of the configuration, or what a client has tightened them
         to.
         """
-        return self.supervisor.tightened or self.base.limits
+        return self.tightened or self.base.limits
 
     @property
-    def is_tightened(self) -> bool:
-        """Whether a client has tightened the configured limits."""
-        return self.supervisor.tightened is not None
+    def tightened(self) -> LimitsConfig | None:
+        """What a client has tightened the configured limits to; None when it has not."""
+        return self._supervisor.tightened
+
+    def tighten(self, limits: LimitsConfig | None) -> None:
+        """Start modules from now on with these limits; None: with the configured ones. See
+        `send_limits`.
+        """
+        self._supervisor.tightened = limits
+
+    def send_limits(self, timeout_s: float, start_s: float) -> str:
+        """Have every control that runs, or is being started, move within the limits in force.
+        Arguments, answer and errors as of `set_parameters`.
+        """
+        text = "" if self.tightened is None else self.tightened.model_dump_json()
+        return self.set_parameters("control", {LIMITS_PARAMETER: text}, timeout_s, start_s)
 
     @property
     def robot_facts(self) -> RobotFacts:
@@ -149,7 +170,7 @@ class ClosedLoop:
             RefusedError: a backend with an instruction proves itself by an action, and the
                 emergency stop is latched.
         """
-        check_compatible(selection, {view.kind: view for view in self.supervisor.views()})
+        check_compatible(selection, {view.kind: view for view in self.modules.views()})
         section = selection.config.inference
         if selection.kind == "inference" and section is not None and section.instruction:
             self._check_not_latched()
@@ -176,13 +197,13 @@ class ClosedLoop:
         self.starts.look()
         self.starts.settle()
         kind, section, ticket = selection.kind, selection.config.inference, 0
-        if kind == "inference" and self.supervisor.slot(kind).phase in ("stopped", "exited"):
+        if kind == "inference" and self._supervisor.slot(kind).phase in ("stopped", "exited"):
             self.stream(selection.config.namespace)
             text = section.instruction if section is not None else ""
             if text:
                 self.starts.permit()
             ticket = self.starts.begin(text)
-        self.supervisor.start(
+        self._supervisor.start(
             kind,
             selection.config,
             python=selection.python,
@@ -191,23 +212,23 @@ class ClosedLoop:
             on_stage=on_stage,
         )
         if kind == "inference":
-            self.starts.follow(self.supervisor.slot(kind), ticket)
+            self.starts.follow(self._supervisor.slot(kind), ticket)
         else:
             self.starts.arm_started()  # motion may have been asked for while it was being started
-        return self.supervisor.view(kind)
+        return self.modules.view(kind)
 
     def stream(self, namespace: str) -> deque[Sent]:
         """What is sent on a robot's action topic since a backend was first started for it."""
         with self._lock:
             if namespace not in self.streams:
-                self.streams[namespace] = _listen(self.supervisor.link, namespace)
+                self.streams[namespace] = _listen(self._supervisor.link, namespace)
             return self.streams[namespace]
 
     def stop(self, kind: ModuleKind) -> Stopped | None:
         """Stop one module. Raises as `Supervisor.stop`."""
         self.on_stop(kind)
         try:
-            return self.supervisor.stop(kind)
+            return self._supervisor.stop(kind)
         finally:
             self.starts.stop(kind, f"{kind} was stopped", is_asked=True)
 
@@ -216,13 +237,42 @@ class ClosedLoop:
         for kind in MODULE_KINDS:
             self.on_stop(kind)
         try:
-            return self.supervisor.stop_all()
+            return self._supervisor.stop_all()
         finally:
             self.starts.stop("robot", "everything was stopped", is_asked=True)
 
     def cancel(self, kind: ModuleKind, reason: str = "the client cancelled the call.") -> None:
         """Whoever asked for a start does not want it any more."""
-        self.supervisor.cancel(kind, reason)
+        self._supervisor.cancel(kind, reason)
+
+    def set_parameters(
+        self,
+        kind: ModuleKind,
+        values: Mapping[str, str | int],
+        timeout_s: float,
+        start_s: float = 0.0,
+    ) -> str:
+        """Ask the modules of a kind that run, one that is to replace another too, to take values.
+
+        Args:
+            kind: which modules.
+            values: by the name of the parameter.
+            timeout_s: bound on the answer of each.
+            start_s: how long to wait for the end of a start in progress.
+
+        Returns:
+            Why the first one that refused did; empty when all took them.
+
+        Raises:
+            RoboNeuronError: one does not answer.
+        """
+        for slot in self.replacements.slots(kind):
+            self.modules.changes.wait_for(partial(_has_started, slot), start_s)
+            if slot.phase != "running" or slot.choice is None or slot.process is None:
+                continue
+            if refused := self.replacements.parameters(slot).set(values, timeout_s):
+                return refused
+        return ""
 
     def set_instruction(self, text: str, timeout_s: float) -> tuple[Report, float]:
         """Hand the backend a new instruction; returns when its first action for it was published,
@@ -236,7 +286,7 @@ class ClosedLoop:
             NotReadyError: no action within the time; the message says what is missing.
         """
         text = check_instruction(text)
-        view = self.supervisor.require_running("inference")
+        view = self.modules.require_running("inference")
         self._check_not_latched()
         before = view.report
         count = before.instruction_count if before is not None else 0
@@ -251,7 +301,7 @@ class ClosedLoop:
 
         def settled() -> Report | None:
             self.starts.check(stops)
-            report = self.supervisor.require_running("inference").report
+            report = self.modules.require_running("inference").report
             if report is None or report.instruction_count <= count:
                 return None
             if report.actions_for_instruction > 0:
@@ -261,9 +311,9 @@ class ClosedLoop:
                 raise failure
             return None
 
-        report = self.supervisor.changes.wait_for(settled, timeout_s)
+        report = self.modules.changes.wait_for(settled, timeout_s)
         if report is None:
-            newest = self.supervisor.view("inference").report
+            newest = self.modules.view("inference").report
             missing = newest.waiting_for or newest.note if newest is not None else "its status"
             raise NotReadyError(
                 f"The backend has published no action for {text!r} within {timeout_s:g} s; it "
@@ -281,6 +331,10 @@ class ClosedLoop:
                 "move.",
                 hint="A person releases it: see reset_emergency_stop.",
             )
+
+
+def _has_started(slot: Slot) -> bool:
+    return slot.phase != "starting"
 
 
 def check_compatible(selection: Selection, views: Mapping[ModuleKind, ModuleView]) -> None:
@@ -333,24 +387,4 @@ def _running(view: ModuleView) -> Selection | None:
     """What the running module was started with."""
     if view.phase != "running" or view.choice is None or view.choice.plan is None:
         return None
-    return running_selection(view)
-
-
-def running_selection(view: ModuleView) -> Selection:
-    """What a module was started with, to start the same again.
-
-    Raises:
-        StateError: it was not started from a plan.
-    """
-    choice = view.choice
-    if choice is None or choice.plan is None:
-        raise StateError(f"It is not known what {view.kind} was started with.")
-    config = choice.settings.config
-    section = getattr(config, view.kind)
-    return Selection(
-        kind=view.kind,
-        config=config,
-        names=choice.names,
-        plan=choice.plan,
-        python=section.python if section is not None else None,
-    )
+    return Selection.running(view)

@@ -18,7 +18,7 @@ from mcp.shared.exceptions import MCPError
 from roboneuron import __version__
 from roboneuron.server.feature import Resource
 from roboneuron.server.loop import ClosedLoop
-from roboneuron.server.results import StatusResult, module_status
+from roboneuron.server.results import ModuleStatus, StatusResult
 from roboneuron.server.tool import CallContext, NoArguments, Tool
 
 
@@ -39,7 +39,7 @@ def status(loop: ClosedLoop, started_s: float) -> StatusResult:
     cause = loop.emergency_stop.cause()
     return StatusResult(
         robot=loop.robot_facts,
-        modules=[module_status(view) for view in loop.supervisor.views()],
+        modules=[ModuleStatus.of(view) for view in loop.modules.views()],
         emergency_stop=loop.emergency_stop.is_latched(),
         **({"emergency_stop_cause": cause} if cause else {}),
         namespace=loop.config.namespace,
@@ -47,7 +47,7 @@ def status(loop: ClosedLoop, started_s: float) -> StatusResult:
         uptime_s=round(time.monotonic() - started_s, 1),
         pid=os.getpid(),
         versions=versions(),
-        log_directory=str(loop.supervisor.log_directory),
+        log_directory=str(loop.modules.log_directory),
     )
 
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 from pydantic import Field
 
@@ -52,6 +52,11 @@ class ModuleSummary(Result):
         default_factory=dict, description="what was chosen: backend, camera ..."
     )
 
+    @classmethod
+    def short_of(cls, view: ModuleView, **more: Any) -> Self:
+        """A module in short, with the fields that a subclass has beside."""
+        return cls(**_summary(view), **more)
+
 
 class ModuleStatus(ModuleFacts, ModuleSummary):
     """One module: what it does, how fast, how fresh, and what is wrong."""
@@ -68,6 +73,13 @@ class ModuleStatus(ModuleFacts, ModuleSummary):
     error: Failure | None = None
     exit: ExitInfo | None = None
     log: str | None = Field(default=None, description="resource with its log")
+
+    @classmethod
+    def of(cls, view: ModuleView) -> ModuleStatus:
+        """What is known of a module, as the agent reads it: what it reports, in the report's own
+        words.
+        """
+        return _known(_facts(view), view.phase)
 
 
 class StartResult(ModuleSummary):
@@ -147,8 +159,7 @@ class StatusResult(Result):
     log_directory: str
 
 
-def module_summary(view: ModuleView) -> dict[str, Any]:
-    """Fields of a `ModuleSummary`."""
+def _summary(view: ModuleView) -> dict[str, Any]:
     return {
         "module": view.kind,
         "phase": view.phase,
@@ -158,13 +169,10 @@ def module_summary(view: ModuleView) -> dict[str, Any]:
     }
 
 
-def module_status(view: ModuleView) -> ModuleStatus:
-    """What is known of a module, as the agent reads it: what it reports, in the report's own
-    words.
-    """
+def _facts(view: ModuleView) -> dict[str, Any]:
     process, report = view.process, view.report
     facts = {
-        **module_summary(view),
+        **_summary(view),
         "ready": False,
         "started_at": process.started_at.isoformat(timespec="seconds")
         if process is not None
@@ -176,7 +184,7 @@ def module_status(view: ModuleView) -> ModuleStatus:
         lines = [_clipped(line, _MOST_LINE) for line in view.exit.last_lines]
         facts["exit"] = ExitInfo(pid=view.exit.pid, code=view.exit.code, at=at, last_lines=lines)
     if report is None:
-        return _known(facts, view.phase)
+        return facts
     age_s = time.monotonic() - report.received_s
     responding = age_s <= STALE_S
     failure = report.failure()
@@ -190,7 +198,7 @@ def module_status(view: ModuleView) -> ModuleStatus:
     )
     if not responding:
         facts["rate_hz"], facts["note"] = 0.0, f"No report for {age_s:.1f} s."
-    return _known(facts, view.phase)
+    return facts
 
 
 def _known(facts: Mapping[str, Any], phase: Phase) -> ModuleStatus:

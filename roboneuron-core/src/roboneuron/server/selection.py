@@ -6,7 +6,7 @@ beforehand.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -23,16 +23,16 @@ from roboneuron.errors import (
     MissingDependencyError,
     PluginError,
     RoboNeuronError,
-    nearest,
+    StateError,
 )
 from roboneuron.modules.plugin import agree_on_space
 from roboneuron.modules.settings import MAX_INSTRUCTION_LENGTH, ModuleKind, instruction_problem
 from roboneuron.planning import Plan, check_plan
-from roboneuron.plugins.availability import install_command, known_names
-from roboneuron.plugins.loading import load_options, load_options_model
+from roboneuron.plugins.loading import load_options
 from roboneuron.plugins.registry import Registry
-from roboneuron.plugins.specs import BackendSpec, DriverSpec, RobotSpec, Spec
+from roboneuron.plugins.specs import DriverSpec, Spec
 from roboneuron.server.tool import Arguments, NoArguments
+from roboneuron.supervisor.health import ModuleView
 
 ModuleSection = RobotConfig | PerceptionConfig | ControlConfig | InferenceConfig
 Instruction = Annotated[
@@ -75,6 +75,69 @@ class KindEntry:
     start_text: str
     proof: str
     stop_text: str
+
+    def configured(self, config: Config, registry: Registry) -> ModuleSection:
+        """The section of this kind. Raises InvalidInputError when there is none."""
+        section: ModuleSection | None = getattr(config, self.kind)
+        if section is None:
+            choices = ", ".join(registry.specs(self.offer))
+            raise InvalidInputError(
+                f"The configuration names no {self.noun}.",
+                hint=f"Name one: {choices}."
+                if choices
+                else f"No {self.offer} plugin is installed.",
+                path=self.noun,
+            )
+        return section
+
+    def plan(
+        self, section: ModuleSection, config: Config, registry: Registry
+    ) -> tuple[Plan, Spec | DriverSpec, dict[str, str]]:
+        """The plan, what reads the options, and the names of what was chosen, the plugin first."""
+        robot = section if isinstance(section, RobotConfig) else config.robot
+        parts = {"driver": robot} if section is robot else {"driver": robot, self.offer: section}
+        elsewhere = [name for name, part in parts.items() if part.python]
+        check = partial(
+            check_plan, registry, robot=robot.name, driver=robot.driver, elsewhere=elsewhere
+        )
+        match section:
+            case RobotConfig():
+                plan = check()
+                return plan, plan.driver, {"robot": section.name, "driver": section.driver}
+            case PerceptionConfig():
+                plan = check(perception=section.source)
+                assert plan.perception is not None
+                known = [camera.name for camera in plan.robot.cameras]
+                for camera in section.cameras:
+                    if camera not in known:
+                        raise InvalidInputError(
+                            f"Robot {plan.robot.name!r} has no camera {camera!r}.",
+                            hint=f"Its cameras: {', '.join(known) or 'none'}.",
+                        )
+                return (
+                    plan,
+                    plan.perception,
+                    {"source": section.source, "cameras": ", ".join(section.cameras or known)},
+                )
+            case ControlConfig():
+                plan = check(controller=section.controller)
+                assert plan.controller is not None
+                return plan, plan.controller, {"controller": section.controller}
+            case InferenceConfig():
+                plan = check(
+                    **section.model_dump(include={"backend", "runtime", "acceleration", "cameras"})
+                )
+                assert plan.backend is not None
+                names = {
+                    "backend": section.backend,
+                    "checkpoint": section.checkpoint or "",
+                    "runtime": plan.runtime.name if plan.runtime else "",
+                    "acceleration": plan.acceleration.name if plan.acceleration else "",
+                    "cameras": ", ".join(
+                        f"{role}={camera}" for role, camera in plan.cameras.items()
+                    ),
+                }
+                return plan, plan.backend, {key: name for key, name in names.items() if name}
 
 
 _ENTRIES = (
@@ -151,41 +214,62 @@ class Selection:
     plan: Plan
     python: str | None
 
+    @classmethod
+    def of(cls, kind: ModuleKind, config: Config, registry: Registry) -> Selection:
+        """What is configured, checked.
 
-def select(kind: ModuleKind, config: Config, registry: Registry) -> Selection:
-    """Check what is configured.
+        Raises:
+            InvalidInputError: something needed is not named, or the robot has no such camera.
+            CheckpointError: the checkpoint's path does not exist, or the backend takes none.
+            ConfigurationError: unknown or unusable names or options.
+            PlanningError: the parts do not fit together or the robot.
+        """
+        entry = KIND_ENTRIES[kind]
+        section = entry.configured(config, registry)
+        plan, spec, names = entry.plan(section, config, registry)
+        name = next(iter(names.values()))
+        options = dict(config.options(name))
+        if isinstance(section, InferenceConfig):
+            if section.instruction:
+                check_instruction(section.instruction)
+            section = _check_checkpoint(section, plan, config)
+            if section.checkpoint is not None:
+                options["checkpoint"] = names["checkpoint"] = section.checkpoint
+        config = config.model_copy(update={kind: section})
+        is_here = section.python is None and config.robot.python is None
+        if plan.backend is not None and plan.backend.space is not None and is_here:
+            # before anything heavy is loaded; the module does it again, where its own packages are
+            agree_on_space(registry, plan.backend, options, plan.robot.name, config.control)
+        _check_options(spec, options, section.python, f"plugins.{name}")
+        for part in (plan.runtime, plan.acceleration):
+            if part is not None:
+                _check_options(part, config.options(part.name), section.python)
+        return cls(kind=kind, config=config, names=names, plan=plan, python=section.python)
 
-    Raises:
-        InvalidInputError: something needed is not named, or the robot has no such camera.
-        CheckpointError: the checkpoint's path does not exist, or the backend takes none.
-        ConfigurationError: unknown or unusable names or options.
-        PlanningError: the parts do not fit together or the robot.
-    """
-    section = configured_section(kind, config, registry)
-    plan, spec, names = plan_of(kind, section, config, registry)
-    name = next(iter(names.values()))
-    options = dict(config.options(name))
-    if isinstance(section, InferenceConfig):
-        if section.instruction:
-            check_instruction(section.instruction)
-        section = _check_checkpoint(section, plan, config)
-        if section.checkpoint is not None:
-            options["checkpoint"] = names["checkpoint"] = section.checkpoint
-    config = config.model_copy(update={kind: section})
-    is_here = section.python is None and config.robot.python is None
-    if plan.backend is not None and plan.backend.space is not None and is_here:
-        # before anything heavy is loaded; the module does it again, where its own packages are
-        agree_on_space(registry, plan.backend, options, plan.robot.name, config.control)
-    _check_options(spec, options, section.python, f"plugins.{name}")
-    for part in (plan.runtime, plan.acceleration):
-        if part is not None:
-            _check_options(part, config.options(part.name), section.python)
-    return Selection(kind=kind, config=config, names=names, plan=plan, python=section.python)
+    @classmethod
+    def running(cls, view: ModuleView) -> Selection:
+        """What a module was started with, to start the same again.
+
+        Raises:
+            StateError: it was not started from a plan.
+        """
+        choice = view.choice
+        if choice is None or choice.plan is None:
+            raise StateError(f"It is not known what {view.kind} was started with.")
+        config = choice.settings.config
+        section = getattr(config, view.kind)
+        return cls(
+            kind=view.kind,
+            config=config,
+            names=choice.names,
+            plan=choice.plan,
+            python=section.python if section is not None else None,
+        )
 
 
 Choose = Callable[[ModuleKind, Config, Registry, Arguments | None, str], Selection]
 """Selects what a client asks for; called with kind, configuration, plugins, request and role;
-raises as `select`.
+raises as `Selection.of`.
 """
 
 
@@ -198,76 +282,10 @@ def choose_configured(
             f"This server cannot read the {type(request).__name__} that a client sent for {kind}."
         )
     if isinstance(request, StartInference) and request.instruction is not None:
-        section = configured_section(kind, config, registry)
+        section = KIND_ENTRIES[kind].configured(config, registry)
         update = {"instruction": check_instruction(request.instruction)}
         config = config.model_copy(update={kind: section.model_copy(update=update)})
-    return select(kind, config, registry)
-
-
-def configured_section(kind: ModuleKind, config: Config, registry: Registry) -> ModuleSection:
-    """The section of a kind. Raises InvalidInputError when there is none."""
-    section: ModuleSection | None = getattr(config, kind)
-    if section is None:
-        entry = KIND_ENTRIES[kind]
-        choices = ", ".join(registry.specs(entry.offer))
-        raise InvalidInputError(
-            f"The configuration names no {entry.noun}.",
-            hint=f"Name one: {choices}." if choices else f"No {entry.offer} plugin is installed.",
-            path=entry.noun,
-        )
-    return section
-
-
-def plan_of(
-    kind: ModuleKind, section: ModuleSection, config: Config, registry: Registry
-) -> tuple[Plan, Spec | DriverSpec, dict[str, str]]:
-    """The plan, what reads the options, and the names of what was chosen, the plugin first."""
-    robot = section if isinstance(section, RobotConfig) else config.robot
-    parts = (
-        {"driver": robot}
-        if section is robot
-        else {"driver": robot, KIND_ENTRIES[kind].offer: section}
-    )
-    elsewhere = [name for name, part in parts.items() if part.python]
-    check = partial(
-        check_plan, registry, robot=robot.name, driver=robot.driver, elsewhere=elsewhere
-    )
-    match section:
-        case RobotConfig():
-            plan = check()
-            return plan, plan.driver, {"robot": section.name, "driver": section.driver}
-        case PerceptionConfig():
-            plan = check(perception=section.source)
-            assert plan.perception is not None
-            known = [camera.name for camera in plan.robot.cameras]
-            for camera in section.cameras:
-                if camera not in known:
-                    raise InvalidInputError(
-                        f"Robot {plan.robot.name!r} has no camera {camera!r}.",
-                        hint=f"Its cameras: {', '.join(known) or 'none'}.",
-                    )
-            return (
-                plan,
-                plan.perception,
-                {"source": section.source, "cameras": ", ".join(section.cameras or known)},
-            )
-        case ControlConfig():
-            plan = check(controller=section.controller)
-            assert plan.controller is not None
-            return plan, plan.controller, {"controller": section.controller}
-        case InferenceConfig():
-            plan = check(
-                **section.model_dump(include={"backend", "runtime", "acceleration", "cameras"})
-            )
-            assert plan.backend is not None
-            names = {
-                "backend": section.backend,
-                "checkpoint": section.checkpoint or "",
-                "runtime": plan.runtime.name if plan.runtime else "",
-                "acceleration": plan.acceleration.name if plan.acceleration else "",
-                "cameras": ", ".join(f"{role}={camera}" for role, camera in plan.cameras.items()),
-            }
-            return plan, plan.backend, {key: name for key, name in names.items() if name}
+    return Selection.of(kind, config, registry)
 
 
 def check_instruction(text: str) -> str:
@@ -289,16 +307,6 @@ def check_instruction(text: str) -> str:
     return text.strip()
 
 
-def takes_checkpoint(backend: BackendSpec) -> bool:
-    """Whether a backend needs a checkpoint, or has an option for one; raises as
-    `load_options_model`.
-    """
-    if backend.needs_checkpoint:
-        return True
-    model = load_options_model(backend)
-    return model is not None and "checkpoint" in model.model_fields
-
-
 def _check_checkpoint(section: InferenceConfig, plan: Plan, config: Config) -> InferenceConfig:
     """The section with an absolute path: the module may run in another working directory."""
     assert plan.backend is not None
@@ -311,7 +319,7 @@ def _check_checkpoint(section: InferenceConfig, plan: Plan, config: Config) -> I
                 path="checkpoint",
             )
         return section
-    if not takes_checkpoint(plan.backend):
+    if not plan.takes_checkpoint:
         raise CheckpointError(
             f"Backend {section.backend!r} takes no checkpoint, but {named!r} was named."
         )
@@ -345,7 +353,7 @@ def check_configuration(config: Config, registry: Registry) -> None:
     server starts.
 
     Raises:
-        ConfigurationError, PlanningError: as `select`; all that is wrong.
+        ConfigurationError, PlanningError: as `Selection.of`; all that is wrong.
     """
     configured = [
         entry for entry in KIND_ENTRIES.values() if getattr(config, entry.kind) is not None
@@ -370,7 +378,7 @@ def check_configuration(config: Config, registry: Registry) -> None:
 
 def _check_kind(entry: KindEntry, config: Config, registry: Registry) -> None:
     try:
-        select(entry.kind, config, registry)
+        Selection.of(entry.kind, config, registry)
     except InvalidInputError as error:  # a checkpoint may be named later, by the agent
         if error.path != "checkpoint":
             raise ConfigurationError(error.message, hint=error.hint) from error
@@ -382,9 +390,9 @@ def _check_section(name: str, options: Mapping[str, object], registry: Registry)
 
     Options that are missing are no error: an agent may give them, or never choose that plugin.
     """
-    check_name(f"[plugins.{name}]", name, registry)
+    registry.check_name(f"[plugins.{name}]", name)
     refused: list[ConfigurationError] = []
-    for spec in readers_of(name, registry):
+    for spec in registry.readers_of(name):
         try:
             load_options(spec, options, section=f"plugins.{name}", is_partial=True)
         except ConfigurationError as error:
@@ -395,33 +403,3 @@ def _check_section(name: str, options: Mapping[str, object], registry: Registry)
             return
     if refused:
         raise refused[0]
-
-
-def check_name(place: str, name: str, registry: Registry) -> None:
-    """Check that something that is installed, or left out on purpose, has that name.
-
-    Raises:
-        ConfigurationError: begins with the place where the name stands.
-    """
-    installed = {offer.spec.name for offer in registry.all_offers}
-    known = known_names()
-    package = known.get(name)
-    if name in installed or (package is not None and registry.not_loaded(package)):
-        return
-    if package is not None:
-        raise ConfigurationError(
-            f"{place}: {name!r} is not installed. Run: {install_command(package)}."
-        )
-    meant = nearest(name, {*installed, *known})
-    if meant or not registry.not_loaded():  # else one that did not load may have that name
-        listed = ", ".join(sorted(installed)) or "none"
-        raise ConfigurationError(
-            f"{place}: nothing is called {name!r}. {meant or f'Installed are: {listed}.'}"
-        )
-
-
-def readers_of(name: str, registry: Registry) -> Iterator[Spec | DriverSpec]:
-    """Whatever reads `[plugins.<name>]`: offers of that name; of a robot, its drivers."""
-    for offer in registry.all_offers:
-        if offer.spec.name == name:
-            yield from offer.spec.drivers if isinstance(offer.spec, RobotSpec) else (offer.spec,)

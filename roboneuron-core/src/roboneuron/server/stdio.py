@@ -26,12 +26,10 @@ from mcp.types import JSONRPCError, JSONRPCMessage, JSONRPCRequest, JSONRPCRespo
 
 from roboneuron import __version__
 from roboneuron.server.envelope import (
-    BUSY,
     INVALID_REQUEST,
     EnvelopeError,
     is_urgent,
     read_message,
-    repeated,
 )
 from roboneuron.server.surface import AnnouncingServer
 
@@ -213,12 +211,14 @@ class MessageReader(ObjectReceiveStream[SessionMessage]):
         if isinstance(message, JSONRPCRequest):
             key = coerce_request_id(message.id)
             if key in self._ids:
-                raise repeated(message.id)
+                raise EnvelopeError.repeated(message.id)
             if (
                 len(self._waiting[lane]) >= _MOST_WAITING
                 or self._waiting_bytes + size > _MOST_WAITING_BYTES
             ):
-                raise EnvelopeError(BUSY, "Too many requests are waiting.", message.id)
+                raise EnvelopeError(
+                    EnvelopeError.BUSY, "Too many requests are waiting.", message.id
+                )
             self._ids[key] = lane
         self._waiting[lane].append((message, size))
         self._waiting_bytes += size

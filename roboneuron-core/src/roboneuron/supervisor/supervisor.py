@@ -254,6 +254,10 @@ class Supervisor(ModuleTable):
                 claims.append(slot.begin_stop())
         return self._finish(claims, within_s)
 
+    def processes(self, kind: ModuleKind) -> list[ModuleProcess]:
+        """Those of a kind: of the module that works, and of one that is to replace it."""
+        return [slot.process for slot in self._all(kind) if slot.process is not None]
+
     def log_path(self, kind: ModuleKind) -> Path:
         """Where the present module of that kind logs; without one, where it would.
 
@@ -338,15 +342,13 @@ class Supervisor(ModuleTable):
         return stopped
 
     def _beat(self) -> None:
-        for process in self._processes():
-            process.beat()
+        for kind in MODULE_KINDS:
+            for process in self.processes(kind):
+                process.beat()
 
     def _all(self, *kinds: ModuleKind) -> list[Slot]:
         with self.changes.lock:
             return [slot for kind in kinds or MODULE_KINDS for slot in self.slots[kind]]
-
-    def _processes(self) -> list[ModuleProcess]:
-        return [slot.process for slot in self._all() if slot.process is not None]
 
     def _await_settled(self, slot: Slot) -> None:
         """Wait for the end of a start that was cancelled: whoever runs it ends the process, which

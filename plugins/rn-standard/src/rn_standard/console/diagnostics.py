@@ -153,9 +153,7 @@ class DiagnosticsListener:
                 one.log_directory for one in servers if server is not None and one.pid == server.pid
             ]
             directory = self._folder_of(namespace, runs)
-            latch = estop.EmergencyStopLatch(
-                directory / estop.ESTOP_FILE, time.time_ns
-            ).read_state()
+            latch = estop.EmergencyStopLatch.in_directory(directory).read_state()
             found.append(
                 ServerStatus(
                     source=f"/diagnostics of ROS domain {domain}",

@@ -13,9 +13,8 @@ import shtab
 
 from roboneuron import RoboNeuronError
 from roboneuron.feature import (
-    COMMANDS,
+    all_commands,
     discover,
-    installed_commands,
     load_command,
     spoken,
     terminal,
@@ -38,10 +37,9 @@ def whole_parser() -> ArgumentParser:
     )
     commands = parser.add_subparsers(dest="command")
     groups: dict[str, _SubParsersAction[ArgumentParser]] = {}
-    listed = {name: command.summary for name, command in COMMANDS.items()}
-    for name, summary in {**listed, **installed_commands(registry)}.items():
+    for name, summary in all_commands(registry).items():
         try:
-            module = load_command(name, None if name in COMMANDS else registry)
+            module = load_command(name, registry)
         except RoboNeuronError as error:
             log.warning("The command %s is left out: %s", name, error)
             continue

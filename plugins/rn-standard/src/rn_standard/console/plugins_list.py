@@ -117,7 +117,7 @@ def print_short(registry: Registry) -> None:
     installed.
     """
     if not registry.plugins:
-        command = availability.install_command(availability.WHOLE)
+        command = availability.install_command()
         print(f"No plugins are installed. For a start: {command}")
         return
     ready: dict[str, list[str]] = {}
@@ -132,7 +132,7 @@ def print_short(registry: Registry) -> None:
     disabled = [record.name for record in registry.plugins if record.status is Status.DISABLED]
     if disabled:
         print("\n" + _wrapped(f"disabled by the configuration: {', '.join(disabled)}", 2))
-    absent = _absent(registry)
+    absent = registry.absent_packages()
     if absent:
         print(_paint("\nNOT INSTALLED", "bold") + " (what they offer: README.md, Plugins)")
         print(_wrapped(", ".join(absent), 0))
@@ -141,14 +141,6 @@ def print_short(registry: Registry) -> None:
         _paint(
             f"\n{len(registry.plugins)} plugins; details: roboneuron plugins list --verbose", "dim"
         )
-    )
-
-
-def _absent(registry: Registry) -> list[str]:
-    """The project's own packages that are not installed."""
-    installed = {record.distribution for record in registry.plugins}
-    return sorted(
-        {package.partition("[")[0] for package in availability.known_names().values()} - installed
     )
 
 

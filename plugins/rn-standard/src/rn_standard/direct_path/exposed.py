@@ -32,13 +32,8 @@ _SERVICE_OF_A_NODE = re.compile(
     r"|/(change_state|get_state|get_available_states|get_available_transitions|get_transition_graph)$"
 )
 """Parameter and lifecycle services. Source: rcl_interfaces/srv, lifecycle_msgs/srv."""
-_OWN_TOPICS = re.compile(
-    rf"{topics.ACTION}|{topics.JOINT_STATES}|{topics.EE_POSE}|{topics.PREDICTIONS}|{topics.camera_image('[^/]+')}|{topics.camera_info('[^/]+')}"
-    rf"|({'|'.join(MODULE_KINDS)})(_b)?/transition_event"
-)
-"""Written by RoboNeuron's own modules below a robot's namespace; a second writer would pass for
-them.
-"""
+_TRANSITION = re.compile(rf"({'|'.join(MODULE_KINDS)})(_b)?/transition_event")
+"""What the middleware publishes for each module below a robot's namespace."""
 _SYSTEM_TOPICS = frozenset({topics.DIAGNOSTICS, "/rosout", "/parameter_events"})
 """Health of the modules, and what ROS itself tells."""
 ACTION_LABEL = "ee_delta"
@@ -191,9 +186,9 @@ def check_reserved(exposed: ExposedEndpoint, namespaces: Mapping[str, str]) -> N
 
 def _is_own(topic: str, profile: RobotProfile | None) -> bool:
     """Whether a topic in a robot's namespace is written by a module, a driver or a simulation of
-    RoboNeuron.
+    RoboNeuron; a second writer would pass for it.
     """
-    if _OWN_TOPICS.fullmatch(topic):
+    if topics.is_written_by_modules(topic) or _TRANSITION.fullmatch(topic):
         return True
     if profile is None:
         return False

@@ -18,7 +18,7 @@ from rn_standard.direct_path.options import DirectPathOptions
 from rn_standard.direct_path.plugin import FEATURE
 from rn_standard.direct_path.traffic import Traffic
 from roboneuron import Feature, Host, RoboNeuronError, Tool
-from roboneuron.feature import ExposedEndpoint, MotionGate, assess, settings
+from roboneuron.feature import ExposedEndpoint, MotionGate, assess
 
 log = logging.getLogger(__name__)
 _CLOSE_S = 2.0
@@ -69,13 +69,13 @@ class DirectPath(Feature[DirectPathOptions]):
         self.allow_list = AllowList(
             self.judge, lambda: host.config, lambda: host.registry, lambda: host.loop.limits
         )
-        traffic = Traffic(lambda: host.loop.supervisor.link)
+        traffic = Traffic(lambda: host.link(self))
         self._gate = DirectGate(
             self.judge, self.arbiter, traffic, self.allow_list, self.options.max_duration_s,
             self._permit, lambda: host.loop.starts.are_needed,
         )  # fmt: skip
         host.events.change.listen(self._on_module)
-        host.events.health.listen(HealthDiagnostics(host.loop.supervisor).publish)
+        host.events.health.listen(HealthDiagnostics(lambda: host.link(self)).publish)
         return ()
 
     def complete(self, host: Host) -> None:
@@ -127,7 +127,7 @@ class DirectPath(Feature[DirectPathOptions]):
             "silent",
             "stuck",
         )
-        return is_turning and view.report.note == settings.FOLLOWING_NOTE
+        return is_turning and view.report.is_following
 
     def _on_module(self, kind: str) -> None:
         """Another robot has other interfaces."""

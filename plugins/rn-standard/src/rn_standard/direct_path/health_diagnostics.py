@@ -7,10 +7,12 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from roboneuron.feature import EXPLANATIONS, FAULTS, Health, ModuleView, Supervisor
+from roboneuron.feature import EXPLANATIONS, FAULTS, Health, ModuleView
 
 if TYPE_CHECKING:
     from diagnostic_msgs.msg import DiagnosticArray
+
+    from roboneuron.feature import RosLink
 
 
 class HealthDiagnostics:
@@ -18,8 +20,8 @@ class HealthDiagnostics:
     of its health.
     """
 
-    def __init__(self, supervisor: Supervisor) -> None:
-        self._supervisor = supervisor
+    def __init__(self, link: Callable[[], RosLink]) -> None:
+        self._link = link
         self._send: Callable[[DiagnosticArray], None] | None = None
 
     def publish(self, view: ModuleView, before: Health, health: Health) -> None:
@@ -31,9 +33,7 @@ class HealthDiagnostics:
         from roboneuron.feature import qos, topics
 
         if self._send is None:
-            self._send = self._supervisor.link.advertise(
-                DiagnosticArray, topics.DIAGNOSTICS, qos.STATUS
-            )
+            self._send = self._link().advertise(DiagnosticArray, topics.DIAGNOSTICS, qos.STATUS)
         level: Any = DiagnosticStatus.OK
         if health in FAULTS:
             level = (

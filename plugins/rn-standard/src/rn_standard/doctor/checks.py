@@ -10,7 +10,6 @@ import shutil
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -97,8 +96,8 @@ def _state(config: Config) -> Finding:
 
 
 def _emergency_stop(config: Config) -> Finding:
-    path = environment.state_directory(config.supervisor.state_directory) / estop.ESTOP_FILE
-    state = estop.EmergencyStopLatch(path, time.time_ns).read_state()
+    directory = environment.state_directory(config.supervisor.state_directory)
+    state = estop.EmergencyStopLatch.in_directory(directory).read_state()
     if state.latched:
         cause = f" by {state.cause}" if state.cause else ""
         return warning(
@@ -201,7 +200,7 @@ def _plugins(config: Config) -> Finding:
     bad = [r.name for r in records if r.status not in (Status.READY, Status.DISABLED)]
     text = f"{ready} of {len(records)} plugins are ready."
     if not ready:
-        return failed(text, f"For a start: {availability.install_command(availability.WHOLE)}")
+        return failed(text, f"For a start: {availability.install_command()}")
     if bad:
         return warning(
             f"{text} Not ready: {', '.join(bad)}.",

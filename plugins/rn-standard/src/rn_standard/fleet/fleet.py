@@ -12,7 +12,6 @@ import os
 import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -26,11 +25,8 @@ from roboneuron.feature import (
     Application,
     Config,
     Events,
-    Features,
-    ModuleKind,
     Periodic,
     PluginCatalogue,
-    Supervisor,
     Transport,
     emergency,
     estop,
@@ -68,12 +64,12 @@ class Fleet:
         state: Path,
         *,
         plugins: PluginCatalogue | None = None,
-        command: launching.Command = launching.module_command,
+        command: launching.Command | None = None,
     ) -> None:
         logs = state / "log" / f"{time.strftime('%Y%m%d-%H%M%S')}-{os.getpid()}"
         self._state = state
         self._connection = SharedConnection(logs)
-        self._latch = estop.EmergencyStopLatch(state / estop.ESTOP_FILE, time.time_ns)
+        self._latch = estop.EmergencyStopLatch.in_directory(state)
         self._was_latched = False
         self._watch = Periodic("fleet-latch", _LOOK_S, self._look)
         self._threads = ThreadPoolExecutor(
@@ -103,18 +99,15 @@ class Fleet:
             "list_fleet shows how they are; emergency_stop without `robot` stops all. "
             f"{instructions_for(tools)}"
         )
+        first = next(iter(self.robots.values()))
+        # those of the first robot ask the person behind a client: that depends on no robot
+        self.features = first.features
         self.server = make_server(self, config.server.name, instructions)
         self.server.middleware.append(RobotMiddleware(self.tools, list(self.robots.values())))
-        first = next(iter(self.robots.values()))
         self._host = replace(
             first.host, server=self.server, events=self.events, check_resource=self.resources.check
         )
         first.features.attach(self._host)
-
-    @property
-    def features(self) -> Features:
-        """Those of the first robot ask the person behind a client: that depends on no robot."""
-        return next(iter(self.robots.values())).features
 
     def check(self) -> None:
         """Check the configuration of each robot.
@@ -136,7 +129,7 @@ class Fleet:
 
     def press_on_signal(self) -> None:
         """From now on SIGUSR1 stops all robots; called on the main thread."""
-        emergency.press_on_signal(partial(self.latch, emergency.SIGNAL, ""))
+        emergency.press_on_signal(lambda who: self.latch(who, ""))
 
     def open(self) -> None:
         """Begin to join the ROS graph; stop all robots whenever the latch of the whole state
@@ -219,15 +212,16 @@ class Fleet:
         config: Config,
         folder: Path,
         plugins: PluginCatalogue,
-        command: launching.Command,
+        command: launching.Command | None,
     ) -> Application:
-        def on_change(kind: ModuleKind) -> None:
-            if name in self.robots:
-                self.robots[name].events.change.tell(kind)
-
-        connect = self._connection.of_robot(config.namespace)
-        supervisor = Supervisor(folder, command=command, on_change=on_change, connect=connect)
-        made = Application(config, plugins=plugins, supervisor=supervisor, attached=False)
+        made = Application.in_directory(
+            config,
+            folder,
+            plugins=plugins,
+            command=command,
+            connect=self._connection.of_robot(config.namespace),
+            attached=False,
+        )
         made.events.tools.listen(self.events.tools.tell)
         made.events.resource.listen(lambda uri: self.events.resource.tell(uri_of(name, uri)))
         self.events.client.listen(made.events.client.tell)

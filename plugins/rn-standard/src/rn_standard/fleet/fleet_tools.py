@@ -135,7 +135,7 @@ def _told(name: str, robot: Application) -> FleetRobot:
         emergency_stop=robot.loop.emergency_stop.is_latched(),
         modules={
             view.kind: assess(view, now_s)
-            for view in robot.supervisor.views()
+            for view in robot.host.modules.views()
             if view.phase != "stopped"
         },
     )

@@ -58,10 +58,10 @@ def read_robots(raw: Mapping[str, object], source: str, registry: Registry) -> C
             for key, (a, b) in pairs.items()
             if isinstance(a, dict) and isinstance(b, dict)
         }
-        robots[name] = one = reading.parse_tables(
+        robots[name] = robot_config = reading.parse_tables(
             {**shared, **table, **both, "robot": robot}, place, registry
         )
-        if "supervisor" in table and one.supervisor.state_directory is not None:
+        if "supervisor" in table and robot_config.supervisor.state_directory is not None:
             raise ConfigurationError(
                 f"{place}: 'state_directory' is shared: each robot has a folder of its own in it."
             )

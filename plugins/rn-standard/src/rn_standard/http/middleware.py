@@ -18,7 +18,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from rn_standard.http.connection_loss import RequestConnection
 from rn_standard.http.connections import PROTOCOL_KEY, BoundedProtocol, ConnectionTable
-from rn_standard.http.local_clients import account_of, local_client
+from rn_standard.http.local_clients import account_of
 from rn_standard.http.origins import HostRules
 from rn_standard.http.peers import peer_process
 from rn_standard.http.sessions import SESSION_HEADER
@@ -103,7 +103,7 @@ class AccessMiddleware:
         connection = RequestConnection(receive)
         inner = {
             **scope,
-            access.HOLDER_KEY: replace(holder, watched=connection.watched),
+            access.Holder.KEY: replace(holder, watched=connection.watched),
             "user": user,
         }
         with self._present(holder.who):
@@ -115,8 +115,8 @@ class AccessMiddleware:
         if not self._tokens:
             session = headers.get(SESSION_HEADER)
             if session is not None:
-                return local_client(session_name(session))
-            return local_client(await _process_of(scope, transport))
+                return access.Holder.local(session_name(session))
+            return access.Holder.local(await _process_of(scope, transport))
         found = headers.getlist("authorization")
         if len(found) != 1:
             return None
@@ -190,7 +190,11 @@ async def _look_for_stop(receive: Receive) -> tuple[bool, Receive]:
 def _too_many(holder: access.Holder) -> JSONResponse:
     text = f"{account_of(holder)!r} has too many connections; emergency_stop is still taken."
     return JSONResponse(
-        {"jsonrpc": "2.0", "id": None, "error": {"code": envelope.BUSY, "message": text}},
+        {
+            "jsonrpc": "2.0",
+            "id": None,
+            "error": {"code": envelope.EnvelopeError.BUSY, "message": text},
+        },
         status_code=503,
         headers=_CLOSE,
     )

@@ -19,7 +19,6 @@ from rn_standard.http.addresses import bind
 from rn_standard.http.bounded_server import BoundedServer
 from rn_standard.http.connections import ConnectionTable
 from rn_standard.http.listener import BoundedListener, stop_bounds
-from rn_standard.http.local_clients import local_client
 from rn_standard.http.middleware import AccessMiddleware, session_name
 from rn_standard.http.options import HttpOptions
 from rn_standard.http.origins import HostRules
@@ -32,7 +31,7 @@ from rn_standard.http.sessions import (
 )
 from rn_standard.http.tokens import TokenTable, shows_right
 from roboneuron import __version__
-from roboneuron.feature import Events
+from roboneuron.feature import Events, access
 
 log = logging.getLogger(__name__)
 PATH = "/mcp"
@@ -54,7 +53,7 @@ def make_server(
     """
 
     def release(session: str) -> None:
-        events.client.tell(local_client(session_name(session)).who, False)
+        events.client.tell(access.Holder.local(session_name(session)).who, False)
 
     @contextmanager
     def present(who: str) -> Iterator[None]:

@@ -98,7 +98,7 @@ class Sessions:
                 request_id = None
             await self._serve_session(scope, receive, send, request_id)
         except envelope.EnvelopeError as error:
-            status = 503 if error.error["code"] == envelope.BUSY else 400
+            status = 503 if error.error["code"] == envelope.EnvelopeError.BUSY else 400
             await Response(error.answer, status_code=status, media_type="application/json")(
                 scope, receive, send
             )
@@ -106,7 +106,7 @@ class Sessions:
     async def _serve_session(
         self, scope: Scope, receive: Receive, send: Send, request_id: int | str | None
     ) -> None:
-        holder: access.Holder = scope[access.HOLDER_KEY]
+        holder: access.Holder = scope[access.Holder.KEY]
         name = Headers(scope=scope).get(SESSION_HEADER)
         session = self._sessions.get(name) if name is not None else None
         request = None
@@ -142,7 +142,7 @@ class Sessions:
         count = sum(session.holder == holder for session in self._sessions.values())
         if count >= self._most_of_one and version < "2026":
             raise envelope.EnvelopeError(
-                envelope.BUSY,
+                envelope.EnvelopeError.BUSY,
                 f"{holder!r} has {count} sessions open already; end one, or use those.",
             )
 
@@ -182,7 +182,7 @@ def _begin(session: _Session, request_id: int | str) -> _Request:
 
     key = coerce_request_id(request_id)
     if key in session.ids or key == GET_STREAM_KEY or len(session.ids) >= _MOST_IDS:
-        raise envelope.repeated(request_id)
+        raise envelope.EnvelopeError.repeated(request_id)
     request = session.ids[key] = _Request(free=lambda: session.ids.pop(key, None))
     return request
 

@@ -35,12 +35,8 @@ class Operations(Feature[OpsOptions]):
         """get_logs and list_incidents."""
         self._host = host
         self._incidents = Incidents(host.state_directory / FOLDER)
-        self._restarts = Restarts(
-            host.loop.supervisor, self.options, self._note_restart, self._before_restart
-        )
-        self._memory = MemoryWatch(
-            host.loop.supervisor, self.options.memory_limit_mb, self._note_memory
-        )
+        self._restarts = Restarts(host.loop, self.options, self._note_restart, self._before_restart)
+        self._memory = MemoryWatch(host.modules, self.options.memory_limit_mb, self._note_memory)
         self._log = ServerLog(host.modules.log_directory)
         host.events.open.listen(self._log.open)
         self._presence = ServerPresence(host.state_directory)
@@ -86,7 +82,7 @@ class Operations(Feature[OpsOptions]):
             return
         if health == "failing" and view.report is not None and view.report.error_code in _ORDINARY:
             return
-        status = results.module_status(view).model_dump(mode="json")
+        status = results.ModuleStatus.of(view).model_dump(mode="json")
         lines = list(view.process.last_lines()) if view.process is not None else []
         self._incidents.record(
             view.kind,

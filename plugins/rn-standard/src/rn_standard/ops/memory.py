@@ -12,7 +12,7 @@ from pathlib import Path
 from weakref import WeakSet
 
 from rn_standard.ops.options import MemoryOptions
-from roboneuron.feature import MODULE_KINDS, ModuleKind, ModuleProcess, Periodic, Slot, Supervisor
+from roboneuron.feature import MODULE_KINDS, ModuleKind, ModuleProcess, Modules, Periodic
 
 log = logging.getLogger(__name__)
 _LOOK_S = 0.05
@@ -42,9 +42,9 @@ class MemoryWatch(Periodic):
     Memory of children of a module (a served engine) is not counted, nor is that of a GPU.
     """
 
-    def __init__(self, supervisor: Supervisor, limits: MemoryOptions, record: Record) -> None:
+    def __init__(self, modules: Modules, limits: MemoryOptions, record: Record) -> None:
         super().__init__("memory", _LOOK_S, self.look)
-        self._supervisor = supervisor
+        self._modules = modules
         self._limits = limits
         self._record = record
         self._ended: WeakSet[ModuleProcess] = WeakSet()
@@ -53,26 +53,25 @@ class MemoryWatch(Periodic):
         """Compare all modules with their limits."""
         for kind in MODULE_KINDS:
             # the one that works, and one that is to replace it
-            for slot in tuple(self._supervisor.slots[kind]):
-                self._check(slot)
+            for process in self._modules.processes(kind):
+                self._check(kind, process)
 
-    def _check(self, slot: Slot) -> None:
-        process = slot.process
-        if process is None or process.exit_code is not None or process in self._ended:
+    def _check(self, kind: ModuleKind, process: ModuleProcess) -> None:
+        if process.exit_code is not None or process in self._ended:
             return
-        limit_mb = self._limits.limit_mb(slot.kind)
+        limit_mb = self._limits.limit_mb(kind)
         used_mb = own_memory_mb(process.pid) if limit_mb is not None else None
         if limit_mb is None or used_mb is None or used_mb <= limit_mb:
             return
         why = (
-            f"ended: it holds {used_mb:.0f} MB, [ops.memory_limit_mb] {slot.kind} = {limit_mb} "
+            f"ended: it holds {used_mb:.0f} MB, [ops.memory_limit_mb] {kind} = {limit_mb} "
             "are allowed"
         )
-        log.error("%s (pid %d) is %s.", slot.kind, process.pid, why)
+        log.error("%s (pid %d) is %s.", kind, process.pid, why)
         self._ended.add(process)
-        process.note(f"supervisor: {slot.kind} is {why}.")
-        threading.Thread(target=_end, args=(process,), name=f"end-{slot.kind}", daemon=True).start()
-        self._record(slot.kind, why)
+        process.note(f"supervisor: {kind} is {why}.")
+        threading.Thread(target=_end, args=(process,), name=f"end-{kind}", daemon=True).start()
+        self._record(kind, why)
 
 
 def _end(process: ModuleProcess) -> None:

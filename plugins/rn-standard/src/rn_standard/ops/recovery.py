@@ -21,7 +21,7 @@ from roboneuron import (
     StateError,
     Tool,
 )
-from roboneuron.feature import AGAIN, AuditRecord, roles
+from roboneuron.feature import AuditRecord, roles
 
 _SET_S = 5.0
 _DONE_S = 20.0
@@ -97,10 +97,7 @@ def _recover(host: Host, who: str, role: str) -> RecoveryResult:
         NotReadyError: no answer in time.
     """
     started_s = time.monotonic()
-    supervisor = host.loop.supervisor
-    view = supervisor.require_running("robot")
-    assert view.choice is not None
-    assert view.process is not None
+    host.modules.require_running("robot")
 
     def write(verdict: str, reason: str) -> None:
         host.audit.write(
@@ -118,17 +115,15 @@ def _recover(host: Host, who: str, role: str) -> RecoveryResult:
     # also where no fault was noticed before
     host.loop.starts.stop("robot", "a recovery from a fault", is_asked=False)
     number = time.time_ns() // 1_000_000
-    node = f"/{view.choice.settings.status_name}"
-    client = supervisor.parameters(node, view.process)
-    if refused := client.set({RECOVER_PARAMETER: number}, _SET_S):
+    if refused := host.loop.set_parameters("robot", {RECOVER_PARAMETER: number}, _SET_S):
         raise StateError(f"The robot module refused: {refused}.")
 
     def answer() -> str | None:
-        report = supervisor.require_running("robot").report
+        report = host.modules.require_running("robot").report
         told = report.metrics.get("recovery", "") if report is not None else ""
         return told.removeprefix(f"{number} ") if told.startswith(f"{number} ") else None
 
-    told = supervisor.changes.wait_for(answer, _DONE_S)
+    told = host.modules.changes.wait_for(answer, _DONE_S)
     if told is None:
         raise NotReadyError(
             f"The robot did not say within {_DONE_S:g} s whether it recovered.",
@@ -143,5 +138,5 @@ def _recover(host: Host, who: str, role: str) -> RecoveryResult:
     return RecoveryResult(
         recovered_from=text,
         took_s=round(time.monotonic() - started_s, 3),
-        note=AGAIN,
+        note=host.loop.starts.AGAIN,
     )

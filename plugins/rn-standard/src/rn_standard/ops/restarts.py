@@ -13,11 +13,11 @@ from rn_standard.ops.options import OpsOptions
 from roboneuron import RoboNeuronError
 from roboneuron.feature import (
     MODULE_KINDS,
+    ClosedLoop,
     Config,
     Health,
     ModuleKind,
     ModuleView,
-    Supervisor,
     assess,
 )
 
@@ -57,19 +57,20 @@ class Restarts:
 
     def __init__(
         self,
-        supervisor: Supervisor,
+        loop: ClosedLoop,
         options: OpsOptions,
         record: Record,
         before: Callable[[ModuleKind], object] = lambda kind: None,
         load: Callable[[], float] = runnable_per_core,
     ) -> None:
         """Args:
-        supervisor, options: of the server.
+        loop, options: of the server.
         record: told of restarts.
         before: called right before a restart, which must set nothing in motion.
         load: runnable tasks for each core.
         """
-        self._supervisor = supervisor
+        self._modules = loop.modules
+        self._replacements = loop.replacements
         self._before = before
         self._options = options
         self._record = record
@@ -141,22 +142,15 @@ class Restarts:
             delay_s = self._delay_s(kind, load)
             if delay_s is None:
                 return
-            if view.phase == "running" and self._supervisor.view(kind).phase == "running":
-                self._supervisor.stop(kind)
+            if view.phase == "running" and self._modules.view(kind).phase == "running":
+                self._replacements.end(kind)
             if cancelled.wait(delay_s):
                 return
-            if self._supervisor.view(kind).phase not in ("exited", "stopped"):
+            if self._modules.view(kind).phase not in ("exited", "stopped"):
                 return
             try:
                 self._before(kind)
-                section = getattr(config, kind)
-                self._supervisor.start(
-                    kind,
-                    without_instruction(config),
-                    python=section.python if section else None,
-                    names=view.choice.names,
-                    plan=view.choice.plan,
-                )
+                self._replacements.start_again(view, without_instruction(config))
             except RoboNeuronError as error:
                 self._record(kind, f"restart failed: {error.message}")
                 continue
@@ -210,7 +204,7 @@ class Restarts:
                 return True
             if cancelled.wait(_LOOK_S):
                 return False
-            now = self._supervisor.view(view.kind)
+            now = self._modules.view(view.kind)
             if now.process is not view.process or assess(now, time.monotonic()) not in (
                 *_FROZEN,
                 "exited",

@@ -19,10 +19,6 @@ from roboneuron.feature import (
     Registry,
     Selection,
     check_instruction,
-    configured_section,
-    plan_of,
-    select,
-    takes_checkpoint,
 )
 from roboneuron.feature import models as core_models
 
@@ -58,7 +54,7 @@ def choose(
         config, request = _with_model(config, request, model)
     configured = _configured_names(kind, config)
     section = _section(kind, config, registry, request)
-    plan, spec, names = plan_of(kind, section, config, registry)
+    plan, spec, names = KIND_ENTRIES[kind].plan(section, config, registry)
     config = _merge(config, next(iter(names.values())), spec, getattr(request, "options", {}), role)
     if chosen_by_agent:
         of_backend = (
@@ -70,9 +66,9 @@ def choose(
             if part is not None and part.name not in configured:
                 check_addresses(part, config.options(part.name))
     checkpoint = getattr(request, "checkpoint", None)
-    if checkpoint is not None and plan.backend is not None and takes_checkpoint(plan.backend):
+    if checkpoint is not None and plan.takes_checkpoint:
         check_may_load(config, checkpoint)
-    selection = select(kind, config.model_copy(update={kind: section}), registry)
+    selection = Selection.of(kind, config.model_copy(update={kind: section}), registry)
     return (
         selection
         if model is None
@@ -141,7 +137,7 @@ def _section(
     }
     wanted = named.pop(entry.noun)
     if wanted is None:
-        section = configured_section(kind, config, registry)
+        section = entry.configured(config, registry)
     if section is None or wanted not in (None, getattr(section, field)):
         section = entry.section.model_validate({field: wanted})
     if named.get("instruction") is not None:

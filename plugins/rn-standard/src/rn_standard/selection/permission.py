@@ -16,7 +16,7 @@ from roboneuron import (
     RefusedError,
     Spec,
 )
-from roboneuron.feature import Config, Registry, check_name, loading, nearest, readers_of, roles
+from roboneuron.feature import Config, Registry, loading, nearest, roles
 
 _ABSENT = object()
 
@@ -91,9 +91,9 @@ def check_listed(entries: Collection[str], registry: Registry) -> None:
     """
     for entry in entries:
         name, *path = entry.split(".")
-        check_name(f"agent_options {entry!r}", name, registry)
+        registry.check_name(f"agent_options {entry!r}", name)
         try:
-            models = [loading.load_options_model(spec) for spec in readers_of(name, registry)]
+            models = [loading.load_options_model(spec) for spec in registry.readers_of(name)]
         except (MissingDependencyError, PluginError):
             continue  # not to be judged here; told where it is chosen
         known = {

@@ -5,7 +5,6 @@ the runtime can.
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import replace
 
 from rn_standard.switching.gap import Gap, action_gap
 from rn_standard.switching.standby import ACCELERATION_PARAMETER
@@ -62,7 +61,8 @@ class AccelerationSwitch:
 
     def __init__(self, loop: ClosedLoop, selection: Selection, on_stage: Stage) -> None:
         self._loop = loop
-        self._supervisor = loop.supervisor
+        self._changes = loop.modules.changes
+        self._modules = loop.replacements
         self._selection = selection
         self._name = (
             selection.plan.acceleration.name if selection.plan.acceleration is not None else ""
@@ -78,20 +78,17 @@ class AccelerationSwitch:
             NotReadyError: no answer in time; the former one is asked for again.
             StateError: the module is being stopped or replaced.
         """
-        supervisor = self._supervisor
-        slot = supervisor.slot("inference")
-        view = supervisor.require_running("inference")
-        if len(supervisor.slots["inference"]) > 1:
+        slot, *others = self._modules.slots("inference")
+        view = self._loop.modules.require_running("inference")
+        if others:
             raise StateError(
                 "inference is already being replaced.", hint="Wait for the end of that call."
             )
-        assert view.choice is not None
-        assert view.process is not None
         assert view.report is not None
         former = view.report.metrics.get("acceleration", "")
         answers = _answers(view.report)
         self._on_stage(f"inference: changing the acceleration to {self._name or 'none'}")
-        parameters = supervisor.parameters(f"/{view.choice.settings.status_name}", view.process)
+        parameters = self._modules.parameters(slot)
         refused = parameters.set(
             {ACCELERATION_PARAMETER: self._name}, _TOLD_S, lambda: self._check(slot)
         )
@@ -103,25 +100,17 @@ class AccelerationSwitch:
                 f"Acceleration {self._name or 'none'!r} was refused: {reason} "
                 f"{former or 'none'!r} stays in force."
             )
-        with supervisor.changes.lock:
-            slot.check_running()
-            choice = slot.choice
-            assert choice is not None
-            settings = choice.settings.model_copy(update={"config": self._selection.config})
-            slot.choice = replace(
-                choice, settings=settings, names=self._selection.names, plan=self._selection.plan
-            )
-        supervisor.on_change("inference")
+        self._modules.note_changed(slot, self._selection)
         return Change(gap=self._gap(report), difference=None)
 
     def _await_answer(
         self, slot: Slot, parameters: NodeClient, answers: int, former: str
     ) -> Report:
         def answer() -> Report | None:
-            report = self._supervisor.report_of(slot)
+            report = self._modules.report_of(slot)
             return report if report is not None and _answers(report) > answers else None
 
-        report = self._supervisor.changes.wait_for(answer, _DONE_S, lambda: self._check(slot))
+        report = self._changes.wait_for(answer, _DONE_S, lambda: self._check(slot))
         if report is None:
             with suppress(RoboNeuronError):
                 parameters.set({ACCELERATION_PARAMETER: former}, _TOLD_S)
@@ -142,7 +131,7 @@ class AccelerationSwitch:
             return None
         stream = self._loop.stream(self._selection.config.namespace)
         changed_ns = int(report.metrics["acceleration_changed_ns"])
-        return self._supervisor.changes.wait_for(
+        return self._changes.wait_for(
             lambda: action_gap([at for at, _ in stream.copy()], changed_ns), ARRIVAL_S
         )
 

@@ -22,7 +22,6 @@ from roboneuron.feature import (
     Report,
     Selection,
     Stage,
-    running_selection,
 )
 
 SwitchMode = Literal["warm", "cold"]
@@ -62,9 +61,7 @@ class Switching:
 
     def __init__(self, loop: ClosedLoop) -> None:
         self.loop = loop
-        self._supervisor = loop.supervisor
-        if JOIN not in self._supervisor.on_join:
-            self._supervisor.on_join += (JOIN,)
+        loop.replacements.join(JOIN)
         self._before: dict[ModuleKind, Selection] = {}
         self._busy = {kind: threading.Lock() for kind in MODULE_KINDS}
 
@@ -86,7 +83,7 @@ class Switching:
             StateError: none is running.
             RoboNeuronError: warm, nothing was replaced; cold, nothing of that kind runs any more.
         """
-        old = self._supervisor.require_running(kind)
+        old = self.loop.modules.require_running(kind)
         ticket, instruction = self.loop.starts.ticket, self.loop.starts.instruction
         selection = self.loop.select(kind, _keep(old, request), role)
         if isinstance(request, StartChosenInference):
@@ -107,7 +104,7 @@ class Switching:
             StateError: there was no switch.
             RoboNeuronError: as `switch`.
         """
-        old = self._supervisor.require_running(kind)
+        old = self.loop.modules.require_running(kind)
         selection = self._before.get(kind)
         if selection is None:
             raise StateError(
@@ -128,13 +125,13 @@ class Switching:
                 f"{old.kind} is already being replaced.", hint="Wait for the end of that call."
             )
         try:
-            replaced = running_selection(old)
+            replaced = Selection.running(old)
             way, change = self._change(old, replaced, selection, mode, on_stage, ticket)
             self._before[old.kind] = replaced
         finally:
             self._busy[old.kind].release()
         return Switched(
-            view=self._supervisor.view(old.kind),
+            view=self.loop.modules.view(old.kind),
             replaced=dict(replaced.names),
             mode=way,
             change=change,
@@ -171,7 +168,7 @@ class Switching:
         kind = check.kind
         due = check.is_due()
         on_stage(f"{kind}: stopping the old {check.noun}")
-        stopped = self._supervisor.stop(kind)
+        stopped = self.loop.replacements.end(kind)
         last = stopped.report if stopped is not None else None
         # a stop, or the end of a task
         if kind == "inference" and self.loop.starts.ticket != ticket:
@@ -181,11 +178,10 @@ class Switching:
             self.loop.start_selected(selection, on_stage)
         except RoboNeuronError as error:
             before = ", ".join(f"{key} {name!r}" for key, name in replaced.names.items())
-            error.hint = (
-                f"{error.hint} No {check.noun} is running now; before there was {before}.".strip()
-            )
-            raise
-        changes = self._supervisor.changes
+            raise error.with_hint(
+                f"No {check.noun} is running now; before there was {before}."
+            ) from error
+        changes = self.loop.modules.changes
         if due:  # a start is complete before the first output where that waits for somebody else's
             changes.wait_for(
                 lambda: (new := self._newest(kind)) is not None and check.has_taken_over(new),
@@ -195,7 +191,7 @@ class Switching:
         return Change(gap=gap, difference=None)
 
     def _newest(self, kind: ModuleKind) -> Report | None:
-        return self._supervisor.view(kind).report
+        return self.loop.modules.view(kind).report
 
 
 def check_same_commands(old: ModuleView, selection: Selection) -> None:

@@ -40,7 +40,7 @@ class SwitchCheck(ABC):
 
     def __init__(self, loop: ClosedLoop, selection: Selection) -> None:
         self._loop = loop
-        self._supervisor = loop.supervisor
+        self._modules = loop.modules
         self._config = selection.config
 
     @property
@@ -81,7 +81,7 @@ class SwitchCheck(ABC):
 
     def old(self) -> Report | None:
         """The newest report of the module that works now."""
-        return self._supervisor.report_of(self._supervisor.slot(self.kind))
+        return self._loop.replacements.report_of(self._loop.replacements.slots(self.kind)[0])
 
 
 class InferenceCheck(SwitchCheck):
@@ -116,7 +116,7 @@ class InferenceCheck(SwitchCheck):
                 seen[report.metrics["shadow_count"]] = values
             return len(seen) >= _LOOKS
 
-        if not self._supervisor.changes.wait_for(enough, _SHADOW_S) and not seen:
+        if not self._modules.changes.wait_for(enough, _SHADOW_S) and not seen:
             raise NotReadyError(
                 f"The new backend predicted nothing within {_SHADOW_S:g} s in shadow; nothing was "
                 "replaced.",
@@ -167,7 +167,7 @@ class PerceptionCheck(SwitchCheck):
     def compare(self, shadow: Shadow) -> float | None:
         """See `SwitchCheck.compare`; images are not compared, so there is no number."""
         sizes, before = _by_camera(shadow(), "size."), _by_camera(self.old(), "size.")
-        if self._supervisor.view("inference").phase != "running":
+        if self._modules.view("inference").phase != "running":
             return None
         for camera in sizes.keys() & before.keys():
             if sizes[camera] != before[camera]:
@@ -225,7 +225,7 @@ class ControlCheck(SwitchCheck):
                 not commanding or int(metrics.get("shadow_compared", "0")) >= _LOOKS
             )
 
-        complete = self._supervisor.changes.wait_for(enough, _SHADOW_S)
+        complete = self._modules.changes.wait_for(enough, _SHADOW_S)
         metrics = shadow().metrics
         if "shadow_tcp_difference" not in metrics:
             raise NotReadyError(

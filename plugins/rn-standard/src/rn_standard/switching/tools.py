@@ -12,9 +12,7 @@ from rn_standard.selection.requests import StartChosenInference, StartControl, S
 from rn_standard.switching.replacing import Switched, Switching
 from roboneuron import Arguments, CallContext, Tool
 from roboneuron.feature import (
-    KIND_ENTRIES,
     ClosedLoop,
-    KindEntry,
     ModuleKind,
     Stage,
     results,
@@ -138,16 +136,12 @@ _TEXTS: Mapping[ModuleKind, _Text] = {
 def switch_tools(loop: ClosedLoop) -> list[Tool[Switch]]:
     """One for each kind of module that can be replaced."""
     switching = Switching(loop)
-    return [
-        _switch_tool(loop, switching, KIND_ENTRIES[kind], text) for kind, text in _TEXTS.items()
-    ]
+    return [_switch_tool(loop, switching, kind, text) for kind, text in _TEXTS.items()]
 
 
 def _switch_tool(
-    loop: ClosedLoop, switching: Switching, entry: KindEntry, text: _Text
+    loop: ClosedLoop, switching: Switching, kind: ModuleKind, text: _Text
 ) -> Tool[Switch]:
-    kind = entry.kind
-
     async def handler(request: Switch, context: CallContext) -> SwitchResult:
         def work(stage: Stage) -> Switched:
             if request.rollback:
@@ -173,8 +167,8 @@ def _switch_tool(
 def switch_result(switched: Switched) -> SwitchResult:
     """How a switch went, as the agent reads it."""
     change, gap = switched.change, switched.change.gap
-    return SwitchResult(
-        **results.module_summary(switched.view),
+    return SwitchResult.short_of(
+        switched.view,
         replaced=switched.replaced,
         mode=switched.mode,
         gap_s=round(gap.gap_s, 4) if gap is not None else None,

@@ -25,7 +25,6 @@ from rn_standard.switching.standby import (
     PLAY_UNTIL,
     lower,
 )
-from rn_standard.switching.standby_slots import adopt, discard, start_standby
 from rn_standard.switching.switch_checks import SwitchCheck
 from roboneuron import NotReadyError, RoboNeuronError, StateError
 from roboneuron.feature import ClosedLoop, Lasting, NodeClient, Report, Selection, Slot, Stage
@@ -97,7 +96,8 @@ class WarmSwitch:
     ) -> None:
         self._starts = loop.starts
         self._ticket = ticket
-        self._supervisor = loop.supervisor
+        self._changes = loop.modules.changes
+        self._modules = loop.replacements
         self._selection = selection
         self._check = check
         self._kind = check.kind
@@ -111,8 +111,7 @@ class WarmSwitch:
         Raises:
             RoboNeuronError: the reason why nothing was replaced; the old one acts as before.
         """
-        supervisor = self._supervisor
-        standby = start_standby(supervisor, self._selection, self._on_start)
+        standby = self._modules.start_standby(self._selection, self._on_start)
         try:
             self._on_stage(f"new {self._kind}: comparing it in shadow with the old one")
             difference = self._check.compare(lambda: self._healthy(standby))
@@ -120,13 +119,13 @@ class WarmSwitch:
             self._follow_instruction(standby)
             old = self._hand_over(standby)
         except BaseException:
-            discard(supervisor, standby)
+            self._modules.discard(standby)
             self._check_instruction()  # why it showed nothing
             raise
         self._own_instruction()
         gap = self._measure(old, standby)
         self._on_stage(f"{self._kind}: ending the old {self._check.noun}")
-        discard(supervisor, old)
+        self._modules.discard(old)
         return Change(gap=gap, difference=difference)
 
     def _check_instruction(self) -> None:
@@ -165,7 +164,7 @@ class WarmSwitch:
         """
         if not self._is_lowered:
             self._is_lowered = True
-            _, *standbys = self._supervisor.slots[self._kind]
+            _, *standbys = self._modules.slots(self._kind)
             for slot in standbys:
                 if slot.process is not None:
                     lower(slot.process.pid)
@@ -177,7 +176,7 @@ class WarmSwitch:
         """
 
         def lacking() -> dict[str, str]:
-            old = self._supervisor.report_of(self._supervisor.slot(self._kind))
+            old = self._modules.report_of(self._working())
             needed, found = _listeners(old), _listeners(self._healthy(standby))
             return {
                 topic: f"{found[topic]} of {count} on {topic}"
@@ -185,7 +184,7 @@ class WarmSwitch:
                 if found.get(topic, count) < count
             }
 
-        if not self._supervisor.changes.wait_for(lambda: not lacking(), _FIND_S):
+        if not self._changes.wait_for(lambda: not lacking(), _FIND_S):
             raise NotReadyError(
                 f"Too few subscribers discovered the new {self._check.noun} within {_FIND_S:g} s: "
                 f"{', '.join(lacking().values())}. Nothing was replaced.",
@@ -194,21 +193,21 @@ class WarmSwitch:
 
     def _measure(self, old: Slot, new: Slot) -> Gap | None:
         """From what both tell afterwards; None when there was no output before or after."""
-        supervisor, now_s = self._supervisor, time.monotonic()
+        modules, now_s = self._modules, time.monotonic()
 
         def gap() -> Gap | None:
-            last = supervisor.report_of(old)
+            last = modules.report_of(old)
             is_last = last is None or last.received_s > now_s
-            return self._check.measure(last, supervisor.report_of(new)) if is_last else None
+            return self._check.measure(last, modules.report_of(new)) if is_last else None
 
-        return supervisor.changes.wait_for(gap, ARRIVAL_S)
+        return self._changes.wait_for(gap, ARRIVAL_S)
 
     def _hand_over(self, standby: Slot) -> Slot:
         """Agree on the moment, wait for the first output after it, and make the new one the module
         of its kind.
         """
-        old = self._supervisor.slot(self._kind)
-        clients = [self._client(old), self._client(standby)]
+        old = self._working()
+        clients = [self._modules.parameters(old), self._modules.parameters(standby)]
         latency_s = self._check.latency_s(self._healthy(standby))
         # A prediction that the new one has begun when it is told of the moment ends before it.
         margin_s = min(
@@ -225,9 +224,13 @@ class WarmSwitch:
             self._tell(clients[0], leave, due_s - time.monotonic() - _LATEST_S, standby)
             if self._check.is_due():
                 self._await_first_output(standby, due_s, latency_s)
-            return adopt(self._supervisor, standby)
+            return self._modules.adopt(standby)
         except BaseException as error:
-            self._roll_back(clients, old, error)
+            refused = self._roll_back(clients, old, error)
+            if refused and isinstance(error, RoboNeuronError):
+                raise error.with_hint(
+                    f"The old one could not be told to go on either: {refused}"
+                ) from error
             raise
 
     def _bridged_ns(self, latency_s: float) -> int:
@@ -288,7 +291,7 @@ class WarmSwitch:
                 report if self._check.has_taken_over(report) or report.received_s > end_s else None
             )
 
-        report = self._supervisor.changes.wait_for(told, end_s + _TOLD_S - time.monotonic())
+        report = self._changes.wait_for(told, end_s + _TOLD_S - time.monotonic())
         if report is None or not self._check.has_taken_over(report):
             raise NotReadyError(
                 f"The new {self._check.noun} did not act after the handover; the old one acts "
@@ -296,9 +299,9 @@ class WarmSwitch:
                 hint=f"It was measured to need {latency_s * 1e3:.0f} ms; see its log.",
             )
 
-    def _roll_back(self, clients: Sequence[NodeClient], slot: Slot, cause: BaseException) -> None:
-        """The old one acts again; the new one is told not to, and ended by the caller in any
-        case.
+    def _roll_back(self, clients: Sequence[NodeClient], slot: Slot, cause: BaseException) -> str:
+        """The old one acts again; the new one is told not to, and ended by the caller in any case.
+        Returns why the old one could not be told, empty when it was.
         """
         log.warning("The handover is undone: %s", cause)
         old, new = clients
@@ -313,18 +316,15 @@ class WarmSwitch:
             refused = error.message
         if refused:
             log.error("The old %s could not be told to go on: %s", self._check.noun, refused)
-            if isinstance(cause, RoboNeuronError):
-                cause.hint = (
-                    f"{cause.hint} The old one could not be told to go on either: {refused}".strip()
-                )
+        return refused
 
     def _healthy(self, slot: Slot) -> Report:
         """The newest report of a process that works; raises what is wrong with it, or with the old
         one.
         """
         slot.check_alive("working in shadow")
-        self._supervisor.slot(self._kind).check_alive("being replaced")
-        report = self._supervisor.report_of(slot)
+        self._working().check_alive("being replaced")
+        report = self._modules.report_of(slot)
         if report is None:
             raise NotReadyError(
                 f"The new {self._check.noun} stopped reporting; nothing was replaced."
@@ -334,17 +334,15 @@ class WarmSwitch:
         late_s = self._late.held_s(isinstance(failure, NotReadyError))
         if failure is not None and (not isinstance(failure, NotReadyError) or late_s > _LATE_S):
             raise failure
-        if self._supervisor.slot(self._kind).phase != "running":
+        if self._working().phase != "running":
             raise StateError(
                 f"The running {self._check.noun} has ended meanwhile; nothing was replaced."
             )
         return report
 
-    def _client(self, slot: Slot) -> NodeClient:
-        assert slot.choice is not None
-        node = f"/{slot.choice.settings.status_name}"
-        assert slot.process is not None
-        return self._supervisor.parameters(node, slot.process)
+    def _working(self) -> Slot:
+        """The slot of the module that works now."""
+        return self._modules.slots(self._kind)[0]
 
 
 def _listeners(report: Report | None) -> dict[str, int]:

@@ -72,7 +72,7 @@ def start_all_tool(host: Host) -> Tool[StartAll]:
         start = ParallelStart(host.loop, host.modules, requests, context.role)
         done = await context.run(start.run, on_cancel=start.cancel)
         return StartAllResult(
-            started=[results.ModuleSummary(**results.module_summary(view)) for view in done.views],
+            started=[results.ModuleSummary.short_of(view) for view in done.views],
             already=list(done.already),
             ready_after_s={kind: round(took_s, 3) for kind, took_s in sorted(done.took_s.items())},
             took_s=round(done.total_s, 3),

@@ -4,11 +4,10 @@ holds something.
 
 from __future__ import annotations
 
-import math
 import time
 
 from roboneuron import GripperProfile, Host, NotReadyError
-from roboneuron.feature import ExposedEndpoint, MotionGate, Report, settings
+from roboneuron.feature import ExposedEndpoint, MotionGate, Report
 
 _MEASURED_S = 2.0
 _BLOCKED = 0.03
@@ -42,12 +41,7 @@ class Grip:
         robot started.
         """
         report = self._report()
-        text = "" if report is None else report.metrics.get(settings.GRIPPER_COMMANDED, "")
-        try:
-            opening = float(text)
-        except ValueError:
-            return None
-        return opening if math.isfinite(opening) else None
+        return None if report is None else report.gripper_commanded
 
     def kept(self) -> float:
         """The opening that keeps what the hand holds: as last commanded, else as measured; 1

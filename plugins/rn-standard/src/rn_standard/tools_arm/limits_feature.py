@@ -9,13 +9,12 @@ import threading
 import time
 from collections.abc import Sequence
 from contextlib import suppress
-from functools import partial
 from typing import Any
 
 from rn_standard.tools_arm.limits_tools import limits_tools
 from rn_standard.tools_arm.tightening import FILE_NAME, TightenedRecord, Tightening, TighteningFile
 from roboneuron import Feature, Host, NotReadyError, RoboNeuronError, RobotProfile, Tool
-from roboneuron.feature import AuditRecord, ModuleKind, Slot, load_profile, settings
+from roboneuron.feature import AuditRecord, ModuleKind, load_profile
 
 log = logging.getLogger(__name__)
 _LOOK_S = 0.5
@@ -103,7 +102,7 @@ class LimitsFeature(Feature[None]):
         assert self._profile is not None
         loop = self._host.loop
         limits = record.tightening.applied(loop.base.limits, self._profile)
-        loop.supervisor.tightened = None if record.tightening.is_empty else limits
+        loop.tighten(None if record.tightening.is_empty else limits)
         self._record = record
         gate = self._host.gate
         gate.relimit()
@@ -117,33 +116,23 @@ class LimitsFeature(Feature[None]):
         Raises:
             NotReadyError: one did not take them.
         """
-        supervisor = self._host.loop.supervisor
-        text = "" if supervisor.tightened is None else supervisor.tightened.model_dump_json()
-        for slot in list(supervisor.slots["control"]):
-            supervisor.changes.wait_for(partial(_has_started, slot), _START_S)
-            choice, process = slot.choice, slot.process
-            if slot.phase != "running" or choice is None or process is None:
-                continue
-            node = f"/{choice.settings.status_name}"
-            try:
-                refused = supervisor.parameters(node, process).set(
-                    {settings.LIMITS_PARAMETER: text}, _SET_S
-                )
-            except RoboNeuronError as error:
-                refused = error.message
-            if refused:
-                raise NotReadyError(
-                    f"The running control did not take the limits: {refused}.",
-                    hint="They hold for direct motion and from the next start of control on: call "
-                    "stop_control.",
-                )
+        try:
+            refused = self._host.loop.send_limits(_SET_S, _START_S)
+        except RoboNeuronError as error:
+            refused = error.message
+        if refused:
+            raise NotReadyError(
+                f"The running control did not take the limits: {refused}.",
+                hint="They hold for direct motion and from the next start of control on: call "
+                "stop_control.",
+            )
 
     def _on_change(self, kind: ModuleKind) -> None:
         """A control that was being started while the limits changed has the old ones."""
         view = self._host.modules.view(kind)
         if kind != "control" or view.phase != "running" or view.choice is None:
             return
-        if view.choice.settings.tightened != self._host.loop.supervisor.tightened:
+        if view.choice.settings.tightened != self._host.loop.tightened:
             threading.Thread(target=self._tell_quietly, name="limits-control", daemon=True).start()
 
     def _tell_quietly(self) -> None:
@@ -188,7 +177,3 @@ class LimitsFeature(Feature[None]):
                 who=who, role=role, tool=tool, verdict=verdict, robot=robot, arguments=arguments
             )
         )
-
-
-def _has_started(slot: Slot) -> bool:
-    return slot.phase != "starting"

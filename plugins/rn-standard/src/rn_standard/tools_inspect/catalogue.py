@@ -21,7 +21,7 @@ from roboneuron import (
     RuntimeSpec,
     Tool,
 )
-from roboneuron.feature import Offer, Registry, models
+from roboneuron.feature import Config, Offer, Registry
 
 
 class CatalogueEntry(Result):
@@ -235,20 +235,21 @@ def controllers(registry: Registry) -> Controllers:
     )
 
 
-def robots(registry: Registry, configured: models.RobotConfig) -> Robots:
+def robots(registry: Registry, configured: Config) -> Robots:
     """All robots; which one, by which driver, `configured` says."""
+    chosen = configured.robot
     return Robots(
         robots=[
             Robot(
                 **_common(offer),
                 kind=spec.robot_kind,
-                configured=spec.name == configured.name,
+                configured=spec.name == chosen.name,
                 drivers=[
                     Driver(
                         name=driver.name,
                         summary=driver.summary,
                         kind="simulated" if driver.simulated else "real",
-                        configured=(spec.name, driver.name) == (configured.name, configured.driver),
+                        configured=(spec.name, driver.name) == (chosen.name, chosen.driver),
                     )
                     for driver in spec.drivers
                 ],
@@ -285,7 +286,7 @@ def catalogue_tools(host: Host) -> list[Tool[NoArguments]]:
 
     def tool(name: str, what: str, result: type[Result], build: Any) -> Tool[NoArguments]:
         async def handler(_: NoArguments, context: CallContext) -> Result:
-            given = (host.registry, host.loop.base.robot) if result is Robots else (host.registry,)
+            given = (host.registry, host.loop.base) if result is Robots else (host.registry,)
             answer: Result = build(*given)
             return answer
 

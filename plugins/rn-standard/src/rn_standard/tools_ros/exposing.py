@@ -72,7 +72,7 @@ def exposing_tools(path: Exposing, local_may: bool) -> list[Tool[Any]]:
     """
 
     def admin_of(context: CallContext, tool: str, arguments: Arguments) -> Admin:
-        if access.is_local(context.who) and not local_may:
+        if access.Holder.is_local(context.who) and not local_may:
             raise RefusedError(
                 f"{tool} needs a token with the role {roles.ADMIN!r}; {context.who} has none.",
                 hint="Connect over HTTP with such a token, or set expose_without_token in "

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import Protocol
 
 from roboneuron import Host
-from roboneuron.feature import RosGraph
 
 _FEEDBACK = "/_action/feedback"
 """Every action has this topic. Source: rcl_action/src/rcl_action/graph.c."""
@@ -50,10 +49,11 @@ class GraphNames:
         Names that carry several types are left out.
         """
         graph = self._host.graph
+        own = graph.node_name
         topics = _with_one_type(self.topics())
         return {
-            "publish": {n: t for n, t in topics.items() if _others(graph.subscriptions(n), graph)},
-            "read": {n: t for n, t in topics.items() if _others(graph.publishers(n), graph)},
+            "publish": {n: t for n, t in topics.items() if _others(graph.subscriptions(n), own)},
+            "read": {n: t for n, t in topics.items() if _others(graph.publishers(n), own)},
             "service": _with_one_type(self.services()),
             "action": _with_one_type(self.actions()),
         }
@@ -73,6 +73,6 @@ class _OfNode(Protocol):
     node_name: str
 
 
-def _others(infos: Sequence[_OfNode], graph: RosGraph) -> bool:
-    """Whether somebody else than this server is there."""
-    return any(info.node_name != graph.node_name for info in infos)
+def _others(infos: Sequence[_OfNode], own: str) -> bool:
+    """Whether another node than this server's, called `own`, is there."""
+    return any(info.node_name != own for info in infos)

@@ -48,7 +48,6 @@ def _server(case: FeatureCase, with_feature: bool = True) -> Iterator[Applicatio
         Application,  # heavy
         Config,  # heavy
         PluginCatalogue,
-        Supervisor,
     )
 
     def refuse(python: str | None) -> NoReturn:
@@ -59,10 +58,11 @@ def _server(case: FeatureCase, with_feature: bool = True) -> Iterator[Applicatio
     )
     registry = fake_registry(*((case.spec, *case.needs) if with_feature else ()))
     with tempfile.TemporaryDirectory() as folder:
-        application = Application(
+        application = Application.in_directory(
             config,
+            Path(folder),
             plugins=PluginCatalogue(discover=lambda disabled: registry),
-            supervisor=Supervisor(Path(folder), command=refuse),
+            command=refuse,
         )
         try:
             yield application

@@ -13,7 +13,7 @@ from importlib.metadata import (
     packages_distributions,
 )
 
-import roboneuron
+import roboneuron.feature
 from rn_testing.cases import PackageCase
 from rn_testing.distribution import (
     PROJECT,
@@ -167,7 +167,10 @@ def is_public(name: str, *, for_features: bool, sends: bool = False) -> bool:
     if top != PROJECT or not inner:
         return True
     if inner[0] == "feature":
-        return for_features and (sends or inner[1:] != [SENDING_NAME])
+        name, used = [*inner[1:], "", ""][:2]
+        is_listed = not name or name in roboneuron.feature.__all__
+        is_open = not used or used in roboneuron.feature.GROUPS.get(name, ())
+        return for_features and is_listed and is_open and (sends or name != SENDING_NAME)
     return len(inner) == 1 and inner[0] in roboneuron.__all__
 
 
