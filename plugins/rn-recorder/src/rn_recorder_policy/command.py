@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
 
 class CheckPolicy:
-    """Compare what the configured policy answers to recorded observations with the recorded
-    actions, and say what is probably wired wrong.
+    """Compare a policy's answers to recorded observations with the recorded actions, and say what
+    is probably wired wrong.
     """
 
     def configure(self, parser: ArgumentParser) -> None:

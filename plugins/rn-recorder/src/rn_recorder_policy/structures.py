@@ -182,14 +182,15 @@ def _frames(answers: Answers, same: F64) -> Iterator[Structure]:
 
     if answers.orientations is not None:
         here = answers.orientations[answers.frames][:, None]
-        for text, rotation in (
-            ("the answers are in the frame of the TCP, the recording in that of the base", True),
-            ("the answers are in the frame of the base, the recording in that of the TCP", False),
+        to_tcp = np.swapaxes(here, -1, -2)
+        for text, turn in (
+            ("the answers are in the frame of the TCP, the recording in that of the base", to_tcp),
+            ("the answers are in the frame of the base, the recording in that of the TCP", here),
         ):
             yield Structure(
                 kind="frame",
                 text=text,
-                expected=turned(np.swapaxes(here, -1, -2) if rotation else here),
+                expected=turned(turn),
                 channels=motion,
                 cost=0.12,
             )
