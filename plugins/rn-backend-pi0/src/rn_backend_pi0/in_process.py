@@ -38,6 +38,8 @@ _ROLE_BY_SLOT = {
     "base_0_rgb": "primary",
     "left_wrist_0_rgb": "wrist",
     "right_wrist_0_rgb": EMPTY,
+    "base_1_rgb": EMPTY,
+    "wrist_0_rgb": "wrist",
     "image": "primary",
     "image2": "wrist",
     "wrist_image": "wrist",
