@@ -114,11 +114,12 @@ class _Common(_Section):
             raise ValueError("the tables 'state' and 'action' are only read with profile 'own'")
         return self
 
-    def resolve_conversion(self, declared: str = "") -> Conversion:
+    def resolve_conversion(self, declared: str = "", *, served: bool = False) -> Conversion:
         """The conversion to use, of a profile that moves the TCP or joints.
 
         Args:
             declared: what the checkpoint says of itself; used when the user gives none.
+            served: see `JointConversion`.
 
         Raises:
             ConfigurationError: as `resolve_profile`, or the option `joints` is missing, does not
@@ -137,7 +138,7 @@ class _Common(_Section):
                 f"Profile {name!r} needs the option 'joints': the robot's joints in the policy's "
                 "order."
             )
-        return JointConversion(JOINT_PROFILES[name], self.joints)
+        return JointConversion(JOINT_PROFILES[name], self.joints, served)
 
     def resolve_profile(self, declared: str = "") -> Profile:
         """The profile to use, of those that move the TCP.
@@ -161,11 +162,6 @@ class _Common(_Section):
             profile = PROFILES[name]
         else:
             got = f", and the checkpoint names the unknown {name!r}" if name else ""
-            if name in JOINT_PROFILES:
-                raise ConfigurationError(
-                    f"Profile {name!r} moves joints, which this backend does not do.",
-                    hint="Use the backend 'pi0'.",
-                )
             known = (*PROFILES, "own", *JOINT_PROFILES)
             raise ConfigurationError(
                 f"The option 'profile' is not set{got}; choose one of {', '.join(known)}.",
@@ -321,9 +317,26 @@ class Pi0RemoteOptions(_Common):
     state_key: Annotated[str, AgentMaySet()] = Field(
         default="observation/state", min_length=1, description="key of the state"
     )
+    joint_key: Annotated[str | None, AgentMaySet()] = Field(
+        default=None,
+        min_length=1,
+        description="key of the joints, for servers that take them beside the gripper "
+        "(openpi's DROID: 'observation/joint_position'); otherwise all goes under state_key",
+    )
+    gripper_key: Annotated[str | None, AgentMaySet()] = Field(
+        default=None,
+        min_length=1,
+        description="key of the gripper then (openpi's DROID: 'observation/gripper_position')",
+    )
     prompt_key: Annotated[str, AgentMaySet()] = Field(
         default="prompt", min_length=1, description="key of the instruction"
     )
     image_side_px: int = Field(
         default=224, ge=16, le=1024, description="images are sent as squares of this side"
     )
+
+    @model_validator(mode="after")
+    def _joints_and_gripper_have_a_key_each(self) -> Self:
+        if (self.joint_key is None) != (self.gripper_key is None):
+            raise ValueError("joint_key and gripper_key must be given together")
+        return self
