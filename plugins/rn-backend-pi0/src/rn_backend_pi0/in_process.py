@@ -174,7 +174,7 @@ class NativeBackend(ABC):
             family=checkpoint.family,
             max_tokens=checkpoint.prompt_length,
             vocabulary=dims.vocabulary,
-            variant=dims.variant,
+            variant=self.prompt_like(dims.variant),
         )
         self._model = self.build_model(checkpoint, self._prompt)
         self._conversion = conversion
@@ -266,6 +266,10 @@ class NativeBackend(ABC):
                 )
             images.append(None if frame is None else frame.image)
         return images
+
+    def prompt_like(self, variant: Variant) -> Variant:
+        """Whose form of the prompt a model of this variant takes."""
+        return variant
 
     @abstractmethod
     def build_model(self, checkpoint: Pi0Checkpoint, prompt: InstructionEncoder) -> Pi0Model:

@@ -224,6 +224,11 @@ class NativeOptions(_Common):
 class Pi0Options(NativeOptions):
     """Options of the backend "pi0"."""
 
+    state_in_prompt: bool = Field(
+        default=True,
+        description="pi0.5: the prompt names the state; false for checkpoints that were trained "
+        "without (openpi's pi05_libero), which see no state at all",
+    )
     denoising_steps: int | None = Field(
         default=None, ge=1, le=1000, description="Euler steps; the checkpoint's if unset"
     )
