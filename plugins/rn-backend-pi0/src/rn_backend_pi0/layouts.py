@@ -24,8 +24,8 @@ from rn_backend_pi0.documents import (
     RangeStatsDocument,
     StepConfig,
 )
-from rn_backend_pi0.names import read_names, variant_of
 from rn_backend_pi0.statistics import Quantiles, Scaling, ZScore
+from rn_backend_pi0.tensor_names import read_names, variant_of
 from rn_vla.checkpoint_files import (
     check_file,
     check_safetensors,
