@@ -169,6 +169,17 @@ def test_weights_of_pi0_under_the_name_of_pi05_are_recognised(
     assert "keys of pi0, config.json says pi0.5" in refusal.value.hint
 
 
+def test_the_state_may_be_left_out_of_the_prompt(made: dict[str, Path], observe: Observe) -> None:
+    """As openpi's pi05_libero has it: pi0's prompt, and no state anywhere."""
+    with_state = _backend(made["openpi"], noise="fixed")
+    without = _backend(made["openpi"], noise="fixed", state_in_prompt=False)
+    here, there = observe(), observe(position_m=(0.6, 0.2, 0.3))
+    assert (with_state.predict(here).actions != with_state.predict(there).actions).any()
+    chunk = without.predict(here)
+    np.testing.assert_array_equal(chunk.actions, without.predict(there).actions)
+    assert chunk.metrics["prompt_tokens"] < with_state.predict(here).metrics["prompt_tokens"]
+
+
 @pytest.mark.parametrize("jacobian", ["identity", "full"])
 def test_a_running_chunk_is_continued(
     made: dict[str, Path], observe: Observe, jacobian: str

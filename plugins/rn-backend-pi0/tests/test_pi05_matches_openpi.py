@@ -15,7 +15,7 @@ import pytest
 
 from rn_backend_pi0.layouts import read_checkpoint
 from rn_backend_pi0.model import Pi0Model
-from rn_backend_pi0.prompt import InstructionEncoder, load_prompt
+from rn_backend_pi0.prompt import load_prompt
 from rn_backend_pi0.tiny import make_tiny
 
 NUMBERS = Path(os.environ.get("PI05_NUMBERS", Path(__file__).parent / "data" / "pi05-openpi.npz"))
@@ -26,6 +26,7 @@ CASES = {
     "three_cameras": ((0, 1, 2), 0, 0),
     "other_state": ((0, 1), 1, 0),
     "other_prompt": ((0, 1), 0, 1),
+    "no_state": ((0, 1), None, 0),
 }
 TOLERANCE = 2e-5
 """Ten Euler steps of float32 sums in another order; 1.2e-6 was measured. LeRobot's flow times in
@@ -60,18 +61,16 @@ def model(checkpoint: Path, arrays: Arrays) -> Pi0Model:
     return model
 
 
-@pytest.fixture(scope="module")
-def prompt(checkpoint: Path) -> InstructionEncoder:
-    """Its encoder of instructions and states."""
-    return load_prompt(
-        checkpoint, None, family="openpi", max_tokens=200, vocabulary=640, variant="pi05"
+def _tokens(model: Pi0Model, arrays: Arrays, state: int | None, instruction: int) -> list[int]:
+    prompt = load_prompt(
+        model.checkpoint.directory,
+        None,
+        family="openpi",
+        max_tokens=200,
+        vocabulary=640,
+        variant="pi0" if state is None else "pi05",
     )
-
-
-def _tokens(
-    model: Pi0Model, prompt: InstructionEncoder, arrays: Arrays, state: int, instruction: int
-) -> list[int]:
-    normalized = model.state.normalize(arrays["states"][state])
+    normalized = model.state.normalize(arrays["states"][state or 0])
     return prompt.encode(INSTRUCTIONS[instruction], normalized)
 
 
@@ -84,11 +83,9 @@ def _answer(model: Pi0Model, arrays: Arrays, tokens: list[int], cameras: tuple[i
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_prompt_and_actions_are_those_of_openpi(
-    model: Pi0Model, prompt: InstructionEncoder, arrays: Arrays, case: str
-) -> None:
+def test_prompt_and_actions_are_those_of_openpi(model: Pi0Model, arrays: Arrays, case: str) -> None:
     cameras, state, instruction = CASES[case]
-    tokens = _tokens(model, prompt, arrays, state, instruction)
+    tokens = _tokens(model, arrays, state, instruction)
     assert tokens == arrays[f"{case}/tokens"].tolist()
     answer = _answer(model, arrays, tokens, cameras)
     np.testing.assert_allclose(
@@ -102,7 +99,7 @@ def test_the_variant_is_seen_in_the_names_of_the_tensors(model: Pi0Model) -> Non
     assert model.checkpoint.prompt_length == 200
 
 
-@pytest.mark.parametrize("other", ["one_camera", "other_state", "other_prompt"])
+@pytest.mark.parametrize("other", ["one_camera", "other_state", "other_prompt", "no_state"])
 def test_every_input_matters_far_more_than_the_tolerance(arrays: Arrays, other: str) -> None:
     change = np.abs(arrays[f"{other}/normalized"] - arrays["main/normalized"]).max()
     assert change > 100 * TOLERANCE

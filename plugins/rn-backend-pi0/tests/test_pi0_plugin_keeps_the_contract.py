@@ -77,7 +77,7 @@ def test_the_readme_names_every_option_and_profile_and_its_examples_are_valid() 
     for table in tables:
         if "pi0" in table:
             Pi0Options(checkpoint=Path("x"), **table["pi0"])
-        else:
+        if "pi0-remote" in table:
             Pi0RemoteOptions(**table["pi0-remote"])
 
 

@@ -15,7 +15,14 @@ from rn_backend_pi0.profiles import Profile
 from rn_backend_pi0.state import StateLayout
 from rn_backend_pi0.statistics import Real
 from rn_vla.rotation import F64
-from roboneuron import ACTION_FIELDS, EE_DELTA, ConfigurationError, ControlSpace, Observation
+from roboneuron import (
+    ACTION_FIELDS,
+    EE_DELTA,
+    ConfigurationError,
+    ControlSpace,
+    Observation,
+    UnsafeError,
+)
 
 
 class Conversion(Protocol):
@@ -28,6 +35,10 @@ class Conversion(Protocol):
     @property
     def step_s(self) -> float:
         """Time between two actions [s]."""
+
+    @property
+    def measured_joints(self) -> tuple[str, ...]:
+        """Names of the joints that the state holds, in order."""
 
     @property
     def state_columns(self) -> tuple[str, ...]:
@@ -72,6 +83,10 @@ class TcpConversion:
         return self.profile.action.step_s
 
     @property
+    def measured_joints(self) -> tuple[str, ...]:
+        return self.profile.state.joint_names
+
+    @property
     def state_columns(self) -> tuple[str, ...]:
         return self.profile.state.columns
 
@@ -100,12 +115,19 @@ class TcpConversion:
 class JointConversion:
     """For a policy whose actions move the joints called `joints`, in its own order.
 
+    Attributes:
+        layout: of the policy.
+        joints: the robot's names.
+        served: states and actions are those of the robot's own software: a policy server does what
+            lies between that and the network.
+
     Raises:
         ConfigurationError: the names do not fit, or the policy moves more than one arm.
     """
 
     layout: JointLayout
     joints: tuple[str, ...]
+    served: bool = False
 
     def __post_init__(self) -> None:
         self.layout.space(self.joints)
@@ -122,6 +144,10 @@ class JointConversion:
     @property
     def step_s(self) -> float:
         return 1.0 / self.layout.rate_hz
+
+    @property
+    def measured_joints(self) -> tuple[str, ...]:
+        return self.joints
 
     @property
     def state_columns(self) -> tuple[str, ...]:
@@ -145,7 +171,11 @@ class JointConversion:
             terms=("joints", "gripper_closed" if closed else "gripper_open"),
             joint_names=self.joints,
         )
-        return self.layout.to_network(terms.build(observation))
+        state = terms.build(observation)
+        return state if self.served else self.layout.to_network(state)
 
     def to_contract(self, raw: F64, state: F64, observation: Observation) -> F64:
-        return self.layout.to_contract(self.layout.to_robot(raw, state))
+        if not np.isfinite(raw).all():
+            raise UnsafeError("The model produced a non-finite value; nothing is executed.")
+        told = raw if self.served else self.layout.to_robot(raw, state)
+        return self.layout.to_contract(told)

@@ -38,6 +38,8 @@ _ROLE_BY_SLOT = {
     "base_0_rgb": "primary",
     "left_wrist_0_rgb": "wrist",
     "right_wrist_0_rgb": EMPTY,
+    "base_1_rgb": EMPTY,
+    "wrist_0_rgb": "wrist",
     "image": "primary",
     "image2": "wrist",
     "wrist_image": "wrist",
@@ -172,7 +174,7 @@ class NativeBackend(ABC):
             family=checkpoint.family,
             max_tokens=checkpoint.prompt_length,
             vocabulary=dims.vocabulary,
-            variant=dims.variant,
+            variant=self.prompt_like(dims.variant),
         )
         self._model = self.build_model(checkpoint, self._prompt)
         self._conversion = conversion
@@ -264,6 +266,10 @@ class NativeBackend(ABC):
                 )
             images.append(None if frame is None else frame.image)
         return images
+
+    def prompt_like(self, variant: Variant) -> Variant:
+        """Whose form of the prompt a model of this variant takes."""
+        return variant
 
     @abstractmethod
     def build_model(self, checkpoint: Pi0Checkpoint, prompt: InstructionEncoder) -> Pi0Model:

@@ -33,6 +33,10 @@ class Pi0Backend(NativeBackend):
         self._config = config
         self._random = np.random.default_rng(config.numpy_seed)
 
+    def prompt_like(self, variant: Variant) -> Variant:
+        """pi0's, without the state, where the options say so."""
+        return variant if self._config.state_in_prompt else "pi0"
+
     def build_model(self, checkpoint: Pi0Checkpoint, prompt: InstructionEncoder) -> Pi0Model:
         """Read the weights. Raises CheckpointError, ConfigurationError: see `Pi0Model`."""
         from rn_backend_pi0.model import Pi0Model  # heavy

@@ -74,5 +74,6 @@ def roboneuron_backends() -> Sequence[BackendSpec]:
             optional_cameras=("wrist",),
             needs_state=True,
             action_space=_action_space(),
+            space="rn_backend_pi0.space:pi0_space",
         ),
     ]

@@ -11,12 +11,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from rn_backend_pi0.conversion import Conversion, JointConversion
 from rn_backend_pi0.image import flip_image, resize_antialiased
 from rn_backend_pi0.options import Pi0RemoteOptions
-from rn_backend_pi0.profiles import Profile
 from rn_backend_pi0.wire import Value
 from roboneuron import (
-    ACTION_SIZE,
     ActionChunk,
     ConfigurationError,
     Frame,
@@ -50,7 +49,7 @@ class Pi0RemoteBackend:
             raise ConfigurationError("Backend 'pi0-remote' takes no runtime and no acceleration.")
         self._config = config
         self._client: PolicyClient | None = None
-        self._profile: Profile | None = None
+        self._conversion: Conversion | None = None
         self._warning = ""
 
     def load(self) -> None:
@@ -71,7 +70,12 @@ class Pi0RemoteBackend:
         from rn_backend_pi0.client import PolicyClient, check_url  # heavy
 
         config = self._config
-        profile = config.resolve_profile()
+        conversion = config.resolve_conversion(served=True)
+        if config.joint_key is not None and not isinstance(conversion, JointConversion):
+            raise ConfigurationError(
+                "joint_key has no use: the profile moves the TCP.",
+                hint="Remove joint_key and gripper_key.",
+            )
         if config.profile == "libero-openpi":
             raise ConfigurationError(
                 "Profile 'libero-openpi' adds the state to the actions, which openpi's server has "
@@ -89,8 +93,9 @@ class Pi0RemoteBackend:
             undo.callback(client.close)
             metadata = client.open(config.connect_timeout_s)
             log.info("policy server at %s says %s", config.url, metadata)
-            request, _ = self._request(_nominal(config, profile), profile)
-            raw = _actions(client.infer(request, config.warm_up_timeout_s))
+            request, _ = self._request(_nominal(config, conversion), conversion)
+            width = len(conversion.action_columns)
+            raw = _actions(client.infer(request, config.warm_up_timeout_s), width)
             if config.action_steps is not None and config.action_steps > len(raw):
                 raise ConfigurationError(
                     f"action_steps is {config.action_steps}, the server yields {len(raw)} actions."
@@ -98,7 +103,7 @@ class Pi0RemoteBackend:
             if not np.isfinite(raw).all():
                 raise UnsafeError("The policy server answered the warm-up with non-finite values.")
             undo.pop_all()
-        self._client, self._profile = client, profile
+        self._client, self._conversion = client, conversion
 
     def predict(self, observation: Observation) -> ActionChunk:
         """Return the next actions.
@@ -111,11 +116,11 @@ class Pi0RemoteBackend:
             ConfigurationError: the answer is not what the protocol and the profile say.
             StateError: `load` was not called.
         """
-        client, profile, config = self._client, self._profile, self._config
-        if client is None or profile is None:
+        client, conversion, config = self._client, self._conversion, self._config
+        if client is None or conversion is None:
             raise StateError("Backend 'pi0-remote' is not loaded; call load() first.")
         start = time.monotonic()
-        request, state = self._request(observation, profile)
+        request, state = self._request(observation, conversion)
         if not client.is_connected:
             client.open(config.request_timeout_s)
             if time.monotonic() - start > _FRESH_S:
@@ -123,11 +128,8 @@ class Pi0RemoteBackend:
                     f"Connected to {config.url} again; the observation has grown old meanwhile."
                 )
         reply = client.infer(request, config.request_timeout_s - (time.monotonic() - start))
-        base = np.array(config.base_position_m)
-        raw = _actions(reply)[: config.action_steps]
-        actions = profile.action.to_contract(
-            raw, state=state, pose=observation.ee_pose, base_position_m=base
-        )
+        raw = _actions(reply, len(conversion.action_columns))[: config.action_steps]
+        actions = conversion.to_contract(raw, state, observation)
         metrics = {
             "inference_ms": (time.monotonic() - start) * 1e3,
             "chunk_horizon": float(len(actions)),
@@ -138,7 +140,11 @@ class Pi0RemoteBackend:
         if server_ms is not None:
             metrics["server_ms"] = server_ms
         return ActionChunk(
-            actions=actions, step_s=profile.action.step_s, metrics=metrics, note=self._warning
+            actions=actions,
+            step_s=conversion.step_s,
+            space=conversion.space,
+            metrics=metrics,
+            note=self._warning,
         )
 
     def reset(self) -> None:
@@ -148,7 +154,7 @@ class Pi0RemoteBackend:
         """Disconnect."""
         if self._client is not None:
             self._client.close()
-        self._client = self._profile = None
+        self._client = self._conversion = None
 
     def _read_key(self) -> str | None:
         name = self._config.api_key_variable
@@ -162,15 +168,16 @@ class Pi0RemoteBackend:
         return key
 
     def _request(
-        self, observation: Observation, profile: Profile
+        self, observation: Observation, conversion: Conversion
     ) -> tuple[dict[str, Value], NDArray[np.float64]]:
         """The request's map, and the state in it."""
         config = self._config
-        state = profile.state.build(observation)
-        request: dict[str, Value] = {
-            config.state_key: state,
-            config.prompt_key: observation.instruction,
-        }
+        state = conversion.read_state(observation)
+        request: dict[str, Value] = {config.prompt_key: observation.instruction}
+        if config.joint_key is None or config.gripper_key is None:
+            request[config.state_key] = state
+        else:
+            request |= {config.joint_key: state[:-1], config.gripper_key: state[-1:]}
         for role, key in config.image_keys.items():
             frame = observation.frames.get(role)
             if frame is None:
@@ -185,11 +192,11 @@ class Pi0RemoteBackend:
         return request, state
 
 
-def _nominal(config: Pi0RemoteOptions, profile: Profile) -> Observation:
+def _nominal(config: Pi0RemoteOptions, conversion: Conversion) -> Observation:
     """A harmless observation for the warm-up; its answer is checked and thrown away."""
     side = config.image_side_px
     grey = np.full((side, side, 3), 128, dtype=np.uint8)
-    names = profile.state.joint_names
+    names = conversion.measured_joints
     return Observation(
         frames={
             role: Frame(camera=role, image=grey, stamp_ns=0, frame_id=role)
@@ -202,9 +209,9 @@ def _nominal(config: Pi0RemoteOptions, profile: Profile) -> Observation:
     )
 
 
-def _actions(reply: dict[object, object]) -> NDArray[np.float64]:
-    """float64 (H, 7) of a reply. Raises ConfigurationError for anything else; non-finite values are
-    left to others.
+def _actions(reply: dict[object, object], width: int) -> NDArray[np.float64]:
+    """float64 (H, width) of a reply. Raises ConfigurationError for anything else; non-finite values
+    are left to others.
     """
     actions = reply.get("actions")
     if not isinstance(actions, np.ndarray):
@@ -212,11 +219,11 @@ def _actions(reply: dict[object, object]) -> NDArray[np.float64]:
             "The policy server's reply has no array 'actions'; its keys: "
             f"{sorted(map(str, reply))}."
         )
-    if actions.ndim != 2 or actions.shape[0] < 1 or actions.shape[1] != ACTION_SIZE:
+    if actions.ndim != 2 or actions.shape[0] < 1 or actions.shape[1] != width:
         raise ConfigurationError(
             f"The policy server yields actions of shape {actions.shape}, expected (H >= 1, "
-            f"{ACTION_SIZE}).",
-            hint="Joint-space and two-armed policies cannot be turned into TCP motion here.",
+            f"{width}).",
+            hint="Choose the profile of the served policy.",
         )
     return actions.astype(np.float64)
 

@@ -24,10 +24,10 @@ from rn_backend_pi0.architecture import (
 )
 from rn_backend_pi0.documents import Pi0ShardIndex
 from rn_backend_pi0.fast_network import FastNetwork
-from rn_backend_pi0.names import INDEX_FILE, LEROBOT_PREFIX, MAX_INDEX_BYTES, WEIGHT_FILE
 from rn_backend_pi0.network import Pi0Network
 from rn_backend_pi0.pi05_network import Pi05Network
 from rn_backend_pi0.prefix import PrefixNetwork
+from rn_backend_pi0.tensor_names import INDEX_FILE, LEROBOT_PREFIX, MAX_INDEX_BYTES, WEIGHT_FILE
 from rn_vla.checkpoint_files import check_safetensors, clip, list_names, read_schema, reading
 from roboneuron import CheckpointError, ConfigurationError
 

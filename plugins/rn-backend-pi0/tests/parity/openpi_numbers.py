@@ -31,12 +31,13 @@ CELLS = 14
 INSTRUCTIONS = (" put the red_cube\non the plate ", "open the drawer")
 PROMPT_LENGTH = 200
 CASES = {
-    # name: slots with a picture, state, instruction
+    # name: slots with a picture, state (None: not in the prompt), instruction
     "main": ((0, 1), 0, 0),
     "one_camera": ((0,), 0, 0),
     "three_cameras": ((0, 1, 2), 0, 0),
     "other_state": ((0, 1), 1, 0),
     "other_prompt": ((0, 1), 0, 1),
+    "no_state": ((0, 1), None, 0),
 }
 
 
@@ -180,7 +181,9 @@ def main() -> None:
     numbers: dict[str, np.ndarray] = {"cells": cells, "states": states, "noise": noise}
     numbers["weight"] = weights["action_in_proj.weight"].float().numpy()[0]
     for name, (present, state_index, prompt_index) in CASES.items():
-        state = normalize._normalize_quantile(states[state_index], stats["state"])
+        state = None
+        if state_index is not None:
+            state = normalize._normalize_quantile(states[state_index], stats["state"])
         tokens, mask = words.tokenize(INSTRUCTIONS[prompt_index], state)
         observation = SimpleNamespace(
             images={

@@ -1,0 +1,104 @@
+"""The remote backend with served policies that act on joints: what is sent, and what comes back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from rn_backend_pi0.options import Pi0RemoteOptions
+from rn_backend_pi0.plugin import roboneuron_backends
+from rn_backend_pi0.remote import Pi0RemoteBackend
+from roboneuron import (
+    ConfigurationError,
+    JointSample,
+    Observation,
+    UngroundedError,
+    UnsafeError,
+)
+
+Observe = Callable[..., Observation]
+ARM = tuple(f"joint{i}" for i in range(1, 8))
+POSTURE = np.linspace(-0.6, 0.6, 7)
+DROID = {
+    "profile": "droid",
+    "joints": ARM,
+    "joint_key": "observation/joint_position",
+    "gripper_key": "observation/gripper_position",
+    "image_keys": {"primary": "observation/exterior_image_1_left"},
+}
+
+
+def _backend(server: Any, **options: Any) -> Pi0RemoteBackend:
+    backend = Pi0RemoteBackend(Pi0RemoteOptions(url=server.url, **{**DROID, **options}))
+    backend.load()
+    return backend
+
+
+def _seen(observe: Observe, names: tuple[str, ...] = ARM, **changes: Any) -> Observation:
+    position = np.array([POSTURE[int(name[-1]) - 1] for name in names])
+    joints = JointSample(names=names, position=position)
+    return replace(observe(**changes), joints=joints, ee_pose=None)
+
+
+def _serve(server: Any, row: list[float]) -> None:
+    server.answer = lambda request: {"actions": np.tile(np.array(row), (15, 1))}
+
+
+def test_droid_is_asked_and_answers_in_its_own_terms(policy_server: Any, observe: Observe) -> None:
+    _serve(policy_server, [0.1, -0.2, 0, 0, 0, 0, 4.0, 0.25])
+    backend = _backend(policy_server)
+    chunk = backend.predict(_seen(observe, names=ARM[::-1], gripper_open=0.75))
+    request = policy_server.requests[-1]
+    np.testing.assert_allclose(request["observation/joint_position"], POSTURE)
+    np.testing.assert_allclose(request["observation/gripper_position"], [0.25])
+    assert "observation/state" not in request
+    # 1 is 3 rad/s and the most; DROID counts 1 as closed.
+    np.testing.assert_allclose(chunk.actions[3], [0.3, -0.6, 0, 0, 0, 0, 3.0, 0.75], atol=1e-12)
+    assert chunk.space.kind == "joint_velocity"
+    assert chunk.step_s == pytest.approx(1 / 15)
+    backend.close()
+
+
+def test_a_server_has_added_the_state_to_positions(policy_server: Any, observe: Observe) -> None:
+    _serve(policy_server, [*POSTURE, 1.0])
+    backend = _backend(policy_server, profile="franka", joint_key=None, gripper_key=None)
+    chunk = backend.predict(_seen(observe, gripper_open=1.0))
+    np.testing.assert_allclose(chunk.actions[0], [*POSTURE, 0.0], atol=1e-12)
+    sent = policy_server.requests[-1]["observation/state"]
+    np.testing.assert_allclose(sent, [*POSTURE, 0.0])
+    backend.close()
+
+
+def test_the_descriptor_declares_the_space() -> None:
+    spec = next(spec for spec in roboneuron_backends() if spec.name == "pi0-remote")
+    assert spec.space == "rn_backend_pi0.space:pi0_space"
+
+
+def test_answers_of_another_width_or_not_finite_are_refused(
+    policy_server: Any, observe: Observe
+) -> None:
+    _serve(policy_server, [0.0] * 7)
+    with pytest.raises(ConfigurationError, match=r"\(H >= 1, 8\)"):
+        _backend(policy_server)
+    _serve(policy_server, [0.0] * 8)
+    backend = _backend(policy_server)
+    _serve(policy_server, [0.0] * 7 + [float("nan")])
+    with pytest.raises(UnsafeError):
+        backend.predict(_seen(observe))
+    with pytest.raises(UngroundedError, match="joint7"):
+        backend.predict(_seen(observe, names=ARM[:6]))
+    backend.close()
+
+
+def test_keys_that_do_not_fit_are_refused(policy_server: Any) -> None:
+    with pytest.raises(ConfigurationError, match="joint_key has no use"):
+        _backend(policy_server, profile="libero", joints=None)
+    with pytest.raises(ValidationError, match="given together"):
+        Pi0RemoteOptions(**{**DROID, "gripper_key": None})
+    with pytest.raises(ConfigurationError, match="needs the option 'joints'"):
+        _backend(policy_server, joints=None)
