@@ -16,6 +16,7 @@ from roboneuron.contract import (
     Action,
     ActionChunk,
     CameraProfile,
+    ControlSpace,
     Frame,
     Hold,
     JointCommand,
@@ -27,6 +28,7 @@ from roboneuron.contract import (
     RobotState,
     Topics,
 )
+from roboneuron.contract.arrays import F64
 from roboneuron.errors import CheckpointError, NotReadyError, UngroundedError
 from roboneuron.modules.execution import Prediction
 from roboneuron.modules.inference import InferenceModule
@@ -99,6 +101,18 @@ def roboneuron_perceptions() -> Sequence[PerceptionSpec]:
 def roboneuron_controllers() -> Sequence[ControllerSpec]:
     return [
         ControllerSpec(name="adder", summary="x", target="loop_plugin:Adder"),
+        ControllerSpec(
+            name="mover",
+            summary="x",
+            target="loop_plugin:Mover",
+            spaces=("ee_delta", "joint_velocity", "joint_delta"),
+        ),
+        ControllerSpec(
+            name="boaster",
+            summary="x",
+            target="loop_plugin:Adder",
+            spaces=("ee_delta", "joint_velocity"),
+        ),
         ControllerSpec(
             name="wheels", summary="x", target="loop_plugin:Adder", robot_kinds=("base",)
         ),
@@ -328,6 +342,20 @@ class Adder:
         return JointCommand(names=JOINTS, position=position, duration_s=step_s)
 
     def close(self) -> None: ...
+
+
+class Mover(Adder):
+    """Executes joint velocities too, and keeps what it is asked for."""
+
+    def __init__(self, config: None, profile: RobotProfile) -> None:
+        self.executed: list[tuple[ControlSpace, list[float], JointSample, float]] = []
+
+    def execute(
+        self, space: ControlSpace, row: F64, joints: JointSample, step_s: float
+    ) -> JointCommand | Hold:
+        self.executed.append((space, row.tolist(), joints, step_s))
+        position = joints.position + row * step_s
+        return JointCommand(names=JOINTS, position=position, duration_s=step_s)
 
 
 class Driver:
