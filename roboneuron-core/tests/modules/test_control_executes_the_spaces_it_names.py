@@ -98,3 +98,15 @@ def test_a_controller_executes_what_its_descriptor_says(make_host: MakeHost) -> 
         ConfigurationError, match="'boaster' declares ee_delta, joint_velocity, but has no"
     ):
         ControlModule(make_host("control", replace={'"adder"': '"boaster"'}))
+
+
+@pytest.mark.parametrize("controller", ["adder", "mover"])
+def test_a_rate_makes_no_other_space_of_displacements_of_the_tcp(
+    make_host: MakeHost, controller: str
+) -> None:
+    cell = Cell(make_host, replace={'"adder"': f'"{controller}"'})
+    message = to_action_message(np.array([0.01, 0, 0, 0, 0, 0, 1.0]))
+    message.layout.dim[0].label = "ee_delta_base@15"
+    cell.receive(message)
+    assert len(cell.asked) == 1
+    assert cell.commands[-1] == pytest.approx([0.51, -0.5])
