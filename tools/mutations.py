@@ -27,7 +27,7 @@ import sys
 import tomllib
 import traceback
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from importlib import metadata
 from pathlib import Path
@@ -47,6 +47,8 @@ NOT_RUN = 255
 """Exit code of mutmut when pytest refuses to run, as for a test that it does not find; mutmut calls
 it a timeout.
 """
+NO_TESTS = 33
+"""Exit code of mutmut for a mutant of a function that no test has called."""
 UNKNOWN = ("not checked", "check was interrupted by user")
 CORE, STANDARD = "roboneuron-core/src/roboneuron", "plugins/rn-standard/src/rn_standard"
 MODULE_TESTS = ("roboneuron-core/tests/modules",)
@@ -253,12 +255,16 @@ def _prepare(part: Part, work: Path, *, is_fresh: bool) -> None:
     for path in sorted(sources.rglob("*")):
         if path.is_file() and "__pycache__" not in path.parts:
             inside = Path("src") / sources.name / path.relative_to(sources)
-            _write_changed(work / inside, _source(part, path))
+            is_changed = _write_changed(work / inside, _source(part, path))
+            copied = work / "mutants" / inside
+            if path.suffix != ".py" and copied.exists():  # mutmut copies it once
+                _write_changed(copied, path.read_bytes())
             meta = work / "mutants" / inside.with_name(f"{path.name}.meta")
-            if _is_mutated(part, path) and not meta.exists():
-                # a file that is new in the part: which tests call it has to be seen, too
+            if _is_mutated(part, path) and (is_changed or not meta.exists()):
+                # which tests call a function that is new has to be seen, too
                 (work / inside).touch()
                 (work / "mutants" / "mutmut-stats.json").unlink(missing_ok=True)
+                _forget(meta, lambda code: code == NO_TESTS)
     mutants = work / "mutants"
     for folder in (*part.tests, *CONFTESTS):
         target = mutants / folder
@@ -323,13 +329,20 @@ def _forget_survivors(part: Part, work: Path, tests: str) -> None:
         return
     (work / "mutants" / "mutmut-stats.json").unlink(missing_ok=True)
     for meta in (work / "mutants" / "src").rglob("*.py.meta"):
-        known = json.loads(meta.read_text("utf-8"))
-        results = known["exit_code_by_key"]
-        known["exit_code_by_key"] = {
-            key: code if code == 1 else None for key, code in results.items()
-        }
-        meta.write_text(json.dumps(known), "utf-8")
+        _forget(meta, lambda code: code != 1)
     (work / "tests").write_text(tests, "utf-8")
+
+
+def _forget(meta: Path, is_meant: Callable[[int | None], bool]) -> None:
+    """Have mutants tried again whose exit code is meant, by a file of results of mutmut."""
+    if not meta.exists():
+        return
+    known = json.loads(meta.read_text("utf-8"))
+    results = known["exit_code_by_key"]
+    known["exit_code_by_key"] = {
+        key: None if is_meant(code) else code for key, code in results.items()
+    }
+    meta.write_text(json.dumps(known), "utf-8")
 
 
 def _read_mutants(part: Part, work: Path) -> Iterator[Mutant]:
@@ -435,11 +448,15 @@ def _files(place: Path) -> list[Path]:
     return sorted(place.rglob("*.py")) if place.is_dir() else [place]
 
 
-def _write_changed(path: Path, content: bytes) -> None:
-    """Write a file unless it has that content: mutmut goes by the time of change."""
-    if not path.is_file() or path.read_bytes() != content:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(content)
+def _write_changed(path: Path, content: bytes) -> bool:
+    """Write a file unless it has that content, and return whether: mutmut goes by the time of
+    change.
+    """
+    if path.is_file() and path.read_bytes() == content:
+        return False
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(content)
+    return True
 
 
 def _read_text(path: Path) -> str:

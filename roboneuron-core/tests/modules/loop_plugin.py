@@ -29,6 +29,7 @@ from roboneuron.contract import (
     Topics,
     robot_space,
 )
+from roboneuron.contract.arrays import F64
 from roboneuron.errors import CheckpointError, NotReadyError, UngroundedError
 from roboneuron.modules.execution import Prediction
 from roboneuron.modules.handover import Handover
@@ -113,6 +114,12 @@ def roboneuron_controllers() -> Sequence[ControllerSpec]:
             summary="x",
             target="loop_plugin:Follower",
             spaces=("ee_delta", "ee_pose", "joint_position", "joint_velocity"),
+        ),
+        ControllerSpec(
+            name="mover",
+            summary="x",
+            target="loop_plugin:Mover",
+            spaces=("ee_delta", "joint_velocity", "joint_delta"),
         ),
         ControllerSpec(
             name="boaster", summary="x", target="loop_plugin:Adder", spaces=("joint_position",)
@@ -378,6 +385,20 @@ class Follower(Adder):
         position = row[:2]
         if space.kind == "joint_velocity":
             position = joints.position + row[:2] * step_s
+        return JointCommand(names=JOINTS, position=position, duration_s=step_s)
+
+
+class Mover(Adder):
+    """Executes joint velocities too, and keeps what it is asked for."""
+
+    def __init__(self, config: None, profile: RobotProfile) -> None:
+        self.executed: list[tuple[ControlSpace, list[float], JointSample, float]] = []
+
+    def execute(
+        self, space: ControlSpace, row: F64, joints: JointSample, step_s: float
+    ) -> JointCommand | Hold:
+        self.executed.append((space, row.tolist(), joints, step_s))
+        position = joints.position + row * step_s
         return JointCommand(names=JOINTS, position=position, duration_s=step_s)
 
 

@@ -378,7 +378,7 @@ class ControlModule(Module):
         self, space: ControlSpace, row: F64, joints: JointSample, step_s: float, now_s: float
     ) -> JointCommand | Hold:
         """The controller's answer to one row."""
-        if space is EE_DELTA:
+        if space.kind == EE_DELTA.kind:
             return self._controller.compute(Action.from_vector(row), joints, step_s)
         # `_executed_spaces` has looked
         controller = cast("SpaceController", self._controller)
