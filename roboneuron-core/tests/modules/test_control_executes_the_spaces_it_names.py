@@ -19,7 +19,7 @@ def cell(make_host: MakeHost) -> Cell:
     return Cell(make_host, replace={'"adder"': '"mover"'})
 
 
-def velocity(*row: float, kind: str = "joint_velocity", rate_hz: float = 0.0) -> Float64MultiArray:
+def velocity(*row: float, kind: str = "joint_velocity", rate_hz: float = 10.0) -> Float64MultiArray:
     return to_action_message(np.array(row), robot_space(kind, profile(), rate_hz))
 
 
@@ -31,7 +31,7 @@ def executed(cell: Cell) -> list[Any]:
 def test_a_row_is_executed_in_the_space_of_its_label(cell: Cell) -> None:
     cell.receive(velocity(0.1, -0.05))
     ((space, row, joints, step_s),) = executed(cell)
-    assert (space.kind, space.label) == ("joint_velocity", "joint_velocity:a,b")
+    assert (space.kind, space.label) == ("joint_velocity", "joint_velocity@10:a,b")
     assert (row, step_s) == ([0.1, -0.05], 0.1)
     assert joints.position.tolist() == START.tolist()
     assert cell.commands[-1] == pytest.approx([0.51, -0.505])
@@ -60,13 +60,6 @@ def test_a_row_lasts_one_period_of_its_policy_whenever_it_arrives(cell: Cell) ->
     ]
 
 
-def test_a_row_without_a_rate_lasts_as_long_as_the_one_before(cell: Cell) -> None:
-    for _ in range(2):
-        cell.receive(velocity(0.1, 0.0))
-        cell.go(0.07)
-    assert [step_s for *_, step_s in executed(cell)] == pytest.approx([0.1, 0.07])
-
-
 def test_velocities_add_to_the_command_in_progress(cell: Cell) -> None:
     """A measured arm is behind it, and would never come as far as was asked for."""
     cell.receive(velocity(0.1, 0.0))
@@ -85,18 +78,7 @@ def test_a_space_that_control_does_not_execute_is_refused(cell: Cell, kind: str)
     assert executed(cell) == []
     assert cell.drops() == {"malformed": 1}
     error = cell.host.values()["error"]
-    assert f"An action is labelled '{kind}:a,b'" in error
+    assert f"An action is labelled '{kind}@10:a,b'" in error
     assert "'ee_delta_base', 'joint_velocity:a,b'" in error
     cell.receive(velocity(0.1, 0.0))
     assert len(executed(cell)) == 1
-
-
-def test_a_rate_makes_no_other_space_of_displacements_of_the_tcp(
-    make_host: MakeHost, controller: str
-) -> None:
-    cell = Cell(make_host, replace={'"adder"': f'"{controller}"'})
-    message = to_action_message(np.array([0.01, 0, 0, 0, 0, 0, 1.0]))
-    message.layout.dim[0].label = "ee_delta_base@15"
-    cell.receive(message)
-    assert len(cell.asked) == 1
-    assert cell.commands[-1] == pytest.approx([0.51, -0.5])
