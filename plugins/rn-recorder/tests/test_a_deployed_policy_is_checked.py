@@ -15,6 +15,8 @@ from policy_datasets import write_dataset
 from policy_runs import write_run
 
 from rn_recorder_policy.command import CheckPolicy
+from rn_recorder_runs.lerobot import export
+from rn_recorder_runs.store import Run
 from rn_testing.fakes.site import PluginSite, plugin_site
 from roboneuron import ConfigurationError, InvalidInputError, MissingDependencyError
 
@@ -105,6 +107,14 @@ def test_a_recording_of_our_own_is_checked(call: Call, tmp_path: Path) -> None:
     )
     assert status == 1
     assert "swapped: dx_m has the values of dy_m" in text
+
+
+def test_what_we_export_is_checked(call: Call, tmp_path: Path) -> None:
+    folder = write_run(tmp_path / "run", "joint_velocity")
+    run = Run(id="run", kind="recording", files=(folder / "part-0001.mcap",), facts={})
+    export([run], tmp_path / "set", outcome=None, fps=None, codec="av1")
+    status, text = call("joint_velocity", "--dataset", str(tmp_path / "set"))
+    assert status == 0, text
 
 
 def test_names_are_mapped_and_never_guessed(call: Call, tmp_path: Path) -> None:

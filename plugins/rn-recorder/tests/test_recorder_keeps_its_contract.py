@@ -2,7 +2,7 @@
 
 import pytest
 
-from rn_recorder.plugin import COMMAND, FEATURE
+from rn_recorder.plugin import CHECK_POLICY, COMMAND, FEATURE
 from rn_testing import (
     CommandCase,
     CommandContract,
@@ -23,6 +23,12 @@ class TestRuns(CommandContract):
     @pytest.fixture
     def plugin(self) -> CommandCase:
         return CommandCase(spec=COMMAND)
+
+
+class TestCheckPolicy(CommandContract):
+    @pytest.fixture
+    def plugin(self) -> CommandCase:
+        return CommandCase(spec=CHECK_POLICY)
 
 
 class TestPackage(PackageContract):
