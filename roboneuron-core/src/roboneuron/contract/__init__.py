@@ -24,6 +24,7 @@ from roboneuron.contract.observation import (
 )
 from roboneuron.contract.profile import (
     TOPIC_RULE,
+    ArmProfile,
     CameraProfile,
     CollisionProfile,
     Endpoint,
@@ -44,6 +45,7 @@ from roboneuron.contract.protocols import (
     PostureInspector,
     RobotDriver,
     Runtime,
+    SeveralArms,
     SpaceController,
     Topics,
 )
@@ -73,6 +75,7 @@ __all__ = [
     "Ahead",
     "AnyAcceleration",
     "AnyRuntime",
+    "ArmProfile",
     "Backend",
     "CameraCalibration",
     "CameraProfile",
@@ -98,6 +101,7 @@ __all__ = [
     "RobotProfile",
     "RobotState",
     "Runtime",
+    "SeveralArms",
     "SpaceAgreement",
     "SpaceController",
     "Topics",

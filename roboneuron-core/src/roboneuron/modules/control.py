@@ -24,13 +24,14 @@ from roboneuron.contract import (
     JointCommand,
     JointSample,
     RobotProfile,
+    SeveralArms,
     SpaceController,
     robot_space,
 )
 from roboneuron.contract.arrays import F64
 from roboneuron.contract.space import split_label
 from roboneuron.errors import ConfigurationError, InvalidInputError, RoboNeuronError, UnsafeError
-from roboneuron.gate.motion import check_tighter, collision_of, motion_rules
+from roboneuron.gate.motion import check_tighter, collision_of, motion_rules, poses_of
 from roboneuron.gate.motion.command import pick
 from roboneuron.modules.module_host import Module, ModuleHost
 from roboneuron.modules.motion import JointWatch, MotionGuard
@@ -95,7 +96,7 @@ class ControlModule(Module):
         node.resources.callback(self._controller.close)
         self._controller.load()
         self._spaces = _executed_spaces(spec, self._controller, self._profile)
-        self._space = EE_DELTA
+        self._space = next(iter(self._spaces.values()))
         self._watched = JointWatch(self._profile, config.state_timeout_s)
         state = Path(node.settings.state_directory)
         immediate = config.command == "joint_state"
@@ -117,7 +118,11 @@ class ControlModule(Module):
             node.add_parameter(LIMITS_PARAMETER, "", self._tighten, self._why_not_tighten)
         )
         self.status.set_value("limits", "configured" if tightened is None else "tightened")
+        self._poses = poses_of(self._controller)
         self._ee_pose = node.advertise(PoseStamped, EE_POSE)
+        self._arm_poses = [
+            node.advertise(PoseStamped, f"{arm.name}/{EE_POSE}") for arm in self._profile.arms
+        ]
         commands = (JointState, JOINT_COMMAND) if immediate else (JointTrajectory, JOINT_TRAJECTORY)
         self._command = node.advertise(*commands)
         node.subscribe(JointState, JOINT_STATES, self._on_joint_state)
@@ -206,11 +211,14 @@ class ControlModule(Module):
             self.status.set_error(error)
 
     def _publish_pose(self, joints: JointSample) -> None:
-        pose = self._controller.forward(joints)
+        poses = self._poses(joints)
+        pose = poses[0]
         if self.handover.is_shadow(joints.stamp_ns):
             self.handover.withhold(pose)
         elif not self.handover.is_over(joints.stamp_ns):
             self._ee_pose.publish(to_pose_stamped(pose, self._profile.base_link))
+            for publisher, of_arm in zip(self._arm_poses, poses, strict=False):
+                publisher.publish(to_pose_stamped(of_arm, self._profile.base_link))
             self.handover.note_sent("pose")
         self.status.clear_error()
         self.status.set_ready()
@@ -407,8 +415,15 @@ def _executed_spaces(
     """Spaces that control executes, by label. Raises ConfigurationError when the controller cannot
     do what its descriptor says.
     """
-    # inference resolves `joint_delta`, which never travels
-    kinds = [kind for kind in spec.spaces if kind != "joint_delta"]
+    # inference resolves `joint_delta`, which never travels; a 7-vector is for one arm
+    never = {"joint_delta", *(("ee_delta",) if profile.arms else ())}
+    kinds = [kind for kind in spec.spaces if kind not in never]
+    if profile.arms and not (kinds and isinstance(controller, SeveralArms)):
+        raise ConfigurationError(
+            f"Controller {spec.name!r} moves one arm; robot {profile.name!r} has "
+            f"{len(profile.arms)}.",
+            hint="Choose a controller for several arms, such as 'urdf'.",
+        )
     if kinds != ["ee_delta"] and not isinstance(controller, SpaceController):
         raise ConfigurationError(
             f"Controller {spec.name!r} declares {', '.join(kinds)}, but has no `execute`."
