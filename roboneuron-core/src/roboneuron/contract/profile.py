@@ -295,6 +295,27 @@ class RobotProfile:
         """The gripper of each arm that has one."""
         return tuple(arm.gripper for arm in self.each_arm if arm.gripper is not None)
 
+    def of_arm(self, arm: ArmProfile) -> RobotProfile:
+        """The robot as if `arm` were its only one, its TCP in the same base frame; itself when it
+        names no arms.
+        """
+        if not self.arms:
+            return self
+        rows = [self.arm_joints.index(joint) for joint in arm.joints]
+        limits = self.limits
+        if limits is not None:
+            arrays = {part.name: getattr(limits, part.name) for part in fields(limits)}
+            limits = JointLimits(**{n: None if a is None else a[rows] for n, a in arrays.items()})
+        return replace(
+            self,
+            arms=(),
+            arm_joints=arm.joints,
+            tcp_link=arm.tcp_link,
+            gripper=arm.gripper,
+            limits=limits,
+            home_rad=None if self.home_rad is None else self.home_rad[rows],
+        )
+
     def tolerance(self, joint: str) -> float:
         """How near a joint has to be to count as there: 0.01 rad or 1 mm, and at most 1/40 of a
         gripper's travel.
