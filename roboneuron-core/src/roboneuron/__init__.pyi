@@ -17,6 +17,7 @@ from .contract import (
     AnyAcceleration as AnyAcceleration,
     AnyRuntime as AnyRuntime,
     ArmProfile as ArmProfile,
+    ArmState as ArmState,
     Backend as Backend,
     CameraCalibration as CameraCalibration,
     CameraProfile as CameraProfile,

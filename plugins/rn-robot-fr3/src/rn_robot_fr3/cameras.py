@@ -103,9 +103,9 @@ def _wrist() -> PinholeCamera:
     )
 
 
-def _above_the_middle() -> PinholeCamera:
-    """Beside the table of two arms, looking at both."""
-    eye, target = np.array([FACING_M / 2.0, 1.55, 0.95]), np.array([FACING_M / 2.0, 0.0, 0.22])
+def _beside_both() -> PinholeCamera:
+    """Beside the table of two arms, looking at both, and between their hands."""
+    eye, target = np.array([1.15, -1.45, 0.95]), np.array([FACING_M / 2.0, 0.0, 0.22])
     return replace(_front(), T_mount_camera=look_at(eye, target, np.array([0.0, 0.0, 1.0])))
 
 
@@ -123,7 +123,7 @@ def cell_cameras(cell: Cell) -> tuple[PinholeCamera, ...]:
         )
         for number, mount in enumerate(cell.mounts)
     ]
-    return (_above_the_middle(), *wrists)
+    return (_beside_both(), *wrists)
 
 
 def cameras() -> tuple[PinholeCamera, ...]:

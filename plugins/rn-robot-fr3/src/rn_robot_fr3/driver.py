@@ -7,13 +7,13 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from std_msgs.msg import Float64MultiArray
+from std_msgs.msg import Float64, Float64MultiArray
 
 from rn_robot_fr3.cell import CELLS, FR3
 from rn_robot_fr3.ground_truth import CubeState
 from rn_robot_fr3.options import SimulatedDriverOptions
 from rn_robot_fr3.simulation import STEP_S, ArmSimulation, opening
-from rn_robot_fr3.state_message import TOPIC, SceneState, to_message
+from rn_robot_fr3.state_message import HANDED_OVER_TOPIC, TOPIC, SceneState, to_message
 from rn_simulation.real_time import RealTimeThread
 from roboneuron import (
     ConfigurationError,
@@ -47,6 +47,7 @@ class SimulatedDriver:
         self._profile = profile
         self._topics = topics
         self._publish: Callable[[Float64MultiArray], None] | None = None
+        self._tell: Callable[[Float64], None] | None = None
         self._cell = CELLS.get(profile.name, FR3)
         self._simulation = ArmSimulation(
             self._options.seed,
@@ -82,6 +83,8 @@ class SimulatedDriver:
             )
         if self._publish is None:
             self._publish = self._topics.advertise(TOPIC, Float64MultiArray)
+            if len(self._cell.mounts) > 1:
+                self._tell = self._topics.advertise(HANDED_OVER_TOPIC, Float64)
         self._time.start(self._simulation, self._advance)
 
     def read(self) -> RobotState:
@@ -153,6 +156,9 @@ class SimulatedDriver:
                 stamp_ns=stamp_ns,
             )
             self._publish(to_message(state))
+            if self._tell is not None:
+                handed_over_s = max(cube.handed_over_s for cube in cubes.values())
+                self._tell(Float64(data=handed_over_s))
             facts = {
                 name: {
                     "position_m": [round(float(value), 4) for value in cube.position_m],

@@ -126,7 +126,7 @@ def pair_profile() -> RobotProfile:
             upper_m=np.array([FACING_M - nearest_m, *highest_m[1:]]),
         ),
         endpoints=_pair_endpoints(arms, named),
-        own_topics=OWN_TOPICS[:1],
+        own_topics=("sim/state", "sim/handed_over"),
     )
 
 

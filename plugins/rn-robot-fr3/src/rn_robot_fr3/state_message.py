@@ -22,6 +22,8 @@ from roboneuron import InvalidInputError
 F64 = NDArray[np.float64]
 
 TOPIC = "sim/state"
+HANDED_OVER_TOPIC = "sim/handed_over"
+"""std_msgs/Float64: for how long a cube has been handed over [s]; of cells with several arms."""
 _NANOSECONDS = 1_000_000_000
 _POSE_SIZE = 7
 

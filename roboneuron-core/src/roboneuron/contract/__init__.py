@@ -16,6 +16,7 @@ from roboneuron.contract.image import check_rgb8, frame_from_buffer
 from roboneuron.contract.motion import Hold, JointCommand, Posture, Proximity, RobotState
 from roboneuron.contract.observation import (
     Ahead,
+    ArmState,
     CameraCalibration,
     Frame,
     JointSample,
@@ -76,6 +77,7 @@ __all__ = [
     "AnyAcceleration",
     "AnyRuntime",
     "ArmProfile",
+    "ArmState",
     "Backend",
     "CameraCalibration",
     "CameraProfile",
