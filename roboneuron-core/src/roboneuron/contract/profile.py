@@ -305,7 +305,7 @@ class RobotProfile:
         limits = self.limits
         if limits is not None:
             arrays = {part.name: getattr(limits, part.name) for part in fields(limits)}
-            limits = JointLimits(**{n: None if a is None else a[rows] for n, a in arrays.items()})
+            limits = replace(limits, **{n: a[rows] for n, a in arrays.items() if a is not None})
         return replace(
             self,
             arms=(),
