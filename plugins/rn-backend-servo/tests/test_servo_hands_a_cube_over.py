@@ -9,6 +9,7 @@ import pytest
 pytest.importorskip("rn_robot_fr3.simulation", exc_type=ImportError)
 pytest.importorskip("rn_controller_urdf.controller", exc_type=ImportError)
 
+from rn_backend_servo.case import pair_case
 from rn_backend_servo.options import HandOverOptions
 from rn_backend_servo.pair_backend import HandOverBackend, hand_over_space
 from rn_controller_urdf.controller import UrdfController
@@ -17,6 +18,7 @@ from rn_robot_fr3.profile import pair_profile
 from rn_robot_fr3.profile import profile as single_profile
 from rn_robot_fr3.simulation import STEP_S, ArmSimulation
 from rn_simulation.engine import ENGINES
+from rn_testing import BackendCase, BackendContract
 from roboneuron.config import LimitsConfig
 from roboneuron.contract import (
     ActionChunk,
@@ -114,6 +116,12 @@ class PairCell:
         else:
             self.refused.append(verdict.reason)
         return chunk
+
+
+class TestServoPair(BackendContract):
+    @pytest.fixture
+    def plugin(self) -> BackendCase:
+        return pair_case()
 
 
 @pytest.mark.parametrize("engine", [engine for engine in ENGINES if is_importable(engine)])

@@ -41,6 +41,7 @@ def roboneuron_backends() -> Sequence[BackendSpec]:
             "visual servoing",
             target="rn_backend_servo.pair_backend:HandOverBackend",
             config="rn_backend_servo.options:HandOverOptions",
+            case="rn_backend_servo.case:pair_case",
             cameras=("primary",),
             optional_cameras=("wrist",),
             needs_state=True,

@@ -18,7 +18,15 @@ from rn_testing.lifecycle import Lifecycle
 from rn_testing.rule import NotApplicable, Rule, Violation, require
 from rn_testing.rules.continuing import ContinuingRules
 from rn_testing.snapshots import snapshot
-from roboneuron import ActionChunk, Backend, Frame, Observation, RoboNeuronError, UngroundedError
+from roboneuron import (
+    EE_DELTA,
+    ActionChunk,
+    Backend,
+    Frame,
+    Observation,
+    RoboNeuronError,
+    UngroundedError,
+)
 
 MAX_TRANSLATION_M, MAX_ROTATION_RAD = 0.25, 1.0
 """Largest single action that is no mistake of unit: policies act at 5 Hz and more, arms move below
@@ -171,7 +179,10 @@ def _check_instructions(case: BackendCase) -> None:
 
 def _check_units(case: BackendCase) -> None:
     with loaded(case) as backend:
-        actions = predict(case, backend).actions
+        chunk = predict(case, backend)
+    if chunk.space is not EE_DELTA:
+        raise NotApplicable(f"its rows are of {chunk.space.kind!r}")
+    actions = chunk.actions
     far_m = float(np.linalg.norm(actions[:, :3], axis=1).max())
     far_rad = float(np.linalg.norm(actions[:, 3:6], axis=1).max())
     require(
