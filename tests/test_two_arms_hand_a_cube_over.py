@@ -16,13 +16,16 @@ DEMO = Path(__file__).parents[1] / "examples" / "demo_pair.py"
 
 @pytest.mark.ros
 @pytest.mark.timeout(300)
-def test_the_left_arm_hands_a_cube_to_the_right_one(tmp_path: Path) -> None:
+def test_the_left_arm_hands_a_cube_to_the_right_one(
+    tmp_path: Path, environment: dict[str, str]
+) -> None:
     done = subprocess.run(
         [sys.executable, str(DEMO), "--seed", "3", "--output", str(tmp_path)],
         capture_output=True,
         text=True,
         check=False,
         timeout=280,
+        env=environment,
     )
     assert done.returncode == 0, done.stdout + done.stderr
     assert "'holders': ['right']" in done.stdout

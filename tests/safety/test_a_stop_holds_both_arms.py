@@ -65,5 +65,9 @@ async def _stop_while_they_move(log: Path) -> None:
 
 @pytest.mark.ros
 @pytest.mark.timeout(180)
-def test_both_arms_hold_when_one_stop_is_pressed(tmp_path: Path) -> None:
+def test_both_arms_hold_when_one_stop_is_pressed(
+    tmp_path: Path, environment: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("ROS_DOMAIN_ID", "XDG_STATE_HOME"):  # the stop is latched there, and stays
+        monkeypatch.setenv(name, environment[name])
     anyio.run(_stop_while_they_move, tmp_path / "server.log")
