@@ -199,6 +199,9 @@ demo-bases: $(VENV)/.demo-bases ## an MCP client drives three mobile bases at th
 demo-fleet: $(VENV)/.demo-fleet ## one MCP client, two FR3s and a base: both arms pick up a cube while the base drives
 	@$(BIN)/python examples/demo_fleet.py $(ARGS)
 
+demo-pair: $(VENV)/.demo ## two FR3s at one table: the left one hands a cube to the right one
+	@$(BIN)/python examples/demo_pair.py $(ARGS)
+
 test: test-units test-ros ## the default test suite, in two lanes: units and ROS; test-timing is a third
 
 # Without --max-worker-restart=0 pytest-xdist may wait for ever when a worker crashes (seen with 3.8.0).

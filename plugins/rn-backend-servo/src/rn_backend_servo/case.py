@@ -5,6 +5,7 @@ by the kit only.
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,7 @@ from rn_backend_servo.cube import cube_corners
 from rn_backend_servo.geometry import CameraView
 from rn_backend_servo.plugin import roboneuron_backends
 from rn_testing.cases import BackendCase
-from roboneuron import CameraCalibration, Frame, JointSample, Observation, Pose
+from roboneuron import ArmState, CameraCalibration, Frame, JointSample, Observation, Pose
 
 F64 = NDArray[np.float64]
 
@@ -110,4 +111,28 @@ def contract_case() -> BackendCase:
         observe=lambda: observe(_grained(image)),
         observe_next=lambda: observe(_grained(moved)),
         row_tolerance=1e-9,
+    )
+
+
+def observe_pair(image: NDArray[np.uint8]) -> Observation:
+    """What the backend of two arms sees, with both hands pointing down above the table."""
+    one = observe(image, instruction="hand over the red cube")
+    assert one.ee_pose is not None
+    other = replace(one.ee_pose, position_m=np.array([0.8, 0.0, 0.4]))
+    return replace(
+        one,
+        arms={
+            "left": ArmState(ee_pose=one.ee_pose, gripper_open=1.0),
+            "right": ArmState(ee_pose=other, gripper_open=1.0),
+        },
+    )
+
+
+def pair_case() -> BackendCase:
+    """`servo-pair` above the same table."""
+    image, moved = (paint_table({"red": (0.5, y_m, 0.3)}) for y_m in (-0.1, 0.15))
+    return BackendCase(
+        spec=roboneuron_backends()[1],
+        observe=lambda: observe_pair(_grained(image)),
+        observe_next=lambda: observe_pair(_grained(moved)),
     )

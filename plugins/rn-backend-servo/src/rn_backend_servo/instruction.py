@@ -150,6 +150,26 @@ def parse_instruction(instruction: str) -> str:
     return colours[0]
 
 
+_HAND_OVER = ("hand", "pass", "give")
+"""Verbs that mean: pick it up with one arm and let the other one take it."""
+
+
+def parse_hand_over(instruction: str) -> str:
+    """Return the colour of the cube to hand over.
+
+    Raises:
+        UngroundedError: no verb of handing over; otherwise as `parse_instruction`.
+    """
+    words = re.findall(r"[^\W\d_]+", instruction.lower())
+    if not any(word in _HAND_OVER for word in words):
+        raise UngroundedError(
+            f"The instruction {instruction.strip()!r} does not ask to hand something over.",
+            hint=f'Say for instance "hand over the red cube". Verbs: {", ".join(_HAND_OVER)}.',
+        )
+    plain = " ".join("take" if word in _HAND_OVER else word for word in words)
+    return parse_instruction(plain)
+
+
 def _check_object(words: list[str], quoted: str) -> None:
     """Raise UngroundedError when what follows the colour is the name of something that is no
     cube.

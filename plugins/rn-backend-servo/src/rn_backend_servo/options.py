@@ -58,3 +58,19 @@ class ServoOptions(BaseModel):
         lt=1,
         description="Gripper opening above which something is between the closed fingers.",
     )
+
+
+class HandOverOptions(ServoOptions):
+    """Options of the backend `servo-pair`: also who gives, who takes, and where."""
+
+    giver: str = Field(default="left", description="Name of the arm that picks the cube up.")
+    max_turn_rad: float = Field(
+        default=0.12, gt=0, le=0.3, description="Largest rotation per action [rad]."
+    )
+    taker: str = Field(default="right", description="Name of the arm that it hands it to.")
+    meeting_m: tuple[float, float, float] = Field(
+        default=(0.575, 0.0, 0.40), description="Where it is handed over, base frame [m]."
+    )
+    apart_m: float = Field(
+        default=0.14, gt=0.08, le=0.4, description="How far the arms stay from it otherwise [m]."
+    )

@@ -1,4 +1,4 @@
-"""What this package offers RoboNeuron: the backend "servo"."""
+"""What this package offers RoboNeuron: the backends "servo" and "servo-pair"."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ MAX_ROWS = 32
 
 @hookimpl
 def roboneuron_backends() -> Sequence[BackendSpec]:
-    """Offer the backend "servo"."""
+    """Offer the backends "servo" and "servo-pair"."""
     return [
         BackendSpec(
             name="servo",
@@ -34,5 +34,17 @@ def roboneuron_backends() -> Sequence[BackendSpec]:
                 step_s=0.1,
             ),
             conditions_on_rows=True,
-        )
+        ),
+        BackendSpec(
+            name="servo-pair",
+            summary="Hands the cube named by its colour from one arm to the other, by classical "
+            "visual servoing",
+            target="rn_backend_servo.pair_backend:HandOverBackend",
+            config="rn_backend_servo.options:HandOverOptions",
+            case="rn_backend_servo.case:pair_case",
+            cameras=("primary",),
+            optional_cameras=("wrist",),
+            needs_state=True,
+            space="rn_backend_servo.pair_backend:hand_over_space",
+        ),
     ]

@@ -1,16 +1,18 @@
-"""Distances of a URDF arm's links to each other and to obstacles, by coal on the URDF's own
+"""Distances of a URDF robot's links to each other and to obstacles, by coal on the URDF's own
 collision shapes.
 """
 
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from roboneuron import (
+    ArmProfile,
     CollisionProfile,
     ConfigurationError,
     JointSample,
@@ -35,6 +37,7 @@ postures.
 class CollisionModel:
     """Tells which links are too near to each other or to an obstacle; used from one thread.
 
+    One model holds all arms, so that arms keep their distance from each other as links do.
     Links of one joint and links that a joint connects are not compared, nor fingers of one hand,
     nor links that touch each other at the profile's home posture, nor a base that stands on an
     obstacle: these overlap by construction. Only boxes, cylinders, spheres and capsules count:
@@ -79,7 +82,7 @@ class CollisionModel:
         self._mimics = _mimics(root)
         self._order: tuple[tuple[str, ...], list[int], list[int]] = ((), [], [])
         self._check_tools()
-        self._choose_pairs(root)
+        self._choose_pairs(root, profile.arms)
         self._prepare()
         if profile.home_rad is not None:
             home = self._full(JointSample(names=profile.arm_joints, position=profile.home_rad))
@@ -156,17 +159,23 @@ class CollisionModel:
                 f"The tool link {unknown[0]!r} has no collision shape in the robot description."
             )
 
-    def _choose_pairs(self, root: ET.Element) -> None:
+    def _choose_pairs(self, root: ET.Element, arms: Sequence[ArmProfile]) -> None:
         neighbours = {
             frozenset((_link(j, "parent"), _link(j, "child"))) for j in root.findall("joint")
         }
         shapes, parents = self._shapes.geometryObjects, self._model.parents
         own = len(shapes) - len(self._collision.obstacles)
+        arm_of = [""] * len(parents)
+        for arm in arms:
+            for joint in self._model.subtrees[self._model.getJointId(arm.joints[0])]:
+                arm_of[joint] = arm.name
         for first in range(own):
             for second in range(first + 1, len(shapes)):
                 a, b = shapes[first].parentJoint, shapes[second].parentJoint
                 if second < own:
-                    siblings = a > 0 and b > 0 and parents[a] == parents[b]
+                    siblings = (
+                        a > 0 and b > 0 and parents[a] == parents[b] and arm_of[a] == arm_of[b]
+                    )
                     if (
                         a == b
                         or siblings

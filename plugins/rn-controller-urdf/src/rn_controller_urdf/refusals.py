@@ -122,13 +122,17 @@ def check_row(space: ControlSpace, row: F64, expected: tuple[str, ...]) -> Hold 
             f"{f'; expected {expected}' if expected else ''}.",
         )
     values = row.tolist() if row.shape == (len(expected),) else [math.nan]
-    has_gripper = GRIPPER in expected
-    if all(map(math.isfinite, values)) and (not has_gripper or 0.0 <= values[-1] <= 1.0):
+    openings = [
+        value
+        for key, value in zip(expected, values, strict=False)
+        if key.rpartition("/")[2] == GRIPPER
+    ]
+    if all(map(math.isfinite, values)) and all(0.0 <= value <= 1.0 for value in openings):
         return None
     return Hold(
         code=BAD_ACTION,
         reason=f"A row of {space.kind} is {row}, expected {len(expected)} finite values"
-        f"{' with the opening in [0, 1]' if has_gripper else ''}.",
+        f"{' with the opening in [0, 1]' if openings else ''}.",
     )
 
 

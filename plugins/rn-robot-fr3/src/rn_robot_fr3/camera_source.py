@@ -5,10 +5,12 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Sequence
+from typing import ClassVar
 
 from std_msgs.msg import Float64MultiArray
 
-from rn_robot_fr3.cameras import PinholeCamera, cameras
+from rn_robot_fr3.cameras import PinholeCamera, cell_cameras
+from rn_robot_fr3.cell import FR3, PAIR, Cell
 from rn_robot_fr3.options import SimulatedCamerasOptions
 from rn_robot_fr3.state_message import TOPIC, SceneState, from_message
 from rn_robot_fr3.twin import RenderTwin
@@ -22,7 +24,12 @@ class SimulatedCameras:
     A frame's stamp is the time of the state it shows, so that its age is true. Each state is shown
     at most once per camera: when the simulation stops, so do the frames. It may start before or
     after the simulation, and follows it to another scene.
+
+    Attributes:
+        cell: whose cameras they are.
     """
+
+    cell: ClassVar[Cell] = FR3
 
     def __init__(
         self,
@@ -55,12 +62,12 @@ class SimulatedCameras:
         """
         if self._open:
             raise StateError("The simulated cameras are open already.")
-        known = {camera.name: camera for camera in cameras()}
+        known = {camera.name: camera for camera in cell_cameras(self.cell)}
         unknown = [camera.name for camera in self._wanted if camera.name not in known]
         if unknown or not self._wanted:
             what = f"no camera {unknown[0]!r}" if unknown else "nothing to show"
             raise ConfigurationError(
-                f"The simulated FR3 has {what}, expected some of {', '.join(known)}."
+                f"The simulated {self.cell.robot} has {what}, expected some of {', '.join(known)}."
             )
         self._served = [known[camera.name] for camera in self._wanted]
         self._shown_by_camera = {}
@@ -101,7 +108,7 @@ class SimulatedCameras:
             image=image,
             stamp_ns=state.stamp_ns,
             frame_id=camera.frame_id,
-            calibration=calibration,
+            calibration=calibration if calibration.mount in ("base", "tcp") else None,
         )
 
     def close(self) -> None:
@@ -159,8 +166,14 @@ class SimulatedCameras:
                 raise NotReadyError(
                     f"No new state of the simulation arrived on topic {TOPIC!r} within "
                     f"{timeout_s:g} s.",
-                    hint="Start the robot fr3 with its simulated driver.",
+                    hint=f"Start the robot {self.cell.robot} with its simulated driver.",
                 )
             message, received = self._message, self._received
             self._shown_by_camera[camera.name] = received
         return from_message(message)
+
+
+class SimulatedPairCameras(SimulatedCameras):
+    """The cameras of two simulated FR3s."""
+
+    cell: ClassVar[Cell] = PAIR

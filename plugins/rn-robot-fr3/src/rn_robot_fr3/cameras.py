@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rn_robot_fr3.cell import FACING_M, FR3, Cell
 from roboneuron import CameraCalibration, CameraProfile
 
 F64 = NDArray[np.float64]
@@ -34,7 +35,7 @@ class PinholeCamera:
 
     Attributes:
         name, role, frame_id: as in `CameraProfile`.
-        mount: "base" or "tcp".
+        mount: "base", "tcp", or "<arm>/tcp" for an arm after the first.
         T_mount_camera: float64 (4, 4), optical frame in the mount frame [m].
         vertical_view_rad: angle between the top and the bottom edge of the image.
     """
@@ -68,7 +69,8 @@ class PinholeCamera:
             frame_id=self.frame_id,
             width=width,
             height=height,
-            calibration=self.calibration(width, height),
+            # backends know where the first arm's hand is
+            calibration=self.calibration(width, height) if self.mount in ("base", "tcp") else None,
         )
 
 
@@ -99,6 +101,29 @@ def _wrist() -> PinholeCamera:
         T_mount_camera=look_at(eye, ahead, np.array([1.0, 0.0, 0.0])),
         vertical_view_rad=np.deg2rad(80.0),
     )
+
+
+def _beside_both() -> PinholeCamera:
+    """Beside the table of two arms, looking at both, and between their hands."""
+    eye, target = np.array([1.15, -1.45, 0.95]), np.array([FACING_M / 2.0, 0.0, 0.22])
+    return replace(_front(), T_mount_camera=look_at(eye, target, np.array([0.0, 0.0, 1.0])))
+
+
+def cell_cameras(cell: Cell) -> tuple[PinholeCamera, ...]:
+    """The cameras of a cell: "front" beside the table and one on each hand."""
+    if cell is FR3:
+        return cameras()
+    wrists = [
+        replace(
+            _wrist(),
+            name=f"{mount.name}_wrist",
+            role="wrist" if number == 0 else f"{mount.name}_wrist",
+            frame_id=f"{mount.name}_wrist_camera_optical_frame",
+            mount="tcp" if number == 0 else f"{mount.name}/tcp",
+        )
+        for number, mount in enumerate(cell.mounts)
+    ]
+    return (_beside_both(), *wrists)
 
 
 def cameras() -> tuple[PinholeCamera, ...]:

@@ -4,20 +4,21 @@ computation.
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import numpy as np
 
-from rn_robot_fr3.limits import ARM_JOINTS, FINGER_JOINT
+from rn_robot_fr3.cell import MOVED
 from roboneuron import InvalidInputError, JointCommand
 
 
-def checked(command: JointCommand) -> dict[str, float]:
-    """Positions by joint.
+def checked(command: JointCommand, known: Collection[str] = MOVED) -> dict[str, float]:
+    """Positions by joint, of those that are known.
 
     Raises:
         InvalidInputError: an unknown joint, one twice, none, a wrong size, a non-finite value, a
             duration <= 0.
     """
-    known = (*ARM_JOINTS, FINGER_JOINT)
     unknown = [name for name in command.names if name not in known]
     if unknown:
         raise InvalidInputError(

@@ -7,9 +7,10 @@ import math
 import numpy as np
 from std_msgs.msg import Float64MultiArray
 
+from rn_robot_fr3.cell import FR3, PAIR, Cell
 from rn_robot_fr3.limits import FINGER_OPEN_M
 from rn_robot_fr3.plugin import roboneuron_perceptions, roboneuron_robots
-from rn_robot_fr3.profile import HOME_RAD, profile
+from rn_robot_fr3.profile import HOME_RAD, pair_profile, profile
 from rn_robot_fr3.scene import random_cubes
 from rn_robot_fr3.state_message import TOPIC, SceneState, to_message
 from rn_simulation.engine import choose_engine
@@ -17,7 +18,7 @@ from rn_testing.cases import PerceptionCase, RobotCase
 from rn_testing.fakes import MemoryTopics
 
 
-def state_at_home(seed: int, stamp_ns: int) -> Float64MultiArray:
+def state_at_home(seed: int, stamp_ns: int, cell: Cell = FR3) -> Float64MultiArray:
     """What the simulation tells its cameras before anything has moved."""
     cubes = random_cubes(seed)
     poses = [
@@ -26,10 +27,11 @@ def state_at_home(seed: int, stamp_ns: int) -> Float64MultiArray:
     ]
     return to_message(
         SceneState(
+            robot=cell.robot,
             engine=choose_engine("auto"),
             seed=seed,
             cubes=tuple((cube.name, cube.edge_m) for cube in cubes),
-            joints=np.array([*HOME_RAD, FINGER_OPEN_M, FINGER_OPEN_M]),
+            joints=np.tile([*HOME_RAD, FINGER_OPEN_M, FINGER_OPEN_M], len(cell.mounts)),
             cube_poses=np.array(poses),
             stamp_ns=stamp_ns,
         )
@@ -49,4 +51,20 @@ def cameras_case() -> PerceptionCase:
     """The simulated cameras, fed with the scene at rest."""
     return PerceptionCase(
         spec=roboneuron_perceptions()[0], cameras=lambda: profile().cameras, feed=_feed
+    )
+
+
+def _feed_pair(source: object, topics: MemoryTopics) -> None:
+    topics.deliver(TOPIC, state_at_home(0, topics.now_ns(), PAIR))
+
+
+def pair_case() -> RobotCase:
+    """Two arms with their simulated driver."""
+    return RobotCase(spec=roboneuron_robots()[1], driver="simulated")
+
+
+def pair_cameras_case() -> PerceptionCase:
+    """Their simulated cameras, fed with the scene at rest."""
+    return PerceptionCase(
+        spec=roboneuron_perceptions()[1], cameras=lambda: pair_profile().cameras, feed=_feed_pair
     )

@@ -6,9 +6,12 @@ import functools
 import xml.etree.ElementTree as ET
 from importlib.resources import files
 
+from rn_robot_fr3.cell import FR3, PAIR, Cell
+
 BASE_LINK = "fr3_link0"
 FLANGE_LINK = "fr3_link8"
 TCP_LINK = "fr3_hand_tcp"
+PAIR_BASE_LINK = "pair_base"
 
 
 @functools.cache
@@ -17,6 +20,36 @@ def urdf() -> str:
     no mesh files.
     """
     return files("rn_robot_fr3").joinpath("data/fr3.urdf").read_text(encoding="utf-8")
+
+
+def pair_urdf(cell: Cell = PAIR) -> str:
+    """XML text of the arms of a cell on one root link `PAIR_BASE_LINK`; names of links and joints
+    begin with the arm's name.
+    """
+    robot = ET.Element("robot", name=cell.robot)
+    inertial = ET.SubElement(ET.SubElement(robot, "link", name=PAIR_BASE_LINK), "inertial")
+    ET.SubElement(inertial, "mass", value="0.001")
+    moments = dict.fromkeys(("ixx", "iyy", "izz"), "1e-06")
+    ET.SubElement(inertial, "inertia", {**moments, "ixy": "0", "ixz": "0", "iyz": "0"})
+    for number, mount in enumerate(cell.mounts):
+        arm = ET.fromstring(urdf())
+        for element in arm.iter():
+            for attribute in ("link", "name", "joint"):
+                if element.tag != "material" and attribute in element.attrib:
+                    element.set(attribute, f"{mount.prefix}{element.get(attribute)}")
+        parts = list(arm)
+        # materials are the same for every arm
+        robot.extend([part for part in parts if part.tag != "material" or number == 0])
+        joint = ET.SubElement(robot, "joint", name=f"{mount.prefix}mount", type="fixed")
+        ET.SubElement(joint, "parent", link=PAIR_BASE_LINK)
+        ET.SubElement(joint, "child", link=f"{mount.prefix}{BASE_LINK}")
+        ET.SubElement(joint, "origin", xyz=f"{mount.x_m} 0 0", rpy=f"0 0 {mount.yaw_rad}")
+    return ET.tostring(robot, encoding="unicode")
+
+
+def cell_urdf(cell: Cell) -> str:
+    """XML text of the robot of a cell."""
+    return urdf() if cell is FR3 else pair_urdf(cell)
 
 
 _ARM_RGBA = "0.93 0.94 0.96 1"
@@ -29,16 +62,16 @@ _MESH_BY_LINK = {
 }
 
 
-def urdf_with_meshes(mesh_folder: str) -> str:
+def urdf_with_meshes(mesh_folder: str, cell: Cell = FR3) -> str:
     """XML text of the same robot whose visual elements are meshes in `mesh_folder`.
 
     The Panda's links, which `pybullet_data` carries, look like those of the FR3 and share their
     frames. Kinematics, limits, inertias and collision shapes stay those of `urdf`.
     """
-    root = ET.fromstring(urdf())
+    root = ET.fromstring(cell_urdf(cell))
+    shown = {f"{mount.prefix}{name}": name for mount in cell.mounts for name in _MESH_BY_LINK}
     for link in root.iter("link"):
-        name = link.get("name", "")
-        if name not in _MESH_BY_LINK:
+        if (name := shown.get(link.get("name", ""))) is None:
             continue
         for visual in link.findall("visual"):
             link.remove(visual)

@@ -7,13 +7,13 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from std_msgs.msg import Float64MultiArray
+from std_msgs.msg import Float64, Float64MultiArray
 
-from rn_robot_fr3.limits import ARM_JOINTS
+from rn_robot_fr3.cell import CELLS, FR3
+from rn_robot_fr3.ground_truth import CubeState
 from rn_robot_fr3.options import SimulatedDriverOptions
 from rn_robot_fr3.simulation import STEP_S, ArmSimulation, opening
-from rn_robot_fr3.state_message import TOPIC, SceneState, to_message
-from rn_robot_fr3.world import JOINTS
+from rn_robot_fr3.state_message import HANDED_OVER_TOPIC, TOPIC, SceneState, to_message
 from rn_simulation.real_time import RealTimeThread
 from roboneuron import (
     ConfigurationError,
@@ -47,11 +47,14 @@ class SimulatedDriver:
         self._profile = profile
         self._topics = topics
         self._publish: Callable[[Float64MultiArray], None] | None = None
+        self._tell: Callable[[Float64], None] | None = None
+        self._cell = CELLS.get(profile.name, FR3)
         self._simulation = ArmSimulation(
             self._options.seed,
             colours=self._options.colours,
             engine=self._options.engine,
             gui=self._options.gui,
+            cell=self._cell,
         )
         self._time = RealTimeThread(
             "FR3",
@@ -73,21 +76,24 @@ class SimulatedDriver:
             StateError: it is open already.
         """
         self._time.check_stopped()
-        if self._profile.arm_joints != ARM_JOINTS:
+        if self._profile.arm_joints != self._cell.arm_joints:
             raise ConfigurationError(
-                f"The simulated FR3 moves {', '.join(ARM_JOINTS)}, the profile "
+                f"The simulated FR3 moves {', '.join(self._cell.arm_joints)}, the profile "
                 f"{self._profile.name!r} has others."
             )
         if self._publish is None:
             self._publish = self._topics.advertise(TOPIC, Float64MultiArray)
+            if len(self._cell.mounts) > 1:
+                self._tell = self._topics.advertise(HANDED_OVER_TOPIC, Float64)
         self._time.start(self._simulation, self._advance)
 
     def read(self) -> RobotState:
         """Return the newest state, measured 120 times per second; see `RobotState.detail` for the
         cubes.
 
-        `detail` holds "cubes" (JSON: position, height lifted and seconds held of each, the
-        simulator's truth), "sim_time_s", "real_time_factor" (achieved during the last second),
+        `detail` holds "cubes" (JSON: position, height lifted and seconds held of each, of several
+        arms also which hold it and for how long it has been handed over: the simulator's truth),
+        "sim_time_s", "real_time_factor" (achieved during the last second),
         "seed" and "engine".
 
         Raises:
@@ -141,6 +147,7 @@ class SimulatedDriver:
                 np.concatenate([cube.position_m, cube.quaternion_xyzw]) for cube in cubes.values()
             ]
             state = SceneState(
+                robot=self._cell.robot,
                 engine=simulation.engine,
                 seed=simulation.seed,
                 cubes=tuple((cube.name, cube.edge_m) for cube in cubes.values()),
@@ -149,11 +156,15 @@ class SimulatedDriver:
                 stamp_ns=stamp_ns,
             )
             self._publish(to_message(state))
+            if self._tell is not None:
+                handed_over_s = max(cube.handed_over_s for cube in cubes.values())
+                self._tell(Float64(data=handed_over_s))
             facts = {
                 name: {
                     "position_m": [round(float(value), 4) for value in cube.position_m],
                     "lifted_m": round(cube.lifted_m, 4),
                     "held_s": round(cube.held_s, 3),
+                    **_hand_over(cube),
                 }
                 for name, cube in cubes.items()
             }
@@ -166,8 +177,15 @@ class SimulatedDriver:
             }
         self._state = RobotState(
             joints=JointSample(
-                names=JOINTS, position=position, velocity=velocity, stamp_ns=stamp_ns
+                names=self._cell.joints, position=position, velocity=velocity, stamp_ns=stamp_ns
             ),
             gripper_open=opening(position),
             detail=self._detail,
         )
+
+
+def _hand_over(cube: CubeState) -> dict[str, object]:
+    """Which of several arms hold a cube; nothing for one arm, which has no name."""
+    if "" in cube.holders or not cube.holders:
+        return {}
+    return {"holders": list(cube.holders), "handed_over_s": round(cube.handed_over_s, 3)}

@@ -8,19 +8,18 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from rn_robot_fr3.description import TCP_LINK, urdf
+from rn_robot_fr3.cell import FR3, Cell
+from rn_robot_fr3.description import TCP_LINK, cell_urdf
 from rn_robot_fr3.raycast import render
 from rn_robot_fr3.scene import RGBA_BY_COLOUR, Cube
 from rn_robot_fr3.world import (
     CUBE_FRICTION,
     FINGER_FRICTION,
-    JOINTS,
-    TABLE_CENTRE_M,
     TABLE_FRICTION,
     TABLE_RGBA,
-    TABLE_SIZE_M,
     WOOD_KG_M3,
     RawPose,
+    mount_of,
 )
 from rn_simulation.engine import Engine
 from rn_simulation.mujoco_scene import VISUAL_GROUP, read_urdf
@@ -46,7 +45,7 @@ class MujocoArmWorld:
 
     engine: Engine = "mujoco"
 
-    def __init__(self, cubes: Sequence[Cube], *, gui: bool = False) -> None:
+    def __init__(self, cubes: Sequence[Cube], *, gui: bool = False, cell: Cell = FR3) -> None:
         """Build. Raises ConfigurationError when a window is asked for."""
         if gui:
             raise ConfigurationError(
@@ -54,9 +53,10 @@ class MujocoArmWorld:
                 hint="Set gui = false, or use PyBullet on Python 3.11: pip compiles it on newer "
                 "versions.",
             )
-        spec = read_urdf(urdf())
-        _prepare_robot(spec)
-        _add_table(spec)
+        self._cell = cell
+        spec = read_urdf(cell_urdf(cell))
+        _prepare_robot(spec, cell)
+        _add_table(spec, cell)
         for cube in cubes:
             _add_cube(spec, cube)
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
@@ -64,11 +64,12 @@ class MujocoArmWorld:
         spec.option.impratio = 10.0  # a held cube creeps out of the fingers otherwise
         self._model = spec.compile()
         self._data = mujoco.MjData(self._model)
-        joints = [self._model.joint(name) for name in JOINTS]
+        joints = [self._model.joint(name) for name in cell.joints]
         self._positions = np.array([joint.qposadr[0] for joint in joints])
         self._velocities = np.array([joint.dofadr[0] for joint in joints])
         self._cubes = {cube.name: self._model.joint(cube.name) for cube in cubes}
-        self._tcp = self._model.body(TCP_LINK).id
+        self._tcp = [self._model.body(f"{mount.prefix}{TCP_LINK}").id for mount in cell.mounts]
+        self._lead_s = np.tile(_DAMPING / _STIFFNESS, len(cell.mounts))
         self._refresh()
 
     def _refresh(self) -> None:
@@ -97,14 +98,13 @@ class MujocoArmWorld:
     def prepare_physics(self, step_s: float, force: Sequence[float]) -> None:
         """See `World`."""
         self._model.opt.timestep = step_s / _SUBSTEPS
-        self._model.jnt_actfrcrange[[self._model.joint(name).id for name in JOINTS]] = np.outer(
-            force, (-1.0, 1.0)
-        )
+        joints = [self._model.joint(name).id for name in self._cell.joints]
+        self._model.jnt_actfrcrange[joints] = np.outer(force, (-1.0, 1.0))
 
     def step(self, position: Sequence[float], velocity: Sequence[float]) -> None:
         """See `World`."""
         # A servo's force is stiffness * (control - position) - damping * velocity.
-        self._data.ctrl[:] = position + _DAMPING / _STIFFNESS * velocity
+        self._data.ctrl[:] = position + self._lead_s * velocity
         mujoco.mj_step(self._model, self._data, _SUBSTEPS)
         self._refresh()
 
@@ -120,32 +120,32 @@ class MujocoArmWorld:
             poses[name] = ((x_m, y_m, z_m), (x, y, z, w))
         return poses
 
-    def T_base_tcp(self) -> F64:
+    def T_base_tcp(self, arm: int = 0) -> F64:
         """See `World`."""
         pose = np.eye(4)
-        pose[:3, :3] = self._data.xmat[self._tcp].reshape(3, 3)
-        pose[:3, 3] = self._data.xpos[self._tcp]
+        pose[:3, :3] = self._data.xmat[self._tcp[arm]].reshape(3, 3)
+        pose[:3, 3] = self._data.xpos[self._tcp[arm]]
         return pose
 
     def render(self, calibration: CameraCalibration, width: int, height: int) -> NDArray[np.uint8]:
         """See `World`."""
-        mount = self.T_base_tcp() if calibration.mount == "tcp" else np.eye(4)
+        arm = mount_of(self._cell, calibration)
+        mount = np.eye(4) if arm is None else self.T_base_tcp(arm)
         return render(self._model, self._data, calibration, mount, width, height)
 
     def close(self) -> None:
         """See `World`; MuJoCo's objects go with the last reference to them."""
 
 
-def _prepare_robot(spec: mujoco.MjSpec) -> None:
+def _prepare_robot(spec: mujoco.MjSpec, cell: Cell) -> None:
     """Motors at the joints, and shapes that touch only what is not the robot."""
     for body in spec.bodies:
         body.gravcomp = 1.0
     for geom in spec.geoms:
         if geom.group != VISUAL_GROUP:
             _make_solid(geom, FINGER_FRICTION, _ROBOT)
-    for name, stiffness, damping, armature in zip(
-        JOINTS, _STIFFNESS, _DAMPING, _ARMATURE, strict=True
-    ):
+    motors = [*zip(_STIFFNESS, _DAMPING, _ARMATURE, strict=True)] * len(cell.mounts)
+    for name, (stiffness, damping, armature) in zip(cell.joints, motors, strict=True):
         joint = spec.joint(name)
         joint.armature = armature
         joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_TRUE
@@ -157,11 +157,11 @@ def _prepare_robot(spec: mujoco.MjSpec) -> None:
         motor.biasprm[1], motor.biasprm[2] = -stiffness, -damping
 
 
-def _add_table(spec: mujoco.MjSpec) -> None:
+def _add_table(spec: mujoco.MjSpec, cell: Cell) -> None:
     table = spec.worldbody.add_geom(
         type=mujoco.mjtGeom.mjGEOM_BOX,
-        size=np.array(TABLE_SIZE_M) / 2,
-        pos=TABLE_CENTRE_M,
+        size=np.array(cell.table_size_m) / 2,
+        pos=cell.table_centre_m,
         rgba=TABLE_RGBA,
     )
     table.group = VISUAL_GROUP

@@ -28,9 +28,19 @@ _ENGINE = Requirement(module="pybullet", alternatives=("mujoco",), install="pip 
 """As `rn_simulation.engine.REQUIREMENT`: a plugin's module imports no other package."""
 
 
+_SIMULATED = DriverSpec(
+    name="simulated",
+    summary="PyBullet or MuJoCo simulation: a table with coloured cubes in random places",
+    target="rn_robot_fr3.driver:SimulatedDriver",
+    config="rn_robot_fr3.options:SimulatedDriverOptions",
+    simulated=True,
+    requires=(_ENGINE,),
+)
+
+
 @hookimpl
 def roboneuron_robots() -> Sequence[RobotSpec]:
-    """The Franka Research 3."""
+    """The Franka Research 3, and two of them at one table."""
     return [
         RobotSpec(
             name="fr3",
@@ -45,15 +55,7 @@ def roboneuron_robots() -> Sequence[RobotSpec]:
             ),
             action_widths=(7,),
             drivers=(
-                DriverSpec(
-                    name="simulated",
-                    summary="PyBullet or MuJoCo simulation: a table with coloured cubes in random "
-                    "places",
-                    target="rn_robot_fr3.driver:SimulatedDriver",
-                    config="rn_robot_fr3.options:SimulatedDriverOptions",
-                    simulated=True,
-                    requires=(_ENGINE,),
-                ),
+                _SIMULATED,
                 DriverSpec(
                     name="ros2-control",
                     summary="joint_trajectory_controller of ros2_control, as in franka_ros2",
@@ -72,7 +74,22 @@ def roboneuron_robots() -> Sequence[RobotSpec]:
                     recovers=True,
                 ),
             ),
-        )
+        ),
+        RobotSpec(
+            name="fr3-pair",
+            summary="Two Franka Research 3 facing each other at one table: 14 joints, two "
+            "grippers, three cameras",
+            target="rn_robot_fr3.profile:pair_profile",
+            case="rn_robot_fr3.contract_cases:pair_case",
+            robot_kind="arm",
+            cameras=(
+                CameraSpec(name="front", role="primary"),
+                CameraSpec(name="left_wrist", role="wrist"),
+                CameraSpec(name="right_wrist", role="right_wrist"),
+            ),
+            action_widths=(16,),
+            drivers=(_SIMULATED,),
+        ),
     ]
 
 
@@ -89,7 +106,17 @@ def roboneuron_perceptions() -> Sequence[PerceptionSpec]:
             requires=(_ENGINE,),
             robots=("fr3",),
             drivers=("simulated", "fci"),
-        )
+        ),
+        PerceptionSpec(
+            name="fr3-pair-sim-camera",
+            summary="Front and wrist cameras of two simulated FR3s, drawn on the CPU",
+            target="rn_robot_fr3.camera_source:SimulatedPairCameras",
+            config="rn_robot_fr3.options:SimulatedCamerasOptions",
+            case="rn_robot_fr3.contract_cases:pair_cameras_case",
+            requires=(_ENGINE,),
+            robots=("fr3-pair",),
+            drivers=("simulated",),
+        ),
     ]
 
 

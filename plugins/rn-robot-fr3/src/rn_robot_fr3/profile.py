@@ -3,13 +3,26 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import fields, replace
 
 import numpy as np
 
-from rn_robot_fr3.cameras import cameras
-from rn_robot_fr3.description import BASE_LINK, TCP_LINK, urdf
+from rn_robot_fr3.cameras import cameras, cell_cameras
+from rn_robot_fr3.cell import FACING_M, PAIR
+from rn_robot_fr3.description import BASE_LINK, PAIR_BASE_LINK, TCP_LINK, pair_urdf, urdf
 from rn_robot_fr3.limits import ARM_JOINTS, FINGER_JOINT, FINGER_OPEN_M, joint_limits
-from roboneuron import CollisionProfile, Endpoint, GripperProfile, Obstacle, RobotProfile, Workspace
+from roboneuron import (
+    ArmProfile,
+    CameraProfile,
+    CollisionProfile,
+    Endpoint,
+    GripperProfile,
+    JointLimits,
+    Obstacle,
+    RobotProfile,
+    Workspace,
+)
 
 HOME_RAD = (0.0, -math.pi / 4, 0.0, -3 * math.pi / 4, 0.0, math.pi / 2, math.pi / 4)
 """The ready posture: hand straight down, TCP at (0.307, 0, 0.487) m. Source: libfranka examples."""
@@ -31,16 +44,6 @@ OWN_TOPICS = (
 
 
 def _endpoints() -> tuple[Endpoint, ...]:
-    images = tuple(
-        Endpoint(
-            name=f"{camera.name}_image",
-            kind="read",
-            topic=f"camera/{camera.name}/image",
-            type="sensor_msgs/msg/Image",
-            summary=f"Newest image of the {camera.name} camera.",
-        )
-        for camera in cameras()
-    )
     return (
         Endpoint(
             name="joint_trajectory",
@@ -66,7 +69,90 @@ def _endpoints() -> tuple[Endpoint, ...]:
             type="geometry_msgs/msg/PoseStamped",
             summary="Measured pose of the TCP (between the fingertips) in the base frame.",
         ),
-        *images,
+        *(_image(camera.profile()) for camera in cameras()),
+    )
+
+
+def _image(camera: CameraProfile) -> Endpoint:
+    return Endpoint(
+        name=f"{camera.name}_image",
+        kind="read",
+        topic=f"camera/{camera.name}/image",
+        type="sensor_msgs/msg/Image",
+        summary=f"Newest image of the {camera.name} camera.",
+    )
+
+
+def pair_profile() -> RobotProfile:
+    """The profile of two FR3s with Franka Hands that face each other at one table."""
+    arms = tuple(
+        ArmProfile(
+            name=mount.name,
+            joints=tuple(f"{mount.prefix}{joint}" for joint in ARM_JOINTS),
+            base_link=f"{mount.prefix}{BASE_LINK}",
+            tcp_link=f"{mount.prefix}{TCP_LINK}",
+            gripper=GripperProfile(
+                joint=f"{mount.prefix}{FINGER_JOINT}",
+                closed_position=0.0,
+                open_position=FINGER_OPEN_M,
+            ),
+        )
+        for mount in PAIR.mounts
+    )
+    one = joint_limits()
+    each = {part.name: np.tile(getattr(one, part.name), len(arms)) for part in fields(one)}
+    lower_m, upper_m = np.array(TABLE_LOWER_M), np.array(TABLE_UPPER_M)
+    upper_m[0] = FACING_M - lower_m[0]
+    nearest_m, lowest_m, highest_m = WORKSPACE_LOWER_M[0], WORKSPACE_LOWER_M, WORKSPACE_UPPER_M
+    named = tuple(camera.profile() for camera in cell_cameras(PAIR))
+    return RobotProfile(
+        name=PAIR.robot,
+        urdf=pair_urdf(),
+        base_link=PAIR_BASE_LINK,
+        tcp_link=arms[0].tcp_link,
+        arm_joints=PAIR.arm_joints,
+        limits=JointLimits(**each),
+        home_rad=np.tile(HOME_RAD, len(arms)),
+        gripper=arms[0].gripper,
+        arms=arms,
+        cameras=named,
+        collision=CollisionProfile(
+            min_distance_m=MIN_DISTANCE_M,
+            obstacles=(Obstacle(name="table", lower_m=lower_m, upper_m=upper_m),),
+            tool_links=tuple(f"{m.prefix}{link}" for m in PAIR.mounts for link in FINGER_LINKS),
+        ),
+        workspace=Workspace(
+            lower_m=np.array(lowest_m),
+            upper_m=np.array([FACING_M - nearest_m, *highest_m[1:]]),
+        ),
+        endpoints=_pair_endpoints(arms, named),
+        own_topics=("sim/state", "sim/handed_over"),
+    )
+
+
+def _pair_endpoints(
+    arms: Sequence[ArmProfile], named: Sequence[CameraProfile]
+) -> tuple[Endpoint, ...]:
+    trajectory, states, pose, *_ = _endpoints()
+    joints = " and ".join(f"{arm.joints[0]}..7" for arm in arms)
+    fingers = " and ".join(arm.gripper.joint for arm in arms if arm.gripper is not None)
+    return (
+        replace(
+            trajectory,
+            summary=f"Move arm joints {joints} [rad] and the fingers {fingers} [m, 0 closed .. "
+            "0.04 open].",
+        ),
+        states,
+        *(
+            replace(
+                pose,
+                name=f"{arm.name}_ee_pose",
+                topic=f"{arm.name}/ee_pose",
+                summary=f"Measured pose of the TCP of the {arm.name} arm in the base frame.",
+            )
+            for arm in arms
+        ),
+        *map(_image, named),
     )
 
 

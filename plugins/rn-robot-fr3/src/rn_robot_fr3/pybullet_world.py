@@ -11,6 +11,7 @@ import pybullet
 import pybullet_data
 from numpy.typing import NDArray
 
+from rn_robot_fr3.cell import FR3, Cell
 from rn_robot_fr3.description import TCP_LINK, urdf_with_meshes
 from rn_robot_fr3.display import check_display
 from rn_robot_fr3.renderer import render
@@ -18,21 +19,18 @@ from rn_robot_fr3.scene import RGBA_BY_COLOUR, Cube
 from rn_robot_fr3.world import (
     CUBE_FRICTION,
     FINGER_FRICTION,
-    JOINTS,
-    TABLE_CENTRE_M,
     TABLE_FRICTION,
     TABLE_RGBA,
-    TABLE_SIZE_M,
     WOOD_KG_M3,
     RawPose,
+    mount_of,
 )
 from rn_simulation.engine import Engine
 from roboneuron import CameraCalibration, ConfigurationError, matrix_from_quaternion
 
 F64 = NDArray[np.float64]
 
-_POSITION_GAINS = [0.3] * 9
-_VELOCITY_GAINS = [1.0] * 9
+_POSITION_GAIN, _VELOCITY_GAIN = 0.3, 1.0
 
 
 def _gui_client() -> int:
@@ -53,18 +51,19 @@ class PybulletArmWorld:
     Attributes:
         client: PyBullet's id of the physics client.
         robot: body id of the robot.
-        joint_indices: PyBullet joint indices in the order of `JOINTS`.
+        joint_indices: PyBullet joint indices in the order of the cell's `joints`.
         cube_bodies: body id by cube name.
     """
 
     engine: Engine = "pybullet"
 
-    def __init__(self, cubes: Sequence[Cube], *, gui: bool = False) -> None:
+    def __init__(self, cubes: Sequence[Cube], *, gui: bool = False, cell: Cell = FR3) -> None:
         """Connect and build. Raises ConfigurationError when a window is asked for and there is no
         display.
         """
         self.client = _gui_client() if gui else int(pybullet.connect(pybullet.DIRECT))
         self._connected = True
+        self._cell = cell
         self._force: list[float] = []
         self._add_table()
         self.robot = self._add_robot()
@@ -73,8 +72,9 @@ class PybulletArmWorld:
             for index in range(pybullet.getNumJoints(self.robot, physicsClientId=self.client))
         ]
         index_by_joint = {info[1].decode(): info[0] for info in infos}
-        self.joint_indices = [index_by_joint[name] for name in JOINTS]
-        self._tcp_index = next(info[0] for info in infos if info[12].decode() == TCP_LINK)
+        self.joint_indices = [index_by_joint[name] for name in cell.joints]
+        index_by_link = {info[12].decode(): info[0] for info in infos}
+        self._tcp_indices = [index_by_link[f"{mount.prefix}{TCP_LINK}"] for mount in cell.mounts]
         self.cube_bodies = {cube.name: self._add_cube(cube) for cube in cubes}
 
     def _box(
@@ -96,7 +96,7 @@ class PybulletArmWorld:
         )
 
     def _add_table(self) -> None:
-        table = self._box(TABLE_SIZE_M, TABLE_CENTRE_M, TABLE_RGBA)
+        table = self._box(self._cell.table_size_m, self._cell.table_centre_m, TABLE_RGBA)
         pybullet.changeDynamics(
             table, -1, lateralFriction=TABLE_FRICTION, physicsClientId=self.client
         )
@@ -108,7 +108,7 @@ class PybulletArmWorld:
         meshes = Path(pybullet_data.getDataPath()) / "franka_panda" / "meshes" / "collision"
         with tempfile.TemporaryDirectory(prefix="rn-fr3-") as folder:
             path = Path(folder) / "fr3.urdf"
-            path.write_text(urdf_with_meshes(str(meshes)), encoding="utf-8")
+            path.write_text(urdf_with_meshes(str(meshes), self._cell), encoding="utf-8")
             flags = pybullet.URDF_USE_INERTIA_FROM_FILE
             body = pybullet.loadURDF(
                 str(path), useFixedBase=True, flags=flags, physicsClientId=self.client
@@ -162,7 +162,23 @@ class PybulletArmWorld:
             deterministicOverlappingPairs=1,
             physicsClientId=client,
         )
-        left, right = self.joint_indices[-2:]
+        count = len(self.joint_indices) // len(self._cell.mounts)
+        for start in range(0, len(self.joint_indices), count):
+            self._prepare_fingers(*self.joint_indices[start + count - 2 : start + count])
+        sliding, spinning, rolling = CUBE_FRICTION
+        for body in self.cube_bodies.values():
+            pybullet.changeDynamics(
+                body,
+                -1,
+                lateralFriction=sliding,
+                spinningFriction=spinning,
+                rollingFriction=rolling,
+                physicsClientId=client,
+            )
+
+    def _prepare_fingers(self, left: int, right: int) -> None:
+        """Set the friction of one gripper's fingers and couple them."""
+        client = self.client
         sliding, spinning, _ = FINGER_FRICTION
         for index in (left, right):
             pybullet.changeDynamics(
@@ -184,16 +200,6 @@ class PybulletArmWorld:
             physicsClientId=client,
         )
         pybullet.changeConstraint(gear, gearRatio=-1, erp=0.2, maxForce=100, physicsClientId=client)
-        sliding, spinning, rolling = CUBE_FRICTION
-        for body in self.cube_bodies.values():
-            pybullet.changeDynamics(
-                body,
-                -1,
-                lateralFriction=sliding,
-                spinningFriction=spinning,
-                rollingFriction=rolling,
-                physicsClientId=client,
-            )
 
     def step(self, position: Sequence[float], velocity: Sequence[float]) -> None:
         """See `World`."""
@@ -204,8 +210,8 @@ class PybulletArmWorld:
             targetPositions=position,
             targetVelocities=velocity,
             forces=self._force,
-            positionGains=_POSITION_GAINS,
-            velocityGains=_VELOCITY_GAINS,
+            positionGains=[_POSITION_GAIN] * len(self.joint_indices),
+            velocityGains=[_VELOCITY_GAIN] * len(self.joint_indices),
             physicsClientId=self.client,
         )
         pybullet.stepSimulation(physicsClientId=self.client)
@@ -217,10 +223,13 @@ class PybulletArmWorld:
         )
         return np.array([state[0] for state in states]), np.array([state[1] for state in states])
 
-    def T_base_tcp(self) -> F64:
+    def T_base_tcp(self, arm: int = 0) -> F64:
         """See `World`."""
         state = pybullet.getLinkState(
-            self.robot, self._tcp_index, computeForwardKinematics=1, physicsClientId=self.client
+            self.robot,
+            self._tcp_indices[arm],
+            computeForwardKinematics=1,
+            physicsClientId=self.client,
         )
         pose = np.eye(4)
         pose[:3, :3] = matrix_from_quaternion(np.array(state[5]))
@@ -229,7 +238,8 @@ class PybulletArmWorld:
 
     def render(self, calibration: CameraCalibration, width: int, height: int) -> NDArray[np.uint8]:
         """See `World`."""
-        mount = self.T_base_tcp() if calibration.mount == "tcp" else np.eye(4)
+        arm = mount_of(self._cell, calibration)
+        mount = np.eye(4) if arm is None else self.T_base_tcp(arm)
         return render(self.client, calibration, mount, width, height)
 
     def close(self) -> None:

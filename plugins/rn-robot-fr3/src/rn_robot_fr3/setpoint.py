@@ -53,7 +53,7 @@ class JointSetpoint:
         times = distance[moving] / speed[moving] + speed[moving] / limit[moving]
         return float(times.max(initial=0.0))
 
-    def halt(self, joints: slice) -> None:
+    def halt(self, joints: list[int]) -> None:
         """Stop `joints` as fast as their acceleration allows, and stay there."""
         braking = self.velocity**2 / (2.0 * _BRAKING_RESERVE * self._acceleration_limit)
         self.target[joints] = (self.position + np.sign(self.velocity) * braking)[joints]

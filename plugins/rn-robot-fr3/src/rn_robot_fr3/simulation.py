@@ -10,14 +10,14 @@ from types import TracebackType
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rn_robot_fr3.cameras import DEFAULT_SIZE_PX, cameras
+from rn_robot_fr3.cameras import DEFAULT_SIZE_PX, cell_cameras
+from rn_robot_fr3.cell import FR3, MOVED, Cell
 from rn_robot_fr3.command import checked
 from rn_robot_fr3.ground_truth import CubeState, LiftClock
 from rn_robot_fr3.limits import (
     ACCELERATION_RAD_S2,
     ARM_JOINTS,
     EFFORT_NM,
-    FINGER_JOINT,
     FINGER_OPEN_M,
     FINGER_VELOCITY_M_S,
     LOWER_RAD,
@@ -35,9 +35,10 @@ F64 = NDArray[np.float64]
 
 STEP_S = 1.0 / 240.0
 """Physics step [s]."""
-COMMANDED = (*ARM_JOINTS, FINGER_JOINT)
-"""Joints that a command may name."""
-_ARM = slice(0, 7)
+COMMANDED = MOVED
+"""Joints of one arm that a command may name."""
+_FINGER, _EVERY = len(ARM_JOINTS), len(MOVED)
+"""Place of an arm's finger, and number of its values, in arrays of what is commanded."""
 _FINGER_ACCELERATION_M_S2 = 1.0
 _FINGER_FORCE_N = 40.0
 """Grasping force of the simulated gripper: well above what a wooden cube needs, below what squeezes
@@ -47,7 +48,8 @@ _JUDGE_EVERY = 4
 
 
 class ArmSimulation:
-    """A simulated FR3 before a table with coloured cubes; used from one thread.
+    """Simulated FR3s at a table with coloured cubes, one unless the cell says otherwise; used from
+    one thread.
 
     Use it as a context manager, or call `open` and `close`. The scene depends on `seed` and
     `colours` only, and the same calls give the same motion in the same engine.
@@ -60,6 +62,7 @@ class ArmSimulation:
         colours: Sequence[str] = DEFAULT_COLOURS,
         engine: EngineChoice = "auto",
         gui: bool = False,
+        cell: Cell = FR3,
     ) -> None:
         """Choose scene and engine.
 
@@ -70,19 +73,24 @@ class ArmSimulation:
         self.engine = choose_engine(engine)
         self.scene = random_cubes(seed, colours)
         self._gui = gui
-        self._cameras = {camera.name: camera for camera in cameras()}
+        self.cell = cell
+        self._cameras = {camera.name: camera for camera in cell_cameras(cell)}
         self._world: ArmWorld | None = None
-        self._lower = np.array([*LOWER_RAD, 0.0])
-        self._upper = np.array([*UPPER_RAD, FINGER_OPEN_M])
+        self._lower = self._each_arm(*LOWER_RAD, 0.0)
+        self._upper = self._each_arm(*UPPER_RAD, FINGER_OPEN_M)
         self._reset_clock()
+
+    def _each_arm(self, *values: float) -> F64:
+        """The same values for each arm, one after the other."""
+        return np.tile(np.array(values), len(self.cell.mounts))
 
     def _reset_clock(self) -> None:
         self.steps = 0
-        self._lifts = LiftClock(self.scene)
+        self._lifts = LiftClock(self.scene, [mount.name for mount in self.cell.mounts])
         self._setpoint = JointSetpoint(
-            np.array([*HOME_RAD, FINGER_OPEN_M]),
-            np.array([*VELOCITY_RAD_S, FINGER_VELOCITY_M_S]),
-            np.array([*ACCELERATION_RAD_S2, _FINGER_ACCELERATION_M_S2]),
+            self._each_arm(*HOME_RAD, FINGER_OPEN_M),
+            self._each_arm(*VELOCITY_RAD_S, FINGER_VELOCITY_M_S),
+            self._each_arm(*ACCELERATION_RAD_S2, _FINGER_ACCELERATION_M_S2),
         )
 
     def __enter__(self) -> ArmSimulation:
@@ -107,9 +115,10 @@ class ArmSimulation:
         if self._world is not None:
             raise StateError("The simulation is open already.")
         self._reset_clock()
-        self._world = build_world(self.engine, self.scene, gui=self._gui)
-        self._world.set_joints([*HOME_RAD, FINGER_OPEN_M, FINGER_OPEN_M])
-        self._world.prepare_physics(STEP_S, [*EFFORT_NM, _FINGER_FORCE_N, _FINGER_FORCE_N])
+        self._world = build_world(self.engine, self.scene, gui=self._gui, cell=self.cell)
+        self._world.set_joints(self._each_arm(*HOME_RAD, FINGER_OPEN_M, FINGER_OPEN_M).tolist())
+        force = self._each_arm(*EFFORT_NM, _FINGER_FORCE_N, _FINGER_FORCE_N)
+        self._world.prepare_physics(STEP_S, force.tolist())
 
     def close(self) -> None:
         """Destroy the world; may be called twice and before `open`."""
@@ -137,10 +146,10 @@ class ArmSimulation:
         for _ in range(count):
             self._setpoint.advance(STEP_S)
             position, velocity = self._setpoint.position, self._setpoint.velocity
-            world.step([*position, position[-1]], [*velocity, velocity[-1]])
+            world.step(_with_mimics(position), _with_mimics(velocity))
             self.steps += 1
             if self.steps % _JUDGE_EVERY == 0:
-                self._lifts.observe(self.time_s, world.cube_poses())
+                self._lifts.observe(self.time_s, world.cube_poses(), self._tcps())
 
     def set_target(
         self, names: Sequence[str], position: ArrayLike, duration_s: float
@@ -162,45 +171,55 @@ class ArmSimulation:
             position=np.asarray(position, dtype=np.float64),
             duration_s=duration_s,
         )
-        checked(wanted)
-        indices = [COMMANDED.index(name) for name in names]
-        if COMMANDED.index(FINGER_JOINT) in indices:
-            self._release_fingers(float(wanted.position[list(names).index(FINGER_JOINT)]))
+        commanded = self.cell.commanded
+        checked(wanted, commanded)
+        indices = [commanded.index(name) for name in names]
+        for index, value in zip(indices, wanted.position.tolist(), strict=True):
+            if index % _EVERY == _FINGER:
+                self._release_fingers(index // _EVERY, value)
         target = self._setpoint.target.copy()
         target[indices] = np.clip(wanted.position, self._lower[indices], self._upper[indices])
         possible_s = max(duration_s, self._setpoint.shortest_s(target, indices))
         self._setpoint.aim(target, indices, duration_s)
         return JointCommand(names=tuple(names), position=target[indices], duration_s=possible_s)
 
-    def _release_fingers(self, target_m: float) -> None:
+    def _release_fingers(self, arm: int, target_m: float) -> None:
         """After a grasp the setpoint lies inside the object: opening starts from where the finger
         really is.
 
         A command that closes keeps the setpoint, and with it the force.
         """
-        measured_m = float(self.joint_positions()[len(ARM_JOINTS)])
-        if target_m > self._setpoint.position[-1]:
-            self._setpoint.position[-1] = max(
-                self._setpoint.position[-1], min(measured_m, target_m)
+        measured_m = float(self.joint_positions()[arm * (_EVERY + 1) + _FINGER])
+        finger = arm * _EVERY + _FINGER
+        if target_m > self._setpoint.position[finger]:
+            self._setpoint.position[finger] = max(
+                self._setpoint.position[finger], min(measured_m, target_m)
             )
 
     def hold(self) -> None:
-        """Brake the arm to a standstill and stay; the gripper keeps its target, so that nothing is
+        """Brake the arms to a standstill and stay; grippers keep their targets, so that nothing is
         dropped.
         """
-        self._setpoint.halt(_ARM)
+        commanded = range(len(self.cell.commanded))
+        self._setpoint.halt([i for i in commanded if i % _EVERY != _FINGER])
 
     def joint_positions(self) -> F64:
-        """Measured positions, float64 (9,), in the order of `world.JOINTS` [rad, m]."""
+        """Measured positions, float64 (9 for each arm,), in the order of the cell's
+        `joints` [rad, m].
+        """
         return self.joint_states()[0]
 
     def joint_states(self) -> tuple[F64, F64]:
-        """Measured positions and velocities, each float64 (9,), in the order of `world.JOINTS`."""
+        """Measured positions and velocities, each float64 (9 for each arm,), in the order of the
+        cell's `joints`.
+        """
         return self.world.joint_states()
 
-    def tcp_pose(self) -> Pose:
-        """Pose of the TCP in the base frame; `stamp_ns` is the simulated time [ns]."""
-        matrix = self.world.T_base_tcp()
+    def tcp_pose(self, arm: int = 0) -> Pose:
+        """TCP of the arm of that number in the base frame; `stamp_ns` is the simulated time
+        [ns].
+        """
+        matrix = self.world.T_base_tcp(arm)
         return Pose(
             position_m=matrix[:3, 3],
             quaternion_xyzw=quaternion_from_matrix(matrix[:3, :3]),
@@ -208,7 +227,7 @@ class ArmSimulation:
         )
 
     def gripper_open(self) -> float:
-        """Measured opening, 0 closed .. 1 open."""
+        """Measured opening of the first arm's gripper, 0 closed .. 1 open."""
         return opening(self.joint_positions())
 
     def cubes(self) -> dict[str, CubeState]:
@@ -216,6 +235,10 @@ class ArmSimulation:
         policy.
         """
         return self._lifts.states(self.world.cube_poses())
+
+    def _tcps(self) -> list[F64]:
+        """TCP positions of the arms, each float64 (3,)."""
+        return [self.world.T_base_tcp(arm)[:3, 3] for arm in range(len(self.cell.mounts))]
 
     def render(
         self, camera: str, width: int = DEFAULT_SIZE_PX[0], height: int = DEFAULT_SIZE_PX[1]
@@ -232,9 +255,15 @@ class ArmSimulation:
         return self.world.render(self._cameras[camera].calibration(width, height), width, height)
 
 
+def _with_mimics(values: F64) -> list[float]:
+    """Values of what is commanded, each finger's repeated for the one that mirrors it."""
+    rows = values.reshape(-1, _EVERY)
+    return [float(value) for value in np.hstack([rows, rows[:, -1:]]).ravel()]
+
+
 def opening(position: F64) -> float:
-    """Gripper opening, 0 closed .. 1 open, for joint positions (9,) in the order of
-    `world.JOINTS`.
+    """Opening of the first gripper, 0 closed .. 1 open, for joint positions in the order of the
+    cell's `joints`.
     """
     return float(np.clip(position[len(ARM_JOINTS)] / FINGER_OPEN_M, 0.0, 1.0))
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from rn_robot_fr3.cell import CELLS
 from rn_robot_fr3.scene import Cube
 from rn_robot_fr3.state_message import SceneState
 from rn_robot_fr3.world import ArmWorld, build_world
@@ -25,14 +26,14 @@ class RenderTwin:
         """Put everything where `state` says; builds another world when scene or engine is another
         one (about 50 ms).
         """
-        scene = (state.engine, state.seed, state.cubes)
+        scene = (state.robot, state.engine, state.seed, state.cubes)
         if self._world is None or scene != self._scene:
             self.close()
             cubes = [
                 Cube(name=name, edge_m=edge_m, x_m=0.0, y_m=0.0, yaw_rad=0.0)
                 for name, edge_m in state.cubes
             ]
-            self._world = build_world(state.engine, cubes)
+            self._world = build_world(state.engine, cubes, cell=CELLS[state.robot])
             self._scene = scene
         self._world.set_joints(state.joints.tolist())
         poses = zip(state.cubes, state.cube_poses.tolist(), strict=True)

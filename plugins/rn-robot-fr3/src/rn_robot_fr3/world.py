@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from rn_robot_fr3.limits import ARM_JOINTS, FINGER_JOINT, MIMIC_FINGER_JOINT
+from rn_robot_fr3.cell import FR3, Cell
 from rn_robot_fr3.scene import Cube
 from rn_simulation.engine import Engine
 from roboneuron import CameraCalibration
@@ -22,12 +22,10 @@ F64 = NDArray[np.float64]
 RawPose = tuple[Sequence[float], Sequence[float]]
 """Position [m] and quaternion (x y z w) in the base frame."""
 
-JOINTS = (*ARM_JOINTS, FINGER_JOINT, MIMIC_FINGER_JOINT)
-"""Every moving joint, in the order of all joint arrays of the simulation."""
+JOINTS = FR3.joints
+"""Every moving joint of one arm, in the order of all joint arrays of its simulation."""
 
 WOOD_KG_M3 = 700.0
-TABLE_SIZE_M = (1.30, 1.20, 0.05)
-TABLE_CENTRE_M = (0.35, 0.0, -0.025)
 TABLE_RGBA = (0.80, 0.76, 0.70, 1.0)
 TABLE_FRICTION = 0.8
 """Sliding friction; the other coefficients are sliding, spinning and rolling (spinning and rolling
@@ -38,12 +36,12 @@ CUBE_FRICTION = (1.0, 0.005, 0.0005)
 
 
 class ArmWorld(Protocol):
-    """Robot, table and cubes in one physics engine; from one thread only."""
+    """Arms, table and cubes in one physics engine; from one thread only."""
 
     engine: Engine
 
     def set_joints(self, position: Sequence[float]) -> None:
-        """Put the joints, in the order of `JOINTS`, at `position` [rad, m], at rest."""
+        """Put the joints, in the order of the cell's `joints`, at `position` [rad, m], at rest."""
         ...
 
     def set_cubes(self, poses: Mapping[str, RawPose]) -> None:
@@ -51,29 +49,30 @@ class ArmWorld(Protocol):
         ...
 
     def prepare_physics(self, step_s: float, force: Sequence[float]) -> None:
-        """Set time step and friction, couple the fingers, and limit the motors, in the order of
-        `JOINTS` [Nm, N].
+        """Set time step and friction, couple the fingers, and limit the motors, in the order of the
+        cell's `joints` [Nm, N].
 
         The render twin does without.
         """
         ...
 
     def step(self, position: Sequence[float], velocity: Sequence[float]) -> None:
-        """Advance by one step, the motors aiming at these, in the order of `JOINTS` [rad, m, per
-        s].
+        """Advance by one step, the motors aiming at these, in the order of the cell's `joints`
+        [rad, m, per s].
         """
         ...
 
     def joint_states(self) -> tuple[F64, F64]:
-        """Measured positions and velocities, each float64 (9,), in the order of `JOINTS`."""
+        """Measured positions and velocities, each float64 (9 for each arm,), in the
+        order of the cell's `joints`."""
         ...
 
     def cube_poses(self) -> dict[str, RawPose]:
         """Where the cubes' centres are, by name."""
         ...
 
-    def T_base_tcp(self) -> F64:
-        """Pose (4, 4) of the TCP in the base frame [m]."""
+    def T_base_tcp(self, arm: int = 0) -> F64:
+        """Pose (4, 4) of the TCP of the arm of that number in the base frame [m]."""
         ...
 
     def render(self, calibration: CameraCalibration, width: int, height: int) -> NDArray[np.uint8]:
@@ -85,8 +84,18 @@ class ArmWorld(Protocol):
         ...
 
 
-def build_world(engine: Engine, cubes: Sequence[Cube], *, gui: bool = False) -> ArmWorld:
-    """A world with `cubes` in `engine`.
+def mount_of(cell: Cell, calibration: CameraCalibration) -> int | None:
+    """Number of the arm that carries a camera; None for one beside the table."""
+    if calibration.mount == "base":
+        return None
+    names = [f"{mount.name}/tcp" for mount in cell.mounts]
+    return names.index(calibration.mount) if calibration.mount in names else 0
+
+
+def build_world(
+    engine: Engine, cubes: Sequence[Cube], *, gui: bool = False, cell: Cell = FR3
+) -> ArmWorld:
+    """A world with the arms of `cell` and `cubes` in `engine`.
 
     Raises:
         ConfigurationError: a window is asked for and there is no display, or the engine has none.
@@ -94,7 +103,7 @@ def build_world(engine: Engine, cubes: Sequence[Cube], *, gui: bool = False) -> 
     if engine == "mujoco":
         from rn_robot_fr3.mujoco_world import MujocoArmWorld  # heavy, and perhaps not installed
 
-        return MujocoArmWorld(cubes, gui=gui)
+        return MujocoArmWorld(cubes, gui=gui, cell=cell)
     from rn_robot_fr3.pybullet_world import PybulletArmWorld  # likewise
 
-    return PybulletArmWorld(cubes, gui=gui)
+    return PybulletArmWorld(cubes, gui=gui, cell=cell)

@@ -91,7 +91,7 @@ class BackendCase(Case[BackendSpec]):
         frames = {role: frame for role, frame in whole.frames.items() if role in self.spec.cameras}
         if self.spec.needs_state:
             return replace(whole, frames=frames)
-        return replace(whole, frames=frames, joints=None, ee_pose=None, gripper_open=None)
+        return replace(whole, frames=frames, joints=None, ee_pose=None, gripper_open=None, arms={})
 
 
 @dataclass(frozen=True, kw_only=True)

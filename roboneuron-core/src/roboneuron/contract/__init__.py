@@ -16,6 +16,7 @@ from roboneuron.contract.image import check_rgb8, frame_from_buffer
 from roboneuron.contract.motion import Hold, JointCommand, Posture, Proximity, RobotState
 from roboneuron.contract.observation import (
     Ahead,
+    ArmState,
     CameraCalibration,
     Frame,
     JointSample,
@@ -24,6 +25,7 @@ from roboneuron.contract.observation import (
 )
 from roboneuron.contract.profile import (
     TOPIC_RULE,
+    ArmProfile,
     CameraProfile,
     CollisionProfile,
     Endpoint,
@@ -44,6 +46,7 @@ from roboneuron.contract.protocols import (
     PostureInspector,
     RobotDriver,
     Runtime,
+    SeveralArms,
     SpaceController,
     Topics,
 )
@@ -73,6 +76,8 @@ __all__ = [
     "Ahead",
     "AnyAcceleration",
     "AnyRuntime",
+    "ArmProfile",
+    "ArmState",
     "Backend",
     "CameraCalibration",
     "CameraProfile",
@@ -98,6 +103,7 @@ __all__ = [
     "RobotProfile",
     "RobotState",
     "Runtime",
+    "SeveralArms",
     "SpaceAgreement",
     "SpaceController",
     "Topics",

@@ -70,6 +70,7 @@ class SpaceAgreement:
         measured = {GRIPPER: 0.0}
         if joints is not None:
             measured |= dict(zip(joints.names, joints.position.tolist(), strict=True))
+        # the names of joints are distinct over all arms
         names = [channel.name for channel in self.executed.channels]
         missing = [name for name in names if name not in measured]
         if missing:

@@ -73,13 +73,21 @@ class Posture:
         pose: of the TCP in the base frame.
         smallest_singular_value: of the TCP's Jacobian in m and rad per joint unit; 0 in a
             singularity, None unknown.
-        near: every pair nearer than the profile's `collision` allows, once; None when that is not
-            checked.
+        near: every pair nearer than the profile's `collision` allows, once, links of all arms
+            included; None when that is not checked.
+        others: TCP and singular value of the arms after the first, in the order of the profile's
+            `arms`; () for one arm.
     """
 
     pose: Pose
     smallest_singular_value: float | None = None
     near: tuple[Proximity, ...] | None = None
+    others: tuple[Posture, ...] = ()
+
+    @property
+    def arms(self) -> tuple[Posture, ...]:
+        """The posture of each arm; `near` is told with the first."""
+        return (self, *self.others)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

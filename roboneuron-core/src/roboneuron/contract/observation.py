@@ -8,7 +8,7 @@ read-only view of it.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -104,6 +104,19 @@ class JointSample:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class ArmState:
+    """One of several arms, as measured.
+
+    Attributes:
+        ee_pose: of its TCP in the base frame.
+        gripper_open: 0 closed .. 1 open; None without a gripper.
+    """
+
+    ee_pose: Pose
+    gripper_open: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Ahead:
     """Actions between the capture of an observation and the end of what is already planned. A
     read-only copy.
@@ -162,6 +175,8 @@ class Observation:
         joints: measured joints, or None when the backend's descriptor does not ask for state.
         ee_pose: measured TCP pose in the base frame, or None likewise.
         gripper_open: measured opening, 0 closed .. 1 open, or None likewise.
+        arms: state of each arm by name, of a robot that has several; the two above are those of the
+            first. Empty for one arm, and for a backend that does not ask for state.
         stamp_ns: capture time of the oldest frame, ROS clock [ns].
         ahead: what is played meanwhile, for backends that declare `conditions_on_rows` or
             `takes_predicted_state`; None for others, and when nothing is planned.
@@ -174,6 +189,8 @@ class Observation:
     gripper_open: float | None = None
     stamp_ns: int = 0
     ahead: Ahead | None = None
+    arms: Mapping[str, ArmState] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "frames", dict(self.frames))
+        object.__setattr__(self, "arms", dict(self.arms))

@@ -86,6 +86,25 @@ class GripperProfile:
         return min(1.0, max(0.0, (position - self.closed_position) / span))
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ArmProfile:
+    """One arm.
+
+    Attributes:
+        name: "left", "right"; "" for the only arm of a robot.
+        joints: names of its joints, base to tip.
+        base_link: link in the URDF that it stands on.
+        tcp_link: link in the URDF that its actions move; z points out of the gripper.
+        gripper: None without one.
+    """
+
+    name: str
+    joints: tuple[str, ...]
+    base_link: str
+    tcp_link: str
+    gripper: GripperProfile | None = None
+
+
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class CameraProfile:
     """A camera that the robot carries or looks at.
@@ -220,7 +239,7 @@ class RobotProfile:
         base_link, tcp_link: link names in the URDF; actions move `tcp_link` in the frame of
             `base_link`. The TCP's z axis points out of the gripper, which the state of learned
             policies relies on.
-        arm_joints: names of the joints that the controller moves, base to tip.
+        arm_joints: names of the joints that the controller moves, base to tip; arm after arm.
         limits: None for robots without arm joints.
         home_rad: float64 (n,), a posture that is safe to start from; None likewise.
         gripper: None without one.
@@ -228,6 +247,9 @@ class RobotProfile:
         workspace: None when nothing but the joint limits bounds the TCP.
         collision: None when links and obstacles are not checked by default.
         endpoints: what the agent may use on the direct path.
+        arms: of a robot that has several. Then `tcp_link` and `gripper` are those of the first,
+            `base_link` is a link that carries them all, and poses, workspace, zones and obstacles
+            are in its frame, for each arm. () for a robot with one arm: see `each_arm`.
         own_topics: topics in its namespace that its drivers and simulations write, besides those of
             the contract and those of `endpoints` that are read: nobody else is let publish them.
     """
@@ -245,19 +267,63 @@ class RobotProfile:
     collision: CollisionProfile | None = None
     endpoints: tuple[Endpoint, ...] = ()
     own_topics: tuple[str, ...] = ()
+    arms: tuple[ArmProfile, ...] = ()
 
     def __post_init__(self) -> None:
         freeze(self, "home_rad")
+        joints = tuple(joint for arm in self.arms for joint in arm.joints)
+        if self.arms and joints != self.arm_joints:
+            raise InvalidInputError(
+                f"Robot {self.name!r}: arm_joints are {self.arm_joints}, its arms have {joints}."
+            )
+
+    @property
+    def each_arm(self) -> tuple[ArmProfile, ...]:
+        """The arms; of a robot that names none the one that its own fields describe."""
+        return self.arms or (
+            ArmProfile(
+                name="",
+                joints=self.arm_joints,
+                base_link=self.base_link,
+                tcp_link=self.tcp_link,
+                gripper=self.gripper,
+            ),
+        )
+
+    @property
+    def grippers(self) -> tuple[GripperProfile, ...]:
+        """The gripper of each arm that has one."""
+        return tuple(arm.gripper for arm in self.each_arm if arm.gripper is not None)
+
+    def of_arm(self, arm: ArmProfile) -> RobotProfile:
+        """The robot as if `arm` were its only one, its TCP in the same base frame; itself when it
+        names no arms.
+        """
+        if not self.arms:
+            return self
+        rows = [self.arm_joints.index(joint) for joint in arm.joints]
+        limits = self.limits
+        if limits is not None:
+            arrays = {part.name: getattr(limits, part.name) for part in fields(limits)}
+            limits = replace(limits, **{n: a[rows] for n, a in arrays.items() if a is not None})
+        return replace(
+            self,
+            arms=(),
+            arm_joints=arm.joints,
+            tcp_link=arm.tcp_link,
+            gripper=arm.gripper,
+            limits=limits,
+            home_rad=None if self.home_rad is None else self.home_rad[rows],
+        )
 
     def tolerance(self, joint: str) -> float:
         """How near a joint has to be to count as there: 0.01 rad or 1 mm, and at most 1/40 of a
         gripper's travel.
         """
         arrived = ARRIVED_M if joint in prismatic_joints(self.urdf) else ARRIVED_RAD
-        if self.gripper is not None and joint == self.gripper.joint:
-            return min(
-                arrived, abs(self.gripper.open_position - self.gripper.closed_position) / 40.0
-            )
+        for gripper in self.grippers:
+            if joint == gripper.joint:
+                return min(arrived, abs(gripper.open_position - gripper.closed_position) / 40.0)
         return arrived
 
     def camera(self, name: str) -> CameraProfile | None:

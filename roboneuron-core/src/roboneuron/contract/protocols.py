@@ -221,6 +221,17 @@ class SpaceController(Protocol):
 
 
 @runtime_checkable
+class SeveralArms(Protocol):
+    """What a controller offers beside `Controller` for robots whose profile names `arms`."""
+
+    def poses(self, joints: JointSample) -> tuple[Pose, ...]:
+        """TCP pose of each arm in the base frame, in the order of the profile's `arms`.
+
+        `Controller.forward` tells the first of them. Raises UnsafeError as it does.
+        """
+
+
+@runtime_checkable
 class PostureInspector(Protocol):
     """What a controller may offer beside `Controller`, so that singularities and collisions can be
     limited.

@@ -185,25 +185,36 @@ def channel_keys(label: str) -> tuple[str, ...]:
 
 
 def robot_space(kind: str, profile: RobotProfile, rate_hz: float = 0.0) -> ControlSpace:
-    """The space of that kind which the robot executes: its joints in the profile's order, and the
-    gripper last where there is one.
+    """The space of that kind which the robot executes: arm after arm its joints in the profile's
+    order, and its gripper last where there is one.
 
     Raises:
-        InvalidInputError: the kind is unknown, or the robot has no arm.
+        InvalidInputError: the kind is unknown, the robot has no arm, or it has several and the kind
+            is `ee_delta`.
     """
     if kind == "ee_delta":
+        if profile.arms:
+            raise InvalidInputError(
+                f"{kind!r} moves one arm; robot {profile.name!r} has {len(profile.arms)}.",
+                hint="Take 'ee_pose' or a space of joints, whose channels name the arm.",
+            )
         return EE_DELTA
     if not profile.arm_joints:
         raise InvalidInputError(f"Robot {profile.name!r} has no arm that {kind!r} could move.")
     slides = prismatic_joints(profile.urdf)
     per_s = "/s" if kind == "joint_velocity" else ""
-    channels = [
-        Channel(name=joint, unit=("m" if joint in slides else "rad") + per_s)
-        for joint in profile.arm_joints
-    ]
-    if kind == "ee_pose":
-        channels = [Channel(name=name, unit="m", frame="base") for name in "xyz"]
-        channels += [Channel(name=f"q{name}", unit="1", frame="base") for name in "xyzw"]
-    if profile.gripper is not None:
-        channels.append(Channel(name=GRIPPER, unit=OPENING))
+    channels: list[Channel] = []
+    for arm in profile.each_arm:
+        if kind == "ee_pose":
+            channels += [Channel(name=x, unit="m", frame="base", arm=arm.name) for x in "xyz"]
+            channels += [
+                Channel(name=f"q{x}", unit="1", frame="base", arm=arm.name) for x in "xyzw"
+            ]
+        else:
+            channels += [
+                Channel(name=x, unit=("m" if x in slides else "rad") + per_s, arm=arm.name)
+                for x in arm.joints
+            ]
+        if arm.gripper is not None:
+            channels.append(Channel(name=GRIPPER, unit=OPENING, arm=arm.name))
     return ControlSpace(kind=kind, channels=tuple(channels), rate_hz=rate_hz)

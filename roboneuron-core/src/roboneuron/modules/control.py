@@ -23,14 +23,16 @@ from roboneuron.contract import (
     Hold,
     JointCommand,
     JointSample,
+    Pose,
     RobotProfile,
+    SeveralArms,
     SpaceController,
     robot_space,
 )
 from roboneuron.contract.arrays import F64
 from roboneuron.contract.space import split_label
 from roboneuron.errors import ConfigurationError, InvalidInputError, RoboNeuronError, UnsafeError
-from roboneuron.gate.motion import check_tighter, collision_of, motion_rules
+from roboneuron.gate.motion import check_tighter, collision_of, motion_rules, poses_of
 from roboneuron.gate.motion.command import pick
 from roboneuron.modules.module_host import Module, ModuleHost
 from roboneuron.modules.motion import JointWatch, MotionGuard
@@ -109,7 +111,7 @@ class ControlModule(Module):
         node.resources.callback(self._controller.close)
         self._controller.load()
         self._spaces = _executed_spaces(spec, self._controller, self._profile)
-        self._space = EE_DELTA
+        self._space = next(iter(self._spaces.values()))
         # only states that can be true are acted on
         self._watched = JointWatch(self._profile, config.state_timeout_s)
         state = Path(node.settings.state_directory)
@@ -132,7 +134,11 @@ class ControlModule(Module):
             node.add_parameter(LIMITS_PARAMETER, "", self._tighten, self._why_not_tighten)
         )
         self.status.set_value("limits", "configured" if tightened is None else "tightened")
+        self._poses = poses_of(self._controller)
         self._ee_pose = node.advertise(PoseStamped, EE_POSE)
+        self._arm_poses = [
+            node.advertise(PoseStamped, f"{arm.name}/{EE_POSE}") for arm in self._profile.arms
+        ]
         commands = (JointState, JOINT_COMMAND) if immediate else (JointTrajectory, JOINT_TRAJECTORY)
         self._command = node.advertise(*commands)
         node.subscribe(JointState, JOINT_STATES, self._on_joint_state)
@@ -229,20 +235,23 @@ class ControlModule(Module):
             self.status.set_error(error)
 
     def _publish_pose(self, joints: JointSample) -> None:
-        """Tell where the TCP is measured, which is what proves that control works.
+        """Tell where the TCP of each arm is measured, which is what proves that control works.
 
         Raises:
             UnsafeError: the controller cannot tell it from these joints.
         """
-        pose = self._controller.forward(joints)
+        poses = self._poses(joints)
         self.handover.send(
-            "pose",
-            joints.stamp_ns,
-            pose,
-            lambda pose: self._ee_pose.publish(to_pose_stamped(pose, self._profile.base_link)),
+            "pose", joints.stamp_ns, poses[0], lambda pose: self._send_poses((pose, *poses[1:]))
         )
         self.status.clear_error()
         self.status.set_ready()
+
+    def _send_poses(self, poses: tuple[Pose, ...]) -> None:
+        """The first arm's pose goes out as the robot's, and each of several arms' as its own."""
+        self._ee_pose.publish(to_pose_stamped(poses[0], self._profile.base_link))
+        for publisher, pose in zip(self._arm_poses, poses, strict=False):
+            publisher.publish(to_pose_stamped(pose, self._profile.base_link))
 
     def _on_action(self, message: Float64MultiArray, info: dict[str, Any]) -> None:
         """Execute an action, or count why not. Its age is that since it was sent, by the time stamp
@@ -470,8 +479,15 @@ def _executed_spaces(
     """Spaces that control executes, by label. Raises ConfigurationError when the controller cannot
     do what its descriptor says.
     """
-    # inference resolves `joint_delta`, which never travels
-    kinds = [kind for kind in spec.spaces if kind != "joint_delta"]
+    # inference resolves `joint_delta`, which never travels; a 7-vector is for one arm
+    never = {"joint_delta", *(("ee_delta",) if profile.arms else ())}
+    kinds = [kind for kind in spec.spaces if kind not in never]
+    if profile.arms and not (kinds and isinstance(controller, SeveralArms)):
+        raise ConfigurationError(
+            f"Controller {spec.name!r} moves one arm; robot {profile.name!r} has "
+            f"{len(profile.arms)}.",
+            hint="Choose a controller for several arms, such as 'urdf'.",
+        )
     if kinds != ["ee_delta"] and not isinstance(controller, SpaceController):
         raise ConfigurationError(
             f"Controller {spec.name!r} declares {', '.join(kinds)}, but has no `execute`."

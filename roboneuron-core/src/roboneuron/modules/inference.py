@@ -142,6 +142,7 @@ class InferenceModule(Module):
             optional=frozenset(spec.optional_cameras),
             needs_state=spec.needs_state,
             gripper=profile.gripper,
+            arms=profile.arms,
             max_age_s=config.max_image_age_s,
             status=self.status,
             now_ns=node.now_ns,
@@ -223,6 +224,9 @@ class InferenceModule(Module):
         if with_state:
             self.node.subscribe(JointState, JOINT_STATES, self._inputs.on_joint_state)
             self.node.subscribe(PoseStamped, EE_POSE, self._inputs.on_ee_pose)
+            for arm in self._inputs.arms:
+                topic, take = f"{arm.name}/{EE_POSE}", partial(self._inputs.on_arm_pose, arm.name)
+                self.node.subscribe(PoseStamped, topic, take)
 
     def _step(self, stop: threading.Event) -> None:
         """Observe and predict once, when a prediction is wanted."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +12,8 @@ from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import CameraInfo, Image, JointState
 
 from roboneuron.contract import (
+    ArmProfile,
+    ArmState,
     CameraCalibration,
     CameraProfile,
     Frame,
@@ -121,6 +123,7 @@ class NewestInputs:
         optional: frozenset[str],
         needs_state: bool,
         gripper: GripperProfile | None,
+        arms: Sequence[ArmProfile] = (),
         max_age_s: float,
         status: StatusWriter,
         now_ns: Callable[[], int],
@@ -129,6 +132,8 @@ class NewestInputs:
         self.needs_state = needs_state
         self._optional = optional
         self._gripper = gripper
+        self.arms = tuple(arms)
+        self._arm_poses: dict[str, Pose] = {}
         self.max_age_s = max_age_s
         self._status = status
         self._now_ns = now_ns
@@ -183,6 +188,11 @@ class NewestInputs:
         """Subscription callback."""
         with self._fresh:
             self._ee_pose = pose_from_message(message)
+
+    def on_arm_pose(self, arm: str, message: PoseStamped) -> None:
+        """Subscription callback for the TCP of one of several arms."""
+        with self._fresh:
+            self._arm_poses[arm] = pose_from_message(message)
 
     def check_types(self, topics: Mapping[str, list[str]], namespace: str) -> None:
         """Compare the graph's types with the contract's: DDS does not connect different types, and
@@ -248,7 +258,7 @@ class NewestInputs:
             if not self._fresh.wait_for(self._is_fresh, timeout_s):
                 return None
             frames = {role: self._frames[role] for role in self.cameras if role in self._frames}
-            joints, ee_pose = self._joints, self._ee_pose
+            joints, ee_pose, arm_poses = self._joints, self._ee_pose, dict(self._arm_poses)
             self._used_ns = frames[self._leading].stamp_ns
         now_ns = self._now_ns()
         for role, frame in list(frames.items()):
@@ -259,9 +269,10 @@ class NewestInputs:
             if doubt:
                 del frames[role]
         if self.needs_state:
-            if joints is None or ee_pose is None:
+            if joints is None or ee_pose is None or len(arm_poses) < len(self.arms):
                 return None
-            for what, stamp_ns in (("joint_state", joints.stamp_ns), ("ee_pose", ee_pose.stamp_ns)):
+            poses = (("ee_pose", pose.stamp_ns) for pose in (ee_pose, *arm_poses.values()))
+            for what, stamp_ns in (("joint_state", joints.stamp_ns), *poses):
                 doubt = self._doubt(stamp_ns, now_ns)
                 if doubt:
                     self._refuse(what, doubt)
@@ -273,7 +284,13 @@ class NewestInputs:
             instruction="",
             joints=joints,
             ee_pose=ee_pose,
-            gripper_open=self._opening(joints),
+            gripper_open=_opening(joints, self._gripper),
+            arms={
+                arm.name: ArmState(
+                    ee_pose=arm_poses[arm.name], gripper_open=_opening(joints, arm.gripper)
+                )
+                for arm in (self.arms if self.needs_state else ())
+            },
             stamp_ns=min(frame.stamp_ns for frame in frames.values()),
         )
 
@@ -301,10 +318,9 @@ class NewestInputs:
             return False
         return self._frames[self._leading].stamp_ns != self._used_ns
 
-    def _opening(self, joints: JointSample | None) -> float | None:
-        """Measured opening of the gripper, 0 closed .. 1 open; None when it is not measured."""
-        if joints is None or self._gripper is None or self._gripper.joint not in joints.names:
-            return None
-        return self._gripper.to_opening(
-            float(joints.position[joints.names.index(self._gripper.joint)])
-        )
+
+def _opening(joints: JointSample | None, gripper: GripperProfile | None) -> float | None:
+    """Measured opening of a gripper, 0 closed .. 1 open; None when it is not measured."""
+    if joints is None or gripper is None or gripper.joint not in joints.names:
+        return None
+    return gripper.to_opening(float(joints.position[joints.names.index(gripper.joint)]))

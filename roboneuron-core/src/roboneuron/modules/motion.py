@@ -25,7 +25,14 @@ from roboneuron.contract.arrays import F64
 from roboneuron.contract.profile import prismatic_joints
 from roboneuron.errors import InvalidInputError, NotReadyError, RefusedError, UnsafeError
 from roboneuron.gate.audit import AUDIT_FILE, AuditLog, AuditRecord
-from roboneuron.gate.motion import LimitedCommand, Motion, MotionLimiter, inspector_of, motion_rules
+from roboneuron.gate.motion import (
+    LimitedCommand,
+    Motion,
+    MotionLimiter,
+    inspector_of,
+    motion_rules,
+    poses_of,
+)
 from roboneuron.gate.motion.command import pick
 from roboneuron.modules.status import StatusWriter
 
@@ -135,7 +142,7 @@ class JointWatch:
 
 
 class MotionGuard:
-    """Applies the limits of `[limits]` to one arm; used from the executor's thread.
+    """Applies the limits of `[limits]` to one robot; used from the executor's thread.
 
     Attributes:
         follow, rest, reference, remaining_s: see `MotionLimiter`.
@@ -176,6 +183,7 @@ class MotionGuard:
             profile,
             controller.forward,
             inspector_of(controller),
+            poses=poses_of(controller),
             immediate=immediate,
             longest_s=longest_s,
         )

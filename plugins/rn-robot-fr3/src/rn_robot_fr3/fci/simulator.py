@@ -20,6 +20,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+from rn_robot_fr3.cell import FR3
 from rn_robot_fr3.description import urdf
 from rn_robot_fr3.fci.addresses import free_address
 from rn_robot_fr3.fci.counterpart import Counterpart
@@ -28,9 +29,7 @@ from rn_robot_fr3.scene import DEFAULT_COLOURS, random_cubes
 from rn_robot_fr3.world import (
     CUBE_FRICTION,
     FINGER_FRICTION,
-    TABLE_CENTRE_M,
     TABLE_FRICTION,
-    TABLE_SIZE_M,
     WOOD_KG_M3,
 )
 
@@ -44,8 +43,8 @@ def scene(seed: int, colours: Sequence[str] = DEFAULT_COLOURS) -> dict[str, Any]
         "urdf": urdf(),
         "home_rad": HOME_RAD,
         "cubes": [asdict(cube) for cube in random_cubes(seed, colours)],
-        "table_size_m": TABLE_SIZE_M,
-        "table_centre_m": TABLE_CENTRE_M,
+        "table_size_m": FR3.table_size_m,
+        "table_centre_m": FR3.table_centre_m,
         "table_friction": TABLE_FRICTION,
         "finger_friction": FINGER_FRICTION,
         "cube_friction": CUBE_FRICTION,

@@ -81,11 +81,11 @@ def profile_endpoints(
 
 
 def action_endpoint(exposed: ExposedEndpoint) -> ExposedEndpoint | None:
-    """The action topic of the robot of `exposed`, when that is an arm with a TCP: what control
-    follows.
+    """The action topic of the robot of `exposed`, when that is one arm with a TCP: what control
+    follows. Several arms take no TCP deltas, which name no arm.
     """
     profile = exposed.profile
-    if profile is None or not (profile.arm_joints and profile.tcp_link):
+    if profile is None or profile.arms or not (profile.arm_joints and profile.tcp_link):
         return None
     endpoint = Endpoint(
         name=ACTION_LABEL,

@@ -51,7 +51,7 @@ class Leg:
 
 
 class PathLimiter:
-    """Checks paths in joint space for one arm; thread-safe.
+    """Checks paths in joint space for one robot, the TCP of each of its arms; thread-safe.
 
     `Reach` says how densely a path is sampled, and the TCP's path between two samples is tested as
     a line, so that neither a zone nor a link is missed. Singularities are no limit here: joint
@@ -83,11 +83,12 @@ class PathLimiter:
         ratio, reason = 1.0, ""
         with self._judging():
             for leg, before, there, duration_s in self._walk(legs, joints):
-                for name, told in self._task.places(before.pose, there, partial(_given, before)):
-                    if name != "singularity":
-                        raise LimitError(
-                            name, f"{leg.where}{told}", hint="Choose another path or target."
-                        )
+                for start, end in zip(before.arms, there.arms, strict=True):
+                    for name, told in self._task.places(start.pose, end, partial(_given, start)):
+                        if name != "singularity":
+                            raise LimitError(
+                                name, f"{leg.where}{told}", hint="Choose another path or target."
+                            )
                 for times, told in self._speeds(before, there, duration_s):
                     if times > ratio:
                         ratio, reason = times, f"{leg.where}{told}"
@@ -129,8 +130,10 @@ class PathLimiter:
         """How many times a limit of the TCP's speed is exceeded between two postures, and what is
         said of it.
         """
-        if duration_s:
-            motion = self._task.motion(before.pose, before.pose, there, duration_s, 0.0)
+        if not duration_s:
+            return
+        for start, end in zip(before.arms, there.arms, strict=True):
+            motion = self._task.motion(start.pose, start.pose, end, duration_s, 0.0)
             yield from (
                 (times, reason)
                 for name, times, reason in self._task.excess(motion)

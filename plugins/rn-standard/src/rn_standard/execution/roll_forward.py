@@ -33,9 +33,9 @@ def roll_forward(
     """Return the observation with the state after `rows`.
 
     What the space moves is rolled: the TCP pose by TCP deltas and poses, the joints by joint
-    positions and velocities, and the gripper. The rest stays as measured, since joints cannot be
-    told from TCP deltas nor the TCP from joints here. Commands overstate motion where the arm lags
-    behind.
+    positions and velocities, and the gripper; pose and gripper are those of the first arm. The rest
+    stays as measured, since joints cannot be told from TCP deltas nor the TCP from joints here.
+    Commands overstate motion where the arm lags behind.
 
     Args:
         observation: measured.
@@ -49,10 +49,10 @@ def roll_forward(
     """
     left = np.ones(len(rows))
     left[0] -= done_share
-    keys = space.keys
+    names = [channel.name for channel in space.channels]
     opening = observation.gripper_open
-    if opening is not None and GRIPPER in keys:
-        opening = float(rows[-1, keys.index(GRIPPER)])
+    if opening is not None and GRIPPER in names:
+        opening = float(rows[-1, names.index(GRIPPER)])
     pose, joints = observation.ee_pose, observation.joints
     if pose is not None and space.kind.startswith("ee"):
         pose = _rolled_pose(pose, rows, left, space)
@@ -63,7 +63,12 @@ def roll_forward(
 
 def _rolled_pose(pose: Pose, rows: F64, left: F64, space: ControlSpace) -> Pose:
     if space.kind == "ee_pose":
-        end = dict(zip(space.keys, rows[-1].tolist(), strict=True))
+        first = space.channels[0].arm
+        end = {
+            channel.name: value
+            for channel, value in zip(space.channels, rows[-1].tolist(), strict=True)
+            if channel.arm == first
+        }
         quaternion = np.array([end[f"q{name}"] for name in "xyzw"])
         return Pose(
             position_m=np.array([end[name] for name in "xyz"]),
@@ -82,9 +87,9 @@ def _rolled_joints(
     joints: JointSample, rows: F64, times_s: F64, space: ControlSpace
 ) -> JointSample:
     position = np.array(joints.position)
-    for column, key in enumerate(space.keys):
-        if key in joints.names:
-            joint = joints.names.index(key)
+    for column, channel in enumerate(space.channels):
+        if channel.name in joints.names:
+            joint = joints.names.index(channel.name)
             if space.kind == "joint_velocity":
                 position[joint] += float(rows[:, column] @ times_s)
             else:

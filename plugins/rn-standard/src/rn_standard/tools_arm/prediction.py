@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from rn_standard.direct_path.allow_list import ArmPaths
 from roboneuron import Action, Controller, Hold, Host, JointCommand, JointSample, Pose
-from roboneuron.feature import ExposedEndpoint, MotionLimiter, inspector_of
+from roboneuron.feature import ExposedEndpoint, MotionLimiter, inspector_of, poses_of
 
 
 def control_of(host: Host, exposed: ExposedEndpoint) -> tuple[Controller, MotionLimiter]:
@@ -25,6 +25,7 @@ def control_of(host: Host, exposed: ExposedEndpoint) -> tuple[Controller, Motion
         profile,
         controller.forward,
         inspector_of(controller),
+        poses=poses_of(controller),
         immediate=config.control is not None and config.control.command == "joint_state",
         longest_s=config.robot.server_timeout_s,
     )

@@ -18,7 +18,14 @@ from rn_testing.lifecycle import Lifecycle
 from rn_testing.rule import NotApplicable, Rule, Violation, require
 from rn_testing.rules.continuing import ContinuingRules
 from rn_testing.snapshots import snapshot
-from roboneuron import ActionChunk, Backend, Frame, Observation, RoboNeuronError, UngroundedError
+from roboneuron import (
+    ActionChunk,
+    Backend,
+    Frame,
+    Observation,
+    RoboNeuronError,
+    UngroundedError,
+)
 
 MAX_TRANSLATION_M, MAX_ROTATION_RAD = 0.25, 1.0
 """Largest single action that is no mistake of unit: policies act at 5 Hz and more, arms move below

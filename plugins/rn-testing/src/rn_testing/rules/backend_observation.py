@@ -16,7 +16,14 @@ from rn_testing.fakes import gradient_image
 from rn_testing.rule import NotApplicable, Rule, require
 from rn_testing.rules.backend import REPEATED, backend_rule, loaded, predict, with_images
 from rn_testing.snapshots import snapshot
-from roboneuron import Backend, InvalidInputError, Observation, RoboNeuronError, UngroundedError
+from roboneuron import (
+    ArmState,
+    Backend,
+    InvalidInputError,
+    Observation,
+    RoboNeuronError,
+    UngroundedError,
+)
 
 _SOURCE = "roboneuron.contract.protocols.Backend"
 
@@ -46,7 +53,7 @@ def _check_missing_state(case: BackendCase) -> None:
     if not case.spec.needs_state:
         raise NotApplicable("it declares no state")
     with loaded(case) as backend:
-        numb = replace(case.observation(), joints=None, ee_pose=None, gripper_open=None)
+        numb = replace(case.observation(), joints=None, ee_pose=None, gripper_open=None, arms={})
         expect_refusal(lambda: backend.predict(numb), "predict without the state it declares")
 
 
@@ -59,7 +66,8 @@ def _check_nan_state(case: BackendCase) -> None:
     for number in (np.nan, np.inf):
         joints = replace(whole.joints, position=np.full_like(whole.joints.position, number))
         pose = replace(whole.ee_pose, position_m=np.full(3, number))
-        all_bad = replace(whole, joints=joints, ee_pose=pose, gripper_open=float(number))
+        arms = {name: ArmState(ee_pose=pose, gripper_open=float(number)) for name in whole.arms}
+        all_bad = replace(whole, joints=joints, ee_pose=pose, gripper_open=float(number), arms=arms)
         parts = {
             "joints": replace(whole, joints=joints),
             "TCP position": replace(whole, ee_pose=pose),

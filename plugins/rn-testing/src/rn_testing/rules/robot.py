@@ -88,8 +88,13 @@ def _check_home(case: RobotCase) -> None:
 
 
 def _check_urdf(case: RobotCase) -> None:
-    profile = _arm(case)
-    require(bool(profile.urdf), "an arm has no URDF")
+    robot = _arm(case)
+    require(bool(robot.urdf), "an arm has no URDF")
+    for arm in robot.each_arm:
+        _check_chain(robot.of_arm(arm))
+
+
+def _check_chain(profile: RobotProfile) -> None:
     chain = read_chain(profile)
     movable = [joint.name for joint in chain if joint.kind in MOVABLE]
     astray = [n for n in profile.arm_joints if n not in movable]
@@ -131,9 +136,11 @@ def _check_urdf_limits(case: RobotCase) -> None:
         )
         told = f"{name} may move at {velocity:g} per second, in the URDF at {joint.velocity:g}"
         require(velocity <= joint.velocity * (1 + SLACK) or joint.velocity == 0, told)
-    if profile.gripper is not None and profile.gripper.joint in joints:
-        joint = joints[profile.gripper.joint]
-        for position in (profile.gripper.closed_position, profile.gripper.open_position):
+    for gripper in profile.grippers:
+        if gripper.joint not in joints:
+            continue
+        joint = joints[gripper.joint]
+        for position in (gripper.closed_position, gripper.open_position):
             inside = joint.lower - SLACK <= position <= joint.upper + SLACK
             require(
                 inside,
@@ -146,11 +153,11 @@ def _check_home_pose(case: RobotCase) -> None:
     if profile.workspace is None or profile.home_rad is None:
         raise NotApplicable("the robot has no workspace or no home posture")
     positions = dict(zip(profile.arm_joints, profile.home_rad.tolist(), strict=True))
-    place = place_tcp(profile, positions).position_m
-    inside = bool(
-        ((profile.workspace.lower_m <= place) & (place <= profile.workspace.upper_m)).all()
-    )
-    require(inside, f"at home the TCP is at {place.round(3)} m, outside of the workspace")
+    lower_m, upper_m = profile.workspace.lower_m, profile.workspace.upper_m
+    for arm in profile.each_arm:
+        place = place_tcp(profile.of_arm(arm), positions).position_m
+        inside = bool(((lower_m <= place) & (place <= upper_m)).all())
+        require(inside, f"at home the TCP is at {place.round(3)} m, outside of the workspace")
 
 
 def _check_stable(case: RobotCase) -> None:

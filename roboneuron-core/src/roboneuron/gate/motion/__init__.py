@@ -11,6 +11,7 @@ from roboneuron.gate.motion.rules import (
     collision_of,
     inspector_of,
     motion_rules,
+    poses_of,
 )
 from roboneuron.gate.motion.task_space import Motion
 
@@ -24,4 +25,5 @@ __all__ = [
     "collision_of",
     "inspector_of",
     "motion_rules",
+    "poses_of",
 ]

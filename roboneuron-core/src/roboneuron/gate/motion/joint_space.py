@@ -91,7 +91,7 @@ class JointLimit:
 
 
 def joint_limits(profile: RobotProfile, rules: MotionRules | None = None) -> dict[str, JointLimit]:
-    """Limits by joint name: the arm's, in the shares that `rules` allow, and the gripper's
+    """Limits by joint name: the arms', in the shares that `rules` allow, and the grippers'
     travel.
     """
     found: dict[str, JointLimit] = {}
@@ -112,9 +112,9 @@ def joint_limits(profile: RobotProfile, rules: MotionRules | None = None) -> dic
             effort=float(limits.effort[i]),
             braking=braking,
         )
-    if profile.gripper is not None:
-        low, high = sorted((profile.gripper.closed_position, profile.gripper.open_position))
-        found[profile.gripper.joint] = JointLimit(lower=low, upper=high)
+    for gripper in profile.grippers:
+        low, high = sorted((gripper.closed_position, gripper.open_position))
+        found[gripper.joint] = JointLimit(lower=low, upper=high)
     return found
 
 

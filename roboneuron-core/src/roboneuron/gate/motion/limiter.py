@@ -5,9 +5,10 @@ before it is sent.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from roboneuron.gate.motion.command import LimitedCommand, Setpoint, Step, pick,
 from roboneuron.gate.motion.joint_space import JointLimit, JointSpace, joint_limits
 from roboneuron.gate.motion.path import Reach
 from roboneuron.gate.motion.rules import MotionRules
-from roboneuron.gate.motion.task_space import Motion, TaskSpace
+from roboneuron.gate.motion.task_space import Motion, TaskSpace, largest
 
 LOST, LOST_M = 0.1, 0.02
 """Largest difference between setpoint and measured joint [rad; m for slides] before the setpoint
@@ -55,20 +56,22 @@ def _ratio(of_all: float, of_step: float) -> float:
 
 
 class MotionLimiter:
-    """Limits successive joint commands of one arm relative to the last setpoint. Used from one
+    """Limits successive joint commands of one robot relative to the last setpoint. Used from one
     thread.
 
     A command is passed unchanged, scaled, answered with a hold, or rejected ("refuse"), by the
     reaction configured for the limit. Scaling keeps the direction in joint space from the setpoint;
     only when the acceleration limits allow no velocity in that direction, the velocity changes from
     the present one towards the commanded one. A command that cannot be evaluated is answered with a
-    hold.
+    hold. Limits of the TCP hold for each of several arms; a command that is scaled for one arm is
+    scaled for all.
 
     Args:
         rules: numbers and reactions.
         profile: joints, limits and gripper of the robot.
-        forward: TCP pose of a posture; raises UnsafeError.
+        forward: TCP pose of a posture, of the first arm; raises UnsafeError.
         inspect: the same with all that `Posture` holds; raises likewise.
+        poses: TCP pose of each arm; needed for a robot that has several.
         immediate: commands carry no time, so that the robot may jump to them (JointState commands).
         longest_s: longest duration of a command; a longer one is answered with a hold, as nothing
             could end it if control froze.
@@ -81,6 +84,7 @@ class MotionLimiter:
         forward: Callable[[JointSample], Pose],
         inspect: Callable[[JointSample], Posture],
         *,
+        poses: Callable[[JointSample], tuple[Pose, ...]] | None = None,
         immediate: bool = False,
         longest_s: float = math.inf,
     ) -> None:
@@ -91,7 +95,9 @@ class MotionLimiter:
         slides = prismatic_joints(profile.urdf)
         self._lost = np.array([LOST_M if name in slides else LOST for name in self._names])
         self._checks_path = profile.collision is not None
-        self._forward, self._inspect = forward, inspect
+        self._poses = poses or (lambda joints: (forward(joints),))
+        self._inspect = inspect
+        self._arms = [f"{arm.name}: " if arm.name else "" for arm in profile.each_arm]
         self._immediate, self._longest_s = immediate, longest_s
         self._sent: Setpoint | None = None
 
@@ -257,21 +263,22 @@ class MotionLimiter:
         """Scale the step's target to within the limits; returns the motion that is sent, raises
         _Rejection.
         """
-        measured = start = self._forward(self._sample(step, step.measured))
+        measured = start = self._poses(self._sample(step, step.measured))
         if step.start is not step.measured:
-            start = self._forward(self._sample(step, step.start))
+            start = self._poses(self._sample(step, step.start))
         target = self._evaluate(step, step.target)
-        step.asked = self._motion(step, measured, start, target)
-        self._apply_joint_limits(step, step.asked, measured, target)
+        asked = self._motions(step, measured, start, target)
+        step.asked = largest(asked)
+        self._apply_joint_limits(step, asked, measured, target)
         if step.acted:
             target = self._evaluate(step, step.target)
         target = self._apply_cartesian_limits(step, measured, target)
         if not step.acted:
             if self._extend(step, measured, target):
-                return self._motion(step, measured, start, target)
+                return largest(self._motions(step, measured, start, target))
             return step.asked
         # Check what would be sent once more: scaling for one limit may violate another one.
-        sent = self._motion(step, measured, start, target)
+        sent = largest(self._motions(step, measured, start, target))
         displacement = step.target - step.start
         for name, _, reason in self._joints.violations(step.start, displacement, step.duration_s):
             raise _Rejection(name, f"No part of the command is within the limits: {reason}")
@@ -286,10 +293,10 @@ class MotionLimiter:
         for name, reason in self._cartesian_violations(step, measured, target):
             raise _Rejection(name, reason)
         if self._extend(step, measured, target):
-            return self._motion(step, measured, start, target)
+            return largest(self._motions(step, measured, start, target))
         return sent
 
-    def _extend(self, step: Step, measured: Pose, target: Posture) -> bool:
+    def _extend(self, step: Step, measured: tuple[Pose, ...], target: Posture) -> bool:
         """Give the command the time that the TCP needs from where it is measured; returns whether
         it needed more.
 
@@ -314,15 +321,17 @@ class MotionLimiter:
         step.duration_s = most_s
         return True
 
-    def _speed_ratio(self, measured: Pose, target: Posture, duration_s: float) -> float:
-        """How many times a speed limit the TCP would have on its path from the measured pose."""
-        motion = self._task.motion(measured, measured, target, duration_s, 0.0)
-        return max(
-            (times for name, times, _ in self._task.excess(motion) if name == "speed"), default=1.0
-        )
+    def _speed_ratio(self, measured: tuple[Pose, ...], target: Posture, duration_s: float) -> float:
+        """How many times a speed limit a TCP would have on its path from the measured pose."""
+        motions = [
+            self._task.motion(pose, pose, end, duration_s, 0.0)
+            for pose, end in zip(measured, target.arms, strict=True)
+        ]
+        excess = self._task.excess(largest(motions))
+        return max((times for name, times, _ in excess if name == "speed"), default=1.0)
 
     def _apply_joint_limits(
-        self, step: Step, asked: Motion, measured: Pose, target: Posture
+        self, step: Step, asked: Sequence[Motion], measured: tuple[Pose, ...], target: Posture
     ) -> None:
         """Scale the step to the limits of joints, TCP step and TCP speed."""
         displacement, share = step.target - step.start, 1.0
@@ -335,17 +344,18 @@ class MotionLimiter:
             # The arm has to cover two parts: what it is behind, and the step. Only the step can be
             # scaled: (behind + share * step) / (behind + step) = _RESERVE / times, solved for
             # share, with whole / step = `parts`; once for distances, once for turns.
-            parts = [_ratio(asked.step_m, asked.speed_m_s * step.duration_s)]
-            parts.append(_ratio(asked.step_rad, asked.turn_rad_s * step.duration_s))
+            parts = [_ratio(motion.step_m, motion.speed_m_s * step.duration_s) for motion in asked]
+            parts += [_ratio(arm.step_rad, arm.turn_rad_s * step.duration_s) for arm in asked]
             share = max(0.0, 1.0 - (1.0 - _RESERVE / times) * max(parts))
         for name, part, reason in self._joints.violations(
             step.start, displacement, step.duration_s
         ):
             self._act(step, name, reason)
             share = min(share, part)
-        for name, times, reason in self._task.excess(asked):
-            self._act(step, name, reason)
-            share = min(share, _RESERVE / times)
+        for arm, motion in zip(self._arms, asked, strict=True):
+            for name, times, reason in self._task.excess(motion):
+                self._act(step, name, f"{arm}{reason}")
+                share = min(share, _RESERVE / times)
         velocity, joint = self._joints.nearest_velocity(
             step.before, displacement * (share / step.duration_s), step.passed_s
         )
@@ -358,7 +368,9 @@ class MotionLimiter:
         if step.acted:
             step.target = step.start + velocity * step.duration_s
 
-    def _apply_cartesian_limits(self, step: Step, measured: Pose, target: Posture) -> Posture:
+    def _apply_cartesian_limits(
+        self, step: Step, measured: tuple[Pose, ...], target: Posture
+    ) -> Posture:
         """Scale the step to the Cartesian limits, to 1/64 of its length; returns the posture at its
         end.
         """
@@ -380,16 +392,18 @@ class MotionLimiter:
         return self._evaluate(step, step.target)
 
     def _cartesian_violations(
-        self, step: Step, measured: Pose, target: Posture
+        self, step: Step, measured: tuple[Pose, ...], target: Posture
     ) -> Iterator[tuple[str, str]]:
         """Cartesian limits that the path from the measured posture to the step's target violates:
         name, reason.
         """
 
-        def evaluate_start() -> Posture:
-            return self._evaluate(step, step.measured)
+        def evaluate_start(number: int = 0) -> Posture:
+            return self._evaluate(step, step.measured).arms[number]
 
-        yield from self._task.places(measured, target, evaluate_start)
+        for number, (pose, end) in enumerate(zip(measured, target.arms, strict=True)):
+            for name, reason in self._task.places(pose, end, partial(evaluate_start, number)):
+                yield name, reason if name == "collision" else f"{self._arms[number]}{reason}"
         if not self._checks_path:
             return
         displacement = step.target - step.measured
@@ -408,19 +422,31 @@ class MotionLimiter:
         step.acted.append(name)
         step.reason = reason
 
-    def _motion(self, step: Step, measured: Pose, start: Pose, target: Posture) -> Motion:
-        """The step in numbers, as limits and status tell it.
+    def _motions(
+        self, step: Step, measured: tuple[Pose, ...], start: tuple[Pose, ...], target: Posture
+    ) -> list[Motion]:
+        """The step in numbers, for each arm, as limits and status tell it; the speed of the joints
+        is that of all of them.
 
         Args:
             step: as it is now.
-            measured, start: TCP where the arm is measured, and at the setpoint.
+            measured, start: TCPs where the arms are measured, and at the setpoint.
             target: posture at the step's target.
         """
         speed = float(np.abs(step.target - step.start).max(initial=0.0)) / step.duration_s
-        return self._task.motion(measured, start, target, step.duration_s, speed)
+        return [
+            self._task.motion(pose, before, end, step.duration_s, speed)
+            for pose, before, end in zip(measured, start, target.arms, strict=True)
+        ]
 
     def _evaluate(self, step: Step, position: F64) -> Posture:
-        return self._inspect(self._sample(step, position))
+        posture = self._inspect(self._sample(step, position))
+        if len(posture.arms) != len(self._arms):
+            raise UnsafeError(
+                f"The controller tells the postures of {len(posture.arms)} arms, the robot has "
+                f"{len(self._arms)}."
+            )
+        return posture
 
     def _sample(self, step: Step, position: F64) -> JointSample:
         """A posture for the controller: the arm at `position`, all other joints as `step.others`

@@ -8,7 +8,7 @@ import math
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 
-from roboneuron.contract import RobotProfile
+from roboneuron.contract import ArmProfile, RobotProfile
 from roboneuron.contract.arrays import F64
 
 _FINEST_M, _COARSEST_M = 0.005, 0.02
@@ -49,10 +49,11 @@ class Reach:
 
 
 def levers_m(profile: RobotProfile) -> dict[str, float]:
-    """By joint of the chain from base to TCP: metres that a point moves at most per rad (1 per m
-    for slides).
+    """By joint of the chain from base to TCP of each arm: metres that a point moves at most per rad
+    (1 per m for slides).
 
-    Empty for a description that holds no such chain.
+    Two arms come nearer to each other by the sum of what both move. Empty for a description that
+    holds no such chain.
     """
     try:
         root = ET.fromstring(profile.urdf)
@@ -61,8 +62,15 @@ def levers_m(profile: RobotProfile) -> dict[str, float]:
     # from the TCP down to the base, because each joint moves all that lies behind it
     above = {_attribute(joint.find("child"), "link"): joint for joint in root.findall("joint")}
     levers: dict[str, float] = {}
-    link, length = profile.tcp_link, _SHAPE_M
-    while link in above and link != profile.base_link:
+    for arm in profile.each_arm:
+        levers |= _levers_m(dict(above), arm)
+    return levers
+
+
+def _levers_m(above: dict[str, ET.Element], arm: ArmProfile) -> dict[str, float]:
+    levers: dict[str, float] = {}
+    link, length = arm.tcp_link, _SHAPE_M
+    while link in above and link != arm.base_link:
         joint = above.pop(link)
         is_slide = _attribute(joint, "type") == "prismatic"
         levers[_attribute(joint, "name")] = 1.0 if is_slide else length

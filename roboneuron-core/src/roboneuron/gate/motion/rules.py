@@ -16,9 +16,11 @@ from roboneuron.contract import (
     Controller,
     JointSample,
     Obstacle,
+    Pose,
     Posture,
     PostureInspector,
     RobotProfile,
+    SeveralArms,
 )
 from roboneuron.contract.arrays import F64
 from roboneuron.errors import ConfigurationError
@@ -195,6 +197,13 @@ def inspector_of(controller: Controller) -> Callable[[JointSample], Posture]:
     if isinstance(controller, PostureInspector):
         return controller.inspect
     return lambda joints: Posture(pose=controller.forward(joints))
+
+
+def poses_of(controller: Controller) -> Callable[[JointSample], tuple[Pose, ...]]:
+    """What tells the TCP of each of a controller's arms."""
+    if isinstance(controller, SeveralArms):
+        return controller.poses
+    return lambda joints: (controller.forward(joints),)
 
 
 def _box(key: str, name: str, lower_m: ArrayLike, upper_m: ArrayLike) -> Obstacle:

@@ -5,7 +5,7 @@ collision.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,6 +33,23 @@ class Motion:
     turn_rad_s: float
     joint_speed: float
     smallest_singular_value: float | None = None
+
+
+def largest(motions: Sequence[Motion]) -> Motion:
+    """The motions of several arms as one: the largest of each number, the smallest singular
+    value.
+    """
+    if len(motions) == 1:
+        return motions[0]
+    values = [motion.smallest_singular_value for motion in motions]
+    return Motion(
+        step_m=max(motion.step_m for motion in motions),
+        step_rad=max(motion.step_rad for motion in motions),
+        speed_m_s=max(motion.speed_m_s for motion in motions),
+        turn_rad_s=max(motion.turn_rad_s for motion in motions),
+        joint_speed=max(motion.joint_speed for motion in motions),
+        smallest_singular_value=min((v for v in values if v is not None), default=None),
+    )
 
 
 class TaskSpace:

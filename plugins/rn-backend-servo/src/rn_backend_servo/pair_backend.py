@@ -1,0 +1,151 @@
+"""The backend "servo-pair": ties instruction, images and the state of two arms to the policy that
+hands a cube over.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from rn_backend_servo.geometry import matrix_of
+from rn_backend_servo.hand_over import ArmGoal, HandOverPolicy, Stage
+from rn_backend_servo.instruction import parse_hand_over
+from rn_backend_servo.options import HandOverOptions
+from rn_backend_servo.phases import Phase
+from rn_backend_servo.sight import look, not_visible
+from roboneuron import (
+    GRIPPER,
+    ActionChunk,
+    AnyAcceleration,
+    AnyRuntime,
+    ArmState,
+    Channel,
+    ControlSpace,
+    InvalidInputError,
+    Observation,
+    RobotProfile,
+    StateError,
+    UnsafeError,
+)
+
+
+def hand_over_space(options: Mapping[str, object], profile: RobotProfile) -> ControlSpace:
+    """Poses of the TCPs of both arms.
+
+    Raises:
+        InvalidInputError: the robot lacks one of them.
+    """
+    chosen = HandOverOptions.model_validate(options)
+    names = [arm.name for arm in profile.arms]
+    absent = [name for name in (chosen.giver, chosen.taker) if name not in names]
+    if absent:
+        raise InvalidInputError(
+            f"Robot {profile.name!r} has no arm {absent[0]!r}; it has {names}.",
+            hint="Name two of its arms in the options giver and taker.",
+        )
+    return space_of(chosen)
+
+
+def space_of(options: HandOverOptions) -> ControlSpace:
+    """TCP pose and opening of the giver, then of the taker."""
+    channels: list[Channel] = []
+    for arm in (options.giver, options.taker):
+        channels += [Channel(name=name, unit="m", frame="base", arm=arm) for name in "xyz"]
+        channels += [Channel(name=f"q{name}", unit="1", frame="base", arm=arm) for name in "xyzw"]
+        channels.append(Channel(name=GRIPPER, unit="opening", arm=arm))
+    return ControlSpace(kind="ee_pose", channels=tuple(channels))
+
+
+def _value(channel: Channel, goals: Mapping[str, ArmGoal]) -> float:
+    goal = goals[channel.arm]
+    if channel.name == GRIPPER:
+        return goal.gripper_open
+    if channel.name.startswith("q"):
+        return float(goal.pose.quaternion_xyzw["xyzw".index(channel.name[1])])
+    return float(goal.pose.position_m["xyz".index(channel.name)])
+
+
+class HandOverBackend:
+    """Hands the cube that the instruction names from one arm to the other; uses images, TCP poses
+    and openings of both arms, nothing else. One row of `ee_pose` per prediction.
+    """
+
+    def __init__(
+        self,
+        config: HandOverOptions | None,
+        runtime: AnyRuntime | None = None,
+        acceleration: AnyAcceleration | None = None,
+    ) -> None:
+        self._options = config or HandOverOptions()
+        self._is_loaded = False
+        self._policy = HandOverPolicy(self._options)
+        self._instruction = ""
+        self._space = space_of(self._options)
+
+    def load(self) -> None:
+        """Become ready; there are no weights."""
+        self._is_loaded = True
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the episode."""
+        self._policy.reset()
+        self._instruction = ""
+
+    def close(self) -> None:
+        """Refuse to predict from now on."""
+        self._is_loaded = False
+
+    def predict(self, observation: Observation) -> ActionChunk:
+        """Return the next small motions of both TCPs.
+
+        Raises:
+            UngroundedError: instruction, images, or a lost cube leave nothing sensible to do.
+            InvalidInputError: the state of one of the arms is absent.
+            UnsafeError: it is not finite.
+            StateError: not loaded.
+        """
+        if not self._is_loaded:
+            raise StateError(
+                "The backend 'servo-pair' was used before it was loaded.", hint="Call load() first."
+            )
+        options = self._options
+        giver = self._state(observation, options.giver)
+        taker = self._state(observation, options.taker)
+        colour = parse_hand_over(observation.instruction)
+        if observation.instruction != self._instruction:
+            self.reset()
+            self._instruction = observation.instruction
+        policy = self._policy
+        sighting = None
+        if policy.stage is Stage.PICK:
+            places = dict.fromkeys(observation.frames, matrix_of(giver.ee_pose))
+            sighting = look(observation.frames, places, colour, options)
+            if sighting is None and policy.pick.episode.phase is Phase.SEARCH:
+                raise not_visible(observation.frames, colour)
+        gives, takes = policy.step(sighting, giver, taker)
+        goals = {options.giver: gives, options.taker: takes}
+        row = [_value(channel, goals) for channel in self._space.channels]
+        return ActionChunk(
+            actions=np.array([row]),
+            step_s=options.step_s,
+            metrics={"done": float(policy.stage is Stage.DONE)},
+            note=f"{policy.stage.value} {colour} cube",
+            space=self._space,
+        )
+
+    def _state(self, observation: Observation, arm: str) -> ArmState:
+        """State of an arm, present and finite."""
+        state = observation.arms.get(arm)
+        if state is None or state.gripper_open is None:
+            raise InvalidInputError(
+                f"The observation has no pose and opening of the arm {arm!r}.",
+                hint="Is control running?",
+                path="arms",
+            )
+        pose = state.ee_pose
+        values = np.concatenate([pose.position_m, pose.quaternion_xyzw, [state.gripper_open]])
+        if not np.isfinite(values).all():
+            raise UnsafeError(f"The state of arm {arm!r} is not finite: {values.tolist()}.")
+        return state

@@ -1,0 +1,161 @@
+"""Backend "servo-pair", controller "urdf", the gate's limits and two simulated FR3s in one process,
+at 10 Hz of simulated time; only the simulator judges.
+"""
+
+from __future__ import annotations
+
+import pytest
+
+pytest.importorskip("rn_robot_fr3.simulation", exc_type=ImportError)
+pytest.importorskip("rn_controller_urdf.controller", exc_type=ImportError)
+
+from rn_backend_servo.case import pair_case
+from rn_backend_servo.options import HandOverOptions
+from rn_backend_servo.pair_backend import HandOverBackend, hand_over_space
+from rn_controller_urdf.controller import UrdfController
+from rn_robot_fr3.cell import PAIR
+from rn_robot_fr3.profile import pair_profile
+from rn_robot_fr3.profile import profile as single_profile
+from rn_robot_fr3.simulation import STEP_S, ArmSimulation
+from rn_simulation.engine import ENGINES
+from rn_testing import BackendCase, BackendContract
+from roboneuron.config import LimitsConfig
+from roboneuron.contract import (
+    ActionChunk,
+    ArmState,
+    Frame,
+    JointCommand,
+    JointSample,
+    Observation,
+    agree,
+)
+from roboneuron.errors import InvalidInputError, UngroundedError
+from roboneuron.gate.motion import MotionLimiter, motion_rules
+from roboneuron.plugins.availability import is_importable
+
+PERIOD_S = 0.1
+ROBOT = pair_profile()
+
+
+class PairCell:
+    """The whole chain of two arms; images are one period older than the poses that come with
+    them.
+    """
+
+    def __init__(self, simulation: ArmSimulation) -> None:
+        self.simulation = simulation
+        self.backend = HandOverBackend(None)
+        self.backend.load()
+        controller = UrdfController(None, ROBOT)
+        controller.load()
+        self._controller = controller
+        self._limiter = MotionLimiter(
+            motion_rules(LimitsConfig(), ROBOT),
+            ROBOT,
+            controller.forward,
+            controller.inspect,
+            poses=controller.poses,
+        )
+        self._agreement = agree(
+            hand_over_space({}, ROBOT), ROBOT, ("ee_pose",), backend="servo-pair", controller="urdf"
+        )
+        self.refused: list[str] = []
+        self._frames = self._look()
+
+    def _look(self) -> dict[str, Frame]:
+        stamp_ns = round(self.simulation.time_s * 1e9)
+        return {
+            camera.role: Frame(
+                camera=camera.name,
+                image=self.simulation.render(camera.name),
+                stamp_ns=stamp_ns,
+                frame_id=camera.frame_id,
+                calibration=camera.calibration,
+            )
+            for camera in ROBOT.cameras
+            if camera.role in ("primary", "wrist")
+        }
+
+    def step(self, instruction: str) -> ActionChunk:
+        """One period."""
+        simulation, frames = self.simulation, self._frames
+        simulation.step(round(PERIOD_S / STEP_S))
+        self._frames = self._look()
+        joints = JointSample(
+            names=PAIR.joints,
+            position=simulation.joint_positions(),
+            stamp_ns=round(simulation.time_s * 1e9),
+        )
+        by_name = dict(zip(joints.names, joints.position.tolist(), strict=True))
+        arms = {
+            arm.name: ArmState(
+                ee_pose=pose, gripper_open=arm.gripper.to_opening(by_name[arm.gripper.joint])
+            )
+            for arm, pose in zip(ROBOT.arms, self._controller.poses(joints), strict=True)
+            if arm.gripper is not None
+        }
+        chunk = self.backend.predict(
+            Observation(
+                frames=frames,
+                instruction=instruction,
+                joints=joints,
+                ee_pose=arms["left"].ee_pose,
+                gripper_open=arms["left"].gripper_open,
+                arms=arms,
+                stamp_ns=frames["primary"].stamp_ns,
+            )
+        )
+        rows = self._agreement.convert(chunk, joints)
+        reference = self._limiter.reference(joints, simulation.time_s)
+        command = self._controller.execute(rows.space, rows.actions[0], reference, PERIOD_S)
+        assert isinstance(command, JointCommand), command
+        verdict = self._limiter.limit(command, joints, simulation.time_s)
+        if isinstance(verdict.command, JointCommand):
+            sent = verdict.command
+            simulation.set_target(sent.names, sent.position, sent.duration_s)
+        else:
+            self.refused.append(verdict.reason)
+        return chunk
+
+
+class TestServoPair(BackendContract):
+    @pytest.fixture
+    def plugin(self) -> BackendCase:
+        return pair_case()
+
+
+@pytest.mark.parametrize("engine", [engine for engine in ENGINES if is_importable(engine)])
+def test_a_cube_goes_from_the_left_hand_to_the_right(engine: str) -> None:
+    with ArmSimulation(3, engine=engine, cell=PAIR) as simulation:  # type: ignore[arg-type]
+        cell = PairCell(simulation)
+        notes: list[str] = []
+        while simulation.time_s < 60.0:
+            note = cell.step("hand over the red cube").note
+            if not notes or notes[-1] != note:
+                notes.append(note)
+            red = simulation.cubes()["red"]
+            if red.handed_over_s >= 1.0:
+                break
+        assert red.holders == ("right",), (notes, cell.refused[-3:])
+        assert red.handed_over_s >= 1.0, notes
+        assert red.held_s > red.handed_over_s, "it was in the air all the time"
+        assert notes[-1] == "handed over red cube"
+
+
+@pytest.mark.parametrize("instruction", ["pick up the red cube", "hand over the cube", "dance"])
+def test_other_instructions_are_refused(instruction: str) -> None:
+    with ArmSimulation(3, cell=PAIR) as simulation, pytest.raises(UngroundedError):
+        PairCell(simulation).step(instruction)
+
+
+def test_a_robot_without_these_arms_is_refused() -> None:
+    with pytest.raises(InvalidInputError, match="Robot 'fr3' has no arm 'left'"):
+        hand_over_space({}, single_profile())
+
+
+def test_the_arms_may_change_their_parts() -> None:
+    """The channels are named, so that the order of the arms does not matter."""
+    chosen = HandOverOptions(giver="right", taker="left")
+    declared = hand_over_space(chosen.model_dump(), ROBOT)
+    agreement = agree(declared, ROBOT, ("ee_pose",), backend="servo-pair", controller="urdf")
+    assert agreement.columns == (*range(8, 16), *range(8))

@@ -1,0 +1,34 @@
+"""`make demo-pair`: over ROS and MCP the left FR3 hands a cube to the right one, and the simulator
+says so to run_task.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+DEMO = Path(__file__).parents[1] / "examples" / "demo_pair.py"
+
+
+@pytest.mark.ros
+@pytest.mark.timeout(300)
+def test_the_left_arm_hands_a_cube_to_the_right_one(
+    tmp_path: Path, environment: dict[str, str]
+) -> None:
+    done = subprocess.run(
+        [sys.executable, str(DEMO), "--seed", "3", "--output", str(tmp_path)],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=280,
+        env=environment,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "'holders': ['right']" in done.stdout
+    assert "succeeded: data of sim/handed_over" in done.stdout
+    with Image.open(tmp_path / "film.gif") as film:
+        assert film.n_frames > 10  # type: ignore[attr-defined]
