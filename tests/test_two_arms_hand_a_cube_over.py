@@ -15,6 +15,7 @@ DEMO = Path(__file__).parents[1] / "examples" / "demo_pair.py"
 
 
 @pytest.mark.ros
+@pytest.mark.slow
 @pytest.mark.timeout(300)
 def test_the_left_arm_hands_a_cube_to_the_right_one(
     tmp_path: Path, environment: dict[str, str]

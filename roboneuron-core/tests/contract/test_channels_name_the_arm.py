@@ -65,7 +65,7 @@ def test_each_arm_has_a_pose_of_its_own() -> None:
     space = robot_space("ee_pose", PAIR)
     of_one = ("x", "y", "z", "qx", "qy", "qz", "qw", "gripper_open")
     assert space.keys == tuple(f"{arm}/{key}" for arm in ("left", "right") for key in of_one)
-    assert space.quaternions == (slice(3, 7), slice(11, 15))
+    assert space.quaternions == ([3, 4, 5, 6], [11, 12, 13, 14])
     assert {channel.frame for channel in space.channels} == {"base", ""}
 
 

@@ -14,7 +14,17 @@ from rn_backend_servo.cube import cube_corners
 from rn_backend_servo.geometry import CameraView
 from rn_backend_servo.plugin import roboneuron_backends
 from rn_testing.cases import BackendCase
-from roboneuron import ArmState, CameraCalibration, Frame, JointSample, Observation, Pose
+from roboneuron import (
+    ArmProfile,
+    ArmState,
+    CameraCalibration,
+    Frame,
+    GripperProfile,
+    JointSample,
+    Observation,
+    Pose,
+    RobotProfile,
+)
 
 F64 = NDArray[np.float64]
 
@@ -128,11 +138,29 @@ def observe_pair(image: NDArray[np.uint8]) -> Observation:
     )
 
 
+def _two_arms() -> RobotProfile:
+    """A robot whose arms are called as the options' defaults say."""
+    finger = GripperProfile(joint="finger", closed_position=0.0, open_position=0.04)
+    arms = tuple(
+        ArmProfile(
+            name=name,
+            joints=(f"{name}_joint",),
+            base_link=f"{name}_base",
+            tcp_link=f"{name}_tcp",
+            gripper=replace(finger, joint=f"{name}_finger"),
+        )
+        for name in ("left", "right")
+    )
+    joints = tuple(joint for arm in arms for joint in arm.joints)
+    return RobotProfile(name="pair", arm_joints=joints, arms=arms)
+
+
 def pair_case() -> BackendCase:
     """`servo-pair` above the same table."""
     image, moved = (paint_table({"red": (0.5, y_m, 0.3)}) for y_m in (-0.1, 0.15))
     return BackendCase(
         spec=roboneuron_backends()[1],
+        robot=_two_arms,
         observe=lambda: observe_pair(_grained(image)),
         observe_next=lambda: observe_pair(_grained(moved)),
     )

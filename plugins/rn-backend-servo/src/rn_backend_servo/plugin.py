@@ -37,8 +37,7 @@ def roboneuron_backends() -> Sequence[BackendSpec]:
         ),
         BackendSpec(
             name="servo-pair",
-            summary="Hands the cube named by its colour from one arm to the other, by classical "
-            "visual servoing",
+            summary="Hands a cube from arm to arm, by classical visual servoing",
             target="rn_backend_servo.pair_backend:HandOverBackend",
             config="rn_backend_servo.options:HandOverOptions",
             case="rn_backend_servo.case:pair_case",

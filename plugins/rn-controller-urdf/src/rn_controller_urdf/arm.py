@@ -134,7 +134,7 @@ class Arm:
             np.array([values[name] for name in "xyz"]),
         )
         turn = float(np.linalg.norm(pinocchio.log3(here.rotation.T @ target.rotation)))
-        distance = float(np.linalg.norm(target.translation - here.translation))
+        distance = math.dist(here.translation.tolist(), target.translation.tolist())
         refusal = check_reach(distance, turn, self._options) or self.check_target(
             here.translation, target.translation
         )

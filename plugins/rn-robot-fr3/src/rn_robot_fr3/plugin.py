@@ -77,8 +77,7 @@ def roboneuron_robots() -> Sequence[RobotSpec]:
         ),
         RobotSpec(
             name="fr3-pair",
-            summary="Two Franka Research 3 facing each other at one table: 14 joints, two "
-            "grippers, three cameras",
+            summary="Two Franka Research 3 facing each other at one table, with three cameras",
             target="rn_robot_fr3.profile:pair_profile",
             case="rn_robot_fr3.contract_cases:pair_case",
             robot_kind="arm",
