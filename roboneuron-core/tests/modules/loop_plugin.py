@@ -122,6 +122,9 @@ def roboneuron_controllers() -> Sequence[ControllerSpec]:
             spaces=("ee_delta", "joint_velocity", "joint_delta"),
         ),
         ControllerSpec(
+            name="glider", summary="x", target="loop_plugin:Mover", spaces=("joint_velocity",)
+        ),
+        ControllerSpec(
             name="boaster", summary="x", target="loop_plugin:Adder", spaces=("joint_position",)
         ),
         ControllerSpec(

@@ -82,3 +82,12 @@ def test_a_space_that_control_does_not_execute_is_refused(cell: Cell, kind: str)
     assert "'ee_delta_base', 'joint_velocity:a,b'" in error
     cell.receive(velocity(0.1, 0.0))
     assert len(executed(cell)) == 1
+
+
+def test_the_first_velocity_needs_a_rate_too(make_host: MakeHost) -> None:
+    cell = Cell(make_host, replace={'"adder"': '"glider"'})
+    cell.receive(velocity(0.1, 0.0, rate_hz=0.0))
+    assert executed(cell) == []
+    assert cell.drops() == {"malformed": 1}
+    cell.receive(velocity(0.1, 0.0))
+    assert len(executed(cell)) == 1

@@ -111,7 +111,8 @@ class ControlModule(Module):
         node.resources.callback(self._controller.close)
         self._controller.load()
         self._spaces = _executed_spaces(spec, self._controller, self._profile)
-        self._space = next(iter(self._spaces.values()))
+        # of the newest action; None before the first, so that its label is always looked at
+        self._space: ControlSpace | None = None
         # only states that can be true are acted on
         self._watched = JointWatch(self._profile, config.state_timeout_s)
         state = Path(node.settings.state_directory)
@@ -267,9 +268,9 @@ class ControlModule(Module):
             return
         try:
             label, values = row_from_action_message(message)
-            if label != self._space.label:
-                self._space = self._agreed_space(label)
             space = self._space
+            if space is None or label != space.label:
+                space = self._space = self._agreed_space(label)
             row = space.check(values)
         except RoboNeuronError as error:
             self.status.dropped.add("non_finite" if isinstance(error, UnsafeError) else "malformed")
