@@ -29,24 +29,24 @@ GROUPS: Mapping[str, frozenset[str]] = {
         "envelope": "EnvelopeError check_id is_urgent",
         "environment": "CLIENT_TOKEN module_environment prepare_environment state_directory",
         "estop": "EmergencyStopLatch press_together",
-        "execution": "Bounds ChunkExecutor Prediction Row rows_of",
         "joint_space": "JointLimit SLACK joint_limits",
         "launching": "Command Connection",
         "loading": "load_attribute load_options load_options_model load_target",
         "log_files": "PlainFormatter begin_logging escaped make_log_directory opener",
-        "messages": "intrinsics_from_camera_info joints_from_message "
-        "to_image to_joint_trajectory to_ns",
+        "messages": "frame_from_message intrinsics_from_camera_info joints_from_message "
+        "pose_from_message to_action_message to_camera_info to_image to_joint_trajectory to_ns",
         "models": "InferenceConfig LimitsConfig Name Namespace Seconds ZoneConfig",
         "qos": "NEWEST STATUS requested_qos",
         "reading": "default_text parse_tables read_state_directory robot_folder",
         "results": "EmergencyStopResult ModuleStatus ModuleSummary",
         "roles": "ADMIN OPERATOR ROLES VIEWER has_role",
         "schema": "no_choice parse unknown_name",
-        "settings": "EMERGENCY_STOP_TOPIC FIRST_STEP_S HOLD_DURATION_S "
-        "HOLD_SHARE MAX_INSTRUCTION_LENGTH SHORTEST_STEP_S",
+        "settings": "EMERGENCY_STOP_TOPIC FIRST_STEP_S FUTURE_S HOLD_DURATION_S HOLD_SHARE "
+        "INSTRUCTION_PARAMETER MAX_INSTRUCTION_LENGTH SHORTEST_STEP_S instruction_problem",
         "task_space": "TaskSpace angle_rad distance_m",
         "terminal": "add_verbosity log_level",
-        "topics": "ACTION DIAGNOSTICS JOINT_STATES PREDICTIONS is_written_by_modules",
+        "topics": "ACTION DIAGNOSTICS EE_POSE JOINT_STATES PREDICTIONS camera_image camera_info "
+        "is_written_by_modules",
     }.items()
 }
 """What may be used of the modules among these names; a contract rule of packages checks it."""

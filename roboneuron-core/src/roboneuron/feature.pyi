@@ -28,7 +28,6 @@ from .gate.motion import (
     task_space as task_space,
 )
 from .modules import (
-    execution as execution,
     settings as settings,
 )
 from .plugins import (
@@ -106,9 +105,6 @@ from .gate.motion.rules import (
 from .modules.control import (
     ControlModule as ControlModule,
 )
-from .modules.inference import (
-    InferenceModule as InferenceModule,
-)
 from .modules.handover import (
     Handover as Handover,
 )
@@ -134,6 +130,9 @@ from .modules.settings import (
 from .modules.status import (
     StatusWriter as StatusWriter,
 )
+from .modules.worker import (
+    Worker as Worker,
+)
 from .planning import (
     Plan as Plan,
     check_plan as check_plan,
@@ -150,6 +149,9 @@ from .plugins.registry import (
 )
 from .plugins.specs import (
     PLUGIN_KINDS as PLUGIN_KINDS,
+)
+from .ros.host import (
+    NodeTopics as NodeTopics,
 )
 from .ros.link import (
     Call as Call,

@@ -12,7 +12,8 @@ from roboneuron import ActionChunk, Observation
 from roboneuron.feature import topics
 
 if TYPE_CHECKING:
-    from roboneuron.feature import InferenceModule, Module, ModuleHost
+    from rn_standard.inference.module import InferenceModule
+    from roboneuron.feature import Module, ModuleHost
 
 _MOST_KEPT = 20
 

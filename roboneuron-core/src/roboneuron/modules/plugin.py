@@ -14,11 +14,36 @@ from roboneuron.contract import (
     SpaceAgreement,
     agree,
 )
-from roboneuron.errors import PluginError
-from roboneuron.modules.settings import HOLD_SHARE
+from roboneuron.errors import ConfigurationError, PluginError
+from roboneuron.modules.settings import HOLD_SHARE, ModuleKind
+from roboneuron.plugins.availability import install_command, package_of
 from roboneuron.plugins.loading import load_attribute, load_options, load_target
 from roboneuron.plugins.registry import Registry
-from roboneuron.plugins.specs import BackendSpec, ControllerSpec, DriverSpec, Spec
+from roboneuron.plugins.specs import BackendSpec, ControllerSpec, DriverSpec, FeatureSpec, Spec
+
+_CLASSES: Mapping[ModuleKind, str] = {
+    "robot": "roboneuron.modules.robot:RobotModule",
+    "control": "roboneuron.modules.control:ControlModule",
+}
+"""Modules that move the arm; the features that are called as them bring the others."""
+
+
+def module_class(kind: ModuleKind, registry: Registry) -> str:
+    """What a module process of that kind runs, "module:attribute"; imported in that process alone.
+
+    Raises:
+        ConfigurationError: no installed feature brings such modules.
+    """
+    brought = registry.specs(FeatureSpec).get(kind)
+    found = _CLASSES.get(kind) or (brought.module if brought is not None else None)
+    if found is None:
+        package = package_of("feature", kind)
+        raise ConfigurationError(
+            f"No feature that runs {kind} modules is installed.",
+            hint=f"For its interpreter: {install_command(*filter(None, [package]))}. "
+            f"If that is installed, take rn-{kind} out of disabled_plugins.",
+        )
+    return found
 
 
 def build(

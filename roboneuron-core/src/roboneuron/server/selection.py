@@ -25,7 +25,7 @@ from roboneuron.errors import (
     RoboNeuronError,
     StateError,
 )
-from roboneuron.modules.plugin import agree_on_space
+from roboneuron.modules.plugin import agree_on_space, module_class
 from roboneuron.modules.settings import MAX_INSTRUCTION_LENGTH, ModuleKind, instruction_problem
 from roboneuron.planning import Plan, check_plan
 from roboneuron.plugins.loading import load_options
@@ -56,7 +56,7 @@ class KindEntry:
     """One kind of module. Its section of roboneuron.toml is called as the kind is.
 
     Attributes:
-        kind: which one; its node class is in `roboneuron.modules.settings.MODULE_CLASSES`.
+        kind: which one; its node class is in `roboneuron.modules.plugin.module_class`.
         noun: what such a module runs.
         offer: kind of the plugins that offer it.
         section: model of its section.
@@ -227,6 +227,7 @@ class Selection:
         entry = KIND_ENTRIES[kind]
         section = entry.configured(config, registry)
         plan, spec, names = entry.plan(section, config, registry)
+        module_class(kind, registry)
         name = next(iter(names.values()))
         options = dict(config.options(name))
         if isinstance(section, InferenceConfig):

@@ -1,0 +1,17 @@
+"""What this package offers; standard library and descriptors only."""
+
+from roboneuron import FeatureSpec, hookimpl
+
+FEATURE = FeatureSpec(
+    name="inference",
+    summary="Runs policies: newest images and states in, actions out.",
+    target="roboneuron:Feature",
+    module="rn_standard.inference.module:InferenceModule",
+)
+"""Descriptor of the feature; it has nothing to do in the server."""
+
+
+@hookimpl
+def roboneuron_features() -> tuple[FeatureSpec, ...]:
+    """The features of this package."""
+    return (FEATURE,)
