@@ -83,7 +83,7 @@ PUBLISHED = {
     "execution": "adaptive mode",
     "http": "addresses bounded_server connections feature listener operator_lease options origins "
     "plugin tokens",
-    "inference": "execution module",
+    "inference": "agreement execution module",
     "selection": "choosing options requests restricted",
     "tasks": "contract_cases hooks monitor",
     "tools_arm": "tightening",

@@ -35,7 +35,7 @@ GROUPS: Mapping[str, frozenset[str]] = {
         "log_files": "PlainFormatter begin_logging escaped make_log_directory opener",
         "messages": "frame_from_message intrinsics_from_camera_info joints_from_message "
         "pose_from_message to_action_message to_camera_info to_image to_joint_trajectory to_ns",
-        "models": "InferenceConfig LimitsConfig Name Namespace Seconds ZoneConfig",
+        "models": "ControlConfig InferenceConfig LimitsConfig Name Namespace Seconds ZoneConfig",
         "qos": "NEWEST STATUS requested_qos",
         "reading": "default_text parse_tables read_state_directory robot_folder",
         "results": "EmergencyStopResult ModuleStatus ModuleSummary",

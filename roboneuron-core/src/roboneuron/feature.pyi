@@ -66,7 +66,6 @@ from .config.reading import (
     load_config as load_config,
 )
 from .contract import (
-    SpaceAgreement as SpaceAgreement,
     TOPIC_RULE as TOPIC_RULE,
 )
 from .contract.arrays import (
@@ -116,7 +115,6 @@ from .modules.parent_watch import (
     Signals as Signals,
 )
 from .modules.plugin import (
-    agree_on_space as agree_on_space,
     build as build,
     load_profile as load_profile,
 )

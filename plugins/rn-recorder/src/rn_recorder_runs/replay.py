@@ -36,7 +36,7 @@ from roboneuron import (
 )
 
 if TYPE_CHECKING:
-    from roboneuron.feature import SpaceAgreement
+    from rn_standard.inference.agreement import SpaceAgreement
 
 F64 = NDArray[np.float64]
 EXACT = 1e-9

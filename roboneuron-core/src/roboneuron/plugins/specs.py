@@ -268,6 +268,9 @@ class FeatureSpec(Spec):
         module: "module:attribute" of the class of the modules that are called as the feature
             ("perception" or "inference"): called with the `ModuleHost` of a process of its own.
             None for a feature that brings none.
+        module_check: "module:attribute" of what checks such a module before its process is
+            started: called with the Registry, the `Plan`, the options of the plugin that it runs
+            and the section `control`; raises a RoboNeuronError. It imports nothing heavy.
         fleet: "module:attribute" of what serves a configuration with several robots: called with
             the Config and the state directory, returns a `roboneuron.server.surface.Served`; None
             when it does not do that.
@@ -286,6 +289,7 @@ class FeatureSpec(Spec):
     needs: tuple[str, ...] = ()
     on_join: str | None = None
     module: str | None = None
+    module_check: str | None = None
     fleet: str | None = None
     fleet_config: str | None = None
     switch: str | None = None

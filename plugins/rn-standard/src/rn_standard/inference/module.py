@@ -18,6 +18,7 @@ from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import CameraInfo, Image, JointState
 from std_msgs.msg import Float64MultiArray
 
+from rn_standard.inference.agreement import agree_on_space
 from rn_standard.inference.execution import Bounds, Prediction, Row, executor_maker
 from rn_standard.inference.inputs import NewestInputs
 from rn_standard.inference.instruction import Instruction
@@ -39,7 +40,6 @@ from roboneuron.feature import (
     ModuleHost,
     Plan,
     Worker,
-    agree_on_space,
     build,
     check_plan,
     load_profile,
