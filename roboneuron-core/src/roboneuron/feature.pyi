@@ -10,9 +10,6 @@ from . import (
     estop as estop,
     log_files as log_files,
 )
-from .cli import (
-    terminal as terminal,
-)
 from .config import (
     models as models,
     reading as reading,
@@ -31,12 +28,9 @@ from .modules import (
     settings as settings,
 )
 from .plugins import (
-    availability as availability,
-    descriptor as descriptor,
     loading as loading,
 )
 from .ros import (
-    environment as environment,
     messages as messages,
     qos as qos,
     topics as topics,
@@ -52,18 +46,11 @@ from .supervisor import (
 )
 
 # Single names.
-from .cli.main import (
-    CommandModule as CommandModule,
-    all_commands as all_commands,
-    load_command as load_command,
-    spoken as spoken,
-)
 from .config.models import (
     Config as Config,
 )
 from .config.reading import (
     feature_options as feature_options,
-    load_config as load_config,
 )
 from .contract import (
     TOPIC_RULE as TOPIC_RULE,
@@ -84,7 +71,6 @@ from .estop.motion_starts import (
     MotionStarts as MotionStarts,
 )
 from .gate.audit import (
-    AUDIT_FILE as AUDIT_FILE,
     AuditLog as AuditLog,
     AuditRecord as AuditRecord,
 )
@@ -101,18 +87,8 @@ from .gate.motion.rules import (
     motion_rules as motion_rules,
     poses_of as poses_of,
 )
-from .modules.control import (
-    ControlModule as ControlModule,
-)
-from .modules.handover import (
-    Handover as Handover,
-)
 from .modules.module_host import (
-    Module as Module,
     ModuleHost as ModuleHost,
-)
-from .modules.parent_watch import (
-    Signals as Signals,
 )
 from .modules.plugin import (
     build as build,
@@ -125,31 +101,12 @@ from .modules.settings import (
     MODULE_KINDS as MODULE_KINDS,
     ModuleKind as ModuleKind,
 )
-from .modules.status import (
-    StatusWriter as StatusWriter,
-)
-from .modules.worker import (
-    Worker as Worker,
-)
-from .planning import (
-    Plan as Plan,
-    check_plan as check_plan,
-)
 from .plugins.discovery import (
     discover as discover,
-    discover_from as discover_from,
 )
 from .plugins.registry import (
     Offer as Offer,
-    PluginRecord as PluginRecord,
     Registry as Registry,
-    Status as Status,
-)
-from .plugins.specs import (
-    PLUGIN_KINDS as PLUGIN_KINDS,
-)
-from .ros.host import (
-    NodeTopics as NodeTopics,
 )
 from .ros.link import (
     Call as Call,
@@ -158,7 +115,6 @@ from .ros.link import (
 )
 from .server.app import (
     Application as Application,
-    make_served as make_served,
 )
 from .server.events import (
     Events as Events,
@@ -205,7 +161,6 @@ from .server.selection import (
     KIND_ENTRIES as KIND_ENTRIES,
     ModuleSection as ModuleSection,
     Selection as Selection,
-    check_configuration as check_configuration,
     check_instruction as check_instruction,
 )
 from .server.surface import (

@@ -25,7 +25,7 @@ from rn_standard.execution.adaptive import AdaptiveExecutor
 from rn_standard.execution.mode import Mode, abilities_of
 from rn_standard.inference.execution import Bounds
 from roboneuron import BackendSpec, Controller, RoboNeuronError
-from roboneuron.feature import build, collision_of, discover, load_profile
+from roboneuron.command import build, collision_of, discover, load_profile
 
 _DEFAULT_IMAGE_AGE_S = 0.5
 _ERROR_LINES = 6

@@ -11,7 +11,7 @@ from roboneuron import Backend, BackendSpec, CameraProfile, ConfigurationError, 
 
 if TYPE_CHECKING:
     from rn_standard.inference.agreement import SpaceAgreement
-    from roboneuron.feature import Config
+    from roboneuron.command import Config
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,7 +56,7 @@ def build_backend(
         RoboNeuronError: the backend does not fit the robot, or cannot be built.
     """
     from rn_standard.inference.agreement import agree_on_space
-    from roboneuron.feature import build, check_plan, discover, load_profile
+    from roboneuron.command import build, check_plan, discover, load_profile
 
     registry = discover(settings.disabled_plugins)
     plan = check_plan(

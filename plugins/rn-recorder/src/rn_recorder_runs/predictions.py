@@ -9,11 +9,11 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, cast
 
 from roboneuron import ActionChunk, Observation
-from roboneuron.feature import topics
+from roboneuron.node import topics
 
 if TYPE_CHECKING:
     from rn_standard.inference.module import InferenceModule
-    from roboneuron.feature import Module, ModuleHost
+    from roboneuron.node import Module, ModuleHost
 
 _MOST_KEPT = 20
 

@@ -12,7 +12,7 @@ from rn_standard.inference.execution import MAKE_EXECUTOR, Bounds, ChunkExecutor
 from roboneuron import BackendSpec, Feature
 
 if TYPE_CHECKING:
-    from roboneuron.feature import ModuleHost
+    from roboneuron.node import ModuleHost
 
 
 class ExecutionFeature(Feature[None]):

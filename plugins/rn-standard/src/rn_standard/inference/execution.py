@@ -18,10 +18,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, cast
 
 from roboneuron import ActionChunk, BackendSpec, ConfigurationError, NotReadyError, Observation
-from roboneuron.feature import F64
+from roboneuron.node import F64
 
 if TYPE_CHECKING:
-    from roboneuron.feature import ModuleHost
+    from roboneuron.node import ModuleHost
 
 _PACE = 0.8
 """The next image may be taken after this share of a step since the last row went out: the arm has

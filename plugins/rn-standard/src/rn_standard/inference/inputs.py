@@ -24,7 +24,7 @@ from roboneuron import (
     Observation,
     Pose,
 )
-from roboneuron.feature import StatusWriter, messages, settings, topics
+from roboneuron.node import StatusWriter, messages, settings, topics
 
 _HAND_OVER_S = 1e-5
 """Any sleep gives the interpreter lock away; the kernel makes about 60 us of it."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from roboneuron import InvalidInputError
-from roboneuron.feature import ModuleHost, settings
+from roboneuron.node import ModuleHost, settings
 
 
 class Instruction:

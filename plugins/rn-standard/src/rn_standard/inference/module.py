@@ -35,7 +35,7 @@ from roboneuron import (
     Observation,
     RobotProfile,
 )
-from roboneuron.feature import (
+from roboneuron.node import (
     Module,
     ModuleHost,
     Plan,

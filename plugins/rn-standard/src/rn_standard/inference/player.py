@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 from rn_standard.inference.execution import ChunkExecutor, Row
 from roboneuron import NotReadyError
-from roboneuron.feature import ModuleHost, Worker
+from roboneuron.node import ModuleHost, Worker
 
 _WAIT_S = 0.1
 """Longest wait for a row; well below the 0.4 s after which a thread counts as stalled."""

@@ -17,7 +17,7 @@ from roboneuron import (
     PerceptionSource,
     PluginError,
 )
-from roboneuron.feature import (
+from roboneuron.node import (
     Module,
     ModuleHost,
     NodeTopics,

@@ -12,7 +12,7 @@ from rn_standard.switching.handover import TimedHandover
 from rn_standard.switching.inference_handover import come_between
 from rn_standard.switching.predecessor import follow_predecessor
 from rn_standard.switching.standby import LISTENERS, restore
-from roboneuron.feature import Module, ModuleHost, qos
+from roboneuron.node import Module, ModuleHost, qos
 
 WARM_UP = "_warm_up"
 """std_msgs/Empty, hidden as ROS hides names with an underscore: opens the ports of a module in
