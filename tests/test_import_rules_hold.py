@@ -71,8 +71,9 @@ NEEDS = {
     "demo": {"console"},
     "execution": {"inference"},
     "limits": {"tools_arm"},
-    "switching": {"inference", "selection"},
-    "tasks": {"direct_path", "selection"},
+    "ops": {"tools_loop"},
+    "switching": {"inference", "selection", "tools_loop"},
+    "tasks": {"direct_path", "selection", "tools_loop"},
     "tools_arm": {"direct_path"},
     "tools_ros": {"direct_path"},
 }
@@ -87,6 +88,7 @@ PUBLISHED = {
     "selection": "choosing options requests restricted",
     "tasks": "contract_cases hooks monitor",
     "tools_arm": "tightening",
+    "tools_loop": "results",
     "tools_ros": "interfaces",
 }
 """Modules of these packages that others may import."""

@@ -27,7 +27,6 @@ GROUPS: Mapping[str, frozenset[str]] = {
         "models": "InferenceConfig LimitsConfig Name Namespace Seconds ZoneConfig",
         "qos": "STATUS requested_qos",
         "reading": "parse_tables robot_folder",
-        "results": "EmergencyStopResult ModuleStatus ModuleSummary",
         "roles": "ADMIN OPERATOR ROLES VIEWER has_role",
         "schema": "no_choice parse unknown_name",
         "settings": "EMERGENCY_STOP_TOPIC MAX_INSTRUCTION_LENGTH",

@@ -38,7 +38,6 @@ from .ros import (
 from .server import (
     access as access,
     envelope as envelope,
-    results as results,
     schema as schema,
 )
 from .supervisor import (
@@ -95,6 +94,7 @@ from .modules.plugin import (
     load_profile as load_profile,
 )
 from .modules.report import (
+    ModuleFacts as ModuleFacts,
     Report as Report,
 )
 from .modules.settings import (
@@ -122,8 +122,9 @@ from .server.events import (
 from .server.feature import (
     Transport as Transport,
 )
-from .server.lifecycle_tools import (
+from .server.stop_tools import (
     EmergencyStopArguments as EmergencyStopArguments,
+    EmergencyStopResult as EmergencyStopResult,
 )
 from .server.loop import (
     ClosedLoop as ClosedLoop,
@@ -159,12 +160,12 @@ from .server.schema import (
 from .server.selection import (
     Instruction as Instruction,
     KIND_ENTRIES as KIND_ENTRIES,
+    KindEntry as KindEntry,
     ModuleSection as ModuleSection,
     Selection as Selection,
     check_instruction as check_instruction,
 )
 from .server.surface import (
-    instructions_for as instructions_for,
     make_server as make_server,
 )
 from .server.tool import (
@@ -192,6 +193,7 @@ from .supervisor.process import (
     read_tail as read_tail,
 )
 from .supervisor.slot import (
+    Phase as Phase,
     Slot as Slot,
 )
 

@@ -40,13 +40,19 @@ _MODULES = tuple(
     )
     for kind in ("inference", "perception")
 )
+_TOOLS = FeatureSpec(
+    name="tools-loop",
+    summary="Tools of the closed loop.",
+    target="rn_standard.tools_loop.feature:LoopTools",
+)
 
 
 def fake_registry(*more: Spec) -> Registry:
-    """A registry that holds the fakes, what brings the modules that they run in, and `more`, all
+    """A registry that holds the fakes, what brings the modules that they run in and
+    the tools that start these, and `more`, all
     ready, as if one plugin had offered them.
     """
-    specs = (*FAKE_SPECS, *_MODULES, *more)
+    specs = (*FAKE_SPECS, *_MODULES, _TOOLS, *more)
     offers = tuple(
         Offer(spec=s, plugin="rn-fakes", distribution="rn-fakes", status=Status.READY)
         for s in specs
