@@ -265,12 +265,10 @@ class FeatureSpec(Spec):
         on_join: "module:attribute" of a function that every module process calls with its
             `ModuleHost` once it has joined ROS; None for none. In the server, `start` is the place
             for that.
-        module: "module:attribute" of the class of the modules that are called as the feature
-            ("perception" or "inference"): called with the `ModuleHost` of a process of its own.
-            None for a feature that brings none.
-        module_check: "module:attribute" of what checks such a module before its process is
-            started: called with the Registry, the `Plan`, the options of the plugin that it runs
-            and the section `control`; raises a RoboNeuronError. It imports nothing heavy.
+        module: "module:attribute" of the class of the modules called as the feature ("perception"
+            or "inference"), called with a `ModuleHost`.
+        module_check: "module:attribute" of a function that raises what speaks against a start of
+            such a module; light, called with Registry, `Plan`, options and section `control`.
         fleet: "module:attribute" of what serves a configuration with several robots: called with
             the Config and the state directory, returns a `roboneuron.server.surface.Served`; None
             when it does not do that.
