@@ -156,15 +156,15 @@ from .ros.link import (
     RosLink as RosLink,
     UNSENT as UNSENT,
 )
+from .server.access import (
+    Transport as Transport,
+)
 from .server.app import (
     Application as Application,
     make_served as make_served,
 )
 from .server.events import (
     Events as Events,
-)
-from .server.feature import (
-    Transport as Transport,
 )
 from .server.lifecycle_tools import (
     EmergencyStopArguments as EmergencyStopArguments,

@@ -16,10 +16,9 @@ from mcp import types
 from mcp.shared.exceptions import MCPError
 
 from roboneuron import __version__
-from roboneuron.server.feature import Resource
 from roboneuron.server.loop import ClosedLoop
 from roboneuron.server.results import ModuleStatus, StatusResult
-from roboneuron.server.tool import CallContext, NoArguments, Tool
+from roboneuron.server.tool import CallContext, NoArguments, Resource, Tool
 
 
 @cache

@@ -16,8 +16,7 @@ from mcp.server import NotificationOptions, Server
 from mcp.server.context import ServerRequestContext
 
 from roboneuron import __version__
-from roboneuron.server.access import holder_of
-from roboneuron.server.feature import Transport
+from roboneuron.server.access import Transport, holder_of
 from roboneuron.server.registry import ToolRegistry
 from roboneuron.server.resources import Resources
 from roboneuron.server.tool import Stage, UnfinishedCallError
