@@ -1,7 +1,8 @@
 """Two descriptors as the MCP wire: messages in lanes, and lines out.
 
 Reading and writing happen on daemon threads, so that neither a silent nor a stuck client can keep
-the server from leaving.
+the server from leaving. The SDK's own `stdio_server` reads on a thread that cannot be left, leaves
+what is no message unanswered, and hands messages over in the order in which they came.
 """
 
 from __future__ import annotations
