@@ -50,7 +50,7 @@ def status(loop: ClosedLoop, started_s: float) -> StatusResult:
     )
 
 
-def _tightened(loop: ClosedLoop) -> dict[str, Any]:
+def _tightened(loop: ClosedLoop) -> dict[str, object]:
     """By key, the limits that are tighter than those of the configuration."""
     base, now = (limits.model_dump(mode="json") for limits in (loop.base.limits, loop.limits))
     return {key: value for key, value in now.items() if value != base[key]}

@@ -16,7 +16,6 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Any
 
 import anyio
 from anyio import EndOfStream
@@ -224,7 +223,7 @@ class MessageReader(ObjectReceiveStream[SessionMessage]):
         self._waiting[lane].append((message, size))
         self._waiting_bytes += size
 
-    def _drop(self, request_id: Any) -> None:
+    def _drop(self, request_id: object) -> None:
         """A request that still waits is cancelled: it will not be worked on, nor answered."""
         if not isinstance(request_id, int | str):
             return

@@ -96,7 +96,7 @@ def make_server(surface: Served, name: str, instructions: str) -> AnnouncingServ
     """The MCP server in front of tools and resources; they are asked with each request."""
 
     async def list_tools(
-        context: ServerRequestContext[Any, Any], params: Any
+        context: ServerRequestContext[Any, Any], params: types.PaginatedRequestParams | None
     ) -> types.ListToolsResult:
         return types.ListToolsResult(tools=surface.tools.listing(holder_of(context.request).role))
 
@@ -110,7 +110,7 @@ def make_server(surface: Served, name: str, instructions: str) -> AnnouncingServ
             return cast(types.InputRequiredResult, question.result)
 
     async def list_resources(
-        _: ServerRequestContext[Any, Any], params: Any
+        _: ServerRequestContext[Any, Any], params: types.PaginatedRequestParams | None
     ) -> types.ListResourcesResult:
         return types.ListResourcesResult(resources=surface.resources.listing())
 
