@@ -82,8 +82,8 @@ PUBLISHED = {
     "console": "chosen_plugins client diagnostics plugin_options status",
     "direct_path": "allow_list arbiter delivery derived exposed fields joints limits speeds twists",
     "execution": "adaptive mode",
-    "http": "addresses bounded_server connections feature listener operator_lease options origins "
-    "plugin tokens",
+    "http": "addresses authentication bounded_server connections feature listener operator_lease "
+    "options origins plugin tokens",
     "inference": "agreement execution module",
     "selection": "choosing options requests restricted",
     "tasks": "contract_cases hooks monitor",

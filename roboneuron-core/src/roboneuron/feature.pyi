@@ -113,14 +113,14 @@ from .ros.link import (
     RosLink as RosLink,
     UNSENT as UNSENT,
 )
+from .server.access import (
+    Transport as Transport,
+)
 from .server.app import (
     Application as Application,
 )
 from .server.events import (
     Events as Events,
-)
-from .server.feature import (
-    Transport as Transport,
 )
 from .server.stop_tools import (
     EmergencyStopArguments as EmergencyStopArguments,

@@ -23,8 +23,8 @@ from roboneuron import (
 )
 from roboneuron.config import Config
 from roboneuron.errors import ConfigurationError, RefusedError, RoboNeuronError
+from roboneuron.server.access import Transport
 from roboneuron.server.app import Application
-from roboneuron.server.feature import Transport
 from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.supervisor.supervisor import Supervisor
 

@@ -82,7 +82,8 @@ def whole_sources(
             if kind != wanted
         ]
         if alike:
-            sources.append(replace(source, episodes=alike))
+            shapes = {camera: (*size, 3) for camera, size in wanted[2]}
+            sources.append(replace(source, episodes=alike, shapes=shapes))
     return sources, skipped
 
 

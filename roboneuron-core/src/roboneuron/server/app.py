@@ -24,8 +24,9 @@ from roboneuron.estop.emergency import SafetyReports, press_on_signal
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.loading import load_attribute
 from roboneuron.ros.environment import state_directory
+from roboneuron.server.access import Transport
 from roboneuron.server.events import Events
-from roboneuron.server.feature import Features, Transport
+from roboneuron.server.feature import Features
 from roboneuron.server.host import Host
 from roboneuron.server.loop import ClosedLoop
 from roboneuron.server.plugins import PluginCatalogue

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from mcp import types
 from mcp.shared.exceptions import MCPError
 
-from roboneuron.server.feature import Resource
+from roboneuron.server.tool import Resource
 
 
 class Resources:

@@ -16,8 +16,7 @@ from mcp.server import NotificationOptions, Server
 from mcp.server.context import ServerRequestContext
 
 from roboneuron import __version__
-from roboneuron.server.access import holder_of
-from roboneuron.server.feature import Transport
+from roboneuron.server.access import Transport, holder_of
 from roboneuron.server.registry import ToolRegistry
 from roboneuron.server.resources import Resources
 from roboneuron.server.tool import Stage, UnfinishedCallError
@@ -102,7 +101,7 @@ def make_server(surface: Served, name: str) -> AnnouncingServer:
     """The MCP server in front of tools and resources; they are asked with each request."""
 
     async def list_tools(
-        context: ServerRequestContext[Any, Any], params: Any
+        context: ServerRequestContext[Any, Any], params: types.PaginatedRequestParams | None
     ) -> types.ListToolsResult:
         return types.ListToolsResult(tools=surface.tools.listing(holder_of(context.request).role))
 
@@ -116,7 +115,7 @@ def make_server(surface: Served, name: str) -> AnnouncingServer:
             return cast(types.InputRequiredResult, question.result)
 
     async def list_resources(
-        _: ServerRequestContext[Any, Any], params: Any
+        _: ServerRequestContext[Any, Any], params: types.PaginatedRequestParams | None
     ) -> types.ListResourcesResult:
         return types.ListResourcesResult(resources=surface.resources.listing())
 

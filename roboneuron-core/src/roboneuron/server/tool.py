@@ -1,4 +1,4 @@
-"""One tool as data: what the agent reads of it, and the function that does it."""
+"""Tools and resources as data: what the agent reads of one, and the function behind it."""
 
 from __future__ import annotations
 
@@ -190,3 +190,22 @@ class Tool(Generic[A]):
 
     def _choices(self) -> dict[str, dict[str, str]]:
         return {name: ask() for name, ask in self.choices.items()}
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Resource:
+    """An MCP resource.
+
+    Attributes:
+        uri: such as "roboneuron://logs/robot".
+        name, title, description: what clients see.
+        read: returns the text; called on the event loop, so it must be quick.
+        mime_type: of that text.
+    """
+
+    uri: str
+    name: str
+    title: str
+    description: str
+    read: Callable[[], str]
+    mime_type: str = "text/plain"
