@@ -38,6 +38,7 @@ from roboneuron.modules.worker import Worker
 from roboneuron.planning import Plan, check_plan
 from roboneuron.plugins.specs import BackendSpec
 from roboneuron.ros.messages import to_action_message
+from roboneuron.ros.polled import PolledSubscriptions
 from roboneuron.ros.topics import (
     ACTION,
     EE_POSE,
@@ -137,6 +138,8 @@ class InferenceModule(Module):
         self.accepts: list[Callable[[int], bool]] = []
         self.deliver = self._deliver
         self._took_s: deque[float] = deque(maxlen=_RECENT)
+        # read by the predicting thread: handing each over to it took longer than all of our work
+        self._images = PolledSubscriptions(node)
         self._inputs = NewestInputs(
             cameras=cameras,
             optional=frozenset(spec.optional_cameras),
@@ -146,6 +149,7 @@ class InferenceModule(Module):
             max_age_s=config.max_image_age_s,
             status=self.status,
             now_ns=node.now_ns,
+            take_images=self._take_images,
         )
         self._subscribe(cameras, with_state=spec.needs_state)
         self._actions = node.advertise(Float64MultiArray, ACTION)
@@ -215,18 +219,20 @@ class InferenceModule(Module):
 
     def _subscribe(self, cameras: dict[str, CameraProfile], *, with_state: bool) -> None:
         for role, camera in cameras.items():
-            self.node.subscribe(
-                CameraInfo, camera_info(camera.name), partial(self._inputs.on_camera_info, role)
-            )
-            self.node.subscribe(
-                Image, camera_image(camera.name), partial(self._inputs.on_image, role)
-            )
+            take_info = partial(self._inputs.on_camera_info, role)
+            self.node.subscribe(CameraInfo, camera_info(camera.name), take_info, group=self._images)
+            take_image = partial(self._inputs.on_image, role)
+            self.node.subscribe(Image, camera_image(camera.name), take_image, group=self._images)
         if with_state:
             self.node.subscribe(JointState, JOINT_STATES, self._inputs.on_joint_state)
             self.node.subscribe(PoseStamped, EE_POSE, self._inputs.on_ee_pose)
             for arm in self._inputs.arms:
                 topic, take = f"{arm.name}/{EE_POSE}", partial(self._inputs.on_arm_pose, arm.name)
                 self.node.subscribe(PoseStamped, topic, take)
+
+    def _take_images(self, timeout_s: float) -> None:
+        self._images.wait(timeout_s)
+        self._images.take()
 
     def _step(self, stop: threading.Event) -> None:
         """Observe and predict once, when a prediction is wanted."""
