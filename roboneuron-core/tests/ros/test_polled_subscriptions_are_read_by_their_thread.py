@@ -56,9 +56,8 @@ def test_a_message_waits_for_its_thread_and_a_newer_one_replaces_it(
     _publish(node, 1, 2, 3)
     executor.spin_once(timeout_sec=0.2)
     assert not taken
-    polled.wait(10.0)
-    polled.take()
-    polled.take()
+    polled.take(10.0)
+    polled.take(0.01)
     assert [message.data for message in taken] == [3]
 
 
@@ -85,7 +84,7 @@ def test_messages_are_taken_in_the_order_of_their_subscriptions(node: Any) -> No
     wait_until(lambda: publisher.get_subscription_count() == 2)
     publisher.publish(Int32(data=1))
     assert publisher.wait_for_all_acked(Duration(seconds=10))
-    polled.take()
+    polled.take(10.0)
     assert taken == ["first", "second"]
 
 
@@ -93,7 +92,7 @@ def test_a_wait_without_messages_ends_in_time(node: Any) -> None:
     polled = PolledSubscriptions(node)
     node.create_subscription(Int32, "number", print, NEWEST, callback_group=polled)
     begun_s = time.monotonic()
-    polled.wait(0.2)
+    polled.take(0.2)
     assert time.monotonic() - begun_s >= 0.19
 
 
@@ -105,5 +104,5 @@ def test_a_publisher_that_cannot_be_heard_is_noticed(node: Any) -> None:
     )
     unheard = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
     node.create_publisher(Int32, "number", unheard)
-    wait_until(lambda: polled.wait(0.1) or bool(events))
+    wait_until(lambda: polled.take(0.1) or bool(events))
     assert events[0].total_count == 1

@@ -149,7 +149,7 @@ class InferenceModule(Module):
             max_age_s=config.max_image_age_s,
             status=self.status,
             now_ns=node.now_ns,
-            take_images=self._take_images,
+            take_images=self._images.take,
         )
         self._subscribe(cameras, with_state=spec.needs_state)
         self._actions = node.advertise(Float64MultiArray, ACTION)
@@ -229,10 +229,6 @@ class InferenceModule(Module):
             for arm in self._inputs.arms:
                 topic, take = f"{arm.name}/{EE_POSE}", partial(self._inputs.on_arm_pose, arm.name)
                 self.node.subscribe(PoseStamped, topic, take)
-
-    def _take_images(self, timeout_s: float) -> None:
-        self._images.wait(timeout_s)
-        self._images.take()
 
     def _step(self, stop: threading.Event) -> None:
         """Observe and predict once, when a prediction is wanted."""

@@ -41,8 +41,10 @@ class PolledSubscriptions(ReentrantCallbackGroup):  # type: ignore[misc]
         """
         return False
 
-    def wait(self, timeout_s: float) -> None:
-        """Block until there is a message, or for `timeout_s` > 0."""
+    def take(self, timeout_s: float) -> None:
+        """Block until there is a message, or for `timeout_s` > 0; call the callbacks of what has
+        come, in the order in which the subscriptions were made.
+        """
         with ExitStack() as held:
             wait_set = rclpy_implementation.WaitSet(
                 *(len(self._subscriptions), 0, 0, 0, 0, len(self._events)), self._context.handle
@@ -58,11 +60,6 @@ class PolledSubscriptions(ReentrantCallbackGroup):  # type: ignore[misc]
             ready = [event for event in self._events if event.is_ready(wait_set)]
         for event in ready:
             Task(event.execute, (event.take_data(),))()
-
-    def take(self) -> None:
-        """Call the callbacks of what has come, in the order in which the subscriptions were
-        made.
-        """
         for subscription in self._subscriptions:
             with subscription.handle:
                 taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
