@@ -179,7 +179,10 @@ def activate(process: subprocess.Popen[bytes], log: Path) -> None:
 @contextmanager
 def relay(environment: dict[str, str]) -> Iterator[None]:
     """The bare relay process."""
-    process = subprocess.Popen([sys.executable, str(HERE / "loop_relay.py")], env=environment)
+    # a session of its own, as ours: the kernel shares out processor time by sessions
+    process = subprocess.Popen(
+        [sys.executable, str(HERE / "loop_relay.py")], env=environment, start_new_session=True
+    )
     try:
         yield
     finally:

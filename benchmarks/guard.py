@@ -208,7 +208,7 @@ def main() -> int:
             Guard(
                 name="image to action, 224 x 224",
                 floor="bare rclpy relay",
-                bound=3.0,
+                bound=2.0,
                 measure=partial(image_to_action, folder, arguments.rounds),
             ),
             Guard(
@@ -226,7 +226,7 @@ def main() -> int:
             Guard(
                 name="inverse kinematics of the FR3",
                 floor="one bare iteration",
-                bound=7.0,
+                bound=5.0,
                 measure=inverse_kinematics,
             ),
             Guard(
