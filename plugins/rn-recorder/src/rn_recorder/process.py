@@ -47,7 +47,7 @@ class RecorderProcess:
     def __init__(self, spawn: Spawn, observe: Callable[[int], object] = lambda pid: None) -> None:
         self._spawn = spawn
         self._observe = observe
-        # bounded by `_put`: `queue.Queue` takes two locks of Python on the thread that answers calls
+        # bounded by `_put`, because `queue.Queue` takes locks of Python on the thread of calls
         self._orders: queue.SimpleQueue[dict[str, object]] = queue.SimpleQueue()
         self._answers: dict[int, dict[str, Any]] = {}
         self._changed = threading.Condition()
@@ -100,7 +100,7 @@ class RecorderProcess:
             self.dropped += 1
 
     def _put(self, order: dict[str, object]) -> bool:
-        """Queue an order unless there are too many; threads at once may go over that by one each."""
+        """Queue an order unless there are too many; threads at once may exceed that by one each."""
         has_room = self._orders.qsize() < MOST_ORDERS
         if has_room:
             self._orders.put(order)

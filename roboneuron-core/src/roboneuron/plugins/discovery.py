@@ -12,7 +12,8 @@ from collections import defaultdict
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import redirect_stdout
 from dataclasses import replace
-from importlib.metadata import EntryPoint, entry_points
+from functools import lru_cache
+from importlib.metadata import Distribution, EntryPoint, entry_points
 from types import ModuleType
 from typing import NamedTuple
 
@@ -120,10 +121,7 @@ def _bringing_hooks(claim: _Claim) -> tuple[FeatureSpec | CommandSpec, ...]:
 
 def _identify(point: EntryPoint) -> _Claim:
     """An entry point with the record of its plugin, whose module is not imported for that."""
-    distribution, version = point.name, ""
-    if point.dist is not None:
-        metadata = point.dist.metadata  # read from a file each time it is asked for
-        distribution, version = metadata["Name"], metadata["Version"] or ""
+    distribution, version = (point.name, "") if point.dist is None else _named(point.dist)
     record = PluginRecord(
         name=point.name,
         distribution=distribution,
@@ -132,6 +130,15 @@ def _identify(point: EntryPoint) -> _Claim:
         status=Status.READY,
     )
     return _Claim(point, record)
+
+
+@lru_cache
+def _named(found: Distribution) -> tuple[str, str]:
+    """Name and version of a distribution, which is one object for all of its entry points: it
+    reads them from a file each time.
+    """
+    metadata = found.metadata
+    return metadata["Name"], metadata["Version"] or ""
 
 
 def _normalise(name: str) -> str:
