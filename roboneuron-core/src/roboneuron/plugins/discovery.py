@@ -5,6 +5,7 @@ Whatever one plugin does wrong is written into its record and hurts nobody else.
 
 from __future__ import annotations
 
+import os
 import re
 import sys
 import traceback
@@ -53,7 +54,26 @@ def discover(disabled: Collection[str] = ()) -> Registry:
         ConfigurationError: `disabled` names neither an installed plugin nor a distribution with
             plugins.
     """
+    return _discover_in(_search_path(), tuple(disabled))
+
+
+@lru_cache(maxsize=1)
+def _discover_in(path: tuple[tuple[str, int], ...], disabled: tuple[str, ...]) -> Registry:
+    """Kept, because a start asks twice before it answers: what to check the configuration with,
+    and what to load.
+    """
     return discover_from(entry_points(group=PROJECT), disabled)
+
+
+def _search_path() -> tuple[tuple[str, int], ...]:
+    """Folders that modules are imported from, with the time of their last change [ns]."""
+    found = []
+    for entry in sys.path:
+        try:
+            found.append((entry, os.stat(entry or ".").st_mtime_ns))
+        except OSError:
+            found.append((entry, 0))
+    return tuple(found)
 
 
 def discover_from(points: Iterable[EntryPoint], disabled: Collection[str] = ()) -> Registry:
