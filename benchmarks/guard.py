@@ -218,7 +218,7 @@ def main() -> int:
                 Guard(
                     name=f"call to message, {endpoints:,} endpoints",
                     floor="empty tool and bare publish",
-                    bound=2.5,
+                    bound=3.0,
                     measure=partial(call_to_message, folder, endpoints),
                 )
                 for endpoints in (3, 1000)
@@ -226,7 +226,7 @@ def main() -> int:
             Guard(
                 name="serve to first message",
                 floor="bare node with the same libraries",
-                bound=2.5,
+                bound=3.0,
                 measure=partial(start_to_message, folder, arguments.rounds),
             ),
             Guard(
