@@ -14,9 +14,15 @@ from typing import Any
 from rn_recorder.options import RecorderOptions
 from rn_recorder.process import RecorderProcess
 from rn_recorder.tools import RecordingEnds, recording_tools
-from rn_recorder_runs.settings import PLAY, SWITCH, RecorderSettings, RulesSettings, spawn_recorder
+from rn_recorder_runs.settings import (
+    PLAY,
+    SWITCH,
+    CameraMount,
+    RecorderSettings,
+    RulesSettings,
+    spawn_recorder,
+)
 from rn_recorder_runs.store import Store
-from rn_recorder_runs.transforms import CameraMount
 from roboneuron import (
     ConfigurationError,
     Feature,

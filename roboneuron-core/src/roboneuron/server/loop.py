@@ -145,7 +145,7 @@ class ClosedLoop:
     def robot_facts(self) -> RobotFacts:
         """Which robot is or would be started, and whether it is a real one."""
         robot = self.config.robot
-        spec = self.plugins.current().specs(RobotSpec).get(robot.name)
+        spec = self.plugins.latest.specs(RobotSpec).get(robot.name)
         driver = None if spec is None else spec.driver(robot.driver)
         kind: Literal["real", "simulated"] = (
             "simulated" if driver is not None and driver.simulated else "real"

@@ -30,6 +30,11 @@ class PluginCatalogue:
         self._registry: Registry | None = None
         self._seen: tuple[int, ...] = ()
 
+    @property
+    def latest(self) -> Registry:
+        """The registry as it was read last: for what every answer tells. Raises as `current`."""
+        return self._registry or self.current()
+
     def current(self) -> Registry:
         """The registry of what is installed now; callable from any thread.
 

@@ -7,13 +7,20 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Awaitable, Callable, Collection
 from contextlib import nullcontext, suppress
+from functools import partial
 from typing import Any, Protocol, TypeVar, cast
 
 import anyio
 from anyio import to_thread
 from mcp import types
 from mcp.server import NotificationOptions, Server
-from mcp.server.context import ServerRequestContext
+from mcp.server.context import (
+    CallNext,
+    HandlerResult,
+    ServerMiddleware,
+    ServerRequestContext,
+)
+from opentelemetry import trace
 
 from roboneuron import __version__
 from roboneuron.server.access import Transport, holder_of
@@ -61,6 +68,15 @@ class AnnouncingServer(Server[Any]):
         """Tell clients what the server operates, and how to use its tools."""
         said = [text for tool, text in _INSTRUCTIONS.items() if tool in tools]
         self.instructions = " ".join([robots, *said, _EVERYWHERE])
+
+
+async def _trace(
+    context: ServerRequestContext[Any, Any], call_next: CallNext, spans: ServerMiddleware[Any]
+) -> HandlerResult:
+    """Make the SDK's span of a request where somebody traces: without, it costs 30 us a call."""
+    if isinstance(trace.get_tracer_provider(), trace.ProxyTracerProvider):
+        return await call_next(context)
+    return await spans(context, call_next)
 
 
 class Served(Protocol):
@@ -132,6 +148,8 @@ def make_server(surface: Served, name: str) -> AnnouncingServer:
         on_list_resources=list_resources,
         on_read_resource=read_resource,
     )
+    # the SDK's own, which makes spans, stands first
+    server.middleware[0] = partial(_trace, spans=server.middleware[0])
     return server
 
 

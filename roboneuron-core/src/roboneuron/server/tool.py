@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
 from pydantic import BaseModel, ConfigDict
+from pydantic.version import version_short
 
 from roboneuron.server.schema import Schema, Shape, model_schema, parse, with_choices
 
@@ -19,8 +20,7 @@ Stage = Callable[[str], None]
 class Arguments(BaseModel):
     """Base of all argument models: nothing unknown, nothing converted, no NaN and no infinity."""
 
-    # built when first used: a start makes many of them, and most are never called; results are
-    # not, for they may be made by several threads at once, which pydantic below 2.14 does not bear
+    # built when first used: a start makes many of them, and most are never called
     model_config = ConfigDict(
         extra="forbid", frozen=True, strict=True, allow_inf_nan=False, defer_build=True
     )
@@ -42,7 +42,8 @@ class Result(BaseModel):
             fields.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    # built when first used, which may be by several threads at once: pydantic 2.14 bears that first
+    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=version_short() >= "2.14")
 
     sparse: ClassVar[bool] = False
 
