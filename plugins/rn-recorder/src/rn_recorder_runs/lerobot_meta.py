@@ -16,7 +16,6 @@ from rn_recorder_runs.video import CameraVideo, Codec
 from roboneuron import channel_keys
 
 VERSION = "v3.0"
-POSE_NAMES = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,6 +25,7 @@ class ExportSource:
     run: Run
     episodes: list[RecordedEpisode]
     joint_names: tuple[str, ...]
+    pose_names: tuple[str, ...]
     cameras: tuple[str, ...]
 
 
@@ -37,7 +37,7 @@ def features(
     if source.episodes[0].rows[0].joints.size:
         features["observation.state"] = _feature("float32", source.joint_names)
     if source.episodes[0].rows[0].ee_pose.size:
-        features["observation.ee_pose"] = _feature("float32", POSE_NAMES)
+        features["observation.ee_pose"] = _feature("float32", source.pose_names)
     names = channel_keys(source.episodes[0].labels[0])
     features["action"] = _feature("float32", names)
     features["roboneuron.action"] = _feature("float64", names)
