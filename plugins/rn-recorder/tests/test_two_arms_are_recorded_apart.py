@@ -187,10 +187,7 @@ def test_a_prediction_is_asked_again_with_the_state_of_both_arms(run: Run) -> No
 def test_a_demonstration_tells_each_arm_by_its_name(run: Run) -> None:
     found = read_run(run.files, 0)
     column = found.columns["observation.ee_pose"]
-    values = {
-        str(name).removesuffix("_m"): column.values[:, place]
-        for place, name in enumerate(column.names or ())
-    }
+    values = {str(name): column.values[:, place] for place, name in enumerate(column.names or ())}
     state = found.columns[STATE]
     values |= {str(name): state.values[:, place] for place, name in enumerate(state.names or ())}
     states = RecordedStates(values=values)

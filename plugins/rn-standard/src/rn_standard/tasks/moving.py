@@ -131,7 +131,7 @@ class Mover:
                 f"The place {name!r} {told}; {known}.",
                 hint=f"Set arm in [places.{name}].",
             )
-        arm = {"arm": place.arm} if place.arm else {}
+        arm: dict[str, object] = {"arm": place.arm} if place.arm else {}
         gripper = {} if place.gripper_open is None else {"gripper_open": place.gripper_open}
         for _ in range(_PARTS):
             position, rotation = await context.run(lambda _: self._pose_now(place.arm))
@@ -144,13 +144,15 @@ class Mover:
             share = min(1.0, _MOST_M / max(far_m, 1e-9), _MOST_RAD / max(far_rad, 1e-9))
             if far_m < _THERE_M and far_rad < _THERE_RAD:
                 if gripper:
-                    took_s += (await self._call("move_ee", arm | gripper, context))["duration_s"]
+                    took_s += (await self._call("move_ee", {**arm, **gripper}, context))[
+                        "duration_s"
+                    ]
                 return MovedTo(
                     name=name, kind="place", error=round(far_m, 5), took_s=round(took_s, 3)
                 )
             axes = ("dx_m", "dy_m", "dz_m", "rx_rad", "ry_rad", "rz_rad")
             part = dict(zip(axes, (share * np.concatenate([delta, turn])).tolist(), strict=True))
-            took_s += (await self._call("move_ee", arm | part, context))["duration_s"]
+            took_s += (await self._call("move_ee", {**arm, **part}, context))["duration_s"]
         raise NotReadyError(f"The TCP does not reach {name!r}; it is {far_m * 1000:.0f} mm away.")
 
     def _left(self, place: PlaceOptions, position: F64, rotation: F64) -> tuple[F64, F64]:
