@@ -1,4 +1,6 @@
-"""The page shows of each arm its TCP, its trail, where it was sent, and how far its hand is open."""
+"""The page shows of each arm its TCP, its trail, where it was sent, and how far its hand is
+open.
+"""
 
 from __future__ import annotations
 
