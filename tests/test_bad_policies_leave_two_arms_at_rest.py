@@ -31,7 +31,7 @@ controller = "urdf"
 STILL_RAD = 0.002
 PATIENCE_S = 30.0
 FAULTS = {
-    "fourteen values for one arm": "An action has shape (14,), expected (8,)",
+    "fourteen values for one arm": "A chunk has shape (2, 14), expected (H >= 1, 8)",
     "the wrong arm": "middle/right_fr3_joint1",
     "no number": "non-finite value at right/right_fr3_joint2",
     "another space": "The backend answered in joint_position",
