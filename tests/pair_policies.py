@@ -1,5 +1,5 @@
-"""The plugin of test_bad_policies_leave_two_arms_at_rest: a cheap camera, and a policy of two arms
-whose instruction says what is wrong with its answers.
+"""A plugin for tests: a cheap camera, a policy of joint velocities of two arms whose instruction
+says what is wrong with its answers, and one of joint positions that moves them likewise.
 """
 
 from __future__ import annotations
@@ -112,6 +112,38 @@ class Waving:
         return ActionChunk(actions=np.array([row, row]), step_s=1.0 / RATE_HZ, space=space)
 
 
+def placing_space(options: Mapping[str, object], profile: RobotProfile) -> ControlSpace:
+    """Joint positions of both arms."""
+    from roboneuron.contract import robot_space
+
+    return robot_space("joint_position", profile)
+
+
+class Placing(Waving):
+    """Follows the protocol `Backend`: moves every joint to and fro from where it is measured."""
+
+    def predict(self, observation: Observation) -> ActionChunk:
+        """Two rows."""
+        import numpy as np
+
+        from rn_robot_fr3.profile import pair_profile
+        from roboneuron.contract import GRIPPER, ActionChunk, robot_space
+
+        assert observation.joints is not None
+        self._number += 1
+        space = robot_space("joint_position", pair_profile())
+        speed = SPEED_RAD_S if self._number % 16 < 8 else -SPEED_RAD_S
+        at = dict(zip(observation.joints.names, observation.joints.position, strict=True))
+        rows = [
+            [
+                1.0 if c.name == GRIPPER else at[c.name] + speed * ahead / RATE_HZ
+                for c in space.channels
+            ]
+            for ahead in (2, 3)
+        ]
+        return ActionChunk(actions=np.array(rows), step_s=1.0 / RATE_HZ, space=space)
+
+
 @hookimpl
 def roboneuron_perceptions() -> Sequence[PerceptionSpec]:
     """The camera."""
@@ -124,7 +156,7 @@ def roboneuron_perceptions() -> Sequence[PerceptionSpec]:
 
 @hookimpl
 def roboneuron_backends() -> Sequence[BackendSpec]:
-    """The policy."""
+    """The policies."""
     return [
         BackendSpec(
             name="waving",
@@ -132,5 +164,13 @@ def roboneuron_backends() -> Sequence[BackendSpec]:
             target=f"{PLUGIN}:Waving",
             cameras=("primary",),
             space=f"{PLUGIN}:waving_space",
-        )
+        ),
+        BackendSpec(
+            name="placing",
+            summary="Moves both arms by positions.",
+            target=f"{PLUGIN}:Placing",
+            cameras=("primary",),
+            needs_state=True,
+            space=f"{PLUGIN}:placing_space",
+        ),
     ]

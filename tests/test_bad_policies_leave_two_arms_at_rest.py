@@ -4,6 +4,7 @@ arms come to rest, and the next instruction moves them again. Wrong calls name t
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -12,24 +13,14 @@ from typing import Any
 import anyio
 import pytest
 
+sys.path.append(str(Path(__file__).parent))
+
+from pair_agent import PATIENCE_S, STILL_RAD, configured, moved_rad, positions
+
 from rn_standard.console.client import spawned_server
 from rn_standard.demo.agent import Agent, module_status
-from rn_testing.fakes.site import plugin_site
 from roboneuron import NotReadyError
 
-CONFIG = """
-[robot]
-name = "fr3-pair"
-[perception]
-source = "numbered"
-cameras = ["front"]
-[inference]
-backend = "waving"
-[control]
-controller = "urdf"
-"""
-STILL_RAD = 0.002
-PATIENCE_S = 30.0
 FAULTS = {
     "fourteen values for one arm": "A chunk has shape (2, 14), expected (H >= 1, 8)",
     "the wrong arm": "middle/right_fr3_joint1",
@@ -38,26 +29,10 @@ FAULTS = {
 }
 
 
-async def _positions(agent: Agent) -> dict[str, float]:
-    messages: Any = (await agent.call("read_joint_states"))["messages"]
-    return dict(zip(messages[-1]["name"], messages[-1]["position"], strict=True))
-
-
-async def _moved(agent: Agent, pause_s: float) -> dict[str, float]:
-    """How far each arm's farthest joint gets in that time [rad]."""
-    before = await _positions(agent)
-    await anyio.sleep(pause_s)
-    after = await _positions(agent)
-    return {
-        arm: max(abs(after[n] - before[n]) for n in after if n.startswith(f"{arm}_fr3_joint"))
-        for arm in ("left", "right")
-    }
-
-
 async def _until(agent: Agent, told: Callable[[dict[str, float], str], bool], what: str) -> None:
     until_s = time.monotonic() + PATIENCE_S
     while True:
-        moved = await _moved(agent, 0.2)
+        moved = await moved_rad(agent, 0.2)
         error = str(module_status(await agent.status(), "inference").get("error") or "")
         if told(moved, error):
             return
@@ -73,7 +48,7 @@ async def _check_fault(agent: Agent, fault: str, told: str) -> None:
         lambda moved, error: told in error and max(moved.values()) < STILL_RAD,
         f"{fault!r} is told, and both rest",
     )
-    assert max((await _moved(agent, 1.0)).values()) < STILL_RAD
+    assert max((await moved_rad(agent, 1.0)).values()) < STILL_RAD
 
 
 async def _scenario(config: Path, log: Path) -> None:
@@ -89,9 +64,9 @@ async def _scenario(config: Path, log: Path) -> None:
             with pytest.raises(NotReadyError, match=told):
                 await agent.call("move_ee", arguments)
         for arm in ("left", "right"):
-            before = await _positions(agent)
+            before = await positions(agent)
             moved: Any = await agent.call("move_ee", {"arm": arm, "dz_m": 0.03, "dy_m": 0.02})
-            after = await _positions(agent)
+            after = await positions(agent)
             assert moved["arm"] == arm
             assert moved["error_m"] < 0.004
             other = "right" if arm == "left" else "left"
@@ -114,12 +89,8 @@ async def _scenario(config: Path, log: Path) -> None:
 def test_what_a_policy_or_a_caller_says_wrongly_of_two_arms(
     tmp_path: Path, environment: dict[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    config = tmp_path / "roboneuron.toml"
-    config.write_text(CONFIG)
-    with plugin_site(tmp_path / "site") as site:
-        source = Path(__file__).with_name("pair_policies.py").read_text()
-        site.install("pair-policies", source, header="")
+    with configured(tmp_path) as (config, site):
         for name in ("ROS_DOMAIN_ID", "XDG_STATE_HOME"):
             monkeypatch.setenv(name, environment[name])
-        monkeypatch.setenv("PYTHONPATH", str(site.path))
+        monkeypatch.setenv("PYTHONPATH", str(site))
         anyio.run(_scenario, config, tmp_path / "server.log")
