@@ -117,6 +117,9 @@ def test_the_scene_of_an_arm_says_which_and_how_far_it_is_open(
     assert labels == {"left": "left: 25% open", "right": "right: 100% open"}
     assert (shown["left"]._tcp.visible, shown["right"]._tcp.visible) == (False, True)
     assert shown["right"]._tcp.position == pytest.approx([0.2, 0.0, 0.3])
+    named = shown["right"]._label
+    assert named is not None
+    assert named.position == pytest.approx([0.2, 0.0, 0.42])
     assert shown["left"]._trail is None
     assert shown["right"]._trail is not None
     shown["left"].target(np.array([0.4, 0.0, 0.2]))

@@ -29,6 +29,8 @@ _BOX_RGB, _OBSTACLE_RGB, _ZONE_RGB, _TARGET_RGB = (
 _TRAIL_RGB, _CAMERA_RGB = (40, 160, 110), (90, 90, 100)
 _FRUSTUM_M = 0.12
 _TARGET_M = 0.018
+_BESIDE_TCP_M = np.array([0.0, 0.0, 0.12])
+"""Where the name of an arm stands, from its TCP."""
 _PHONE_PX = 576
 """viser puts the panel over the lower part of a page up to this wide."""
 _BELOW_M = 1.0
@@ -79,7 +81,7 @@ class ArmScene:
             f"{self.place}/tcp", axes_length=0.08, axes_radius=0.004, visible=False
         )
         self._label = (
-            scene.add_label(f"{self.place}/tcp/label", arm.name, font_screen_scale=0.8)
+            scene.add_label(f"{self.place}/label", arm.name, font_screen_scale=0.8, visible=False)
             if arm.name
             else None
         )
@@ -103,6 +105,10 @@ class ArmScene:
         if track.pose is not None and track.pose is not self._shown[0]:
             self._tcp.position, self._tcp.wxyz = track.pose
             self._tcp.visible = True
+            if self._label is not None:
+                # a label does not move with the frame that it is in
+                self._label.position = track.pose[0] + _BESIDE_TCP_M
+                self._label.visible = True
         gripper = self._arm.gripper
         if self._label is not None and gripper is not None and gripper.joint in joints:
             text = f"{self._arm.name}: {gripper.to_opening(joints[gripper.joint]):.0%} open"
