@@ -84,8 +84,8 @@ threads = 1
 """
 NAMES = json.dumps(robot.JOINTS)
 GRIPPERS = [6, 13]
-NEAR_RAD = 0.3
-"""How far from home the policy of OFT goes."""
+NEAR_RAD = 0.03
+"""Half the range of the joints of OFT, whose random rows would be refused as jumps otherwise."""
 
 
 @dataclass
