@@ -1,12 +1,13 @@
-"""A robot with two arms of six joints and a gripper each, as ALOHA has, and its three cameras; it
-moves in memory.
+"""A robot with two arms of six joints and a gripper each, as ALOHA has, with three cameras, and one
+with one such arm; they move in memory.
 """
 
 from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from roboneuron.plugins.hookspecs import hookimpl
@@ -28,6 +29,7 @@ SIDES = {"left": 0.5, "right": -0.5}
 """The arms, and where each stands along y [m]."""
 JOINTS = tuple(f"{side}_{joint}" for side in SIDES for joint in ARM)
 FINGERS = tuple(f"{side}_finger" for side in SIDES)
+ONE_ARM = {"": 0.0}
 HOME_RAD = (0.0, -0.9, 1.4, 0.3, 0.6, -0.2)
 OPEN_M = 0.057
 VELOCITY_RAD_S, ACCELERATION_RAD_S2 = 3.0, 15.0
@@ -44,10 +46,15 @@ _AXES = {
 }
 
 
-def urdf() -> str:
-    """Its description: two chains from a common base."""
-    parts = ['<robot name="two-arms"><link name="table"/>']
-    for side, y_m in SIDES.items():
+def _named(side: str, name: str) -> str:
+    return f"{side}_{name}" if side else name
+
+
+def urdf(sides: Mapping[str, float]) -> str:
+    """A description: chains from a common base."""
+    parts = ['<robot name="arms"><link name="table"/>']
+    for own, y_m in sides.items():
+        side = own or "only"
         parts.append(
             f'<link name="{side}_base"/><joint name="{side}_mount" type="fixed">'
             f'<parent link="table"/><child link="{side}_base"/><origin xyz="0 {y_m} 0"/></joint>'
@@ -56,7 +63,7 @@ def urdf() -> str:
         for joint, (place, axis) in _AXES.items():
             child = f"{side}_{joint}_link"
             parts.append(
-                f'<link name="{child}"/><joint name="{side}_{joint}" type="revolute">'
+                f'<link name="{child}"/><joint name="{_named(own, joint)}" type="revolute">'
                 f'<parent link="{parent}"/><child link="{child}"/><origin xyz="{place}"/>'
                 f'<axis xyz="{axis}"/><limit lower="-{REACH_RAD}" upper="{REACH_RAD}" '
                 f'velocity="{VELOCITY_RAD_S}" effort="30"/></joint>'
@@ -66,7 +73,8 @@ def urdf() -> str:
             f'<link name="{side}_tcp"/><joint name="{side}_tcp_mount" type="fixed">'
             f'<parent link="{parent}"/><child link="{side}_tcp"/>'
             '<origin xyz="0.14 0 0" rpy="0 1.5707963 0"/></joint>'
-            f'<link name="{side}_finger_link"/><joint name="{side}_finger" type="prismatic">'
+            f'<link name="{side}_finger_link"/>'
+            f'<joint name="{_named(own, "finger")}" type="prismatic">'
             f'<parent link="{parent}"/><child link="{side}_finger_link"/><axis xyz="0 1 0"/>'
             f'<limit lower="0" upper="{OPEN_M}" velocity="0.2" effort="5"/></joint>'
         )
@@ -75,6 +83,15 @@ def urdf() -> str:
 
 def profile() -> RobotProfile:
     """Facts of both arms."""
+    return _profile("two-arms", SIDES)
+
+
+def one_arm() -> RobotProfile:
+    """Facts of the robot with one of them."""
+    return replace(_profile("one-arm", ONE_ARM), arms=())
+
+
+def _profile(name: str, sides: Mapping[str, float]) -> RobotProfile:
     import numpy as np
 
     from roboneuron.contract import (
@@ -88,22 +105,23 @@ def profile() -> RobotProfile:
     arms = tuple(
         ArmProfile(
             name=side,
-            joints=tuple(f"{side}_{joint}" for joint in ARM),
-            base_link=f"{side}_base",
-            tcp_link=f"{side}_tcp",
+            joints=tuple(_named(side, joint) for joint in ARM),
+            base_link=f"{side or 'only'}_base",
+            tcp_link=f"{side or 'only'}_tcp",
             gripper=GripperProfile(
-                joint=f"{side}_finger", closed_position=0.0, open_position=OPEN_M
+                joint=_named(side, "finger"), closed_position=0.0, open_position=OPEN_M
             ),
         )
-        for side in SIDES
+        for side in sides
     )
-    one = np.ones(len(JOINTS))
+    joints = tuple(joint for arm in arms for joint in arm.joints)
+    one = np.ones(len(joints))
     return RobotProfile(
-        name="two-arms",
-        urdf=urdf(),
+        name=name,
+        urdf=urdf(sides),
         base_link="table",
-        tcp_link="left_tcp",
-        arm_joints=JOINTS,
+        tcp_link=arms[0].tcp_link,
+        arm_joints=joints,
         gripper=arms[0].gripper,
         limits=JointLimits(
             lower=-REACH_RAD * one,
@@ -112,7 +130,7 @@ def profile() -> RobotProfile:
             acceleration=ACCELERATION_RAD_S2 * one,
             effort=30.0 * one,
         ),
-        home_rad=np.array(HOME_RAD * len(SIDES)),
+        home_rad=np.array(HOME_RAD * len(sides)),
         cameras=tuple(
             CameraProfile(name=name, role=role, frame_id=f"{name}_optical", width=64, height=48)
             for name, role in CAMERAS.items()
@@ -127,10 +145,11 @@ class InMemory:
     def __init__(self, config: None, profile: RobotProfile, topics: Topics) -> None:
         import numpy as np
 
-        self._topics = topics
-        self._names = (*JOINTS, *FINGERS)
+        self._topics, self._profile = topics, profile
+        fingers = tuple(gripper.joint for gripper in profile.grippers)
+        self._names = (*profile.arm_joints, *fingers)
         self._lock = threading.Lock()
-        home = np.array([*HOME_RAD * len(SIDES), *(OPEN_M / 2.0,) * len(FINGERS)])
+        home = np.append(profile.home_rad, np.full(len(fingers), OPEN_M / 2.0))
         self._start, self._end = home, home
         self._begin_s, self._lasts_s = 0.0, 1.0
 
@@ -144,8 +163,9 @@ class InMemory:
         with self._lock:
             position = self._position(time.monotonic())
         stamp_ns = self._topics.now_ns()
+        finger = len(self._profile.arm_joints)
         joints = JointSample(names=self._names, position=position, stamp_ns=stamp_ns)
-        return RobotState(joints=joints, gripper_open=float(position[len(JOINTS)]) / OPEN_M)
+        return RobotState(joints=joints, gripper_open=float(position[finger]) / OPEN_M)
 
     def send(self, command: JointCommand) -> JointCommand:
         """Go there in the time of the command."""
@@ -210,23 +230,20 @@ def grey(height: int, width: int):  # type: ignore[no-untyped-def]
 
 @hookimpl
 def roboneuron_robots() -> Sequence[RobotSpec]:
-    """Both arms as one robot."""
+    """Both robots."""
+    driver = DriverSpec(
+        name="simulated", summary="In memory.", target=f"{PLUGIN}:InMemory", simulated=True
+    )
     return [
         RobotSpec(
-            name="two-arms",
-            summary="Two arms of six joints, in memory.",
-            target=f"{PLUGIN}:profile",
-            drivers=(
-                DriverSpec(
-                    name="simulated",
-                    summary="In memory.",
-                    target=f"{PLUGIN}:InMemory",
-                    simulated=True,
-                ),
-            ),
+            name=name,
+            summary="Arms of six joints, in memory.",
+            target=f"{PLUGIN}:{target}",
+            drivers=(driver,),
             cameras=tuple(CameraSpec(name=name, role=role) for name, role in CAMERAS.items()),
-            action_widths=(14,),
+            action_widths=(7,),
         )
+        for name, target in (("two-arms", "profile"), ("one-arm", "one_arm"))
     ]
 
 
