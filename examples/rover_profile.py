@@ -1,5 +1,5 @@
-"""Profile of a rover: a base that drives and turns, a lift, one joint and a gripper, whose velocities
-are the channels of one control space; docs/action-spaces.md tells how.
+"""Profile of a rover: a base that drives and turns, a lift, one joint and a gripper. The velocities
+of all of them are channels of one control space: docs/action-spaces.md.
 """
 
 from __future__ import annotations

@@ -175,5 +175,6 @@ def test_the_limits_hold_for_the_base_of_the_rover(wanted: float) -> None:
         position, now_s = position + moved, now_s + sent.duration_s
         assert ends["finger"] == pytest.approx(0.05)
     assert (np.diff([0.0, *velocities]) <= 0.8 * 1.001 * np.array(durations)).all()
-    assert max(velocities) == pytest.approx(min(wanted, 0.6), rel=0.05)
+    assert min(wanted, 0.5) <= max(velocities) + 1e-9
+    assert max(velocities) <= 0.6
     assert position[2] > 0.3, "it turned meanwhile"
