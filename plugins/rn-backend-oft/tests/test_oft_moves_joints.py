@@ -203,6 +203,23 @@ def test_both_arms_of_aloha_move(both, monkeypatch):
     np.testing.assert_allclose(requests[0].prompt.arrays["proprio"], expected, atol=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("block", "words"),
+    [("action", "has 13 action values, constants = 'aloha' says 14"), ("proprio", "13 proprio val")],
+)
+def test_statistics_that_lack_a_channel_are_refused(tmp_path, block, words):
+    make_tiny_oft(tmp_path / "oft", platform="aloha")
+    file = tmp_path / "oft" / "dataset_statistics.json"
+    statistics = json.loads(file.read_text())
+    for values in statistics["tiny"][block].values():
+        del values[3]
+    file.write_text(json.dumps(statistics))
+    runtime = TorchRuntime(TorchRuntimeConfig(device="cpu", dtype="float32"))
+    config = OftConfig(checkpoint=tmp_path / "oft", proprio=True, **ALOHA)
+    with pytest.raises(ConfigurationError, match=words):
+        OftPairBackend(config, runtime=runtime).load()
+
+
 def test_a_gripper_that_is_not_measured_is_named_with_its_arm(both):
     seen = _both_seen()
     with pytest.raises(UngroundedError, match="the gripper's opening of arm 'right'"):

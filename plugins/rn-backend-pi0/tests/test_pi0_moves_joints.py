@@ -5,6 +5,7 @@ chunking.
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -26,6 +27,7 @@ from roboneuron import (
     Ahead,
     ArmProfile,
     ArmState,
+    CheckpointError,
     ConfigurationError,
     GripperProfile,
     JointSample,
@@ -294,6 +296,23 @@ def test_arms_are_not_swapped_by_the_order_of_joints(checkpoints: dict[str, Path
     space = pi0_space({"checkpoint": checkpoints["aloha"], "joints": swapped}, TWO_ARMED)
     with pytest.raises(PlanningError, match="the robot lacks left/right_1"):
         agree(space, TWO_ARMED, SPACE_KINDS, backend="pi0", controller="urdf")
+
+
+@pytest.mark.parametrize("block", ["state", "actions"])
+@pytest.mark.parametrize(("profile", "joints", "width"), [("franka", ARM, 8), ("aloha", BOTH, 14)])
+def test_statistics_that_lack_a_channel_are_refused(
+    tmp_path: Path, profile: str, joints: tuple[str, ...], width: int, block: str
+) -> None:
+    make_tiny(tmp_path / "tiny", layout="openpi", profile=profile)
+    file = tmp_path / "tiny/assets/tiny/norm_stats.json"
+    stats = json.loads(file.read_text())
+    for values in stats["norm_stats"][block].values():
+        del values[3]
+    file.write_text(json.dumps(stats))
+    what = block.removesuffix("s")
+    told = f"has statistics of {width - 1} {what} values, the profile has {width}."
+    with pytest.raises(CheckpointError, match=re.escape(told)):
+        _backend(tmp_path / "tiny", joints=joints).load()
 
 
 @pytest.mark.parametrize("name", ["droid", "franka"])
