@@ -205,7 +205,10 @@ def test_both_arms_of_aloha_move(both, monkeypatch):
 
 @pytest.mark.parametrize(
     ("block", "words"),
-    [("action", "has 13 action values, constants = 'aloha' says 14"), ("proprio", "13 proprio val")],
+    [
+        ("action", "has 13 action values, constants = 'aloha' says 14"),
+        ("proprio", "13 proprio val"),
+    ],
 )
 def test_statistics_that_lack_a_channel_are_refused(tmp_path, block, words):
     make_tiny_oft(tmp_path / "oft", platform="aloha")
