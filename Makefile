@@ -159,7 +159,7 @@ OPENPI ?= ../openpi
 LEROBOT ?= ../lerobot
 PARITY := plugins/rn-backend-pi0/tests
 
-test-parity: $(VENV)/.develop .venv-openpi/.ready .venv-fast/.ready ## pi0.5 and pi0-FAST against the public code, run again: OPENPI=path LEROBOT=path
+test-parity: parity-checkouts $(VENV)/.develop .venv-openpi/.ready .venv-fast/.ready ## pi0.5 and pi0-FAST against the public code, run again: OPENPI=path LEROBOT=path
 	rm -rf out/parity && mkdir -p out/parity
 	$(BIN)/roboneuron-pi0 make-tiny out/parity/pi05 --variant pi05 --layout openpi --profile droid
 	$(BIN)/roboneuron-pi0 make-tiny out/parity/fast --variant pi0_fast --profile droid
@@ -168,11 +168,16 @@ test-parity: $(VENV)/.develop .venv-openpi/.ready .venv-fast/.ready ## pi0.5 and
 	PI05_NUMBERS=out/parity/pi05.npz PI0_FAST_NUMBERS=out/parity/fast.npz $(BIN)/python -m pytest \
 	  $(PARITY)/test_pi05_matches_openpi.py $(PARITY)/test_pi0_fast_matches_lerobot.py $(ARGS)
 
+.PHONY: parity-checkouts
+parity-checkouts:
+	@test -d $(OPENPI)/src/openpi || { echo "OPENPI=$(OPENPI) is no checkout of openpi."; exit 1; }
+	@test -d $(LEROBOT)/src/lerobot || { echo "LEROBOT=$(LEROBOT) is no checkout of lerobot."; exit 1; }
+
 .venv-openpi: .venv-openpi/.ready
 
 # openpi replaces files of transformers 4.53.2 by its own.
-.venv-openpi/.ready:
-	@echo "Setting up .venv-openpi (once, about two minutes, 1.5 GB) ..."
+.venv-openpi/.ready: | parity-checkouts
+	@echo "Setting up .venv-openpi (once, two to four minutes, 6 GB with PyTorch for CUDA) ..."
 	$(PYTHON) -m venv .venv-openpi
 	.venv-openpi/bin/python -m pip install --quiet --disable-pip-version-check torch \
 	  transformers==4.53.2 numpy safetensors sentencepiece einops
@@ -183,8 +188,8 @@ test-parity: $(VENV)/.develop .venv-openpi/.ready .venv-fast/.ready ## pi0.5 and
 .venv-fast: .venv-fast/.ready
 
 # What lerobot asks for; of lerobot itself only the files of pi0-FAST are loaded.
-.venv-fast/.ready:
-	@echo "Setting up .venv-fast (once, about two minutes, 1.5 GB) ..."
+.venv-fast/.ready: | parity-checkouts
+	@echo "Setting up .venv-fast (once, two to four minutes, 6 GB with PyTorch for CUDA) ..."
 	$(PYTHON) -m venv .venv-fast
 	.venv-fast/bin/python -m pip install --quiet --disable-pip-version-check torch transformers==5.5.4 numpy \
 	  safetensors scipy draccus

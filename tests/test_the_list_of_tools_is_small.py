@@ -12,7 +12,7 @@ from roboneuron.config import load_config
 from roboneuron.plugins.discovery import discover
 from roboneuron.server.app import Application
 
-MOST_BYTES = 44_500
+MOST_BYTES = 44_600
 """Of the default configuration with the packages that `[standard]` (recorder and view with it) and
 a robot bring.
 """

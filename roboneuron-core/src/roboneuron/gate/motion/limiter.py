@@ -185,7 +185,7 @@ class MotionLimiter:
             return joints
         with suppress(UnsafeError):
             measured = pick(joints.names, joints.position, self._names)
-            position, _ = sent.at(now_s)
+            position, _ = sent.at(now_s, self._joints.braking)
             if (np.abs(position - measured) <= self._lost).all():
                 ends = np.array(joints.position)
                 arm = [joints.names.index(name) for name in self._names]
@@ -240,7 +240,7 @@ class MotionLimiter:
         since_s = math.inf if self._sent is None else now_s - self._sent.sent_s
         start, before, is_lost = measured, np.zeros_like(measured), False
         if self._sent is not None and since_s < _MEMORY_S:
-            position, velocity = self._sent.at(now_s)
+            position, velocity = self._sent.at(now_s, self._joints.braking)
             is_lost = bool((np.abs(position - measured) > self._lost).any())
             if not is_lost:
                 start, before = position, velocity
