@@ -129,9 +129,6 @@ from .server.stop_tools import (
 from .server.loop import (
     ClosedLoop as ClosedLoop,
 )
-from .server.module_views import (
-    Modules as Modules,
-)
 from .server.motion_gate import (
     Clamp as Clamp,
     ExposedEndpoint as ExposedEndpoint,
@@ -182,6 +179,7 @@ from .supervisor.health import (
     EXPLANATIONS as EXPLANATIONS,
     FAULTS as FAULTS,
     Health as Health,
+    Modules as Modules,
     ModuleView as ModuleView,
     assess as assess,
 )

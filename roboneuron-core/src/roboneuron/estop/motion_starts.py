@@ -299,10 +299,7 @@ class MotionStarts:
 
     def _set(self, slot: Slot, values: dict[str, str | int], timeout_s: float) -> str:
         """Set parameters of a module; returns why it refuses, empty when it does not."""
-        choice, process = slot.choice, slot.process
-        if choice is None or process is None:
-            return "it has ended"
-        client = self._supervisor.parameters(f"/{choice.settings.status_name}", process)
+        client = self._supervisor.parameters(slot)
         return client.set(values, timeout_s, lambda: slot.check_alive("told what to do"))
 
     def _await_obeying(self, slot: Slot, stops: int) -> None:

@@ -7,6 +7,7 @@ from typing import Any
 
 from pydantic import Field
 
+from rn_standard.tools_loop.instructing import give_instruction
 from rn_standard.tools_loop.results import InstructionResult, StartResult
 from roboneuron import Arguments, CallContext, Tool
 from roboneuron.feature import KIND_ENTRIES, ClosedLoop, KindEntry, settings
@@ -34,7 +35,7 @@ def start_tools(loop: ClosedLoop) -> list[Tool[Any]]:
 def _set_instruction(loop: ClosedLoop) -> Tool[Any]:
     async def set_instruction(arguments: SetInstruction, context: CallContext) -> InstructionResult:
         report, took_s = await context.run(
-            lambda _: loop.set_instruction(arguments.instruction, arguments.timeout_s)
+            lambda _: give_instruction(loop, arguments.instruction, arguments.timeout_s)
         )
         return InstructionResult(
             instruction=report.instruction, took_s=round(took_s, 3), note=report.note
