@@ -86,9 +86,6 @@ from .gate.motion.rules import (
     motion_rules as motion_rules,
     poses_of as poses_of,
 )
-from .modules.module_host import (
-    ModuleHost as ModuleHost,
-)
 from .modules.plugin import (
     build as build,
     load_profile as load_profile,
@@ -147,9 +144,6 @@ from .server.registry import (
     ToolRegistry as ToolRegistry,
     failure as failure,
 )
-from .server.resources import (
-    Resources as Resources,
-)
 from .server.schema import (
     Schema as Schema,
     Shape as Shape,
@@ -157,7 +151,6 @@ from .server.schema import (
 from .server.selection import (
     Instruction as Instruction,
     KIND_ENTRIES as KIND_ENTRIES,
-    KindEntry as KindEntry,
     ModuleSection as ModuleSection,
     Selection as Selection,
     check_instruction as check_instruction,

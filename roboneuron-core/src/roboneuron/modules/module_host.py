@@ -15,8 +15,8 @@ from rclpy.lifecycle import LifecycleNode, LifecyclePublisher
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 
+from roboneuron.config import ModuleSettings
 from roboneuron.modules.handover import Handover
-from roboneuron.modules.settings import ModuleSettings
 from roboneuron.modules.status import StatusWriter
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.loading import load_attribute

@@ -61,7 +61,7 @@ class Host:
     events: Events
     started_s: float
     state_directory: Path
-    check_resource: Callable[[str], None]
+    check_resource: Callable[[str], object]
     end_motion: Callable[[str, float], None]
     _link: Callable[[], RosLink]
 

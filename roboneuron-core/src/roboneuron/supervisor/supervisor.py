@@ -14,9 +14,9 @@ from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from roboneuron.config import Config, LimitsConfig
+from roboneuron.config import Config, LimitsConfig, ModuleSettings
 from roboneuron.errors import RoboNeuronError, StateError
-from roboneuron.modules.settings import ARM_KINDS, MODULE_KINDS, ModuleKind, ModuleSettings
+from roboneuron.modules.settings import ARM_KINDS, MODULE_KINDS, ModuleKind
 from roboneuron.planning import Plan
 from roboneuron.ros.environment import check_state_directory
 from roboneuron.supervisor.bringup import Bringup

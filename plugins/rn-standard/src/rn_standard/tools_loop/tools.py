@@ -10,7 +10,7 @@ from pydantic import Field
 from rn_standard.tools_loop.instructing import give_instruction
 from rn_standard.tools_loop.results import InstructionResult, StartResult
 from roboneuron import Arguments, CallContext, Tool
-from roboneuron.feature import KIND_ENTRIES, ClosedLoop, KindEntry, settings
+from roboneuron.feature import KIND_ENTRIES, ClosedLoop, ModuleKind, settings
 
 
 class SetInstruction(Arguments):
@@ -29,7 +29,7 @@ def start_tools(loop: ClosedLoop) -> list[Tool[Any]]:
     """A tool for each kind of module, and set_instruction, in the order in which an agent uses
     them.
     """
-    return [*(_start_tool(loop, entry) for entry in KIND_ENTRIES.values()), _set_instruction(loop)]
+    return [*(_start_tool(loop, kind) for kind in KIND_ENTRIES), _set_instruction(loop)]
 
 
 def _set_instruction(loop: ClosedLoop) -> Tool[Any]:
@@ -59,7 +59,8 @@ def _set_instruction(loop: ClosedLoop) -> Tool[Any]:
     )
 
 
-def _start_tool(loop: ClosedLoop, entry: KindEntry) -> Tool[Any]:
+def _start_tool(loop: ClosedLoop, kind: ModuleKind) -> Tool[Any]:
+    entry = KIND_ENTRIES[kind]
     which = f" The configured one is the {loop.robot_facts}." if entry.kind == "robot" else ""
 
     async def handler(request: Arguments, context: CallContext) -> StartResult:
