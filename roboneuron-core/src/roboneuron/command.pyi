@@ -61,7 +61,6 @@ from .gate.motion.limiter import (
 )
 from .gate.motion.rules import (
     collision_of as collision_of,
-    inspector_of as inspector_of,
     motion_rules as motion_rules,
 )
 from .modules.parent_watch import (

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from rn_eval.suite import Setup
 from roboneuron import Action, Controller, Hold, JointCommand, JointSample
-from roboneuron.command import MotionLimiter, inspector_of, motion_rules, settings
+from roboneuron.command import MotionLimiter, motion_rules, settings
 
 F64 = NDArray[np.float64]
 
@@ -31,11 +31,10 @@ class DeployedArm:
         self._timeout_s = control.action_timeout_s
         self._names = setup.profile.arm_joints
         self._controller = controller
-        self._limiter = MotionLimiter(
+        self._limiter = MotionLimiter.of(
             motion_rules(setup.config.limits, setup.profile),
             setup.profile,
-            controller.forward,
-            inspector_of(controller),
+            controller,
             immediate=control.command == "joint_state",
             longest_s=setup.config.robot.server_timeout_s,
         )

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from rn_standard.direct_path.allow_list import ArmPaths
 from roboneuron import Action, Controller, Hold, Host, JointCommand, JointSample, Pose
-from roboneuron.feature import ExposedEndpoint, MotionLimiter, inspector_of, poses_of
+from roboneuron.feature import ExposedEndpoint, MotionLimiter
 
 
 def control_of(host: Host, exposed: ExposedEndpoint) -> tuple[Controller, MotionLimiter]:
@@ -20,12 +20,10 @@ def control_of(host: Host, exposed: ExposedEndpoint) -> tuple[Controller, Motion
     config = host.loop.base
     paths = ArmPaths(config, lambda: host.registry, lambda: host.loop.limits)
     controller, profile = paths.load(exposed.robot, exposed.profile)
-    limiter = MotionLimiter(
+    limiter = MotionLimiter.of(
         paths.rules(exposed.robot, profile),
         profile,
-        controller.forward,
-        inspector_of(controller),
-        poses=poses_of(controller),
+        controller,
         immediate=config.control is not None and config.control.command == "joint_state",
         longest_s=config.robot.server_timeout_s,
     )
