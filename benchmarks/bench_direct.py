@@ -124,9 +124,15 @@ class Listener:
         return None
 
     def close(self) -> None:
-        """End the process."""
-        self._process.kill()
-        self._process.wait(10)
+        """End the process, which leaves the graph: the next publisher would take one that was
+        killed for a subscriber until its lease runs out.
+        """
+        self._process.terminate()
+        try:
+            self._process.wait(10)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait(10)
 
 
 def configuration(folder: Path, endpoints: int, repeat: bool) -> Path:

@@ -62,6 +62,7 @@ from .gate.motion.limiter import (
 from .gate.motion.rules import (
     collision_of as collision_of,
     motion_rules as motion_rules,
+    poses_of as poses_of,
 )
 from .modules.parent_watch import (
     Signals as Signals,

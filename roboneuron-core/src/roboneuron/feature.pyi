@@ -84,6 +84,7 @@ from .gate.motion.rules import (
     collision_of as collision_of,
     inspector_of as inspector_of,
     motion_rules as motion_rules,
+    poses_of as poses_of,
 )
 from .modules.plugin import (
     build as build,

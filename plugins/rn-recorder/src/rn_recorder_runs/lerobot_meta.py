@@ -17,7 +17,6 @@ from roboneuron import channel_keys
 
 VERSION = "v3.0"
 _COUNTER: Mapping[str, object] = {"dtype": "int64", "shape": [1], "names": None}
-POSE_NAMES = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,6 +30,7 @@ class ExportSource:
     run: Run
     episodes: list[RecordedEpisode]
     joint_names: tuple[str, ...]
+    pose_names: tuple[str, ...]
     cameras: tuple[str, ...]
     shapes: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
 
@@ -68,7 +68,7 @@ def row_features(source: ExportSource, shapes: Mapping[str, tuple[int, ...]]) ->
     if source.episodes[0].rows[0].joints.size:
         features["observation.state"] = _feature("float32", source.joint_names)
     if source.episodes[0].rows[0].ee_pose.size:
-        features["observation.ee_pose"] = _feature("float32", POSE_NAMES)
+        features["observation.ee_pose"] = _feature("float32", source.pose_names)
     names = channel_keys(source.episodes[0].labels[0])
     features["action"] = _feature("float32", names)
     features["roboneuron.action"] = _feature("float64", names)

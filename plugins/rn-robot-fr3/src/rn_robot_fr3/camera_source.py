@@ -108,7 +108,7 @@ class SimulatedCameras:
             image=image,
             stamp_ns=state.stamp_ns,
             frame_id=camera.frame_id,
-            calibration=calibration if calibration.mount in ("base", "tcp") else None,
+            calibration=calibration,
         )
 
     def close(self) -> None:

@@ -34,7 +34,13 @@ _BREAKS = "\t\n\r"
 """Control characters that may stand between the words of an instruction."""
 GRIPPER_COMMANDED = "gripper_commanded"
 """Metric of the robot module: the opening that was last commanded, 0 closed .. 1 open, by whomever.
+Of each of several arms under `arm_metric`.
 """
+
+
+def arm_metric(name: str, arm: str) -> str:
+    """Name of a metric of one arm: "left/gripper_open"; the plain name for the only arm."""
+    return f"{arm}/{name}" if arm else name
 
 
 def instruction_problem(text: str) -> str:
