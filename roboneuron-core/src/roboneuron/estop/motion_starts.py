@@ -36,8 +36,6 @@ _SETTLED_S = 5.0
 """Bound on the wait for instructions that are being taken back; each of them ends within `_TOLD_S`
 or with its process.
 """
-_ARM: tuple[ModuleKind, ...] = ("robot", "control")
-"""What moves the arm."""
 
 
 class MotionStarts:
