@@ -30,8 +30,7 @@ from rich.table import Table
 
 from rn_standard.execution.plugin import FEATURE as EXECUTION
 from rn_testing.domain import free_ros_domain
-from roboneuron.config import parse_config
-from roboneuron.modules.settings import ModuleSettings
+from roboneuron.config import ModuleSettings, parse_config
 from roboneuron.ros.environment import prepare_environment
 from roboneuron.supervisor.changes import Changes
 from roboneuron.supervisor.lifecycle import NodeClient

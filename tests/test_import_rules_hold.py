@@ -88,7 +88,7 @@ PUBLISHED = {
     "selection": "choosing options requests restricted",
     "tasks": "contract_cases hooks monitor",
     "tools_arm": "tightening",
-    "tools_loop": "results",
+    "tools_loop": "instructing results",
     "tools_ros": "interfaces",
 }
 """Modules of these packages that others may import."""
@@ -224,7 +224,7 @@ def test_plugins_import_only_what_is_public_of_the_core():
     assert [breach for _, packages in _plugins() for breach in _private_imports(packages)] == []
 
 
-MOST_NAMES = {"roboneuron.feature": 121, "roboneuron.command": 76, "roboneuron.node": 36}
+MOST_NAMES = {"roboneuron.feature": 116, "roboneuron.command": 75, "roboneuron.node": 35}
 """For code in the server, for commands and for code in modules; these only go down."""
 
 
@@ -387,12 +387,16 @@ def test_features_send_only_through_the_gate():
             breaches += [
                 breach
                 for path in sorted(paths)
-                if path.stem not in in_modules
+                if path.stem not in in_modules and path not in IN_MODULES
                 for breach in _reaches_ros(path)
             ]
             looked_at.add(plugin.parent.name)
     assert breaches == []
     assert {"tools_ros", "tools_arm", "tasks", "ops", "http", "rn_recorder", "rn_view"} <= looked_at
+
+
+IN_MODULES = {STANDARD / "inference" / "polled.py"}
+"""What a class of modules uses beside its own file, and nothing in the server does."""
 
 
 SUPERVISOR = {"supervisor", "_supervisor", "Supervisor"}

@@ -58,9 +58,6 @@ from .plugins.registry import (
 from .ros.host import (
     NodeTopics as NodeTopics,
 )
-from .ros.polled import (
-    PolledSubscriptions as PolledSubscriptions,
-)
 
 __all__: list[str]
 GROUPS: Mapping[str, frozenset[str]]

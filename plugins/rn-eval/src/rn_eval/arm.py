@@ -23,7 +23,7 @@ from roboneuron import (
     JointSample,
     SpaceController,
 )
-from roboneuron.command import MotionLimiter, inspector_of, motion_rules, poses_of, settings
+from roboneuron.command import MotionLimiter, motion_rules, settings
 
 F64 = NDArray[np.float64]
 _SHARE_OF_REST = 0.5
@@ -44,12 +44,10 @@ class DeployedArm:
         self._timeout_s = control.action_timeout_s
         self._names = setup.profile.arm_joints
         self._controller = controller
-        self._limiter = MotionLimiter(
+        self._limiter = MotionLimiter.of(
             motion_rules(setup.config.limits, setup.profile),
             setup.profile,
-            controller.forward,
-            inspector_of(controller),
-            poses=poses_of(controller),
+            controller,
             immediate=control.command == "joint_state",
             longest_s=setup.config.robot.server_timeout_s,
         )

@@ -15,8 +15,8 @@ from rclpy.lifecycle import LifecycleNode, LifecyclePublisher
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 
+from roboneuron.config import ModuleSettings
 from roboneuron.modules.handover import Handover
-from roboneuron.modules.settings import ModuleSettings
 from roboneuron.modules.status import StatusWriter
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.loading import load_attribute
@@ -122,7 +122,7 @@ class ModuleHost(LifecycleNode):  # type: ignore[misc]
             topic: under the robot's namespace.
             callback: takes the message, and its info where it has a second argument.
             qos: only the newest message is kept by default.
-            group: says who calls, see `PolledSubscriptions`; None for the executor.
+            group: says who calls; None for the executor.
         """
         subscription = self.create_subscription(
             message_type, topic, callback, qos, callback_group=group

@@ -5,6 +5,7 @@ Whatever one plugin does wrong is written into its record and hurts nobody else.
 
 from __future__ import annotations
 
+import importlib
 import os
 import re
 import sys
@@ -59,9 +60,10 @@ def discover(disabled: Collection[str] = ()) -> Registry:
 
 @lru_cache(maxsize=1)
 def _discover_in(path: tuple[tuple[str, int], ...], disabled: tuple[str, ...]) -> Registry:
-    """Kept, because a start asks twice before it answers: what to check the configuration with,
-    and what to load.
+    """Kept until a folder changes: a start asks twice before it answers, and a server with each
+    start of a module.
     """
+    importlib.invalidate_caches()
     return discover_from(entry_points(group=PROJECT), disabled)
 
 

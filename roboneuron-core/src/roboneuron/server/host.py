@@ -4,10 +4,10 @@ passes.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from roboneuron.contract import check_topic
 from roboneuron.errors import ConfigurationError, StateError
@@ -20,36 +20,16 @@ if TYPE_CHECKING:
     from roboneuron.plugins.registry import Registry
     from roboneuron.ros.link import RosLink
     from roboneuron.server.events import Events
+    from roboneuron.server.feature import Feature, Features
     from roboneuron.server.loop import ClosedLoop
-    from roboneuron.server.module_views import Modules
     from roboneuron.server.motion_gate import MotionGate
     from roboneuron.server.registry import ToolRegistry
     from roboneuron.server.surface import AnnouncingServer
+    from roboneuron.supervisor.health import Modules
 
 
 F = TypeVar("F")
 M = TypeVar("M")
-
-
-class FeatureState(Protocol):
-    """What the host asks a feature; `Feature` says what each member means."""
-
-    @property
-    def identifies_clients(self) -> bool: ...
-
-    @property
-    def gate(self) -> MotionGate | None: ...
-
-    @property
-    def is_moving(self) -> bool: ...
-
-
-class LoadedFeatures(Protocol):
-    """All features of a server, see `Features`."""
-
-    @property
-    def loaded(self) -> Mapping[str, FeatureState]:
-        """By name."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,12 +56,12 @@ class Host:
     loop: ClosedLoop
     audit: AuditLog
     server: AnnouncingServer
-    features: LoadedFeatures
+    features: Features
     tools: ToolRegistry
     events: Events
     started_s: float
     state_directory: Path
-    check_resource: Callable[[str], None]
+    check_resource: Callable[[str], object]
     end_motion: Callable[[str, float], None]
     _link: Callable[[], RosLink]
 
@@ -149,7 +129,7 @@ class Host:
         """
         return RosGraph(self._link().node)
 
-    def link(self, sender: FeatureState) -> RosLink:
+    def link(self, sender: Feature[Any]) -> RosLink:
         """The server's ROS node, for the feature that lends `gate`; it may take a second to join.
 
         Raises:

@@ -23,6 +23,7 @@ from rn_standard.inference.execution import Bounds, Prediction, Row, executor_ma
 from rn_standard.inference.inputs import NewestInputs
 from rn_standard.inference.instruction import Instruction
 from rn_standard.inference.player import RowPlayer
+from rn_standard.inference.polled import PolledSubscriptions
 from roboneuron import (
     ActionChunk,
     AnyRuntime,
@@ -39,7 +40,6 @@ from roboneuron.node import (
     Module,
     ModuleHost,
     Plan,
-    PolledSubscriptions,
     Worker,
     build,
     check_plan,

@@ -20,7 +20,7 @@ from roboneuron import (
     Pose,
     SpaceController,
 )
-from roboneuron.feature import ExposedEndpoint, MotionLimiter, inspector_of, poses_of
+from roboneuron.feature import ExposedEndpoint, MotionLimiter, poses_of
 
 
 def control_of(host: Host, exposed: ExposedEndpoint) -> tuple[Controller, MotionLimiter]:
@@ -34,12 +34,10 @@ def control_of(host: Host, exposed: ExposedEndpoint) -> tuple[Controller, Motion
     config = host.loop.base
     paths = ArmPaths(config, lambda: host.registry, lambda: host.loop.limits)
     controller, profile = paths.load(exposed.robot, exposed.profile)
-    limiter = MotionLimiter(
+    limiter = MotionLimiter.of(
         paths.rules(exposed.robot, profile),
         profile,
-        controller.forward,
-        inspector_of(controller),
-        poses=poses_of(controller),
+        controller,
         immediate=config.control is not None and config.control.command == "joint_state",
         longest_s=config.robot.server_timeout_s,
     )

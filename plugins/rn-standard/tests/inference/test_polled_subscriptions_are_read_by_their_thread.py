@@ -14,9 +14,9 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Int32
 
+from rn_standard.inference.polled import PolledSubscriptions
 from rn_testing.domain import free_ros_domain
 from rn_testing.waiting import wait_until
-from roboneuron.ros.polled import PolledSubscriptions
 from roboneuron.ros.qos import NEWEST
 
 pytestmark = pytest.mark.ros
