@@ -1,0 +1,452 @@
+"""The calls to LeRobot: load a policy with its processors, ask it for chunks or actions.
+
+Source: lerobot 0.6.1, `policies/factory.py` and `policies/utils.py`; its own loops are
+`rollout/inference/sync.py` and `rtc.py`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import importlib.metadata
+import inspect
+import json
+import os
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rn_backend_lerobot.checkpoint import PREPROCESSOR, STATE, PolicyFolder
+from rn_backend_lerobot.options import LeRobotOptions
+from rn_vla.checkpoint_files import clip, reading
+from roboneuron import CheckpointError, ConfigurationError, MissingDependencyError
+
+if TYPE_CHECKING:
+    import torch
+
+F64 = NDArray[np.float64]
+OLDEST, NEXT = (0, 6, 1), (0, 7)
+"""Releases of LeRobot that this is written for."""
+_OFFLINE = ("HF_HUB_OFFLINE", "TRANSFORMERS_OFFLINE")
+_DEVICE, _RENAME = "device_processor", "rename_observations_processor"
+_TOKENIZER = "tokenizer_processor"
+_ALL_ROWS = 10_000
+"""More rows than any chunk has."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Answer:
+    """A chunk as the policy gave it, uncut.
+
+    Attributes:
+        normalized: (T, A), before the postprocessor.
+        rows: float64 (T, A), un-normalised, absolute.
+    """
+
+    normalized: torch.Tensor
+    rows: F64
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Prefix:
+    """What a policy is to continue.
+
+    Attributes:
+        answer: the running chunk.
+        first: its row that is meant for the moment of the observation.
+        committed: so many rows from there will be played whatever comes.
+    """
+
+    answer: Answer
+    first: int
+    committed: int
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Seen:
+    """One observation as the policy takes it.
+
+    Attributes:
+        images: uint8 (H, W, 3), RGB, by the feature's key.
+        state: float32 (D,) in the policy's units; None for a policy without state.
+        task: the instruction.
+    """
+
+    images: Mapping[str, NDArray[np.uint8]]
+    state: NDArray[np.float32] | None
+    task: str
+
+
+class _Config(Protocol):
+    device: str
+    use_amp: bool
+
+
+class _Policy(Protocol):
+    config: _Config
+
+    def predict_action_chunk(
+        self, batch: Mapping[str, object], **options: object
+    ) -> torch.Tensor: ...
+
+    def select_action(self, batch: Mapping[str, object]) -> torch.Tensor: ...
+
+    def reset(self) -> None: ...
+
+
+class _Pipeline(Protocol):
+    steps: Sequence[object]
+
+    def __call__(self, data: object) -> object: ...
+
+    def reset(self) -> None: ...
+
+
+class _RelativeStep(Protocol):
+    action_names: list[str] | None
+
+    def get_cached_state(self) -> object: ...
+
+
+class _PolicyClass(Protocol):
+    load_state_dict: object
+
+    def from_pretrained(self, directory: str, *, config: object, strict: bool) -> _Policy: ...
+
+
+def check_release(version: str) -> None:
+    """Raise MissingDependencyError unless this is written for that release of LeRobot."""
+    parts = tuple(int(part) if part.isdigit() else 0 for part in version.split(".")[:3])
+    if not OLDEST <= parts or parts[:2] >= NEXT:
+        raise MissingDependencyError(
+            f"LeRobot {version} is installed in {sys.prefix}; the backend 'lerobot' is written for "
+            f">= {'.'.join(map(str, OLDEST))}, < {'.'.join(map(str, NEXT))}.",
+            hint='Run there: pip install "lerobot>=0.6.1,<0.7"',
+        )
+
+
+def installed_release() -> str:
+    """Version of LeRobot in this interpreter. Raises MissingDependencyError."""
+    try:
+        return importlib.metadata.version("lerobot")
+    except importlib.metadata.PackageNotFoundError as error:
+        raise MissingDependencyError(
+            f"LeRobot is not installed in {sys.prefix}.",
+            hint='Run there: pip install "lerobot>=0.6.1,<0.7" (Python 3.12 or newer), and name '
+            "that interpreter as `python` under [inference].",
+        ) from error
+
+
+class PolicyEngine:
+    """A loaded policy with its processors; one thread.
+
+    Args:
+        folder: the checkpoint.
+        options: device, seed, chunking.
+        names: of the action's values, in order.
+    """
+
+    def __init__(self, folder: PolicyFolder, options: LeRobotOptions, names: Sequence[str]) -> None:
+        import torch  # heavy
+
+        self._torch = torch
+        self._folder, self._options, self._names = folder, options, list(names)
+        self._device = _device(options.device)
+        if options.threads is not None:
+            torch.set_num_threads(options.threads)
+        with _offline(), contextlib.redirect_stdout(sys.stderr):
+            self._policy, self._before, self._after = self._load()
+        self._relative, self._normalizer = self._find_steps()
+        self.can_continue = options.rtc and self._enable_rtc()
+        self.reset()
+
+    @property
+    def device(self) -> str:
+        """Where the policy is."""
+        return self._device
+
+    def chunk(self, seen: Seen, prefix: Prefix | None = None) -> Answer:
+        """A whole chunk, which continues the prefix where the policy can."""
+        with self._torch.no_grad(), self._precision():
+            batch = self._prepare(seen)
+            more: dict[str, object] = {}
+            if prefix is not None and self.can_continue:
+                more = {
+                    "inference_delay": prefix.committed,
+                    "prev_chunk_left_over": self._left_over(prefix),
+                }
+            actions = self._policy.predict_action_chunk(batch, **more)
+            return self._finish(actions)[0]
+
+    def chunks(self, seen: Sequence[Seen]) -> list[Answer]:
+        """A chunk for each observation, in one pass where their tensors have the same shapes."""
+        with self._torch.no_grad(), self._precision():
+            batches = [self._prepare(one) for one in seen]
+            shapes = {_shapes(batch) for batch in batches}
+            if len(shapes) > 1 or self._relative is not None:
+                return [self.chunk(one) for one in seen]
+            return self._finish(self._policy.predict_action_chunk(_stacked(batches)))
+
+    def action(self, seen: Seen) -> Answer:
+        """One action of a policy that keeps its own history; a chunk of one row."""
+        with self._torch.no_grad(), self._precision():
+            action = self._policy.select_action(self._prepare(seen))
+            return self._finish(action.unsqueeze(1))[0]
+
+    def reset(self) -> None:
+        """Forget observations and planned actions; the noise starts anew where it has a seed."""
+        for part in (self._policy, self._before, self._after):
+            part.reset()
+        if self._options.seed != "random":
+            self._torch.manual_seed(self._options.seed)
+
+    def _prepare(self, seen: Seen) -> Mapping[str, object]:
+        """LeRobot's batch of one."""
+        from lerobot.policies.utils import prepare_observation_for_inference
+
+        # copied: PyTorch shares memory only with arrays that may be written to
+        observation: dict[str, NDArray[np.generic]] = {
+            key: np.array(image) for key, image in seen.images.items()
+        }
+        if seen.state is not None:
+            observation[STATE] = seen.state
+        prepared = prepare_observation_for_inference(
+            observation, self._torch.device(self._device), seen.task, self._options.robot_type
+        )
+        return cast("Mapping[str, object]", self._before(prepared))
+
+    def _finish(self, actions: torch.Tensor) -> list[Answer]:
+        """(B, T, A), normalised -> an answer for each observation."""
+        after = cast("torch.Tensor", self._after(actions.clone()))
+        rows = after.detach().to("cpu", self._torch.float64).numpy()
+        kept = actions.detach()
+        return [Answer(normalized=kept[i], rows=rows[i]) for i in range(len(rows))]
+
+    def _left_over(self, prefix: Prefix) -> torch.Tensor:
+        """The rest of the running chunk, normalised, relative to the present state where the
+        policy's actions are. Never padded: zeros would mean the mean of the training data.
+        """
+        if self._relative is None:
+            return prefix.answer.normalized[prefix.first :]
+        from lerobot.policies.rtc import reanchor_relative_rtc_prefix
+
+        left = self._torch.from_numpy(prefix.answer.rows[prefix.first :].astype(np.float32))
+        return cast(
+            "torch.Tensor",
+            reanchor_relative_rtc_prefix(
+                prev_actions_absolute=left,
+                current_state=self._relative.get_cached_state(),
+                relative_step=self._relative,
+                normalizer_step=self._normalizer,
+                policy_device=self._device,
+            ),
+        )
+
+    @contextlib.contextmanager
+    def _precision(self) -> Iterator[None]:
+        """Mixed precision where the checkpoint was trained so and the device can."""
+        is_mixed = self._policy.config.use_amp and self._device.startswith("cuda")
+        if not is_mixed:
+            yield
+            return
+        with self._torch.autocast(device_type="cuda"):
+            yield
+
+    def _load(self) -> tuple[_Policy, _Pipeline, _Pipeline]:
+        check_release(installed_release())
+        directory = str(self._folder.directory)
+        with reading(self._folder.directory, f"a LeRobot policy {self._folder.family!r}"):
+            from lerobot.configs import PreTrainedConfig
+            from lerobot.policies.factory import get_policy_class, make_pre_post_processors
+            from lerobot.utils.import_utils import register_third_party_plugins
+
+            if self._folder.family not in PreTrainedConfig.get_known_choices():
+                register_third_party_plugins()
+            if self._folder.family not in PreTrainedConfig.get_known_choices():
+                raise CheckpointError(
+                    f"{directory} holds a policy {clip(self._folder.family)!r}, which LeRobot "
+                    f"{installed_release()} does not know.",
+                    hint="Install the package that brings it (lerobot_policy_...) in "
+                    f"{sys.prefix}.",
+                )
+            config = PreTrainedConfig.from_pretrained(directory, local_files_only=True)
+            config.device = self._device
+            self._localise(config)
+            kind = _policy_class(get_policy_class, self._folder.family)
+            with _whole_weights(kind, directory):
+                policy = kind.from_pretrained(directory, config=config, strict=True)
+            overrides = self._overrides()
+            before, after = make_pre_post_processors(
+                config, directory, preprocessor_overrides=overrides
+            )
+        return policy, before, after
+
+    def _localise(self, config: object) -> None:
+        """Put local folders where the configuration names the hub; no ImageNet weights are
+        fetched, which those of the checkpoint replace anyway.
+        """
+        for key, value in vars(config).items():
+            if isinstance(value, str) and value in self._folder.references:
+                setattr(config, key, str(self._folder.references[value]))
+        if hasattr(config, "pretrained_backbone_weights"):
+            config.pretrained_backbone_weights = None
+
+    def _overrides(self) -> dict[str, dict[str, object]]:
+        """Of the preprocessor's steps."""
+        overrides: dict[str, dict[str, object]] = {}
+        document = json.loads(
+            (self._folder.directory / PREPROCESSOR).read_text(encoding="utf-8")
+        )
+        for step in document["steps"]:
+            name, config = step.get("registry_name"), step.get("config", {})
+            if name == _DEVICE:
+                overrides[_DEVICE] = {"device": self._device}
+            elif name == _RENAME:
+                overrides[_RENAME] = {"rename_map": {}}
+            elif name == _TOKENIZER and config.get("tokenizer_name") in self._folder.references:
+                local = self._folder.references[config["tokenizer_name"]]
+                overrides[_TOKENIZER] = {"tokenizer_name": str(local)}
+        return overrides
+
+    def _find_steps(self) -> tuple[_RelativeStep | None, object | None]:
+        """The steps that relative actions need; names are given where the checkpoint has none."""
+        from lerobot.processor import NormalizerProcessorStep, RelativeActionsProcessorStep
+
+        normalizer = None
+        relative: _RelativeStep | None = None
+        for step in self._before.steps:
+            if isinstance(step, NormalizerProcessorStep):
+                normalizer = step
+            elif isinstance(step, RelativeActionsProcessorStep) and step.enabled:
+                relative = cast("_RelativeStep", step)
+        if relative is not None and relative.action_names is None:
+            relative.action_names = self._names
+        return relative, normalizer
+
+    def _enable_rtc(self) -> bool:
+        """Switch real-time chunking on; False for a policy that has none."""
+        policy = self._policy
+        if self._folder.remembers or not getattr(policy, "supports_rtc", lambda: False)():
+            return False
+        try:
+            inspect.signature(policy.predict_action_chunk).bind(
+                {}, inference_delay=0, prev_chunk_left_over=None
+            )
+        except TypeError:
+            return False
+        start = getattr(policy, "init_rtc_processor", None)
+        if start is None:
+            return False
+        from lerobot.configs import RTCAttentionSchedule
+        from lerobot.policies.rtc.configuration_rtc import RTCConfig
+
+        options = self._options
+        setattr(
+            policy.config,
+            "rtc_config",
+            RTCConfig(
+                enabled=True,
+                # lerobot cuts it to the rows that are left
+                execution_horizon=options.rtc_horizon or _ALL_ROWS,
+                prefix_attention_schedule=RTCAttentionSchedule[options.rtc_schedule.upper()],
+                max_guidance_weight=options.rtc_max_weight,
+            ),
+        )
+        start()
+        return True
+
+
+def _device(wanted: str) -> str:
+    """Raises ConfigurationError for a GPU that is not there."""
+    import torch  # heavy
+
+    if wanted == "auto":
+        return "cuda" if torch.cuda.is_available() else "cpu"
+    if wanted != "cpu" and not torch.cuda.is_available():
+        raise ConfigurationError(f"The option 'device' is {wanted!r}, and PyTorch finds no GPU.")
+    return wanted
+
+
+@contextlib.contextmanager
+def _offline() -> Iterator[None]:
+    """No look-up on the hub in this process from now on, whoever asks."""
+    for name in _OFFLINE:
+        os.environ[name] = "1"
+    import huggingface_hub.constants
+
+    huggingface_hub.constants.HF_HUB_OFFLINE = True
+    yield
+
+
+def _policy_class(get: Callable[[str], _PolicyClass], family: str) -> _PolicyClass:
+    """The class of a policy. Raises MissingDependencyError for what its extra would bring."""
+    try:
+        return get(family)
+    except ImportError as error:
+        raise MissingDependencyError(
+            f"LeRobot's policy {family!r} cannot be imported in {sys.prefix}: {clip(error)}",
+            hint=f'Run there: pip install "lerobot[{family}]"',
+        ) from error
+
+
+@contextlib.contextmanager
+def _whole_weights(kind: _PolicyClass, directory: str) -> Iterator[None]:
+    """Raise CheckpointError when the weights were not taken.
+
+    Some policies of LeRobot print what went wrong while loading, and go on with random weights.
+    """
+    problems: list[str] = []
+    taken: list[bool] = []
+    original = cast("Callable[..., object]", kind.load_state_dict)
+
+    @functools.wraps(original)
+    def load(self: object, *arguments: object, **named: object) -> object:
+        try:
+            answer = original(self, *arguments, **named)
+        except Exception as error:
+            problems.append(str(error))
+            raise
+        taken.append(True)
+        return answer
+
+    is_own = "load_state_dict" in vars(kind)
+    kind.load_state_dict = load
+    try:
+        yield
+    finally:
+        if is_own:
+            kind.load_state_dict = original
+        else:
+            del kind.load_state_dict
+    if problems or not taken:
+        why = clip(problems[0], 300) if problems else "LeRobot did not read them"
+        raise CheckpointError(f"The weights of {directory} do not fit its policy: {why}")
+
+
+def _shapes(batch: Mapping[str, object]) -> tuple[tuple[str, tuple[int, ...]], ...]:
+    """Names and shapes of a batch's tensors."""
+    import torch
+
+    return tuple(
+        (key, tuple(value.shape)) for key, value in batch.items() if isinstance(value, torch.Tensor)
+    )
+
+
+def _stacked(batches: Sequence[Mapping[str, object]]) -> dict[str, object]:
+    """Batches of one as one batch."""
+    import torch
+
+    out: dict[str, object] = {}
+    for key, first in batches[0].items():
+        values = [batch[key] for batch in batches]
+        if isinstance(first, torch.Tensor):
+            out[key] = torch.cat([cast("torch.Tensor", value) for value in values])
+        elif isinstance(first, list):
+            out[key] = [item for value in values for item in cast("list[object]", value)]
+        else:
+            out[key] = first
+    return out
