@@ -4,20 +4,23 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from rn_backend_lerobot.checkpoint import ImageFeature
 from rn_backend_lerobot.options import LeRobotOptions
 from rn_backend_lerobot.wiring import Wiring, wire
+from rn_vla.checkpoint_files import reading
 from roboneuron import (
     ActionChunk,
     Ahead,
     Backend,
     ConfigurationError,
+    Frame,
     Observation,
     StateError,
     UngroundedError,
@@ -88,14 +91,18 @@ class LeRobotBackend:
         committed = 0 if prefix is None else prefix.committed
         return self._chunk(wiring, answer, self._took_s, committed)
 
-    def __getattr__(self, name: str) -> object:
-        """`predict_batch`, only of a policy that remembers nothing: offering it says so."""
-        if name == "predict_batch" and not wire(self._options).folder.remembers:
-            return self._predict_batch
-        raise AttributeError(name)
+    @property
+    def predict_batch(self) -> Callable[[Sequence[Observation]], list[ActionChunk]]:
+        """One chunk for each observation, in their order, from one pass where they are alike.
+
+        Raises:
+            AttributeError: the policy remembers observations, so robots cannot share it.
+        """
+        if wire(self._options).folder.remembers:
+            raise AttributeError("predict_batch")
+        return self._predict_batch
 
     def _predict_batch(self, observations: Sequence[Observation]) -> list[ActionChunk]:
-        """One chunk for each observation, in their order, from one pass where they are alike."""
         wiring, engine = self._loaded()
         start_s = time.perf_counter()
         answers = engine.chunks([self._see(wiring, one) for one in observations])
@@ -124,22 +131,21 @@ class LeRobotBackend:
         images: dict[str, NDArray[np.uint8]] = {}
         for feature in wiring.images:
             frame = wiring.frame(feature, observation)
-            images[feature.key] = self._fit(frame.image, feature.height, feature.width, frame.camera)
+            images[feature.key] = self._fit(frame, feature)
         state = wiring.state.read(observation) if wiring.folder.state else None
         return Seen(images=images, state=state, task=observation.instruction)
 
-    def _fit(
-        self, image: NDArray[np.uint8], height: int, width: int, camera: str
-    ) -> NDArray[np.uint8]:
+    def _fit(self, frame: Frame, feature: ImageFeature) -> NDArray[np.uint8]:
         """The image in the size of the training data, as the option `images` says."""
+        image, width, height = frame.image, feature.width, feature.height
         if image.shape[:2] == (height, width) or self._options.images == "any":
             return image
         if self._options.images == "resized":
             resized = Image.fromarray(image).resize((width, height), Image.Resampling.BILINEAR)
             return np.asarray(resized, dtype=np.uint8)
         raise UngroundedError(
-            f"Camera {camera!r} gives images of {image.shape[1]}x{image.shape[0]}, the policy was "
-            f"trained on {width}x{height}.",
+            f"Camera {frame.camera!r} gives images of {image.shape[1]}x{image.shape[0]}, the "
+            f"policy was trained on {width}x{height}.",
             hint="Set the camera to that size, or images = 'resized' or 'any' under "
             "[plugins.lerobot].",
         )
@@ -160,13 +166,9 @@ class LeRobotBackend:
             return None
         if ahead.context_row >= len(ahead.context.rows):
             return None
-        return Prefix(
-            answer=ahead.context, first=ahead.context_row, committed=ahead.committed_rows
-        )
+        return Prefix(answer=ahead.context, first=ahead.context_row, committed=ahead.committed_rows)
 
-    def _chunk(
-        self, wiring: Wiring, answer: Answer, took_s: float, committed: int
-    ) -> ActionChunk:
+    def _chunk(self, wiring: Wiring, answer: Answer, took_s: float, committed: int) -> ActionChunk:
         steps = self._options.action_steps or wiring.folder.rows
         rows = answer.rows[:steps]
         if rows.shape[1] != wiring.folder.action:
@@ -188,7 +190,6 @@ class LeRobotBackend:
     def _warm_up(self, wiring: Wiring, engine: PolicyEngine) -> None:
         """Ask once: what does not fit shows here, and the first real answer is not the slowest."""
         from rn_backend_lerobot.engine import Seen  # heavy
-        from rn_vla.checkpoint_files import reading
 
         images = {
             one.key: np.zeros((one.height, one.width, 3), dtype=np.uint8) for one in wiring.images

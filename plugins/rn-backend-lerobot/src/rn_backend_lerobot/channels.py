@@ -127,13 +127,13 @@ class Meaning:
             got = _TURN.get(self.unit, ("opening",))[0]
         else:
             raise ConfigurationError(
-                f"The number {self.name!r} is mapped to {self.to!r}, which {kind} does not have; it "
-                f"has {', '.join(coordinates)} and {GRIPPER}."
+                f"The number {self.name!r} is mapped to {self.to!r}, which {kind} does not have; "
+                f"it has {', '.join(coordinates)} and {GRIPPER}."
             )
         if got != wanted:
             raise ConfigurationError(
-                f"The number {self.name!r} has the unit {self.unit!r}, but {self.to!r} is counted in "
-                f"{wanted!r}."
+                f"The number {self.name!r} has the unit {self.unit!r}, but {self.to!r} is counted "
+                f"in {wanted!r}."
             )
         is_joint = self.target != GRIPPER and coordinates is None
         unit = f"{wanted}/s" if is_joint and kind == "joint_velocity" else wanted

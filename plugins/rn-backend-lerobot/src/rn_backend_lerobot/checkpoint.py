@@ -227,8 +227,8 @@ def _inputs(
             state = feature.shape[0]
         else:
             raise CheckpointError(
-                f"{directory / CONFIG} takes {key!r} ({feature.type}, {list(feature.shape)}), which "
-                f"no robot of RoboNeuron has; known are images and {STATE!r}."
+                f"{directory / CONFIG} takes {key!r} ({feature.type}, {list(feature.shape)}), "
+                f"which no robot of RoboNeuron has; known are images and {STATE!r}."
             )
     return tuple(images), state
 
@@ -277,7 +277,9 @@ def _check_statistics(
                     f"{directory / source} normalises {key!r} by the unknown mode {mode!r}."
                 )
             for statistic in _NEEDED[mode]:
-                _check_statistic(known.get(f"{key}.{statistic}"), key, statistic, feature, directory)
+                _check_statistic(
+                    known.get(f"{key}.{statistic}"), key, statistic, feature, directory
+                )
 
 
 def _check_statistic(

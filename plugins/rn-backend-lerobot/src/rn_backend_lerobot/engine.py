@@ -13,8 +13,10 @@ import inspect
 import json
 import os
 import sys
+import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from types import ModuleType
 from typing import TYPE_CHECKING, Protocol, cast
 
 import numpy as np
@@ -84,6 +86,7 @@ class Seen:
 class _Config(Protocol):
     device: str
     use_amp: bool
+    rtc_config: object
 
 
 class _Policy(Protocol):
@@ -121,7 +124,7 @@ class _PolicyClass(Protocol):
 def check_release(version: str) -> None:
     """Raise MissingDependencyError unless this is written for that release of LeRobot."""
     parts = tuple(int(part) if part.isdigit() else 0 for part in version.split(".")[:3])
-    if not OLDEST <= parts or parts[:2] >= NEXT:
+    if not parts >= OLDEST or parts[:2] >= NEXT:
         raise MissingDependencyError(
             f"LeRobot {version} is installed in {sys.prefix}; the backend 'lerobot' is written for "
             f">= {'.'.join(map(str, OLDEST))}, < {'.'.join(map(str, NEXT))}.",
@@ -158,7 +161,13 @@ class PolicyEngine:
         self._device = _device(options.device)
         if options.threads is not None:
             torch.set_num_threads(options.threads)
-        with _offline(), contextlib.redirect_stdout(sys.stderr):
+        self._noise = _Noise(torch, options.seed, self._device)
+        with (
+            _offline(),
+            _own_folder(),
+            contextlib.redirect_stdout(sys.stderr),
+            torch.random.fork_rng(devices=[]),
+        ):
             self._policy, self._before, self._after = self._load()
         self._relative, self._normalizer = self._find_steps()
         self.can_continue = options.rtc and self._enable_rtc()
@@ -171,7 +180,7 @@ class PolicyEngine:
 
     def chunk(self, seen: Seen, prefix: Prefix | None = None) -> Answer:
         """A whole chunk, which continues the prefix where the policy can."""
-        with self._torch.no_grad(), self._precision():
+        with self._torch.no_grad(), self._precision(), self._noise.drawn():
             batch = self._prepare(seen)
             more: dict[str, object] = {}
             if prefix is not None and self.can_continue:
@@ -184,16 +193,17 @@ class PolicyEngine:
 
     def chunks(self, seen: Sequence[Seen]) -> list[Answer]:
         """A chunk for each observation, in one pass where their tensors have the same shapes."""
-        with self._torch.no_grad(), self._precision():
+        with self._torch.no_grad(), self._precision(), self._noise.drawn():
             batches = [self._prepare(one) for one in seen]
             shapes = {_shapes(batch) for batch in batches}
-            if len(shapes) > 1 or self._relative is not None:
-                return [self.chunk(one) for one in seen]
-            return self._finish(self._policy.predict_action_chunk(_stacked(batches)))
+            if len(shapes) == 1 and self._relative is None:
+                return self._finish(self._policy.predict_action_chunk(_stacked(batches)))
+        # a relative step knows the state of one observation at a time
+        return [self.chunk(one) for one in seen]
 
     def action(self, seen: Seen) -> Answer:
         """One action of a policy that keeps its own history; a chunk of one row."""
-        with self._torch.no_grad(), self._precision():
+        with self._torch.no_grad(), self._precision(), self._noise.drawn():
             action = self._policy.select_action(self._prepare(seen))
             return self._finish(action.unsqueeze(1))[0]
 
@@ -201,8 +211,7 @@ class PolicyEngine:
         """Forget observations and planned actions; the noise starts anew where it has a seed."""
         for part in (self._policy, self._before, self._after):
             part.reset()
-        if self._options.seed != "random":
-            self._torch.manual_seed(self._options.seed)
+        self._noise.restart()
 
     def _prepare(self, seen: Seen) -> Mapping[str, object]:
         """LeRobot's batch of one."""
@@ -298,9 +307,7 @@ class PolicyEngine:
     def _overrides(self) -> dict[str, dict[str, object]]:
         """Of the preprocessor's steps."""
         overrides: dict[str, dict[str, object]] = {}
-        document = json.loads(
-            (self._folder.directory / PREPROCESSOR).read_text(encoding="utf-8")
-        )
+        document = json.loads((self._folder.directory / PREPROCESSOR).read_text(encoding="utf-8"))
         for step in document["steps"]:
             name, config = step.get("registry_name"), step.get("config", {})
             if name == _DEVICE:
@@ -345,16 +352,12 @@ class PolicyEngine:
         from lerobot.policies.rtc.configuration_rtc import RTCConfig
 
         options = self._options
-        setattr(
-            policy.config,
-            "rtc_config",
-            RTCConfig(
-                enabled=True,
-                # lerobot cuts it to the rows that are left
-                execution_horizon=options.rtc_horizon or _ALL_ROWS,
-                prefix_attention_schedule=RTCAttentionSchedule[options.rtc_schedule.upper()],
-                max_guidance_weight=options.rtc_max_weight,
-            ),
+        policy.config.rtc_config = RTCConfig(
+            enabled=True,
+            # lerobot cuts it to the rows that are left
+            execution_horizon=options.rtc_horizon or _ALL_ROWS,
+            prefix_attention_schedule=RTCAttentionSchedule[options.rtc_schedule.upper()],
+            max_guidance_weight=options.rtc_max_weight,
         )
         start()
         return True
@@ -371,15 +374,81 @@ def _device(wanted: str) -> str:
     return wanted
 
 
+class _Noise:
+    """Random numbers of the policy's own, drawn from PyTorch's global generators without changing
+    them for others.
+
+    Args:
+        seed: of each episode; "random" leaves the generators alone.
+        device: where the policy is.
+    """
+
+    def __init__(self, torch_module: ModuleType, seed: int | str, device: str) -> None:
+        self._torch, self._seed = torch_module, seed
+        self._device = device
+        self._states: list[torch.Tensor] = []
+
+    def restart(self) -> None:
+        """Begin an episode."""
+        if isinstance(self._seed, int):
+            devices = ["cpu"] if self._device == "cpu" else ["cpu", self._device]
+            make = self._torch.Generator
+            self._states = [make(device=d).manual_seed(self._seed).get_state() for d in devices]
+
+    @contextlib.contextmanager
+    def drawn(self) -> Iterator[None]:
+        """Draw from the own state within."""
+        if not self._states:
+            yield
+            return
+        before = self._read()
+        self._write(self._states)
+        try:
+            yield
+        finally:
+            self._states = self._read()
+            self._write(before)
+
+    def _read(self) -> list[torch.Tensor]:
+        states = [self._torch.get_rng_state()]
+        if self._device != "cpu":
+            states.append(self._torch.cuda.get_rng_state(self._device))
+        return states
+
+    def _write(self, states: Sequence[torch.Tensor]) -> None:
+        self._torch.set_rng_state(states[0])
+        if self._device != "cpu":
+            self._torch.cuda.set_rng_state(states[1], self._device)
+
+
 @contextlib.contextmanager
 def _offline() -> Iterator[None]:
-    """No look-up on the hub in this process from now on, whoever asks."""
-    for name in _OFFLINE:
-        os.environ[name] = "1"
-    import huggingface_hub.constants
+    """No look-up on the hub, whoever asks; what is imported within stays so."""
+    before = {name: os.environ.get(name) for name in _OFFLINE}
+    os.environ.update(dict.fromkeys(_OFFLINE, "1"))
+    try:
+        import huggingface_hub.constants
 
-    huggingface_hub.constants.HF_HUB_OFFLINE = True
-    yield
+        # it may have been imported before, and reads the variable once
+        huggingface_hub.constants.HF_HUB_OFFLINE = True
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+@contextlib.contextmanager
+def _own_folder() -> Iterator[None]:
+    """Temporary files in a folder that is removed: LeRobot leaves a copy of each config.json."""
+    with tempfile.TemporaryDirectory(prefix="roboneuron-lerobot-") as folder:
+        before, tempfile.tempdir = tempfile.tempdir, folder
+        try:
+            yield
+        finally:
+            tempfile.tempdir = before
 
 
 def _policy_class(get: Callable[[str], _PolicyClass], family: str) -> _PolicyClass:

@@ -17,9 +17,8 @@ BACKEND = BackendSpec(
         Requirement(module=module, install=_INSTALL)
         for module in ("lerobot", "torch", "safetensors")
     ),
-    cameras=(),
+    cameras=("primary",),
     optional_cameras=(
-        "primary",
         "wrist",
         "left_wrist",
         "right_wrist",
