@@ -41,7 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 2
     print(f'Wrote {given.directory}: checkpoint = "{given.directory}".')
     if given.policy == "pi05":
-        print("Its sizes are patched: only rn_backend_lerobot.tiny.small_gemma() can load it.")
+        print("Its sizes are patched: only rn_backend_lerobot.small_gemma can load it.")
     else:
         print('Its state and action are seven joints [rad] and a gripper ("open_fraction").')
     return 0

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import contextlib
-import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, Protocol, cast, get_args
 from unittest import mock
 
-from rn_backend_lerobot.engine import check_release, installed_release
+from rn_backend_lerobot.isolation import check_release, installed_release
+from rn_backend_lerobot.small_gemma import VOCABULARY, small_gemma
 from roboneuron import ConfigurationError
 
 Policy = Literal["act", "diffusion", "smolvla", "pi05"]
@@ -23,8 +22,6 @@ HOME = (0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785, 0.5)
 """Mean of states and actions: seven joints [rad] of an arm, and a gripper [opening]."""
 SPREAD = 0.05
 """Standard deviation of both: what a random policy moves about."""
-_GEMMA = 64
-_VOCABULARY = 512
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -51,27 +48,6 @@ class _Tokenizer(Protocol):
 
 class _Saved(Protocol):
     def save_pretrained(self, directory: Path) -> None: ...
-
-
-class _Gemma(Protocol):
-    vocab_size: int
-
-
-class _Vision(Protocol):
-    hidden_size: int
-    intermediate_size: int
-    num_hidden_layers: int
-    num_attention_heads: int
-    patch_size: int
-    projection_dim: int
-
-
-class _PaliGemma(Protocol):
-    text_config: _Gemma
-    vision_config: _Vision
-    _vocab_size: int
-    image_token_index: int
-    projection_dim: int
 
 
 def make_tiny(
@@ -226,29 +202,31 @@ def _write_backbone(directory: Path) -> None:
         end_of_utterance_token="<end_of_utterance>",
         video_token="<video>",
     )
-    config = SmolVLMConfig(
-        text_config={
-            "model_type": "llama",
-            "hidden_size": 64,
-            "intermediate_size": 128,
-            "num_hidden_layers": 2,
-            "num_attention_heads": 2,
-            "num_key_value_heads": 1,
-            "head_dim": 32,
-            "vocab_size": _VOCABULARY,
+    config = SmolVLMConfig.from_dict(
+        {
+            "text_config": {
+                "model_type": "llama",
+                "hidden_size": 64,
+                "intermediate_size": 128,
+                "num_hidden_layers": 2,
+                "num_attention_heads": 2,
+                "num_key_value_heads": 1,
+                "head_dim": 32,
+                "vocab_size": VOCABULARY,
+                "pad_token_id": 0,
+            },
+            "vision_config": {
+                "hidden_size": 32,
+                "intermediate_size": 64,
+                "num_hidden_layers": 1,
+                "num_attention_heads": 2,
+                "image_size": 64,
+                "patch_size": 16,
+            },
+            "image_token_id": tokenizer.convert_tokens_to_ids("<image>"),
             "pad_token_id": 0,
-        },
-        vision_config={
-            "hidden_size": 32,
-            "intermediate_size": 64,
-            "num_hidden_layers": 1,
-            "num_attention_heads": 2,
-            "image_size": 64,
-            "patch_size": 16,
-        },
-        image_token_id=tokenizer.convert_tokens_to_ids("<image>"),
-        pad_token_id=0,
-        scale_factor=2,
+            "scale_factor": 2,
+        }
     )
     config.save_pretrained(directory)
     processor = SmolVLMProcessor(
@@ -270,51 +248,8 @@ def _tokenizer(**special: str) -> _Tokenizer:
     tokenizer = Tokenizer(models.BPE(vocab=vocabulary, merges=[], unk_token="<unk>"))
     tokenizer.pre_tokenizer = pre_tokenizers.ByteLevel(add_prefix_space=False)
     tokenizer.decoder = decoders.ByteLevel()
-    made = PreTrainedTokenizerFast(
-        tokenizer_object=tokenizer, **named, extra_special_tokens=special
-    )
-    return cast("_Tokenizer", made)
-
-
-@contextlib.contextmanager
-def small_gemma() -> Iterator[None]:
-    """pi05 with networks of 64 dimensions: LeRobot knows only those of 3 billion weights.
-
-    Needed to make such a checkpoint, and to load it.
-    """
-    from lerobot.policies.pi05 import modeling_pi05
-
-    whole, expert = (
-        modeling_pi05.PaliGemmaForConditionalGenerationWithPiGemma,
-        modeling_pi05.PiGemmaForCausalLM,
-    )
-
-    def make_whole(config: _PaliGemma) -> object:
-        config.text_config.vocab_size = _VOCABULARY
-        config._vocab_size = _VOCABULARY
-        config.image_token_index = _VOCABULARY
-        vision = config.vision_config
-        vision.hidden_size, vision.intermediate_size = 32, 64
-        vision.num_hidden_layers, vision.num_attention_heads = 1, 2
-        vision.patch_size, vision.projection_dim = 16, _GEMMA
-        config.projection_dim = _GEMMA
-        return whole(config=config)
-
-    def make_expert(config: _Gemma) -> object:
-        config.vocab_size = _VOCABULARY
-        return expert(config=config)
-
-    def sizes(variant: str) -> object:
-        return modeling_pi05.GemmaConfig(_GEMMA, 2, 128, 2, 1, 32)
-
-    with (
-        mock.patch.object(
-            modeling_pi05, "PaliGemmaForConditionalGenerationWithPiGemma", make_whole
-        ),
-        mock.patch.object(modeling_pi05, "PiGemmaForCausalLM", make_expert),
-        mock.patch.object(modeling_pi05, "get_gemma_config", sizes),
-    ):
-        yield
+    make = cast("Callable[..., _Tokenizer]", PreTrainedTokenizerFast)
+    return make(tokenizer_object=tokenizer, **named, extra_special_tokens=special)
 
 
 def _write_pi05(directory: Path, shape: TinyShape) -> None:
