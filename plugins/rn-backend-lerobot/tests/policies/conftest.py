@@ -13,7 +13,7 @@ from rn_backend_lerobot.options import LeRobotOptions
 from rn_backend_lerobot.tiny import POLICIES, make_tiny
 from roboneuron.plugins.availability import is_importable
 
-sys.path.insert(0, str(Path(__file__).parent))
+sys.path.insert(0, str(Path(__file__).parent))  # lerobot_cell.py is beside the tests
 from lerobot_cell import NAMES, RATE_HZ, Load, sizes_of
 
 collect_ignore_glob = [] if is_importable("lerobot") else ["test_*.py"]
