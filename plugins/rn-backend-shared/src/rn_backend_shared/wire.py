@@ -16,11 +16,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+import roboneuron
 from roboneuron import (
+    EE_DELTA,
     ActionChunk,
     CameraCalibration,
     CheckpointError,
     ConfigurationError,
+    ControlSpace,
     Frame,
     InvalidInputError,
     JointSample,
@@ -228,8 +231,11 @@ def from_answer(answer: ActionChunk | RoboNeuronError) -> Document:
     if isinstance(answer, RoboNeuronError):
         return {"error": answer.code, "message": answer.message, "hint": answer.hint}
     metrics = {name: float(value) for name, value in answer.metrics.items()}
+    space = answer.space
+    channels = [[c.name, c.unit, c.frame, c.arm] for c in space.channels]
     return {
         "actions": answer.actions,
+        "space": [space.kind, space.rate_hz, channels],
         "step_s": answer.step_s,
         "metrics": metrics,
         "note": answer.note,
@@ -252,4 +258,18 @@ def to_answer(document: Document) -> ActionChunk:
         step_s=document["step_s"],
         metrics=document["metrics"],
         note=document["note"],
+        space=_to_space(*document["space"]),
     )
+
+
+def _to_space(kind: str, rate_hz: float, channels: list[list[str]]) -> ControlSpace:
+    """The space that was sent; the default is the contract's own object."""
+    space = ControlSpace(
+        kind=kind,
+        channels=tuple(
+            roboneuron.Channel(name=name, unit=unit, frame=frame, arm=arm)
+            for name, unit, frame, arm in channels
+        ),
+        rate_hz=rate_hz,
+    )
+    return EE_DELTA if space == EE_DELTA else space
