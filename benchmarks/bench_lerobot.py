@@ -255,9 +255,8 @@ def main() -> int:
         sys.path.insert(0, str(site))
         os.environ["PYTHONPATH"] = str(site)
         results = {size: measure(folder, site, size, given.rounds) for size in LIMITS_MS}
-    print(
-        "| images | LeRobot [ms] | backend [ms] | server [ms] | backend adds | server adds | at most |"
-    )
+    columns = ("images", "LeRobot [ms]", "backend [ms]", "server [ms]", "backend adds")
+    print(f"| {' | '.join((*columns, 'server adds', 'at most'))} |")
     print("|---|---|---|---|---|---|---|")
     for size, row in results.items():
         numbers = [
