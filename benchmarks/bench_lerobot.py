@@ -11,6 +11,7 @@ numbers are medians of the differences of a round.
 from __future__ import annotations
 
 import argparse
+import importlib
 import json
 import os
 import statistics
@@ -116,13 +117,14 @@ def make_checkpoint(directory: Path, cameras: tuple[str, ...], width: int, heigh
     import torch
     from lerobot.configs import FeatureType, PolicyFeature
     from lerobot.processor.factory import make_default_pre_post_processors
-    from lerobot_policy_null.configuration_null import NullConfig
-    from lerobot_policy_null.modeling_null import NullPolicy
 
+    # made by `install` a moment ago
+    configuration = importlib.import_module("lerobot_policy_null.configuration_null")
+    modeling = importlib.import_module("lerobot_policy_null.modeling_null")
     keys = [f"observation.images.{camera}" for camera in cameras]
     image = PolicyFeature(type=FeatureType.VISUAL, shape=(3, height, width))
     vector = (len(NAMES),)
-    config = NullConfig(
+    config = configuration.NullConfig(
         device="cpu",
         input_features={
             **dict.fromkeys(keys, image),
@@ -134,7 +136,7 @@ def make_checkpoint(directory: Path, cameras: tuple[str, ...], width: int, heigh
     pixels = {"mean": torch.full((3, 1, 1), 0.5), "std": torch.full((3, 1, 1), 0.2)}
     statistics_of = {**dict.fromkeys(keys, pixels), "observation.state": numbers, "action": numbers}
     before, after = make_default_pre_post_processors(config, statistics_of)
-    for part in (NullPolicy(config), before, after):
+    for part in (modeling.NullPolicy(config), before, after):
         part.save_pretrained(directory)
 
 
