@@ -35,7 +35,7 @@ def load(checkpoints: dict[str, Path]) -> Iterator[Load]:
 
     def make(policy: str, **options: object) -> LeRobotBackend:
         given = {
-            "checkpoint": checkpoints[policy],
+            "checkpoint": checkpoints.get(policy),
             "rate_hz": RATE_HZ,
             "joints": NAMES,
             "joint_unit": "radians",
