@@ -13,7 +13,7 @@ from lerobot_folders import ARM
 
 from rn_backend_lerobot import engine
 from rn_backend_lerobot.backend import LeRobotBackend
-from rn_backend_lerobot.engine import Answer, Prefix, Seen
+from rn_backend_lerobot.exchange import Answer, Prefix, Seen
 from rn_backend_lerobot.options import LeRobotOptions
 from roboneuron import (
     Ahead,

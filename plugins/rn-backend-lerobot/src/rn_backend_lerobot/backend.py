@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from rn_backend_lerobot.checkpoint import ImageFeature
+from rn_backend_lerobot.exchange import Answer, Prefix, Seen
 from rn_backend_lerobot.options import LeRobotOptions
 from rn_backend_lerobot.wiring import Wiring, wire
 from rn_vla.checkpoint_files import reading
@@ -28,7 +29,7 @@ from roboneuron import (
 )
 
 if TYPE_CHECKING:
-    from rn_backend_lerobot.engine import Answer, PolicyEngine, Prefix, Seen
+    from rn_backend_lerobot.engine import PolicyEngine
 
 _PAUSE_PERIODS = 3.0
 """A policy that remembers starts anew after so many periods without an observation, its own
@@ -126,8 +127,6 @@ class LeRobotBackend:
         return self._wiring, self._engine
 
     def _see(self, wiring: Wiring, observation: Observation) -> Seen:
-        from rn_backend_lerobot.engine import Seen  # heavy
-
         images: dict[str, NDArray[np.uint8]] = {}
         for feature in wiring.images:
             frame = wiring.frame(feature, observation)
@@ -160,8 +159,6 @@ class LeRobotBackend:
 
     def _prefix(self, engine: PolicyEngine, ahead: Ahead | None) -> Prefix | None:
         """The rest of the running chunk; None when there is none to continue."""
-        from rn_backend_lerobot.engine import Answer, Prefix  # heavy
-
         if ahead is None or not engine.can_continue or not isinstance(ahead.context, Answer):
             return None
         if ahead.context_row >= len(ahead.context.rows):
@@ -189,8 +186,6 @@ class LeRobotBackend:
 
     def _warm_up(self, wiring: Wiring, engine: PolicyEngine) -> None:
         """Ask once: what does not fit shows here, and the first real answer is not the slowest."""
-        from rn_backend_lerobot.engine import Seen  # heavy
-
         images = {
             one.key: np.zeros((one.height, one.width, 3), dtype=np.uint8) for one in wiring.images
         }

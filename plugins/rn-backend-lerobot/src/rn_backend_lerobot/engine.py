@@ -1,4 +1,4 @@
-"""The calls to LeRobot: load a policy with its processors, ask it for chunks or actions.
+"""The calls to a loaded policy of LeRobot: chunks, batches, single actions.
 
 Source: lerobot 0.6.1, `policies/factory.py` and `policies/utils.py`; its own loops are
 `rollout/inference/sync.py` and `rtc.py`.
@@ -8,116 +8,35 @@ from __future__ import annotations
 
 import contextlib
 import inspect
-import json
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rn_backend_lerobot.checkpoint import PREPROCESSOR, STATE, PolicyFolder
+from rn_backend_lerobot.checkpoint import STATE, PolicyFolder
+from rn_backend_lerobot.exchange import Answer, Prefix, Seen
 from rn_backend_lerobot.isolation import (
-    LoadsWeights,
     Noise,
-    check_release,
-    installed_release,
     offline,
     own_folder,
-    whole_weights,
 )
+from rn_backend_lerobot.loading import load_policy
 from rn_backend_lerobot.options import LeRobotOptions
-from rn_vla.checkpoint_files import clip, reading
-from roboneuron import CheckpointError, ConfigurationError, MissingDependencyError
+from roboneuron import ConfigurationError
 
 if TYPE_CHECKING:
     import torch
 
-F64 = NDArray[np.float64]
-_DEVICE, _RENAME = "device_processor", "rename_observations_processor"
-_TOKENIZER = "tokenizer_processor"
 _ALL_ROWS = 10_000
 """More rows than any chunk has."""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Answer:
-    """A chunk as the policy gave it, uncut.
-
-    Attributes:
-        normalized: (T, A), before the postprocessor.
-        rows: float64 (T, A), un-normalised, absolute.
-    """
-
-    normalized: torch.Tensor
-    rows: F64
-
-
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Prefix:
-    """What a policy is to continue.
-
-    Attributes:
-        answer: the running chunk.
-        first: its row that is meant for the moment of the observation.
-        committed: so many rows from there will be played whatever comes.
-    """
-
-    answer: Answer
-    first: int
-    committed: int
-
-
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Seen:
-    """One observation as the policy takes it.
-
-    Attributes:
-        images: uint8 (H, W, 3), RGB, by the feature's key.
-        state: float32 (D,) in the policy's units; None for a policy without state.
-        task: the instruction.
-    """
-
-    images: Mapping[str, NDArray[np.uint8]]
-    state: NDArray[np.float32] | None
-    task: str
-
-
-class _Config(Protocol):
-    device: str
-    use_amp: bool
-    rtc_config: object
-
-
-class _Policy(Protocol):
-    config: _Config
-
-    def predict_action_chunk(
-        self, batch: Mapping[str, object], **options: object
-    ) -> torch.Tensor: ...
-
-    def select_action(self, batch: Mapping[str, object]) -> torch.Tensor: ...
-
-    def reset(self) -> None: ...
-
-
-class _Pipeline(Protocol):
-    steps: Sequence[object]
-
-    def __call__(self, data: object) -> object: ...
-
-    def reset(self) -> None: ...
 
 
 class _RelativeStep(Protocol):
     action_names: list[str] | None
 
     def get_cached_state(self) -> object: ...
-
-
-class _PolicyClass(LoadsWeights, Protocol):
-    def from_pretrained(self, directory: str, *, config: object, strict: bool) -> _Policy: ...
 
 
 class PolicyEngine:
@@ -144,7 +63,7 @@ class PolicyEngine:
             contextlib.redirect_stdout(sys.stderr),
             torch.random.fork_rng(devices=[]),
         ):
-            self._policy, self._before, self._after = self._load()
+            self._policy, self._before, self._after = load_policy(folder, self._device)
         self._relative, self._normalizer = self._find_steps()
         self.can_continue = options.rtc and self._enable_rtc()
         self.reset()
@@ -241,60 +160,6 @@ class PolicyEngine:
         with self._torch.autocast(device_type="cuda"):
             yield
 
-    def _load(self) -> tuple[_Policy, _Pipeline, _Pipeline]:
-        check_release(installed_release())
-        directory = str(self._folder.directory)
-        with reading(self._folder.directory, f"a LeRobot policy {self._folder.family!r}"):
-            from lerobot.configs import PreTrainedConfig
-            from lerobot.policies.factory import get_policy_class, make_pre_post_processors
-            from lerobot.utils.import_utils import register_third_party_plugins
-
-            if self._folder.family not in PreTrainedConfig.get_known_choices():
-                register_third_party_plugins()
-            if self._folder.family not in PreTrainedConfig.get_known_choices():
-                raise CheckpointError(
-                    f"{directory} holds a policy {clip(self._folder.family)!r}, which LeRobot "
-                    f"{installed_release()} does not know.",
-                    hint="Install the package that brings it (lerobot_policy_...) in "
-                    f"{sys.prefix}.",
-                )
-            config = PreTrainedConfig.from_pretrained(directory, local_files_only=True)
-            config.device = self._device
-            self._localise(config)
-            kind = _policy_class(get_policy_class, self._folder.family)
-            with whole_weights(kind, directory):
-                policy = kind.from_pretrained(directory, config=config, strict=True)
-            overrides = self._overrides()
-            before, after = make_pre_post_processors(
-                config, directory, preprocessor_overrides=overrides
-            )
-        return policy, before, after
-
-    def _localise(self, config: object) -> None:
-        """Put local folders where the configuration names the hub; no ImageNet weights are
-        fetched, which those of the checkpoint replace anyway.
-        """
-        for key, value in vars(config).items():
-            if isinstance(value, str) and value in self._folder.references:
-                setattr(config, key, str(self._folder.references[value]))
-        if hasattr(config, "pretrained_backbone_weights"):
-            config.pretrained_backbone_weights = None
-
-    def _overrides(self) -> dict[str, dict[str, object]]:
-        """Of the preprocessor's steps."""
-        overrides: dict[str, dict[str, object]] = {}
-        document = json.loads((self._folder.directory / PREPROCESSOR).read_text(encoding="utf-8"))
-        for step in document["steps"]:
-            name, config = step.get("registry_name"), step.get("config", {})
-            if name == _DEVICE:
-                overrides[_DEVICE] = {"device": self._device}
-            elif name == _RENAME:
-                overrides[_RENAME] = {"rename_map": {}}
-            elif name == _TOKENIZER and config.get("tokenizer_name") in self._folder.references:
-                local = self._folder.references[config["tokenizer_name"]]
-                overrides[_TOKENIZER] = {"tokenizer_name": str(local)}
-        return overrides
-
     def _find_steps(self) -> tuple[_RelativeStep | None, object | None]:
         """The steps that relative actions need; names are given where the checkpoint has none."""
         from lerobot.processor import NormalizerProcessorStep, RelativeActionsProcessorStep
@@ -348,17 +213,6 @@ def _device(wanted: str) -> str:
     if wanted != "cpu" and not torch.cuda.is_available():
         raise ConfigurationError(f"The option 'device' is {wanted!r}, and PyTorch finds no GPU.")
     return wanted
-
-
-def _policy_class(get: Callable[[str], _PolicyClass], family: str) -> _PolicyClass:
-    """The class of a policy. Raises MissingDependencyError for what its extra would bring."""
-    try:
-        return get(family)
-    except ImportError as error:
-        raise MissingDependencyError(
-            f"LeRobot's policy {family!r} cannot be imported in {sys.prefix}: {clip(error)}",
-            hint=f'Run there: pip install "lerobot[{family}]"',
-        ) from error
 
 
 def _shapes(batch: Mapping[str, object]) -> tuple[tuple[str, tuple[int, ...]], ...]:

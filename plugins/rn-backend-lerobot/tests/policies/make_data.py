@@ -19,7 +19,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from lerobot_cell import NAMES, RATE_HZ, observe
 
 from rn_backend_lerobot.backend import LeRobotBackend
-from rn_backend_lerobot.engine import Answer
+from rn_backend_lerobot.exchange import Answer
 from rn_backend_lerobot.options import LeRobotOptions
 from rn_backend_lerobot.tiny import BACKBONE, make_tiny
 

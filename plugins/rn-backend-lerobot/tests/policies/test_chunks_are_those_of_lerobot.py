@@ -15,7 +15,7 @@ from lerobot_cell import NAMES, RATE_HZ, Load, observe, sizes_of
 from lerobot_loops import Call, RealTime, Synchronous
 
 from rn_backend_lerobot.backend import LeRobotBackend
-from rn_backend_lerobot.engine import Answer
+from rn_backend_lerobot.exchange import Answer
 from roboneuron import Ahead, Observation
 
 TOLERANCE = 1e-6

@@ -13,7 +13,7 @@ from lerobot_cell import NAMES, RATE_HZ, Load, observe
 from lerobot_loops import Call, RealTime
 
 from rn_backend_lerobot.backend import LeRobotBackend
-from rn_backend_lerobot.engine import Answer
+from rn_backend_lerobot.exchange import Answer
 from rn_backend_lerobot.plugin import BACKEND
 from rn_standard.execution.feature import make_executor
 from roboneuron import Ahead
