@@ -140,13 +140,14 @@ def whole_weights(kind: LoadsWeights, directory: str) -> Iterator[None]:
     original = cast("Callable[..., object]", kind.load_state_dict)
 
     @functools.wraps(original)
-    def load(self: object, *arguments: object, **named: object) -> object:
+    def load(self: torch.nn.Module, *arguments: object, **named: object) -> object:
         try:
             answer = original(self, *arguments, **named)
         except Exception as error:
             problems.append(str(error))
             raise
         taken.append(True)
+        problems.extend(f"there is no {name}" for name in _missing(self, answer))
         return answer
 
     is_own = "load_state_dict" in vars(kind)
@@ -161,3 +162,13 @@ def whole_weights(kind: LoadsWeights, directory: str) -> Iterator[None]:
     if problems or not taken:
         why = clip(problems[0], 300) if problems else "LeRobot did not read them"
         raise CheckpointError(f"The weights of {directory} do not fit its policy: {why}")
+
+
+def _missing(module: torch.nn.Module, answer: object) -> list[str]:
+    """Weights that the file did not hold, without those that share the memory of one it held."""
+    absent = set(getattr(answer, "missing_keys", ()))
+    if not absent:
+        return []
+    weights = module.state_dict()
+    held = {tensor.data_ptr() for name, tensor in weights.items() if name not in absent}
+    return sorted(name for name in absent if weights[name].data_ptr() not in held)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import runpy
 import shutil
 import socket
@@ -103,6 +104,22 @@ def test_weights_that_do_not_fit_are_refused(
     with pytest.raises(CheckpointError) as refusal:
         load(policy, checkpoint=folder)
     assert name.rpartition(".")[0].split(".")[-1] in refusal.value.message
+
+
+@pytest.mark.parametrize("policy", ["act", "smolvla", "pi05"])
+def test_missing_weights_are_refused_and_surplus_ones_do_no_harm(
+    copied: Callable[..., Path], load: Load, policy: str
+) -> None:
+    """LeRobot logs both, and goes on."""
+    folder = copied(policy)
+    weights = load_file(folder / "model.safetensors")
+    save_file({**weights, "normalize_inputs.mean": np.zeros(3)}, folder / "model.safetensors")
+    load(policy, checkpoint=folder)
+    name = next(key for key in sorted(weights) if weights[key].ndim == 2)
+    del weights[name]
+    save_file(weights, folder / "model.safetensors")
+    with pytest.raises(CheckpointError, match=rf"there is no {re.escape(name)}"):
+        load(policy, checkpoint=folder)
 
 
 def test_a_policy_that_lerobot_does_not_know_is_named(
