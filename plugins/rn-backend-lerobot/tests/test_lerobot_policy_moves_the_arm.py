@@ -4,6 +4,7 @@ and what happens when something is wrong with it.
 
 from __future__ import annotations
 
+import functools
 import json
 import os
 import shutil
@@ -11,7 +12,7 @@ import signal
 import subprocess
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -157,12 +158,25 @@ def listening() -> Iterator[Witness]:
 
 
 @pytest.fixture(scope="module")
-def checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A tiny ACT, written by LeRobot."""
-    folder = tmp_path_factory.mktemp("act") / "policy"
-    run = [PYTHON, "-m", "rn_backend_lerobot.cli", "make-tiny", folder, "--policy", "act"]
-    subprocess.run([*map(str, run)], check=True, capture_output=True, timeout=150)
-    return folder
+def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """Return a function that has LeRobot write a tiny policy, once."""
+    root = tmp_path_factory.mktemp("policies")
+
+    @functools.cache
+    def make(policy: str) -> Path:
+        run = [
+            PYTHON,
+            "-m",
+            "rn_backend_lerobot.cli",
+            "make-tiny",
+            root / policy,
+            "--policy",
+            policy,
+        ]
+        subprocess.run([*map(str, run)], check=True, capture_output=True, timeout=150)
+        return root / policy
+
+    return make
 
 
 @dataclass
@@ -185,26 +199,28 @@ class Cell:
 
 
 @pytest.fixture
-def cell(tmp_path: Path, checkpoint: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Cell]:
-    """Robot, cameras and control, without inference."""
+def cell(
+    tmp_path: Path, made: Callable[[str], Path], monkeypatch: pytest.MonkeyPatch
+) -> Iterator[Cell]:
+    """Robot, cameras and control, without inference; an ACT is configured."""
     monkeypatch.setenv("ROS_DOMAIN_ID", str(free_ros_domain()))
     monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path / "ros"))
     prepare_environment(tmp_path / "log")
-    config = parse_config(CONFIG.format(checkpoint=checkpoint, python=PYTHON))
+    config = parse_config(CONFIG.format(checkpoint=made("act"), python=PYTHON))
     supervisor = Supervisor(tmp_path / "state")
     try:
         with listening() as seen:
-            made = Cell(supervisor, seen, config)
+            cell = Cell(supervisor, seen, config)
             for kind in ("robot", "perception", "control"):
-                made.start(kind)
+                cell.start(kind)
             wait_until(lambda: seen.joints and len(seen.images) == 2, 20.0, "the cell is seen")
-            yield made
+            yield cell
     finally:
         supervisor.close()
 
 
 def test_it_moves_the_arm_as_lerobot_would_and_stands_when_its_process_is_killed(
-    cell: Cell, checkpoint: Path, tmp_path: Path
+    cell: Cell, made: Callable[[str], Path], tmp_path: Path
 ) -> None:
     began_s = time.monotonic()
     cell.start("inference")
@@ -215,22 +231,38 @@ def test_it_moves_the_arm_as_lerobot_would_and_stands_when_its_process_is_killed
     report = cell.supervisor.view("control").report
     assert report is not None
     assert report.dropped_by == {}
-
-    ours = np.array([row for _, row in cell.seen.actions[:8]])
-    theirs = lerobots_actions(cell.seen.first, checkpoint, tmp_path)
-    np.testing.assert_allclose(ours, theirs, rtol=0, atol=SAME_RAD)
+    check_actions(cell, made("act"), tmp_path, 8)
 
     process = cell.supervisor.view("inference").process
     assert process is not None
     os.kill(process.pid, signal.SIGKILL)
     wait_until(lambda: cell.rests(0.3), HOLD_S + 3.0, "the arm stands")
     assert cell.rests(1.0)
-    ended = cell.supervisor.view("inference").exit
-    assert ended is not None
+    assert cell.supervisor.view("inference").exit is not None
 
 
-def lerobots_actions(first: dict[str, Any], checkpoint: Path, folder: Path) -> np.ndarray:
-    """The first chunk of LeRobot's own engine for what was published before the first action."""
+@pytest.mark.parametrize(("policy", "rows"), [("smolvla", 8), ("diffusion", 1)])
+def test_other_policies_move_the_arm_as_lerobot_would(
+    cell: Cell, made: Callable[[str], Path], tmp_path: Path, policy: str, rows: int
+) -> None:
+    """Diffusion is asked row by row: its second row answers a second image."""
+    config = parse_config(CONFIG.format(checkpoint=made(policy), python=PYTHON))
+    cell.supervisor.start("inference", config, python=str(PYTHON))
+    wait_until(lambda: len(cell.seen.actions) >= 20, 30.0, "the policy acts")
+    check_actions(cell, made(policy), tmp_path, rows)
+
+
+def check_actions(cell: Cell, checkpoint: Path, folder: Path, rows: int) -> None:
+    """The first actions are those of LeRobot's own engine."""
+    ours = np.array([row for _, row in cell.seen.actions[:rows]])
+    theirs = lerobots_actions(cell.seen.first, checkpoint, folder, rows)
+    np.testing.assert_allclose(ours, theirs, rtol=0, atol=SAME_RAD)
+
+
+def lerobots_actions(
+    first: dict[str, Any], checkpoint: Path, folder: Path, rows: int
+) -> np.ndarray:
+    """What LeRobot's own engine answers to what was published before the first action."""
     gripper = profile().gripper
     assert gripper is not None
     joints = first["joints"]
@@ -244,7 +276,7 @@ def lerobots_actions(first: dict[str, Any], checkpoint: Path, folder: Path) -> n
         state=np.array(state),
         instruction=np.array("pick up the red cube"),
     )
-    run = [PYTHON, LOOPS / "lerobot_actions.py", checkpoint, source, target, 8]
+    run = [PYTHON, LOOPS / "lerobot_actions.py", checkpoint, source, target, rows]
     subprocess.run([*map(str, run)], check=True, capture_output=True, timeout=120)
     actions: np.ndarray = np.load(target)
     return actions
@@ -263,9 +295,9 @@ def edited(checkpoint: Path, folder: Path, feature: str) -> Path:
 
 
 def test_what_does_not_fit_is_one_sentence_and_the_arm_rests(
-    cell: Cell, checkpoint: Path, tmp_path: Path
+    cell: Cell, made: Callable[[str], Path], tmp_path: Path
 ) -> None:
-    began_s = time.monotonic()
+    began_s, checkpoint = time.monotonic(), made("act")
     other = tmp_path / "site" / "lerobot-0.5.1.dist-info"
     other.mkdir(parents=True)
     (other / "METADATA").write_text("Metadata-Version: 2.1\nName: lerobot\nVersion: 0.5.1\n")
