@@ -153,6 +153,30 @@ test-lerobot: $(VENV)/.develop .venv-lerobot/.ready ## exported data sets, opene
 	.venv-lerobot/bin/python -m pip install --quiet --disable-pip-version-check 'lerobot[dataset]==0.6.1'
 	@touch $@
 
+test-lerobot-policies: $(VENV)/.develop .venv-lerobot-policies/.ready ## policies of LeRobot beside LeRobot's own engines, then through ROS (its own environment)
+	.venv-lerobot-policies/bin/python -m pytest plugins/rn-backend-lerobot/tests/policies \
+	  plugins/rn-backend-lerobot/tests/test_lerobot_keeps_its_contract.py $(ARGS)
+	$(BIN)/python -m pytest plugins/rn-backend-lerobot/tests/test_lerobot_policy_moves_the_arm.py $(ARGS)
+
+bench-lerobot: .venv-lerobot-policies/.ready ## what the boundary to a LeRobot policy costs beside calling it in its own process
+	.venv-lerobot-policies/bin/python benchmarks/bench_lerobot.py $(ARGS)
+
+.venv-lerobot-policies: .venv-lerobot-policies/.ready
+
+# LeRobot caps numpy below 2.3, so of constraints.txt only the ROS packages hold here. An inference module needs the
+# robot, the controller's descriptor and the standard features in its own interpreter.
+LEROBOT_POLICIES := roboneuron-core $(addprefix plugins/,rn-standard rn-simulation rn-robot-fr3 rn-controller-urdf rn-vla \
+  rn-runtime-torch rn-backend-shared rn-testing rn-backend-lerobot)
+
+.venv-lerobot-policies/.ready: plugins/rn-backend-lerobot/pyproject.toml
+	@echo "Setting up .venv-lerobot-policies (once, several gigabytes; LeRobot needs Python >= 3.12) ..."
+	$(LEROBOT_PYTHON) -m venv .venv-lerobot-policies
+	grep '^ros-' constraints.txt > .venv-lerobot-policies/ros-constraints.txt
+	.venv-lerobot-policies/bin/python -m pip install --quiet --disable-pip-version-check \
+	  --constraint .venv-lerobot-policies/ros-constraints.txt 'lerobot[dataset,diffusion,smolvla,pi]==0.6.1' \
+	  $(addprefix --editable ,$(LEROBOT_POLICIES)) hypothesis pytest pytest-timeout pytest-xdist
+	@touch $@
+
 # Checkouts of https://github.com/Physical-Intelligence/openpi (15a9616 made the numbers that are here) and
 # https://github.com/huggingface/lerobot (7427f31).
 OPENPI ?= ../openpi
