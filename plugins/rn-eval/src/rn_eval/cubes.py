@@ -14,8 +14,8 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from rn_eval.arm import DeployedArm
 from rn_eval.suite import Episode, Judgement, Setup
-from rn_robot_fr3.scene import DEFAULT_COLOURS, RGBA_BY_COLOUR
 from rn_robot_fr3.simulation import JOINTS, STEP_S, ArmSimulation
+from rn_simulation.cubes import DEFAULT_COLOURS, RGBA_BY_COLOUR
 from roboneuron import Frame, JointSample, Observation, matrix_from_quaternion
 
 F64 = NDArray[np.float64]

@@ -9,11 +9,12 @@ from typing import ClassVar
 
 from std_msgs.msg import Float64MultiArray
 
-from rn_robot_fr3.cameras import PinholeCamera, cell_cameras
+from rn_robot_fr3.cameras import cell_cameras
 from rn_robot_fr3.cell import FR3, PAIR, Cell
 from rn_robot_fr3.options import SimulatedCamerasOptions
 from rn_robot_fr3.state_message import TOPIC, SceneState, from_message
 from rn_robot_fr3.twin import RenderTwin
+from rn_simulation.pinhole import PinholeCamera
 from roboneuron import CameraProfile, ConfigurationError, Frame, NotReadyError, StateError, Topics
 
 

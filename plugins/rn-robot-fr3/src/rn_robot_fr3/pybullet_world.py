@@ -15,16 +15,15 @@ from rn_robot_fr3.cell import FR3, Cell
 from rn_robot_fr3.description import TCP_LINK, urdf_with_meshes
 from rn_robot_fr3.display import check_display
 from rn_robot_fr3.renderer import render
-from rn_robot_fr3.scene import RGBA_BY_COLOUR, Cube
 from rn_robot_fr3.world import (
     CUBE_FRICTION,
     FINGER_FRICTION,
     TABLE_FRICTION,
     TABLE_RGBA,
     WOOD_KG_M3,
-    RawPose,
     mount_of,
 )
+from rn_simulation.cubes import RGBA_BY_COLOUR, Cube, RawPose
 from rn_simulation.engine import Engine
 from roboneuron import CameraCalibration, ConfigurationError, matrix_from_quaternion
 

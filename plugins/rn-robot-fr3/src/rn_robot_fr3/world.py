@@ -14,14 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rn_robot_fr3.cell import FR3, Cell
-from rn_robot_fr3.scene import Cube
+from rn_simulation.cubes import Cube, RawPose
 from rn_simulation.engine import Engine
 from roboneuron import CameraCalibration
 
 F64 = NDArray[np.float64]
-RawPose = tuple[Sequence[float], Sequence[float]]
-"""Position [m] and quaternion (x y z w) in the base frame."""
-
 JOINTS = FR3.joints
 """Every moving joint of one arm, in the order of all joint arrays of its simulation."""
 

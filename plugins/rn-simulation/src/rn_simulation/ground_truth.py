@@ -9,8 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rn_robot_fr3.scene import Cube
-from rn_robot_fr3.world import RawPose
+from rn_simulation.cubes import Cube, RawPose
 
 F64 = NDArray[np.float64]
 
