@@ -22,6 +22,7 @@ LEROBOT_PYTHON ?= python3.12
 
 DEMO_PACKAGES := $(shell sed -n 's|^\./||p' requirements.txt)
 FLEET_PACKAGES := plugins/rn-robot-bases
+SO101_PACKAGES := plugins/rn-robot-lerobot
 LEARNED_PACKAGES := plugins/rn-vla plugins/rn-runtime-torch plugins/rn-backend-oft plugins/rn-policy-cubes
 ALL_PACKAGES := roboneuron-core $(sort $(wildcard plugins/rn-*)) .
 # It compiles ROS 2 types and needs a C++ compiler; without one the rest works, and its tests are skipped.
@@ -199,6 +200,9 @@ demo-bases: $(VENV)/.demo-bases ## an MCP client drives three mobile bases at th
 demo-fleet: $(VENV)/.demo-fleet ## one MCP client, two FR3s and a base: both arms pick up a cube while the base drives
 	@$(BIN)/python examples/demo_fleet.py $(ARGS)
 
+demo-so101: $(VENV)/.demo-so101 ## a simulated SO-101 picks up a cube, the simulator judges
+	@$(BIN)/python examples/demo_so101.py $(ARGS)
+
 demo-pair: $(VENV)/.demo ## two FR3s at one table: the left one hands a cube to the right one
 	@$(BIN)/python examples/demo_pair.py $(ARGS)
 
@@ -320,6 +324,10 @@ $(VENV)/.demo-fleet: $(VENV)/.demo
 	$(call install,bases,--constraint constraints.txt $(addprefix --editable ,$(FLEET_PACKAGES)))
 	@touch $@
 
+$(VENV)/.demo-so101: $(VENV)/.demo
+	$(call install,SO-101,--constraint constraints.txt $(addprefix --editable ,$(SO101_PACKAGES)))
+	@touch $@
+
 $(VENV)/.docs: constraints.txt | $(BIN)/python
 	$(PIP) --constraint constraints.txt mkdocs-material 'mkdocstrings[python]'
 	@touch $@
@@ -334,7 +342,7 @@ $(VENV)/.develop: $(PROJECTS) | $(BIN)/python
 	$(call install,tools for tests and checks,--constraint constraints.txt \
 	  pytest pytest-timeout pytest-xdist pytest-rerunfailures hypothesis ruff mypy types-psutil jsonschema types-jsonschema psutil build hatchling editables \
 	  ros-jazzy-test-msgs transformers mujoco franky-control 'pylibfranka; python_version < "3.13"' ruckig playwright rosbags)
-	@touch $@ $(VENV)/.demo $(VENV)/.demo-fr3 $(VENV)/.demo-learned $(VENV)/.demo-bases $(VENV)/.demo-fleet
+	@touch $@ $(VENV)/.demo $(VENV)/.demo-fr3 $(VENV)/.demo-learned $(VENV)/.demo-bases $(VENV)/.demo-fleet $(VENV)/.demo-so101
 
 $(VENV)/.mutations: $(VENV)/.develop
 	$(call install,mutation tests,--constraint constraints.txt mutmut)

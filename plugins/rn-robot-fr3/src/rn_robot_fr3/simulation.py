@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from rn_robot_fr3.cameras import cell_cameras
 from rn_robot_fr3.cell import FR3, MOVED, Cell
-from rn_robot_fr3.command import checked
 from rn_robot_fr3.limits import (
     ACCELERATION_RAD_S2,
     ARM_JOINTS,
@@ -26,6 +25,7 @@ from rn_robot_fr3.limits import (
 from rn_robot_fr3.profile import HOME_RAD
 from rn_robot_fr3.scene import random_cubes
 from rn_robot_fr3.world import JOINTS, ArmWorld, build_world
+from rn_simulation.command import checked
 from rn_simulation.cubes import DEFAULT_COLOURS
 from rn_simulation.engine import EngineChoice, choose_engine
 from rn_simulation.ground_truth import CubeState, LiftClock
