@@ -41,7 +41,7 @@ PROJECTS := $(addsuffix /pyproject.toml,$(ALL_PACKAGES)) constraints.txt require
 .PHONY: $(shell sed -nE 's/^([a-z0-9-]+):.*\#\#.*/\1/p' Makefile)
 
 help: ## show this list
-	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
+	@grep -hE '^[a-z0-9-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
 
 # The learned policy needs PyTorch, which the demo otherwise does without.
 demo: $(if $(findstring learned,$(ARGS)),$(VENV)/.demo-learned,$(VENV)/.demo) ## an agent picks up a cube with a simulated FR3

@@ -1,4 +1,4 @@
-"""What this package offers: the robot "so101" with its drivers and the cameras of the simulation."""
+"""What this package offers: the robot "so101" with its drivers, and the simulated cameras."""
 
 from __future__ import annotations
 
