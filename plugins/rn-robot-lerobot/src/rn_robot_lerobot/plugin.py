@@ -7,6 +7,9 @@ from collections.abc import Sequence
 from roboneuron import CameraSpec, DriverSpec, PerceptionSpec, Requirement, RobotSpec, hookimpl
 
 _MUJOCO = Requirement(module="mujoco", install="pip install mujoco")
+_LEROBOT = Requirement(
+    module="lerobot", install='pip install "lerobot[feetech]>=0.6.1,<0.7" (Python 3.12)'
+)
 
 
 @hookimpl
@@ -33,6 +36,14 @@ def roboneuron_robots() -> Sequence[RobotSpec]:
                     config="rn_robot_lerobot.options:SimulatedDriverOptions",
                     simulated=True,
                     requires=(_MUJOCO,),
+                ),
+                DriverSpec(
+                    name="lerobot",
+                    summary="The arm itself by lerobot's own driver, in lerobot's environment; any "
+                    "arm of LeRobot with these joints",
+                    target="rn_robot_lerobot.lerobot_driver:LerobotDriver",
+                    config="rn_robot_lerobot.lerobot_options:LerobotDriverOptions",
+                    requires=(_LEROBOT,),
                 ),
             ),
         )
