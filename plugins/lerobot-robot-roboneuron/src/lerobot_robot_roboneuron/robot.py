@@ -5,16 +5,20 @@ from __future__ import annotations
 import logging
 import ssl  # noqa: F401  before rclpy: both bring a libcrypto
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from lerobot.robots import Robot
-from lerobot.utils.decorators import check_if_already_connected, check_if_not_connected
+from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
 
 from lerobot_robot_roboneuron.config_roboneuron import RoboNeuronConfig
 from lerobot_robot_roboneuron.serve import OwnServer
 from rn_robot_lerobot.units import motors_of
 from roboneuron import CameraProfile, ConfigurationError, RobotProfile, robot_space
 from roboneuron.feature import discover, environment, load_profile
+
+if TYPE_CHECKING:
+    from lerobot_robot_roboneuron.topics import RobotTopics
 
 log = logging.getLogger(__name__)
 
@@ -44,7 +48,7 @@ class RoboNeuron(Robot):
         self._motors = motors_of(self.profile, use_degrees=config.use_degrees)
         self._space = robot_space("joint_position", self.profile)
         self._server: OwnServer | None = None
-        self._topics = None
+        self._topics: RobotTopics | None = None
         self._is_held = False
 
     @cached_property
@@ -81,7 +85,6 @@ class RoboNeuron(Robot):
     def configure(self) -> None:
         """Nothing to do: RoboNeuron's configuration has done it."""
 
-    @check_if_already_connected
     def connect(self, calibrate: bool = True) -> None:
         """Start the server where one is named, and return once states and images come and control
         obeys.
@@ -90,6 +93,8 @@ class RoboNeuron(Robot):
             NotReadyError, ConfigurationError, StateError, RefusedError: as `RobotTopics.open` and
                 `OwnServer.start`; nothing moves.
         """
+        if self._topics is not None:
+            raise DeviceAlreadyConnectedError(f"{self} is connected already.")
         environment.prepare_environment()
         # heavy: rclpy, which needs the environment
         from lerobot_robot_roboneuron.topics import RobotTopics
@@ -117,15 +122,13 @@ class RoboNeuron(Robot):
             raise
         self._topics = robot
 
-    @check_if_not_connected
     def get_observation(self) -> dict[str, float | np.ndarray]:
         """The newest joints and images; raises NotReadyError when one is too old."""
-        config = self.config
-        values = self._motors.values(self._topics.joints(config.state_timeout_s))
-        images = {name: self._topics.image(name, config.image_timeout_s) for name in self.cameras}
+        topics, config = self._connected(), self.config
+        values = self._motors.values(topics.joints(config.state_timeout_s))
+        images = {name: topics.image(name, config.image_timeout_s) for name in self.cameras}
         return {**values, **images}
 
-    @check_if_not_connected
     def send_action(self, action: dict[str, float]) -> dict[str, float]:
         """Send positions; returns what control has sent to the arm, limited as it was, or where the
         arm is measured when control holds.
@@ -134,22 +137,28 @@ class RoboNeuron(Robot):
             InvalidInputError, UnsafeError: unknown, lacking or impossible values; nothing is sent.
             UnsafeError, RefusedError, NotReadyError, ConfigurationError: as `RobotTopics.send`.
         """
+        topics = self._connected()
         positions = self._motors.positions({key: float(value) for key, value in action.items()})
         row = self._row(dict(zip(self._motors.joints, positions.tolist(), strict=True)))
-        sent = self._topics.send(row, self.config.answer_timeout_s)
-        measured = self._topics.joints(self.config.state_timeout_s)
-        reason = "" if sent is not None else self._topics.why_held()
+        sent = topics.send(row, self.config.answer_timeout_s)
+        measured = topics.joints(self.config.state_timeout_s)
+        reason = "" if sent is not None else topics.why_held()
         if reason and not self._is_held:
             log.warning("The arm does not follow: %s", reason)
         self._is_held = bool(reason)
         return self._motors.values(measured | (sent or {}))
 
-    @check_if_not_connected
     def disconnect(self) -> None:
         """Leave: control holds the arm within its timeout. A server of our own ends."""
-        topics, self._topics = self._topics, None
+        topics = self._connected()
+        self._topics = None
         topics.close()
         self._end_server()
+
+    def _connected(self) -> RobotTopics:
+        if self._topics is None:
+            raise DeviceNotConnectedError(f"{self} is not connected.")
+        return self._topics
 
     def _end_server(self) -> None:
         server, self._server = self._server, None

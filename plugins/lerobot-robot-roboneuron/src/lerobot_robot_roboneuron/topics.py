@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
@@ -70,7 +71,7 @@ class RobotTopics:
         self._stopped = False
         self._stops: int | None = None
         self._malformed = 0
-        self._send: object = None
+        self._publish: Callable[[Float64MultiArray], None] | None = None
 
     def open(self, timeout_s: float) -> None:
         """Join the graph and return once states, images and control are there.
@@ -158,6 +159,8 @@ class RobotTopics:
             NotReadyError: control does not report any more.
             ConfigurationError: control does not execute this space.
         """
+        if self._publish is None:
+            raise StateError("The robot's topics are not open.")
         self._check_obeyed()
         message = Float64MultiArray()
         size = self._space.size
@@ -198,7 +201,7 @@ class RobotTopics:
             link.subscribe(
                 Image,
                 self._topic(f"camera/{camera}/image"),
-                lambda message, name=name: self._on_image(name, message),
+                partial(self._on_image, name),
                 qos.NEWEST,
             )
         trajectory, command = _COMMANDS

@@ -5,15 +5,18 @@ from __future__ import annotations
 import ssl  # noqa: F401  before rclpy: both bring a libcrypto
 import threading
 import time
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from lerobot.teleoperators import Teleoperator
-from lerobot.utils.decorators import check_if_already_connected, check_if_not_connected
+from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
 
 from lerobot_teleoperator_roboneuron.config_roboneuron_teleop import RoboNeuronTeleopConfig
 from rn_robot_lerobot.units import motors_of
 from roboneuron import InvalidInputError, NotReadyError, RobotProfile
 from roboneuron.feature import discover, environment, load_profile
+
+if TYPE_CHECKING:
+    from roboneuron.feature import RosLink
 
 
 class RoboNeuronTeleop(Teleoperator):
@@ -28,7 +31,7 @@ class RoboNeuronTeleop(Teleoperator):
         self.config = config
         profile: RobotProfile = load_profile(discover(), config.robot)
         self._motors = motors_of(profile, use_degrees=config.use_degrees)
-        self._link = None
+        self._link: RosLink | None = None
         self._changed = threading.Condition()
         self._positions: dict[str, float] = {}
         self._at_s = 0.0
@@ -60,9 +63,10 @@ class RoboNeuronTeleop(Teleoperator):
     def configure(self) -> None:
         """Nothing to do."""
 
-    @check_if_already_connected
     def connect(self, calibrate: bool = True) -> None:
         """Subscribe; `get_action` waits for the first state, so that a leader may begin later."""
+        if self._link is not None:
+            raise DeviceAlreadyConnectedError(f"{self} is connected already.")
         environment.prepare_environment()
         from sensor_msgs.msg import JointState  # heavy: needs the environment
 
@@ -73,7 +77,6 @@ class RoboNeuronTeleop(Teleoperator):
         link.subscribe(JointState, self.config.topic, self._take, qos.NEWEST)
         self._link = link
 
-    @check_if_not_connected
     def get_action(self) -> dict[str, float]:
         """Positions of the newest state.
 
@@ -81,6 +84,7 @@ class RoboNeuronTeleop(Teleoperator):
             NotReadyError: none came, or the newest one is too old.
             InvalidInputError: a joint of the robot lacks in it.
         """
+        self._check_connected()
         config = self.config
         with self._changed:
             self._changed.wait_for(lambda: self._at_s > 0.0, config.start_timeout_s)
@@ -97,11 +101,16 @@ class RoboNeuronTeleop(Teleoperator):
     def send_feedback(self, feedback: dict[str, Any]) -> None:
         """Nothing: a topic of states takes none."""
 
-    @check_if_not_connected
     def disconnect(self) -> None:
         """Leave the graph."""
-        link, self._link = self._link, None
+        link = self._check_connected()
+        self._link = None
         link.close()
+
+    def _check_connected(self) -> RosLink:
+        if self._link is None:
+            raise DeviceNotConnectedError(f"{self} is not connected.")
+        return self._link
 
     def _age_s(self) -> float:
         return time.monotonic() - self._at_s if self._at_s else float("inf")

@@ -117,12 +117,8 @@ def make_robot(options: LerobotDriverOptions) -> LerobotRobot:
         given["calibration_dir"] = Path(options.calibration_dir).expanduser()
     maker = known[options.type]
     fields = maker.__dataclass_fields__
-    for name, value in (
-        ("max_relative_target", options.max_relative_target),
-        ("disable_torque_on_disconnect", options.release_on_close),
-    ):
-        if name in fields:
-            given.setdefault(name, value)
+    if "disable_torque_on_disconnect" in fields:
+        given.setdefault("disable_torque_on_disconnect", options.release_on_close)
     unknown = [name for name in given if name not in fields]
     if unknown:
         raise ConfigurationError(
@@ -144,8 +140,8 @@ def map_motors(
     """The joint of each motor, by name.
 
     Raises:
-        ConfigurationError: a motor moves no joint of the profile, or a joint no motor; a unit is not
-            the one that LeRobot yields.
+        ConfigurationError: a motor moves no joint of the profile, or a joint no motor; a unit is
+            another than LeRobot yields.
     """
     names = [key.removesuffix(SUFFIX) for key in robot.action_features if key.endswith(SUFFIX)]
     strangers = [name for name in options.motors if name not in names]

@@ -108,7 +108,7 @@ class LerobotDriver:
     def read(self) -> RobotState:
         """The newest state; its stamp is that of the measurement, also while the bus is silent.
 
-        `detail` holds "fault" (empty for none), "clipped" (goals that LeRobot's own bound has
+        `detail` holds "fault" (empty for none), "clipped" (goals that `max_relative_target` has
         shortened) and "bus_errors". Raises StateError unless open.
         """
         motors, position, velocity, stamp_ns, fault = self._newest()
@@ -297,27 +297,44 @@ class LerobotDriver:
             excess = np.abs(told - self._position) - farthest
             if not was_silent and excess.max() > 0.0:
                 self._doubts += 1
-                if self._doubts >= _DOUBTS:
-                    place = int(excess.argmax())
-                    self._note_fault(
-                        f"motor {motors.units[place].motor!r} tells "
-                        f"{told[place]:.3f} rad, {abs(told[place] - self._position[place]):.3f} "
-                        "from where it was; no motor is that fast"
-                    )
-                return None
+                if self._doubts < _DOUBTS:
+                    return None
+                place = int(excess.argmax())
+                self._note_fault(
+                    f"motor {motors.units[place].motor!r} tells {told[place]:.3f}, "
+                    f"{abs(told[place] - self._position[place]):.3f} rad from where it was; no "
+                    "motor is that fast"
+                )
+                was_silent = True
             self._doubts = 0
             self._take(told, now_s, (told - self._position) / max(since_s, 1e-3))
             if was_silent:
                 # the motors keep their last goals until somebody asks for motion again
-                self._setpoint = setpoint = self._setpoint_at(told, motors)
+                self._setpoint = self._setpoint_at(told, motors)
                 self._is_commanded = False
             if not self._is_commanded:
                 return None
             setpoint.advance(min(since_s, 2.0 * period_s))
-            return setpoint.position.copy()
+            return self._near(setpoint, told, motors)
+
+    def _near(self, setpoint: JointSetpoint, told: F64, motors: MotorMap) -> F64:
+        """The setpoints, no farther from what was read than `max_relative_target`, so that they do
+        not run away from an arm that does not follow; the lock is held.
+
+        LeRobot's own bound reads the motors once more and believes them: one wrong answer then
+        makes a goal of its own.
+        """
+        farthest = self._options.max_relative_target
+        if farthest is not None:
+            reach = farthest * np.abs([unit.scale for unit in motors.units])
+            goal = np.clip(setpoint.position, told - reach, told + reach)
+            if not np.array_equal(goal, setpoint.position):
+                self._clipped += 1
+                setpoint.position = goal
+        return setpoint.position.copy()
 
     def _note_clipped(self, sent: F64) -> None:
-        """LeRobot's own bound has shortened a goal: the setpoint does not run away from the arm."""
+        """LeRobot has sent other goals, by a bound of its own among its `settings`."""
         with self._lock:
             self._clipped += 1
             if self._setpoint is not None:

@@ -61,8 +61,8 @@ class LerobotDriverOptions(BaseModel):
     max_relative_target: float | None = Field(
         default=30.0,
         gt=0,
-        description="LeRobot's own bound on how far a goal is from where a motor is [its unit], "
-        "beside our limits; none turns it off.",
+        description="How far a goal may be from where a motor is measured [its unit], as LeRobot's "
+        "own setting of that name, beside our limits.",
     )
     rate_hz: float = Field(
         default=50.0, ge=5.0, le=200.0, description="Readings and goals per second."

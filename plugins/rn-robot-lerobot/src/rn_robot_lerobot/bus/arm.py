@@ -80,7 +80,7 @@ class SerialArm:
         return self.history[-1][1] if self.history else START
 
     def rest_after_s(self, fault_s: float, tolerance_rad: float = 5e-3) -> float:
-        """Time from `fault_s` [monotonic s] until no arm joint was away from where it is now [s]."""
+        """Time from `fault_s` [monotonic s] until no joint was away from where it is now [s]."""
         rows = [(at_s, row[:-1]) for at_s, row in self.history if at_s >= fault_s]
         away = [at_s for at_s, row in rows if np.abs(row - rows[-1][1]).max() > tolerance_rad]
         return away[-1] - fault_s if away else 0.0
