@@ -71,6 +71,8 @@ class StandInFollower:
         self.is_calibrated = True
         self.is_connected = False
         self.calibration = reference_calibration()
+        self.wild = 0
+        """So many readings to come are wild ones."""
 
     def connect(self, calibrate: bool = True) -> None:
         assert not calibrate  # it would wait for a person
@@ -88,6 +90,9 @@ class StandInFollower:
                 values[f"{name}.pos"] = (min(high, max(low, raw)) - low) / (high - low) * 100
             else:
                 values[f"{name}.pos"] = (raw - (low + high) / 2) * 360 / 4095
+        if self.wild > 0:
+            self.wild -= 1
+            values["wrist_flex.pos"] -= 80.0
         return values
 
     def send_action(self, action: dict[str, float]) -> Mapping[str, float]:
@@ -154,7 +159,7 @@ def turn(driver: LerobotDriver, target: float = 1.2, seconds: float = 4.0) -> Jo
 def turning(driver: LerobotDriver, arm: SerialArm) -> float:
     """A long turn is under way; the time now [monotonic s]."""
     turn(driver)
-    wait_until(lambda: arm.position[0] > 0.15, 5.0, "the arm to turn")
+    wait_until(lambda: arm.position[0] > 0.15, 15.0, "the arm to turn")
     return time.monotonic()
 
 
@@ -178,7 +183,8 @@ def test_it_reads_the_joints_and_moves_them_where_it_is_sent(
     expected = [0.4, *HOME_RAD[1:4], -0.5, 0.6]
     wait_until(lambda: np.abs(arm.position - expected).max() < 0.01, 10.0)
     assert arm.motors.broken_rules == []
-    np.testing.assert_allclose(driver.read().joints.position, expected, atol=0.012)
+    # a step of the encoder is 1.5 mrad, and LeRobot cuts off what is less
+    wait_until(lambda: np.abs(driver.read().joints.position - expected).max() < 0.01, 5.0)
 
 
 def test_nothing_is_sent_before_the_first_command(driver: LerobotDriver, arm: SerialArm) -> None:
@@ -193,13 +199,13 @@ def test_a_hold_brakes_the_arm_and_keeps_the_grasp(driver: LerobotDriver, arm: S
             names=("shoulder_pan", "gripper"), position=np.array([1.2, 0.0]), duration_s=3.0
         )
     )
-    wait_until(lambda: arm.position[0] > 0.15, 5.0)
+    wait_until(lambda: arm.position[0] > 0.15, 15.0)
     begun_s = time.monotonic()
     driver.hold()
     wait_until(later(begun_s, 1.0))
     assert arm.rest_after_s(begun_s) < REST_S or arm.position[0] < 0.6
     assert arm.position[0] < 0.6
-    wait_until(lambda: arm.position[5] < 0.05, 5.0, "the gripper to go on closing")
+    wait_until(lambda: arm.position[5] < 0.05, 15.0, "the gripper to go on closing")
 
 
 @pytest.mark.parametrize(
@@ -242,14 +248,15 @@ def test_the_stamp_of_a_state_grows_old_with_a_silent_bus(
     assert driver.read().joints.stamp_ns == first
 
 
-def test_single_wild_readings_are_left_out(driver: LerobotDriver, arm: SerialArm) -> None:
+def test_single_wild_readings_are_left_out(
+    driver: LerobotDriver, follower: StandInFollower, arm: SerialArm
+) -> None:
     turning(driver, arm)
     for _ in range(3):
-        arm.motors.faults = BusFaults(wrong={"wrist_flex": -900})
+        follower.wild = 2
+        wait_until(lambda: follower.wild == 0, 5.0)
         begun_s = time.monotonic()
-        wait_until(later(begun_s, 0.02), poll_s=0.002)
-        arm.motors.faults = BusFaults()
-        wait_until(later(begun_s, 0.3))
+        wait_until(later(begun_s, 0.1))
     assert driver.read().detail["fault"] == ""
     assert np.abs(arm.position[3] - HOME_RAD[3]) < 0.02
 

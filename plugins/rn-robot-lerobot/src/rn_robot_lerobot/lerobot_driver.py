@@ -328,9 +328,12 @@ class LerobotDriver:
         if farthest is not None:
             reach = farthest * np.abs([unit.scale for unit in motors.units])
             goal = np.clip(setpoint.position, told - reach, told + reach)
-            if not np.array_equal(goal, setpoint.position):
+            is_clipped = goal != setpoint.position
+            if is_clipped.any():
                 self._clipped += 1
                 setpoint.position = goal
+                # braking begins with the speed that the arm has
+                setpoint.velocity = np.where(is_clipped, self._velocity, setpoint.velocity)
         return setpoint.position.copy()
 
     def _note_clipped(self, sent: F64) -> None:
