@@ -154,6 +154,17 @@ test-lerobot: $(VENV)/.develop .venv-lerobot/.ready ## exported data sets, opene
 	.venv-lerobot/bin/python -m pip install --quiet --disable-pip-version-check 'lerobot[dataset]==0.6.1'
 	@touch $@
 
+test-lerobot-robots: $(VENV)/.develop .venv-lerobot/.ready-robots ## lerobot's own commands with our robots, and our driver with lerobot's
+	$(BIN)/python -m pytest plugins/lerobot-robot-roboneuron/tests -m "slow or not slow" $(ARGS)
+
+LEROBOT_PACKAGES := roboneuron-core plugins/rn-simulation plugins/rn-robot-fr3 plugins/rn-robot-lerobot \
+  plugins/lerobot-robot-roboneuron
+
+.venv-lerobot/.ready-robots: .venv-lerobot/.ready $(addsuffix /pyproject.toml,$(LEROBOT_PACKAGES))
+	.venv-lerobot/bin/python -m pip install --quiet --disable-pip-version-check \
+	  'lerobot[dataset,hardware,feetech]==0.6.1' $(addprefix --editable ,$(LEROBOT_PACKAGES))
+	@touch $@
+
 # Checkouts of https://github.com/Physical-Intelligence/openpi (15a9616 made the numbers that are here) and
 # https://github.com/huggingface/lerobot (7427f31).
 OPENPI ?= ../openpi
@@ -245,6 +256,7 @@ check: $(VENV)/.develop ## lint, format and types
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy $(SOURCES)
+	$(BIN)/mypy --allow-subclassing-any plugins/lerobot-robot-roboneuron/src
 	MYPYPATH=benchmarks:plugins/rn-view/tests $(BIN)/mypy --cache-dir .mypy_cache/benchmarks \
 	  --no-explicit-package-bases --allow-subclassing-any --no-warn-return-any benchmarks tools
 
