@@ -140,7 +140,7 @@ def test_it_goes_where_it_is_sent_and_breaks_no_rule_of_the_motors(cell: Cell) -
 @pytest.mark.slow
 def test_lost_and_late_packets_do_not_keep_it_from_arriving(cell: Cell) -> None:
     cell.start()
-    cell.arm.motors.faults = BusFaults(lost_share=0.05, answer_delay_s=0.002)
+    cell.arm.motors.faults = BusFaults(lost_share=0.02, answer_delay_s=0.002)
     cell.move(shoulder_pan=0.5)
     wait_until(lambda: abs(cell.arm.position[0] - 0.5) < 0.01, 5.0)
     assert cell.arm.motors.broken_rules == []
