@@ -45,8 +45,9 @@ def main() -> int:
         while True:
             phase = 2.0 * math.pi * (time.monotonic() - begun_s) / PERIOD_S
             positions = dict(start)
-            for joint, sway in zip(profile.arm_joints, SWAY_RAD, strict=False):
-                positions[joint] += sway * math.sin(phase)
+            for arm in profile.each_arm:
+                for joint, sway in zip(arm.joints, SWAY_RAD, strict=False):
+                    positions[joint] += sway * math.sin(phase)
             for gripper in profile.grippers:
                 opening = 0.7 + 0.3 * math.cos(phase)
                 positions[gripper.joint] = gripper.to_position(opening)

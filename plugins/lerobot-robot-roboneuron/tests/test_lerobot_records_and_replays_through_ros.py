@@ -96,29 +96,32 @@ def test_what_was_recorded_is_opened_and_moves_the_arm_the_same_way(
 
 @pytest.mark.ros
 @pytest.mark.slow
-@pytest.mark.timeout(240)
-def test_the_simulated_fr3_is_teleoperated(lerobot: Lerobot, tmp_path: Path) -> None:
+@pytest.mark.timeout(400)
+@pytest.mark.parametrize(("robot", "prefix"), [("fr3", ""), ("fr3-pair", "right_")])
+def test_simulated_fr3s_are_teleoperated(
+    lerobot: Lerobot, tmp_path: Path, robot: str, prefix: str
+) -> None:
     config = tmp_path / "fr3.toml"
     config.write_text(
-        '[robot]\nname = "fr3"\n[perception]\nsource = "fr3-sim-camera"\n'
+        f'[robot]\nname = "{robot}"\n[perception]\nsource = "{robot}-sim-camera"\n'
         '[control]\ncontroller = "urdf"\n',
         encoding="utf-8",
     )
-    joints = tuple(f"fr3_joint{i}" for i in range(1, 8))
-    watch = Watch("fr3", joints)
+    joints = tuple(f"{prefix}fr3_joint{i}" for i in range(1, 8))
+    watch = Watch(robot.replace("-", "_"), joints)
     try:
-        lerobot.lead("fr3")
+        lerobot.lead(robot)
         teleoperating = lerobot.start(
             "lerobot-teleoperate",
             "--robot.type=roboneuron",
-            "--robot.robot=fr3",
+            f"--robot.robot={robot}",
             serve(config),
             "--teleop.type=roboneuron",
-            "--teleop.robot=fr3",
+            f"--teleop.robot={robot}",
             "--fps=30",
             "--teleop_time_s=6",
         )
-        assert teleoperating.wait(180) == 0, lerobot.last_line(teleoperating)
+        assert teleoperating.wait(300) == 0, lerobot.last_line(teleoperating)
         moved = np.ptp(watch.since(0.0), axis=0)
     finally:
         watch.close()

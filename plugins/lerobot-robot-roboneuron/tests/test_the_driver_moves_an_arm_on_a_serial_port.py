@@ -7,6 +7,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack
@@ -90,16 +91,17 @@ class Cell:
 
     def move_in_background(self) -> None:
         """A long turn; the call ends with the fault that is to come."""
-        import threading
+        ended: list[NotReadyError] = []
 
         def call() -> None:
             try:
                 self.move(6.0, shoulder_pan=1.2)
-            except NotReadyError:
-                return
+            except NotReadyError as error:
+                ended.append(error)
 
         threading.Thread(target=call, daemon=True).start()
-        wait_until(lambda: self.arm.position[0] > 0.15, 30.0, "the arm to turn")
+        wait_until(lambda: self.arm.position[0] > 0.15 or ended, 60.0, "the arm to turn")
+        assert not ended, ended[0]
 
 
 @pytest.fixture
@@ -183,7 +185,7 @@ def test_an_emergency_stop_and_a_killed_driver_leave_an_arm_at_rest(cell: Cell) 
     os.kill(int(str(cell.robot()["pid"])), signal.SIGKILL)
     wait_until(lambda: time.monotonic() > begun_s + 2.0)
     killed_s = cell.arm.rest_after_s(begun_s)
-    cell.start()
+    cell.server.call("start_robot")
     cell.move(shoulder_pan=0.0)
     cell.move_in_background()
     begun_s = time.monotonic()

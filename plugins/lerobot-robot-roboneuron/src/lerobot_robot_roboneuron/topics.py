@@ -274,12 +274,13 @@ class RobotTopics:
         return " and ".join(absent)
 
     def _what_there_is(self) -> str:
-        found = self._link.node.get_topic_names_and_types()
+        node = self._link.node
         start, end = f"{self._prefix}/camera/", "/image"
         cameras = [
             name.removeprefix(start).removesuffix(end)
-            for name, types in found
-            if name.startswith(start) and name.endswith(end) and "sensor_msgs/msg/Image" in types
+            for name, _ in node.get_topic_names_and_types()
+            # a topic that only this process listens to is none that is sent
+            if name.startswith(start) and name.endswith(end) and node.count_publishers(name)
         ]
         return (
             f"Under {self._prefix} there are the cameras {', '.join(cameras) or '(none)'}; start "
