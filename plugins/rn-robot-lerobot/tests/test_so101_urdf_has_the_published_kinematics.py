@@ -4,12 +4,15 @@ table.
 
 from __future__ import annotations
 
+import time
 import xml.etree.ElementTree as ET
 
 import numpy as np
 import pinocchio as pin
+import pytest
 from numpy.typing import NDArray
 
+from rn_controller_urdf.controller import UrdfController
 from rn_robot_lerobot.arm import (
     ARM_JOINTS,
     EFFORT_NM,
@@ -22,6 +25,7 @@ from rn_robot_lerobot.arm import (
     VELOCITY_RAD_S,
 )
 from rn_robot_lerobot.profile import profile
+from roboneuron import JointSample
 
 F64 = NDArray[np.float64]
 
@@ -99,3 +103,13 @@ def test_every_link_has_a_positive_definite_inertia() -> None:
     for name, inertia in list(zip(model.names, model.inertias, strict=True))[1:]:
         assert inertia.mass > 0, name
         assert np.linalg.eigvalsh(inertia.inertia).min() > 0, name
+
+
+@pytest.mark.parametrize("jaw_rad", [JAW_CLOSED_RAD, 0.13, JAW_OPEN_RAD])
+def test_no_opening_of_the_jaws_counts_as_a_collision(jaw_rad: float) -> None:
+    controller = UrdfController(None, profile())
+    controller.load()
+    posture = JointSample(
+        names=JOINTS, position=np.array([*HOME_RAD, jaw_rad]), stamp_ns=time.time_ns()
+    )
+    assert controller.inspect(posture).near == ()

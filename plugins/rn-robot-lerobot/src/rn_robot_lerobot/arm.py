@@ -21,7 +21,7 @@ GRIPPER_JOINT = "gripper"
 """The moving jaw, which turns."""
 JOINTS = (*ARM_JOINTS, GRIPPER_JOINT)
 """Every joint, in the order of all joint arrays of this package and of the motors' numbers 1..6."""
-JAW_LINKS = ("so101_fixed_jaw", "so101_moving_jaw")
+JAW_LINKS = ("so101_gripper", "so101_moving_jaw")
 
 LOWER_RAD = (-1.91986, -1.74533, -1.69, -1.65806, -2.74385)
 UPPER_RAD = (1.91986, 1.74533, 1.69, 1.65806, 2.84121)
