@@ -22,6 +22,7 @@ LEROBOT_PYTHON ?= python3.12
 
 DEMO_PACKAGES := $(shell sed -n 's|^\./||p' requirements.txt)
 FLEET_PACKAGES := plugins/rn-robot-bases
+SO101_PACKAGES := plugins/rn-robot-lerobot
 LEARNED_PACKAGES := plugins/rn-vla plugins/rn-runtime-torch plugins/rn-backend-oft plugins/rn-policy-cubes
 ALL_PACKAGES := roboneuron-core $(sort $(wildcard plugins/rn-*)) .
 # It compiles ROS 2 types and needs a C++ compiler; without one the rest works, and its tests are skipped.
@@ -40,7 +41,7 @@ PROJECTS := $(addsuffix /pyproject.toml,$(ALL_PACKAGES)) constraints.txt require
 .PHONY: $(shell sed -nE 's/^([a-z0-9-]+):.*\#\#.*/\1/p' Makefile)
 
 help: ## show this list
-	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
+	@grep -hE '^[a-z0-9-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
 
 # The learned policy needs PyTorch, which the demo otherwise does without.
 demo: $(if $(findstring learned,$(ARGS)),$(VENV)/.demo-learned,$(VENV)/.demo) ## an agent picks up a cube with a simulated FR3
@@ -175,6 +176,16 @@ LEROBOT_POLICIES := roboneuron-core $(addprefix plugins/,rn-standard rn-simulati
 	.venv-lerobot-policies/bin/python -m pip install --quiet --disable-pip-version-check \
 	  --constraint .venv-lerobot-policies/ros-constraints.txt 'lerobot[dataset,diffusion,smolvla,pi]==0.6.1' \
 	  $(addprefix --editable ,$(LEROBOT_POLICIES)) hypothesis pytest pytest-timeout pytest-xdist
+
+test-lerobot-robots: $(VENV)/.develop .venv-lerobot/.ready-robots ## lerobot's own commands with our robots, and our driver with lerobot's
+	$(BIN)/python -m pytest plugins/lerobot-robot-roboneuron/tests -m "slow or not slow" $(ARGS)
+
+LEROBOT_PACKAGES := roboneuron-core plugins/rn-simulation plugins/rn-robot-fr3 plugins/rn-robot-lerobot \
+  plugins/lerobot-robot-roboneuron
+
+.venv-lerobot/.ready-robots: .venv-lerobot/.ready $(addsuffix /pyproject.toml,$(LEROBOT_PACKAGES))
+	.venv-lerobot/bin/python -m pip install --quiet --disable-pip-version-check \
+	  'lerobot[dataset,hardware,feetech]==0.6.1' $(addprefix --editable ,$(LEROBOT_PACKAGES))
 	@touch $@
 
 # Checkouts of https://github.com/Physical-Intelligence/openpi (15a9616 made the numbers that are here) and
@@ -228,6 +239,9 @@ demo-bases: $(VENV)/.demo-bases ## an MCP client drives three mobile bases at th
 demo-fleet: $(VENV)/.demo-fleet ## one MCP client, two FR3s and a base: both arms pick up a cube while the base drives
 	@$(BIN)/python examples/demo_fleet.py $(ARGS)
 
+demo-so101: $(VENV)/.demo-so101 ## a simulated SO-101 picks up a cube, the simulator judges
+	@$(BIN)/python examples/demo_so101.py $(ARGS)
+
 demo-pair: $(VENV)/.demo ## two FR3s at one table: the left one hands a cube to the right one
 	@$(BIN)/python examples/demo_pair.py $(ARGS)
 
@@ -270,6 +284,7 @@ check: $(VENV)/.develop ## lint, format and types
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy $(SOURCES)
+	$(BIN)/mypy --allow-subclassing-any plugins/lerobot-robot-roboneuron/src
 	MYPYPATH=benchmarks:plugins/rn-view/tests $(BIN)/mypy --cache-dir .mypy_cache/benchmarks \
 	  --no-explicit-package-bases --allow-subclassing-any --no-warn-return-any benchmarks tools
 
@@ -349,6 +364,10 @@ $(VENV)/.demo-fleet: $(VENV)/.demo
 	$(call install,bases,--constraint constraints.txt $(addprefix --editable ,$(FLEET_PACKAGES)))
 	@touch $@
 
+$(VENV)/.demo-so101: $(VENV)/.demo
+	$(call install,SO-101,--constraint constraints.txt $(addprefix --editable ,$(SO101_PACKAGES)))
+	@touch $@
+
 $(VENV)/.docs: constraints.txt | $(BIN)/python
 	$(PIP) --constraint constraints.txt mkdocs-material 'mkdocstrings[python]'
 	@touch $@
@@ -363,7 +382,7 @@ $(VENV)/.develop: $(PROJECTS) | $(BIN)/python
 	$(call install,tools for tests and checks,--constraint constraints.txt \
 	  pytest pytest-timeout pytest-xdist pytest-rerunfailures hypothesis ruff mypy types-psutil jsonschema types-jsonschema psutil build hatchling editables \
 	  ros-jazzy-test-msgs transformers mujoco franky-control 'pylibfranka; python_version < "3.13"' ruckig playwright rosbags)
-	@touch $@ $(VENV)/.demo $(VENV)/.demo-fr3 $(VENV)/.demo-learned $(VENV)/.demo-bases $(VENV)/.demo-fleet
+	@touch $@ $(VENV)/.demo $(VENV)/.demo-fr3 $(VENV)/.demo-learned $(VENV)/.demo-bases $(VENV)/.demo-fleet $(VENV)/.demo-so101
 
 $(VENV)/.mutations: $(VENV)/.develop
 	$(call install,mutation tests,--constraint constraints.txt mutmut)

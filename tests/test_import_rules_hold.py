@@ -62,6 +62,10 @@ SENDING = (
 """What could send a message past the gate."""
 CONTRACT_LIBRARIES = {"numpy"}
 PLUGIN_LIBRARIES = {"pluggy", "pydantic"}
+PROGRAMS = ("lerobot_robot_roboneuron", "lerobot_teleoperator_roboneuron")
+"""Packages that run in a program that a person starts, as commands do: they join the graph
+themselves, and what they send passes control's limits and stops.
+"""
 STANDARD = PLUGINS / "rn-standard" / "src" / "rn_standard"
 """Packages of its own, each a plugin, in one distribution."""
 COMMANDS_APART = {"doctor": "ops", "limits": "tools_arm"}
@@ -211,7 +215,7 @@ def _private_imports(packages: Iterable[Path]) -> Iterator[str]:
     offers = _offers(packages)
     lists = lists_for(
         features="FeatureSpec" in offers,
-        commands="CommandSpec" in offers,
+        commands="CommandSpec" in offers or {path.name for path in packages} <= {*PROGRAMS},
         is_kit=PLUGINS / KIT in next(iter(packages)).parents,
     )
     for path in sorted(path for package in packages for path in package.rglob("*.py")):

@@ -16,8 +16,8 @@ MOST_BYTES = 44_600
 """Of the default configuration with the packages that `[standard]` (recorder and view with it) and
 a robot bring.
 """
-OPTIONAL = ("rn-eval-libero", "rn-backend-shared")
-"""Packages with tools or backends of their own that are installed beside the standard ones."""
+OPTIONAL = ("rn-eval-libero", "rn-backend-shared", "rn-robot-lerobot")
+"""Packages with tools, backends or robots of their own, installed beside the standard ones."""
 
 
 def test_the_list_of_tools_is_at_most_40_kb() -> None:

@@ -15,8 +15,8 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from rn_eval.arm import DeployedArm
 from rn_eval.suite import Episode, Judgement, Setup
 from rn_robot_fr3.cell import FR3, Cell
-from rn_robot_fr3.scene import DEFAULT_COLOURS, RGBA_BY_COLOUR
 from rn_robot_fr3.simulation import STEP_S, ArmSimulation
+from rn_simulation.cubes import DEFAULT_COLOURS, RGBA_BY_COLOUR
 from roboneuron import (
     ArmState,
     Frame,

@@ -10,19 +10,17 @@ from numpy.typing import NDArray
 
 from rn_robot_fr3.cell import FR3, Cell
 from rn_robot_fr3.description import TCP_LINK, cell_urdf
-from rn_robot_fr3.raycast import render
 from rn_robot_fr3.scene import (
     CUBE_FRICTION,
     FINGER_FRICTION,
-    RGBA_BY_COLOUR,
     TABLE_FRICTION,
     TABLE_RGBA,
     WOOD_KG_M3,
-    Cube,
-    RawPose,
 )
+from rn_simulation.cubes import RGBA_BY_COLOUR, Cube, RawPose
 from rn_simulation.engine import Engine
 from rn_simulation.mujoco_scene import VISUAL_GROUP, read_urdf
+from rn_simulation.raycast import render
 from roboneuron import CameraCalibration, ConfigurationError
 
 F64 = NDArray[np.float64]

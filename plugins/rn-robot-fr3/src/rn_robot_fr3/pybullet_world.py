@@ -18,13 +18,11 @@ from rn_robot_fr3.renderer import render
 from rn_robot_fr3.scene import (
     CUBE_FRICTION,
     FINGER_FRICTION,
-    RGBA_BY_COLOUR,
     TABLE_FRICTION,
     TABLE_RGBA,
     WOOD_KG_M3,
-    Cube,
-    RawPose,
 )
+from rn_simulation.cubes import RGBA_BY_COLOUR, Cube, RawPose
 from rn_simulation.engine import Engine
 from roboneuron import CameraCalibration, ConfigurationError, matrix_from_quaternion
 

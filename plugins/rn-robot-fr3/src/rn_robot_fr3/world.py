@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rn_robot_fr3.cell import FR3, Cell
-from rn_robot_fr3.scene import Cube, RawPose
+from rn_simulation.cubes import Cube, RawPose
 from rn_simulation.engine import Engine
 from roboneuron import CameraCalibration
 

@@ -27,12 +27,12 @@ from rn_robot_fr3.fci.counterpart import Counterpart
 from rn_robot_fr3.profile import HOME_RAD
 from rn_robot_fr3.scene import (
     CUBE_FRICTION,
-    DEFAULT_COLOURS,
     FINGER_FRICTION,
     TABLE_FRICTION,
     WOOD_KG_M3,
     random_cubes,
 )
+from rn_simulation.cubes import DEFAULT_COLOURS
 
 PORT, GRIPPER_PORT, SCENE_PORT = 1337, 1338, 1339
 

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from rn_robot_fr3.light import AMBIENT, DIFFUSE, LIGHT_DIRECTION, backdrop
+from rn_simulation.light import AMBIENT, DIFFUSE, LIGHT_DIRECTION, backdrop
 from rn_simulation.mujoco_scene import cast_rays
 from roboneuron import CameraCalibration
 

@@ -8,11 +8,10 @@ from collections.abc import Collection
 
 import numpy as np
 
-from rn_robot_fr3.cell import MOVED
 from roboneuron import InvalidInputError, JointCommand
 
 
-def checked(command: JointCommand, known: Collection[str] = MOVED) -> dict[str, float]:
+def checked(command: JointCommand, known: Collection[str]) -> dict[str, float]:
     """Positions by joint, of those that are known.
 
     Raises:

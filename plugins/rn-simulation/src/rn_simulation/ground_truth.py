@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rn_robot_fr3.scene import Cube, RawPose
+from rn_simulation.cubes import Cube, RawPose
 
 F64 = NDArray[np.float64]
 
@@ -32,8 +32,8 @@ class CubeState:
         position_m: float64 (3,), centre in the base frame.
         quaternion_xyzw: float64 (4,).
         lifted_m: height of the centre above its height at rest on the table.
-        held_s: simulated seconds for which `lifted_m` has been at least `LIFTED_M` without a break;
-            0 when it is not.
+        held_s: simulated seconds for which `lifted_m` has been enough without a break; 0 when it is
+            not.
         holders: names of the arms that hold it; in a cell of one arm that has no name.
         handed_over_s: simulated seconds for which it has been held alone by another arm than the
             one that had lifted it, without a break and without having been put down; 0 when it is
@@ -53,7 +53,15 @@ class CubeState:
 class LiftClock:
     """Measures how long each cube has been lifted, by which arm, and by which one after it."""
 
-    def __init__(self, scene: Sequence[Cube], arms: Sequence[str] = ("",)) -> None:
+    def __init__(
+        self, scene: Sequence[Cube], arms: Sequence[str] = ("",), lifted_m: float = LIFTED_M
+    ) -> None:
+        """Args:
+        scene: the cubes.
+        arms: names of what may hold them.
+        lifted_m: height from which on one counts as lifted.
+        """
+        self._threshold_m = lifted_m
         self._edge_m = {cube.name: cube.edge_m for cube in scene}
         self._arms = tuple(arms)
         self._lifted_since_s: dict[str, float] = {}
@@ -73,7 +81,7 @@ class LiftClock:
         """
         self._now_s = now_s
         for name, pose in poses.items():
-            if self._lifted_m(name, pose) >= LIFTED_M:
+            if self._lifted_m(name, pose) >= self._threshold_m:
                 self._lifted_since_s.setdefault(name, now_s)
                 self._note_holders(name, now_s, [math.dist(tcp, pose[0]) for tcp in tcps_m])
             else:
