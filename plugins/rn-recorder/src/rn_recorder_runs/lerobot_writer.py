@@ -32,9 +32,9 @@ def read_row(stream: BinaryIO, features: dict[str, dict[str, Any]]) -> dict[str,
 def main(stream: BinaryIO) -> None:
     """Write what comes on the stream."""
     try:
-        import lerobot  # type: ignore[import-not-found]
-        from lerobot.configs import RGBEncoderConfig  # type: ignore[import-not-found]
-        from lerobot.datasets.lerobot_dataset import (  # type: ignore[import-not-found]
+        import lerobot
+        from lerobot.configs import RGBEncoderConfig
+        from lerobot.datasets.lerobot_dataset import (
             LeRobotDataset,
         )
     except ImportError as error:
