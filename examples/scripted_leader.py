@@ -13,7 +13,7 @@ import math
 import sys
 import time
 
-from roboneuron.feature import RosLink, discover, environment, load_profile, qos
+from roboneuron.command import RosLink, discover, environment, load_profile, qos
 
 PERIOD_S, STEP_S = 4.0, 1.0 / 50.0
 SWAY_RAD = (0.25, 0.08, -0.08, 0.0, 0.3, 0.1, 0.2)

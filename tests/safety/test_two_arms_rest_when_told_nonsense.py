@@ -19,11 +19,10 @@ from control_loop import Clock, _Host
 
 from rn_robot_fr3.cell import PAIR
 from rn_robot_fr3.profile import HOME_RAD, pair_profile
-from roboneuron.config import parse_config
+from roboneuron.config import ModuleSettings, parse_config
 from roboneuron.contract import EE_DELTA, ControlSpace, JointSample, robot_space
 from roboneuron.modules import control as control_module
 from roboneuron.modules.control import ControlModule
-from roboneuron.modules.settings import ModuleSettings
 from roboneuron.ros.messages import to_action_message, to_joint_state
 
 F64 = NDArray[np.float64]

@@ -15,7 +15,7 @@ sys.path.append(str(Path(__file__).parent))  # for lerobot_lane
 
 from lerobot_lane import CONFIG, JOINTS, ROOT, Lerobot, Served, Watch
 
-from roboneuron.feature import environment
+from roboneuron.command import environment
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

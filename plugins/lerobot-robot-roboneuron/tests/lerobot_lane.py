@@ -18,7 +18,7 @@ from sensor_msgs.msg import JointState
 from rn_standard.console.client import spawned_server
 from rn_standard.demo.agent import Agent
 from rn_testing.waiting import wait_until
-from roboneuron.feature import RosLink, qos
+from roboneuron.command import RosLink, qos
 
 ROOT = Path(__file__).parents[3]
 BIN = ROOT / ".venv-lerobot" / "bin"

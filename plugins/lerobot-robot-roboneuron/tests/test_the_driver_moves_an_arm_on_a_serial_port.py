@@ -26,7 +26,7 @@ from rn_robot_lerobot.bus.reference import ENCODER_ZEROS, reference_calibration
 from rn_robot_lerobot.calibration import MotorCalibration
 from rn_testing.waiting import wait_until
 from roboneuron import NotReadyError
-from roboneuron.feature import environment
+from roboneuron.command import environment
 
 REST_S = 0.5
 """From a fault to an arm at rest: the silence that is a fault, and the way that a motor still has

@@ -12,14 +12,31 @@ from roboneuron import (
     EE_DELTA,
     GRIPPER,
     ActionChunk,
+    ArmProfile,
     Channel,
     ConfigurationError,
     ControlSpace,
+    GripperProfile,
     RobotProfile,
 )
 
-ROBOT = RobotProfile(name="pair")
 JOINTS = [f"{arm}{i}" for arm in ("left", "right") for i in range(6)]
+ROBOT = RobotProfile(
+    name="pair",
+    base_link="table",
+    tcp_link="left_tcp",
+    arm_joints=tuple(JOINTS),
+    arms=tuple(
+        ArmProfile(
+            name=arm,
+            joints=tuple(name for name in JOINTS if name.startswith(arm)),
+            base_link=f"{arm}_base",
+            tcp_link=f"{arm}_tcp",
+            gripper=GripperProfile(joint=f"{arm}_finger", closed_position=0.0, open_position=0.08),
+        )
+        for arm in ("left", "right")
+    ),
+)
 
 
 def sent(chunk: ActionChunk) -> ActionChunk:

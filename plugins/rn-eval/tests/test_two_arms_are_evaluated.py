@@ -14,7 +14,7 @@ from rn_eval.hand_over import HandOver, HandOverOptions, HandOverScene
 from rn_eval.plan import EvalPlan
 from rn_eval.policy import AgreedPolicy
 from rn_eval.runner import Runner
-from rn_robot_fr3.ground_truth import CubeState
+from rn_simulation.ground_truth import CubeState
 from roboneuron import ActionChunk, InvalidInputError
 from roboneuron.config import load_config
 

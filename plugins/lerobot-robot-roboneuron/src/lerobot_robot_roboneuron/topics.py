@@ -30,7 +30,7 @@ from roboneuron import (
     UnsafeError,
     frame_from_buffer,
 )
-from roboneuron.feature import Report, RosLink, messages, qos, settings, topics
+from roboneuron.command import Report, RosLink, messages, qos, settings, topics
 
 F64 = NDArray[np.float64]
 

@@ -13,10 +13,10 @@ from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnected
 from lerobot_teleoperator_roboneuron.config_roboneuron_teleop import RoboNeuronTeleopConfig
 from rn_robot_lerobot.units import motors_of
 from roboneuron import InvalidInputError, NotReadyError, RobotProfile
-from roboneuron.feature import discover, environment, load_profile
+from roboneuron.command import discover, environment, load_profile
 
 if TYPE_CHECKING:
-    from roboneuron.feature import RosLink
+    from roboneuron.command import RosLink
 
 
 class RoboNeuronTeleop(Teleoperator):
@@ -70,7 +70,7 @@ class RoboNeuronTeleop(Teleoperator):
         environment.prepare_environment()
         from sensor_msgs.msg import JointState  # heavy: needs the environment
 
-        from roboneuron.feature import RosLink, qos  # likewise
+        from roboneuron.command import RosLink, qos  # likewise
 
         link = RosLink("lerobot_teleoperator")
         link.open()
@@ -116,7 +116,7 @@ class RoboNeuronTeleop(Teleoperator):
         return time.monotonic() - self._at_s if self._at_s else float("inf")
 
     def _take(self, message: Any) -> None:
-        from roboneuron.feature import messages  # heavy: needs the environment
+        from roboneuron.command import messages  # heavy: needs the environment
 
         problem, positions = "", dict[str, float]()
         try:

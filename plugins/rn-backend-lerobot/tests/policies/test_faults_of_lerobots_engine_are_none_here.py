@@ -16,8 +16,8 @@ from rn_backend_lerobot.backend import LeRobotBackend
 from rn_backend_lerobot.exchange import Answer
 from rn_backend_lerobot.plugin import BACKEND
 from rn_standard.execution.feature import make_executor
+from rn_standard.inference import execution
 from roboneuron import Ahead
-from roboneuron.feature import execution
 
 HORIZON, LEFT = 10, 3
 """Rows that are guided, and rows that are left to be played."""

@@ -15,7 +15,7 @@ from roboneuron import (
     ControlSpace,
     RobotProfile,
 )
-from roboneuron.feature import discover, loading
+from roboneuron.command import discover, loading
 
 
 def shared_space(options: Mapping[str, object], profile: RobotProfile) -> ControlSpace:

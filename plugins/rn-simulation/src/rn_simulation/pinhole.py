@@ -70,6 +70,5 @@ class PinholeCamera:
             frame_id=self.frame_id,
             width=width,
             height=height,
-            # backends know where the first arm's hand is
-            calibration=self.calibration(width, height) if self.mount in ("base", "tcp") else None,
+            calibration=self.calibration(width, height),
         )
