@@ -207,7 +207,7 @@ def test_it_replaces_a_policy_of_tcp_deltas_while_the_arm_moves(tmp_path: Path) 
             control = next(
                 one for one in (await do("get_status"))["modules"] if one["module"] == "control"
             )
-            assert control["dropped"] == 0
+            assert control["dropped"] == 0, control
             await do("stop_all")
 
     config = CONFIG.format(engine="auto").replace('"joint-path"', '"sway"')
