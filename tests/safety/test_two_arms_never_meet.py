@@ -211,7 +211,9 @@ def _hostile_row(
     return row
 
 
-@pytest.mark.parametrize("rows", [COMMANDS, pytest.param(2_000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "rows", [COMMANDS, pytest.param(10_000, marks=[pytest.mark.slow, pytest.mark.timeout(600)])]
+)
 @pytest.mark.parametrize("reaction", ["scale", "hold"])
 @pytest.mark.parametrize("kind", KINDS)
 def test_hostile_rows_for_both_arms_stay_within_every_limit(
