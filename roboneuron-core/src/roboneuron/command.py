@@ -21,7 +21,6 @@ GROUPS: Mapping[str, frozenset[str]] = {
         "messages": "intrinsics_from_camera_info joints_from_message to_image to_ns",
         "qos": "NEWEST STATUS requested_qos",
         "reading": "default_text read_state_directory robot_folder",
-        "roles": "ADMIN",
         "settings": "EMERGENCY_STOP_TOPIC FIRST_STEP_S HOLD_DURATION_S HOLD_SHARE SHORTEST_STEP_S",
         "terminal": "add_verbosity log_level",
         "topics": "ACTION DIAGNOSTICS JOINT_STATES",

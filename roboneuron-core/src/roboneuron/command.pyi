@@ -16,9 +16,6 @@ from .cli import (
 from .config import (
     reading as reading,
 )
-from .gate import (
-    roles as roles,
-)
 from .modules import (
     settings as settings,
 )
@@ -50,6 +47,9 @@ from .config.reading import (
 )
 from .errors import (
     nearest as nearest,
+)
+from .gate.roles import (
+    Role as Role,
 )
 from .gate.audit import (
     AUDIT_FILE as AUDIT_FILE,

@@ -15,7 +15,7 @@ __getattr__, __dir__, __all__ = attach(__name__, __file__)
 GROUPS: Mapping[str, frozenset[str]] = {
     name: frozenset(names.split())
     for name, names in {
-        "access": "Holder check_role may_call",
+        "access": "Holder",
         "emergency": "press_on_signal",
         "envelope": "EnvelopeError check_id is_urgent",
         "estop": "EmergencyStopLatch",
@@ -27,7 +27,6 @@ GROUPS: Mapping[str, frozenset[str]] = {
         "models": "InferenceConfig LimitsConfig Name Namespace Seconds ZoneConfig",
         "qos": "STATUS requested_qos",
         "reading": "parse_tables robot_folder",
-        "roles": "ADMIN OPERATOR ROLES VIEWER has_role",
         "schema": "no_choice parse unknown_name",
         "settings": "EMERGENCY_STOP_TOPIC MAX_INSTRUCTION_LENGTH",
         "task_space": "TaskSpace",

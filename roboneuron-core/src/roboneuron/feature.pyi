@@ -17,9 +17,6 @@ from .config import (
 from .estop import (
     emergency as emergency,
 )
-from .gate import (
-    roles as roles,
-)
 from .gate.motion import (
     joint_space as joint_space,
     task_space as task_space,
@@ -68,6 +65,9 @@ from .errors import (
 )
 from .estop.motion_starts import (
     MotionStarts as MotionStarts,
+)
+from .gate.roles import (
+    Role as Role,
 )
 from .gate.audit import (
     AuditLog as AuditLog,

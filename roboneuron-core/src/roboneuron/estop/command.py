@@ -18,7 +18,7 @@ from roboneuron.errors import ConfigurationError, RefusedError, RoboNeuronError
 from roboneuron.estop.latch import EmergencyStopLatch
 from roboneuron.estop.pin import ReleasePin
 from roboneuron.gate.audit import AUDIT_FILE, AuditLog, AuditRecord
-from roboneuron.gate.roles import ADMIN
+from roboneuron.gate.roles import Role
 from roboneuron.ros.environment import state_directory
 
 _AGAIN_S = 0.1
@@ -154,7 +154,7 @@ def _reset(latch: EmergencyStopLatch, audit: AuditLog, who: str) -> int:
         print("It stays latched.")
         return 1
     pin = getpass.getpass("PIN: ") if ReleasePin(latch.path.parent).is_set else ""
-    latch.reset(who=who, role=ADMIN, audit=audit, pin=pin)
+    latch.reset(who=who, role=Role.ADMIN, audit=audit, pin=pin)
     time.sleep(_AGAIN_S)  # who presses it meanwhile does so within one look at the file
     if latch.is_latched():
         print(

@@ -15,8 +15,7 @@ from typing import Any
 from mcp import types
 
 from roboneuron.errors import InternalError, InvalidInputError, NotReadyError, RoboNeuronError
-from roboneuron.gate.roles import ADMIN
-from roboneuron.server.access import check_role, may_call
+from roboneuron.gate.roles import Role
 from roboneuron.server.schema import listed_output, shortened
 from roboneuron.server.tool import Answer, CallContext, Tool, UnfinishedCallError
 
@@ -122,13 +121,13 @@ class ToolRegistry:
                 return entries[name].tool
         return None
 
-    def listing(self, role: str = ADMIN) -> list[types.Tool]:
+    def listing(self, role: str = Role.ADMIN) -> list[types.Tool]:
         """What `tools/list` answers to clients of a role: what they may call."""
         return [
             entry.shown()
             for entries in self._owned.values()
             for entry in entries.values()
-            if entry.tool.listed and entry.tool.offered() and may_call(role, entry.tool)
+            if entry.tool.listed and entry.tool.offered() and entry.tool.least_role.is_held_by(role)
         ]
 
     def get(self, name: str) -> Tool[Any] | None:
@@ -176,7 +175,7 @@ class ToolRegistry:
                 raise InvalidInputError(
                     f"There is no tool {shortened(name)}.", hint="See tools/list.", path="tool"
                 )
-            check_role(tool, context)
+            tool.check_caller(context)
             if tool.urgent is not None:
                 tool.urgent(arguments, context)
             if self._ready is not None:

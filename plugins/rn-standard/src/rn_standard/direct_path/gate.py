@@ -32,7 +32,6 @@ from roboneuron.feature import (
     Verdict,
     estop,
     joint_space,
-    roles,
 )
 
 _Key = tuple[str, str]
@@ -180,9 +179,9 @@ class Gate:
         endpoint = entry.endpoint
         yield "role"
         least = ROLE_BY_KIND[endpoint.kind]
-        if not roles.has_role(request.role, least):
+        if not least.is_held_by(request.role):
             text = (
-                f"{endpoint.name!r} needs the role {least!r}, {request.who[:60]!r} has "
+                f"{endpoint.name!r} needs the role '{least}', {request.who[:60]!r} has "
                 f"{request.role[:20]!r}."
             )
             raise RefusedError(text)

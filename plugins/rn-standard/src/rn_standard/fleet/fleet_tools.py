@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Protocol
 from pydantic import Field
 
 from roboneuron import CallContext, InvalidInputError, NoArguments, Result, Tool
-from roboneuron.feature import EmergencyStopArguments, EmergencyStopResult, assess, roles
+from roboneuron.feature import EmergencyStopArguments, EmergencyStopResult, Role, assess
 
 if TYPE_CHECKING:
     from roboneuron.feature import Application
@@ -118,7 +118,7 @@ def emergency_stop_tool(fleet: StoppedTogether) -> Tool[FleetStop]:
         destructive=True,
         idempotent=True,
         open_world=True,
-        role=roles.VIEWER,  # whoever sees a robot may stop it
+        role=Role.VIEWER,  # whoever sees a robot may stop it
         always=True,
         urgent=press,
     )

@@ -12,7 +12,7 @@ from mcp import types
 from rn_standard.fleet.schemas import merged_tool
 from rn_standard.fleet.search import CALL, CallRobotTool, search_tools
 from roboneuron import CallContext, InvalidInputError, RoboNeuronError, Tool
-from roboneuron.feature import Stage, ToolRegistry, failure, nearest, roles, schema
+from roboneuron.feature import Role, Stage, ToolRegistry, failure, nearest, schema
 
 if TYPE_CHECKING:
     from roboneuron.feature import Application
@@ -78,7 +78,7 @@ class FleetTools(ToolRegistry):
         self._robots = robots
         self._on_client = on_client
 
-    def listing(self, role: str = roles.ADMIN) -> list[types.Tool]:
+    def listing(self, role: str = Role.ADMIN) -> list[types.Tool]:
         """What `tools/list` answers to clients of a role; of several robots without what is seldom
         needed.
         """
