@@ -17,7 +17,7 @@ from roboneuron.config import read_state_directory, robot_folder
 from roboneuron.errors import ConfigurationError, RefusedError, RoboNeuronError
 from roboneuron.estop.latch import EmergencyStopLatch
 from roboneuron.estop.pin import ReleasePin
-from roboneuron.gate.audit import AUDIT_FILE, AuditLog, AuditRecord
+from roboneuron.gate.audit import AuditLog, AuditRecord
 from roboneuron.gate.roles import Role
 from roboneuron.ros.environment import state_directory
 
@@ -66,14 +66,14 @@ def run(arguments: Namespace) -> int:
     _check_robot(directory, arguments.robot)
     who = f"{getpass.getuser()} at the command line"
     if arguments.set_pin:
-        return _set_pin(ReleasePin(directory), AuditLog(directory / AUDIT_FILE, time.time_ns), who)
+        return _set_pin(ReleasePin(directory), AuditLog.in_directory(directory), who)
     done: set[Path] = set()
     status, failure = 0, None
     # again and again, because a server that starts meanwhile makes more folders
     while folders := _folders(directory, arguments.robot) - done:
         for folder in sorted(folders):
             latch = EmergencyStopLatch.in_directory(folder)
-            audit = AuditLog(folder / AUDIT_FILE, time.time_ns)
+            audit = AuditLog.in_directory(folder)
             if arguments.status:
                 status |= _show(latch)
             elif arguments.reset:

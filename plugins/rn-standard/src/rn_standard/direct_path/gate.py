@@ -267,9 +267,8 @@ def _legs(entry: AllowedEndpoint, request: GateRequest) -> list[Leg]:
             f"{entry.endpoint.type}."
         )
     durations_s = request.durations_s if len(request.durations_s) == len(commands) else ()
-    return check_joints(
-        joint_space.joint_limits(entry.profile, entry.rules), commands, request.joints, durations_s
-    )
+    limits = joint_space.JointLimit.by_joint(entry.profile, entry.rules)
+    return check_joints(limits, commands, request.joints, durations_s)
 
 
 @contextmanager

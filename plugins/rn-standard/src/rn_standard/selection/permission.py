@@ -15,8 +15,9 @@ from roboneuron import (
     PluginError,
     RefusedError,
     Spec,
+    nearest,
 )
-from roboneuron.feature import Config, Registry, Role, loading, nearest
+from roboneuron.feature import Config, Registry, Role, loading
 
 _ABSENT = object()
 
