@@ -18,5 +18,7 @@ class Role(StrEnum):
 
     def is_held_by(self, role: str) -> bool:
         """Whether a client with `role` has at least this one; an unknown role has no rights."""
-        ranked = [known.value for known in Role]
-        return role in ranked and ranked.index(role) >= ranked.index(self)
+        return _RANKS.get(role, -1) >= _RANKS[self]
+
+
+_RANKS: dict[str, int] = {role: rank for rank, role in enumerate(Role)}

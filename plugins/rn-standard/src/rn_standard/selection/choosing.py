@@ -51,8 +51,8 @@ def choose(
         config, request = _with_model(config, request, model)
     configured = _configured_names(kind, config)
     section = _section(kind, config, registry, request)
-    config = config.model_copy(update={kind: section})
-    plan, spec, names = KIND_ENTRIES[kind].plan(config, registry)
+    update = {kind: section}
+    plan, spec, names = KIND_ENTRIES[kind].plan(config.model_copy(update=update), registry)
     config = _merge(config, next(iter(names.values())), spec, getattr(request, "options", {}), role)
     if chosen_by_agent:
         of_backend = (
@@ -66,7 +66,7 @@ def choose(
     checkpoint = getattr(request, "checkpoint", None)
     if checkpoint is not None and plan.takes_checkpoint:
         check_may_load(config, checkpoint)
-    selection = Selection.of(kind, config, registry)
+    selection = Selection.of(kind, config.model_copy(update=update), registry)
     return (
         selection
         if model is None
