@@ -13,7 +13,7 @@ import math
 import sys
 import time
 
-from roboneuron.command import RosLink, discover, environment, load_profile, qos
+from roboneuron.command import RosLink, discover, environment, load_profile
 
 PERIOD_S, STEP_S = 4.0, 1.0 / 50.0
 SWAY_RAD = (0.25, 0.08, -0.08, 0.0, 0.3, 0.1, 0.2)
@@ -34,8 +34,8 @@ def main() -> int:
     namespace = chosen.namespace or chosen.robot.replace("-", "_")
     link, seen = RosLink("scripted_leader"), list[JointState]()
     link.open()
-    link.subscribe(JointState, f"/{namespace}/joint_states", seen.append, qos.NEWEST)
-    publish = link.advertise(JointState, chosen.topic, qos.NEWEST)
+    link.subscribe(JointState, f"/{namespace}/joint_states", seen.append)
+    publish = link.advertise(JointState, chosen.topic)
     while not seen:
         time.sleep(STEP_S)
     start = dict(zip(seen[-1].name, seen[-1].position, strict=True))

@@ -18,7 +18,6 @@ from fault_loop import moving_cell
 
 from rn_standard.selection.requests import StartChosenInference
 from rn_standard.switching.replacing import Switching
-from roboneuron.supervisor.health import assess
 
 sys.path.pop(0)
 _RECOVER_S = 20.0
@@ -30,7 +29,7 @@ def main(folder: Path, jumps_s: list[float]) -> None:
         switching = Switching(loop)
 
         def health() -> dict[str, str]:
-            return {view.kind: assess(view, time.monotonic()) for view in loop.modules.views()}
+            return {view.kind: view.health(time.monotonic()) for view in loop.modules.views()}
 
         def settled() -> bool:
             return witness.moves() and set(health().values()) == {"ok"}

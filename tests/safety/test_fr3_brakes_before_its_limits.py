@@ -18,8 +18,7 @@ from roboneuron.config import LimitsConfig
 from roboneuron.contract import JointCommand, JointSample, PostureInspector
 from roboneuron.errors import RefusedError
 from roboneuron.gate.motion import MotionLimiter, motion_rules
-from roboneuron.gate.motion.joint_space import braking_velocity
-from roboneuron.gate.motion.joint_space import joint_limits as gate_limits
+from roboneuron.gate.motion.joint_space import JointLimit, braking_velocity
 
 
 def test_core_brakes_as_the_official_formula_does() -> None:
@@ -51,7 +50,7 @@ def test_steps_towards_a_limit_become_slower_and_never_pass_it() -> None:
     rules = type(rules)(reactions=rules.reactions)  # the joints' limits alone
     limiter = MotionLimiter(rules, robot, controller.forward, controller.inspect)
     position, speeds = robot.home_rad.copy(), []
-    limit = gate_limits(robot)[ARM_JOINTS[1]]
+    limit = JointLimit.by_joint(robot)[ARM_JOINTS[1]]
     assert robot.limits is not None
     for step in range(150):
         asked = position.copy()
@@ -74,7 +73,7 @@ def test_steps_towards_a_limit_become_slower_and_never_pass_it() -> None:
 
 def test_direct_trajectories_are_held_to_the_same_bound() -> None:
     robot = profile()
-    limits = gate_limits(robot)
+    limits = JointLimit.by_joint(robot)
     start = JointSample(names=ARM_JOINTS, position=robot.home_rad)
 
     def message(target: float, seconds: int) -> SimpleNamespace:

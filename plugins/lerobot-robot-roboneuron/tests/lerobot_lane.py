@@ -18,7 +18,7 @@ from sensor_msgs.msg import JointState
 from rn_standard.console.client import spawned_server
 from rn_standard.demo.agent import Agent
 from rn_testing.waiting import wait_until
-from roboneuron.command import RosLink, qos
+from roboneuron.command import RosLink
 
 ROOT = Path(__file__).parents[3]
 BIN = ROOT / ".venv-lerobot" / "bin"
@@ -37,7 +37,7 @@ class Watch:
         self.seen: list[tuple[float, np.ndarray]] = []
         self._link = RosLink("watch")
         self._link.open()
-        self._link.subscribe(JointState, f"/{namespace}/joint_states", self._take, qos.NEWEST)
+        self._link.subscribe(JointState, f"/{namespace}/joint_states", self._take)
 
     def _take(self, message: JointState) -> None:
         by_name = dict(zip(message.name, message.position, strict=True))

@@ -23,7 +23,6 @@ from rn_standard.direct_path.plugin import FEATURE as DIRECT_PATH
 from rn_testing.fakes import fake_registry
 from roboneuron import ConfigurationError, RefusedError, StateError
 from roboneuron.config import parse_config
-from roboneuron.gate.audit import AUDIT_FILE
 from roboneuron.server.app import Application
 from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.supervisor.supervisor import Supervisor
@@ -75,7 +74,7 @@ def test_recorded_actions_move_the_simulation(
     assert played.end_m is not None
     assert played.end_m < played.path_m  # it moved there; how far depends on the machine's load
     lines = [
-        json.loads(line) for line in (tmp_path / "state" / AUDIT_FILE).read_text().splitlines()
+        json.loads(line) for line in (tmp_path / "state" / "audit.jsonl").read_text().splitlines()
     ]
     found = [line["verdict"] for line in lines if line["tool"] == "play_recording"]
     assert found == ["would_allow", "allowed"]

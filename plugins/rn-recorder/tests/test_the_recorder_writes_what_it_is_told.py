@@ -15,7 +15,7 @@ from rclpy.serialization import serialize_message
 
 from rn_recorder_runs.files import Record, read_attachments
 from rn_recorder_runs.images import IMAGE, pixels_of
-from rn_recorder_runs.node import AUDIT_FILE, RecorderWorker
+from rn_recorder_runs.node import RecorderWorker
 from rn_recorder_runs.reading import count_topics, iterate
 from rn_recorder_runs.settings import RecorderSettings, RulesSettings
 from rn_recorder_runs.store import Run
@@ -103,7 +103,7 @@ def test_calls_changes_and_verdicts_are_in_the_file(
         {"verdict": "refused", "tool": "publish_cmd_vel", "rule": "bounds"},
         {"verdict": "latched", "who": "ann"},
     ]
-    (tmp_path / AUDIT_FILE).write_text(
+    (tmp_path / "audit.jsonl").write_text(
         "".join(json.dumps({"time_ns": BEGIN_NS, **line}) + "\n" for line in lines)
     )
     runs = {run.kind: run for run in finished(process)}

@@ -58,6 +58,7 @@ from .contract import (
     robot_space as robot_space,
 )
 from .contract.arrays import (
+    F64 as F64,
     freeze as freeze,
 )
 from .contract.image import (
@@ -83,6 +84,7 @@ from .errors import (
     StateError as StateError,
     UngroundedError as UngroundedError,
     UnsafeError as UnsafeError,
+    nearest as nearest,
 )
 from .plugins.hookspecs import (
     hookimpl as hookimpl,
@@ -105,6 +107,9 @@ from .plugins.specs import (
     RobotSpec as RobotSpec,
     RuntimeSpec as RuntimeSpec,
     Spec as Spec,
+)
+from .server.access import (
+    Transport as Transport,
 )
 from .server.feature import (
     Feature as Feature,

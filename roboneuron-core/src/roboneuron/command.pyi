@@ -16,9 +16,6 @@ from .cli import (
 from .config import (
     reading as reading,
 )
-from .gate import (
-    roles as roles,
-)
 from .modules import (
     settings as settings,
 )
@@ -48,11 +45,10 @@ from .config.reading import (
     feature_options as feature_options,
     load_config as load_config,
 )
-from .errors import (
-    nearest as nearest,
+from .gate.roles import (
+    Role as Role,
 )
 from .gate.audit import (
-    AUDIT_FILE as AUDIT_FILE,
     AuditLog as AuditLog,
     AuditRecord as AuditRecord,
 )
@@ -60,7 +56,6 @@ from .gate.motion.limiter import (
     MotionLimiter as MotionLimiter,
 )
 from .gate.motion.rules import (
-    collision_of as collision_of,
     motion_rules as motion_rules,
     poses_of as poses_of,
 )
@@ -75,7 +70,6 @@ from .modules.report import (
     Report as Report,
 )
 from .modules.settings import (
-    MODULE_KINDS as MODULE_KINDS,
     ModuleKind as ModuleKind,
 )
 from .planning import (
@@ -115,7 +109,6 @@ from .supervisor.health import (
     FAULTS as FAULTS,
     Health as Health,
     ModuleView as ModuleView,
-    assess as assess,
 )
 
 __all__: list[str]

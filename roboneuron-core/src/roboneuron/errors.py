@@ -7,7 +7,7 @@ robot, or report a bug.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from copy import copy
 from difflib import SequenceMatcher, get_close_matches
 from typing import ClassVar, Self
@@ -28,6 +28,12 @@ def nearest(name: str, known: Iterable[str], otherwise: str = "", *, likeness: f
         if is_similar or not likeness or SequenceMatcher(a=name, b=close).ratio() >= _TYPING_ERROR:
             return f"Did you mean {close!r}?"
     return otherwise
+
+
+def shortened(value: object) -> str:
+    """A value that a caller sent, as it stands in messages."""
+    text = repr(value)
+    return text if len(text) <= 80 else f"{text[:77]}..."
 
 
 class RoboNeuronError(Exception):
@@ -98,6 +104,23 @@ class InvalidInputError(RoboNeuronError):
     def __init__(self, message: str, *, hint: str = "", path: str = "") -> None:
         super().__init__(message, hint=hint)
         self.path = path
+
+    @classmethod
+    def unknown_name(cls, where: str, name: object, valid: Sequence[str]) -> Self:
+        """The error for a name that `where` does not take, with the nearest one that it does."""
+        text = str(name)[:60]
+        hint = nearest(text, valid, f"Valid: {', '.join(valid) or 'none'}.")
+        return cls(f"{where} has no argument {text!r}.", hint=hint, path=text)
+
+    @classmethod
+    def no_choice(cls, path: str, value: object, allowed: Sequence[str]) -> Self:
+        """The error for a value at `path` that is none of those allowed, with the nearest one
+        that is.
+        """
+        listed = ", ".join(allowed[:20]) + (" ..." if len(allowed) > 20 else "")
+        meant = nearest(str(value)[:60], allowed)
+        message = f"Argument {path!r} is {shortened(value)}. {meant}".rstrip()
+        return cls(message, hint=f"Choose one of: {listed}.", path=path)
 
 
 class StateError(RoboNeuronError):

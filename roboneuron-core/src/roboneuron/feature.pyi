@@ -14,12 +14,6 @@ from .config import (
     models as models,
     reading as reading,
 )
-from .estop import (
-    emergency as emergency,
-)
-from .gate import (
-    roles as roles,
-)
 from .gate.motion import (
     joint_space as joint_space,
     task_space as task_space,
@@ -32,7 +26,6 @@ from .plugins import (
 )
 from .ros import (
     messages as messages,
-    qos as qos,
     topics as topics,
 )
 from .server import (
@@ -51,23 +44,11 @@ from .config.models import (
 from .config.reading import (
     feature_options as feature_options,
 )
-from .contract import (
-    TOPIC_RULE as TOPIC_RULE,
-)
-from .contract.arrays import (
-    F64 as F64,
-)
-from .contract.image import (
-    READABLE_ENCODINGS as READABLE_ENCODINGS,
-)
 from .contract.profile import (
     check_topic as check_topic,
 )
-from .errors import (
-    nearest as nearest,
-)
-from .estop.motion_starts import (
-    MotionStarts as MotionStarts,
+from .gate.roles import (
+    Role as Role,
 )
 from .gate.audit import (
     AuditLog as AuditLog,
@@ -81,7 +62,6 @@ from .gate.motion.path import (
 )
 from .gate.motion.rules import (
     MotionRules as MotionRules,
-    collision_of as collision_of,
     inspector_of as inspector_of,
     motion_rules as motion_rules,
     poses_of as poses_of,
@@ -95,11 +75,7 @@ from .modules.report import (
     Report as Report,
 )
 from .modules.settings import (
-    MODULE_KINDS as MODULE_KINDS,
     ModuleKind as ModuleKind,
-)
-from .plugins.discovery import (
-    discover as discover,
 )
 from .plugins.registry import (
     Offer as Offer,
@@ -108,20 +84,12 @@ from .plugins.registry import (
 from .ros.link import (
     Call as Call,
     RosLink as RosLink,
-    UNSENT as UNSENT,
-)
-from .server.access import (
-    Transport as Transport,
 )
 from .server.app import (
     Application as Application,
 )
 from .server.events import (
     Events as Events,
-)
-from .server.stop_tools import (
-    EmergencyStopArguments as EmergencyStopArguments,
-    EmergencyStopResult as EmergencyStopResult,
 )
 from .server.loop import (
     ClosedLoop as ClosedLoop,
@@ -142,7 +110,6 @@ from .server.plugins import (
 from .server.registry import (
     ERROR_META as ERROR_META,
     ToolRegistry as ToolRegistry,
-    failure as failure,
 )
 from .server.schema import (
     Schema as Schema,
@@ -151,9 +118,7 @@ from .server.schema import (
 from .server.selection import (
     Instruction as Instruction,
     KIND_ENTRIES as KIND_ENTRIES,
-    ModuleSection as ModuleSection,
     Selection as Selection,
-    check_instruction as check_instruction,
 )
 from .server.surface import (
     make_server as make_server,
@@ -165,7 +130,6 @@ from .server.tool import (
 from .supervisor.changes import (
     Changes as Changes,
     Event as Event,
-    Lasting as Lasting,
     Periodic as Periodic,
 )
 from .supervisor.health import (
@@ -174,7 +138,6 @@ from .supervisor.health import (
     Health as Health,
     Modules as Modules,
     ModuleView as ModuleView,
-    assess as assess,
 )
 from .supervisor.lifecycle import (
     NodeClient as NodeClient,

@@ -33,7 +33,9 @@ def make_log_directory(path: Path) -> None:
 
 
 def opener(path: str, flags: int) -> int:
-    """For `open`: a file that is made is not readable by others."""
+    """For `open`: a file that is made, and the folders above it, are not readable by others."""
+    if flags & os.O_CREAT:
+        make_log_directory(Path(path).parent)
     return os.open(path, flags | os.O_CLOEXEC, FILE_MODE)
 
 

@@ -17,7 +17,7 @@ GROUPS: Mapping[str, frozenset[str]] = {
         "pose_from_message to_action_message to_camera_info to_image",
         "models": "ControlConfig",
         "qos": "NEWEST",
-        "settings": "FUTURE_S HOLD_SHARE INSTRUCTION_PARAMETER instruction_problem",
+        "settings": "FUTURE_S INSTRUCTION_PARAMETER instruction_problem",
         "task_space": "angle_rad distance_m",
         "topics": "ACTION EE_POSE JOINT_STATES PREDICTIONS camera_image camera_info",
     }.items()

@@ -25,9 +25,6 @@ from .ros import (
 )
 
 # Single names.
-from .contract.arrays import (
-    F64 as F64,
-)
 from .modules.control import (
     ControlModule as ControlModule,
 )

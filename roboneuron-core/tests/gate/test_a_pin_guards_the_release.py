@@ -18,7 +18,7 @@ from roboneuron.errors import InvalidInputError, RefusedError
 from roboneuron.estop import ESTOP_FILE, EmergencyStopLatch
 from roboneuron.estop.pin import FILE_NAME as PIN_NAME
 from roboneuron.estop.pin import ReleasePin
-from roboneuron.gate.audit import AUDIT_FILE, AuditLog
+from roboneuron.gate.audit import AuditLog
 
 PIN = "4711-ruby"
 PROMPTS = (b"none): ", b"Again: ", b"PIN: ", b"[y/N] ")
@@ -48,11 +48,11 @@ def pin(tmp_path: Path, clock: Clock) -> ReleasePin:
 
 @pytest.fixture
 def audit(tmp_path: Path) -> AuditLog:
-    return AuditLog(tmp_path / AUDIT_FILE, time.time_ns)
+    return AuditLog(tmp_path / "audit.jsonl", time.time_ns)
 
 
 def records(folder: Path) -> list[dict[str, str]]:
-    return [json.loads(line) for line in (folder / AUDIT_FILE).read_text().splitlines()]
+    return [json.loads(line) for line in (folder / "audit.jsonl").read_text().splitlines()]
 
 
 def test_without_a_pin_nothing_is_asked(tmp_path: Path, audit: AuditLog) -> None:
@@ -78,7 +78,7 @@ def test_the_stop_stays_latched_without_the_pin(
     refused = [record for record in records(tmp_path) if record.get("rule") == "pin"]
     assert [record["who"] for record in refused] == ["agent", "agent"]
     assert "attempt 2" in refused[1]["reason"]
-    assert PIN not in (tmp_path / AUDIT_FILE).read_text()
+    assert PIN not in (tmp_path / "audit.jsonl").read_text()
 
 
 def test_wrong_pins_delay_the_next_attempt_even_with_the_right_one(

@@ -16,7 +16,6 @@ from roboneuron.gate.motion.joint_space import (
     JointLimit,
     JointSpace,
     braking_velocity,
-    joint_limits,
 )
 
 NAMES = ("a", "b")
@@ -126,7 +125,7 @@ PROFILE = RobotProfile(name="arm", arm_joints=NAMES, limits=LIMITS)
 
 
 def test_limits_come_from_the_profile_joint_by_joint() -> None:
-    found = joint_limits(PROFILE)
+    found = JointLimit.by_joint(PROFILE)
     assert found == {
         "a": JointLimit(lower=-1.0, upper=3.0, velocity=5.0, acceleration=7.0, effort=9.0),
         "b": JointLimit(lower=-2.0, upper=4.0, velocity=6.0, acceleration=8.0, effort=10.0),
@@ -135,16 +134,16 @@ def test_limits_come_from_the_profile_joint_by_joint() -> None:
 
 def test_rules_take_their_shares_of_velocity_and_acceleration_alone() -> None:
     rules = MotionRules(reactions={}, velocity_fraction=0.5, acceleration_fraction=0.25)
-    found = joint_limits(PROFILE, rules)["b"]
+    found = JointLimit.by_joint(PROFILE, rules)["b"]
     assert found == JointLimit(lower=-2.0, upper=4.0, velocity=3.0, acceleration=2.0, effort=10.0)
 
 
 def test_braking_needs_both_of_its_numbers() -> None:
     offset, deceleration = np.array([0.1, 0.2]), np.array([3.0, 4.0])
     both = replace(LIMITS, braking_offset=offset, braking_deceleration=deceleration)
-    assert joint_limits(replace(PROFILE, limits=both))["b"].braking == (0.2, 4.0)
+    assert JointLimit.by_joint(replace(PROFILE, limits=both))["b"].braking == (0.2, 4.0)
     for one in (replace(both, braking_offset=None), replace(both, braking_deceleration=None)):
-        assert joint_limits(replace(PROFILE, limits=one))["b"].braking is None
+        assert JointLimit.by_joint(replace(PROFILE, limits=one))["b"].braking is None
 
 
 @pytest.mark.parametrize(("closed", "opened"), [(0.0, 0.04), (0.8, 0.1)])
@@ -152,12 +151,12 @@ def test_a_gripper_is_limited_to_its_travel_whichever_end_is_closed(
     closed: float, opened: float
 ) -> None:
     gripper = GripperProfile(joint="finger", closed_position=closed, open_position=opened)
-    found = joint_limits(RobotProfile(name="gripper", gripper=gripper))
+    found = JointLimit.by_joint(RobotProfile(name="gripper", gripper=gripper))
     assert found == {"finger": JointLimit(lower=min(closed, opened), upper=max(closed, opened))}
 
 
 def test_a_robot_without_limits_and_gripper_has_none() -> None:
-    assert joint_limits(RobotProfile(name="arm", arm_joints=NAMES)) == {}
+    assert JointLimit.by_joint(RobotProfile(name="arm", arm_joints=NAMES)) == {}
 
 
 @pytest.mark.parametrize(

@@ -29,7 +29,7 @@ from roboneuron.contract import (
 from roboneuron.contract.rotation import matrix_from_rotvec, quaternion_from_matrix
 from roboneuron.errors import ConfigurationError, UnsafeError
 from roboneuron.gate.motion import LIMITS, LimitedCommand, MotionLimiter, MotionRules, motion_rules
-from roboneuron.gate.motion.joint_space import braking_velocity, joint_limits
+from roboneuron.gate.motion.joint_space import JointLimit, braking_velocity
 
 NAMES = ("a", "b")
 HOLD = dict.fromkeys(LIMITS, "hold")
@@ -359,7 +359,7 @@ def test_random_actions_never_produce_a_command_outside_any_limit(
     steps: list[tuple[tuple[float, float], float, float, float]], immediate: bool, braking: bool
 ) -> None:
     judge = limiter(RULES, immediate=immediate, braking=braking)
-    limits = [joint_limits(profile(braking=braking))[name] for name in NAMES]
+    limits = [JointLimit.by_joint(profile(braking=braking))[name] for name in NAMES]
     position, commanded, velocity = START.copy(), START.copy(), np.zeros(2)
     now_s, last_s = 10.0, -math.inf
     for asked, wait_s, duration_s, lag in steps:

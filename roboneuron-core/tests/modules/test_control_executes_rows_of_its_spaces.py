@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from control_cell import ARM, START, STOPS, TIMEOUT_S, Cell, MakeHost, duration_s
 
+from roboneuron.config.models import FIRST_STEP_S
 from roboneuron.contract import EE_DELTA, Channel, ControlSpace, JointLimits
 from roboneuron.errors import ConfigurationError
 from roboneuron.modules.control import ControlModule
-from roboneuron.modules.settings import FIRST_STEP_S, HOLD_SHARE
 from roboneuron.ros.messages import to_action_message
 
 PERIOD_S = 0.05
@@ -358,7 +358,7 @@ def test_a_stop_holds_in_every_space(cell: SpaceCell, space: ControlSpace, stop:
 @each_space
 def test_the_watchdog_holds_in_every_space(cell: SpaceCell, space: ControlSpace) -> None:
     cell.send(space)
-    cell.go(TIMEOUT_S * HOLD_SHARE - 1e-6)
+    cell.go(TIMEOUT_S * 0.75 - 1e-6)
     cell.look()
     assert cell.code == ""
     cell.go(2e-6)

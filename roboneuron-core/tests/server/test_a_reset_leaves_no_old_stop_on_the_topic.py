@@ -12,7 +12,7 @@ import pytest
 
 from roboneuron.estop import ESTOP_FILE, EmergencyStopLatch
 from roboneuron.estop.emergency import EmergencyStop
-from roboneuron.gate.audit import AUDIT_FILE, AuditLog
+from roboneuron.gate.audit import AuditLog
 
 
 class Topic:
@@ -55,7 +55,7 @@ def test_a_second_server_is_not_stopped_by_a_stop_that_a_person_has_released(
     first.file.press(who="ann", reason="smoke")
     assert topic.last.data is True
     person = EmergencyStopLatch(tmp_path / ESTOP_FILE, time.time_ns)
-    person.reset(who="ann", role="admin", audit=AuditLog(tmp_path / AUDIT_FILE, time.time_ns))
+    person.reset(who="ann", role="admin", audit=AuditLog(tmp_path / "audit.jsonl", time.time_ns))
     first.follow_file()  # as the server does every 30 ms
     assert topic.last.data is False
     second = server(tmp_path, topic)

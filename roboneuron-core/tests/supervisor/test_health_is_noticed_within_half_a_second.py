@@ -12,7 +12,7 @@ import pytest
 
 from roboneuron.config import Config
 from roboneuron.modules.report import Report
-from roboneuron.supervisor.health import Health, ModuleView, Watch, assess
+from roboneuron.supervisor.health import Health, ModuleView, Watch
 from roboneuron.supervisor.supervisor import Supervisor
 
 MakeConfig = Callable[..., Config]
@@ -82,8 +82,7 @@ def test_one_word_says_how_a_module_is(
     values: dict[str, float | str | bool], now_s: float, expected: str
 ) -> None:
     assert (
-        assess(ModuleView(kind="robot", phase="running", report=report(**values)), now_s)
-        == expected
+        ModuleView(kind="robot", phase="running", report=report(**values)).health(now_s) == expected
     )
 
 

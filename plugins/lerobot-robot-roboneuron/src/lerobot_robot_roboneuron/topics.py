@@ -30,7 +30,7 @@ from roboneuron import (
     UnsafeError,
     frame_from_buffer,
 )
-from roboneuron.command import Report, RosLink, messages, qos, settings, topics
+from roboneuron.command import Report, RosLink, messages, settings, topics
 
 F64 = NDArray[np.float64]
 
@@ -94,9 +94,7 @@ class RobotTopics:
                 )
             self._await_motion_allowed(deadline_s)
             self._check_alone()
-            self._publish = self._link.advertise(
-                Float64MultiArray, self._topic(topics.ACTION), qos.NEWEST
-            )
+            self._publish = self._link.advertise(Float64MultiArray, self._topic(topics.ACTION))
         except BaseException:
             self._link.close()
             raise
@@ -196,19 +194,18 @@ class RobotTopics:
 
     def _subscribe(self) -> None:
         link = self._link
-        link.subscribe(JointState, self._topic(topics.JOINT_STATES), self._on_joints, qos.NEWEST)
+        link.subscribe(JointState, self._topic(topics.JOINT_STATES), self._on_joints)
         for name, camera in self._cameras.items():
             link.subscribe(
                 Image,
                 self._topic(f"camera/{camera}/image"),
                 partial(self._on_image, name),
-                qos.NEWEST,
             )
         trajectory, command = _COMMANDS
-        link.subscribe(JointTrajectory, self._topic(trajectory), self._on_trajectory, qos.NEWEST)
-        link.subscribe(JointState, self._topic(command), self._on_command, qos.NEWEST)
-        link.subscribe(DiagnosticArray, topics.DIAGNOSTICS, self._on_reports, qos.STATUS)
-        link.subscribe(Bool, self._topic(settings.EMERGENCY_STOP_TOPIC), self._on_stop, qos.NEWEST)
+        link.subscribe(JointTrajectory, self._topic(trajectory), self._on_trajectory)
+        link.subscribe(JointState, self._topic(command), self._on_command)
+        link.subscribe(DiagnosticArray, topics.DIAGNOSTICS, self._on_reports)
+        link.subscribe(Bool, self._topic(settings.EMERGENCY_STOP_TOPIC), self._on_stop)
 
     def _on_joints(self, message: JointState) -> None:
         try:

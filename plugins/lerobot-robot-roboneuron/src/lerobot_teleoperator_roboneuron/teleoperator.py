@@ -70,11 +70,11 @@ class RoboNeuronTeleop(Teleoperator):
         environment.prepare_environment()
         from sensor_msgs.msg import JointState  # heavy: needs the environment
 
-        from roboneuron.command import RosLink, qos  # likewise
+        from roboneuron.command import RosLink  # likewise
 
         link = RosLink("lerobot_teleoperator")
         link.open()
-        link.subscribe(JointState, self.config.topic, self._take, qos.NEWEST)
+        link.subscribe(JointState, self.config.topic, self._take)
         self._link = link
 
     def get_action(self) -> dict[str, float]:

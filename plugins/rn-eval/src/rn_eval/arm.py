@@ -41,7 +41,7 @@ class DeployedArm:
         """
         control = setup.config.control
         assert control is not None  # the plan has one
-        self._timeout_s = control.action_timeout_s
+        self._control = control
         self._names = setup.profile.arm_joints
         self._controller = controller
         self._limiter = MotionLimiter.of(
@@ -70,11 +70,7 @@ class DeployedArm:
             and "", "scaled" or the code of the hold.
         """
         since_s = now_s - self._action_s
-        step_s = (
-            max(since_s, settings.SHORTEST_STEP_S)
-            if since_s < self._timeout_s
-            else settings.FIRST_STEP_S
-        )
+        step_s = self._control.step_s(since_s)
         outcome: JointCommand | Hold | None = self._compute(vector, joints, step_s, now_s)
         word = ""
         if isinstance(outcome, JointCommand):
@@ -114,7 +110,7 @@ class DeployedArm:
 
     def watch(self, joints: JointSample, now_s: float) -> JointCommand | None:
         """A hold when actions have ceased; None otherwise, and while it holds already."""
-        if self._holding or now_s - self._action_s <= self._timeout_s * settings.HOLD_SHARE:
+        if self._holding or now_s - self._action_s <= self._control.hold_after_s:
             return None
         return self._hold(joints, now_s)
 

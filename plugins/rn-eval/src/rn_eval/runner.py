@@ -26,7 +26,7 @@ from rn_standard.execution.mode import Mode, abilities_of
 from rn_standard.inference.agreement import SpaceAgreement, agree_on_space
 from rn_standard.inference.execution import Bounds
 from roboneuron import EE_DELTA, BackendSpec, Controller, RoboNeuronError
-from roboneuron.command import build, collision_of, discover, load_profile
+from roboneuron.command import build, discover, load_profile, motion_rules
 
 _DEFAULT_IMAGE_AGE_S = 0.5
 _ERROR_LINES = 6
@@ -62,7 +62,7 @@ class Runner:
         )
         controller: Controller | None = None
         if parts.controller is not None:
-            profile = replace(profile, collision=collision_of(config.limits, profile))
+            profile = replace(profile, collision=motion_rules(config.limits, profile).collision)
             controller = cast(
                 "Controller",
                 build(parts.controller, config.options(parts.controller.name), profile),

@@ -12,7 +12,7 @@ from prometheus_client import CollectorRegistry, Counter, Histogram
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 
 from roboneuron import Host
-from roboneuron.feature import ERROR_META, EXPLANATIONS, AuditRecord, Health, ModuleView, assess
+from roboneuron.feature import ERROR_META, EXPLANATIONS, AuditRecord, Health, ModuleView
 
 OK = "ok"
 UNKNOWN = "unknown"
@@ -194,7 +194,7 @@ class _Reports:
         )
         now_s = time.monotonic()
         for view in views:
-            present = assess(view, now_s)
+            present = view.health(now_s)
             for word in EXPLANATIONS:
                 health.add_metric((view.kind, word), float(word == present))
         yield health

@@ -16,9 +16,9 @@ from roboneuron import (
     ControlSpace,
     InvalidInputError,
     RobotProfile,
+    nearest,
     robot_space,
 )
-from roboneuron.command import nearest
 
 F64 = NDArray[np.float64]
 POSITION = ("x_m", "y_m", "z_m")

@@ -29,7 +29,7 @@ from rn_recorder_runs.recording import Recording, Rules
 from rn_recorder_runs.settings import RecorderSettings
 from rn_recorder_runs.store import Store
 from roboneuron import RoboNeuronError, StateError
-from roboneuron.command import AUDIT_FILE, Signals, environment, log_files
+from roboneuron.command import AuditLog, Signals, environment, log_files
 
 log = logging.getLogger("recorder")
 EVENTS_TOPIC, AUDIT_TOPIC = "/roboneuron/events", "/roboneuron/audit"
@@ -90,7 +90,7 @@ class RecorderWorker:
         self._undecodable = 0
         self._missed_before = 0
         self._events = 0
-        self._audit = AuditTail(settings.state_directory / AUDIT_FILE)
+        self._audit = AuditTail(AuditLog.in_directory(settings.state_directory).path)
         self.recording = Recording(
             Store(settings.directory), Rules(**settings.rules.model_dump()), settings.about
         )

@@ -95,7 +95,6 @@ def spawn_recorder(
     Raises:
         OSError: it cannot be started.
     """
-    log_files.make_log_directory(log_path.parent)
     with open(log_path, "ab", opener=log_files.opener) as output:
         child = subprocess.Popen(  # its owner is RecorderProcess
             [sys.executable, "-m", "rn_recorder_runs.node"],

@@ -241,7 +241,8 @@ class Bench:
         self.policy = ""
         starts: Any = SimpleNamespace(look=lambda: None, arm_stops=0, reason="")
         self.starts = starts
-        self.arbiter = MotionArbiter(gate, lambda exposed: self.policy, starts)
+        loop: Any = SimpleNamespace(starts=starts)
+        self.arbiter = MotionArbiter(gate, lambda exposed: self.policy, loop)
         self.traffic = Traffic(clock)
         self.permitted: list[str] = []
         self.on_permit: Callable[[], object] = lambda: None

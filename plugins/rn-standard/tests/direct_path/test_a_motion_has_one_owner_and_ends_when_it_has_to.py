@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -55,10 +56,11 @@ class Cell:
         self.gate = gate
         self.clock = clock
         self.starts: Any = Starts()
+        self.loop: Any = SimpleNamespace(starts=self.starts)
         self.policies: dict[str, str] = {}
         self.followed = [False]
         self.asked: list[str] = []
-        self.arbiter = MotionArbiter(gate, self.policy, self.starts, self.is_followed, 0.05)
+        self.arbiter = MotionArbiter(gate, self.policy, self.loop, self.is_followed, 0.05)
         self.halt = Halt(clock)
 
     def policy(self, exposed: ExposedEndpoint) -> str:
@@ -283,7 +285,7 @@ def test_control_that_does_not_hold_in_time_keeps_a_motion_from_beginning(
 
 
 def test_control_may_take_all_of_its_time_to_hold(cell: Cell, place: Place) -> None:
-    arbiter = MotionArbiter(cell.gate, cell.policy, cell.starts, cell.is_followed, 0.0)
+    arbiter = MotionArbiter(cell.gate, cell.policy, cell.loop, cell.is_followed, 0.0)
     cell.followed = [True, False]
     with arbiter.claim(place(), "a test", cell.halt):
         assert cell.halt.waits_s == [0.01]
@@ -292,7 +294,7 @@ def test_control_may_take_all_of_its_time_to_hold(cell: Cell, place: Place) -> N
 def test_control_has_two_seconds_to_hold_when_nobody_gives_a_bound(
     cell: Cell, place: Place
 ) -> None:
-    arbiter = MotionArbiter(cell.gate, cell.policy, cell.starts, lambda exposed: True)
+    arbiter = MotionArbiter(cell.gate, cell.policy, cell.loop, lambda exposed: True)
     with pytest.raises(NotReadyError, match="nothing was sent"):
         arbiter.claim(place(), "a test", cell.halt).__enter__()
     assert sum(cell.halt.waits_s) == pytest.approx(2.0, abs=0.011)
@@ -313,7 +315,7 @@ def test_actions_and_what_moves_nothing_do_not_wait_for_a_hold(cell: Cell, place
 
 
 def test_an_arbiter_that_knows_of_no_control_waits_for_none(cell: Cell, place: Place) -> None:
-    arbiter = MotionArbiter(cell.gate, lambda exposed: "", cell.starts)
+    arbiter = MotionArbiter(cell.gate, lambda exposed: "", cell.loop)
     with arbiter.claim(place(), "a test", cell.halt):
         assert cell.halt.waits_s == []
 

@@ -21,7 +21,7 @@ class Link:
         self.advertised: list[str] = []
         self.sent: list[DiagnosticArray] = []
 
-    def advertise(self, message_type: type, topic: str, qos: object) -> Any:
+    def advertise(self, message_type: type, topic: str) -> Any:
         self.advertised.append(topic)
         return self.sent.append
 

@@ -170,7 +170,7 @@ def test_times_of_points_only_grow() -> None:
 
 def test_a_trajectory_takes_no_longer_than_its_step() -> None:
     command = trajectory(point(1.0, 0.1))
-    for lasts_s in (1.0, 1.0 - joint_space.SLACK, 2.0):
+    for lasts_s in (1.0, 1.0 - Limit.SLACK, 2.0):
         check_joints(LIMITS, [command], ZERO, [lasts_s])
     assert refusal(command, durations_s=[0.99]) == (
         "The trajectory takes 1 s, its step only 0.99 s."
@@ -252,9 +252,9 @@ def test_a_measured_velocity_that_is_no_number_counts_as_rest(unknown: float) ->
 
 def test_a_joint_may_move_just_as_fast_as_its_limit() -> None:
     check_joints(FREE, [trajectory(point(1.0, 2.0))], ZERO)
-    check_joints(FREE, [trajectory(point(1.0, -2.0 * (1.0 + joint_space.SLACK)))], ZERO)
+    check_joints(FREE, [trajectory(point(1.0, -2.0 * (1.0 + Limit.SLACK)))], ZERO)
     assert "a would move at 2 per second, allowed is 2." in refusal(
-        trajectory(point(1.0, 2.0 * (1.0 + 2.0 * joint_space.SLACK))), limits=FREE
+        trajectory(point(1.0, 2.0 * (1.0 + 2.0 * Limit.SLACK))), limits=FREE
     )
 
 

@@ -18,7 +18,6 @@ from rn_testing.fakes import fake_registry
 from roboneuron import DriverSpec, RobotSpec
 from roboneuron.config import parse_config
 from roboneuron.errors import NotReadyError
-from roboneuron.gate.audit import AUDIT_FILE
 from roboneuron.server.app import Application
 from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.supervisor.supervisor import Supervisor
@@ -105,7 +104,7 @@ def start(
 
 
 def audited(folder: Path) -> list[tuple[str, str]]:
-    lines = [json.loads(line) for line in (folder / AUDIT_FILE).read_text().splitlines()]
+    lines = [json.loads(line) for line in (folder / "audit.jsonl").read_text().splitlines()]
     return [
         (line["verdict"], line["reason"])
         for line in lines

@@ -131,8 +131,7 @@ def test_a_frozen_module_has_more_time_on_an_overloaded_machine(
     monkeypatch.setattr(
         restarts, "time", SimpleNamespace(monotonic=lambda: float(next(clock) // 2))
     )
-    monkeypatch.setattr(restarts, "assess", lambda view, now_s: "silent")
-    view = SimpleNamespace(kind="perception", process=None)
+    view = SimpleNamespace(kind="perception", process=None, health=lambda now_s: "silent")
     monkeypatch.setattr(rig.modules, "view", lambda kind: view)
     rig.load = load
     assert rig.restarts._is_still_frozen(view, threading.Event(), 2.0)  # type: ignore[arg-type]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import Annotated, Any
 
 import pytest
@@ -24,7 +24,7 @@ from roboneuron.errors import (
     InvalidInputError,
     RefusedError,
 )
-from roboneuron.gate.roles import ADMIN, OPERATOR
+from roboneuron.gate.roles import Role
 from roboneuron.plugins.specs import BackendSpec
 from roboneuron.server.selection import Selection
 
@@ -94,14 +94,14 @@ def configuration(more: str = "", selection: str = "") -> Config:
 
 
 def select(
-    config: Config, options: dict[str, Any], role: str = OPERATOR, backend: str = "distant"
+    config: Config, options: dict[str, Any], role: str = Role.OPERATOR, backend: str = "distant"
 ) -> Selection:
     return choose(
         "inference", config, REGISTRY, StartChosenInference(backend=backend, options=options), role
     )
 
 
-@pytest.mark.parametrize("role", ["", OPERATOR, ADMIN])
+@pytest.mark.parametrize("role", ["", Role.OPERATOR, Role.ADMIN])
 @pytest.mark.parametrize(
     ("options", "named"),
     [
@@ -139,16 +139,16 @@ def test_everything_else_may_be_set(options: dict[str, Any]) -> None:
 def test_an_admin_may_set_what_is_listed_and_nobody_else() -> None:
     config = configuration(SECTION, 'agent_options = ["distant.url", "distant.camera"]')
     options = {"url": "ws://other", "camera": {"device": "/dev/video1"}}
-    assert select(config, options, ADMIN).config.options("distant")["url"] == "ws://other"
+    assert select(config, options, Role.ADMIN).config.options("distant")["url"] == "ws://other"
     with pytest.raises(
         RefusedError, match=r"Only a client with the role 'admin' may set plugins\.distant\.url"
     ):
-        select(config, options, OPERATOR)
+        select(config, options, Role.OPERATOR)
     with pytest.raises(RefusedError, match=r"Only the configuration may set plugins\.distant\.key"):
-        select(config, {**options, "key": "/x"}, ADMIN)
+        select(config, {**options, "key": "/x"}, Role.ADMIN)
 
 
-@pytest.mark.parametrize("role", ["", OPERATOR, ADMIN])
+@pytest.mark.parametrize("role", ["", Role.OPERATOR, Role.ADMIN])
 def test_a_checkpoint_among_the_options_is_refused_like_any_file(role: str) -> None:
     with pytest.raises(
         RefusedError, match=r"A checkpoint is no option for clients.*argument `checkpoint`"
@@ -166,7 +166,7 @@ def test_options_of_a_plugin_that_cannot_be_imported_here_are_all_restricted(
         '"/other/bin/python"\n'
     )
     with pytest.raises(RefusedError, match=r"plugins\.elsewhere\.gain"):
-        select(config, {"gain": 2.0}, ADMIN, "elsewhere")
+        select(config, {"gain": 2.0}, Role.ADMIN, "elsewhere")
 
 
 def load(config: Config, checkpoint: Path | str) -> Selection:
@@ -175,7 +175,7 @@ def load(config: Config, checkpoint: Path | str) -> Selection:
         config,
         REGISTRY,
         StartChosenInference(backend="heavy", checkpoint=str(checkpoint)),
-        OPERATOR,
+        Role.OPERATOR,
     )
 
 
@@ -227,7 +227,7 @@ class Nested(BaseModel):
     ("backend", "named"),
     [("distant", "plugins.distant.url"), ("nested", "plugins.nested.server.hostname")],
 )
-@pytest.mark.parametrize("role", ["", OPERATOR, ADMIN])
+@pytest.mark.parametrize("role", ["", Role.OPERATOR, Role.ADMIN])
 def test_an_agent_does_not_start_what_connects_to_an_address_that_nobody_wrote_down(
     backend: str, named: str, role: str
 ) -> None:
@@ -259,7 +259,8 @@ def test_an_address_in_the_configuration_or_a_backend_that_it_chooses_may_be_sta
 def test_an_admin_may_give_an_address_that_is_listed() -> None:
     config = configuration(selection='agent_options = ["distant.url"]')
     assert (
-        select(config, {"url": "ws://here"}, ADMIN).config.options("distant")["url"] == "ws://here"
+        select(config, {"url": "ws://here"}, Role.ADMIN).config.options("distant")["url"]
+        == "ws://here"
     )
 
 
@@ -284,4 +285,4 @@ def test_entries_of_agent_options_that_name_an_option_are_right() -> None:
 def test_the_feature_checks_agent_options_before_the_server_starts() -> None:
     sections = SelectionSections.model_validate({"selection": {"agent_options": ["nowhere.url"]}})
     with pytest.raises(ConfigurationError, match="nowhere"):
-        SelectionFeature(sections).check(configuration())
+        SelectionFeature(sections).tools(SimpleNamespace(registry=REGISTRY))  # type: ignore[arg-type]

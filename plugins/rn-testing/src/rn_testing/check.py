@@ -22,7 +22,7 @@ from rn_testing.rule import AnyRule, RuleVerdict
 from rn_testing.rules import RULES, rules_of
 from rn_testing.verification import RuleResult, verify
 from roboneuron import RoboNeuronError
-from roboneuron.feature import discover
+from roboneuron.command import discover
 
 
 class CheckRequest(TypedDict):

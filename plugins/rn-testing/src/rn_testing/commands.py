@@ -11,6 +11,7 @@ import numpy as np
 from rn_testing.kinematics import place_tcp
 from rn_testing.rule import Violation, require
 from roboneuron import (
+    F64,
     Action,
     JointCommand,
     JointSample,
@@ -20,7 +21,6 @@ from roboneuron import (
     matrix_from_quaternion,
     rotvec_from_matrix,
 )
-from roboneuron.feature import F64
 
 TRUTH_M, TRUTH_RAD = 5e-4, 5e-3
 """How far a command may end from what its residual says: the residual is compared, so this only

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 from rn_testing.case import Case
 from rn_testing.rule import AnyRule
 from roboneuron import PluginError, Spec
-from roboneuron.command import loading
-from roboneuron.feature import discover
+from roboneuron.command import discover, loading
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

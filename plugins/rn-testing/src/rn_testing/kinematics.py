@@ -9,8 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rn_testing.rule import Violation
-from roboneuron import Pose, RobotProfile, matrix_from_rotvec, quaternion_from_matrix
-from roboneuron.feature import F64
+from roboneuron import F64, Pose, RobotProfile, matrix_from_rotvec, quaternion_from_matrix
 
 MOVABLE = ("revolute", "continuous", "prismatic")
 """Types of joints that have one position."""

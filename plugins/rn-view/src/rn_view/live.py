@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from contextlib import AbstractContextManager, nullcontext
-from typing import TypeVar, cast
+from typing import TypeVar
 
 import anyio
 from anyio import to_thread
@@ -25,7 +25,7 @@ from roboneuron.feature import (
     ModuleView,
     Registry,
     access,
-    loading,
+    load_profile,
 )
 
 T = TypeVar("T")
@@ -129,10 +129,7 @@ def robot_profile(config: Config, registry: Registry) -> RobotProfile:
     """The profile of the configured robot. Raises RoboNeuronError when its plugin cannot be
     used.
     """
-    load = cast(
-        "Callable[[], RobotProfile]", loading.load_target(registry.get("robot", config.robot.name))
-    )
-    return load()
+    return load_profile(registry, config.robot.name)
 
 
 def _row(status: ModuleStatus) -> ModuleRow:

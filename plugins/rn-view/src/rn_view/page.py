@@ -19,7 +19,7 @@ from rn_view.plots import History, Plots
 from rn_view.scene import PageScene
 from rn_view.source import PageState, Source
 from roboneuron import RobotProfile
-from roboneuron.feature import access, roles
+from roboneuron.feature import Role, access
 
 _LEFT_PX = 310
 _PHONE_PX, _WIDE_PX = 576, 1100
@@ -144,7 +144,7 @@ class Page:
             self._presence.enter_context(self._operator.present(self.holder))
         buttons = (
             None
-            if self._operator is None or not roles.has_role(self.holder.role, roles.OPERATOR)
+            if self._operator is None or not Role.OPERATOR.is_held_by(self.holder.role)
             else self._call
         )
         with self._lock:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from rn_view.measured import MeasuredTopics, TcpTrack
 from roboneuron import ArmProfile, RobotProfile
-from roboneuron.feature import Config, MotionRules, collision_of, motion_rules
+from roboneuron.feature import Config, MotionRules, motion_rules
 
 if TYPE_CHECKING:
     import viser
@@ -233,7 +233,7 @@ class PageScene:
             )
         for zone in limits.zones:
             self._add_box(f"/zones/{zone.name}", zone.lower_m, zone.upper_m, _ZONE_RGB, 0.25)
-        collision = collision_of(config.limits, self._profile)
+        collision = limits.collision
         boxes = collision.obstacles if collision is not None else ()
         for box in boxes:
             self._add_box(f"/obstacles/{box.name}", box.lower_m, box.upper_m, _OBSTACLE_RGB, 0.35)

@@ -16,7 +16,7 @@ from rn_view.event_list import AuditReader, EventList, add_record
 from rn_view.live import robot_profile
 from rn_view.source import ModuleRow, PageState
 from roboneuron import RobotProfile
-from roboneuron.command import AUDIT_FILE, FAULTS, AuditLog, Config, Registry, estop
+from roboneuron.command import FAULTS, AuditLog, Config, Registry, estop
 
 M = TypeVar("M")
 _ORDER = ("robot", "perception", "inference", "control")
@@ -75,7 +75,7 @@ class AttachedSource:
         self._state_directory = state_directory
         self._graph = graph
         self._is_one_of_several = is_one_of_several
-        self._audit = AuditReader(state_directory / AUDIT_FILE)
+        self._audit = AuditReader(AuditLog.in_directory(state_directory).path)
         self._healths: dict[str, str] = {}
         self.shown_events = EventList()
 
@@ -123,17 +123,14 @@ class AttachedSource:
         self, message_type: type[M], topic: str, callback: Callable[[M], None]
     ) -> Callable[[], None]:
         """See Source."""
-        from roboneuron.command import qos as core_qos  # heavy
-
         place = f"/{self._config.namespace}/{topic}"
         link = self._graph.link
-        qos = core_qos.requested_qos(link.node.get_publishers_info_by_topic(place), 1)
-        return link.subscribe(message_type, place, callback, qos)
+        return link.follow(message_type, place, callback)
 
     def press_stop(self, who: str) -> str:
         """See Source: written as `roboneuron estop` does."""
         latch = estop.EmergencyStopLatch.in_directory(self._state_directory)
-        audit = AuditLog(self._state_directory / AUDIT_FILE, time.time_ns)
+        audit = AuditLog.in_directory(self._state_directory)
         latch.latch(who=who, reason="pressed in the attached view", audit=audit)
         audit.close()
         return "Latched in the file that every module looks at 50 times a second."

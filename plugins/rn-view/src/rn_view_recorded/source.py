@@ -24,7 +24,7 @@ from rn_view.playback import Playback
 from rn_view.source import ModuleRow, PageState
 from rn_view_recorded.log import RunLog
 from roboneuron import InvalidInputError, RobotProfile, StateError
-from roboneuron.command import Config, ModuleView, Periodic, Registry, Report, assess
+from roboneuron.command import Config, ModuleView, Periodic, Registry, Report
 
 log = logging.getLogger(__name__)
 M = TypeVar("M")
@@ -225,7 +225,7 @@ class RecordedSource:
         chosen = self._log.chosen(kind, at_ns)
         if report is None:
             return ModuleRow(kind=kind, health=health or "stopped", text=why, chosen=chosen)
-        assessed = assess(ModuleView(kind=kind, phase="running", report=report), at_ns / 1e9)  # type: ignore[arg-type]
+        assessed = ModuleView(kind=kind, phase="running", report=report).health(at_ns / 1e9)  # type: ignore[arg-type]
         return ModuleRow(
             kind=kind,
             health=health or assessed,

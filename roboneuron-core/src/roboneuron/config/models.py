@@ -31,6 +31,8 @@ command end.
 ModuleKind = Literal["robot", "perception", "inference", "control"]
 CHECKPOINT_START_S = 900.0
 """15 GB from a slow disk, and the warm-up of a large model, take several minutes."""
+FIRST_STEP_S = 0.1
+"""Time that control gives the arm for the first action after a pause [s]."""
 
 
 class Section(BaseModel):
@@ -130,6 +132,21 @@ class ControlConfig(Section):
     )
     start_timeout_s: StartTimeout = None
     python: Interpreter = None
+
+    @property
+    def hold_after_s(self) -> float:
+        """Time after the last action at which control holds [s]: early enough for the arm to stand
+        within `action_timeout_s`.
+        """
+        return 0.75 * self.action_timeout_s
+
+    def step_s(self, since_s: float) -> float:
+        """Time that control gives the arm for an action [s].
+
+        Args:
+            since_s: time since the action before [s]; after a pause it says nothing.
+        """
+        return max(since_s, 0.02) if since_s < self.action_timeout_s else FIRST_STEP_S
 
 
 class SupervisorConfig(Section):

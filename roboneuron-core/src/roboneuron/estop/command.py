@@ -17,8 +17,8 @@ from roboneuron.config import read_state_directory, robot_folder
 from roboneuron.errors import ConfigurationError, RefusedError, RoboNeuronError
 from roboneuron.estop.latch import EmergencyStopLatch
 from roboneuron.estop.pin import ReleasePin
-from roboneuron.gate.audit import AUDIT_FILE, AuditLog, AuditRecord
-from roboneuron.gate.roles import ADMIN
+from roboneuron.gate.audit import AuditLog, AuditRecord
+from roboneuron.gate.roles import Role
 from roboneuron.ros.environment import state_directory
 
 _AGAIN_S = 0.1
@@ -66,14 +66,14 @@ def run(arguments: Namespace) -> int:
     _check_robot(directory, arguments.robot)
     who = f"{getpass.getuser()} at the command line"
     if arguments.set_pin:
-        return _set_pin(ReleasePin(directory), AuditLog(directory / AUDIT_FILE, time.time_ns), who)
+        return _set_pin(ReleasePin(directory), AuditLog.in_directory(directory), who)
     done: set[Path] = set()
     status, failure = 0, None
     # again and again, because a server that starts meanwhile makes more folders
     while folders := _folders(directory, arguments.robot) - done:
         for folder in sorted(folders):
             latch = EmergencyStopLatch.in_directory(folder)
-            audit = AuditLog(folder / AUDIT_FILE, time.time_ns)
+            audit = AuditLog.in_directory(folder)
             if arguments.status:
                 status |= _show(latch)
             elif arguments.reset:
@@ -154,7 +154,7 @@ def _reset(latch: EmergencyStopLatch, audit: AuditLog, who: str) -> int:
         print("It stays latched.")
         return 1
     pin = getpass.getpass("PIN: ") if ReleasePin(latch.path.parent).is_set else ""
-    latch.reset(who=who, role=ADMIN, audit=audit, pin=pin)
+    latch.reset(who=who, role=Role.ADMIN, audit=audit, pin=pin)
     time.sleep(_AGAIN_S)  # who presses it meanwhile does so within one look at the file
     if latch.is_latched():
         print(

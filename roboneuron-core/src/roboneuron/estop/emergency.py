@@ -13,7 +13,6 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
@@ -21,7 +20,7 @@ from typing import Any
 from roboneuron.errors import NotReadyError, RefusedError, UnsafeError
 from roboneuron.estop.latch import EmergencyStopLatch
 from roboneuron.estop.motion_starts import MotionStarts
-from roboneuron.gate.audit import AUDIT_FILE, AuditLog, AuditRecord
+from roboneuron.gate.audit import AuditLog, AuditRecord
 from roboneuron.modules.settings import EMERGENCY_STOP_TOPIC, FOREIGN_REQUEST, ModuleKind
 from roboneuron.supervisor.changes import Event
 from roboneuron.supervisor.health import ModuleView
@@ -85,7 +84,7 @@ class EmergencyStop:
         self._is_told = False
         self.file = EmergencyStopLatch.in_directory(supervisor.state_directory)
         self.file.on_pressed(lambda: self._publish(True))
-        self.audit = AuditLog(supervisor.state_directory / AUDIT_FILE, time.time_ns)
+        self.audit = AuditLog.in_directory(supervisor.state_directory)
 
     def is_latched(self) -> bool:
         """Whether the stop is latched: by the file, whoever wrote it, or in any module.
@@ -147,14 +146,13 @@ class EmergencyStop:
         link = self._supervisor.link  # first: two threads must not import rclpy at the same time
         from std_msgs.msg import Bool  # heavy
 
-        from roboneuron.ros.link import UNSENT
         from roboneuron.ros.qos import LATCHED, STOP_REQUESTS
 
         topic = f"/{namespace}/{EMERGENCY_STOP_TOPIC}"
 
         def publish(is_latched: bool) -> None:
-            with suppress(*UNSENT):  # the server is leaving the graph; who has heard it confirms it
-                send(Bool(data=is_latched))
+            # nothing once the server leaves the graph: who has heard it confirms it
+            send(Bool(data=is_latched))
 
         with self._lock:
             if namespace not in self._publishers:

@@ -26,7 +26,7 @@ from pathlib import Path
 from roboneuron.errors import RefusedError, StateError, UnsafeError
 from roboneuron.estop.pin import ReleasePin
 from roboneuron.gate.audit import AuditLog, AuditRecord
-from roboneuron.gate.roles import ADMIN, has_role
+from roboneuron.gate.roles import Role
 from roboneuron.log_files import make_log_directory
 
 log = logging.getLogger(__name__)
@@ -369,7 +369,7 @@ class EmergencyStopLatch:
                 written.
             StateError: the latch cannot be removed; it stays latched.
         """
-        rule = "" if has_role(role, ADMIN) else "role"
+        rule = "" if Role.ADMIN.is_held_by(role) else "role"
         if not rule:
             ReleasePin(self.path.parent).check(pin, who=who, audit=audit)
         verdict = "refused" if rule else "allowed"
@@ -378,7 +378,7 @@ class EmergencyStopLatch:
         )
         if rule:
             raise RefusedError(
-                f"Resetting the emergency stop needs the role {ADMIN!r}, {who!r} has {role!r}."
+                f"Resetting the emergency stop needs the role '{Role.ADMIN}', {who!r} has {role!r}."
             )
         with self._lock:
             try:

@@ -1,13 +1,10 @@
 """What keeps a robot safe whoever moves it: limits of motion, roles, audit."""
 
 from roboneuron.gate.audit import AuditLog, AuditRecord
-from roboneuron.gate.roles import ADMIN, OPERATOR, ROLES, VIEWER
+from roboneuron.gate.roles import Role
 
 __all__ = [
-    "ADMIN",
-    "OPERATOR",
-    "ROLES",
-    "VIEWER",
     "AuditLog",
     "AuditRecord",
+    "Role",
 ]

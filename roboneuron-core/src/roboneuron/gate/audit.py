@@ -11,6 +11,7 @@ import json
 import logging
 import os
 import threading
+import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -20,8 +21,6 @@ from typing import Any
 from roboneuron.errors import RefusedError
 from roboneuron.log_files import make_log_directory
 
-AUDIT_FILE = "audit.jsonl"
-"""Name of the current file in the state directory; rotated ones end in .1, .2 ..."""
 _MAX_ARGUMENTS = 4096
 """Characters of a call's arguments that are kept: an agent may send a megabyte."""
 log = logging.getLogger(__name__)
@@ -78,6 +77,13 @@ class AuditLog:
             return quickly.
         failed: whether writing the last record failed; a motion in progress has to end then.
     """
+
+    @classmethod
+    def in_directory(cls, state: Path, clock_ns: Callable[[], int] = time.time_ns) -> AuditLog:
+        """The one of a state directory, with the clock of the machine; rotated files end in .1, .2
+        and so on.
+        """
+        return cls(state / "audit.jsonl", clock_ns)
 
     def __init__(
         self,
@@ -213,8 +219,8 @@ class AuditLog:
     def _to_line(self, record: AuditRecord) -> bytes:
         """A record as one line of ASCII; fields that are empty are left out."""
         now_ns = self._clock_ns()
-        time = datetime.fromtimestamp(now_ns / 1e9, UTC).isoformat(timespec="milliseconds")
-        parts = [f'"time":"{time}","time_ns":{now_ns}']
+        written = datetime.fromtimestamp(now_ns / 1e9, UTC).isoformat(timespec="milliseconds")
+        parts = [f'"time":"{written}","time_ns":{now_ns}']
         # field by field, so that the arguments, the most of it, become JSON once
         for name in record.__dataclass_fields__:
             value = getattr(record, name)

@@ -4,13 +4,21 @@ A role belongs to a client, by the transport that it came over or by its token; 
 roles.
 """
 
-VIEWER, OPERATOR, ADMIN = "viewer", "operator", "admin"
-ROLES = (VIEWER, OPERATOR, ADMIN)
-"""Roles from least to most: read; also move; also expose and reset. Each includes the ones before
-it.
-"""
+from enum import StrEnum
 
 
-def has_role(role: str, least: str) -> bool:
-    """Whether `role` is at least `least`; an unknown role has no rights."""
-    return role in ROLES and ROLES.index(role) >= ROLES.index(least)
+class Role(StrEnum):
+    """Roles from least to most: read; also move; also expose and reset. Each includes the ones
+    before it.
+    """
+
+    VIEWER = "viewer"
+    OPERATOR = "operator"
+    ADMIN = "admin"
+
+    def is_held_by(self, role: str) -> bool:
+        """Whether a client with `role` has at least this one; an unknown role has no rights."""
+        return _RANKS.get(role, -1) >= _RANKS[self]
+
+
+_RANKS: dict[str, int] = {role: rank for rank, role in enumerate(Role)}

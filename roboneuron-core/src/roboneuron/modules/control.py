@@ -15,6 +15,7 @@ from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
 from roboneuron.config import LimitsConfig
+from roboneuron.config.models import FIRST_STEP_S
 from roboneuron.contract import (
     EE_DELTA,
     Action,
@@ -38,15 +39,12 @@ from roboneuron.modules.module_host import Module, ModuleHost
 from roboneuron.modules.motion import JointWatch, MotionGuard
 from roboneuron.modules.plugin import build, load_profile
 from roboneuron.modules.settings import (
-    FIRST_STEP_S,
     FOLLOWING_NOTE,
     FUTURE_S,
     HOLD_DURATION_S,
-    HOLD_SHARE,
     LIMITS_PARAMETER,
     NEEDS_NEW_START,
     SERVER_SILENT,
-    SHORTEST_STEP_S,
 )
 from roboneuron.planning import check_plan
 from roboneuron.plugins.specs import ControllerSpec
@@ -340,11 +338,7 @@ class ControlModule(Module):
         # to follow each other.
         spacing_s = (source_ns - self._action_ns) / 1e9 if self._action_ns else 0.0
         since_s = max(now_s - self._action_s, min(spacing_s, FIRST_STEP_S))
-        step_s = (
-            max(since_s, SHORTEST_STEP_S)
-            if since_s < self._limits.action_timeout_s
-            else FIRST_STEP_S
-        )
+        step_s = self._limits.step_s(since_s)
         self._action_ns = source_ns
         answer = self._compute(space, row, joints, step_s, now_s)
         if self.handover.is_shadow(source_ns):
@@ -407,8 +401,8 @@ class ControlModule(Module):
     def _watch(self) -> None:
         """Hold within one timeout after the last action.
 
-        It looks five times per timeout, and holds after `HOLD_SHARE` of it: so the arm has begun to
-        hold before the timeout is over.
+        It looks five times per timeout, and holds after three quarters of it: so the arm has
+        begun to hold before the timeout is over.
         """
         if not self._active or self._holding or not self._is_ours_now():
             return
@@ -419,7 +413,7 @@ class ControlModule(Module):
                 "server_silent",
                 f"No sign of life of the server for {self._limits.server_timeout_s:g} s.",
             )
-        elif time.monotonic() - self._action_s > self._limits.action_timeout_s * HOLD_SHARE:
+        elif time.monotonic() - self._action_s > self._limits.hold_after_s:
             self._hold("no_action", f"No action for {self._limits.action_timeout_s:g} s.")
         elif self._are_joints_stale():
             self._hold(

@@ -24,7 +24,7 @@ from roboneuron.contract import (
 from roboneuron.contract.arrays import F64
 from roboneuron.contract.profile import prismatic_joints
 from roboneuron.errors import InvalidInputError, NotReadyError, RefusedError, UnsafeError
-from roboneuron.gate.audit import AUDIT_FILE, AuditLog, AuditRecord
+from roboneuron.gate.audit import AuditLog, AuditRecord
 from roboneuron.gate.motion import (
     LimitedCommand,
     Motion,
@@ -186,7 +186,7 @@ class MotionGuard:
         self._profile = profile
         self._status = status
         self._counts: Counter[str] = Counter()
-        self._audit = AuditLog(state / AUDIT_FILE, time_ns)
+        self._audit = AuditLog.in_directory(state, time_ns)
         self.follow = self._limiter.follow
         self.rest = self._limiter.rest
         self.reference = self._limiter.reference

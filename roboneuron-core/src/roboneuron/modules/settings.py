@@ -69,12 +69,6 @@ releases.
 """
 FUTURE_S = 0.1
 """How far the clock of another machine may be ahead of this one."""
-SHORTEST_STEP_S, FIRST_STEP_S = 0.02, 0.1
-"""Time that control gives the arm for an action: that since the one before, at least the first; the
-second one for an action after a pause.
-"""
-HOLD_SHARE = 0.75
-"""Control holds after this share of `action_timeout_s`, so that the arm stands within all of it."""
 FOLLOWING_NOTE = "following actions"
 """Note of control from an action on until it holds; a hold replaces what others have sent to the
 joints.

@@ -7,6 +7,7 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any, TypeVar, cast
 
 import rclpy
@@ -16,14 +17,16 @@ from rclpy.exceptions import InvalidHandle
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 
 from roboneuron.errors import InternalError
+from roboneuron.ros.qos import requested_qos, usual_qos
 
 log = logging.getLogger(__name__)
 M = TypeVar("M")
 T = TypeVar("T")
-UNSENT = (rclpy_implementation.RCLError, InvalidHandle)
+_UNSENT = (rclpy_implementation.RCLError, InvalidHandle)
 """What publishing raises when the context is closed."""
 _TASK_TIMEOUT_S = 10.0
 """An entity is made in milliseconds, on an overloaded machine in seconds; after that time the ROS
@@ -151,8 +154,28 @@ class RosLink:
             raise InternalError(f"The ROS thread did not answer within {_TASK_TIMEOUT_S:g} s.")
         return cast("T", future.result())
 
+    def follow(
+        self,
+        message_type: type[M],
+        topic: str,
+        callback: Callable[[M], None],
+        depth: int = 1,
+        *,
+        latched: bool = True,
+    ) -> Callable[[], None]:
+        """As `subscribe`, and as reliable as those are who publish the topic now; if `latched`,
+        with the last message that came before, where all of them keep it.
+        """
+        publishers = self.node.get_publishers_info_by_topic(topic)
+        qos = requested_qos(publishers, depth, latched=latched)
+        return self.subscribe(message_type, topic, callback, qos)
+
     def subscribe(
-        self, message_type: type[M], topic: str, callback: Callable[[M], None], qos: QoSProfile
+        self,
+        message_type: type[M],
+        topic: str,
+        callback: Callable[[M], None],
+        qos: QoSProfile | None = None,
     ) -> Callable[[], None]:
         """Subscribe to an absolute `topic`; call what is returned to end it.
 
@@ -160,8 +183,9 @@ class RosLink:
             message_type: an ordinary rosidl class.
             topic: absolute.
             callback: called on the executor's thread; what it raises is logged.
-            qos: what is asked of publishers.
+            qos: what is asked of publishers; as usual for the topic when None.
         """
+        asked = qos or usual_qos(topic)
 
         def deliver(message: M) -> None:
             try:
@@ -172,16 +196,27 @@ class RosLink:
 
         node = self._node
         subscription = self.on_executor(
-            lambda: node.create_subscription(message_type, topic, deliver, qos)
+            lambda: node.create_subscription(message_type, topic, deliver, asked)
         )
         return lambda: self.on_executor(lambda: node.destroy_subscription(subscription))
 
-    def advertise(self, message_type: type[M], topic: str, qos: QoSProfile) -> Callable[[M], None]:
+    def advertise(
+        self, message_type: type[M], topic: str, qos: QoSProfile | None = None
+    ) -> Callable[[M], None]:
         """Return a function that publishes on an absolute `topic`, for as long as the link is open;
-        after that it raises one of `UNSENT`.
+        after that it does nothing. Without `qos`, as usual for the topic.
         """
-        publisher = self.on_executor(lambda: self._node.create_publisher(message_type, topic, qos))
-        return cast("Callable[[M], None]", publisher.publish)
+        offered = qos or usual_qos(topic)
+        publisher = self.on_executor(
+            lambda: self._node.create_publisher(message_type, topic, offered)
+        )
+        return lambda message: self.send_if_possible(publisher, message)
+
+    @staticmethod
+    def send_if_possible(publisher: Publisher, message: object) -> None:
+        """Publish, unless ROS refuses: the context is closed."""
+        with suppress(*_UNSENT):
+            publisher.publish(message)
 
     def call(
         self, service_type: type, name: str, request: object, on_answer: Callable[[], None]

@@ -7,6 +7,8 @@ from typing import Any
 
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
+from roboneuron.ros.topics import DIAGNOSTICS
+
 
 def _reliable(depth: int, durability: DurabilityPolicy = DurabilityPolicy.VOLATILE) -> QoSProfile:
     return QoSProfile(
@@ -32,6 +34,11 @@ a publisher that keeps none, such as `ros2 topic pub`.
 
 STATUS = _reliable(20)
 """/diagnostics: several modules write to one topic."""
+
+
+def usual_qos(topic: str) -> QoSProfile:
+    """That of a stream of the contract, by the name of its topic."""
+    return STATUS if topic == DIAGNOSTICS else NEWEST
 
 
 def requested_qos(publishers: Sequence[Any], depth: int, *, latched: bool = True) -> QoSProfile:

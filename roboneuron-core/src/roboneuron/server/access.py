@@ -1,4 +1,4 @@
-"""Who calls, over which transport, and what a role may call."""
+"""Who calls, and over which transport."""
 
 from __future__ import annotations
 
@@ -7,9 +7,7 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
-from roboneuron.errors import RefusedError
-from roboneuron.gate.roles import ADMIN, OPERATOR, VIEWER, has_role
-from roboneuron.server.tool import CallContext, Tool
+from roboneuron.gate.roles import Role
 
 if TYPE_CHECKING:
     from anyio import Event
@@ -25,7 +23,7 @@ class Holder:
 
     Attributes:
         who: for the audit and the log.
-        role: one of ROLES; anything else has no rights.
+        role: one of `Role`; anything else has no rights.
         client: which of several clients without a token; empty for others.
         watched: calls a listener when the connection of this request is lost within the block, or
             was before; None where that cancels the call, as on stdio.
@@ -44,7 +42,7 @@ class Holder:
         """A client of a server on loopback that asks for no token: anybody on this machine, who
         could start one as well. `client` tells it apart from others: "session 1a2b", "pid 123".
         """
-        return cls(who=f"{_LOCAL_CLIENT} {client}".rstrip(), role=ADMIN, client=client)
+        return cls(who=f"{_LOCAL_CLIENT} {client}".rstrip(), role=Role.ADMIN, client=client)
 
     @staticmethod
     def is_local(who: str) -> bool:
@@ -52,7 +50,7 @@ class Holder:
         return who == LOCAL_AGENT.who or who.startswith(_LOCAL_CLIENT)
 
 
-LOCAL_AGENT = Holder(who="agent on stdio", role=ADMIN)
+LOCAL_AGENT = Holder(who="agent on stdio", role=Role.ADMIN)
 """The client of a stdio server: whoever started the server, so it has every role."""
 NOBODY = Holder(who="unknown", role="")
 
@@ -63,27 +61,3 @@ def holder_of(request: Any) -> Holder:
         return LOCAL_AGENT
     holder = request.scope.get(Holder.KEY)
     return holder if isinstance(holder, Holder) else NOBODY
-
-
-def least_role(tool: Tool[Any]) -> str:
-    """The least role that may call a tool."""
-    return tool.role or (VIEWER if tool.read_only else OPERATOR)
-
-
-def may_call(role: str, tool: Tool[Any]) -> bool:
-    """Whether a role may call a tool."""
-    return has_role(role, least_role(tool))
-
-
-def check_role(tool: Tool[Any], context: CallContext) -> None:
-    """Refuse a tool that the caller may not call.
-
-    Raises:
-        RefusedError: names the roles.
-    """
-    if not may_call(context.role, tool):
-        raise RefusedError(
-            f"{tool.name} needs the role {least_role(tool)!r}; {context.who} has "
-            f"{context.role or 'none'!r}.",
-            hint="Use a token with that role, or ask a person who has one.",
-        )

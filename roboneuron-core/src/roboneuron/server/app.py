@@ -173,10 +173,9 @@ class Application:
         """Begin to listen for clients; None for stdio."""
         return self.features.listen(self.host)
 
-    def press_on_signal(self) -> None:
-        """From now on SIGUSR1 latches the emergency stop; called on the main thread."""
-        stop, namespace = self.loop.emergency_stop, self.loop.config.namespace
-        press_on_signal(lambda who: stop.latch(namespace, who=who, reason=""))
+    def latch(self, who: str) -> object:
+        """Stop all motion, for whoever says so; raises as `EmergencyStop.latch`."""
+        return self.loop.emergency_stop.latch(self.loop.config.namespace, who=who, reason="")
 
     def close(self) -> None:
         """Stop all motion, modules and threads; idempotent. What features move first, then modules,
@@ -285,7 +284,7 @@ def serve(config: Config, wire: tuple[int, int]) -> None:
         transport = served.listen() or partial(
             serve_stdio, served.server, config.server.max_concurrent_calls, wire, _end_soon
         )
-        served.press_on_signal()
+        press_on_signal(served.latch)
         served.open()
         anyio.run(_serve, served, transport)
     finally:

@@ -40,6 +40,16 @@ class EnvelopeError(Exception):
             request_id,
         )
 
+    @classmethod
+    def raise_for_id(cls, raw: object) -> None:
+        """Raise it for a request whose id is no text and no integer: it would pass for a
+        notification.
+        """
+        if isinstance(raw, dict) and "id" in raw and "method" in raw:
+            found = raw["id"]
+            if isinstance(found, bool) or not isinstance(found, int | str):
+                raise cls(INVALID_REQUEST, "The id of a request must be a text or an integer.")
+
     @property
     def answer(self) -> str:
         """One JSON-RPC error, without a newline."""
@@ -59,24 +69,12 @@ def read_message(data: bytes) -> JSONRPCMessage:
     except (ValueError, RecursionError) as error:
         what = "UTF-8" if isinstance(error, UnicodeDecodeError) else "JSON"
         raise EnvelopeError(INVALID_JSON, f"This is no {what}.") from error
-    check_id(raw)
+    EnvelopeError.raise_for_id(raw)
     try:
         return jsonrpc_message_adapter.validate_python(raw, by_name=False)
     except ValidationError as error:
         found = raw.get("id") if isinstance(raw, dict) else None
         raise EnvelopeError(INVALID_REQUEST, "This is no JSON-RPC request.", found) from error
-
-
-def check_id(raw: object) -> None:
-    """Raise EnvelopeError for a request whose id is no text and no integer: it would pass for a
-    notification.
-    """
-    if isinstance(raw, dict) and "id" in raw and "method" in raw:
-        found = raw["id"]
-        if isinstance(found, bool) or not isinstance(found, int | str):
-            raise EnvelopeError(
-                INVALID_REQUEST, "The id of a request must be a text or an integer."
-            )
 
 
 def is_urgent(method: object, params: object) -> bool:

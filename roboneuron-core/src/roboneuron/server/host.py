@@ -170,11 +170,8 @@ class Host:
         check_topic(topic)
         # first: two threads must not import rclpy at the same time
         link = self._link()
-        from roboneuron.ros.qos import requested_qos  # heavy
-
         place = topic if topic.startswith("/") else f"/{self.config.namespace}/{topic}"
-        qos = requested_qos(link.node.get_publishers_info_by_topic(place), depth, latched=latched)
-        return link.subscribe(message_type, place, callback, qos)
+        return link.follow(message_type, place, callback, depth, latched=latched)
 
     def feature(self, name: str, kind: type[F]) -> F:
         """Another feature that this one `needs`, of the class `kind`.

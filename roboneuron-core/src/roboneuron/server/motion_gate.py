@@ -61,7 +61,7 @@ class GateRequest:
 
     Attributes:
         who: which client, as the transport knows it.
-        role: one of `roboneuron.gate.ROLES`.
+        role: one of `roboneuron.gate.Role`.
         tool: the tool's name.
         robot, endpoint: names in the allow list.
         messages: the encoded message, or every step of a sequence; empty for a read.

@@ -14,10 +14,15 @@ from typing import Any
 
 from mcp import types
 
-from roboneuron.errors import InternalError, InvalidInputError, NotReadyError, RoboNeuronError
-from roboneuron.gate.roles import ADMIN
-from roboneuron.server.access import check_role, may_call
-from roboneuron.server.schema import listed_output, shortened
+from roboneuron.errors import (
+    InternalError,
+    InvalidInputError,
+    NotReadyError,
+    RoboNeuronError,
+    shortened,
+)
+from roboneuron.gate.roles import Role
+from roboneuron.server.schema import listed_output
 from roboneuron.server.tool import Answer, CallContext, Tool, UnfinishedCallError
 
 log = logging.getLogger(__name__)
@@ -122,13 +127,13 @@ class ToolRegistry:
                 return entries[name].tool
         return None
 
-    def listing(self, role: str = ADMIN) -> list[types.Tool]:
+    def listing(self, role: str = Role.ADMIN) -> list[types.Tool]:
         """What `tools/list` answers to clients of a role: what they may call."""
         return [
             entry.shown()
             for entries in self._owned.values()
             for entry in entries.values()
-            if entry.tool.listed and entry.tool.offered() and may_call(role, entry.tool)
+            if entry.tool.listed and entry.tool.offered() and entry.tool.least_role.is_held_by(role)
         ]
 
     def get(self, name: str) -> Tool[Any] | None:
@@ -176,7 +181,7 @@ class ToolRegistry:
                 raise InvalidInputError(
                     f"There is no tool {shortened(name)}.", hint="See tools/list.", path="tool"
                 )
-            check_role(tool, context)
+            tool.check_caller(context)
             if tool.urgent is not None:
                 tool.urgent(arguments, context)
             if self._ready is not None:
@@ -184,13 +189,13 @@ class ToolRegistry:
             answer = await self._carry_out(tool, arguments, context)
         except RoboNeuronError as error:
             log.info("%s was refused: %s: %s", shortened(name), error.code, _clipped(str(error)))
-            return failure(error)
+            return self.failure(error)
         except UnfinishedCallError:
             raise
         except Exception:  # the tool-call border: the agent is told, the log keeps the traceback
             incident = uuid.uuid4().hex[:8]
             log.exception("%s failed (incident %s)", name, incident)
-            return failure(
+            return self.failure(
                 InternalError(
                     f"{name} failed unexpectedly (incident {incident}).",
                     hint="The server's log has the details; get_status tells what is running.",
@@ -202,7 +207,7 @@ class ToolRegistry:
         text = json.dumps(structured)
         if tool.read_only and len(text) > _MOST_ANSWER:
             hint = "Ask for less: its arguments narrow what it answers."
-            return failure(
+            return self.failure(
                 InvalidInputError(
                     f"The answer of {name} has {len(text)} characters: too many.", hint=hint
                 )
@@ -213,6 +218,22 @@ class ToolRegistry:
             for p in answer.pictures
         ]
         return types.CallToolResult(content=content, structured_content=structured)
+
+    @staticmethod
+    def failure(error: RoboNeuronError) -> types.CallToolResult:
+        """The answer to a call that failed."""
+        details = {
+            "code": error.code,
+            "message": _clipped(error.message),
+            "hint": _clipped(error.hint),
+        }
+        if isinstance(error, InvalidInputError) and error.path:
+            details["path"] = error.path[:_MOST_TEXT]
+        return types.CallToolResult(
+            content=[types.TextContent(type="text", text=_clipped(str(error)))],
+            _meta={ERROR_META: details},
+            is_error=True,
+        )
 
     async def _carry_out(
         self, tool: Tool[Any], arguments: Mapping[str, Any], context: CallContext
@@ -269,15 +290,3 @@ def _described(tool: Tool[Any]) -> types.Tool:
 def _clipped(text: str) -> str:
     """An error may quote what the caller sent, which may be long."""
     return text if len(text) <= _MOST_TEXT else f"{text[: _MOST_TEXT - 100]} ... {text[-80:]}"
-
-
-def failure(error: RoboNeuronError) -> types.CallToolResult:
-    """The answer to a call that failed."""
-    details = {"code": error.code, "message": _clipped(error.message), "hint": _clipped(error.hint)}
-    if isinstance(error, InvalidInputError) and error.path:
-        details["path"] = error.path[:_MOST_TEXT]
-    return types.CallToolResult(
-        content=[types.TextContent(type="text", text=_clipped(str(error)))],
-        _meta={ERROR_META: details},
-        is_error=True,
-    )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache, cached_property
 from typing import Any, Generic, TypeVar
@@ -12,7 +12,7 @@ from typing import Any, Generic, TypeVar
 from pydantic import BaseModel, ValidationError
 from pydantic_core import to_json
 
-from roboneuron.errors import InvalidInputError, nearest
+from roboneuron.errors import InvalidInputError, shortened
 from roboneuron.plugins.loading import option_names
 
 Schema = dict[str, Any]
@@ -180,7 +180,7 @@ def parse(
         model, accepted = kind, _accepted_of(kind)
     for name in arguments:
         if name not in accepted.names:
-            raise unknown_name("The call", name, accepted.names)
+            raise InvalidInputError.unknown_name("The call", name, accepted.names)
     given = {
         name: value
         for name, value in arguments.items()
@@ -204,7 +204,7 @@ def parse(
         value = getattr(parsed, name)
         for item in value if isinstance(value, list) else [] if value is None else [value]:
             if allowed and item not in allowed:
-                raise no_choice(name, item, list(allowed))
+                raise InvalidInputError.no_choice(name, item, list(allowed))
     if isinstance(kind, Shape):
         for name in given:
             kind.check(name, getattr(parsed, name))
@@ -220,40 +220,17 @@ def _explain(model: type[BaseModel], error: ValidationError) -> InvalidInputErro
     *outer, last = first["loc"] or ("",)
     path = ".".join(str(part) for part in first["loc"])
     if first["type"] == "extra_forbidden":
-        return unknown_name(
+        return InvalidInputError.unknown_name(
             f"Argument {'.'.join(map(str, outer))!r}", str(last), option_names(model, outer)
         )
     if first["type"] == "missing":
         return InvalidInputError(f"Argument {path!r} is missing.", path=path)
     if first["type"] == "literal_error":
-        return no_choice(path, first["input"], re.findall(r"'([^']*)'", first["ctx"]["expected"]))
+        allowed = re.findall(r"'([^']*)'", first["ctx"]["expected"])
+        return InvalidInputError.no_choice(path, first["input"], allowed)
     if first["type"] == "json_invalid":
         return InvalidInputError(_NO_JSON)
     what = first["msg"].replace("Input should be ", "expected ")
     return InvalidInputError(
         f"Argument {path!r} is {shortened(first['input'])}, {what}.", path=path
     )
-
-
-def unknown_name(where: str, name: object, valid: Sequence[str]) -> InvalidInputError:
-    """The error for a name that `where` does not take, with the nearest one that it does."""
-    text = str(name)[:60]
-    hint = nearest(text, valid, f"Valid: {', '.join(valid) or 'none'}.")
-    return InvalidInputError(f"{where} has no argument {text!r}.", hint=hint, path=text)
-
-
-def no_choice(path: str, value: object, allowed: Sequence[str]) -> InvalidInputError:
-    """The error for a value at `path` that is none of those allowed, with the nearest one that
-    is.
-    """
-    listed = ", ".join(allowed[:20]) + (" ..." if len(allowed) > 20 else "")
-    message = (
-        f"Argument {path!r} is {shortened(value)}. {nearest(str(value)[:60], allowed)}".rstrip()
-    )
-    return InvalidInputError(message, hint=f"Choose one of: {listed}.", path=path)
-
-
-def shortened(value: object) -> str:
-    """A value that a caller sent, as it stands in messages."""
-    text = repr(value)
-    return text if len(text) <= 80 else f"{text[:77]}..."

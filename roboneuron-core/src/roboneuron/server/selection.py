@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from roboneuron.config import Config, ControlConfig, InferenceConfig, PerceptionConfig, RobotConfig
 from roboneuron.errors import (
@@ -35,20 +35,41 @@ from roboneuron.server.tool import Arguments, NoArguments
 from roboneuron.supervisor.health import ModuleView
 
 ModuleSection = RobotConfig | PerceptionConfig | ControlConfig | InferenceConfig
+
+
+def check_instruction(text: str) -> str:
+    """Return the instruction without blanks around it.
+
+    Raises:
+        InvalidInputError: nothing is left, or it is too long or holds a control character.
+    """
+    if problem := instruction_problem(text):
+        raise InvalidInputError(
+            f"{problem}.", hint="Write plain text on one line.", path="instruction"
+        )
+    if not text.strip():
+        raise InvalidInputError(
+            "The instruction is empty.",
+            hint='Say what to do, for instance "pick up the red cube".',
+            path="instruction",
+        )
+    return text.strip()
+
+
 Instruction = Annotated[
-    str | None,
-    Field(
-        max_length=MAX_INSTRUCTION_LENGTH,
-        description='What to do at once, such as "pick up the red cube"; set_instruction gives '
-        "one later.",
-    ),
+    str, Field(max_length=MAX_INSTRUCTION_LENGTH), AfterValidator(check_instruction)
 ]
+"""An argument `instruction` of a tool, as `check_instruction` returns it."""
 
 
 class StartInference(Arguments):
     """Arguments of start_inference."""
 
-    instruction: Instruction = None
+    instruction: Instruction | None = Field(
+        default=None,
+        description='What to do at once, such as "pick up the red cube"; set_instruction gives '
+        "one later.",
+    )
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -86,10 +107,12 @@ class KindEntry:
         return section
 
     def plan(
-        self, section: ModuleSection, config: Config, registry: Registry
+        self, config: Config, registry: Registry
     ) -> tuple[Plan, Spec | DriverSpec, dict[str, str]]:
-        """The plan, what reads the options, and the names of what was chosen, the plugin first."""
-        robot = section if isinstance(section, RobotConfig) else config.robot
+        """The plan, what reads the options, and the names of what was chosen, the plugin first.
+        Raises as `configured`.
+        """
+        section, robot = self.configured(config, registry), config.robot
         parts = {"driver": robot} if section is robot else {"driver": robot, self.offer: section}
         elsewhere = [name for name, part in parts.items() if part.python]
         check = partial(
@@ -203,7 +226,7 @@ class Selection:
         """
         entry = KIND_ENTRIES[kind]
         section = entry.configured(config, registry)
-        plan, spec, names = entry.plan(section, config, registry)
+        plan, spec, names = entry.plan(config, registry)
         module_class(kind, registry)
         name = next(iter(names.values()))
         options = dict(config.options(name))
@@ -260,28 +283,9 @@ def choose_configured(
         )
     if isinstance(request, StartInference) and request.instruction is not None:
         section = KIND_ENTRIES[kind].configured(config, registry)
-        update = {"instruction": check_instruction(request.instruction)}
+        update = {"instruction": request.instruction}
         config = config.model_copy(update={kind: section.model_copy(update=update)})
     return Selection.of(kind, config, registry)
-
-
-def check_instruction(text: str) -> str:
-    """Return the instruction without blanks around it.
-
-    Raises:
-        InvalidInputError: nothing is left, or it is too long or holds a control character.
-    """
-    if problem := instruction_problem(text):
-        raise InvalidInputError(
-            f"{problem}.", hint="Write plain text on one line.", path="instruction"
-        )
-    if not text.strip():
-        raise InvalidInputError(
-            "The instruction is empty.",
-            hint='Say what to do, for instance "pick up the red cube".',
-            path="instruction",
-        )
-    return text.strip()
 
 
 def _check_checkpoint(section: InferenceConfig, plan: Plan, config: Config) -> InferenceConfig:

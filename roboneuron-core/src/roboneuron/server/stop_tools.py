@@ -12,7 +12,7 @@ from pydantic import Field
 from roboneuron.errors import RefusedError, UnsafeError
 from roboneuron.estop.emergency import reset_command
 from roboneuron.estop.pin import ReleasePin
-from roboneuron.gate.roles import ADMIN, VIEWER
+from roboneuron.gate.roles import Role
 from roboneuron.modules.settings import MODULE_KINDS, ModuleKind
 from roboneuron.server.loop import ClosedLoop
 from roboneuron.server.selection import KIND_ENTRIES, KindEntry
@@ -198,7 +198,7 @@ def emergency_tools(loop: ClosedLoop) -> list[Tool[Any]]:
             destructive=True,
             idempotent=True,
             open_world=True,
-            role=VIEWER,  # whoever sees the robot may stop it
+            role=Role.VIEWER,  # whoever sees the robot may stop it
             always=True,
             urgent=press,
         ),
@@ -218,6 +218,6 @@ def emergency_tools(loop: ClosedLoop) -> list[Tool[Any]]:
             destructive=True,
             idempotent=True,
             open_world=True,
-            role=ADMIN,
+            role=Role.ADMIN,
         ),
     ]

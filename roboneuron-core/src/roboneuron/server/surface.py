@@ -102,8 +102,8 @@ class Served(Protocol):
     def listen(self) -> Transport | None:
         """See `Application.listen`."""
 
-    def press_on_signal(self) -> None:
-        """See `Application.press_on_signal`."""
+    def latch(self, who: str) -> object:
+        """See `Application.latch`."""
 
     def open(self) -> None:
         """See `Application.open`."""

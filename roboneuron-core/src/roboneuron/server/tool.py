@@ -9,6 +9,8 @@ from typing import Any, ClassVar, Generic, Protocol, TypeVar
 from pydantic import BaseModel, ConfigDict
 from pydantic.version import version_short
 
+from roboneuron.errors import RefusedError
+from roboneuron.gate.roles import Role
 from roboneuron.server.schema import Schema, Shape, model_schema, parse, with_choices
 
 T = TypeVar("T")
@@ -96,7 +98,7 @@ class CallContext(Protocol):
 
     @property
     def role(self) -> str:
-        """What it may do, see `roboneuron.gate.ROLES`."""
+        """What it may do, see `roboneuron.gate.Role`."""
 
     async def run(
         self,
@@ -169,6 +171,22 @@ class Tool(Generic[A]):
     role: str = ""
     always: bool = False
     urgent: Callable[[Mapping[str, Any], CallContext], object] | None = None
+
+    @property
+    def least_role(self) -> Role:
+        """The least role that may call it."""
+        if self.role:
+            return Role(self.role)
+        return Role.VIEWER if self.read_only else Role.OPERATOR
+
+    def check_caller(self, context: CallContext) -> None:
+        """Do nothing when the caller may call it. Raises RefusedError, which names the roles."""
+        if not self.least_role.is_held_by(context.role):
+            raise RefusedError(
+                f"{self.name} needs the role '{self.least_role}'; {context.who} has "
+                f"{context.role or 'none'!r}.",
+                hint="Use a token with that role, or ask a person who has one.",
+            )
 
     def input_schema(self) -> Schema:
         """The JSON schema of the arguments, with today's choices."""

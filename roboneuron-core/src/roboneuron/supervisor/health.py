@@ -28,6 +28,44 @@ _FOREIGN = 64
 """So many names of other servers' modules are kept: anybody may invent names on /diagnostics."""
 
 
+log = logging.getLogger(__name__)
+Health = Literal[
+    "stopped",
+    "starting",
+    "stopping",
+    "ok",
+    "waiting",
+    "failing",
+    "stalled",
+    "stuck",
+    "silent",
+    "exited",
+]
+FAULTS: frozenset[Health] = frozenset({"failing", "stalled", "stuck", "silent", "exited"})
+SILENT_S = 0.42
+"""A module reports every 0.2 s; without a report for this long it is frozen, or its machine is
+overloaded.
+"""
+STUCK_S = 0.3
+"""A module's executor turns every 0.02 s; the age it reports grows for up to one period more."""
+LOOK_S = 0.03
+"""Period of the watch: `SILENT_S` and this together stay below the half second within which a fault
+is reported.
+"""
+EXPLANATIONS: dict[Health, str] = {
+    "stopped": "not running",
+    "starting": "being started",
+    "stopping": "being stopped",
+    "ok": "working",
+    "waiting": "running, but something is missing",
+    "failing": "running, but reporting an error",
+    "stalled": "reporting, but making no progress",
+    "stuck": "reporting, but not handling messages and requests",
+    "silent": "alive, but not reporting",
+    "exited": "its process ended by itself",
+}
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ModuleView:
     """What is known of one module.
@@ -46,6 +84,29 @@ class ModuleView:
     choice: Choice | None = None
     report: Report | None = None
     exit: Exit | None = None
+
+    def health(self, now_s: float) -> Health:
+        """How the module is; of several faults the one that explains the others.
+
+        A module that does not report says nothing else either; one whose executor hangs makes no
+        progress; one that is stalled may report an older error.
+
+        Args:
+            now_s: monotonic time [s].
+        """
+        if self.phase != "running":
+            return self.phase
+        report = self.report
+        if report is None or now_s - report.received_s > SILENT_S:
+            return "silent"
+        if report.loop_age_s is not None and report.loop_age_s > STUCK_S:
+            return "stuck"
+        age_s, limit_s = report.work_age_s, report.work_limit_s
+        if age_s is not None and limit_s is not None and age_s > limit_s:
+            return "stalled"
+        if report.error_code:
+            return "failing"
+        return "ok" if report.ready else "waiting"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -224,69 +285,6 @@ class Modules:
             return self.view(kind)
 
 
-log = logging.getLogger(__name__)
-Health = Literal[
-    "stopped",
-    "starting",
-    "stopping",
-    "ok",
-    "waiting",
-    "failing",
-    "stalled",
-    "stuck",
-    "silent",
-    "exited",
-]
-FAULTS: frozenset[Health] = frozenset({"failing", "stalled", "stuck", "silent", "exited"})
-SILENT_S = 0.42
-"""A module reports every 0.2 s; without a report for this long it is frozen, or its machine is
-overloaded.
-"""
-STUCK_S = 0.3
-"""A module's executor turns every 0.02 s; the age it reports grows for up to one period more."""
-LOOK_S = 0.03
-"""Period of the watch: `SILENT_S` and this together stay below the half second within which a fault
-is reported.
-"""
-EXPLANATIONS: dict[Health, str] = {
-    "stopped": "not running",
-    "starting": "being started",
-    "stopping": "being stopped",
-    "ok": "working",
-    "waiting": "running, but something is missing",
-    "failing": "running, but reporting an error",
-    "stalled": "reporting, but making no progress",
-    "stuck": "reporting, but not handling messages and requests",
-    "silent": "alive, but not reporting",
-    "exited": "its process ended by itself",
-}
-
-
-def assess(view: ModuleView, now_s: float) -> Health:
-    """How a module is; of several faults the one that explains the others.
-
-    A module that does not report says nothing else either; one whose executor hangs makes no
-    progress; one that is stalled may report an older error.
-
-    Args:
-        view: what is known of it.
-        now_s: monotonic time [s].
-    """
-    if view.phase != "running":
-        return view.phase
-    report = view.report
-    if report is None or now_s - report.received_s > SILENT_S:
-        return "silent"
-    if report.loop_age_s is not None and report.loop_age_s > STUCK_S:
-        return "stuck"
-    age_s, limit_s = report.work_age_s, report.work_limit_s
-    if age_s is not None and limit_s is not None and age_s > limit_s:
-        return "stalled"
-    if report.error_code:
-        return "failing"
-    return "ok" if report.ready else "waiting"
-
-
 Listener = Callable[[ModuleView, Health, Health], object]
 """Called from the watching thread with the module, how it was, and how it is."""
 
@@ -309,7 +307,7 @@ class Watch(Periodic):
         """Compare everything with what is known."""
         now_s = time.monotonic()
         for view in self._views():
-            health, before = assess(view, now_s), self._known.get(view.kind, "stopped")
+            health, before = view.health(now_s), self._known.get(view.kind, "stopped")
             if health == before:
                 continue
             self._known[view.kind] = health

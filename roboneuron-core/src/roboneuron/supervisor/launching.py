@@ -105,11 +105,10 @@ class Connection:
             from diagnostic_msgs.msg import DiagnosticArray  # heavy
 
             from roboneuron.ros.link import RosLink  # heavy
-            from roboneuron.ros.qos import STATUS  # heavy
 
             link = RosLink(f"roboneuron_server_{os.getpid()}")
             link.open()
-            link.subscribe(DiagnosticArray, DIAGNOSTICS, self._on_status, STATUS)
+            link.subscribe(DiagnosticArray, DIAGNOSTICS, self._on_status)
         except BaseException as error:  # handed to whoever asks for the link
             opened.set_exception(error)
         else:

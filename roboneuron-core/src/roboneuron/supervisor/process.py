@@ -20,7 +20,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from roboneuron.errors import NotReadyError
-from roboneuron.log_files import escaped, make_log_directory, opener
+from roboneuron.log_files import escaped, opener
 from roboneuron.supervisor.changes import Event, Lasting
 
 log = logging.getLogger(__name__)
@@ -277,7 +277,6 @@ def spawn(
         OSError: the command cannot be started.
     """
     events.spawning.tell()
-    make_log_directory(log_path.parent)
     with open(log_path, "ab", opener=opener) as output:
         offset = output.tell()
         child = subprocess.Popen(  # runs until the module ends; ModuleProcess owns it

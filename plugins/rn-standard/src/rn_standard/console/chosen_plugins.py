@@ -8,8 +8,8 @@ import tomllib
 from argparse import ArgumentParser
 from pathlib import Path
 
-from roboneuron import ConfigurationError
-from roboneuron.command import Offer, PluginRecord, Registry, nearest
+from roboneuron import ConfigurationError, nearest
+from roboneuron.command import Offer, PluginRecord, Registry
 
 
 def add_config(parser: ArgumentParser) -> None:

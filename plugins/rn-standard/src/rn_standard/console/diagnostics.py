@@ -13,17 +13,15 @@ import threading
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, get_args
 
 from rn_standard.console.log_runs import log_runs
 from rn_standard.console.status import ReportedModule, ServerStatus
 from roboneuron.command import (
-    MODULE_KINDS,
     Health,
     ModuleKind,
     ModuleView,
     Report,
-    assess,
     estop,
     reading,
 )
@@ -31,6 +29,7 @@ from roboneuron.command import (
 if TYPE_CHECKING:
     from diagnostic_msgs.msg import DiagnosticArray
 
+_KINDS: tuple[ModuleKind, ...] = get_args(ModuleKind)
 FORGET_S = 5.0
 """A module that has been silent for longer, and whose process is gone, is no longer shown."""
 
@@ -93,11 +92,11 @@ class DiagnosticsListener:
         environment.prepare_environment()
         from diagnostic_msgs.msg import DiagnosticArray  # heavy
 
-        from roboneuron.command import RosLink, qos, topics
+        from roboneuron.command import RosLink, topics
 
         self._link = RosLink(f"roboneuron_status_{os.getpid()}")
         self._link.open()
-        self._link.subscribe(DiagnosticArray, topics.DIAGNOSTICS, self.receive, qos.STATUS)
+        self._link.subscribe(DiagnosticArray, topics.DIAGNOSTICS, self.receive)
 
     def close(self) -> None:
         """Leave the graph."""
@@ -205,14 +204,12 @@ def _noted_namespace(folder: Path) -> str:
 def _in_order(item: tuple[tuple[str, str, int], Report]) -> tuple[str, int, int]:
     (namespace, node, pid), _ = item
     kind = _kind_of(node)
-    return namespace, MODULE_KINDS.index(kind) if kind is not None else len(MODULE_KINDS), pid
+    return namespace, _KINDS.index(kind) if kind is not None else len(_KINDS), pid
 
 
 def _kind_of(node: str) -> ModuleKind | None:
     """Which module a node is: nodes are called as their kind, after a switch with a suffix."""
-    return next(
-        (kind for kind in MODULE_KINDS if node == kind or node.startswith(f"{kind}_")), None
-    )
+    return next((kind for kind in _KINDS if node == kind or node.startswith(f"{kind}_")), None)
 
 
 def _health(node: str, pid: int, report: Report, now_s: float) -> Health:
@@ -221,7 +218,7 @@ def _health(node: str, pid: int, report: Report, now_s: float) -> Health:
         return "exited"
     kind = _kind_of(node)
     assert kind is not None
-    return assess(ModuleView(kind=kind, phase="running", report=report), now_s)
+    return ModuleView(kind=kind, phase="running", report=report).health(now_s)
 
 
 def _server_of(pids: list[int], servers: list[FoundServer]) -> FoundServer | None:

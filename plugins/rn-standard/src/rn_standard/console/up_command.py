@@ -112,7 +112,6 @@ def _kept(folder: Path) -> Iterator[None]:
     from roboneuron import StateError
     from roboneuron.command import log_files
 
-    log_files.make_log_directory(folder)
     with open(folder / _FILE, "a+", encoding="utf-8", opener=log_files.opener) as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -30,7 +30,6 @@ from roboneuron.feature import (
     MotionRules,
     Registry,
     build,
-    collision_of,
     inspector_of,
     load_profile,
     models,
@@ -89,7 +88,7 @@ class ArmPaths:
         """A controller of an arm for one user, and the profile with the collisions in force. Raises
         as `limiter`.
         """
-        limited = replace(profile, collision=collision_of(self._limits(robot), profile))
+        limited = replace(profile, collision=self.rules(robot, profile).collision)
         name = self._controller(robot)
         spec = self._registry().get("controller", name)
         controller = cast("Controller", build(spec, self._config.options(name), limited))

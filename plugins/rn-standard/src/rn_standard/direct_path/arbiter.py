@@ -15,7 +15,7 @@ from functools import partial
 from rn_standard.direct_path.exposed import ACTION_LABELS
 from rn_standard.direct_path.gate import Gate
 from roboneuron import NotReadyError, RefusedError, RoboNeuronError, StateError
-from roboneuron.feature import ExposedEndpoint, MotionStarts
+from roboneuron.feature import ClosedLoop, ExposedEndpoint
 
 _FROZEN_S = 2.0
 """Modules hold the robot after such a silence of the server; a motion looks at its end every 10 ms.
@@ -144,7 +144,7 @@ class MotionArbiter:
         self,
         gate: Gate,
         policy: Callable[[ExposedEndpoint], str],
-        starts: MotionStarts,
+        loop: ClosedLoop,
         is_followed: Callable[[ExposedEndpoint], bool] = lambda exposed: False,
         hold_s: float = 2.0,
     ) -> None:
@@ -152,7 +152,7 @@ class MotionArbiter:
         gate: asked whether motion may go on.
         policy: says, in a sentence, which policy moves the endpoint's robot; empty when none
             does.
-        starts: knows of stops.
+        loop: whose `starts` know of stops.
         is_followed: whether control still follows actions: it will hold, and a hold would end
             another motion.
         hold_s: longest wait for that hold.
@@ -160,7 +160,7 @@ class MotionArbiter:
         self._is_followed, self._hold_s = is_followed, hold_s
         self._gate = gate
         self._policy = policy
-        self._starts = starts
+        self._starts = loop.starts
         self._lock = threading.Lock()
         self._moving: dict[str, ActiveMotion] = {}
         self._idle = threading.Condition(self._lock)

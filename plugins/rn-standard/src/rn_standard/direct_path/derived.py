@@ -10,7 +10,6 @@ from pydantic import BaseModel
 
 from roboneuron import InvalidInputError
 from roboneuron.feature import Schema, Shape
-from roboneuron.feature import schema as core_schema
 
 M_co = TypeVar("M_co", bound=BaseModel, covariant=True)
 
@@ -58,7 +57,7 @@ class Derived(Shape[M_co]):
         """
         schema = self.properties[name]
         if "enum" in schema and value not in schema["enum"]:
-            raise core_schema.no_choice(name, value, schema["enum"])
+            raise InvalidInputError.no_choice(name, value, schema["enum"])
         if isinstance(value, int | float) and value > schema.get("maximum", value):
             raise InvalidInputError(
                 f"Argument {name!r} is {value:g}, expected up to {schema['maximum']:g}.", path=name

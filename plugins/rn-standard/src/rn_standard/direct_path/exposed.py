@@ -9,7 +9,7 @@ import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, get_args
 
 from rn_standard.direct_path.fields import filled, load_type
 from rn_standard.direct_path.request import AllowedEndpoint
@@ -21,7 +21,7 @@ from roboneuron import (
     JointSample,
     RobotProfile,
 )
-from roboneuron.feature import MODULE_KINDS, ExposedEndpoint, GateRequest, settings, topics
+from roboneuron.feature import ExposedEndpoint, GateRequest, ModuleKind, settings, topics
 
 _ACTION_TYPE = "std_msgs/msg/Float64MultiArray"
 Use = tuple[str, str]
@@ -32,7 +32,8 @@ _SERVICE_OF_A_NODE = re.compile(
     r"|/(change_state|get_state|get_available_states|get_available_transitions|get_transition_graph)$"
 )
 """Parameter and lifecycle services. Source: rcl_interfaces/srv, lifecycle_msgs/srv."""
-_TRANSITION = re.compile(rf"({'|'.join(MODULE_KINDS)})(_b)?/transition_event")
+_KINDS = get_args(ModuleKind)
+_TRANSITION = re.compile(rf"({'|'.join(_KINDS)})(_b)?/transition_event")
 """What the middleware publishes for each module below a robot's namespace."""
 _SYSTEM_TOPICS = frozenset({topics.DIAGNOSTICS, "/rosout", "/parameter_events"})
 """Health of the modules, and what ROS itself tells."""
@@ -158,7 +159,7 @@ def is_module(node: str, owner: str) -> bool:
     alone sets.
     """
     return node.removeprefix(f"/{owner}/") in {
-        f"{kind}{end}" for kind in MODULE_KINDS for end in ("", "_b")
+        f"{kind}{end}" for kind in _KINDS for end in ("", "_b")
     }
 
 

@@ -18,7 +18,7 @@ from rn_standard.direct_path.options import DirectPathOptions
 from rn_standard.direct_path.plugin import FEATURE
 from rn_standard.direct_path.traffic import Traffic
 from roboneuron import Feature, Host, RoboNeuronError, Tool
-from roboneuron.feature import ExposedEndpoint, MotionGate, assess
+from roboneuron.feature import ExposedEndpoint, MotionGate
 
 log = logging.getLogger(__name__)
 _CLOSE_S = 2.0
@@ -63,7 +63,7 @@ class DirectPath(Feature[DirectPathOptions]):
         )
         control = host.config.control
         self.arbiter = MotionArbiter(
-            self.judge, self._policy, host.loop.starts,
+            self.judge, self._policy, host.loop,
             self._is_followed, _REPORTED_S + (0.0 if control is None else control.action_timeout_s),
         )  # fmt: skip
         self.allow_list = AllowList(
@@ -123,7 +123,7 @@ class DirectPath(Feature[DirectPathOptions]):
             or view.report is None
         ):
             return False
-        is_turning = view.phase == "running" and assess(view, time.monotonic()) not in (
+        is_turning = view.phase == "running" and view.health(time.monotonic()) not in (
             "silent",
             "stuck",
         )

@@ -32,7 +32,6 @@ from roboneuron.feature import (
     Verdict,
     estop,
     joint_space,
-    roles,
 )
 
 _Key = tuple[str, str]
@@ -180,9 +179,9 @@ class Gate:
         endpoint = entry.endpoint
         yield "role"
         least = ROLE_BY_KIND[endpoint.kind]
-        if not roles.has_role(request.role, least):
+        if not least.is_held_by(request.role):
             text = (
-                f"{endpoint.name!r} needs the role {least!r}, {request.who[:60]!r} has "
+                f"{endpoint.name!r} needs the role '{least}', {request.who[:60]!r} has "
                 f"{request.role[:20]!r}."
             )
             raise RefusedError(text)
@@ -268,9 +267,8 @@ def _legs(entry: AllowedEndpoint, request: GateRequest) -> list[Leg]:
             f"{entry.endpoint.type}."
         )
     durations_s = request.durations_s if len(request.durations_s) == len(commands) else ()
-    return check_joints(
-        joint_space.joint_limits(entry.profile, entry.rules), commands, request.joints, durations_s
-    )
+    limits = joint_space.JointLimit.by_joint(entry.profile, entry.rules)
+    return check_joints(limits, commands, request.joints, durations_s)
 
 
 @contextmanager

@@ -30,10 +30,10 @@ class HealthDiagnostics:
             return
         from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue  # heavy
 
-        from roboneuron.feature import qos, topics
+        from roboneuron.feature import topics
 
         if self._send is None:
-            self._send = self._link().advertise(DiagnosticArray, topics.DIAGNOSTICS, qos.STATUS)
+            self._send = self._link().advertise(DiagnosticArray, topics.DIAGNOSTICS)
         level: Any = DiagnosticStatus.OK
         if health in FAULTS:
             level = (

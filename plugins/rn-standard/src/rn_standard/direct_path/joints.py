@@ -149,7 +149,7 @@ class _JointMotion:
                 where=where if len(message.points) > 1 else "",
             )
             before_s = at_s
-        if lasts_s is not None and lasts_s < before_s * (1.0 - joint_space.SLACK):
+        if lasts_s is not None and lasts_s < before_s * (1.0 - joint_space.JointLimit.SLACK):
             raise RefusedError(f"The trajectory takes {before_s:g} s, its step only {lasts_s:g} s.")
 
     def _state(self, message: Any, lasts_s: float | None) -> Iterator[Leg]:
@@ -189,7 +189,7 @@ class _JointMotion:
             limit, distance = self._limits[name], end - start
             self._distance[name] = distance
             mean, allowed = distance / duration_s, limit.fastest(end, end > start)
-            if abs(mean) > allowed * (1.0 + joint_space.SLACK):
+            if abs(mean) > allowed * (1.0 + joint_space.JointLimit.SLACK):
                 near = " so near to its limit" if allowed < limit.velocity else ""
                 raise RefusedError(
                     f"{leg.where}{name} would move at {abs(mean):.4g} per second, allowed is "
@@ -200,7 +200,7 @@ class _JointMotion:
                 )
             old = self._speeds.get(name, Speeds(0.0, 0.0))
             if is_velocity:
-                room = limit.acceleration * duration_s * (1.0 + joint_space.SLACK)
+                room = limit.acceleration * duration_s * (1.0 + joint_space.JointLimit.SLACK)
                 new = Speeds(mean, mean) if old.at(mean, room) else None
             else:
                 new = old.after(distance, duration_s, limit.acceleration, limit.velocity)

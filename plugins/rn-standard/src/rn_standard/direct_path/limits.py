@@ -20,8 +20,12 @@ from rn_standard.direct_path.fields import (
 from rn_standard.direct_path.request import ROLE_BY_KIND, AllowedEndpoint
 from rn_standard.direct_path.twists import TWIST_FIELDS, check_twist
 from roboneuron import ConfigurationError, Endpoint, RefusedError
-from roboneuron.feature import TOPIC_RULE, Clamp
+from roboneuron.feature import Clamp
 
+_TOPIC_RULE = (
+    'A name is words of letters, digits and underscores with "/" between them, such as '
+    "/arm/joint_states; each word begins with a letter, and it has at most 200 characters."
+)
 _TOPIC = re.compile(r"/?[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*\Z")
 _NAME = re.compile(r"[a-z][a-z0-9_]{0,59}\Z")
 _TWISTS = {"geometry_msgs/msg/Twist": "", "geometry_msgs/msg/TwistStamped": "twist."}
@@ -50,7 +54,7 @@ def check_endpoint(endpoint: Endpoint) -> None:
         )
     if len(endpoint.topic) > 200 or not _TOPIC.match(endpoint.topic):
         raise ConfigurationError(
-            f"{where}: {endpoint.topic[:80]!a} is not a topic name.", hint=TOPIC_RULE
+            f"{where}: {endpoint.topic[:80]!a} is not a topic name.", hint=_TOPIC_RULE
         )
     if not (math.isfinite(endpoint.rate_hz) and endpoint.rate_hz >= 0.0):
         raise ConfigurationError(f"{where}: rate_hz = {endpoint.rate_hz} must be 0 or more.")

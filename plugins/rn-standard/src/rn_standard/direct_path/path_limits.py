@@ -13,8 +13,8 @@ from functools import partial
 
 import numpy as np
 
-from roboneuron import JointSample, Posture, RefusedError, RobotProfile, UnsafeError
-from roboneuron.feature import F64, MotionRules, Reach, task_space
+from roboneuron import F64, JointSample, Posture, RefusedError, RobotProfile, UnsafeError
+from roboneuron.feature import MotionRules, Reach, task_space
 
 MAX_POSTURES = 20_000
 """Longer paths are refused: checking them would take seconds."""

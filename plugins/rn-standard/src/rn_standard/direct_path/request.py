@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 from rn_standard.direct_path.path_limits import PathLimiter
 from roboneuron import Endpoint, RobotProfile
-from roboneuron.feature import MotionRules, roles
+from roboneuron.feature import MotionRules, Role
 
 ROLE_BY_KIND = {
-    "read": roles.VIEWER,
-    "publish": roles.OPERATOR,
-    "service": roles.OPERATOR,
-    "action": roles.OPERATOR,
+    "read": Role.VIEWER,
+    "publish": Role.OPERATOR,
+    "service": Role.OPERATOR,
+    "action": Role.OPERATOR,
 }
 """Least role by endpoint kind. Everything but reading may move the robot."""
 

@@ -41,7 +41,7 @@ class Speeds:
         """
         if math.isinf(acceleration):
             return Speeds(-velocity, velocity)
-        mean, limit = distance / duration_s, acceleration * (1.0 + joint_space.SLACK)
+        mean, limit = distance / duration_s, acceleration * (1.0 + joint_space.JointLimit.SLACK)
         reach = limit * duration_s / 2.0
         low, high = max(self.low, mean - reach), min(self.high, mean + reach)
         if low > high:
@@ -60,7 +60,7 @@ class Speeds:
         )
         return Speeds(slowest, fastest) if slowest <= fastest else None
 
-    def at(self, velocity: float, tolerance: float = joint_space.SLACK) -> Speeds | None:
+    def at(self, velocity: float, tolerance: float = joint_space.JointLimit.SLACK) -> Speeds | None:
         """Only this velocity; None when it is not among them."""
         return (
             Speeds(velocity, velocity)

@@ -7,7 +7,6 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Sequence
-from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from rclpy.duration import Duration
@@ -20,8 +19,6 @@ from rclpy.qos import (
 )
 
 from roboneuron import ConfigurationError
-from roboneuron.feature import UNSENT
-from roboneuron.feature import qos as core_qos
 
 if TYPE_CHECKING:
     from roboneuron.feature import RosLink
@@ -126,10 +123,8 @@ class TopicWriter:
     def publish_if_possible(self, message: Any) -> None:
         """Send, unless ROS refuses: nothing is connected, or the context is closed."""
         publisher = self._publisher
-        if publisher is None:
-            return
-        with suppress(*UNSENT):
-            publisher.publish(message)
+        if publisher is not None:
+            self._link.send_if_possible(publisher, message)
 
     def _subscriptions(self) -> list[Any]:
         found = list(self._link.node.get_subscriptions_info_by_topic(self.topic))
@@ -184,10 +179,7 @@ class NewestMessage:
         """Subscribe, and wait for a first message for at most `timeout_s`."""
         with self._lock:
             if not self._is_open:
-                infos = self._link.node.get_publishers_info_by_topic(self.topic)
-                self._link.subscribe(
-                    self._message_type, self.topic, self._take, core_qos.requested_qos(infos, 1)
-                )
+                self._link.follow(self._message_type, self.topic, self._take)
                 self._is_open = True
         self._arrived.wait(timeout_s)
 

@@ -44,7 +44,7 @@ def measure_image_transport() -> ImageTransport:
     # the message package must not be needed to import this module
     from sensor_msgs.msg import Image
 
-    from roboneuron.command import RosLink, messages, qos
+    from roboneuron.command import RosLink, messages
 
     topic = f"/roboneuron_doctor/images_{os.getpid()}"
     ages_ms: list[float] = []
@@ -55,7 +55,6 @@ def measure_image_transport() -> ImageTransport:
             Image,
             topic,
             lambda m: ages_ms.append((time.time_ns() - messages.to_ns(m.header.stamp)) / 1e6),
-            qos.NEWEST,
         )
         try:
             sender = subprocess.run(
@@ -102,12 +101,12 @@ def send_images(topic: str) -> int:
     environment.prepare_environment()
     from sensor_msgs.msg import Image
 
-    from roboneuron.command import RosLink, messages, qos
+    from roboneuron.command import RosLink, messages
 
     link = RosLink(f"roboneuron_doctor_sender_{os.getpid()}")
     link.open()
     try:
-        publish = link.advertise(Image, topic, qos.NEWEST)
+        publish = link.advertise(Image, topic)
         end_s = time.monotonic() + _DISCOVERY_S
         while link.node.count_subscribers(topic) == 0 and time.monotonic() < end_s:
             time.sleep(_PERIOD_S)

@@ -13,8 +13,7 @@ from rn_standard.execution.mode import Abilities, Mode, ModeChoice, ModeSelector
 from rn_standard.execution.queue import SentRowQueue, fade_rows_of
 from rn_standard.execution.roll_forward import roll_forward
 from rn_standard.inference import execution
-from roboneuron import EE_DELTA, ActionChunk, Ahead, JointSample, Observation, Pose
-from roboneuron.node import F64
+from roboneuron import EE_DELTA, F64, ActionChunk, Ahead, JointSample, Observation, Pose
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

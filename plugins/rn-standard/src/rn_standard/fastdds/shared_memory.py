@@ -117,7 +117,6 @@ class SegmentRecord:
         """Remember names; a disk that cannot be written only costs the cleaning after a kill."""
         with self._lock:
             try:
-                log_files.make_log_directory(self._path.parent)
                 with open(self._path, "a", encoding="ascii", opener=log_files.opener) as file:
                     file.writelines(f"{name}\n" for name in sorted(names))
             except OSError as error:

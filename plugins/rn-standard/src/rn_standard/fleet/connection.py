@@ -6,9 +6,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
-from roboneuron.feature import MODULE_KINDS, Config, launching
+from roboneuron.feature import Config, ModuleKind, launching
 
 PARTICIPANTS = "ROBONEURON_PARTICIPANTS"
 """Environment variable: how many participants of this host each looks for in the range LOCALHOST.
@@ -23,7 +23,8 @@ def participants_of(robots: Iterable[Config]) -> int:
     """How many participants have to find each other: the modules of all robots, and a few
     others.
     """
-    modules = sum(getattr(robot, kind) is not None for robot in robots for kind in MODULE_KINDS)
+    kinds = get_args(ModuleKind)
+    modules = sum(getattr(robot, kind) is not None for robot in robots for kind in kinds)
     return min(_MOST, modules + _OTHERS)
 
 

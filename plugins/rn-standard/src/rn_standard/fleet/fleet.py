@@ -21,15 +21,13 @@ from rn_standard.fleet.fleet_tools import emergency_stop_tool, list_fleet_tool
 from rn_standard.fleet.middleware import RobotMiddleware
 from rn_standard.fleet.resources import resources_of, uri_of
 from rn_standard.fleet.tools import FleetTools
-from roboneuron import ConfigurationError, RoboNeuronError, Tool, UnsafeError
+from roboneuron import ConfigurationError, RoboNeuronError, Tool, Transport, UnsafeError
 from roboneuron.feature import (
     Application,
     Config,
     Events,
     Periodic,
     PluginCatalogue,
-    Transport,
-    emergency,
     estop,
     log_files,
     make_server,
@@ -129,10 +127,6 @@ class Fleet:
         """Begin to listen for the clients of all robots; None for stdio."""
         return self.features.listen(self._host)
 
-    def press_on_signal(self) -> None:
-        """From now on SIGUSR1 stops all robots; called on the main thread."""
-        emergency.press_on_signal(lambda who: self.latch(who, ""))
-
     def open(self) -> None:
         """Begin to join the ROS graph; stop all robots whenever the latch of the whole state
         directory is pressed.
@@ -163,7 +157,7 @@ class Fleet:
             reason=reason,
         )
 
-    def latch(self, who: str, reason: str) -> tuple[list[str], float]:
+    def latch(self, who: str, reason: str = "") -> tuple[list[str], float]:
         """Stop all motion of all robots; returns which modules confirmed it, and after how many
         seconds.
 
@@ -233,8 +227,9 @@ class Fleet:
     def _note_namespaces(self) -> None:
         for name, robot in self.robots.items():
             folder = reading.robot_folder(self._state, name)
-            log_files.make_log_directory(folder)
-            (folder / NAMESPACE_FILE).write_text(robot.loop.config.namespace, encoding="utf-8")
+            path = folder / NAMESPACE_FILE
+            with open(path, "w", encoding="utf-8", opener=log_files.opener) as file:
+                file.write(robot.loop.config.namespace)
 
     def _look(self) -> None:
         """A stop of the whole, written by `roboneuron estop`: each robot is then stopped until it

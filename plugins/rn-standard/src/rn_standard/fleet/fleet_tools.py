@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Protocol
 
 from pydantic import Field
 
-from roboneuron import CallContext, InvalidInputError, NoArguments, Result, Tool
-from roboneuron.feature import EmergencyStopArguments, EmergencyStopResult, assess, roles
+from roboneuron import Arguments, CallContext, InvalidInputError, NoArguments, Result, Tool
+from roboneuron.feature import Role
 
 if TYPE_CHECKING:
     from roboneuron.feature import Application
@@ -48,12 +48,24 @@ class FleetList(Result):
     robots: list[FleetRobot]
 
 
-class FleetStop(EmergencyStopArguments):
+class FleetStop(Arguments):
     """Arguments of emergency_stop."""
 
+    reason: str = Field(
+        default="", max_length=500, description="Why; kept in the latch and in the audit."
+    )
     robot: str | None = Field(
         default=None, description="Which robot; all of them when omitted or unknown."
     )
+
+
+class FleetStopResult(Result):
+    """The latches, as the modules themselves report them."""
+
+    latched: bool
+    confirmed_by: list[str] = Field(description="running modules that report it")
+    took_s: float
+    note: str = ""
 
 
 def list_fleet_tool(robots: Mapping[str, Application]) -> Tool[NoArguments]:
@@ -85,7 +97,7 @@ def emergency_stop_tool(fleet: StoppedTogether) -> Tool[FleetStop]:
         """Latch all before anything else: also when the arguments are wrong."""
         fleet.press(context.who, str(arguments.get("reason") or ""))
 
-    async def latch(arguments: FleetStop, context: CallContext) -> EmergencyStopResult:
+    async def latch(arguments: FleetStop, context: CallContext) -> FleetStopResult:
         confirmed, took_s = await context.run(lambda _: fleet.latch(context.who, arguments.reason))
         if arguments.robot is not None:
             raise InvalidInputError(
@@ -98,7 +110,7 @@ def emergency_stop_tool(fleet: StoppedTogether) -> Tool[FleetStop]:
             if confirmed
             else "No module runs; those that are started later are stopped from the beginning."
         )
-        return EmergencyStopResult(
+        return FleetStopResult(
             latched=True, confirmed_by=confirmed, took_s=round(took_s, 3), note=note
         )
 
@@ -113,12 +125,12 @@ def emergency_stop_tool(fleet: StoppedTogether) -> Tool[FleetStop]:
             "an error names those that have not."
         ),
         arguments=FleetStop,
-        result=EmergencyStopResult,
+        result=FleetStopResult,
         handler=latch,
         destructive=True,
         idempotent=True,
         open_world=True,
-        role=roles.VIEWER,  # whoever sees a robot may stop it
+        role=Role.VIEWER,  # whoever sees a robot may stop it
         always=True,
         urgent=press,
     )
@@ -134,7 +146,7 @@ def _told(name: str, robot: Application) -> FleetRobot:
         namespace=config.namespace,
         emergency_stop=robot.loop.emergency_stop.is_latched(),
         modules={
-            view.kind: assess(view, now_s)
+            view.kind: view.health(now_s)
             for view in robot.host.modules.views()
             if view.phase != "stopped"
         },

@@ -12,7 +12,7 @@ from mcp import types
 from pydantic import Field
 
 from roboneuron import Arguments, CallContext, InternalError, Result, Tool
-from roboneuron.feature import roles
+from roboneuron.feature import Role
 
 FIND, CALL = "find_robot_tools", "call_robot_tool"
 _MOST = 5
@@ -107,7 +107,7 @@ def search_tools(seldom: Callable[[str], Sequence[types.Tool]]) -> list[Tool[Any
             handler=call,
             destructive=True,
             open_world=True,
-            role=roles.VIEWER,  # what it calls has a role of its own
+            role=Role.VIEWER,  # what it calls has a role of its own
         ),
     ]
 

@@ -11,8 +11,8 @@ from mcp import types
 
 from rn_standard.fleet.schemas import merged_tool
 from rn_standard.fleet.search import CALL, CallRobotTool, search_tools
-from roboneuron import CallContext, InvalidInputError, RoboNeuronError, Tool
-from roboneuron.feature import Stage, ToolRegistry, failure, nearest, roles, schema
+from roboneuron import CallContext, InvalidInputError, RoboNeuronError, Tool, nearest
+from roboneuron.feature import Role, Stage, ToolRegistry, schema
 
 if TYPE_CHECKING:
     from roboneuron.feature import Application
@@ -78,7 +78,7 @@ class FleetTools(ToolRegistry):
         self._robots = robots
         self._on_client = on_client
 
-    def listing(self, role: str = roles.ADMIN) -> list[types.Tool]:
+    def listing(self, role: str = Role.ADMIN) -> list[types.Tool]:
         """What `tools/list` answers to clients of a role; of several robots without what is seldom
         needed.
         """
@@ -118,7 +118,7 @@ class FleetTools(ToolRegistry):
             try:
                 name, arguments = unwrapped(schema.parse(CallRobotTool, arguments))
             except RoboNeuronError as error:
-                return failure(error)
+                return self.failure(error)
         robot = arguments.get("robot")
         is_known = isinstance(robot, str) and robot in self._robots
         if self.get(name) is not None and not is_known:
@@ -130,7 +130,7 @@ class FleetTools(ToolRegistry):
         try:
             chosen = self._choose(name, robot)
         except RoboNeuronError as error:
-            return failure(error)
+            return self.failure(error)
         rest = {key: value for key, value in arguments.items() if key != "robot"}
         return await self._robots[chosen].tools.call(name, rest, RobotContext(context, chosen))
 

@@ -14,8 +14,8 @@ from rn_standard.http.operator_lease import OperatorLease
 from rn_standard.http.options import HttpOptions
 from rn_standard.http.origins import HostRules
 from rn_standard.http.tokens import TokenFiles, read_tokens
-from roboneuron import Feature, Host, Tool
-from roboneuron.feature import Config, Transport
+from roboneuron import Feature, Host, Tool, Transport
+from roboneuron.feature import Config
 
 _LAPSE_S = 2.0
 """Longest wait for the end of motion when a lease lapsed."""

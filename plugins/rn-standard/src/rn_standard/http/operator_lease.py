@@ -13,7 +13,7 @@ from typing import Any
 from pydantic import Field
 
 from roboneuron import CallContext, NoArguments, RefusedError, Result, Tool
-from roboneuron.feature import AuditLog, AuditRecord, Periodic, roles
+from roboneuron.feature import AuditLog, AuditRecord, Periodic, Role
 
 log = logging.getLogger(__name__)
 _LOOK_S = 0.05
@@ -208,7 +208,7 @@ class OperatorLease:
                 result=OperatorResult,
                 handler=take_over,
                 idempotent=True,
-                role=roles.OPERATOR,
+                role=Role.OPERATOR,
             ),
             Tool(
                 name=HEARTBEAT,

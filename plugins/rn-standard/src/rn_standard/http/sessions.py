@@ -198,7 +198,7 @@ def _request_id(body: bytes) -> int | str | None:
         raw = from_json(body)
     except ValueError:
         return None
-    envelope.check_id(raw)
+    envelope.EnvelopeError.raise_for_id(raw)
     is_request = isinstance(raw, dict) and "method" in raw
     return raw.get("id") if is_request else None
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from roboneuron import (
     EE_DELTA,
+    F64,
     GRIPPER,
     SPACE_KINDS,
     ActionChunk,
@@ -25,7 +26,7 @@ from roboneuron import (
     RobotProfile,
     robot_space,
 )
-from roboneuron.node import F64, Plan, Registry, load_profile, loading, models, settings
+from roboneuron.node import Plan, Registry, load_profile, loading, models
 
 _RATE_SHARE = 0.02
 """How far the period of a chunk may be from the declared rate: rates are told in whole Hz."""
@@ -208,7 +209,7 @@ def agree_on_space(
     if control is not None:
         name = control.controller
         kinds = registry.get(ControllerSpec, name, elsewhere=True).spaces
-        longest_s = control.action_timeout_s * settings.HOLD_SHARE
+        longest_s = control.hold_after_s
     return agree(
         declared, profile, kinds, backend=backend.name, controller=name, longest_s=longest_s
     )

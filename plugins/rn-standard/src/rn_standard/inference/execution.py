@@ -17,8 +17,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, cast
 
-from roboneuron import ActionChunk, BackendSpec, ConfigurationError, NotReadyError, Observation
-from roboneuron.node import F64
+from roboneuron import F64, ActionChunk, BackendSpec, ConfigurationError, NotReadyError, Observation
 
 if TYPE_CHECKING:
     from roboneuron.node import ModuleHost

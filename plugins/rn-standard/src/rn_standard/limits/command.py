@@ -79,7 +79,7 @@ def _loosen(file: object) -> int:
     """
     from rn_standard.tools_arm.tightening import TightenedRecord, Tightening, TighteningFile
     from roboneuron import RefusedError
-    from roboneuron.command import AUDIT_FILE, AuditLog, AuditRecord, roles
+    from roboneuron.command import AuditLog, AuditRecord, Role
 
     assert isinstance(file, TighteningFile)
     if not sys.stdin.isatty():
@@ -95,8 +95,8 @@ def _loosen(file: object) -> int:
         print("They stay.")
         return 1
     who = f"{getpass.getuser()} at the command line"
-    audit = AuditLog(file.path.parent / AUDIT_FILE, time.time_ns)
-    audit.write(AuditRecord(who=who, role=roles.ADMIN, tool="limits --loosen", verdict="loosened"))
+    audit = AuditLog.in_directory(file.path.parent)
+    audit.write(AuditRecord(who=who, role=Role.ADMIN, tool="limits --loosen", verdict="loosened"))
     file.write(TightenedRecord(tightening=Tightening(), who=who, at_ns=time.time_ns()))
     print("Loosened.")
     return 0

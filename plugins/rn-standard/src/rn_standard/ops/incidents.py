@@ -69,7 +69,6 @@ class Incidents:
         }
         path = self.directory / name
         try:
-            log_files.make_log_directory(self.directory)
             temporary = path.with_suffix(".part")
             with open(temporary, "w", encoding="utf-8", opener=log_files.opener) as file:
                 json.dump(record, file, indent=1)

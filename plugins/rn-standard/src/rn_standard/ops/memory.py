@@ -12,7 +12,7 @@ from pathlib import Path
 from weakref import WeakSet
 
 from rn_standard.ops.options import MemoryOptions
-from roboneuron.feature import MODULE_KINDS, ModuleKind, ModuleProcess, Modules, Periodic
+from roboneuron.feature import ModuleKind, ModuleProcess, Modules, Periodic
 
 log = logging.getLogger(__name__)
 _LOOK_S = 0.05
@@ -51,7 +51,7 @@ class MemoryWatch(Periodic):
 
     def look(self) -> None:
         """Compare all modules with their limits."""
-        for kind in MODULE_KINDS:
+        for kind in self._modules.slots:
             # the one that works, and one that is to replace it
             for process in self._modules.processes(kind):
                 self._check(kind, process)

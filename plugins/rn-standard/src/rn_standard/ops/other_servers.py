@@ -31,7 +31,6 @@ class ServerPresence:
         A directory that cannot be written costs the knowledge, nothing else.
         """
         with suppress(OSError):
-            log_files.make_log_directory(self._folder)
             self._held = self._lock(self._path)
         return sorted(
             int(path.name) for path in self._folder.glob("[0-9]*") if self._is_of_another(path)

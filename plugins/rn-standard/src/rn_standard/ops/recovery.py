@@ -21,7 +21,7 @@ from roboneuron import (
     StateError,
     Tool,
 )
-from roboneuron.feature import AuditRecord, roles
+from roboneuron.feature import AuditRecord, Role
 
 _SET_S = 5.0
 _DONE_S = 20.0
@@ -70,7 +70,7 @@ def _tool(host: Host) -> Tool[NoArguments]:
         handler=recover_robot,
         destructive=True,
         open_world=True,
-        role=roles.OPERATOR,
+        role=Role.OPERATOR,
     )
 
 

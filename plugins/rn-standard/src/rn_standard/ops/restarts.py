@@ -5,20 +5,18 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Callable
 
 from rn_standard.ops.load import OVERLOADED, cores, runnable_per_core
 from rn_standard.ops.options import OpsOptions
 from roboneuron import RoboNeuronError
 from roboneuron.feature import (
-    MODULE_KINDS,
     ClosedLoop,
     Config,
     Health,
     ModuleKind,
     ModuleView,
-    assess,
 )
 
 log = logging.getLogger(__name__)
@@ -76,8 +74,8 @@ class Restarts:
         self._record = record
         self._load = load
         self._lock = threading.Lock()
-        self._faults: dict[ModuleKind, deque[float]] = {kind: deque() for kind in MODULE_KINDS}
-        self._overloads: dict[ModuleKind, deque[float]] = {kind: deque() for kind in MODULE_KINDS}
+        self._faults: defaultdict[ModuleKind, deque[float]] = defaultdict(deque)
+        self._overloads: defaultdict[ModuleKind, deque[float]] = defaultdict(deque)
         self._pending: dict[ModuleKind, threading.Event] = {}
         self._closed = False
 
@@ -205,7 +203,7 @@ class Restarts:
             if cancelled.wait(_LOOK_S):
                 return False
             now = self._modules.view(view.kind)
-            if now.process is not view.process or assess(now, time.monotonic()) not in (
+            if now.process is not view.process or now.health(time.monotonic()) not in (
                 *_FROZEN,
                 "exited",
             ):

@@ -43,7 +43,6 @@ class ServerLog:
         if self._handler is not None:
             return
         with suppress(OSError):
-            log_files.make_log_directory(self.path.parent)
             self._handler = _PrivateFile(
                 self.path, maxBytes=_BYTES, backupCount=1, encoding="utf-8"
             )

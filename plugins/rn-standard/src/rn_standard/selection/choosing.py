@@ -10,17 +10,14 @@ from dataclasses import replace
 from rn_standard.selection.options import named_models, selection_options
 from rn_standard.selection.permission import check_addresses, check_may_load, check_may_set
 from rn_standard.selection.requests import REQUESTS
-from roboneuron import Arguments, DriverSpec, InvalidInputError, Spec
+from roboneuron import Arguments, DriverSpec, InvalidInputError, Section, Spec
 from roboneuron.feature import (
     KIND_ENTRIES,
     Config,
     ModuleKind,
-    ModuleSection,
     Registry,
     Selection,
-    check_instruction,
 )
-from roboneuron.feature import models as core_models
 
 
 def choose(
@@ -54,7 +51,8 @@ def choose(
         config, request = _with_model(config, request, model)
     configured = _configured_names(kind, config)
     section = _section(kind, config, registry, request)
-    plan, spec, names = KIND_ENTRIES[kind].plan(section, config, registry)
+    update = {kind: section}
+    plan, spec, names = KIND_ENTRIES[kind].plan(config.model_copy(update=update), registry)
     config = _merge(config, next(iter(names.values())), spec, getattr(request, "options", {}), role)
     if chosen_by_agent:
         of_backend = (
@@ -68,7 +66,7 @@ def choose(
     checkpoint = getattr(request, "checkpoint", None)
     if checkpoint is not None and plan.takes_checkpoint:
         check_may_load(config, checkpoint)
-    selection = Selection.of(kind, config.model_copy(update={kind: section}), registry)
+    selection = Selection.of(kind, config.model_copy(update=update), registry)
     return (
         selection
         if model is None
@@ -78,7 +76,7 @@ def choose(
 
 def _configured_names(kind: ModuleKind, config: Config) -> set[str]:
     """Names of the plugins that the configuration chooses for a kind of module."""
-    section: ModuleSection | None = getattr(config, kind)
+    section: Section | None = getattr(config, kind)
     fields = ("driver", "source", "controller", "backend", "runtime", "acceleration")
     return (
         set()
@@ -109,27 +107,26 @@ def _with_model(config: Config, request: Arguments, name: str) -> tuple[Config, 
                 f"The model {name!r} names its {part} itself; leave it out.", path=part
             )
     parts = {"checkpoint": model.checkpoint, "runtime": model.runtime, "acceleration": model.preset}
-    section = config.inference
-    if section is None or section.backend != model.backend:
-        section = core_models.InferenceConfig(backend=model.backend)
+    section: Section | None = config.inference
+    if config.inference is None or config.inference.backend != model.backend:
+        section = KIND_ENTRIES["inference"].section.model_validate({"backend": model.backend})
     profile = {} if model.profile is None else {"profile": model.profile}
     options = {**config.options(model.backend), **profile, **model.options}
     plugins = {**config.plugins, model.backend: options}
+    assert section is not None
     config = config.model_copy(
         update={"inference": section.model_copy(update=parts), "plugins": plugins}
     )
     return config, request.model_copy(update={"model": None})
 
 
-def _section(
-    kind: ModuleKind, config: Config, registry: Registry, request: Arguments
-) -> ModuleSection:
+def _section(kind: ModuleKind, config: Config, registry: Registry, request: Arguments) -> Section:
     """The configured section with what the request names; one of its own for another plugin than
     the configured.
     """
     entry = KIND_ENTRIES[kind]
     field = "name" if kind == "robot" else entry.noun
-    section: ModuleSection | None = getattr(config, kind)
+    section: Section | None = getattr(config, kind)
     named = {
         key: getattr(request, key)
         for key in REQUESTS[kind].model_fields
@@ -140,8 +137,6 @@ def _section(
         section = entry.configured(config, registry)
     if section is None or wanted not in (None, getattr(section, field)):
         section = entry.section.model_validate({field: wanted})
-    if named.get("instruction") is not None:
-        named["instruction"] = check_instruction(named["instruction"])
     if kind == "perception":
         named["cameras"] = tuple(named["cameras"]) or None
     return section.model_copy(

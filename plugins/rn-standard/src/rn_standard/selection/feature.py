@@ -11,7 +11,7 @@ from rn_standard.selection.options import SelectionSections
 from rn_standard.selection.permission import check_listed
 from rn_standard.selection.requests import REQUESTS, choices_of
 from roboneuron import Feature, Host, InternalError, Tool
-from roboneuron.feature import KIND_ENTRIES, Config, discover
+from roboneuron.feature import KIND_ENTRIES
 
 
 class SelectionFeature(Feature[SelectionSections]):
@@ -19,13 +19,14 @@ class SelectionFeature(Feature[SelectionSections]):
     start.
     """
 
-    def check(self, config: Config) -> None:
-        """Check that `agent_options` names options of installed plugins. See `Feature.check`."""
-        if listed := self.options.selection.agent_options:
-            check_listed(listed, discover(config.disabled_plugins))
-
     def tools(self, host: Host) -> Sequence[Tool[Any]]:
-        """None of its own: those of core get arguments. See `Feature.tools`."""
+        """None of its own: those of core get arguments. See `Feature.tools`.
+
+        Raises:
+            ConfigurationError: `agent_options` names what is no option of an installed plugin.
+        """
+        if listed := self.options.selection.agent_options:
+            check_listed(listed, host.registry)
         host.loop.choose = choose
         for kind, arguments in REQUESTS.items():
             tool = host.tools.get(f"start_{kind}")

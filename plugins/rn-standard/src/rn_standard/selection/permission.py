@@ -15,8 +15,9 @@ from roboneuron import (
     PluginError,
     RefusedError,
     Spec,
+    nearest,
 )
-from roboneuron.feature import Config, Registry, loading, nearest, roles
+from roboneuron.feature import Config, Registry, Role, loading
 
 _ABSENT = object()
 
@@ -76,7 +77,7 @@ def check_may_set(
             hint="A person can set it there, or list it in agent_options of [selection] for "
             "admins.",
         )
-    if keys and role != roles.ADMIN:
+    if keys and role != Role.ADMIN:
         raise RefusedError(
             f"Only a client with the role 'admin' may set {_list(keys)}.",
             hint="Ask a person who has it.",

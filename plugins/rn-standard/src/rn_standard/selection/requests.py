@@ -79,7 +79,11 @@ class StartChosenInference(Arguments):
     model: str | None = Field(
         default=None, description="Name of a model in the configuration, instead of these four."
     )
-    instruction: Instruction = None
+    instruction: Instruction | None = Field(
+        default=None,
+        description='What to do at once, such as "pick up the red cube"; set_instruction gives '
+        "one later.",
+    )
     cameras: dict[str, str] | None = Field(
         default=None,
         description="Camera name by role of the backend; the robot's own roles when omitted.",

@@ -15,7 +15,6 @@ from rn_standard.switching.warm_switch import ARRIVAL_S, Change, WarmSwitch
 from roboneuron import Arguments, InvalidInputError, RoboNeuronError, StateError
 from roboneuron.feature import (
     KIND_ENTRIES,
-    MODULE_KINDS,
     ClosedLoop,
     ModuleKind,
     ModuleView,
@@ -63,7 +62,7 @@ class Switching:
         self.loop = loop
         loop.replacements.join(JOIN)
         self._before: dict[ModuleKind, Selection] = {}
-        self._busy = {kind: threading.Lock() for kind in MODULE_KINDS}
+        self._busy = {kind: threading.Lock() for kind in loop.modules.slots}
 
     def switch(
         self,

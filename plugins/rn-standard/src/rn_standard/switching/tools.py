@@ -14,9 +14,9 @@ from rn_standard.tools_loop.results import ModuleSummary
 from roboneuron import Arguments, CallContext, Tool
 from roboneuron.feature import (
     ClosedLoop,
+    Instruction,
     ModuleKind,
     Stage,
-    settings,
 )
 
 S = TypeVar("S", bound="Switch")
@@ -44,9 +44,8 @@ class Switch(Arguments):
 class SwitchInference(Switch, StartChosenInference):
     """Arguments of switch_inference."""
 
-    instruction: str | None = Field(
+    instruction: Instruction | None = Field(
         default=None,
-        max_length=settings.MAX_INSTRUCTION_LENGTH,
         description="What to do; the present one when omitted.",
     )
 

@@ -10,6 +10,7 @@ again.
 from __future__ import annotations
 
 import logging
+import math
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -27,7 +28,7 @@ from rn_standard.switching.standby import (
 )
 from rn_standard.switching.switch_checks import SwitchCheck
 from roboneuron import NotReadyError, RoboNeuronError, StateError
-from roboneuron.feature import ClosedLoop, Lasting, NodeClient, Report, Selection, Slot, Stage
+from roboneuron.feature import ClosedLoop, NodeClient, Report, Selection, Slot, Stage
 
 log = logging.getLogger(__name__)
 _MARGIN_S, _MOST_MARGIN_S, _MARGIN_RATIO = 0.5, 5.0, 5.0
@@ -102,7 +103,7 @@ class WarmSwitch:
         self._check = check
         self._kind = check.kind
         self._on_stage = on_stage
-        self._late = Lasting()
+        self._late_since_s = math.inf
         self._is_lowered = False
 
     def run(self) -> Change:
@@ -331,8 +332,10 @@ class WarmSwitch:
             )
         failure = report.failure()
         # it may still be in time for the next input
-        late_s = self._late.held_s(isinstance(failure, NotReadyError))
-        if failure is not None and (not isinstance(failure, NotReadyError) or late_s > _LATE_S):
+        is_late = isinstance(failure, NotReadyError)
+        now_s = time.monotonic()
+        self._late_since_s = min(self._late_since_s, now_s) if is_late else math.inf
+        if failure is not None and (not is_late or now_s - self._late_since_s > _LATE_S):
             raise failure
         if self._working().phase != "running":
             raise StateError(

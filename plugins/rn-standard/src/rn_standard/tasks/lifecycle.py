@@ -19,15 +19,14 @@ from roboneuron import (
     RoboNeuronError,
     Tool,
 )
-from roboneuron.feature import ModuleKind, Registry, settings
+from roboneuron.feature import Instruction, ModuleKind, Registry
 
 
 class StartAll(Arguments):
     """Arguments of start_all."""
 
-    instruction: str | None = Field(
+    instruction: Instruction | None = Field(
         default=None,
-        max_length=settings.MAX_INSTRUCTION_LENGTH,
         description='What to do at once, such as "pick up the red cube"; without it nothing moves '
         "yet.",
     )

@@ -8,11 +8,11 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from roboneuron.feature import roles
+from roboneuron.feature import Role
 
 PlaceName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_-]{0,63}$")]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
-RoleName = Annotated[str, Field(pattern=f"^({'|'.join(roles.ROLES)})$")]
+RoleName = Annotated[str, Field(pattern=f"^({'|'.join(Role)})$")]
 
 
 class _Section(BaseModel):

@@ -43,7 +43,7 @@ from roboneuron import (
     StateError,
     Tool,
 )
-from roboneuron.feature import Stage, build, check_instruction, check_topic, settings
+from roboneuron.feature import Instruction, Stage, build, check_topic
 
 HOLD, STOP = "hold", "stop"
 """What is done when a task has ended, besides the names of postures and places."""
@@ -55,8 +55,7 @@ MoveTo = Callable[[str, CallContext], Awaitable[object]]
 class RunTask(Arguments):
     """Arguments of run_task."""
 
-    instruction: str = Field(
-        max_length=settings.MAX_INSTRUCTION_LENGTH,
+    instruction: Instruction = Field(
         description='What to do, such as "pick up the red cube".',
     )
     until: dict[str, object] | None = Field(
@@ -145,7 +144,7 @@ class TaskTool:
 
     async def __call__(self, arguments: RunTask, context: CallContext) -> Reply:
         """Raises InvalidInputError, RefusedError, StateError, NotReadyError."""
-        instruction = check_instruction(arguments.instruction)
+        instruction = arguments.instruction
         predicate = None if arguments.until is None else parse_predicate(arguments.until)
         known = [HOLD, STOP, *self._names()]
         if arguments.on_end not in known:

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from rn_standard.selection.requests import StartChosenInference
 from roboneuron import Arguments, NotReadyError, RoboNeuronError, StateError
 from roboneuron.feature import (
-    MODULE_KINDS,
     ClosedLoop,
     ModuleKind,
     Modules,
@@ -26,7 +25,7 @@ class StartedModules:
     """What one call of start_all did.
 
     Attributes:
-        views: of the modules that were started, in the order of `MODULE_KINDS`.
+        views: of the modules that were started, in the order of `Modules.slots`.
         took_s: time from the call to the proof of each.
         already: modules that were running before.
         total_s: the whole call.
@@ -77,7 +76,7 @@ class ParallelStart:
                 call is left.
         """
         began_s = time.monotonic()
-        phases = {kind: self._modules.view(kind).phase for kind in MODULE_KINDS}
+        phases = {kind: self._modules.view(kind).phase for kind in self._modules.slots}
         if busy := [
             f"{kind} is {phase}"
             for kind, phase in phases.items()
@@ -87,10 +86,8 @@ class ParallelStart:
                 f"Somebody else is at work: {', '.join(busy)}.",
                 hint="Wait for the end of that call.",
             )
-        already = tuple(kind for kind in MODULE_KINDS if phases[kind] == "running")
-        wanted = [
-            kind for kind in MODULE_KINDS if kind not in already and self._is_configured(kind)
-        ]
+        already = tuple(kind for kind, phase in phases.items() if phase == "running")
+        wanted = [kind for kind in phases if kind not in already and self._is_configured(kind)]
         if not wanted:
             raise StateError("Everything that is configured runs already.", hint="See get_status.")
         selections = [

@@ -35,7 +35,6 @@ from roboneuron.feature import (
     Stage,
     TimedCommand,
     joint_space,
-    schema,
 )
 
 _EASY, _EASY_ACCELERATION = 0.4, 0.5
@@ -93,7 +92,7 @@ def joint_tools(
     )
     if found is None or found.profile is None:
         return []
-    limits = joint_space.joint_limits(found.profile)
+    limits = joint_space.JointLimit.by_joint(found.profile)
     mover = _JointMover(found, limits, gate, host)
     joints: Schema = {
         "properties": {
@@ -154,7 +153,7 @@ class _JointMover:
         """Raises InvalidInputError, RefusedError, NotReadyError, StateError."""
         for name, value in arguments.positions.items():
             if name not in self._limits:
-                raise schema.unknown_name("positions", name, list(self._limits))
+                raise InvalidInputError.unknown_name("positions", name, list(self._limits))
             limit = self._limits[name]
             if not limit.lower <= value <= limit.upper:
                 raise InvalidInputError(

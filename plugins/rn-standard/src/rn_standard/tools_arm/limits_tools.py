@@ -18,7 +18,7 @@ from roboneuron import (
     Result,
     Tool,
 )
-from roboneuron.feature import roles
+from roboneuron.feature import Role
 
 
 class TightenLimits(Arguments):
@@ -130,7 +130,7 @@ def limits_tools(
             idempotent=True,
             open_world=True,
             listed=False,  # a person's decision, and every byte of the list is read by every agent
-            role=roles.ADMIN,
+            role=Role.ADMIN,
         ),
     ]
 

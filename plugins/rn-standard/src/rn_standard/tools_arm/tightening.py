@@ -84,13 +84,14 @@ class Tightening(BaseModel):
             lower[index] = max(lower[index], -_FAR_M if low is None else low)
             upper[index] = min(upper[index], _FAR_M if high is None else high)
         boxes = [
-            models.ZoneConfig(name=f"kept out {number}", lower_m=box.lower_m, upper_m=box.upper_m)
+            {"name": f"kept out {number}", "lower_m": box.lower_m, "upper_m": box.upper_m}
             for number, box in enumerate(self.keep_out, 1)
         ]
+        zones = models.LimitsConfig.model_validate({"zones": boxes}).zones
         changes: dict[str, object] = {
             "workspace_lower_m": lower,
             "workspace_upper_m": upper,
-            "zones": (*configured.zones, *boxes),
+            "zones": (*configured.zones, *zones),
             "max_speed_m_s": min(configured.max_speed_m_s, self.max_speed_m_s or np.inf),
             "acceleration_fraction": min(
                 configured.acceleration_fraction, self.acceleration or 1.0

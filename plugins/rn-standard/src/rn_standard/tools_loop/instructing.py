@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 
 from roboneuron import InvalidInputError, NotReadyError
-from roboneuron.feature import ClosedLoop, Report, check_instruction
+from roboneuron.feature import ClosedLoop, Report
 
 _PARAMETER_S = 5.0
 
@@ -21,7 +21,6 @@ def give_instruction(loop: ClosedLoop, text: str, timeout_s: float) -> tuple[Rep
         UngroundedError: the backend cannot act on it; nothing moves.
         NotReadyError: no action within the time; the message says what is missing.
     """
-    text = check_instruction(text)
     view = loop.modules.require_running("inference")
     loop.emergency_stop.check()
     before = view.report

@@ -18,7 +18,6 @@ from roboneuron.feature import (
     ModuleKind,
     ModuleView,
     Phase,
-    assess,
 )
 
 STALE_S = 1.0
@@ -139,7 +138,7 @@ def _summary(view: ModuleView) -> dict[str, Any]:
     return {
         "module": view.kind,
         "phase": view.phase,
-        "health": assess(view, time.monotonic()),
+        "health": view.health(time.monotonic()),
         "pid": view.process.pid if view.process is not None and view.phase != "exited" else None,
         "started_with": dict(view.choice.names) if view.choice is not None else {},
     }

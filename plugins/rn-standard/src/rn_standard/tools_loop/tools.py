@@ -12,7 +12,7 @@ from pydantic import Field
 from rn_standard.tools_loop.instructing import give_instruction
 from rn_standard.tools_loop.results import InstructionResult, StartResult
 from roboneuron import Arguments, CallContext, Tool
-from roboneuron.feature import KIND_ENTRIES, ClosedLoop, ModuleKind, settings
+from roboneuron.feature import KIND_ENTRIES, ClosedLoop, Instruction, ModuleKind
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -61,8 +61,7 @@ _TEXTS: Mapping[ModuleKind, StartTexts] = {
 class SetInstruction(Arguments):
     """Arguments of set_instruction."""
 
-    instruction: str = Field(
-        max_length=settings.MAX_INSTRUCTION_LENGTH,
+    instruction: Instruction = Field(
         description='What to do, for instance "pick up the red cube".',
     )
     timeout_s: float = Field(

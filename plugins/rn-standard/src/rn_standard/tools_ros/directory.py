@@ -11,7 +11,7 @@ from typing import Any
 from pydantic import Field
 
 from roboneuron import Arguments, CallContext, InvalidInputError, Reply, Result, Tool
-from roboneuron.feature import Schema, access, roles
+from roboneuron.feature import Role, Schema
 
 
 class FindTools(Arguments):
@@ -68,7 +68,7 @@ def directory_tools(
     """
 
     async def find(arguments: FindTools, context: CallContext) -> FoundTools:
-        mine = [tool for tool in tools() if access.may_call(context.role, tool)]
+        mine = [tool for tool in tools() if tool.least_role.is_held_by(context.role)]
         ranked = _rank(mine, _words(arguments.query))
         found = [_found(tool, arguments.schemas) for tool in ranked[: arguments.limit]]
         return FoundTools(tools=found, matching=len(ranked), total=len(mine))
@@ -80,7 +80,7 @@ def directory_tools(
             near = [tool.name for tool in _rank(tools(), _words(name))[:3]]
             hint = f"Nearest: {', '.join(near)}." if near else "See find_tools."
             raise InvalidInputError(f"There is no endpoint tool {name!r}.", hint=hint, path="tool")
-        access.check_role(found, context)
+        found.check_caller(context)
         answer = await found.call(arguments.arguments, context)
         return Reply(
             result=EndpointResult(tool=name, result=dict(answer.structured)),
@@ -111,7 +111,7 @@ def directory_tools(
             result=EndpointResult,
             handler=call,
             open_world=True,
-            role=roles.VIEWER,  # what it calls has a role of its own
+            role=Role.VIEWER,  # what it calls has a role of its own
         ),
     ]
 

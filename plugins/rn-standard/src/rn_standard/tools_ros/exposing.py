@@ -12,7 +12,7 @@ from pydantic import Field
 
 from rn_standard.tools_ros.options import ExposeConfig
 from roboneuron import Arguments, CallContext, RefusedError, Result, Tool
-from roboneuron.feature import access, roles
+from roboneuron.feature import Role, access
 
 
 class ExposeEndpoint(ExposeConfig, Arguments):
@@ -74,7 +74,7 @@ def exposing_tools(path: Exposing, local_may: bool) -> list[Tool[Any]]:
     def admin_of(context: CallContext, tool: str, arguments: Arguments) -> Admin:
         if access.Holder.is_local(context.who) and not local_may:
             raise RefusedError(
-                f"{tool} needs a token with the role {roles.ADMIN!r}; {context.who} has none.",
+                f"{tool} needs a token with the role '{Role.ADMIN}'; {context.who} has none.",
                 hint="Connect over HTTP with such a token, or set expose_without_token in "
                 "[direct].",
             )
@@ -139,5 +139,5 @@ def _tool(
         handler=handler,
         destructive=destructive,
         idempotent=True,
-        role=roles.ADMIN,
+        role=Role.ADMIN,
     )

@@ -9,8 +9,7 @@ from dataclasses import dataclass
 from importlib.metadata import distributions
 from pathlib import Path
 
-from roboneuron.command import discover_from
-from roboneuron.feature import Registry
+from roboneuron.command import Registry, discover_from
 
 HEADER = """\
 from roboneuron.plugins.hookspecs import hookimpl

@@ -29,6 +29,7 @@ from rn_testing.rules.controller import (
 )
 from rn_testing.rules.controller_bounds import MAX_STEP
 from roboneuron import (
+    F64,
     GRIPPER,
     Channel,
     Controller,
@@ -40,7 +41,6 @@ from roboneuron import (
     SpaceController,
     robot_space,
 )
-from roboneuron.feature import F64
 
 SMALL = 0.01
 """What a row moves each joint by [rad or m]: every arm can, within `STEP_S`."""

@@ -20,6 +20,7 @@ from rn_testing.rule import NotApplicable, Rule, Violation, require
 from rn_testing.rules.perception import FUTURE_S, PAST_S, ros_clock
 from rn_testing.waiting import holds_within
 from roboneuron import (
+    F64,
     InvalidInputError,
     JointCommand,
     JointLimits,
@@ -27,7 +28,7 @@ from roboneuron import (
     RobotDriver,
     RobotState,
 )
-from roboneuron.feature import F64, loading
+from roboneuron.command import loading
 
 READ_LIMIT_S = 0.02
 """Median time of a `read`: the contract says a millisecond; the rest is for busy machines."""

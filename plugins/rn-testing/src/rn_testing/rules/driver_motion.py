@@ -22,8 +22,7 @@ from rn_testing.rules.driver import (
 )
 from rn_testing.rules.perception import ros_clock
 from rn_testing.waiting import holds_within
-from roboneuron import JointCommand, RoboNeuronError, RobotDriver
-from roboneuron.feature import F64
+from roboneuron import F64, JointCommand, RoboNeuronError, RobotDriver
 
 HOLD_S = 0.3
 """How long the robot is watched after `hold`."""

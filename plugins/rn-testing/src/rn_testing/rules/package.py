@@ -34,7 +34,7 @@ from rn_testing.kinds import named_by
 from rn_testing.rule import Rule, require
 from rn_testing.unsafe_calls import unsafe_calls
 from roboneuron import CommandSpec, DriverSpec, FeatureSpec, RobotSpec, Spec
-from roboneuron.feature import Registry, discover
+from roboneuron.command import Registry, discover
 
 SENDING_NAME = "RosLink"
 """What joins the ROS graph and could send past the gate: for commands, which are processes of their

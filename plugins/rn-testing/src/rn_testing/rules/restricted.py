@@ -11,7 +11,7 @@ from rn_standard.selection.restricted import looks_restricted, marks
 from rn_testing.cases import Case
 from rn_testing.rule import NotApplicable, Rule, require
 from roboneuron import DriverSpec, RobotSpec, Spec
-from roboneuron.feature import loading
+from roboneuron.command import loading
 
 
 def unmarked_options(model: type[BaseModel]) -> list[str]:

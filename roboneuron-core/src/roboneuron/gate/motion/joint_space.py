@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from roboneuron.contract import RobotProfile
 from roboneuron.contract.arrays import F64
 from roboneuron.gate.motion.rules import MotionRules
 
-SLACK = 1e-6
+_SLACK = 1e-6
 """Relative: what rounding and decimals in between may add to a limit."""
 _NOTHING = 1e-9
 """A displacement this short [rad or m] is rounding, not motion."""
@@ -53,6 +54,7 @@ class JointLimit:
     Attributes:
         braking: offset and deceleration of a joint that is slower near a position limit; None for
             others.
+        SLACK: relative: what rounding and decimals in between may add to a limit.
     """
 
     lower: float = -math.inf
@@ -61,13 +63,44 @@ class JointLimit:
     acceleration: float = math.inf
     effort: float = math.inf
     braking: tuple[float, float] | None = None
+    SLACK: ClassVar = _SLACK
+
+    @classmethod
+    def by_joint(
+        cls, profile: RobotProfile, rules: MotionRules | None = None
+    ) -> dict[str, JointLimit]:
+        """Limits by joint name: the arms', in the shares that `rules` allow, and the grippers'
+        travel.
+        """
+        found: dict[str, JointLimit] = {}
+        velocity = acceleration = 1.0
+        if rules is not None:
+            velocity, acceleration = rules.velocity_fraction, rules.acceleration_fraction
+        limits = profile.limits
+        for i, name in enumerate(profile.arm_joints if limits is not None else ()):
+            assert limits is not None
+            fastest, braking = float(limits.acceleration[i]) * acceleration, None
+            if limits.braking_offset is not None and limits.braking_deceleration is not None:
+                braking = float(limits.braking_offset[i]), float(limits.braking_deceleration[i])
+            found[name] = cls(
+                lower=float(limits.lower[i]),
+                upper=float(limits.upper[i]),
+                velocity=float(limits.velocity[i]) * velocity,
+                acceleration=fastest,
+                effort=float(limits.effort[i]),
+                braking=braking,
+            )
+        for gripper in profile.grippers:
+            low, high = sorted((gripper.closed_position, gripper.open_position))
+            found[gripper.joint] = cls(lower=low, upper=high)
+        return found
 
     def allows(self, quantity: str, value: float) -> bool:
         """Whether a "position", "velocity", "acceleration" or "effort" is within its limits; False
         for NaN.
         """
         low, high = self.range(quantity)
-        return low - SLACK * max(1.0, abs(low)) <= value <= high + SLACK * max(1.0, abs(high))
+        return low - _SLACK * max(1.0, abs(low)) <= value <= high + _SLACK * max(1.0, abs(high))
 
     def range(self, quantity: str) -> tuple[float, float]:
         """Lowest and highest value of a quantity; all but positions are symmetric."""
@@ -90,34 +123,6 @@ class JointLimit:
         if kept_s:  # after the step the joint brakes by commands, whose acceleration is limited too
             deceleration = min(deceleration, self.acceleration)
         return min(self.velocity, braking_velocity(distance, offset, deceleration, kept_s))
-
-
-def joint_limits(profile: RobotProfile, rules: MotionRules | None = None) -> dict[str, JointLimit]:
-    """Limits by joint name: the arms', in the shares that `rules` allow, and the grippers'
-    travel.
-    """
-    found: dict[str, JointLimit] = {}
-    velocity, acceleration = (
-        (rules.velocity_fraction, rules.acceleration_fraction) if rules is not None else (1.0, 1.0)
-    )
-    limits = profile.limits
-    for i, name in enumerate(profile.arm_joints if limits is not None else ()):
-        assert limits is not None
-        fastest, braking = float(limits.acceleration[i]) * acceleration, None
-        if limits.braking_offset is not None and limits.braking_deceleration is not None:
-            braking = float(limits.braking_offset[i]), float(limits.braking_deceleration[i])
-        found[name] = JointLimit(
-            lower=float(limits.lower[i]),
-            upper=float(limits.upper[i]),
-            velocity=float(limits.velocity[i]) * velocity,
-            acceleration=fastest,
-            effort=float(limits.effort[i]),
-            braking=braking,
-        )
-    for gripper in profile.grippers:
-        low, high = sorted((gripper.closed_position, gripper.open_position))
-        found[gripper.joint] = JointLimit(lower=low, upper=high)
-    return found
 
 
 class JointSpace:
@@ -153,7 +158,7 @@ class JointSpace:
                 continue
             remaining = limit.upper - begin if displacement > 0.0 else begin - limit.lower
             bound = limit.upper if displacement > 0.0 else limit.lower
-            if length - remaining > SLACK * max(1.0, abs(bound)):
+            if length - remaining > _SLACK * max(1.0, abs(bound)):
                 share = max(0.0, remaining / length)
                 if share < position[0]:
                     end = begin + displacement
@@ -161,7 +166,7 @@ class JointSpace:
             # at the start of the step: a joint that brakes towards its limit is slower at its end,
             # which `braking_velocity` takes into account
             share = limit.fastest(begin, displacement > 0.0, step_s) * step_s / length
-            if length > _NOTHING and share < velocity[0] * (1.0 - SLACK):
+            if length > _NOTHING and share < velocity[0] * (1.0 - _SLACK):
                 speed = length / step_s
                 velocity = (
                     share,
@@ -217,7 +222,7 @@ class JointSpace:
         """
         # twice the slack: a velocity that was scaled to the limit passes its second check
         return all(
-            abs(new - old) <= most * passed_s * (1.0 + 2 * SLACK) + 1e-12
+            abs(new - old) <= most * passed_s * (1.0 + 2 * _SLACK) + 1e-12
             for most, old, new in zip(
                 self._acceleration, before.tolist(), velocity.tolist(), strict=True
             )

@@ -26,7 +26,7 @@ from roboneuron.contract.arrays import F64
 from roboneuron.contract.profile import prismatic_joints
 from roboneuron.errors import UnsafeError
 from roboneuron.gate.motion.command import LimitedCommand, Setpoint, Step, pick, pick_others
-from roboneuron.gate.motion.joint_space import JointLimit, JointSpace, joint_limits
+from roboneuron.gate.motion.joint_space import JointLimit, JointSpace
 from roboneuron.gate.motion.path import Reach
 from roboneuron.gate.motion.rules import MotionRules, inspector_of, poses_of
 from roboneuron.gate.motion.task_space import Motion, TaskSpace, largest
@@ -137,7 +137,7 @@ class MotionLimiter:
         The setpoint is kept: the arm's motion goes on, and the next step is judged by it.
         """
         self._rules = rules
-        self._limits = joint_limits(self._profile, rules)
+        self._limits = JointLimit.by_joint(self._profile, rules)
         self._joints = JointSpace(
             self._names, [self._limits.get(name, JointLimit()) for name in self._names]
         )

@@ -68,6 +68,7 @@ class MotionRules:
         min_height_m: lowest z of the TCP, base frame.
         zones: boxes that the TCP must not enter.
         min_singular_value: smallest allowed distance from a singularity.
+        collision: what the arm must not touch; None when that is not checked.
     """
 
     reactions: Mapping[str, Reaction]
@@ -82,6 +83,7 @@ class MotionRules:
     min_height_m: float = -np.inf
     zones: tuple[Obstacle, ...] = ()
     min_singular_value: float = 0.0
+    collision: CollisionProfile | None = None
 
 
 def motion_rules(config: LimitsConfig, profile: RobotProfile) -> MotionRules:
@@ -92,7 +94,8 @@ def motion_rules(config: LimitsConfig, profile: RobotProfile) -> MotionRules:
         profile: its workspace bounds the configured one.
 
     Raises:
-        ConfigurationError: a box is empty, or a workspace is wider than the profile's.
+        ConfigurationError: a box is empty, a workspace is wider than the profile's, or as
+            `collision_of`.
     """
     widest = profile.workspace
     lower = np.full(3, -np.inf) if widest is None else widest.lower_m
@@ -120,6 +123,7 @@ def motion_rules(config: LimitsConfig, profile: RobotProfile) -> MotionRules:
         min_height_m=-np.inf if config.min_height_m is None else config.min_height_m,
         zones=tuple(_box("zones", zone.name, zone.lower_m, zone.upper_m) for zone in config.zones),
         min_singular_value=config.min_singular_value,
+        collision=collision_of(config, profile),
     )
 
 

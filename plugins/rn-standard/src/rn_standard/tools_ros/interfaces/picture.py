@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roboneuron import InvalidInputError, frame_from_buffer
-from roboneuron.feature import READABLE_ENCODINGS
 
 if TYPE_CHECKING:
     import PIL.Image
@@ -75,20 +74,8 @@ def to_picture(
         if encoding in _GREY_DTYPES:
             grey, note = _to_grey(message, encoding)
             image = Image.fromarray(grey)
-        elif encoding in READABLE_ENCODINGS:
-            pixels = frame_from_buffer(
-                message.data,
-                width=message.width,
-                height=message.height,
-                step=message.step,
-                encoding=encoding,
-            )
-            image = Image.fromarray(pixels[:, :, 0] if encoding == "mono8" else pixels)
         else:
-            raise InvalidInputError(
-                f"Images with the encoding {message.encoding[:40]!r} cannot be shown, "
-                f"expected one of {', '.join((*READABLE_ENCODINGS, *_GREY_DTYPES, *_ALIASES))}."
-            )
+            image = _to_colour(message, encoding)
     if max(image.size) > longest_side_px:
         note = f"{note + '; ' if note else ''}scaled down from {image.width}x{image.height}"
         image.thumbnail((longest_side_px, longest_side_px))
@@ -106,6 +93,24 @@ def to_picture(
         height=image.height,
         note=note,
     )
+
+
+def _to_colour(message: Image, encoding: str) -> PIL.Image.Image:
+    """Raises InvalidInputError as `frame_from_buffer`, with the other encodings that are shown."""
+    from PIL import Image as Picture  # heavy: only where pictures are made
+
+    try:
+        pixels = frame_from_buffer(
+            message.data,
+            width=message.width,
+            height=message.height,
+            step=message.step,
+            encoding=encoding,
+        )
+    except InvalidInputError as error:
+        others = ", ".join((*_GREY_DTYPES, *_ALIASES))
+        raise error.with_hint(f"Shown are also: {others}.") from error
+    return Picture.fromarray(pixels[:, :, 0] if encoding == "mono8" else pixels)
 
 
 def _open_compressed(message: CompressedImage) -> PIL.Image.Image:
