@@ -28,6 +28,12 @@ from .ros import (
 from .contract.arrays import (
     F64 as F64,
 )
+from .gate.audit import (
+    AUDIT_FILE as AUDIT_FILE,
+)
+from .gate.motion.command import (
+    LimitedCommand as LimitedCommand,
+)
 from .modules.control import (
     ControlModule as ControlModule,
 )

@@ -13,6 +13,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
+from rn_standard.tools_arm.limit_reports import LimitReports
 from roboneuron.contract import (
     Action,
     Hold,
@@ -36,6 +37,7 @@ class Cell:
         self.host = make_host("control", **options)
         self.clock = self.host.clock
         self.control = ControlModule(self.host)
+        self.control.on_limited.append(LimitReports(self.control).report)
         self.asked: list[tuple[Action, JointSample, float]] = []
         self.takes_s = 0.0
         self.answer: JointCommand | Hold | None = None
