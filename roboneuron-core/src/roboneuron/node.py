@@ -13,8 +13,8 @@ GROUPS: Mapping[str, frozenset[str]] = {
     name: frozenset(names.split())
     for name, names in {
         "loading": "load_attribute",
-        "messages": "frame_from_message intrinsics_from_camera_info joints_from_message "
-        "pose_from_message to_action_message to_camera_info to_image",
+        "messages": "intrinsics_from_camera_info joints_from_message to_action_message to_image "
+        "to_ns",
         "models": "ControlConfig",
         "qos": "NEWEST",
         "settings": "FUTURE_S HOLD_SHARE INSTRUCTION_PARAMETER instruction_problem",

@@ -9,6 +9,7 @@ FEATURE = FeatureSpec(
     target="rn_standard.tools_arm.feature:ArmTools",
     config="rn_standard.tools_arm.options:ArmToolsOptions",
     needs=("direct-path",),
+    on_join="rn_standard.tools_arm.grip_reports:join",
 )
 """Descriptor of the feature."""
 
