@@ -17,7 +17,8 @@ GROUPS: Mapping[str, frozenset[str]] = {
         "to_ns",
         "models": "ControlConfig",
         "qos": "NEWEST",
-        "settings": "FUTURE_S HOLD_SHARE INSTRUCTION_PARAMETER instruction_problem",
+        "settings": "FUTURE_S HOLD_SHARE INSTRUCTION_PARAMETER LIMITS_PARAMETER "
+        "instruction_problem",
         "task_space": "angle_rad distance_m",
         "topics": "ACTION EE_POSE JOINT_STATES PREDICTIONS camera_image camera_info",
     }.items()

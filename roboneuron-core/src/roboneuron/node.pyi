@@ -58,9 +58,6 @@ from .planning import (
     Plan as Plan,
     check_plan as check_plan,
 )
-from .plugins.registry import (
-    Registry as Registry,
-)
 from .ros.host import (
     NodeTopics as NodeTopics,
 )

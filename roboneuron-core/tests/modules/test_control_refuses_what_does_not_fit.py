@@ -16,9 +16,11 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
+from rn_standard.tools_arm.limits_in_control import join
 from roboneuron.config import LimitsConfig
 from roboneuron.contract import (
     CollisionProfile,
+    Hold,
     JointCommand,
     RobotProfile,
 )
@@ -270,3 +272,20 @@ def test_a_command_that_the_limits_reject_is_counted_for_the_last_of_them(cell: 
     cell.act()
     assert cell.drops() == {"limit_zone": 1}
     assert cell.commands == []
+
+
+def test_what_the_limits_do_is_recorded_until_cleanup(cell: Cell) -> None:
+    (report,) = cell.control.on_limited
+    held = Hold(code="limit_zone", reason="a vase")
+    report(LimitedCommand(command=held, acted=("zone",), reason="a vase", share=0.0))
+    audit = report.__self__._audit  # type: ignore[attr-defined]
+    assert audit._descriptor >= 0
+    cell.host.resources.close()
+    assert audit._descriptor < 0
+    assert cell.host.parameters == {}
+
+
+def test_only_control_has_limits(make_host: MakeHost) -> None:
+    host = make_host("robot")
+    join(host)
+    assert host.on_configured == []

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,11 +13,10 @@ import numpy as np
 import pytest
 
 from rn_standard.tools_arm import limit_reports
-from rn_standard.tools_arm.limit_reports import LimitReports, join
+from rn_standard.tools_arm.limit_reports import LimitReports
 from roboneuron.contract import Hold, JointCommand
 from roboneuron.errors import RefusedError
 from roboneuron.gate.motion import LimitedCommand, Motion
-from roboneuron.modules.control import ControlModule
 from roboneuron.modules.status import StatusWriter
 
 ARM = ("a", "b")
@@ -257,30 +255,3 @@ def test_an_audit_that_cannot_be_written_is_counted_and_told(
     bench.judge(scaled(), 10.0)
     assert bench.status.dropped.items() == {"unrecorded": 1}
     assert "The disk is full." in caplog.text
-
-
-def test_a_control_reports_until_its_cleanup(tmp_path: Path) -> None:
-    host = SimpleNamespace(
-        settings=SimpleNamespace(kind="control", state_directory=str(tmp_path)), on_configured=[]
-    )
-    join(host)  # type: ignore[arg-type]
-    control = ControlModule.__new__(ControlModule)
-    control.robot, control.on_limited = "pair", []
-    control.status = StatusWriter("/pair/control")
-    control.node = SimpleNamespace(  # type: ignore[assignment]
-        settings=host.settings, resources=ExitStack()
-    )
-    (extend,) = host.on_configured
-    extend(control)
-    (report,) = control.on_limited
-    report(scaled())
-    audit = report.__self__._audit  # type: ignore[attr-defined]
-    assert audit._descriptor >= 0
-    control.node.resources.close()
-    assert audit._descriptor < 0
-
-
-def test_other_modules_report_no_limits() -> None:
-    host = SimpleNamespace(settings=SimpleNamespace(kind="robot"), on_configured=[])
-    join(host)  # type: ignore[arg-type]
-    assert host.on_configured == []

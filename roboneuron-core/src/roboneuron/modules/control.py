@@ -37,6 +37,7 @@ from roboneuron.errors import ConfigurationError, InvalidInputError, RoboNeuronE
 from roboneuron.gate.motion import (
     LimitedCommand,
     MotionLimiter,
+    MotionRules,
     check_tighter,
     collision_of,
     motion_rules,
@@ -52,7 +53,6 @@ from roboneuron.modules.settings import (
     FUTURE_S,
     HOLD_DURATION_S,
     HOLD_SHARE,
-    LIMITS_PARAMETER,
     NEEDS_NEW_START,
     SERVER_SILENT,
     SHORTEST_STEP_S,
@@ -131,11 +131,8 @@ class ControlModule(Module):
         # only states that can be true are acted on
         self._watched = JointWatch(self._profile, config.state_timeout_s)
         immediate = config.command == "joint_state"
-        tightened = node.settings.tightened
-        if tightened is not None:
-            check_tighter(tightened, self.config.limits)
         self._limiter = MotionLimiter.of(
-            motion_rules(tightened or self.config.limits, self._profile),
+            self.check_limits(node.settings.tightened or self.config.limits),
             self._profile,
             self._controller,
             immediate=immediate,
@@ -145,10 +142,6 @@ class ControlModule(Module):
         self.robot = self._profile.name
         self.on_limited: list[Callable[[LimitedCommand], None]] = []
         self._report_collision_check()
-        node.resources.callback(
-            node.add_parameter(LIMITS_PARAMETER, "", self._tighten, self._why_not_tighten)
-        )
-        self.status.set_value("limits", "configured" if tightened is None else "tightened")
         self._poses = poses_of(self._controller)
         self._ee_pose = node.advertise(PoseStamped, EE_POSE)
         self._arm_poses = [
@@ -216,33 +209,18 @@ class ControlModule(Module):
             )
         self.status.set_value("collision_checked", is_checked)
 
-    def _limits_of(self, text: str) -> LimitsConfig:
-        """The limits that a parameter names: JSON of `[limits]`, or empty for the configured ones.
+    def check_limits(self, limits: LimitsConfig) -> MotionRules:
+        """What limits mean for this robot.
 
         Raises:
             ConfigurationError: they do not fit the robot, or are wider than the configured ones.
         """
-        if not text:
-            return self.config.limits
-        try:
-            limits = LimitsConfig.model_validate_json(text)
-        except ValueError as error:
-            raise ConfigurationError(f"The limits are no valid [limits]: {error}") from error
         check_tighter(limits, self.config.limits)
-        motion_rules(limits, self._profile)
-        return limits
+        return motion_rules(limits, self._profile)
 
-    def _why_not_tighten(self, text: str) -> str:
-        try:
-            self._limits_of(text)
-        except ConfigurationError as error:
-            return error.message
-        return ""
-
-    def _tighten(self, text: str) -> None:
-        """Move within other limits from the next command on."""
-        self._limiter.use(motion_rules(self._limits_of(text), self._profile))
-        self.status.set_value("limits", "tightened" if text else "configured")
+    def use_limits(self, limits: LimitsConfig) -> None:
+        """Move within other limits from the next command on. Raises as `check_limits`."""
+        self._limiter.use(self.check_limits(limits))
 
     def _on_joint_state(self, message: JointState) -> None:
         now_s = time.monotonic()

@@ -41,7 +41,8 @@ class Connection:
         self._on_status = on_status
         self._log_directory = log_directory
         self._lock = threading.Lock()
-        self._opened: Future[RosLink] | None = None
+        self._opened: Future[RosLink] = Future()
+        self._opening = threading.Thread(target=self._open, name="ros-open", daemon=True)
         self._closed = False
         self.starts = itertools.count(os.getpid())
 
@@ -54,12 +55,8 @@ class Connection:
         with self._lock:
             if self._closed:
                 raise StateError("The server is shutting down.")
-            if self._opened is not None:
-                return
-            self._opened = Future()
-            threading.Thread(
-                target=self._open, args=(self._opened,), name="ros-open", daemon=True
-            ).start()
+            if not self._has_begun():
+                self._opening.start()
 
     def link(self) -> RosLink:
         """The open link.
@@ -70,7 +67,6 @@ class Connection:
             NotReadyError: joining takes unusually long; it goes on in the background.
         """
         self.begin()
-        assert self._opened is not None
         try:
             return self._opened.result(timeout=_OPEN_TIMEOUT_S)
         except FutureTimeoutError as error:
@@ -82,16 +78,14 @@ class Connection:
         """Leave the graph; idempotent."""
         with self._lock:
             self._closed = True
-            opened = self._opened
-        if opened is not None and opened.exception(timeout=_OPEN_TIMEOUT_S) is None:
-            opened.result().close()
+        if self._has_begun() and self._opened.exception(timeout=_OPEN_TIMEOUT_S) is None:
+            self._opened.result().close()
 
-    def _open(self, opened: Future[RosLink]) -> None:
-        """Import rclpy and join the graph.
+    def _has_begun(self) -> bool:
+        return self._opening.ident is not None
 
-        Args:
-            opened: gets the link, or why there is none.
-        """
+    def _open(self) -> None:
+        """Import rclpy and join the graph."""
         try:
             # before rclpy is imported, which reads the environment
             prepare_environment(self._log_directory / "ros")
@@ -104,9 +98,9 @@ class Connection:
             link.open()
             link.subscribe(DiagnosticArray, DIAGNOSTICS, self._on_status, STATUS)
         except BaseException as error:  # handed to whoever asks for the link
-            opened.set_exception(error)
+            self._opened.set_exception(error)
         else:
-            opened.set_result(link)
+            self._opened.set_result(link)
 
 
 Stage = Callable[[str], None]

@@ -110,21 +110,24 @@ class Supervisor(Modules):
         Raises:
             StateError: its process has ended.
         """
-        if slot.process is None:
-            raise StateError(f"{slot.kind} has ended.")
         return self._client(slot, lambda: None)
 
     def _client(self, slot: Slot, check: Callable[[], None]) -> NodeClient:
         """What drives the node of the process in a slot.
 
         Args:
-            slot: with a process.
+            slot: of a module.
             check: called while a transition is waited for; raises to give up.
+
+        Raises:
+            StateError: its process has ended.
         """
-        assert slot.process is not None
-        assert slot.choice is not None
-        node, announce = f"/{slot.choice.settings.status_name}", slot.process.announce
-        return NodeClient(self.link, self.changes, node, announce, check)
+        # read once, because a stop may empty the slot meanwhile
+        choice, process = slot.choice, slot.process
+        if choice is None or process is None:
+            raise StateError(f"{slot.kind} has ended.")
+        node = f"/{choice.settings.status_name}"
+        return NodeClient(self.link, self.changes, node, process.announce, check)
 
     def open(self) -> None:
         """Begin to join the ROS graph in the background; returns at once.

@@ -25,7 +25,8 @@ from roboneuron import (
     RobotProfile,
     robot_space,
 )
-from roboneuron.node import F64, Plan, Registry, load_profile, loading, models, settings
+from roboneuron.feature import Registry
+from roboneuron.node import F64, Plan, load_profile, loading, models, settings
 
 _RATE_SHARE = 0.02
 """How far the period of a chunk may be from the declared rate: rates are told in whole Hz."""

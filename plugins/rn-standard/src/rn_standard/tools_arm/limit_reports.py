@@ -10,7 +10,7 @@ from pathlib import Path
 
 from roboneuron import Hold, RefusedError
 from roboneuron.feature import AuditLog, AuditRecord
-from roboneuron.node import AUDIT_FILE, ControlModule, LimitedCommand, Module, ModuleHost
+from roboneuron.node import AUDIT_FILE, ControlModule, LimitedCommand
 
 _RECORD_PERIOD_S = 1.0
 """A limit that keeps acting is recorded this often; every change is recorded at once, at most ten a
@@ -29,19 +29,6 @@ _TOLD = {
 Numbers = dict[str, dict[str, float]]
 """A command as it was asked for and as it was sent."""
 log = logging.getLogger(__name__)
-
-
-def join(host: ModuleHost) -> None:
-    """Called in every module process; see `FeatureSpec.on_join`."""
-    if host.settings.kind == "control":
-        host.on_configured.append(_extend)
-
-
-def _extend(module: Module) -> None:
-    if isinstance(module, ControlModule):
-        reports = LimitReports(module)
-        module.node.resources.callback(reports.close)
-        module.on_limited.append(reports.report)
 
 
 class LimitReports:
