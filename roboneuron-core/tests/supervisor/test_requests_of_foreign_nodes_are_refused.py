@@ -14,9 +14,10 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 
 from rn_standard.ops.plugin import REQUEST_GUARD
+from rn_standard.ops.request_guard import Announcements
 from roboneuron.config import Config
 from roboneuron.errors import NotReadyError
-from roboneuron.modules.requests import Announcements, digest_of, parameters_request
+from roboneuron.modules.requests import digest_of, parameters_request
 from roboneuron.ros.link import RosLink
 from roboneuron.supervisor.lifecycle import NodeClient
 from roboneuron.supervisor.process import ProcessEvents, spawn

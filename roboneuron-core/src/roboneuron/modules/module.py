@@ -131,7 +131,7 @@ class ModuleNode(ModuleHost):
 
     def watch_parent(self, on_end: Callable[[], None]) -> None:
         """From now on listen to the server on stdin; `on_end` is called when it is gone."""
-        self.announcements.catch_up = watch_stdin(on_end, self.note_beat).read
+        self.read_stdin = watch_stdin(on_end, self.note_beat).read
 
     def note_beat(self, data: bytes = b"\n") -> None:
         """The server has shown that it lives, or announced a request; called from the thread that
@@ -143,7 +143,12 @@ class ModuleNode(ModuleHost):
         self._beat_s = now_s
         # Fed here and nowhere else: the order of signs of life and announcements is that of the
         # pipe.
-        self.announcements.feed(data)
+        for listener in self.on_stdin:
+            try:
+                listener(data)
+            # a failing listener must not end the thread that watches the parent
+            except Exception:
+                log.exception("A listener of stdin failed.")
 
     def server_silence_s(self) -> float:
         """See `ModuleHost.server_silence_s`."""

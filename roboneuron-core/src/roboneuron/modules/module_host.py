@@ -17,7 +17,7 @@ from rclpy.qos import QoSProfile
 
 from roboneuron.config import ModuleSettings
 from roboneuron.modules.handover import Handover
-from roboneuron.modules.requests import Announcements, digest_of
+from roboneuron.modules.requests import digest_of
 from roboneuron.modules.settings import FOREIGN_REQUEST
 from roboneuron.modules.status import StatusWriter
 from roboneuron.plugins.discovery import discover
@@ -49,7 +49,9 @@ class ModuleHost(LifecycleNode):  # type: ignore[misc]
         handover: which inputs are this module's; a feature that replaces modules puts its own
             object here.
         lent: what features lend the module, under names that the module's package publishes.
-        announcements: what the server has said that it is about to ask for.
+        on_stdin: called with what the server has written, in its order and in any pieces: empty
+            lines are signs of life. From the thread that reads it.
+        read_stdin: has `on_stdin` called with all that the server has written until now.
         on_configured: called with the module at the end of every `configure`, which fails if one
             raises.
     """
@@ -66,7 +68,8 @@ class ModuleHost(LifecycleNode):  # type: ignore[misc]
         self.outputs: dict[str, LifecyclePublisher] = {}
         self.stopped = False
         self.stops, self.needs_start = 0, ""
-        self.announcements = Announcements()
+        self.on_stdin: list[Callable[[bytes], None]] = []
+        self.read_stdin: Callable[[], object] = lambda: None
         self.handover = Handover(self.status)
         self.lent: dict[str, object] = {}
         self.on_configured: list[Callable[[Module], None]] = []
@@ -137,11 +140,11 @@ class ModuleHost(LifecycleNode):  # type: ignore[misc]
         """Call `callback` once a period [s] until cleanup, on the executor's thread."""
         self.resources.callback(self.destroy_timer, self.create_timer(period_s, callback))
 
-    def is_announced(self, request: object) -> bool:
-        """Whether the server of this module has announced a request of a service, once for each
-        announcement; in a module without a server everything counts as announced.
+    def digest(self, request: object) -> bytes:
+        """By what the server of this module announces a request of a service on stdin, in a line of
+        its own, before it sends it.
         """
-        return self.announcements.take(digest_of(request))
+        return digest_of(request)
 
     def report_foreign_request(self, text: str) -> None:
         """Count a request that was not the server's.

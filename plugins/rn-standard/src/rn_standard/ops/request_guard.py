@@ -1,14 +1,18 @@
 """Refuse lifecycle and parameter requests that are not those of a module's own server.
 
 They would undo stops: the parameters `start`, `limits` and `instruction`, and the transition
-`activate`. Refusals are counted and reported with the names of the nodes that could have asked.
+`activate`. Refusals are counted and reported with the names of the nodes that could have asked. A
+foreign node that repeats an announced request before the server's own arrives has done what the
+server wanted.
 """
 
 from __future__ import annotations
 
 import logging
 import os
+import threading
 import time
+from collections import deque
 from typing import TYPE_CHECKING, Any
 
 from lifecycle_msgs.srv import ChangeState
@@ -21,6 +25,8 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 _REPORT_PERIOD_S = 1.0
 """A node that asks all the time fills neither the log nor the status."""
+_MOST = 256
+"""Announcements that wait for their request; requests that never arrive are forgotten in order."""
 _REASON = "only the server of this module may do that; use its tools"
 
 
@@ -29,11 +35,53 @@ def join(host: ModuleHost) -> None:
     RequestGuard(host).guard()
 
 
+class Announcements:
+    """What the server has announced and the module has not been asked for yet; usable from any
+    thread.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._digests: deque[bytes] = deque(maxlen=_MOST)
+        self._rest = b""
+        self._is_supervised = False
+
+    def feed(self, data: bytes) -> None:
+        """Take what was read from stdin.
+
+        Args:
+            data: a line for each announcement, empty lines for signs of life; a line may be cut
+                anywhere, its rest comes with the next call.
+        """
+        with self._lock:
+            self._is_supervised = True
+            *lines, self._rest = (self._rest + data).split(b"\n")
+            self._digests.extend(line for line in lines if line)
+
+    def take(self, digest: bytes) -> bool:
+        """Whether a request was announced, and is not any more; each announcement counts once.
+
+        To a module without a server, as one is started by hand, everything counts as announced.
+
+        Args:
+            digest: of the request.
+        """
+        with self._lock:
+            if not self._is_supervised:
+                return True
+            if digest not in self._digests:
+                return False
+            self._digests.remove(digest)
+            return True
+
+
 class RequestGuard:
     """Stands before a node's services; everything happens on the executor's thread."""
 
     def __init__(self, host: ModuleHost) -> None:
         self._host = host
+        self._announcements = Announcements()
+        host.on_stdin.append(self._announcements.feed)
         self._reported_s = -_REPORT_PERIOD_S
 
     def guard(self) -> None:
@@ -54,7 +102,10 @@ class RequestGuard:
         answer = service.callback
 
         def guarded(request: Any, response: Any) -> Any:
-            if self._host.is_announced(request):
+            # Read to its present end by the thread that judges: no thread has to be given the
+            # processor in time for that, and nothing has to be waited for.
+            self._host.read_stdin()
+            if self._announcements.take(self._host.digest(request)):
                 return answer(request, response)
             self._report(request, service.srv_name)
             # in the words of the service, so that the caller's own library tells the reason
