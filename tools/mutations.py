@@ -116,7 +116,7 @@ PARTS = {
     ),
     "modules": Part(
         package=CORE,
-        files=("modules/control.py", "modules/motion.py", "modules/robot.py"),
+        files=("modules/control.py", "modules/joint_watch.py", "modules/robot.py"),
         tests=MODULE_TESTS,
     ),
     "supervisor": Part(

@@ -13,6 +13,7 @@ import numpy as np
 from motion_judge import MotionJudge
 from std_msgs.msg import Float64MultiArray
 
+from rn_standard.tools_arm.limit_reports import LimitReports
 from roboneuron.config import ModuleSettings, parse_config
 from roboneuron.contract import JointSample
 from roboneuron.modules.control import ControlModule
@@ -93,6 +94,7 @@ class ControlLoop:
         )
         self.host = _Host(settings, clock)
         self.control = ControlModule(self.host)  # type: ignore[arg-type]
+        self.control.on_limited.append(LimitReports(self.control).report)
         self.holds = self.commands = 0
         self._command_hold = self.control._command_hold
         self.control._command_hold = self._note_hold  # type: ignore[method-assign]

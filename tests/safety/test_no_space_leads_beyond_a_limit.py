@@ -281,8 +281,7 @@ def test_the_judge_sees_what_the_limits_prevent(
     broken: set[str] = set()
     for seed, kind in enumerate(SPACE_KINDS * 4):
         loop = make_loop(SUBJECTS["fr3"], "")
-        guard = loop.control._guard
-        monkeypatch.setattr(guard, "judge", lambda command, joints, now_s: command)
+        monkeypatch.setattr(loop.control, "_limit", lambda command, joints, now_s: command)
         drive(loop, kind, profile(), 100, np.random.default_rng(seed))
         broken |= set(loop.judge.broken)
     prevented = {"position", "velocity", "braking", "acceleration", "speed"}

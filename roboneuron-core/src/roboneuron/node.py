@@ -13,11 +13,11 @@ GROUPS: Mapping[str, frozenset[str]] = {
     name: frozenset(names.split())
     for name, names in {
         "loading": "load_attribute",
-        "messages": "frame_from_message intrinsics_from_camera_info joints_from_message "
-        "pose_from_message to_action_message to_camera_info to_image",
+        "messages": "intrinsics_from_camera_info joints_from_message to_action_message to_image "
+        "to_ns",
         "models": "ControlConfig",
         "qos": "NEWEST",
-        "settings": "FUTURE_S INSTRUCTION_PARAMETER instruction_problem",
+        "settings": "FUTURE_S INSTRUCTION_PARAMETER LIMITS_PARAMETER instruction_problem",
         "task_space": "angle_rad distance_m",
         "topics": "ACTION EE_POSE JOINT_STATES PREDICTIONS camera_image camera_info",
     }.items()

@@ -25,6 +25,9 @@ from .ros import (
 )
 
 # Single names.
+from .gate.motion.command import (
+    LimitedCommand as LimitedCommand,
+)
 from .modules.control import (
     ControlModule as ControlModule,
 )
@@ -48,9 +51,6 @@ from .modules.worker import (
 from .planning import (
     Plan as Plan,
     check_plan as check_plan,
-)
-from .plugins.registry import (
-    Registry as Registry,
 )
 from .ros.host import (
     NodeTopics as NodeTopics,

@@ -106,7 +106,7 @@ class World:
             node_name=kind,
             config=parse_config(edited(extra, replace)),
             state_directory=str(self.state_directory),
-            on_join=("loop_plugin:join",),
+            on_join=("loop_plugin:join", "rn_standard.tools_arm.limits_in_control:join"),
             shadow=shadow,
         )
         node = ModuleNode(settings, classes[kind])
@@ -207,6 +207,7 @@ class Host:
         self.subscribed: dict[tuple[type, str], Callable[..., None]] = {}
         self.parameters: dict[str, tuple[Any, Callable[..., Any], Callable[..., Any]]] = {}
         self.repeated: list[tuple[float, Callable[[], None]]] = []
+        self.on_configured: list[Callable[[Any], None]] = []
 
     def now_ns(self) -> int:
         return self.clock.wall_ns

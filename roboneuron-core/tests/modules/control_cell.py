@@ -13,6 +13,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
+from rn_standard.tools_arm.limits_in_control import join
 from roboneuron.contract import (
     Action,
     Hold,
@@ -36,6 +37,9 @@ class Cell:
         self.host = make_host("control", **options)
         self.clock = self.host.clock
         self.control = ControlModule(self.host)
+        join(self.host)
+        for extend in self.host.on_configured:
+            extend(self.control)
         self.asked: list[tuple[Action, JointSample, float]] = []
         self.takes_s = 0.0
         self.answer: JointCommand | Hold | None = None

@@ -16,13 +16,16 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
+from rn_standard.tools_arm.limits_in_control import join
 from roboneuron.config import LimitsConfig
 from roboneuron.contract import (
     CollisionProfile,
+    Hold,
     JointCommand,
     RobotProfile,
 )
 from roboneuron.errors import ConfigurationError
+from roboneuron.gate.motion import LimitedCommand
 from roboneuron.modules.control import ControlModule
 
 
@@ -76,7 +79,7 @@ def test_commands_may_be_joint_states(make_host: MakeHost) -> None:
     cell = Cell(
         make_host, replace={'controller = "adder"': 'controller = "adder"\ncommand = "joint_state"'}
     )
-    assert cell.control._guard._limiter._immediate
+    assert cell.control._limiter._immediate
     cell.act(0.001)
     publisher = cell.host.publishers["joint_command"]
     assert publisher.message_type is JointState
@@ -117,13 +120,11 @@ def recorder(monkeypatch: pytest.MonkeyPatch, make_host: MakeHost) -> Recorder:
 
 def test_the_controller_is_loaded_and_closed(make_host: MakeHost, recorder: Recorder) -> None:
     host = make_host("control")
-    control = ControlModule(host)
+    ControlModule(host)
     assert recorder.done == ["load"]
-    control._guard._audit._open()
     host.resources.close()
     assert recorder.done == ["load", "close"]
     assert host.parameters == {}
-    assert control._guard._audit._descriptor < 0
 
 
 def test_a_controller_that_cannot_load_is_closed(
@@ -163,6 +164,32 @@ def test_the_controller_looks_for_collisions_as_configured(
     assert config is None
     assert given.name == "pair"
     assert (given.collision is not None) == is_checked
+
+
+@pytest.mark.parametrize(
+    ("has_bodies", "tells_distances", "is_checked"),
+    [(False, False, "false"), (False, True, "false"), (True, True, "true"), (True, False, "false")],
+)
+def test_it_is_told_whether_collisions_are_checked(
+    make_host: MakeHost,
+    caplog: pytest.LogCaptureFixture,
+    monkeypatch: pytest.MonkeyPatch,
+    has_bodies: bool,
+    tells_distances: bool,
+    is_checked: str,
+) -> None:
+    import loop_plugin
+
+    if has_bodies:
+        profile = replace(loop_plugin.profile(), collision=CollisionProfile())
+        monkeypatch.setattr(loop_plugin, "profile", lambda: profile)
+    if tells_distances:
+        monkeypatch.setattr(loop_plugin.Adder, "inspect", lambda joints: None, raising=False)
+    host = make_host("control")
+    ControlModule(host)
+    assert host.values()["collision_checked"] == is_checked
+    is_warned = has_bodies and not tells_distances
+    assert ("collisions of pair are not checked" in caplog.text) == is_warned
 
 
 def test_a_command_never_outlasts_the_silence_of_a_server(make_host: MakeHost) -> None:
@@ -237,3 +264,28 @@ def test_limits_that_are_damaged_wider_or_unfit_are_refused(
     with pytest.raises(ConfigurationError):
         take(text)
     assert cell.host.values()["limits"] == "configured"
+
+
+def test_a_command_that_the_limits_reject_is_counted_for_the_last_of_them(cell: Cell) -> None:
+    rejected = LimitedCommand(command=None, acted=("speed", "zone"), reason="a vase", share=0.0)
+    cell.control._limiter.limit = lambda *_: rejected  # type: ignore[method-assign]
+    cell.act()
+    assert cell.drops() == {"limit_zone": 1}
+    assert cell.commands == []
+
+
+def test_what_the_limits_do_is_recorded_until_cleanup(cell: Cell) -> None:
+    (report,) = cell.control.on_limited
+    held = Hold(code="limit_zone", reason="a vase")
+    report(LimitedCommand(command=held, acted=("zone",), reason="a vase", share=0.0))
+    audit = report.__self__._audit  # type: ignore[attr-defined]
+    assert audit._descriptor >= 0
+    cell.host.resources.close()
+    assert audit._descriptor < 0
+    assert cell.host.parameters == {}
+
+
+def test_only_control_has_limits(make_host: MakeHost) -> None:
+    host = make_host("robot")
+    join(host)
+    assert host.on_configured == []

@@ -9,7 +9,7 @@ import pytest
 
 from roboneuron.contract import JointLimits, JointSample, RobotProfile
 from roboneuron.errors import InvalidInputError, NotReadyError, UnsafeError
-from roboneuron.modules.motion import JointWatch
+from roboneuron.modules.joint_watch import JointWatch
 
 S_NS = 1_000_000_000
 START_NS = 50 * S_NS

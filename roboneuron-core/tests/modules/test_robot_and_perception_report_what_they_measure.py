@@ -46,7 +46,6 @@ def test_joint_states_flow_at_the_configured_rate(
 
 def test_driver_facts_are_reported(robot: Any, status_of: Any) -> None:
     assert holds_within(lambda: status_of(robot).get("detail.mood") == "fine")
-    assert status_of(robot)["gripper_open"] == "0.5"
 
 
 def test_driver_facts_are_forgotten_while_the_driver_cannot_read_the_robot(
@@ -60,7 +59,6 @@ def test_driver_facts_are_forgotten_while_the_driver_cannot_read_the_robot(
     with monkeypatch.context() as patch:
         patch.setattr(robot.module.driver, "read", read)
         assert holds_within(lambda: "detail.mood" not in status_of(robot))
-        assert "gripper_open" not in status_of(robot)
         assert "have ceased" in status_of(robot)["error"]
     assert holds_within(lambda: status_of(robot).get("detail.mood") == "fine")
 

@@ -1,18 +1,16 @@
-"""Measured states, details, faults and the commanded opening; on a clock of the test."""
+"""Measured states, details and faults; on a clock of the test."""
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from robot_cell import ARM, Cell, MakeHost
 
-from roboneuron.contract import GripperProfile, JointCommand, JointSample, RobotState
+from roboneuron.contract import JointCommand, JointSample, RobotState
 from roboneuron.errors import NotReadyError
 from roboneuron.modules import robot as robot_module
-from roboneuron.ros.messages import to_joint_trajectory
 
 pytestmark = pytest.mark.usefixtures("no_threads")
 
@@ -40,13 +38,16 @@ def test_a_measured_state_is_published_and_makes_the_robot_ready(cell: Cell) -> 
     assert (list(message.name), list(message.position)) == (list(ARM), [0.1, 0.2])
     values = cell.host.values()
     assert values["ready"] == "true"
-    assert (values["detail.mood"], values["gripper_open"]) == ("fine", "0.5")
+    assert values["detail.mood"] == "fine"
     assert cell.host.status.output.total == 1
 
 
-def test_a_robot_without_a_gripper_tells_no_opening(cell: Cell) -> None:
-    read(cell, gripper_open=None)
-    assert "gripper_open" not in cell.host.values()
+def test_states_are_told_to_features_as_often_as_details(cell: Cell) -> None:
+    told: list[RobotState | None] = []
+    cell.robot.on_state.append(told.append)
+    read(cell)
+    read(cell)
+    assert [one.gripper_open for one in told if one is not None] == [0.5]
 
 
 def test_details_are_told_ten_times_a_second(cell: Cell) -> None:
@@ -88,6 +89,8 @@ def test_what_was_true_is_forgotten_when_the_robot_cannot_be_read(
     cell.clock.now_s = now_s
     cell.robot.activate()
     read(cell)
+    told: list[RobotState | None] = []
+    cell.robot.on_state.append(told.append)
 
     def fail() -> RobotState:
         raise NotReadyError("The joint states have ceased.")
@@ -97,7 +100,7 @@ def test_what_was_true_is_forgotten_when_the_robot_cannot_be_read(
         cell.reader.run()
     values = cell.host.values()
     assert "detail.mood" not in values
-    assert "gripper_open" not in values
+    assert told == [None]
     read(cell)
     assert cell.host.values()["detail.mood"] == "fine", "told again at once"
 
@@ -150,59 +153,9 @@ def test_a_robot_without_faults_needs_no_new_start(cell: Cell) -> None:
     assert cell.host.needs_start == ""
 
 
-GRIPPER = GripperProfile(joint="finger", open_position=0.04, closed_position=0.0)
-
-
-@pytest.fixture
-def gripped(make_host: MakeHost, monkeypatch: pytest.MonkeyPatch) -> Cell:
-    import loop_plugin
-
-    profile = replace(loop_plugin.profile(), gripper=GRIPPER)
-    monkeypatch.setattr(loop_plugin, "profile", lambda: profile)
-    return Cell(make_host)
-
-
-def grip(cell: Cell, opening: float, *, names: tuple[str, ...] = (*ARM, "finger")) -> None:
-    position = np.array([0.1, 0.2, 0.04 * opening])
-    cell.receive(to_joint_trajectory(JointCommand(names=names, position=position, duration_s=0.1)))
+def test_commands_are_told_to_features_as_the_driver_has_sent_them(cell: Cell) -> None:
+    told: list[JointCommand] = []
+    cell.robot.on_sent.append(told.append)
+    cell.command(0.1)
     cell.play()
-
-
-def test_the_commanded_opening_is_told_at_once_when_it_changes(gripped: Cell) -> None:
-    changed = gripped.host.status.changed
-    for opening, is_told in ((0.5, True), (0.51, False), (0.525, True), (0.525, False)):
-        changed.clear()
-        gripped.host.status.clear_error()
-        grip(gripped, opening)
-        assert float(gripped.host.values()["gripper_commanded"]) == pytest.approx(opening)
-        assert changed.is_set() == is_told, opening
-
-
-def test_a_change_of_the_opening_by_the_bound_itself_is_told_with_the_next_report(
-    gripped: Cell, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """0.25 is exact in binary."""
-    monkeypatch.setattr(robot_module, "_GRIPPER_CHANGE", 0.25)
-    grip(gripped, 0.5)
-    gripped.host.status.changed.clear()
-    grip(gripped, 0.75)
-    assert gripped.host.values()["gripper_commanded"] == "0.75"
-    assert not gripped.host.status.changed.is_set()
-
-
-@pytest.mark.parametrize("opening", [0.0, 1.0])
-def test_any_opening_is_told_at_the_first_command(gripped: Cell, opening: float) -> None:
-    gripped.host.status.changed.clear()
-    grip(gripped, opening)
-    assert gripped.host.status.changed.is_set()
-    assert gripped.host.values()["gripper_commanded"] == f"{opening:g}"
-
-
-def test_a_command_without_the_gripper_tells_no_opening(gripped: Cell) -> None:
-    grip(gripped, 0.5, names=(*ARM, "thumb"))
-    assert "gripper_commanded" not in gripped.host.values()
-
-
-def test_a_robot_without_a_gripper_has_no_commanded_opening(cell: Cell) -> None:
-    grip(cell, 0.5)
-    assert "gripper_commanded" not in cell.host.values()
+    assert told == cell.told

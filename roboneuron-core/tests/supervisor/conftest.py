@@ -74,7 +74,7 @@ def world(
         monkeypatch.setattr(module, "time", world.clock)
     monkeypatch.setattr(supervisor_module, "NodeClient", world.client)
     yield world
-    world.supervisor.spawner.shutdown()
+    world.supervisor._spawning.shutdown()
 
 
 @pytest.fixture

@@ -129,8 +129,6 @@ class World:
         slot = slot or self.starting(kind, stop_timeout_s=stop_timeout_s)
         module = Module(next(self._pids), self)
         slot.process = module  # type: ignore[assignment]
-        assert slot.choice is not None
-        self.supervisor.board.watch(slot.choice.settings.status_name, module.pid)
         slot.settle("running")
         return module
 

@@ -12,6 +12,7 @@ import pytest
 from stop_world import NEVER, World
 
 from roboneuron.errors import NotReadyError, StateError
+from roboneuron.modules.report import Report
 from roboneuron.modules.settings import ModuleKind
 from roboneuron.supervisor import supervisor as supervisor_module
 
@@ -114,15 +115,13 @@ def test_a_slot_is_being_stopped_until_its_process_is_dead(world: World) -> None
 
 
 def test_the_last_report_is_told_and_then_forgotten(world: World) -> None:
-    robot = world.running("robot")
-    board, name = world.supervisor.board, f"{world._make_config().namespace}/robot"
-    report = object()
-    board._reports[name, str(robot.pid)] = report  # type: ignore[assignment]
+    world.running("robot")
+    slot, report = world.supervisor.slot("robot"), Report()
+    slot.report = report
     stopped = world.supervisor.stop("robot")
     assert stopped is not None
     assert stopped.report is report
-    assert board.newest(name, robot.pid) is None
-    assert (name, str(robot.pid)) not in board._reports
+    assert slot.report is None
 
 
 def test_all_are_silenced_in_the_reverse_order_of_starting_and_then_ended_together(
@@ -200,7 +199,7 @@ def test_closing_stops_everything_within_the_time_of_a_leaving_server(world: Wor
     assert world.closed == ["connection", "connection"]
     assert not [t for t in threading.enumerate() if t.name == "heartbeat"]
     with pytest.raises(RuntimeError, match="shutdown"):
-        supervisor.spawner._thread.submit(print)
+        supervisor._spawning.submit(print)
     with pytest.raises(StateError, match="The server is shutting down"):
         supervisor.start("robot", world._make_config())
 

@@ -4,6 +4,7 @@ parent.
 
 from __future__ import annotations
 
+import io
 import logging
 import os
 import sys
@@ -14,16 +15,13 @@ from roboneuron.ros.environment import prepare_environment
 
 
 def _read_line() -> str:
-    """The first line of stdin, byte by byte: signs of life and announcements follow, and a buffer
-    would keep them from whoever reads them next.
+    """The first line of stdin, without a buffer: signs of life and announcements follow, and a
+    buffer would keep them from whoever reads them next.
     """
-    data = bytearray()
-    while not data.endswith(b"\n"):
-        byte = os.read(0, 1)
-        if not byte:
-            sys.exit("stdin ended before the settings came.")
-        data += byte
-    return data.decode()
+    line = io.FileIO(0, closefd=False).readline()
+    if not line.endswith(b"\n"):
+        sys.exit("stdin ended before the settings came.")
+    return line.decode()
 
 
 def main() -> None:

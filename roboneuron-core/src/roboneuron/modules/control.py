@@ -4,9 +4,10 @@ is doubtful.
 
 from __future__ import annotations
 
+import logging
 import time
+from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, cast
 
 from geometry_msgs.msg import PoseStamped
@@ -25,6 +26,7 @@ from roboneuron.contract import (
     JointCommand,
     JointSample,
     Pose,
+    PostureInspector,
     RobotProfile,
     SeveralArms,
     SpaceController,
@@ -33,16 +35,23 @@ from roboneuron.contract import (
 from roboneuron.contract.arrays import F64
 from roboneuron.contract.space import split_label
 from roboneuron.errors import ConfigurationError, InvalidInputError, RoboNeuronError, UnsafeError
-from roboneuron.gate.motion import check_tighter, collision_of, motion_rules, poses_of
+from roboneuron.gate.motion import (
+    LimitedCommand,
+    MotionLimiter,
+    MotionRules,
+    check_tighter,
+    collision_of,
+    motion_rules,
+    poses_of,
+)
 from roboneuron.gate.motion.command import pick
+from roboneuron.modules.joint_watch import JointWatch
 from roboneuron.modules.module_host import Module, ModuleHost
-from roboneuron.modules.motion import JointWatch, MotionGuard
 from roboneuron.modules.plugin import build, load_profile
 from roboneuron.modules.settings import (
     FOLLOWING_NOTE,
     FUTURE_S,
     HOLD_DURATION_S,
-    LIMITS_PARAMETER,
     NEEDS_NEW_START,
     SERVER_SILENT,
 )
@@ -64,10 +73,16 @@ _SHARE_OF_REST = 0.5
 """How much of the time that is left of a row the next one is given beside its own: with all of it
 the arm would stay behind for ever, with none it would catch up at once.
 """
+log = logging.getLogger(__name__)
 
 
 class ControlModule(Module):
-    """Executes actions one by one; everything happens in the executor's thread."""
+    """Executes actions one by one; everything happens in the executor's thread.
+
+    Attributes:
+        robot: name of the robot that it moves.
+        on_limited: called with what the limits made of each command, before that is sent.
+    """
 
     def __init__(self, node: ModuleHost) -> None:
         """Parse the robot description and subscribe.
@@ -113,26 +128,18 @@ class ControlModule(Module):
         self._space: ControlSpace | None = None
         # only states that can be true are acted on
         self._watched = JointWatch(self._profile, config.state_timeout_s)
-        state = Path(node.settings.state_directory)
         immediate = config.command == "joint_state"
-        tightened = node.settings.tightened
-        if tightened is not None:
-            check_tighter(tightened, self.config.limits)
-        self._guard = MotionGuard(
-            tightened or self.config.limits,
+        self._limiter = MotionLimiter.of(
+            self.check_limits(node.settings.tightened or self.config.limits),
             self._profile,
             self._controller,
-            self.status,
-            state,
             immediate=immediate,
             # a longer command would outlive a frozen control
             longest_s=self.config.robot.server_timeout_s,
         )
-        node.resources.callback(self._guard.close)
-        node.resources.callback(
-            node.add_parameter(LIMITS_PARAMETER, "", self._tighten, self._why_not_tighten)
-        )
-        self.status.set_value("limits", "configured" if tightened is None else "tightened")
+        self.robot = self._profile.name
+        self.on_limited: list[Callable[[LimitedCommand], None]] = []
+        self._report_collision_check()
         self._poses = poses_of(self._controller)
         self._ee_pose = node.advertise(PoseStamped, EE_POSE)
         self._arm_poses = [
@@ -186,37 +193,32 @@ class ControlModule(Module):
         command = commands_from_message(message)[0]
         joints = self._watched.joints
         if not self._is_sent and joints is not None:
-            self._guard.follow(command, joints, sent_s)
+            self._limiter.follow(command, joints, sent_s)
             self._action_s, self._holding = sent_s, False
         return command
 
-    def _limits_of(self, text: str) -> LimitsConfig:
-        """The limits that a parameter names: JSON of `[limits]`, or empty for the configured ones.
+    def _report_collision_check(self) -> None:
+        """Say whether commands are checked for collisions, which not every controller can."""
+        has_bodies = self._profile.collision is not None
+        is_checked = has_bodies and isinstance(self._controller, PostureInspector)
+        if has_bodies and not is_checked:
+            log.warning(
+                "The controller tells no distances: collisions of %s are not checked.", self.robot
+            )
+        self.status.set_value("collision_checked", is_checked)
+
+    def check_limits(self, limits: LimitsConfig) -> MotionRules:
+        """What limits mean for this robot.
 
         Raises:
             ConfigurationError: they do not fit the robot, or are wider than the configured ones.
         """
-        if not text:
-            return self.config.limits
-        try:
-            limits = LimitsConfig.model_validate_json(text)
-        except ValueError as error:
-            raise ConfigurationError(f"The limits are no valid [limits]: {error}") from error
         check_tighter(limits, self.config.limits)
-        motion_rules(limits, self._profile)
-        return limits
+        return motion_rules(limits, self._profile)
 
-    def _why_not_tighten(self, text: str) -> str:
-        try:
-            self._limits_of(text)
-        except ConfigurationError as error:
-            return error.message
-        return ""
-
-    def _tighten(self, text: str) -> None:
-        """Move within other limits from the next command on."""
-        self._guard.use(self._limits_of(text))
-        self.status.set_value("limits", "tightened" if text else "configured")
+    def use_limits(self, limits: LimitsConfig) -> None:
+        """Move within other limits from the next command on. Raises as `check_limits`."""
+        self._limiter.use(self.check_limits(limits))
 
     def _on_joint_state(self, message: JointState) -> None:
         now_s = time.monotonic()
@@ -346,7 +348,7 @@ class ControlModule(Module):
             return
         outcome: JointCommand | Hold | None = answer
         if isinstance(outcome, JointCommand):
-            outcome = self._guard.judge(outcome, joints, now_s)
+            outcome = self._limit(outcome, joints, now_s)
         self.status.set_value("compute_ms", (time.monotonic() - now_s) * 1e3)
         message = self._to_message(outcome) if isinstance(outcome, JointCommand) else None
         took_s = time.monotonic() - now_s
@@ -357,7 +359,7 @@ class ControlModule(Module):
             outcome = Hold(
                 code=late, reason=f"A command was ready only {took_s:.3g} s after its action."
             )
-            self._guard.rest(None, now_s)
+            self._limiter.rest(None, now_s)
         # refused: what was sent before comes to its end, and is then held by the watchdog
         if outcome is None:
             return
@@ -378,6 +380,19 @@ class ControlModule(Module):
         self.status.set_value("residual_m", outcome.residual_m)
         self.status.set_value("residual_rad", outcome.residual_rad)
 
+    def _limit(
+        self, command: JointCommand, joints: JointSample, now_s: float
+    ) -> JointCommand | Hold | None:
+        """What to send instead of `command`: itself, a shorter one, a reason to hold, or None for
+        nothing.
+        """
+        limited = self._limiter.limit(command, joints, now_s)
+        if limited.command is None:
+            self.status.dropped.add(f"limit_{limited.acted[-1]}")
+        for tell in self.on_limited:
+            tell(limited)
+        return limited.command
+
     def _compute(
         self, space: ControlSpace, row: F64, joints: JointSample, step_s: float, now_s: float
     ) -> JointCommand | Hold:
@@ -390,11 +405,11 @@ class ControlModule(Module):
         # are to be reached by when the next row is due.
         if space.rate_hz:
             step_s = 1.0 / space.rate_hz
-        answer = controller.execute(space, row, self._guard.reference(joints, now_s), step_s)
+        answer = controller.execute(space, row, self._limiter.reference(joints, now_s), step_s)
         if space.rate_hz and isinstance(answer, JointCommand):
             # Its message came early, or the one before came late: what is left of that one is not
             # rushed, or the limits would cut off a part of a steady motion.
-            more_s = _SHARE_OF_REST * self._guard.remaining_s(now_s)
+            more_s = _SHARE_OF_REST * self._limiter.remaining_s(now_s)
             answer = replace(answer, duration_s=answer.duration_s + more_s)
         return answer
 
@@ -457,7 +472,7 @@ class ControlModule(Module):
         self._command.publish(
             self._to_message(JointCommand(names=arm, position=position, duration_s=HOLD_DURATION_S))
         )
-        self._guard.rest(joints, time.monotonic())
+        self._limiter.rest(joints, time.monotonic())
 
     def _to_message(self, command: JointCommand) -> JointTrajectory | JointState:
         """A command as the configured type of message; a JointState carries no duration."""

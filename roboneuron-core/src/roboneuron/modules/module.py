@@ -27,7 +27,6 @@ from roboneuron.modules.handover import Handover
 from roboneuron.modules.module_host import Module, ModuleHost, join
 from roboneuron.modules.parent_watch import Signals, watch_stdin
 from roboneuron.modules.plugin import module_class
-from roboneuron.modules.requests import RequestGuard
 from roboneuron.modules.settings import (
     EMERGENCY_STOP,
     EMERGENCY_STOP_TOPIC,
@@ -77,7 +76,6 @@ class ModuleNode(ModuleHost):
         self.add_parameter(START_PARAMETER, 0, self._permit, self._why_not_permit)
         if settings.needs_start:
             self.require_start(settings.needs_start)
-        self._requests = RequestGuard(self, self.status)
         for reference in settings.on_join:
             join(self, reference)
         self._reporter = StatusReporter(self, self.status)
@@ -133,7 +131,7 @@ class ModuleNode(ModuleHost):
 
     def watch_parent(self, on_end: Callable[[], None]) -> None:
         """From now on listen to the server on stdin; `on_end` is called when it is gone."""
-        self._requests.announcements.catch_up = watch_stdin(on_end, self.note_beat).read
+        self.read_stdin = watch_stdin(on_end, self.note_beat).read
 
     def note_beat(self, data: bytes = b"\n") -> None:
         """The server has shown that it lives, or announced a request; called from the thread that
@@ -145,7 +143,12 @@ class ModuleNode(ModuleHost):
         self._beat_s = now_s
         # Fed here and nowhere else: the order of signs of life and announcements is that of the
         # pipe.
-        self._requests.announcements.feed(data)
+        for listener in self.on_stdin:
+            try:
+                listener(data)
+            # a failing listener must not end the thread that watches the parent
+            except Exception:
+                log.exception("A listener of stdin failed.")
 
     def server_silence_s(self) -> float:
         """See `ModuleHost.server_silence_s`."""
@@ -153,11 +156,6 @@ class ModuleNode(ModuleHost):
             return math.inf
         beat_s = self._beat_s
         return 0.0 if beat_s is None else time.monotonic() - beat_s
-
-    def report_unexpected(self, error: Exception) -> None:
-        """A callback raised what nobody expected: log it and say so; the module goes on."""
-        log.error("a callback failed", exc_info=error)
-        self.status.set_unexpected(error)
 
     def release(self) -> None:
         """Stop reporting and release the module; called once the executor has stopped.
@@ -365,4 +363,5 @@ def _spin(node: ModuleNode, signals: Signals) -> None:
         try:
             executor.spin_once()
         except Exception as error:  # the module border: a plugin's callback may raise anything
-            node.report_unexpected(error)
+            log.exception("a callback failed")
+            node.status.set_unexpected(error)

@@ -4,7 +4,6 @@ same class.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Self
 
@@ -12,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationIn
 from pydantic import ValidatorFunctionWrapHandler as Parse
 
 from roboneuron.errors import InternalError, RoboNeuronError
-from roboneuron.modules.settings import FOLLOWING_NOTE, GRIPPER_COMMANDED, arm_metric
+from roboneuron.modules.settings import FOLLOWING_NOTE
 
 _TABLES = {"dropped": "dropped_by", "detail": "detail"}
 """Fields of several pairs, by what stands before the dot in their names."""
@@ -141,24 +140,6 @@ class Report(ModuleFacts):
     def is_following(self) -> bool:
         """Of control: whether it acts on what is asked for, and holds nothing."""
         return self.note == FOLLOWING_NOTE
-
-    @property
-    def gripper_commanded(self) -> float | None:
-        """Of a robot with one arm: see `gripper_commanded_of`."""
-        return self.gripper_commanded_of("")
-
-    def gripper_commanded_of(self, arm: str) -> float | None:
-        """Of the robot: the opening last commanded, 0 closed .. 1 open; None when none was since
-        its start.
-
-        Args:
-            arm: name of one of several arms; "" for the only one.
-        """
-        try:
-            opening = float(self.metrics.get(arm_metric(GRIPPER_COMMANDED, arm), ""))
-        except ValueError:
-            return None
-        return opening if math.isfinite(opening) else None
 
     def failure(self) -> RoboNeuronError | None:
         """The module's newest error as an exception of its own class, InternalError for a code that

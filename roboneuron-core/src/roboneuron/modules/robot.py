@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, cast
 
@@ -19,9 +20,7 @@ from roboneuron.modules.plugin import build, load_profile
 from roboneuron.modules.settings import (
     FAULT_DETAIL,
     FUTURE_S,
-    GRIPPER_COMMANDED,
     NEEDS_NEW_START,
-    arm_metric,
 )
 from roboneuron.modules.worker import LIMIT_S, Worker
 from roboneuron.plugins.specs import RobotSpec
@@ -39,8 +38,6 @@ _IDLE_S = 0.05
 """Longest wait for a command; how exactly `command_timeout_s` is kept."""
 _MOST_BEHIND_S = 0.05
 """States that are later than this are left out: a burst of old ones helps nobody."""
-_GRIPPER_CHANGE = 0.02
-"""A change of the commanded opening that is reported at once."""
 
 
 class RobotModule(Module):
@@ -53,6 +50,10 @@ class RobotModule(Module):
 
     Attributes:
         driver: what moves the robot; open.
+        profile: of the robot.
+        on_sent: called with each command as the driver has sent it, on the playing thread.
+        on_state: called ten times a second with what the driver has read, on the publishing thread;
+            with None when it cannot be read.
     """
 
     def __init__(self, node: ModuleHost) -> None:
@@ -74,8 +75,8 @@ class RobotModule(Module):
         self._arrived = threading.Condition()
         self._moving = False
         self._command_s = 0.0
-        # by name of the arm: the openings last commanded
-        self._openings: dict[str, float] = {}
+        self.on_sent: list[Callable[[JointCommand], None]] = []
+        self.on_state: list[Callable[[RobotState | None], None]] = []
         robot = self.registry.get(RobotSpec, self.config.robot.name)
         spec = robot.driver(self.config.robot.driver)
         if spec is None:
@@ -84,15 +85,11 @@ class RobotModule(Module):
                 f"Robot {robot.name!r} has no driver {self.config.robot.driver!r}; its drivers "
                 f"are {names}."
             )
-        profile = load_profile(self.registry, robot.name)
-        self._grippers = {
-            arm.name: arm.gripper for arm in profile.each_arm if arm.gripper is not None
-        }
-        self._measured_hands = tuple(self._grippers) if profile.arms else ("",)
+        self.profile = load_profile(self.registry, robot.name)
         self._topics = NodeTopics(node, accepts=lambda: self._active and not self._must_hold())
         node.resources.callback(self._topics.close)
         options = self.config.options(robot.name)
-        self.driver = cast("RobotDriver", build(spec, options, profile, self._topics))
+        self.driver = cast("RobotDriver", build(spec, options, self.profile, self._topics))
         node.resources.callback(self.driver.close)
         self.driver.open()
         self._states = node.advertise(JointState, JOINT_STATES)
@@ -245,7 +242,8 @@ class RobotModule(Module):
         if self._must_hold():  # since it was taken: the hold of that came before the command
             self.driver.hold()
             return
-        self._note_gripper(sent)
+        for note in self.on_sent:
+            note(sent)
         self._moving, self._command_s = True, time.monotonic() + sent.duration_s
         self.status.clear_error()
         self.status.set(note="moving")
@@ -259,22 +257,6 @@ class RobotModule(Module):
                 self._arrived.wait_for(
                     lambda: self._pending is not plan or stop.is_set(), timeout=sent.duration_s
                 )
-
-    def _note_gripper(self, sent: JointCommand) -> None:
-        """Report the opening that was last commanded: it holds an object, and blocked fingers do
-        not tell it.
-
-        Args:
-            sent: what the driver has sent; of a gripper whose joint it lacks, nothing has changed.
-        """
-        for arm, gripper in self._grippers.items():
-            if gripper.joint not in sent.names:
-                continue
-            opening = gripper.to_opening(float(sent.position[sent.names.index(gripper.joint)]))
-            self.status.set_value(arm_metric(GRIPPER_COMMANDED, arm), opening)
-            if abs(opening - self._openings.get(arm, -1.0)) > _GRIPPER_CHANGE:
-                self._openings[arm] = opening
-                self.status.changed.set()
 
     def _hold_when_silent(self) -> None:
         """Hold once when commands have ceased for `command_timeout_s`."""
@@ -301,9 +283,9 @@ class RobotModule(Module):
             state = self.driver.read()
         except Exception:
             # what was true at the last state may not be any more
-            self.status.forget_details(
-                *(arm_metric("gripper_open", arm) for arm in self._measured_hands)
-            )
+            self.status.forget_details()
+            for tell in self.on_state:
+                tell(None)
             self._detail_s = 0.0
             raise
         # first of all: control waits for it
@@ -315,23 +297,8 @@ class RobotModule(Module):
         if now_s - self._detail_s > _DETAIL_PERIOD_S:
             self._detail_s = now_s
             self.status.set_details(state.detail)
-            self._note_openings(state)
-
-    def _note_openings(self, state: RobotState) -> None:
-        """Report how far each gripper is open: as the driver tells it, of several arms by their
-        joints.
-        """
-        for arm in self._measured_hands:
-            opening = state.gripper_open
-            if arm:
-                names, gripper = state.joints.names, self._grippers[arm]
-                opening = (
-                    gripper.to_opening(float(state.joints.position[names.index(gripper.joint)]))
-                    if gripper.joint in names
-                    else None
-                )
-            if opening is not None:
-                self.status.set_value(arm_metric("gripper_open", arm), float(opening))
+            for tell in self.on_state:
+                tell(state)
 
     def _check_fault(self, fault: str) -> None:
         """A fault has stopped the robot: whoever clears it, also on the robot itself, sets nothing

@@ -32,15 +32,6 @@ MAX_INSTRUCTION_LENGTH = 1000
 """Characters: models read a few dozen words, and the status repeats it five times a second."""
 _BREAKS = "\t\n\r"
 """Control characters that may stand between the words of an instruction."""
-GRIPPER_COMMANDED = "gripper_commanded"
-"""Metric of the robot module: the opening that was last commanded, 0 closed .. 1 open, by whomever.
-Of each of several arms under `arm_metric`.
-"""
-
-
-def arm_metric(name: str, arm: str) -> str:
-    """Name of a metric of one arm: "left/gripper_open"; the plain name for the only arm."""
-    return f"{arm}/{name}" if arm else name
 
 
 def instruction_problem(text: str) -> str:

@@ -68,8 +68,7 @@ def claimant(node: str) -> int | None:
         except ConnectionRefusedError:
             return None
         credentials = asking.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
-    pid: int = _CREDENTIALS.unpack(credentials)[0]
-    return pid
+    return int(_CREDENTIALS.unpack(credentials)[0])
 
 
 def runs_already(node: str, pid: int | str) -> StateError:

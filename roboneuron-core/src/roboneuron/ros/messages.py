@@ -14,9 +14,8 @@ from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from roboneuron.contract.arrays import F64
-from roboneuron.contract.image import frame_from_buffer
 from roboneuron.contract.motion import JointCommand
-from roboneuron.contract.observation import CameraCalibration, Frame, JointSample, Pose
+from roboneuron.contract.observation import Frame, JointSample, Pose
 from roboneuron.contract.space import ACTION_LABEL, EE_DELTA, ControlSpace
 from roboneuron.errors import InvalidInputError
 
@@ -48,29 +47,12 @@ def to_image(frame: Frame) -> Image:
     return message
 
 
-def to_camera_info(frame: Frame) -> CameraInfo | None:
-    """Intrinsics of a frame -> sensor_msgs/CameraInfo of a camera without distortion; None when not
-    calibrated.
-
-    Source of the half pixel: image_geometry and OpenCV put pixel centres at integers, the contract
-    at integers + 0.5.
-    """
-    if frame.calibration is None:
-        return None
-    height, width = frame.image.shape[:2]
-    message = CameraInfo(height=height, width=width, distortion_model="plumb_bob", d=[0.0] * 5)
-    message.header.stamp = to_time(frame.stamp_ns)
-    message.header.frame_id = frame.frame_id
-    intrinsics = frame.calibration.intrinsics - _HALF_PIXEL
-    message.k = intrinsics.ravel().tolist()
-    message.r = np.eye(3).ravel().tolist()
-    message.p = np.hstack([intrinsics, np.zeros((3, 1))]).ravel().tolist()
-    return message
-
-
 def intrinsics_from_camera_info(message: CameraInfo) -> F64:
     """sensor_msgs/CameraInfo -> float64 (3, 3) [px] in the contract's convention (see
     `CameraCalibration`).
+
+    Source of the half pixel: image_geometry and OpenCV put pixel centres at integers, the contract
+    at integers + 0.5.
 
     Raises:
         InvalidInputError: the camera was never calibrated (focal length 0), or a value is not
@@ -84,39 +66,6 @@ def intrinsics_from_camera_info(message: CameraInfo) -> F64:
         )
     calibrated: F64 = intrinsics + _HALF_PIXEL
     return calibrated
-
-
-def frame_from_message(
-    message: Image, camera: str, calibration: CameraCalibration | None = None
-) -> Frame:
-    """sensor_msgs/Image -> Frame; `rgb8` shares the message's memory.
-
-    Args:
-        camera: the camera's name.
-        calibration: of this camera at this image size.
-
-    Raises:
-        InvalidInputError: unknown encoding, damaged sizes, or an unset stamp.
-    """
-    stamp_ns = to_ns(message.header.stamp)
-    if stamp_ns <= 0:
-        raise InvalidInputError(
-            f"An image of camera {camera!r} carries no capture time in header.stamp."
-        )
-    image = frame_from_buffer(
-        message.data,
-        width=message.width,
-        height=message.height,
-        step=message.step,
-        encoding=message.encoding,
-    )
-    return Frame(
-        camera=camera,
-        image=image,
-        stamp_ns=stamp_ns,
-        frame_id=message.header.frame_id or camera,
-        calibration=calibration,
-    )
 
 
 def to_action_message(row: F64, space: ControlSpace = EE_DELTA) -> Float64MultiArray:
@@ -188,18 +137,6 @@ def to_pose_stamped(pose: Pose, frame_id: str) -> PoseStamped:
         float(v) for v in pose.quaternion_xyzw
     )
     return message
-
-
-def pose_from_message(message: PoseStamped) -> Pose:
-    """geometry_msgs/PoseStamped -> Pose in the message's frame, which is not looked at: that of
-    `ee_pose` is the robot's base.
-    """
-    p, q = message.pose.position, message.pose.orientation
-    return Pose(
-        position_m=np.array([p.x, p.y, p.z]),
-        quaternion_xyzw=np.array([q.x, q.y, q.z, q.w]),
-        stamp_ns=to_ns(message.header.stamp),
-    )
 
 
 def to_joint_trajectory(command: JointCommand) -> JointTrajectory:

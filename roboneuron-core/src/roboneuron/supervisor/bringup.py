@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 from roboneuron.errors import InternalError, NotReadyError, RoboNeuronError
@@ -14,10 +15,10 @@ from roboneuron.planning import Plan
 from roboneuron.ros.claim import LEAVE_S, claimant, runs_already
 from roboneuron.supervisor.changes import Lasting
 from roboneuron.supervisor.health import Modules
-from roboneuron.supervisor.launching import Launch, Spawner, Stage
+from roboneuron.supervisor.launching import Stage
 from roboneuron.supervisor.lifecycle import NodeClient
 from roboneuron.supervisor.process import ModuleProcess, end_processes
-from roboneuron.supervisor.slot import Phase, Slot
+from roboneuron.supervisor.slot import Choice, Phase, Slot
 
 log = logging.getLogger(__name__)
 _REASON_S = 1.0
@@ -47,30 +48,32 @@ class Bringup:
 
     def __init__(
         self,
-        launch: Launch,
-        spawner: Spawner,
-        modules: Modules,
         slot: Slot,
-        plan: Plan | None,
+        choice: Choice,
+        modules: Modules,
+        spawn: Callable[[Choice], ModuleProcess],
+        client: Callable[[Slot, Callable[[], None]], NodeClient],
         on_stage: Stage,
     ) -> None:
         """Args:
-        launch: what is started.
-        spawner: starts it.
-        modules: the others, some of which this one needs.
         slot: claimed for it.
-        plan: the descriptors behind what was chosen; None where nobody has made one.
+        choice: what is started.
+        modules: the others, some of which this one needs.
+        spawn: starts its process.
+        client: drives the node of the process in a slot, and calls a function while it waits.
         on_stage: called with a phrase whenever the start has come further.
         """
-        self._launch = launch
-        self._spawner = spawner
-        self._modules = modules
         self._slot = slot
-        self._plan = plan
-        self._name = launch.status_name
-        self._board = modules.board
+        self._choice = choice
+        self._modules = modules
         self._changes = modules.changes
+        self._spawn = spawn
+        self._make_client = client
         self._on_stage = on_stage
+        self._node = f"/{choice.settings.status_name}"
+        config = choice.settings.config
+        self._timeout_s = config.start_timeout_s(slot.kind)
+        self._stop_timeout_s = config.supervisor.stop_timeout_s
         self._doing = "starting"
         self._since_s = self._reported_s = time.monotonic()
 
@@ -80,18 +83,18 @@ class Bringup:
         Raises:
             RoboNeuronError: as `Supervisor.start`.
         """
-        slot, deadline_s = self._slot, time.monotonic() + self._launch.start_timeout_s
+        slot, deadline_s = self._slot, time.monotonic() + self._timeout_s
         phase: Phase = "stopped"
         try:
             self._check_robot()
-            self._process = slot.process = self._spawn()
+            self._process = slot.process = self._spawn(self._choice)
+            self._process.reap(self._on_exit)
             self._prove(deadline_s)
             phase = "running"
         finally:
             try:
                 if phase != "running" and slot.process is not None:
-                    end_processes([slot.process], self._launch.stop_timeout_s)
-                    self._board.forget(self._name, slot.process.pid)
+                    end_processes([slot.process], self._stop_timeout_s)
             finally:
                 # also when it survives SIGKILL, else nobody could start one again
                 slot.settle(phase)
@@ -106,36 +109,18 @@ class Bringup:
         Raises:
             NotReadyError: the robot is neither running nor being started.
         """
-        plan = self._plan
-        if (
-            self._slot.kind != "perception"
-            or plan is None
-            or plan.perception is None
-            or not plan.perception.drivers
-        ):
-            return
-        robot = self._modules.slot("robot")
-        if not self._changes.wait_for(
-            lambda: robot.phase in ("starting", "running"), _ROBOT_S, self._slot.check_not_cancelled
+        if self._slot.kind == "perception" and not self._changes.wait_for(
+            lambda: not self._absent(), _ROBOT_S, self._slot.check_not_cancelled
         ):
             raise NotReadyError(
-                f"The images of {plan.perception.name!r} come from the driver of the robot, which "
-                "is not running.",
+                "The images come from the driver of the robot, which is not running.",
                 hint="Call start_robot first.",
             )
-
-    def _spawn(self) -> ModuleProcess:
-        process = self._spawner.start(self._launch)
-        log.info("Spawned %s: pid %d.", process.name, process.pid)
-        self._board.watch(self._name, process.pid)
-        process.reap(self._on_exit)
-        return process
 
     def _on_exit(self, process: ModuleProcess) -> None:
         """The process has ended; called on its reaper's thread, and at the end of `run`."""
         if self._slot.note_exit(process):
             log.error("%s is gone: %s", self._slot.kind, self._slot.explain_exit())
-            self._board.forget(self._name, process.pid)
             self._modules.on_change(self._slot.kind)
 
     def _prove(self, deadline_s: float) -> None:
@@ -145,10 +130,7 @@ class Bringup:
         and that we hear it, an answering service that it can be driven.
         """
         self._stage("starting")
-        link, announce = self._spawner.connection.link(), self._process.announce
-        client = self._client = NodeClient(
-            link, self._changes, f"/{self._name}", announce, self._check
-        )
+        client = self._client = self._make_client(self._slot, self._check)
         self._check_alone()
         if self._changes.wait_for(self._report, _left(deadline_s), self._check) is None:
             raise self._too_late("its first status on /diagnostics")
@@ -234,23 +216,10 @@ class Bringup:
         """Modules that this one takes inputs from and that are neither running nor being
         started.
         """
-        kind, plan = self._slot.kind, self._plan
-        sources: dict[ModuleKind, tuple[ModuleKind, ...]] = {
-            "control": ("robot",),
-            "inference": ("perception",),
-        }
-        needed = sources.get(kind, ())
-        if (
-            kind == "inference"
-            and plan is not None
-            and plan.backend is not None
-            and plan.backend.needs_state
-        ):
-            needed = ("robot", "perception", "control")
         return [
-            other
-            for other in needed
-            if self._modules.slot(other).phase not in ("starting", "running")
+            kind
+            for kind in _needed(self._slot.kind, self._choice.plan)
+            if self._modules.slot(kind).phase not in ("starting", "running")
         ]
 
     def _check_alone(self) -> None:
@@ -261,15 +230,15 @@ class Bringup:
         left behind is given the time that it may take to leave.
         """
         if not self._changes.wait_for(lambda: self._other() is None, LEAVE_S):
-            raise runs_already(f"/{self._name}", self._other() or 0)
+            raise runs_already(self._node, self._other() or 0)
 
     def _other(self) -> int | str | None:
         """Process id of another node of our name."""
         # the claim is known at once, before DDS has discovered the other node
-        holder = claimant(f"/{self._name}")
-        return (
-            holder if holder not in (None, self._process.pid) else self._board.foreign(self._name)
-        )
+        holder = claimant(self._node)
+        if holder not in (None, self._process.pid):
+            return holder
+        return self._modules.foreign(self._choice.settings.status_name)
 
     def _too_late(self, missing: str) -> RoboNeuronError:
         """The error for a start that took too long.
@@ -281,7 +250,7 @@ class Bringup:
         said = f" It says: {report.error}" if report is not None and report.error else ""
         return NotReadyError(
             f"{self._slot.kind} (pid {self._process.pid}) was not ready within "
-            f"{self._launch.start_timeout_s:g} s; "
+            f"{self._timeout_s:g} s; "
             f"missing: {missing}.{said}",
             hint=f"The process was ended; its log is {self._process.log_path}. If it only needs "
             "longer, raise "
@@ -294,7 +263,7 @@ class Bringup:
         self._on_stage(f"{self._slot.kind}: {doing}")
 
     def _report(self) -> Report | None:
-        return self._board.newest(self._name, self._process.pid)
+        return self._modules.report_of(self._slot)
 
     def _check(self) -> None:
         """What every wait of a start looks at; raises what makes waiting needless."""
@@ -311,9 +280,26 @@ class Bringup:
             self._reported_s = now_s
             self._on_stage(
                 f"{self._slot.kind}: {self._doing}, {now_s - self._since_s:.0f} of at most "
-                f"{self._launch.start_timeout_s:g} s"
+                f"{self._timeout_s:g} s"
                 f"{_memory(self._process.pid)}"
             )
+
+
+def _needed(kind: ModuleKind, plan: Plan | None) -> tuple[ModuleKind, ...]:
+    """Modules that one of that kind takes inputs from.
+
+    Args:
+        kind: of the module.
+        plan: what it consists of; None where nobody has made one.
+    """
+    if kind == "control":
+        return ("robot",)
+    if kind == "inference":
+        needs_state = plan is not None and plan.backend is not None and plan.backend.needs_state
+        return ("robot", "perception", "control") if needs_state else ("perception",)
+    if kind == "perception" and plan is not None and plan.perception is not None:
+        return ("robot",) if plan.perception.drivers else ()
+    return ()
 
 
 def _left(deadline_s: float) -> float:

@@ -18,7 +18,7 @@ from roboneuron.supervisor.process import ModuleProcess, ProcessEvents
 from roboneuron.supervisor.slot import Choice, Exit, Phase, Slot
 
 if TYPE_CHECKING:
-    from diagnostic_msgs.msg import DiagnosticArray
+    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
 
 _KINDS = tuple(f"/{kind}" for kind in MODULE_KINDS)
@@ -127,71 +127,6 @@ class Stopped:
     report: Report | None = None
 
 
-class StatusBoard:
-    """The newest report of each watched module process; every method may be called from any thread.
-
-    Attributes:
-        changes: told of every report.
-    """
-
-    def __init__(self, changes: Changes) -> None:
-        """Args:
-        changes: its lock guards what is kept here.
-        """
-        self.changes = changes
-        # by status name and process id, as text: that is how they come in a DiagnosticStatus
-        self._reports: dict[tuple[str, str], Report | None] = {}
-        self._ours: set[str] = set()
-        self._foreign: dict[str, tuple[str, float]] = {}
-
-    def watch(self, name: str, pid: int) -> None:
-        """Accept reports of a process of ours; those of anybody else are ignored.
-
-        Both are compared, because a successor reports under the same name as long as its
-        predecessor may still do so, and other servers' modules may have the same name.
-
-        Args:
-            name: of its DiagnosticStatus.
-            pid: its process id, which it reports as hardware id.
-        """
-        with self.changes.lock:
-            self._reports[name, str(pid)] = None
-            self._ours.add(str(pid))
-
-    def forget(self, name: str, pid: int) -> None:
-        """Stop watching."""
-        with self.changes.lock:
-            self._reports.pop((name, str(pid)), None)
-
-    def newest(self, name: str, pid: int) -> Report | None:
-        """The newest report, or None before the first."""
-        with self.changes.lock:
-            return self._reports.get((name, str(pid)))
-
-    def foreign(self, name: str) -> str | None:
-        """Pid of a process of somebody else that reported under `name` within the last second, or
-        None.
-        """
-        with self.changes.lock:
-            pid, seen_s = self._foreign.get(name, ("", 0.0))
-        return pid if pid and time.monotonic() - seen_s < _FOREIGN_S else None
-
-    def receive(self, message: DiagnosticArray) -> None:
-        """Subscription callback of /diagnostics, on the thread of the ROS link."""
-        now_s = time.monotonic()
-        with self.changes.lock:
-            for status in message.status:
-                key = (status.name, status.hardware_id)
-                if key in self._reports:
-                    self._reports[key] = Report.from_values(
-                        {v.key: v.value for v in status.values}, received_s=now_s
-                    )
-                elif status.name.endswith(_KINDS) and status.hardware_id not in self._ours:
-                    self._foreign = dict(list(self._foreign.items())[-_FOREIGN:])
-                    self._foreign[status.name] = (status.hardware_id, now_s)
-        self.changes.notify()
-
-
 class Modules:
     """The modules of one server and their processes, as features may read them and be told of them.
 
@@ -203,7 +138,6 @@ class Modules:
         changes: told of all that happens to modules; its lock guards `slots`.
         slots: by kind, the one of the module that works first; others are about to replace it, or
             were replaced.
-        board: what the modules report.
         log_directory: where this server's modules log, one file for each.
         process_events: what happens to module processes, for listeners.
         secret_variables: environment variables that modules do not get; features may add some.
@@ -216,8 +150,10 @@ class Modules:
     def __init__(self, on_change: Callable[[ModuleKind], object]) -> None:
         self.on_change = on_change
         self.changes = Changes()
-        self.board = StatusBoard(self.changes)
         self.slots = {kind: [Slot(kind, self.changes)] for kind in MODULE_KINDS}
+        # process ids of all that was started, as text: that is how they come in a DiagnosticStatus
+        self._ours: set[str] = set()
+        self._foreign: dict[str, tuple[str, float]] = {}
 
     def slot(self, kind: ModuleKind) -> Slot:
         """The slot of the module that works now; another one after a replacement, so that it is not
@@ -235,23 +171,59 @@ class Modules:
         Returns:
             None before the first report, and without a process.
         """
-        process, choice = slot.process, slot.choice
-        if process is None or choice is None:
-            return None
-        return self.board.newest(choice.settings.status_name, process.pid)
+        with self.changes.lock:
+            return slot.report
+
+    def receive(self, message: DiagnosticArray) -> None:
+        """Subscription callback of /diagnostics, on the thread of the ROS link."""
+        now_s = time.monotonic()
+        with self.changes.lock:
+            for status in message.status:
+                self._receive(status, now_s)
+        self.changes.notify()
+
+    def _receive(self, status: DiagnosticStatus, now_s: float) -> None:
+        """Keep what a module reports.
+
+        Args:
+            status: of anybody.
+            now_s: monotonic time of its arrival.
+        """
+        name, pid = status.name, status.hardware_id
+        if not name.endswith(_KINDS):
+            return
+        if pid in self._ours:
+            values = {pair.key: pair.value for pair in status.values}
+            report = Report.from_values(values, received_s=now_s)
+            for slot in self.all_slots():
+                slot.accept(name, pid, report)
+        else:
+            self._foreign = dict(list(self._foreign.items())[-_FOREIGN:])
+            self._foreign[name] = (pid, now_s)
+
+    def foreign(self, name: str) -> str | None:
+        """Pid of a process of somebody else that reported under `name` within the last second, or
+        None.
+        """
+        with self.changes.lock:
+            pid, seen_s = self._foreign.get(name, ("", 0.0))
+        return pid if pid and time.monotonic() - seen_s < _FOREIGN_S else None
+
+    def all_slots(self) -> list[Slot]:
+        """Those of every kind."""
+        with self.changes.lock:
+            return [slot for kind in MODULE_KINDS for slot in self.slots[kind]]
 
     def view(self, kind: ModuleKind) -> ModuleView:
         """What is known of a module now; all of it of one instant, because the lock is held."""
         with self.changes.lock:
             slot = self.slot(kind)
-            report = self.report_of(slot)
             return ModuleView(
                 kind=kind,
                 phase=slot.phase,
                 process=slot.process,
                 choice=slot.choice,
-                # the last words of a dead process tell nothing of the present
-                report=report if slot.phase != "exited" else None,
+                report=slot.report,
                 exit=slot.exit,
             )
 

@@ -1,4 +1,4 @@
-"""The server's ROS node, and how module processes are started."""
+"""The server's ROS node, opened in the background."""
 
 from __future__ import annotations
 
@@ -7,21 +7,14 @@ import os
 import sys
 import threading
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from concurrent.futures import TimeoutError as FutureTimeoutError
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from roboneuron.errors import ConfigurationError, NotReadyError, StateError
-from roboneuron.modules.settings import ModuleKind
-from roboneuron.ros.environment import (
-    check_state_directory,
-    module_environment,
-    prepare_environment,
-)
+from roboneuron.errors import NotReadyError, StateError
+from roboneuron.ros.environment import prepare_environment
 from roboneuron.ros.topics import DIAGNOSTICS
-from roboneuron.supervisor.process import ModuleProcess, ProcessEvents, spawn
 
 if TYPE_CHECKING:
     from diagnostic_msgs.msg import DiagnosticArray
@@ -48,7 +41,8 @@ class Connection:
         self._on_status = on_status
         self._log_directory = log_directory
         self._lock = threading.Lock()
-        self._opened: Future[RosLink] | None = None
+        self._opened: Future[RosLink] = Future()
+        self._opening = threading.Thread(target=self._open, name="ros-open", daemon=True)
         self._closed = False
         self.starts = itertools.count(os.getpid())
 
@@ -61,12 +55,8 @@ class Connection:
         with self._lock:
             if self._closed:
                 raise StateError("The server is shutting down.")
-            if self._opened is not None:
-                return
-            self._opened = Future()
-            threading.Thread(
-                target=self._open, args=(self._opened,), name="ros-open", daemon=True
-            ).start()
+            if not self._has_begun():
+                self._opening.start()
 
     def link(self) -> RosLink:
         """The open link.
@@ -77,7 +67,6 @@ class Connection:
             NotReadyError: joining takes unusually long; it goes on in the background.
         """
         self.begin()
-        assert self._opened is not None
         try:
             return self._opened.result(timeout=_OPEN_TIMEOUT_S)
         except FutureTimeoutError as error:
@@ -89,16 +78,14 @@ class Connection:
         """Leave the graph; idempotent."""
         with self._lock:
             self._closed = True
-            opened = self._opened
-        if opened is not None and opened.exception(timeout=_OPEN_TIMEOUT_S) is None:
-            opened.result().close()
+        if self._has_begun() and self._opened.exception(timeout=_OPEN_TIMEOUT_S) is None:
+            self._opened.result().close()
 
-    def _open(self, opened: Future[RosLink]) -> None:
-        """Import rclpy and join the graph.
+    def _has_begun(self) -> bool:
+        return self._opening.ident is not None
 
-        Args:
-            opened: gets the link, or why there is none.
-        """
+    def _open(self) -> None:
+        """Import rclpy and join the graph."""
         try:
             # before rclpy is imported, which reads the environment
             prepare_environment(self._log_directory / "ros")
@@ -110,9 +97,9 @@ class Connection:
             link.open()
             link.subscribe(DiagnosticArray, DIAGNOSTICS, self._on_status)
         except BaseException as error:  # handed to whoever asks for the link
-            opened.set_exception(error)
+            self._opened.set_exception(error)
         else:
-            opened.set_result(link)
+            self._opened.set_result(link)
 
 
 Stage = Callable[[str], None]
@@ -123,79 +110,3 @@ Connect = Callable[[Callable[["DiagnosticArray"], None], Path], Connection]
 def module_command(python: str | None) -> list[str]:
     """How a module process is started; `-P` keeps the working directory out of its import path."""
     return [python or sys.executable, "-u", "-P", "-m", "roboneuron.modules"]
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Launch:
-    """One start of a module process, without the configuration: that is in `first_line`.
-
-    Attributes:
-        kind: which module.
-        node_name: its ROS node under the robot's namespace; names its process and its log too.
-        status_name: under which it reports.
-        first_line: its settings as JSON, for its stdin.
-        python: interpreter of its own environment; None for the server's.
-        start_timeout_s: from the spawn to the proof that it works [s].
-        stop_timeout_s: from SIGTERM to SIGKILL, when the start fails [s].
-    """
-
-    kind: ModuleKind
-    node_name: str
-    status_name: str
-    first_line: str
-    python: str | None
-    start_timeout_s: float
-    stop_timeout_s: float
-
-
-class Spawner:
-    """Starts module processes, on a thread that lives as long as the server: PR_SET_PDEATHSIG
-    follows the thread.
-
-    Args:
-        command: how to start a module under a given interpreter.
-        connection: the server's node.
-        log_directory: where modules log, one file for each.
-
-    Attributes:
-        events: what happens to module processes, for listeners.
-        secret_variables: environment variables that modules do not get.
-    """
-
-    def __init__(self, command: Command, connection: Connection, log_directory: Path) -> None:
-        self.connection = connection
-        self.log_directory = log_directory
-        self.events = ProcessEvents()
-        self.secret_variables: set[str] = set()
-        self._command = command
-        self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="spawner")
-
-    def start(self, launch: Launch) -> ModuleProcess:
-        """Start a module process.
-
-        Raises:
-            ConfigurationError: it cannot be started, or its log cannot be written.
-        """
-        number = next(self.connection.starts)
-        command = self._command(launch.python)
-        check_state_directory(self.log_directory)
-        try:
-            return self._thread.submit(
-                spawn,
-                launch.node_name,
-                command,
-                module_environment(launch.python, number, self.secret_variables),
-                launch.first_line,
-                self.log_directory / f"{launch.node_name}.log",
-                self.events,
-            ).result()
-        except OSError as error:
-            raise ConfigurationError(
-                f"The {launch.kind} process cannot be started with {command[0]!r}: "
-                f"{error.strerror or error}.",
-                hint=f"Check `python` in the section [{launch.kind}] of the configuration.",
-            ) from error
-
-    def shutdown(self) -> None:
-        """End the thread; a process that is still there gets its death signal."""
-        self._thread.shutdown()

@@ -15,20 +15,12 @@ if TYPE_CHECKING:
     from roboneuron.ros.link import Call, RosLink
 
 
-TRANSITIONS = {"configure": 1, "cleanup": 2, "activate": 3, "deactivate": 4}
-"""Source: lifecycle_msgs/msg/Transition."""
-_BEFORE = {
-    "configure": "unconfigured",
-    "cleanup": "inactive",
-    "activate": "inactive",
-    "deactivate": "active",
+_TRANSITIONS = {
+    "configure": (1, "unconfigured", "inactive"),
+    "activate": (3, "inactive", "active"),
+    "deactivate": (4, "active", "inactive"),
 }
-_AFTER = {
-    "configure": "inactive",
-    "cleanup": "unconfigured",
-    "activate": "active",
-    "deactivate": "inactive",
-}
+"""Number of each, and the states before and after it. Source: lifecycle_msgs/msg/Transition."""
 _STATE_CALL_S = 1.0
 """Bound on one question for the state; a node answers in milliseconds or not at all."""
 _LOST_S = 1.0
@@ -105,12 +97,12 @@ class NodeClient:
         return str(call.response.current_state.label)
 
     def transition(self, name: str, timeout_s: float) -> bool | None:
-        """Request "configure", "activate", "deactivate" or "cleanup".
+        """Request "configure", "activate" or "deactivate".
 
         Returns whether the node made it, or None when it did not answer in time.
 
         Args:
-            name: a key of TRANSITIONS.
+            name: of the transition.
             timeout_s: bound on the answer.
         """
         from lifecycle_msgs.msg import Transition  # heavy
@@ -118,18 +110,19 @@ class NodeClient:
 
         from roboneuron.modules.requests import digest_of  # heavy
 
-        request = ChangeState.Request(transition=Transition(id=TRANSITIONS[name], label=name))
+        number, before, after = _TRANSITIONS[name]
+        request = ChangeState.Request(transition=Transition(id=number, label=name))
         deadline_s = time.monotonic() + timeout_s
         calls: list[Call] = []
         made: bool | None = None
         while made is None and (remaining_s := deadline_s - time.monotonic()) > 0:
-            state = self.state(min(_STATE_CALL_S, remaining_s)) if calls else _BEFORE[name]
-            if state == _AFTER[name]:
+            state = self.state(min(_STATE_CALL_S, remaining_s)) if calls else before
+            if state == after:
                 made = True  # the answer was lost
                 break
             # One that was killed is in the graph for some seconds more: a request may have gone to
             # it alone.
-            if state == _BEFORE[name]:
+            if state == before:
                 self._announce(digest_of(request))
                 calls.append(
                     self._link.call(

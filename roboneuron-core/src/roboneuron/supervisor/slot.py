@@ -9,6 +9,7 @@ from typing import Literal, NamedTuple
 
 from roboneuron.config import ModuleSettings
 from roboneuron.errors import NotReadyError, StateError
+from roboneuron.modules.report import Report
 from roboneuron.modules.settings import ModuleKind
 from roboneuron.planning import Plan
 from roboneuron.supervisor.changes import Changes
@@ -51,11 +52,13 @@ class Choice:
         settings: what its process was told.
         names: what was chosen, for messages and the status: {"backend": "servo", ...}.
         plan: the descriptors behind these names; None when it was started without a plan.
+        python: interpreter of its own environment; None for the server's.
     """
 
     settings: ModuleSettings
     names: Mapping[str, str] = field(default_factory=dict)
     plan: Plan | None = None
+    python: str | None = None
 
 
 class Claim(NamedTuple):
@@ -77,6 +80,7 @@ class Slot:
         kind: of the module.
         phase: see above.
         process, choice: what runs, and what it was started with; None when there is nothing.
+        report: the newest that its process has made; None before the first.
         order: the higher, the later it was started.
         exit: how it ended by itself, until the next start.
     """
@@ -90,6 +94,7 @@ class Slot:
         self.phase: Phase = "stopped"
         self.process: ModuleProcess | None = None
         self.choice: Choice | None = None
+        self.report: Report | None = None
         self.order = 0
         self.exit: Exit | None = None
         self._cancelled = ""
@@ -113,7 +118,8 @@ class Slot:
                     + ("." if self.kind == "robot" else f", or switch_{self.kind}."),
                 )
             self.phase, self.choice, self.order = "starting", choice, order
-            self.process, self.exit, self._cancelled = None, None, ""
+            self.process = self.report = self.exit = None
+            self._cancelled = ""
         self._changes.notify()
 
     def begin_stop(self) -> Claim:
@@ -131,6 +137,22 @@ class Slot:
         self._changes.notify()
         return claim
 
+    def accept(self, status_name: str, pid: str, report: Report) -> bool:
+        """Keep a report if it is one of the process that is here.
+
+        Args:
+            status_name: under which it was reported; other servers' modules may have the same.
+            pid: of the process that reported it: a predecessor may still do so.
+            report: what it said.
+        """
+        process, choice = self.process, self.choice
+        if process is None or choice is None or str(process.pid) != pid:
+            return False
+        if choice.settings.status_name != status_name or self.phase == "exited":
+            return False
+        self.report = report
+        return True
+
     def settle(self, phase: Phase) -> None:
         """A start or stop has come to its end.
 
@@ -140,7 +162,7 @@ class Slot:
         with self._changes.lock:
             self.phase = phase
             if phase == "stopped":
-                self.process = self.choice = None
+                self.process = self.choice = self.report = None
         self._changes.notify()
 
     def cancel(self, reason: str) -> bool:
@@ -202,7 +224,8 @@ class Slot:
         with self._changes.lock:
             unexpected = self.process is process and self.phase == "running"
             if unexpected:
-                self.phase = "exited"
+                # the last words of a dead process tell nothing of the present
+                self.phase, self.report = "exited", None
                 self.exit = Exit(
                     pid=process.pid,
                     code=code if code is not None else 0,

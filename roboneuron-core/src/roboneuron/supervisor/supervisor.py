@@ -9,30 +9,29 @@ import math
 import os
 import time
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from roboneuron.config import Config, LimitsConfig, ModuleSettings
-from roboneuron.errors import RoboNeuronError, StateError
+from roboneuron.errors import ConfigurationError, RoboNeuronError, StateError
 from roboneuron.modules.settings import ARM_KINDS, MODULE_KINDS, ModuleKind
 from roboneuron.planning import Plan
-from roboneuron.ros.environment import check_state_directory
+from roboneuron.ros.environment import check_state_directory, module_environment
 from roboneuron.supervisor.bringup import Bringup
 from roboneuron.supervisor.changes import Periodic
 from roboneuron.supervisor.health import Modules, ModuleView, Stopped
-from roboneuron.supervisor.launching import (
-    Command,
-    Connect,
-    Connection,
-    Launch,
-    Spawner,
-    Stage,
-    module_command,
-)
+from roboneuron.supervisor.launching import Command, Connect, Connection, Stage, module_command
 from roboneuron.supervisor.lifecycle import NodeClient
-from roboneuron.supervisor.process import KILL_S, end_processes
+from roboneuron.supervisor.process import (
+    KILL_S,
+    ModuleProcess,
+    ProcessEvents,
+    end_processes,
+    spawn,
+)
 from roboneuron.supervisor.slot import Choice, Claim, Slot
 
 if TYPE_CHECKING:
@@ -71,7 +70,6 @@ class Supervisor(Modules):
         needs_start: which stop keeps robot and control still, when they are started, until somebody
             asks for motion.
         connection: the server's node.
-        spawner: starts processes.
         heartbeat: shows them that the server lives.
     """
 
@@ -91,10 +89,12 @@ class Supervisor(Modules):
             state_directory / "log" / f"{time.strftime('%Y%m%d-%H%M%S')}-{os.getpid()}"
         )
         self.needs_start = ""
-        self.connection = connect(self.board.receive, self.log_directory)
-        self.spawner = Spawner(command, self.connection, self.log_directory)
-        self.process_events = self.spawner.events
-        self.secret_variables = self.spawner.secret_variables
+        self.connection = connect(self.receive, self.log_directory)
+        self.process_events = ProcessEvents()
+        self.secret_variables = set()
+        self._command = command
+        # lives as long as the server, because PR_SET_PDEATHSIG follows the thread
+        self._spawning = ThreadPoolExecutor(max_workers=1, thread_name_prefix="spawner")
         self.heartbeat = Periodic("heartbeat", _BEAT_S, self._beat)
         self._order = count(1)
         self._closed = False
@@ -110,11 +110,24 @@ class Supervisor(Modules):
         Raises:
             StateError: its process has ended.
         """
+        return self._client(slot, lambda: None)
+
+    def _client(self, slot: Slot, check: Callable[[], None]) -> NodeClient:
+        """What drives the node of the process in a slot.
+
+        Args:
+            slot: of a module.
+            check: called while a transition is waited for; raises to give up.
+
+        Raises:
+            StateError: its process has ended.
+        """
+        # read once, because a stop may empty the slot meanwhile
         choice, process = slot.choice, slot.process
         if choice is None or process is None:
             raise StateError(f"{slot.kind} has ended.")
         node = f"/{choice.settings.status_name}"
-        return NodeClient(self.link, self.changes, node, process.announce)
+        return NodeClient(self.link, self.changes, node, process.announce, check)
 
     def open(self) -> None:
         """Begin to join the ROS graph in the background; returns at once.
@@ -170,20 +183,42 @@ class Supervisor(Modules):
             if beside is not None:
                 settings = self._in_shadow(settings, working)
             slot = beside or working
-            choice = Choice(settings=settings, names=names or {}, plan=plan)
+            choice = Choice(settings=settings, names=names or {}, plan=plan, python=python)
             slot.begin_start(choice, next(self._order))
-        launch = Launch(
-            kind=kind,
-            node_name=settings.node_name,
-            status_name=settings.status_name,
-            first_line=settings.to_line(),
-            python=python,
-            start_timeout_s=config.start_timeout_s(kind),
-            stop_timeout_s=config.supervisor.stop_timeout_s,
-        )
         self.heartbeat.start()
-        Bringup(launch, self.spawner, self, slot, plan, on_stage).run()
+        Bringup(slot, choice, self, self._spawn, self._client, on_stage).run()
         return self.view(kind)
+
+    def _spawn(self, choice: Choice) -> ModuleProcess:
+        """Start the process of a module.
+
+        Raises:
+            ConfigurationError: it cannot be started, or its log cannot be written.
+        """
+        settings = choice.settings
+        command = self._command(choice.python)
+        number = next(self.connection.starts)
+        check_state_directory(self.log_directory)
+        try:
+            process = self._spawning.submit(
+                spawn,
+                settings.node_name,
+                command,
+                module_environment(choice.python, number, self.secret_variables),
+                settings.to_line(),
+                self.log_directory / f"{settings.node_name}.log",
+                self.process_events,
+            ).result()
+        except OSError as error:
+            raise ConfigurationError(
+                f"The {settings.kind} process cannot be started with {command[0]!r}: "
+                f"{error.strerror or error}.",
+                hint=f"Check `python` in the section [{settings.kind}] of the configuration.",
+            ) from error
+        log.info("Spawned %s: pid %d.", process.name, process.pid)
+        with self.changes.lock:
+            self._ours.add(str(process.pid))
+        return process
 
     def _in_shadow(self, settings: ModuleSettings, working: Slot) -> ModuleSettings:
         """Settings of what is to replace the module in `working`: in its shadow until the handover,
@@ -208,7 +243,8 @@ class Supervisor(Modules):
             StateError: it is not running.
         """
         reason = f"stop_{kind} was called."
-        slot, *others = self._all(kind)
+        with self.changes.lock:
+            slot, *others = self.slots[kind]
         for other in others:
             other.cancel(reason)
         if slot.cancel(reason):
@@ -235,7 +271,9 @@ class Supervisor(Modules):
             kind: of the module; what is about to replace it is looked at first.
             reason: for whoever had asked for the start.
         """
-        return any(slot.cancel(reason) for slot in reversed(self._all(kind)))
+        with self.changes.lock:
+            slots = tuple(reversed(self.slots[kind]))
+        return any(slot.cancel(reason) for slot in slots)
 
     def stop_all(self, within_s: float = math.inf) -> list[Stopped]:
         """Stop everything in the reverse order of starting; never raises for what is not running.
@@ -244,7 +282,7 @@ class Supervisor(Modules):
             within_s: kill what has not left by then, where `supervisor.stop_timeout_s` would give
                 it more time.
         """
-        slots = self._all()
+        slots = self.all_slots()
         for slot in slots:
             if slot.cancel("everything is being stopped."):
                 self._await_settled(slot)
@@ -265,7 +303,7 @@ class Supervisor(Modules):
         self.stop_all(LEAVE_S)
         self.connection.close()
         self.heartbeat.close()
-        self.spawner.shutdown()  # a process that is still there gets its death signal
+        self._spawning.shutdown()  # a process that is still there gets its death signal
 
     def _finish(self, claims: Sequence[Claim], within_s: float = math.inf) -> list[Stopped]:
         """Silence all in order, then end them together.
@@ -290,11 +328,10 @@ class Supervisor(Modules):
 
     def _deactivate(self, claim: Claim, most_s: float) -> None:
         """Ask for silence, for at most `most_s`; what does not answer is ended anyway."""
-        slot, process, settings = claim
+        slot, settings = claim.slot, claim.settings
         limit_s = min(most_s, settings.config.supervisor.stop_timeout_s / 2)
         try:
-            node, check = f"/{settings.status_name}", lambda: slot.check_alive("being deactivated")
-            client = NodeClient(self.link, self.changes, node, process.announce, check)
+            client = self._client(slot, lambda: slot.check_alive("being deactivated"))
             if client.transition("deactivate", limit_s) is None:
                 log.warning(
                     "%s did not answer `deactivate` within %.1f s.", settings.node_name, limit_s
@@ -310,9 +347,8 @@ class Supervisor(Modules):
             killed: it needed SIGKILL.
             started_s: when the stop began [monotonic s].
         """
-        slot, process, settings = claim
-        report = self.board.newest(settings.status_name, process.pid)
-        self.board.forget(settings.status_name, process.pid)
+        slot, process = claim.slot, claim.process
+        report = self.report_of(slot)
         slot.settle("stopped")
         log.info("Stopped %s: pid %d, exit code %s.", slot.kind, process.pid, process.exit_code)
         stopped = Stopped(
@@ -330,10 +366,6 @@ class Supervisor(Modules):
         for kind in MODULE_KINDS:
             for process in self.processes(kind):
                 process.beat()
-
-    def _all(self, *kinds: ModuleKind) -> list[Slot]:
-        with self.changes.lock:
-            return [slot for kind in kinds or MODULE_KINDS for slot in self.slots[kind]]
 
     def _await_settled(self, slot: Slot) -> None:
         """Wait for the end of a start that was cancelled: whoever runs it ends the process, which

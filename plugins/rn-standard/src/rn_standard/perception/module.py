@@ -8,6 +8,7 @@ import threading
 import time
 from typing import cast
 
+import numpy as np
 from sensor_msgs.msg import CameraInfo, Image
 
 from roboneuron import (
@@ -18,6 +19,7 @@ from roboneuron import (
     PluginError,
 )
 from roboneuron.node import (
+    F64,
     Module,
     ModuleHost,
     NodeTopics,
@@ -120,10 +122,11 @@ class PerceptionModule(Module):
         )
         if self.handover.is_ours(frame.stamp_ns):
             # before the image: whoever decodes that looks for its intrinsics
-            info = messages.to_camera_info(frame)
-            if info is not None:
+            image = messages.to_image(frame)
+            if frame.calibration is not None:
+                info = to_camera_info(frame.calibration.intrinsics, image)
                 self._infos[frame.camera].publish(info)
-            publisher.publish(messages.to_image(frame))
+            publisher.publish(image)
             self.status.output.tick()
             self.handover.note_sent(frame.camera)
         age_ms = (self._topics.now_ns() - frame.stamp_ns) / 1e6
@@ -159,3 +162,24 @@ def _choose(
             f" its cameras are {', '.join(map(repr, sorted(by_name))) or 'none'}."
         )
     return tuple(by_name[name] for name in names) if names else cameras
+
+
+def to_camera_info(intrinsics: F64, image: Image) -> CameraInfo:
+    """The message beside an image of a camera without distortion.
+
+    Source of the half pixel: image_geometry and OpenCV put pixel centres at integers, the contract
+    at integers + 0.5.
+
+    Args:
+        intrinsics: float64 (3, 3) [px] in the contract's convention (see `CameraCalibration`).
+        image: has the stamp, the frame and the size.
+    """
+    message = CameraInfo(header=image.header, height=image.height, width=image.width)
+    centred = intrinsics.copy()
+    centred[:2, 2] -= 0.5
+    message.distortion_model = "plumb_bob"
+    message.d = [0.0] * 5
+    message.k = centred.ravel().tolist()
+    message.r = np.eye(3).ravel().tolist()
+    message.p = np.hstack([centred, np.zeros((3, 1))]).ravel().tolist()
+    return message

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import time
 
+from rn_standard.tools_arm.grip_reports import commanded_opening
 from roboneuron import GripperProfile, Host, NotReadyError
 from roboneuron.feature import ExposedEndpoint, MotionGate, Report
 
@@ -51,7 +52,7 @@ class Grip:
         robot started.
         """
         report = self._report()
-        return None if report is None else report.gripper_commanded_of(self.arm)
+        return None if report is None else commanded_opening(report, self.arm)
 
     def kept(self) -> float:
         """The opening that keeps what the hand holds: as last commanded, else as measured; 1

@@ -9,6 +9,7 @@ FEATURE = FeatureSpec(
     target="rn_standard.tools_arm.feature:ArmTools",
     config="rn_standard.tools_arm.options:ArmToolsOptions",
     needs=("direct-path",),
+    on_join="rn_standard.tools_arm.grip_reports:join",
 )
 """Descriptor of the feature."""
 
@@ -17,6 +18,7 @@ LIMITS = FeatureSpec(
     summary="tighten_limits: limits that clients tighten at run time and only a person loosens.",
     target="rn_standard.tools_arm.limits_feature:LimitsFeature",
     needs=("direct-path",),
+    on_join="rn_standard.tools_arm.limits_in_control:join",
 )
 """Descriptor of the feature that tightens limits."""
 

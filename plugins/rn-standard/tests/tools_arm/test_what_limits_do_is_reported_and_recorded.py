@@ -1,4 +1,4 @@
-"""The last word on a command: what is sent of it, what the status tells, what the audit holds."""
+"""What the limits of control do: what the status tells, what the audit holds."""
 
 from __future__ import annotations
 
@@ -6,39 +6,20 @@ import json
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from roboneuron.config import LimitsConfig
-from roboneuron.contract import (
-    CollisionProfile,
-    Hold,
-    JointCommand,
-    JointLimits,
-    JointSample,
-    Pose,
-    Posture,
-    RobotProfile,
-)
-from roboneuron.errors import ConfigurationError, RefusedError
+from rn_standard.tools_arm import limit_reports
+from rn_standard.tools_arm.limit_reports import LimitReports
+from roboneuron.contract import Hold, JointCommand
+from roboneuron.errors import RefusedError
 from roboneuron.gate.motion import LimitedCommand, Motion
-from roboneuron.modules import motion as motion_module
-from roboneuron.modules.motion import MotionGuard
 from roboneuron.modules.status import StatusWriter
 
 ARM = ("a", "b")
-ONE = np.ones(2)
-PROFILE = RobotProfile(
-    name="pair",
-    base_link="base",
-    arm_joints=ARM,
-    limits=JointLimits(lower=-ONE, upper=ONE, velocity=ONE, acceleration=ONE, effort=ONE),
-    home_rad=np.zeros(2),
-    cameras=(),
-)
-HERE = JointSample(names=ARM, position=np.array([0.5, -0.5]), stamp_ns=3)
 ASKED = Motion(step_m=0.1234567, step_rad=0.2, speed_m_s=0.3, turn_rad_s=0.4, joint_speed=0.5)
 SENT = Motion(
     step_m=0.01,
@@ -54,58 +35,23 @@ def command(*position: float, duration_s: float = 0.1) -> JointCommand:
     return JointCommand(names=ARM, position=np.array(position), duration_s=duration_s)
 
 
-class Controller:
-    """The TCP moves by as many metres as the first joint."""
-
-    def forward(self, joints: JointSample) -> Pose:
-        return Pose(
-            position_m=np.array([joints.position[0], 0.0, 0.0]),
-            quaternion_xyzw=np.array([0, 0, 0, 1.0]),
-            stamp_ns=joints.stamp_ns,
-        )
-
-
-class Inspector(Controller):
-    """One that knows distances."""
-
-    def inspect(self, joints: JointSample) -> Posture:
-        pose = self.forward(joints)
-        return Posture(pose=pose, smallest_singular_value=1.0, near=())
-
-
 class Bench:
-    """A guard, and what it has said."""
+    """What reports on one control, and what it has said."""
 
-    def __init__(self, state: Path) -> None:
+    def __init__(self, state: Path, clock: Clock) -> None:
         self.state = state
+        self.clock = clock
         self.status = StatusWriter("/pair/control")
-        self.guard: MotionGuard | None = None
-
-    def make(
-        self,
-        limits: LimitsConfig | None = None,
-        *,
-        profile: RobotProfile = PROFILE,
-        controller: Any = None,
-        immediate: bool = False,
-        longest_s: float = 2.0,
-    ) -> MotionGuard:
-        self.guard = MotionGuard(
-            limits or LimitsConfig(),
-            profile,
-            controller or Controller(),
-            self.status,
-            self.state,
-            immediate=immediate,
-            longest_s=longest_s,
+        settings = SimpleNamespace(state_directory=str(state))
+        control = SimpleNamespace(
+            robot="pair", status=self.status, node=SimpleNamespace(settings=settings)
         )
-        return self.guard
+        self.reports = LimitReports(control)  # type: ignore[arg-type]
 
-    def judge(self, verdict: LimitedCommand, now_s: float) -> JointCommand | Hold | None:
-        """Have it pass on what the limits say."""
-        guard = self.guard or self.make()
-        guard._limiter.limit = lambda command, joints, now_s: verdict  # type: ignore[method-assign]
-        return guard.judge(command(0.5, -0.5), HERE, now_s)
+    def judge(self, limited: LimitedCommand, now_s: float) -> None:
+        """Report what the limits say."""
+        self.clock.now_s = now_s
+        self.reports.report(limited)
 
     def values(self) -> dict[str, str]:
         return {pair.key: pair.value for pair in self.status.to_message().values}
@@ -115,12 +61,25 @@ class Bench:
         return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
 
 
+class Clock:
+    """Stands for the module `time`."""
+
+    now_s = 0.0
+
+    def monotonic(self) -> float:
+        return self.now_s
+
+    def time_ns(self) -> int:
+        return 1_700_000_000_000_000_000
+
+
 @pytest.fixture
-def bench(tmp_path: Path) -> Iterator[Bench]:
-    bench = Bench(tmp_path)
+def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
+    clock = Clock()
+    monkeypatch.setattr(limit_reports, "time", clock)
+    bench = Bench(tmp_path, clock)
     yield bench
-    if bench.guard is not None:
-        bench.guard.close()
+    bench.reports.close()
 
 
 def scaled(*names: str, reason: str = "too fast") -> LimitedCommand:
@@ -148,64 +107,6 @@ REFUSED = LimitedCommand(
     command=None, acted=("speed", "zone"), reason="a vase", share=0.0, asked=ASKED
 )
 PASSED = LimitedCommand(command=command(0.5, -0.5), asked=SENT, sent=SENT)
-
-
-def test_a_command_is_sent_within_the_limits_of_the_configuration(bench: Bench) -> None:
-    guard = bench.make(LimitsConfig(velocity_fraction=0.05))
-    guard.rest(HERE, 10.0)
-    sent = guard.judge(command(0.59, -0.5), HERE, 10.1)
-    assert isinstance(sent, JointCommand)
-    assert 0.0 < sent.position[0] - 0.5 <= 0.05 * 0.1 + 1e-12
-
-
-def test_other_limits_hold_from_the_next_command_on(bench: Bench) -> None:
-    guard = bench.make()
-    guard.use(LimitsConfig(velocity_fraction=0.05))
-    guard.rest(HERE, 10.0)
-    sent = guard.judge(command(0.59, -0.5), HERE, 10.1)
-    assert isinstance(sent, JointCommand)
-    assert 0.0 < sent.position[0] - 0.5 <= 0.05 * 0.1 + 1e-12
-
-
-def test_limits_that_do_not_fit_the_robot_are_refused(bench: Bench) -> None:
-    wrong = LimitsConfig(workspace_lower_m=[1.0, 0.0, 0.0], workspace_upper_m=[0.0, 1.0, 1.0])
-    with pytest.raises(ConfigurationError):
-        bench.make(wrong)
-    with pytest.raises(ConfigurationError):
-        bench.make().use(wrong)
-
-
-def test_a_command_that_lasts_longer_than_allowed_is_answered_with_a_hold(bench: Bench) -> None:
-    answer = bench.make(longest_s=0.5).judge(command(0.5, -0.5, duration_s=0.6), HERE, 10.0)
-    assert isinstance(answer, Hold)
-    assert answer.code == "long_command"
-
-
-def test_a_hold_ends_what_was_sent_before(bench: Bench) -> None:
-    """The next command begins at rest where the arm is measured."""
-    guard = bench.make()
-    guard.rest(HERE, 10.0)
-    assert guard._limiter._sent is not None
-    assert guard._limiter._sent.start.tolist() == [0.5, -0.5]
-    guard.rest(None, 10.0)
-    assert guard._limiter._sent is None
-
-
-def test_the_setpoint_of_the_predecessor_is_taken_over(bench: Bench) -> None:
-    guard = bench.make()
-    guard.follow(command(0.52, -0.5), HERE, 10.0)
-    assert guard._limiter._sent is not None
-    assert guard._limiter._sent.displacement == pytest.approx([0.02, 0.0])
-
-
-def test_commands_without_a_time_are_judged_as_jumps(bench: Bench) -> None:
-    assert bench.make(immediate=True)._limiter._immediate
-    assert not bench.make()._limiter._immediate
-
-
-@pytest.mark.parametrize("answer", [PASSED, scaled(), HELD, UNSAFE, REFUSED])
-def test_what_the_limits_say_is_what_is_sent(bench: Bench, answer: LimitedCommand) -> None:
-    assert bench.judge(answer, 10.0) is answer.command
 
 
 def test_what_was_asked_and_what_was_sent_are_told(bench: Bench) -> None:
@@ -242,13 +143,6 @@ def test_a_lost_setpoint_is_counted(bench: Bench) -> None:
     for count in ("1", "2"):
         bench.judge(replace(PASSED, reference_lost=True), 10.0)
         assert bench.values()["reference_lost"] == count
-
-
-def test_a_refused_command_is_dropped_for_its_last_limit(bench: Bench) -> None:
-    bench.judge(REFUSED, 10.0)
-    assert bench.status.dropped.items() == {"limit_zone": 1}
-    bench.judge(HELD, 10.0)
-    assert bench.status.dropped.items() == {"limit_zone": 1}, "a hold is counted by control"
 
 
 # The audit
@@ -339,7 +233,7 @@ def test_a_change_is_recorded_at_once_and_ten_times_a_second_at_most(bench: Benc
 def test_a_change_exactly_a_tenth_of_a_second_later_is_recorded(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(motion_module, "_CHANGE_PERIOD_S", 0.125)
+    monkeypatch.setattr(limit_reports, "_CHANGE_PERIOD_S", 0.125)
     bench.judge(scaled(), 8.0)
     bench.judge(scaled("speed"), 8.125)
     assert len(bench.records()) == 2
@@ -354,49 +248,10 @@ def test_a_guard_that_is_new_records_at_once_whatever_the_clock_says(bench: Benc
 def test_an_audit_that_cannot_be_written_is_counted_and_told(
     bench: Bench, caplog: pytest.LogCaptureFixture
 ) -> None:
-    guard = bench.make()
-
     def write(record: object) -> None:
         raise RefusedError("The disk is full.")
 
-    guard._audit.write = write  # type: ignore[method-assign, assignment]
-    answer = scaled()
-    assert bench.judge(answer, 10.0) is answer.command
+    bench.reports._audit.write = write  # type: ignore[method-assign, assignment]
+    bench.judge(scaled(), 10.0)
     assert bench.status.dropped.items() == {"unrecorded": 1}
     assert "The disk is full." in caplog.text
-
-
-def test_the_audit_is_closed_with_the_guard(bench: Bench) -> None:
-    bench.judge(scaled(), 10.0)
-    assert bench.guard is not None
-    assert bench.guard._audit._descriptor >= 0
-    bench.guard.close()
-    assert bench.guard._audit._descriptor < 0
-
-
-# Whether collisions are checked
-
-
-WITH_COLLISION = replace(PROFILE, collision=CollisionProfile())
-
-
-@pytest.mark.parametrize(
-    ("profile", "controller", "is_checked", "is_warned"),
-    [
-        (PROFILE, Controller(), "false", False),
-        (PROFILE, Inspector(), "false", False),
-        (WITH_COLLISION, Inspector(), "true", False),
-        (WITH_COLLISION, Controller(), "false", True),
-    ],
-)
-def test_it_is_told_whether_collisions_are_checked(
-    bench: Bench,
-    caplog: pytest.LogCaptureFixture,
-    profile: RobotProfile,
-    controller: Controller,
-    is_checked: str,
-    is_warned: bool,
-) -> None:
-    bench.make(profile=profile, controller=controller)
-    assert bench.values()["collision_checked"] == is_checked
-    assert ("collisions of pair are not checked" in caplog.text) == is_warned
