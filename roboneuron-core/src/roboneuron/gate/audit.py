@@ -214,10 +214,8 @@ class AuditLog:
         """A record as one line of ASCII; fields that are empty are left out."""
         now_ns = self._clock_ns()
         time = datetime.fromtimestamp(now_ns / 1e9, UTC).isoformat(timespec="milliseconds")
-        facts: dict[str, object] = {"time": time, "time_ns": now_ns}
-        for name in record.__dataclass_fields__:
-            if value := getattr(record, name):
-                facts[name] = value
+        given = {name: getattr(record, name) for name in record.__dataclass_fields__}
+        facts = {"time": time, "time_ns": now_ns, **{k: v for k, v in given.items() if v}}
         text = ""
         # of one piece, because an agent waits for it; only arguments can be no JSON, or too long
         with contextlib.suppress(ValueError, TypeError, RecursionError):
