@@ -11,6 +11,7 @@ import os
 import stat
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -133,11 +134,15 @@ def test_arguments_of_4096_characters_are_kept_and_longer_ones_cut_there(tmp_pat
 
 def test_only_arguments_are_cut(tmp_path: Path) -> None:
     """Whoever writes a record bounds its other fields."""
-    reason = "y" * 5000
-    a_log(tmp_path / "a").write(
-        AuditRecord(who="ann", role="viewer", tool="t", verdict="refused", reason=reason)
-    )
-    assert json.loads((tmp_path / "a").read_text())["reason"] == reason
+    reason, arguments = "y" * 5000, {"x": [1.5, "z"]}
+    record = AuditRecord(who="ann", role="viewer", tool="t", verdict="refused", reason=reason)
+    log = a_log(tmp_path / "a")
+    log.write(record)
+    log.write(replace(record, arguments=arguments))
+    bare, full = map(json.loads, (tmp_path / "a").read_text().splitlines())
+    assert bare["reason"] == full["reason"] == reason
+    assert "arguments" not in bare
+    assert full["arguments"] == arguments
 
 
 def test_a_nan_in_arguments_of_4096_characters_is_no_number_of_the_line(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from operator import le
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -61,9 +62,13 @@ class InverseKinematics:
         self._pin: ModuleType = pinocchio
         self._model = model
         self._data = model.kinematics.createData()
-        # by rows; a factorization keeps its scratch memory
-        self._identity = {rows: np.eye(rows) for rows in (3, 6)}
+        # by rows, because an iteration spends more on making arrays than on their numbers
+        self._normal = {rows: np.empty((rows, rows)) for rows in (3, 6)}
+        self._diagonal = {
+            rows: made.reshape(-1)[:: rows + 1] for rows, made in self._normal.items()
+        }
         self._cholesky = {rows: eigenpy.LLT(rows) for rows in (3, 6)}
+        self._bounds = model.lower.tolist(), model.upper.tolist()
         self._local = pinocchio.ReferenceFrame.LOCAL
 
     def place(self, position: F64) -> pinocchio.SE3:
@@ -134,7 +139,7 @@ class InverseKinematics:
             difference = pin.updateFramePlacement(kinematics, data, frame).actInv(target)
             error: F64 = pin.log6(difference).vector
             residual_m = math.hypot(*difference.translation.tolist())
-            residual_rad = math.hypot(*error[3:].tolist())
+            residual_rad = math.hypot(*error.tolist()[3:])
             score = residual_m + residual_rad if track_rotation else residual_m
             if score < lowest:
                 lowest = score
@@ -170,18 +175,25 @@ class InverseKinematics:
         lower, upper = self._model.lower, self._model.upper
         rows = len(error)
         squared = _DAMPING + _DAMPING_BY_ERROR * float(error.dot(error))
-        damping, cholesky = self._identity[rows] * squared, self._cholesky[rows]
+        normal, diagonal, cholesky = self._normal[rows], self._diagonal[rows], self._cholesky[rows]
         while True:
-            cholesky.compute(jacobian.dot(jacobian.T) + damping)
+            jacobian.dot(jacobian.T, out=normal)
+            diagonal += squared
+            cholesky.compute(normal)
             change = cholesky.solve(error).dot(jacobian)
             farthest = max(map(abs, change.tolist()))
             if farthest > _FARTHEST_STEP:
                 change *= _FARTHEST_STEP / farthest
-            wanted = q + change
+            wanted: F64 = q + change
+            if self._is_within(wanted.tolist()):
+                return wanted
             reached: F64 = np.minimum(np.maximum(wanted, lower), upper)
-            if reached.tolist() == wanted.tolist():
-                return reached
             stuck = (reached == q) & (wanted != q)
             if not stuck.any():
                 return reached
             jacobian = np.where(stuck, 0.0, jacobian)
+
+    def _is_within(self, position: list[float]) -> bool:
+        """Whether all are numbers within the limits: of so few, lists are compared faster."""
+        lower, upper = self._bounds
+        return all(map(le, lower, position)) and all(map(le, position, upper))

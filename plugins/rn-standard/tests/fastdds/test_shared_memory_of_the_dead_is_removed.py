@@ -9,6 +9,9 @@ import mmap
 import os
 from pathlib import Path
 
+import pytest
+
+from rn_standard.fastdds import shared_memory
 from rn_standard.fastdds.shared_memory import clean_abandoned
 
 AGE_S = 3600.0
@@ -49,3 +52,14 @@ def test_only_old_segments_that_nobody_locks_or_maps_are_removed(tmp_path: Path)
     assert all(path.exists() for path in (locked, mapped, young, stranger))
     assert clean_abandoned(tmp_path)[0] == 2
     assert young.exists()
+
+
+def test_no_process_is_looked_at_where_nothing_is_old(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The first call of an agent waits for it."""
+    looked: list[Path] = []
+    monkeypatch.setattr(shared_memory, "_mapped", lambda where: looked.append(where) or set())
+    segment(tmp_path, "0123456789abcdef", age_s=0.0)
+    assert clean_abandoned(tmp_path) == (0, 0)
+    assert looked == []

@@ -86,6 +86,15 @@ def walk_fields(ros_type: Any, path: str = "") -> Iterator[tuple[str, str]]:
             yield from walk_fields(_nested(element), here)
 
 
+@functools.cache
+def has_arrays(ros_type: Any) -> bool:
+    """Whether messages of a class hold an array, at whatever depth."""
+    return any(
+        _is_array(text) or ("/" in text and has_arrays(_nested(text)))
+        for text in ros_type.get_fields_and_field_types().values()
+    )
+
+
 def check_path(ros_type: Any, path: str) -> None:
     """Check a path that reads one value, such as "pose.position.z" or "effort[7]", by the fields of
     a message class.
@@ -106,7 +115,7 @@ def check_path(ros_type: Any, path: str) -> None:
             )
         text = types[parts[1]]
         element = _element_of(text)
-        is_array = text != element and not text.startswith(("string<", "wstring<"))
+        is_array = _is_array(text)
         if is_array is not bool(parts[2]):
             what = "an array: name one element, such as [0]" if is_array else "no array"
             raise InvalidInputError(f"{parts[1]} of {_name_of_class(here)} is {what}.")
@@ -162,6 +171,10 @@ def _element_of(text: str) -> str:
     return found[1]
 
 
+def _is_array(text: str) -> bool:
+    return text != _element_of(text) and not text.startswith(("string<", "wstring<"))
+
+
 def _nested(element: str) -> Any:
     return load_type(element.replace("/", "/msg/"))
 
@@ -181,12 +194,9 @@ def filled(ros_type: Any, values: Any) -> Any:
     for name, value in values.items():
         element = _element_of(types[name])
         try:
-            is_array = types[name] != element and not types[name].startswith(
-                ("string<", "wstring<")
-            )
             made = (
                 [_converted(element, item) for item in value]
-                if is_array
+                if _is_array(types[name])
                 else _converted(element, value)
             )
             setattr(message, name, made)

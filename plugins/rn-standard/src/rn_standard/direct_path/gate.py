@@ -8,18 +8,12 @@ by default, clamp only where configured.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from rn_standard.direct_path.joints import check_joints, joint_commands
-from rn_standard.direct_path.limits import (
-    apply_bounds,
-    check_endpoint,
-    check_finite,
-    check_steering,
-    check_type,
-)
+from rn_standard.direct_path.limits import MessageChecks, check_endpoint, check_steering
 from rn_standard.direct_path.path_limits import Leg, LimitError
 from rn_standard.direct_path.rate import RateLimit
 from rn_standard.direct_path.request import ROLE_BY_KIND, AllowedEndpoint
@@ -35,6 +29,15 @@ from roboneuron.feature import (
 )
 
 _Key = tuple[str, str]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Entry:
+    """An endpoint of the allow list, with what is ready for its calls."""
+
+    allowed: AllowedEndpoint
+    rate: RateLimit
+    checks: MessageChecks
 
 
 class Gate:
@@ -68,7 +71,7 @@ class Gate:
         self.audit = audit
         self._clock = clock
         self._dry_run = dry_run
-        self._entries: dict[_Key, tuple[AllowedEndpoint, RateLimit]] = {}
+        self._entries: dict[_Key, _Entry] = {}
         self._rates: dict[tuple[str, ...], RateLimit] = {}
         self.replace(allowed)
 
@@ -78,7 +81,7 @@ class Gate:
         Raises:
             ConfigurationError: an endpoint cannot be exposed; the old list stays.
         """
-        entries: dict[_Key, tuple[AllowedEndpoint, RateLimit]] = {}
+        entries: dict[_Key, _Entry] = {}
         rates: dict[tuple[str, ...], RateLimit] = {}
         for entry in allowed:
             endpoint = entry.endpoint
@@ -92,12 +95,14 @@ class Gate:
             use = (*place, str(endpoint.rate_hz))
             if use not in rates:
                 rates[use] = self._rates.get(use) or RateLimit(endpoint.rate_hz, self._clock)
-            entries[entry.robot, endpoint.name] = (entry, rates[use])
+            entries[entry.robot, endpoint.name] = _Entry(
+                allowed=entry, rate=rates[use], checks=MessageChecks(entry)
+            )
         self._entries, self._rates = entries, rates
 
     def allowed(self) -> tuple[AllowedEndpoint, ...]:
         """The allow list."""
-        return tuple(entry for entry, _ in self._entries.values())
+        return tuple(entry.allowed for entry in self._entries.values())
 
     def check(self, request: GateRequest) -> Verdict:
         """Decide, write the decision down, and return it; send only when `Verdict.may_send`.
@@ -145,10 +150,10 @@ class Gate:
             RefusedError: the path cannot be judged.
         """
         found = self._entries.get((request.robot, request.endpoint))
-        if found is None or found[0].path is None or request.joints is None:
+        if found is None or found.allowed.path is None or request.joints is None:
             return 1.0
         with _judging():
-            return found[0].path().slowdown(_legs(found[0], request), request.joints)
+            return found.allowed.path().slowdown(_legs(found.allowed, request), request.joints)
 
     def release(self, request: GateRequest) -> None:
         """Messages of the request that were to be sent later will not be; they no longer count
@@ -156,7 +161,7 @@ class Gate:
         """
         found = self._entries.get((request.robot, request.endpoint))
         if found is not None:
-            found[1].release(request)
+            found.rate.release(request)
 
     def _judge(self, request: GateRequest, dry_run: bool) -> tuple[Verdict, RefusedError | None]:
         rule, clamped = "", list[Clamp]()
@@ -175,7 +180,8 @@ class Gate:
         yield "allow_list"
         if (request.robot, request.endpoint) not in self._entries:
             raise _not_allowed(request, self._entries)
-        entry, rate = self._entries[request.robot, request.endpoint]
+        found = self._entries[request.robot, request.endpoint]
+        entry, checks = found.allowed, found.checks
         endpoint = entry.endpoint
         yield "role"
         least = ROLE_BY_KIND[endpoint.kind]
@@ -189,13 +195,13 @@ class Gate:
         if endpoint.kind != "read" and not request.messages:
             raise RefusedError(f"No message came for endpoint {endpoint.name!r}.")
         for message in request.messages:
-            check_type(endpoint, message)
+            checks.check_type(message)
         yield "finite"
         for message in request.messages:
-            check_finite(entry, message)
+            checks.check_finite(message)
         yield "bounds"
         for message in request.messages:
-            clamped += apply_bounds(entry, message)
+            clamped += checks.apply_bounds(message)
         yield "steering"
         for message in request.messages:
             check_steering(endpoint, message)
@@ -220,7 +226,7 @@ class Gate:
             self.latch.check(" Nothing was sent.")
         yield "rate"
         if not request.repeated:
-            self._check_rate(rate, request, dry_run)
+            self._check_rate(found.rate, request, dry_run)
 
     def _check_rate(self, rate: RateLimit, request: GateRequest, dry_run: bool) -> None:
         times_s = request.send_at_s or (0.0,) * max(1, len(request.messages))
@@ -254,7 +260,7 @@ class Gate:
         try:
             self.audit.write(record)
         except RefusedError:  # reading goes on and refusals stay refusals when the disk is full
-            if found is not None and found[0].endpoint.kind != "read" and verdict.may_send:
+            if found is not None and found.allowed.endpoint.kind != "read" and verdict.may_send:
                 raise
 
 
@@ -284,9 +290,7 @@ def _judging() -> Iterator[None]:
         ) from error
 
 
-def _not_allowed(
-    request: GateRequest, entries: dict[_Key, tuple[AllowedEndpoint, RateLimit]]
-) -> RefusedError:
+def _not_allowed(request: GateRequest, entries: Mapping[_Key, object]) -> RefusedError:
     exposed = sorted({name for robot, name in entries if robot == request.robot})
     if not exposed:
         robots = ", ".join(sorted({robot for robot, _ in entries})) or "none"

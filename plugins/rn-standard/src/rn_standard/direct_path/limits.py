@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import replace
+from operator import attrgetter
 from typing import Any
 
 from rn_standard.direct_path.fields import (
@@ -12,6 +13,7 @@ from rn_standard.direct_path.fields import (
     INTEGERS,
     find_nonfinite,
     find_outside,
+    has_arrays,
     load_type,
     read_number,
     type_name_of,
@@ -87,6 +89,46 @@ def sent_type(endpoint: Endpoint) -> Any:
 def _are_integers(low: float, high: float) -> bool:
     """Bounds of an integer field are integers, so that a clamped value lies within."""
     return all(math.isinf(bound) or bound == int(bound) for bound in (low, high))
+
+
+class MessageChecks:
+    """What each message for one endpoint is checked for; made when that is exposed, because an
+    agent waits for every look at a type.
+
+    The numbers of a message without arrays are read in one step; only what does not fit is looked
+    at field by field.
+
+    Args:
+        allowed: passed `check_endpoint`.
+    """
+
+    def __init__(self, allowed: AllowedEndpoint) -> None:
+        self._allowed = allowed
+        self._type = sent_type(allowed.endpoint)
+        is_plain = not has_arrays(self._type)
+        floats = [path for path, name in walk_fields(self._type) if name in FLOATS]
+        # of one name alone it would not give a tuple
+        self._read_floats = attrgetter(*floats) if is_plain and len(floats) > 1 else None
+        bounds = allowed.endpoint.bounds.items() if is_plain else ()
+        self._bounds = [(attrgetter(path), low, high) for path, (low, high) in bounds]
+
+    def check_type(self, message: Any) -> None:
+        """As the function."""
+        if type(message) is not self._type:
+            check_type(self._allowed.endpoint, message)
+
+    def check_finite(self, message: Any) -> None:
+        """As the function."""
+        read = self._read_floats
+        if read is None or not all(map(math.isfinite, read(message))):
+            check_finite(self._allowed, message)
+
+    def apply_bounds(self, message: Any) -> tuple[Clamp, ...]:
+        """As the function."""
+        fits = all(low <= read(message) <= high for read, low, high in self._bounds)
+        if fits and len(self._bounds) == len(self._allowed.endpoint.bounds):
+            return ()
+        return apply_bounds(self._allowed, message)
 
 
 def check_type(endpoint: Endpoint, message: Any) -> None:
