@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import pty
 import subprocess
@@ -109,8 +110,9 @@ class Lerobot:
             *options,
         )
 
-    def lead(self, robot: str = "so101") -> subprocess.Popen[str]:
-        return self._spawn([sys.executable, str(LEADER), "--robot", robot], dict(os.environ))
+    def lead(self, robot: str = "so101", *options: str) -> subprocess.Popen[str]:
+        command = [sys.executable, str(LEADER), "--robot", robot, *options]
+        return self._spawn(command, dict(os.environ))
 
     def _spawn(self, command: list[str], variables: dict[str, str]) -> subprocess.Popen[str]:
         path = self._folder / f"process-{len(self._running)}.log"
@@ -140,6 +142,26 @@ class Lerobot:
                 except subprocess.TimeoutExpired:
                     process.kill()
                     process.wait()
+
+
+def serve(config: Path) -> str:
+    """The option by which lerobot's process starts a server of its own."""
+    command = Path(sys.executable).parent / "roboneuron"
+    return f"--robot.serve=[{command}, serve, --config, {config}]"
+
+
+def read_dataset(folder: Path, lerobot: Lerobot) -> dict[str, object]:
+    """What lerobot finds in a data set, opened in its environment."""
+    done = subprocess.run(
+        [str(BIN / "python"), str(Path(__file__).with_name("dataset_check.py")), str(folder)],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+        env=lerobot.environment,
+    )
+    assert done.returncode == 0, done.stderr
+    return dict(json.loads(done.stdout.splitlines()[-1]))
 
 
 def release_stop(state: Path) -> None:

@@ -20,7 +20,7 @@ _SPEED_SHARE = 0.25
 """Of the robot's own limit: a slider jumps, and an arm that follows it must not."""
 _GRIPPER_S = 1.5
 """Time from open to closed."""
-_MOST_AHEAD = 0.15
+_MOST_AHEAD = 0.1
 """Largest distance of the goal from the arm [rad or m]: what control holds back is not caught up
 with at once. Below the 0.3 that control refuses.
 """
