@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import ModuleType
 from typing import Literal, Protocol, cast, get_args
@@ -260,6 +260,7 @@ def _write_vqbet(directory: Path, shape: TinyShape) -> None:
     from lerobot.policies.vqbet.configuration_vqbet import VQBeTConfig
     from lerobot.policies.vqbet.modeling_vqbet import VQBeTPolicy
 
+    shape = replace(shape, cameras=shape.cameras[:1])  # it takes one
     inputs, outputs = _features(shape)
     config = VQBeTConfig(
         input_features=inputs,
@@ -334,6 +335,7 @@ def _local_tokenizer(processors: ModuleType, directory: Path) -> Iterator[None]:
 
 
 def _write_xvla(directory: Path, shape: TinyShape) -> None:
+    from lerobot.configs import NormalizationMode
     from lerobot.policies.xvla.configuration_xvla import XVLAConfig
     from lerobot.policies.xvla.modeling_xvla import XVLAPolicy
 
@@ -356,6 +358,12 @@ def _write_xvla(directory: Path, shape: TinyShape) -> None:
         action_mode="auto",
         num_denoising_steps=2,
         resize_imgs_with_padding=(64, 64),
+        # its default is none: random numbers would be far from the arm's
+        normalization_mapping={
+            "VISUAL": NormalizationMode.IDENTITY,
+            "STATE": NormalizationMode.MEAN_STD,
+            "ACTION": NormalizationMode.MEAN_STD,
+        },
     )
     _save(directory, XVLAPolicy(config), config, shape)
 
