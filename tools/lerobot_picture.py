@@ -28,7 +28,7 @@ from playwright.async_api import Browser, async_playwright
 from rich._export_format import CONSOLE_SVG_FORMAT
 from rich.console import Console
 from rich.text import Text
-from view_screenshots import FLAGS, FRAMES, MOST_S, close_notice
+from view_screenshots import FLAGS, FRAMES, MOST_S
 
 from rn_standard.console.client import spawned_server
 from rn_testing.domain import free_ros_domain
@@ -36,7 +36,7 @@ from roboneuron.command import environment
 
 ROOT = Path(__file__).parents[1]
 RECORD = ROOT / ".venv-lerobot" / "bin" / "lerobot-record"
-SIZE, TERMINAL_PX, COLUMNS, LINES = (1180, 860), 760, 92, 44
+SIZE, TERMINAL_PX, COLUMNS, LINES = (1180, 960), 760, 92, 46
 SWITCH, TURN_DEG = "Lead with these sliders", "25"
 FORMAT = re.sub(r"@font-face \{\{.*?\}\}", "", CONSOLE_SVG_FORMAT, flags=re.DOTALL).replace(
     "Fira Code", "DejaVu Sans Mono"
@@ -115,14 +115,16 @@ async def shoot(browser: Browser, url: str, state: Path) -> tuple[bytes, str]:
     page = await browser.new_page(viewport={"width": SIZE[0], "height": SIZE[1]})
     page.set_default_timeout(MOST_S * 1e3)
     await page.goto(url)
-    await page.get_by_text("Lead", exact=True).click()
-    await page.get_by_text("shoulder_pan").first.wait_for()
-    await close_notice(page)
+    # events, not a mouse: a page that is drawn by the processor is never still
+    await page.get_by_text("Lead", exact=True).dispatch_event("click")
+    await page.get_by_text("shoulder_pan").first.wait_for(state="attached")
+    await page.locator(".mantine-Notification-closeButton").first.dispatch_event("click")
     told = state / "lerobot.log"
     async with recording(url, state / "turn", told) as process:
-        await page.get_by_text(SWITCH).click()
+        switch = page.locator("input[type=checkbox]").locator("visible=true")
+        await switch.first.dispatch_event("click")
         await until(told, "Recording episode 0", process)
-        box = page.locator("input[inputmode]").locator("visible=true")
+        box = page.locator("input[inputmode=decimal]").locator("visible=true")
         await box.first.fill(TURN_DEG)
         await box.first.press("Enter")
         await anyio.sleep(6.0)

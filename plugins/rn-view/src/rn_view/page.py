@@ -158,19 +158,21 @@ class Page:
             if self._operator is None or not roles.has_role(self.holder.role, roles.OPERATOR)
             else self._call
         )
+
+        def add_lead() -> LeadPanel | None:
+            if buttons is None or not lead.bounds:
+                return None
+            return LeadPanel(
+                self.client.gui,
+                profile,
+                lead,
+                measured,
+                lambda who: self._on_lead(self, lead, who),
+                lambda title, text: self.tell(title, text, is_bad=True),
+            )
+
         with self._lock:
-            self._content = _Content(self.client, self._source, profile, history, buttons)
-            if buttons is not None and lead.bounds:
-                self._content.add_lead(
-                    LeadPanel(
-                        self.client.gui,
-                        profile,
-                        lead,
-                        measured,
-                        lambda who: self._on_lead(self, lead, who),
-                        lambda title, text: self.tell(title, text, is_bad=True),
-                    )
-                )
+            self._content = _Content(self.client, self._source, profile, history, buttons, add_lead)
 
     def say_full(self, most: int) -> None:
         """Too many pages are open for this one to show more than the stop."""
@@ -257,6 +259,7 @@ class _Content:
         profile: RobotProfile,
         history: History,
         call: Callable[[str, dict[str, object]], None] | None,
+        add_lead: Callable[[], LeadPanel | None],
     ) -> None:
         gui = client.gui
         self._source = source
@@ -268,6 +271,7 @@ class _Content:
         self._instruction = gui.add_html("")
         buttons = () if call is None else (self._add_buttons(call),)
         self._modules = gui.add_html("")
+        self._lead = add_lead()
         is_narrow = _PHONE_PX < client.camera.image_width < _WIDE_PX
         tabs = gui.add_tab_group() if is_narrow else gui.add_panel()
         folder = gui.add_folder("What happened")
@@ -300,10 +304,6 @@ class _Content:
             tabs.set_width(_LEFT_PX)
         self.scene = PageScene(client, profile, source.config())
         self._count = -1
-        self._lead: LeadPanel | None = None
-
-    def add_lead(self, panel: LeadPanel) -> None:
-        self._lead = panel
 
     def end_lead(self) -> None:
         if self._lead is not None:
