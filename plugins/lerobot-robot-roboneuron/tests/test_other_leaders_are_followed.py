@@ -21,6 +21,7 @@ from lerobot_lane import CONFIG, JOINTS, ROOT, Lerobot, Served, Watch
 
 from rn_robot_lerobot.bus.arm import SerialArm
 from rn_robot_lerobot.bus.reference import ENCODER_ZEROS, reference_calibration
+from rn_robot_lerobot.simulation import START
 from rn_testing.waiting import wait_until
 
 sys.path.append(str(ROOT / "plugins" / "rn-view" / "tests"))
@@ -29,6 +30,7 @@ from page_client import PageClient
 ACTION_TIMEOUT_S, BRAKING_S = 0.5, 0.3
 """Of control; what the simulated arm needs beyond it on a busy machine."""
 END_S = 200.0
+_HAND_S = 0.02
 SWITCH = "Lead with these sliders"
 VIEW = re.compile(r"live view is at (http://[\d.]+:\d+)")
 pytestmark = [pytest.mark.ros, pytest.mark.slow, pytest.mark.timeout(600)]
@@ -114,6 +116,25 @@ def test_a_view_that_is_not_there_and_another_robot_are_named(
     assert "There is no robot 'fr3'; the view has so101" in lerobot.last_line(other)
 
 
+class HandMovedArm(SerialArm):
+    """The motors of a leader arm, whose first joint a hand turns; without physics.
+
+    Attributes:
+        wanted_rad: where the hand turns it to [rad], at 0.2 rad/s.
+    """
+
+    wanted_rad = 0.0
+
+    def _move(self) -> None:
+        position, still = START.copy(), np.zeros(len(START))
+        while not self._ending.wait(_HAND_S):
+            step = 0.2 * _HAND_S
+            position[0] += float(np.clip(self.wanted_rad - position[0], -step, step))
+            with self._lock:
+                self.motors.measure(position, still)
+            self.history.append((time.monotonic(), position.copy()))
+
+
 def test_lerobots_own_leader_arm_leads(
     lerobot: Lerobot, served: Served, watch: Watch, tmp_path: Path
 ) -> None:
@@ -121,7 +142,7 @@ def test_lerobots_own_leader_arm_leads(
     calibration = reference_calibration()
     text = json.dumps({name: asdict(motor) for name, motor in calibration.items()})
     (tmp_path / "hand.json").write_text(text, encoding="utf-8")
-    with SerialArm(ENCODER_ZEROS, calibration) as leader:
+    with HandMovedArm(ENCODER_ZEROS, calibration) as leader:
         process = lerobot.start(
             "lerobot-teleoperate",
             "--robot.type=roboneuron",
@@ -138,26 +159,12 @@ def test_lerobots_own_leader_arm_leads(
             "the loop",
         )
         assert process.poll() is None, lerobot.last_line(process)
-        start = leader.position.copy()
-        pull(leader, start, turn_rad=0.3, seconds=1.5)
+        leader.wanted_rad = 0.3
         wait_until(lambda: abs(pan_deg(watch) - np.degrees(0.3)) < 2.0, 20.0, "the arm to follow")
         begun_s = time.monotonic()
         leader.motors.faults = type(leader.motors.faults)(silent=True)
         assert watch.rest_after_s(begun_s) < 2 * ACTION_TIMEOUT_S + BRAKING_S
         assert process.wait(END_S) != 0
-
-
-def pull(leader: SerialArm, start: np.ndarray, *, turn_rad: float, seconds: float) -> None:
-    """Turn the leader's first joint as a hand does."""
-    begun_s = time.monotonic()
-
-    def goals() -> tuple[np.ndarray, list[bool]]:
-        share = min((time.monotonic() - begun_s) / seconds, 1.0)
-        aim = start.copy()
-        aim[0] += turn_rad * share
-        return aim, [True] * len(aim)
-
-    leader.motors.goals = goals  # type: ignore[method-assign,assignment]
 
 
 def test_another_robot_of_roboneuron_leads(
