@@ -4,7 +4,8 @@ the terminal of the `lerobot-record` that follows them.
     .venv/bin/python tools/lerobot_picture.py       # into docs/assets; needs .venv-lerobot
 
 Nothing is staged: the simulated SO-101 follows the sliders through lerobot, and the terminal shows
-what lerobot had printed when the page was photographed. `~` stands for a folder of its own.
+what lerobot had printed at that level when the page was photographed. `~` stands for a folder of
+its own.
 """
 
 from __future__ import annotations
@@ -36,8 +37,8 @@ from roboneuron.command import environment
 
 ROOT = Path(__file__).parents[1]
 RECORD = ROOT / ".venv-lerobot" / "bin" / "lerobot-record"
-SIZE, TERMINAL_PX, COLUMNS, LINES = (1180, 960), 760, 92, 46
-SWITCH, TURN_DEG = "Lead with these sliders", "25"
+SIZE, TERMINAL_PX, COLUMNS, LINES = (1180, 810), 700, 84, 40
+TURN_DEG, LEVEL = "25", "INFO"
 FORMAT = re.sub(r"@font-face \{\{.*?\}\}", "", CONSOLE_SVG_FORMAT, flags=re.DOTALL).replace(
     "Fira Code", "DejaVu Sans Mono"
 )
@@ -129,6 +130,8 @@ async def shoot(browser: Browser, url: str, state: Path) -> tuple[bytes, str]:
         await box.first.press("Enter")
         await anyio.sleep(6.0)
         await page.evaluate(FRAMES)
+        if not await switch.first.is_checked():
+            raise SystemExit("The page does not lead any more: the machine is too busy for it.")
         picture = await page.screenshot(type="png")
         text = told.read_text(errors="replace")
     await page.close()
@@ -137,8 +140,10 @@ async def shoot(browser: Browser, url: str, state: Path) -> tuple[bytes, str]:
 
 def terminal(url: str, told: str) -> str:
     """The command and the last lines that it has printed, as SVG."""
-    asked = " \\\n    ".join(["lerobot-record", *options(url, Path("~/turn"))])
-    lines = [line.rpartition("\r")[2].rstrip() for line in told.replace("\r\n", "\n").split("\n")]
+    asked = " \\\n    ".join(
+        ["lerobot-record", *options(url, Path("~/turn")), f"2>&1 | grep {LEVEL}"]
+    )
+    lines = [line for line in told.replace("\r", "\n").split("\n") if LEVEL in line]
     left = LINES - asked.count("\n") - 2
     shown = ["\x1b[2m...\x1b[0m", *lines[-left:]] if len(lines) > left else lines
     console = Console(record=True, width=COLUMNS, file=io.StringIO())
@@ -172,7 +177,7 @@ async def main(target: Path) -> None:
             )
             await both.goto((state / "both.html").as_uri())
             path = target / "lerobot-record.jpg"
-            await both.screenshot(path=path, type="jpeg", quality=85)
+            await both.screenshot(path=path, type="jpeg", quality=72)
             await browser.close()
         print(path)
 

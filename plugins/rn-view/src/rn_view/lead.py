@@ -14,7 +14,7 @@ from roboneuron import NotReadyError, RefusedError, RobotProfile
 
 LEAD_PATH = "/lead"
 """GET: the goal of whoever leads, as JSON with `positions` by joint [rad or m]; `?robot=NAME`."""
-RENEWED_S = 0.75
+RENEWED_S = 1.5
 """A page that has not proved for so long that it is there leads no more."""
 _SPEED_SHARE = 0.25
 """Of the robot's own limit: a slider jumps, and an arm that follows it must not."""
