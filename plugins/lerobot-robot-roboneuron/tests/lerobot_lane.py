@@ -26,6 +26,8 @@ BIN = ROOT / ".venv-lerobot" / "bin"
 CONFIG = ROOT / "examples" / "so101.toml"
 LEADER = ROOT / "examples" / "scripted_leader.py"
 JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll")
+PATIENT = ("--robot.image_timeout_s=10", "--robot.start_timeout_s=120")
+"""Pictures that come late on a busy machine are not what these tests look at."""
 AT_REST_RAD = 2e-3
 """Travel of a joint in a tenth of a second that noise of the simulation may make."""
 
@@ -103,7 +105,7 @@ class Lerobot:
             "lerobot-teleoperate",
             "--robot.type=roboneuron",
             "--robot.robot=so101",
-            "--robot.start_timeout_s=30",
+            *PATIENT,
             "--teleop.type=roboneuron",
             "--teleop.robot=so101",
             "--fps=30",

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from lerobot_lane import BIN, ROOT, Lerobot, Served, Watch, read_dataset, release_stop
+from lerobot_lane import BIN, PATIENT, ROOT, Lerobot, Served, Watch, read_dataset, release_stop
 
 from rn_robot_lerobot.arm import HOME_RAD
 from rn_testing.waiting import wait_until
@@ -17,8 +17,6 @@ from rn_testing.waiting import wait_until
 ACTION_TIMEOUT_S, BRAKING_S = 0.5, 0.3
 """Of control; what the simulated arm needs beyond it on a busy machine."""
 END_S = 200.0
-PATIENT = ("--robot.image_timeout_s=10", "--robot.state_timeout_s=3", "--robot.start_timeout_s=120")
-"""Pictures that come late on a busy machine are not what is looked at here."""
 TURN_DEG = 8.0
 """Where the data of the tiny policy were, beside the arm's home."""
 pytestmark = [pytest.mark.ros, pytest.mark.slow]

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from lerobot_lane import ROOT, Lerobot, Watch, serve
+from lerobot_lane import PATIENT, ROOT, Lerobot, Watch, serve
 
 from rn_robot_fr3.limits import ARM_JOINTS
 from rn_robot_fr3.profile import HOME_RAD
@@ -37,7 +37,7 @@ def lead_and_follow(lerobot: Lerobot, config: Path, stack: ExitStack) -> np.ndar
         "--robot.type=roboneuron",
         "--robot.robot=fr3",
         "--robot.namespace=roboneuron_fr3",
-        "--robot.start_timeout_s=120",
+        *PATIENT,
         serve(config),
         "--teleop.type=roboneuron",
         "--teleop.robot=fr3",

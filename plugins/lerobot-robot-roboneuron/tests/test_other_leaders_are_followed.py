@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from anyio.from_thread import start_blocking_portal
-from lerobot_lane import CONFIG, JOINTS, ROOT, Lerobot, Served, Watch
+from lerobot_lane import JOINTS, PATIENT, ROOT, Lerobot, Served, Watch
 
 from rn_robot_lerobot.bus.arm import SerialArm
 from rn_robot_lerobot.bus.reference import ENCODER_ZEROS, reference_calibration
@@ -147,6 +147,7 @@ def test_lerobots_own_leader_arm_leads(
             "lerobot-teleoperate",
             "--robot.type=roboneuron",
             "--robot.robot=so101",
+            *PATIENT,
             "--teleop.type=so101_leader",
             f"--teleop.port={leader.port}",
             "--teleop.id=hand",
@@ -177,7 +178,6 @@ def test_another_robot_of_roboneuron_leads(
         f'[supervisor]\nstate_directory = "{tmp_path / "other"}"\n',
         encoding="utf-8",
     )
-    assert CONFIG.exists()
     with ExitStack() as stack:
         portal = stack.enter_context(start_blocking_portal())
         leader = Served(portal, config, tmp_path / "leader.log")
