@@ -19,13 +19,13 @@ import shutil
 import sys
 import tempfile
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 
 import anyio
 from anyio.abc import Process
 from mcp import Client
-from playwright.async_api import Browser, async_playwright
+from playwright.async_api import Browser, Page, TimeoutError, async_playwright
 from rich._export_format import CONSOLE_SVG_FORMAT
 from rich.console import Console
 from rich.text import Text
@@ -39,6 +39,17 @@ ROOT = Path(__file__).parents[1]
 RECORD = ROOT / ".venv-lerobot" / "bin" / "lerobot-record"
 SIZE, TERMINAL_PX, COLUMNS, LINES = (1180, 810), 700, 84, 40
 TURN_DEG, LEVEL = "25", "INFO"
+MORE = """
+[view]
+enabled = true
+port = 0
+image_hz = 3
+[supervisor]
+state_directory = "{state}"
+"""
+SWITCH = "input[type=checkbox]:visible"
+"""The only one on the page."""
+_TRIES = 8
 FORMAT = re.sub(r"@font-face \{\{.*?\}\}", "", CONSOLE_SVG_FORMAT, flags=re.DOTALL).replace(
     "Fira Code", "DejaVu Sans Mono"
 )
@@ -52,6 +63,7 @@ def options(url: str, folder: Path) -> list[str]:
         "--teleop.type=roboneuron",
         "--teleop.robot=so101",
         f"--teleop.view={url}",
+        "--teleop.timeout_s=5",
         "--dataset.repo_id=me/turn",
         f"--dataset.root={folder}",
         "--dataset.single_task=turn",
@@ -69,8 +81,7 @@ async def served(state: Path) -> AsyncIterator[tuple[Client, str]]:
     """A server with the view, and the address of its page."""
     config, log = state / "so101.toml", state / "server.log"
     text = (ROOT / "examples" / "so101.toml").read_text(encoding="utf-8")
-    more = f'\n[view]\nenabled = true\nport = 0\n[supervisor]\nstate_directory = "{state}"\n'
-    config.write_text(text + more, encoding="utf-8")
+    config.write_text(text + MORE.format(state=state), encoding="utf-8")
     async with spawned_server(["--config", str(config)], log) as client:
         with anyio.fail_after(MOST_S):
             while not (found := re.findall(r"live view is at (\S+:\d+)", log.read_text())):
@@ -111,6 +122,18 @@ async def until(told: Path, words: str, process: Process) -> None:
             await anyio.sleep(0.1)
 
 
+async def lead(page: Page) -> None:
+    """Press the switch unless it is on, and turn the first joint; a busy page may have lost it."""
+    switch = page.locator(SWITCH).first
+    if not await switch.is_checked():
+        await switch.dispatch_event("click")
+        await anyio.sleep(0.5)
+    box = page.locator("input[inputmode=decimal]").locator("visible=true").first
+    with suppress(TimeoutError):  # not enabled: it leads not yet
+        await box.fill(TURN_DEG, timeout=3_000)
+        await box.press("Enter")
+
+
 async def shoot(browser: Browser, url: str, state: Path) -> tuple[bytes, str]:
     """The page while a person leads, and what lerobot has printed by then."""
     page = await browser.new_page(viewport={"width": SIZE[0], "height": SIZE[1]})
@@ -122,17 +145,17 @@ async def shoot(browser: Browser, url: str, state: Path) -> tuple[bytes, str]:
     await page.locator(".mantine-Notification-closeButton").first.dispatch_event("click")
     told = state / "lerobot.log"
     async with recording(url, state / "turn", told) as process:
-        switch = page.locator("input[type=checkbox]").locator("visible=true")
-        await switch.first.dispatch_event("click")
+        await lead(page)
         await until(told, "Recording episode 0", process)
-        box = page.locator("input[inputmode=decimal]").locator("visible=true")
-        await box.first.fill(TURN_DEG)
-        await box.first.press("Enter")
-        await anyio.sleep(6.0)
-        await page.evaluate(FRAMES)
-        if not await switch.first.is_checked():
-            raise SystemExit("The page does not lead any more: the machine is too busy for it.")
-        picture = await page.screenshot(type="png")
+        for _ in range(_TRIES):
+            await lead(page)
+            await anyio.sleep(3.0)
+            await page.evaluate(FRAMES)
+            picture = await page.screenshot(type="png")
+            if await page.locator(SWITCH).first.is_checked():
+                break
+        else:
+            raise SystemExit("The page does not lead: the machine is too busy for it.")
         text = told.read_text(errors="replace")
     await page.close()
     return picture, text.replace(str(state), "~").replace(str(ROOT), "roboneuron")

@@ -8,6 +8,7 @@ import io
 import logging
 import threading
 from collections.abc import Mapping
+from concurrent.futures import Future
 from typing import Any
 
 import viser
@@ -80,6 +81,7 @@ class Viewer:
             for name, one in self._sources.items()
         }
         self._shown: dict[Page, str] = {}
+        self._proofs: set[Future[None]] = set()
 
     @property
     def measured(self) -> MeasuredTopics | None:
@@ -148,6 +150,8 @@ class Viewer:
         """End everything; idempotent."""
         for showing in self._showings.values():
             showing.close()
+        for proof in tuple(self._proofs):
+            proof.cancel()
         server, self._server = self._server, None
         if server is not None:
             with contextlib.redirect_stdout(io.StringIO()):
@@ -253,7 +257,9 @@ class Viewer:
         loop = None if server is None else server._websock_server._background_event_loop
         if loop is not None:
             proof = self._prove(page.client.client_id, lead, who)
-            asyncio.run_coroutine_threadsafe(proof, loop)
+            running = asyncio.run_coroutine_threadsafe(proof, loop)
+            self._proofs.add(running)
+            running.add_done_callback(self._proofs.discard)
 
     async def _prove(self, number: int, lead: Lead, who: object) -> None:
         assert self._server is not None
