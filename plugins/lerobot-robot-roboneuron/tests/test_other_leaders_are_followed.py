@@ -109,9 +109,9 @@ def test_a_view_that_is_not_there_and_another_robot_are_named(
     url, lead = view
     lead()
     nowhere = lerobot.teleoperate("--teleop.view=http://127.0.0.1:9", "--teleop.start_timeout_s=3")
-    other = lerobot.teleoperate(f"--teleop.view={url}", "--teleop.namespace=fr3")
     assert nowhere.wait(END_S) != 0
     assert "The view does not answer: [Errno 111]" in lerobot.last_line(nowhere)
+    other = lerobot.teleoperate(f"--teleop.view={url}", "--teleop.namespace=fr3")
     assert other.wait(END_S) != 0
     assert "There is no robot 'fr3'; the view has so101" in lerobot.last_line(other)
 
