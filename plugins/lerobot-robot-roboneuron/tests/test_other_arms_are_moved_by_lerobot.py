@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from lerobot_lane import PATIENT, ROOT, Lerobot, Watch, serve
 
-from rn_robot_fr3.limits import ARM_JOINTS
+from rn_robot_fr3.limits import ARM_JOINTS, FINGER_JOINT
 from rn_robot_fr3.profile import HOME_RAD
 from roboneuron.plugins.availability import is_importable
 
@@ -58,12 +58,13 @@ def test_an_arm_behind_ros2_control_is_teleoperated(
     config.write_text(
         '[robot]\nname = "fr3"\ndriver = "ros2-control"\nnamespace = "roboneuron_fr3"\n'
         '[control]\ncontroller = "urdf"\n'
-        '[plugins.fr3]\ncontroller = "/fr3_arm_controller"\n',
+        '[plugins.fr3]\ncontroller = "/fr3_arm_controller"\n'
+        'gripper = "gripper-command"\n',
         encoding="utf-8",
     )
     command = [sys.executable, "-m", "rn_driver_ros2control.standin_node"]
     command += ["--controller", "/fr3_arm_controller", "--joints", *ARM_JOINTS]
-    command += ["--start", *map(str, HOME_RAD)]
+    command += ["--start", *map(str, HOME_RAD), "--gripper-joint", FINGER_JOINT]
     log = stack.enter_context((tmp_path / "controller.log").open("wb"))
     controller = stack.enter_context(subprocess.Popen(command, stdout=log, stderr=log))
     stack.callback(controller.terminate)
