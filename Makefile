@@ -176,6 +176,7 @@ LEROBOT_POLICIES := roboneuron-core $(addprefix plugins/,rn-standard rn-simulati
 	.venv-lerobot-policies/bin/python -m pip install --quiet --disable-pip-version-check \
 	  --constraint .venv-lerobot-policies/ros-constraints.txt 'lerobot[dataset,diffusion,smolvla,pi]==0.6.1' \
 	  $(addprefix --editable ,$(LEROBOT_POLICIES)) hypothesis pytest pytest-timeout pytest-xdist
+	@touch $@
 
 test-lerobot-robots: $(VENV)/.develop .venv-lerobot/.ready-robots ## lerobot's own commands with our robots, and our driver with lerobot's
 	$(BIN)/python -m pytest plugins/lerobot-robot-roboneuron/tests -m "slow or not slow" $(ARGS)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import pty
 import subprocess
@@ -25,6 +26,8 @@ BIN = ROOT / ".venv-lerobot" / "bin"
 CONFIG = ROOT / "examples" / "so101.toml"
 LEADER = ROOT / "examples" / "scripted_leader.py"
 JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll")
+PATIENT = ("--robot.image_timeout_s=10", "--robot.start_timeout_s=120")
+"""Pictures that come late on a busy machine are not what these tests look at."""
 AT_REST_RAD = 2e-3
 """Travel of a joint in a tenth of a second that noise of the simulation may make."""
 
@@ -102,15 +105,16 @@ class Lerobot:
             "lerobot-teleoperate",
             "--robot.type=roboneuron",
             "--robot.robot=so101",
-            "--robot.start_timeout_s=30",
+            *PATIENT,
             "--teleop.type=roboneuron",
             "--teleop.robot=so101",
             "--fps=30",
             *options,
         )
 
-    def lead(self, robot: str = "so101") -> subprocess.Popen[str]:
-        return self._spawn([sys.executable, str(LEADER), "--robot", robot], dict(os.environ))
+    def lead(self, robot: str = "so101", *options: str) -> subprocess.Popen[str]:
+        command = [sys.executable, str(LEADER), "--robot", robot, *options]
+        return self._spawn(command, dict(os.environ))
 
     def _spawn(self, command: list[str], variables: dict[str, str]) -> subprocess.Popen[str]:
         path = self._folder / f"process-{len(self._running)}.log"
@@ -140,6 +144,26 @@ class Lerobot:
                 except subprocess.TimeoutExpired:
                     process.kill()
                     process.wait()
+
+
+def serve(config: Path) -> str:
+    """The option by which lerobot's process starts a server of its own."""
+    command = Path(sys.executable).parent / "roboneuron"
+    return f"--robot.serve=[{command}, serve, --config, {config}]"
+
+
+def read_dataset(folder: Path, lerobot: Lerobot) -> dict[str, object]:
+    """What lerobot finds in a data set, opened in its environment."""
+    done = subprocess.run(
+        [str(BIN / "python"), str(Path(__file__).with_name("dataset_check.py")), str(folder)],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+        env=lerobot.environment,
+    )
+    assert done.returncode == 0, done.stderr
+    return dict(json.loads(done.stdout.splitlines()[-1]))
 
 
 def release_stop(state: Path) -> None:

@@ -4,38 +4,16 @@ again.
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from lerobot_lane import BIN, Lerobot, Watch
+from lerobot_lane import Lerobot, Watch, read_dataset, serve
 
-HERE = Path(__file__).parent
 TRACKED_DEG = 3.0
 """Behind a leader that moves at 23 deg/s the arm is a tenth of a second late, and so is what is
 measured of it.
 """
-
-
-def serve(config: Path) -> str:
-    command = Path(sys.executable).parent / "roboneuron"
-    return f"--robot.serve=[{command}, serve, --config, {config}]"
-
-
-def read_dataset(folder: Path, lerobot: Lerobot) -> dict[str, object]:
-    done = subprocess.run(
-        [str(BIN / "python"), str(HERE / "dataset_check.py"), str(folder)],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=120,
-        env=lerobot.environment,
-    )
-    assert done.returncode == 0, done.stderr
-    return dict(json.loads(done.stdout.splitlines()[-1]))
 
 
 @pytest.mark.ros

@@ -21,6 +21,7 @@ class RoboNeuronConfig(RobotConfig):
         use_degrees: joints in degrees, as LeRobot's own arms; False for radians. Grippers are
             0 closed .. 100 open, slides are metres.
         images: name in the data set by camera of the robot; empty for all under their own names.
+        perception: whether there are images; False for none, without a perception module.
         width, height: of the images [px]; 0 for what the robot's profile says.
         start_timeout_s: longest wait for states, images and control [s].
         state_timeout_s, image_timeout_s: older states and images are errors [s].
@@ -32,6 +33,7 @@ class RoboNeuronConfig(RobotConfig):
     serve: list[str] = field(default_factory=list)
     use_degrees: bool = True
     images: dict[str, str] = field(default_factory=dict)
+    perception: bool = True
     width: int = 0
     height: int = 0
     start_timeout_s: float = 60.0

@@ -103,7 +103,7 @@ class RoboNeuron(Robot):
         namespace = config.namespace or config.robot.replace("-", "_")
         named = {name: camera.name for name, camera in self.cameras.items()}
         if config.serve:
-            self._server = OwnServer(config.serve)
+            self._server = OwnServer(config.serve, with_perception=bool(self.cameras))
             self._server.start(config.start_timeout_s)
         robot = RobotTopics(namespace, self._space, named)
         try:
@@ -177,6 +177,8 @@ class RoboNeuron(Robot):
 
 def _chosen_cameras(config: RoboNeuronConfig, profile: RobotProfile) -> dict[str, CameraProfile]:
     """Cameras by name in the data set. Raises ConfigurationError for one that the robot lacks."""
+    if not config.perception:
+        return {}
     known = {camera.name: camera for camera in profile.cameras}
     chosen = config.images or {name: name for name in known}
     unknown = [camera for camera in chosen if camera not in known]

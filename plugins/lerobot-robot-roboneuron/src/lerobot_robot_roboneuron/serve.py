@@ -15,7 +15,6 @@ from mcp.types import TextContent
 
 from roboneuron import ConfigurationError, NotReadyError, RoboNeuronError
 
-_STARTS = ("start_robot", "start_perception", "start_control")
 _CALL_TIMEOUT_S = 120.0
 _STOP_TIMEOUT_S = 30.0
 
@@ -23,11 +22,14 @@ _STOP_TIMEOUT_S = 30.0
 class OwnServer:
     """Runs `roboneuron serve` and has it start robot, perception and control."""
 
-    def __init__(self, command: Sequence[str]) -> None:
+    def __init__(self, command: Sequence[str], *, with_perception: bool) -> None:
         """Args:
         command: what to run, such as ["roboneuron", "serve", "--config", "fr3.toml"].
+        with_perception: whether perception is started too.
         """
         self._command = list(command)
+        kinds = ("robot", "perception", "control") if with_perception else ("robot", "control")
+        self._starts = [f"start_{kind}" for kind in kinds]
         self._ready = threading.Event()
         self._ending = threading.Event()
         self._failure: RoboNeuronError | None = None
@@ -74,7 +76,7 @@ class OwnServer:
             command=command, args=[*words, "--transport", "stdio"], env=dict(os.environ)
         )
         async with Client(stdio_client(server)) as client:
-            for tool in _STARTS:
+            for tool in self._starts:
                 answer = await client.call_tool(tool, {}, read_timeout_seconds=_CALL_TIMEOUT_S)
                 if answer.is_error:
                     texts = [part.text for part in answer.content if isinstance(part, TextContent)]

@@ -10,10 +10,15 @@ from lerobot.teleoperators import TeleoperatorConfig
 @TeleoperatorConfig.register_subclass("roboneuron")
 @dataclass(kw_only=True)
 class RoboNeuronTeleopConfig(TeleoperatorConfig):
-    """Joint states of a leader arm, of a program or of another robot.
+    """Joint states of a leader arm, of a program or of another robot; or the sliders of a page.
 
     Attributes:
         robot: name of the robot that they are meant for.
+        namespace: of that robot in the view; empty for its name.
+        view: address of a live view, such as "http://127.0.0.1:8780", in which a person leads;
+            empty for `topic`.
+        token_variable: environment variable with a token of the view; empty for a view without
+            tokens.
         topic: absolute name of the topic, sensor_msgs/JointState, by the joint names of that robot
             [rad, m].
         use_degrees: as of the robot.
@@ -22,6 +27,9 @@ class RoboNeuronTeleopConfig(TeleoperatorConfig):
     """
 
     robot: str = "fr3"
+    namespace: str = ""
+    view: str = ""
+    token_variable: str = ""
     topic: str = "/leader/joint_states"
     use_degrees: bool = True
     start_timeout_s: float = 60.0

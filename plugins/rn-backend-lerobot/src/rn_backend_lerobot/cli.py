@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from rn_backend_lerobot.tiny import POLICIES, TinyShape, make_tiny
+from rn_backend_lerobot.tiny import PATCHED, POLICIES, TinyShape, make_tiny
 from roboneuron import RoboNeuronError
 
 PROGRAM = "roboneuron-lerobot"
@@ -40,7 +40,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"{PROGRAM}: {error}", file=sys.stderr)
         return 2
     print(f'Wrote {given.directory}: checkpoint = "{given.directory}".')
-    if given.policy == "pi05":
+    if given.policy in PATCHED:
         print("Its sizes are patched: only rn_backend_lerobot.small_gemma can load it.")
     else:
         print('Its state and action are seven joints [rad] and a gripper ("open_fraction").')

@@ -1,9 +1,10 @@
-"""pi0.5 with tiny networks: LeRobot knows only those of 3 billion weights."""
+"""pi0 and pi0.5 with tiny networks: LeRobot knows only those of 3 billion weights."""
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from types import ModuleType
 from typing import Protocol
 from unittest import mock
 
@@ -35,15 +36,25 @@ class _PaliGemma(Protocol):
 
 @contextlib.contextmanager
 def small_gemma() -> Iterator[None]:
-    """pi05 with networks of 64 dimensions: LeRobot knows only those of 3 billion weights.
+    """pi0 and pi05 with networks of 64 dimensions: LeRobot knows only those of 3 billion weights.
 
     Needed to make such a checkpoint, and to load it.
     """
+    from lerobot.policies.pi0 import modeling_pi0
     from lerobot.policies.pi05 import modeling_pi05
 
+    with contextlib.ExitStack() as stack:
+        for module in (modeling_pi0, modeling_pi05):
+            for name, replacement in _small(module).items():
+                stack.enter_context(mock.patch.object(module, name, replacement))
+        yield
+
+
+def _small(module: ModuleType) -> dict[str, Callable[..., object]]:
+    """What makes the networks of a module of LeRobot, by name."""
     whole, expert = (
-        modeling_pi05.PaliGemmaForConditionalGenerationWithPiGemma,
-        modeling_pi05.PiGemmaForCausalLM,
+        module.PaliGemmaForConditionalGenerationWithPiGemma,
+        module.PiGemmaForCausalLM,
     )
 
     def make_whole(config: _PaliGemma) -> object:
@@ -62,13 +73,10 @@ def small_gemma() -> Iterator[None]:
         return expert(config=config)
 
     def sizes(variant: str) -> object:
-        return modeling_pi05.GemmaConfig(_WIDTH, 2, 128, 2, 1, 32)
+        return module.GemmaConfig(_WIDTH, 2, 128, 2, 1, 32)
 
-    with (
-        mock.patch.object(
-            modeling_pi05, "PaliGemmaForConditionalGenerationWithPiGemma", make_whole
-        ),
-        mock.patch.object(modeling_pi05, "PiGemmaForCausalLM", make_expert),
-        mock.patch.object(modeling_pi05, "get_gemma_config", sizes),
-    ):
-        yield
+    return {
+        "PaliGemmaForConditionalGenerationWithPiGemma": make_whole,
+        "PiGemmaForCausalLM": make_expert,
+        "get_gemma_config": sizes,
+    }

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+import contextlib
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from types import ModuleType
 from typing import Literal, Protocol, cast, get_args
 from unittest import mock
 
@@ -12,10 +14,12 @@ from rn_backend_lerobot.isolation import check_release, installed_release
 from rn_backend_lerobot.small_gemma import VOCABULARY, small_gemma
 from roboneuron import ConfigurationError
 
-Policy = Literal["act", "diffusion", "smolvla", "pi05"]
+Policy = Literal["act", "diffusion", "vqbet", "smolvla", "pi0", "pi05", "xvla"]
 POLICIES: tuple[Policy, ...] = get_args(Policy)
+PATCHED: tuple[Policy, ...] = ("pi0", "pi05")
+"""Those that only `small_gemma` loads."""
 TOKENIZER = "tokenizer"
-"""Folder of the tokenizer in a checkpoint of pi05."""
+"""Folder of the tokenizer in a checkpoint of pi0, pi05 and xvla."""
 BACKBONE = "backbone"
 """Folder of the vision-language model's configuration and processor in one of smolvla."""
 HOME = (0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785, 0.5)
@@ -252,37 +256,146 @@ def _tokenizer(**special: str) -> _Tokenizer:
     return make(tokenizer_object=tokenizer, **named, extra_special_tokens=special)
 
 
+def _write_vqbet(directory: Path, shape: TinyShape) -> None:
+    from lerobot.policies.vqbet.configuration_vqbet import VQBeTConfig
+    from lerobot.policies.vqbet.modeling_vqbet import VQBeTPolicy
+
+    shape = replace(shape, cameras=shape.cameras[:1])  # it takes one
+    inputs, outputs = _features(shape)
+    config = VQBeTConfig(
+        input_features=inputs,
+        output_features=outputs,
+        device="cpu",
+        n_obs_steps=2,
+        n_action_pred_token=2,
+        action_chunk_size=5,
+        crop_shape=(64, 64),
+        spatial_softmax_num_keypoints=8,
+        vqvae_n_embed=4,
+        vqvae_embedding_dim=16,
+        vqvae_enc_hidden_dim=16,
+        gpt_input_dim=32,
+        gpt_output_dim=32,
+        gpt_n_layer=1,
+        gpt_n_head=2,
+        gpt_hidden_dim=32,
+        pretrained_backbone_weights=None,
+    )
+    policy = VQBeTPolicy(config)
+    # as after the first phase of the training: LeRobot warns at each action otherwise
+    policy.vqbet.action_head.vqvae_model.discretized.fill_(True)
+    _save(directory, policy, config, shape)
+
+
+def _write_pi0(directory: Path, shape: TinyShape) -> None:
+    from lerobot.policies.pi0 import processor_pi0
+    from lerobot.policies.pi0.configuration_pi0 import PI0Config
+    from lerobot.policies.pi0.modeling_pi0 import PI0Policy
+
+    inputs, outputs = _features(shape)
+    config = PI0Config(input_features=inputs, output_features=outputs, **_PI)
+    with small_gemma(), _local_tokenizer(processor_pi0, directory):
+        _save(directory, PI0Policy(config), config, shape)
+
+
 def _write_pi05(directory: Path, shape: TinyShape) -> None:
     from lerobot.policies.pi05 import processor_pi05
     from lerobot.policies.pi05.configuration_pi05 import PI05Config
     from lerobot.policies.pi05.modeling_pi05 import PI05Policy
 
+    inputs, outputs = _features(shape)
+    config = PI05Config(input_features=inputs, output_features=outputs, **_PI)
+    with small_gemma(), _local_tokenizer(processor_pi05, directory):
+        _save(directory, PI05Policy(config), config, shape)
+
+
+_PI: dict[str, object] = {
+    "device": "cpu",
+    "chunk_size": 16,
+    "n_action_steps": 8,
+    "num_inference_steps": 4,
+    "max_state_dim": 32,
+    "max_action_dim": 32,
+    "image_resolution": (64, 64),
+    "tokenizer_max_length": 64,
+}
+
+
+@contextlib.contextmanager
+def _local_tokenizer(processors: ModuleType, directory: Path) -> Iterator[None]:
+    """The processors name a tokenizer in the checkpoint's own folder, not the hub's."""
+    _tokenizer().save_pretrained(directory / TOKENIZER)
+    step = processors.TokenizerProcessorStep
+
+    def local(**options: object) -> object:
+        return step(**{**options, "tokenizer_name": str(directory / TOKENIZER)})
+
+    with mock.patch.object(processors, "TokenizerProcessorStep", local):
+        yield
+
+
+def _write_xvla(directory: Path, shape: TinyShape) -> None:
+    from lerobot.configs import NormalizationMode
+    from lerobot.policies.xvla.configuration_xvla import XVLAConfig
+    from lerobot.policies.xvla.modeling_xvla import XVLAPolicy
+
     _tokenizer().save_pretrained(directory / TOKENIZER)
     inputs, outputs = _features(shape)
-    config = PI05Config(
+    config = XVLAConfig(
         input_features=inputs,
         output_features=outputs,
         device="cpu",
         chunk_size=16,
         n_action_steps=8,
-        num_inference_steps=4,
-        max_state_dim=32,
-        max_action_dim=32,
-        image_resolution=(64, 64),
-        tokenizer_max_length=64,
+        florence_config=_FLORENCE,
+        tokenizer_name=str(directory / TOKENIZER),
+        tokenizer_max_length=32,
+        hidden_size=32,
+        depth=1,
+        num_heads=2,
+        num_domains=2,
+        len_soft_prompts=4,
+        action_mode="auto",
+        num_denoising_steps=2,
+        resize_imgs_with_padding=(64, 64),
+        # its default is none: random numbers would be far from the arm's
+        normalization_mapping={
+            "VISUAL": NormalizationMode.IDENTITY,
+            "STATE": NormalizationMode.MEAN_STD,
+            "ACTION": NormalizationMode.MEAN_STD,
+        },
     )
-    step = processor_pi05.TokenizerProcessorStep
-
-    def local(**options: object) -> object:
-        return step(**{**options, "tokenizer_name": str(directory / TOKENIZER)})
-
-    with small_gemma(), mock.patch.object(processor_pi05, "TokenizerProcessorStep", local):
-        _save(directory, PI05Policy(config), config, shape)
+    _save(directory, XVLAPolicy(config), config, shape)
 
 
+_FLORENCE: dict[str, object] = {
+    "vision_config": {
+        "embed_dim": [16, 16, 32, 32],
+        "depths": [1, 1, 1, 1],
+        "num_heads": [1, 1, 2, 2],
+        "num_groups": [1, 1, 2, 2],
+        "window_size": 4,
+        "projection_dim": 32,
+    },
+    "text_config": {
+        "vocab_size": VOCABULARY,
+        "d_model": 32,
+        "encoder_layers": 1,
+        "decoder_layers": 1,
+        "encoder_attention_heads": 2,
+        "decoder_attention_heads": 2,
+        "encoder_ffn_dim": 64,
+        "decoder_ffn_dim": 64,
+        "max_position_embeddings": 256,
+    },
+}
+"""Florence-2 with 32 dimensions."""
 _WRITERS: dict[Policy, Callable[[Path, TinyShape], None]] = {
     "act": _write_act,
     "diffusion": _write_diffusion,
+    "vqbet": _write_vqbet,
     "smolvla": _write_smolvla,
+    "pi0": _write_pi0,
     "pi05": _write_pi05,
+    "xvla": _write_xvla,
 }

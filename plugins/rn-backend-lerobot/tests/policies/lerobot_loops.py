@@ -42,6 +42,7 @@ def values(observation: Observation) -> dict[str, Any]:
     assert joints is not None
     found: dict[str, Any] = dict(zip(joints.names, joints.position.tolist(), strict=True))
     found["gripper_open"] = observation.gripper_open
+    found |= {f"{name}_gripper": arm.gripper_open for name, arm in observation.arms.items()}
     for frame in observation.frames.values():
         found[frame.camera] = frame.image.copy()
     return found

@@ -11,11 +11,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from lerobot_cell import NAMES, RATE_HZ, Load, observe, sizes_of
+from lerobot_cell import NAMES, PAIR, RATE_HZ, Load, observe, observe_pair, sizes_of
 from lerobot_loops import Call, RealTime, Synchronous
 
 from rn_backend_lerobot.backend import LeRobotBackend
 from rn_backend_lerobot.exchange import Answer
+from rn_backend_lerobot.tiny import HOME, Policy, TinyShape, make_tiny
 from roboneuron import Ahead, Observation
 
 TOLERANCE = 1e-6
@@ -24,7 +25,7 @@ TICKS = 18
 """More than two chunks of eight rows."""
 
 
-@pytest.mark.parametrize("policy", ["act", "smolvla", "pi05"])
+@pytest.mark.parametrize("policy", ["act", "smolvla", "pi0", "pi05", "xvla"])
 def test_a_chunk_is_what_lerobot_plays_one_action_at_a_time(
     policy: str, checkpoints: dict[str, Path], load: Load
 ) -> None:
@@ -45,20 +46,46 @@ def test_a_chunk_is_what_lerobot_plays_one_action_at_a_time(
         np.testing.assert_allclose(ours[tick % 8], theirs.act(seen), rtol=0, atol=TOLERANCE)
 
 
+@pytest.mark.parametrize("policy", ["diffusion", "vqbet"])
 def test_a_policy_of_several_observations_gets_one_a_tick_as_in_lerobot(
-    checkpoints: dict[str, Path], load: Load
+    policy: str, checkpoints: dict[str, Path], load: Load
 ) -> None:
     import torch
 
-    backend = load("diffusion")
+    backend = load(policy)
     backend.reset()
-    theirs = Synchronous(checkpoints["diffusion"], NAMES)
+    theirs = Synchronous(checkpoints[policy], NAMES)
     torch.manual_seed(0)
     for tick in range(TICKS):
         seen = observe(tick)
         chunk = backend.predict(seen)
         assert chunk.actions.shape == (1, len(NAMES))
         np.testing.assert_allclose(chunk.actions[0], theirs.act(seen), rtol=0, atol=TOLERANCE)
+
+
+@pytest.mark.parametrize("policy", ["act", "smolvla", "xvla"])
+def test_numbers_of_two_arms_go_to_each_arm_by_name(
+    policy: Policy, load: Load, tmp_path: Path
+) -> None:
+    import torch
+
+    folder = tmp_path / policy
+    means = (*HOME[:7], *HOME[:7], *HOME[7:], *HOME[7:])
+    make_tiny(folder, policy, TinyShape(means=means))
+    mapped = {"joints": None, "joint_unit": None, "gripper_unit": None}
+    backend = load(policy, checkpoint=folder, names=tuple(PAIR), channels=PAIR, **mapped)
+    backend.reset()
+    theirs = Synchronous(folder, tuple(PAIR))
+    torch.manual_seed(0)
+    chunk = backend.predict(observe_pair(0))
+    assert chunk.space is not None
+    assert chunk.space.keys == tuple(channel["to"] for channel in PAIR.values())
+    for row in chunk.actions:
+        # lerobot plays the chunk of its first tick
+        expected = theirs.act(observe_pair(0))
+        np.testing.assert_allclose(row, expected, rtol=0, atol=TOLERANCE)
+    left, right = chunk.actions[:, :7], chunk.actions[:, 7:14]
+    assert np.abs(left - right).max() > 100 * TOLERANCE
 
 
 def test_temporal_ensembling_is_asked_row_by_row(
@@ -80,7 +107,7 @@ def test_temporal_ensembling_is_asked_row_by_row(
         np.testing.assert_allclose(chunk.actions, [theirs.act(seen)], rtol=0, atol=TOLERANCE)
 
 
-@pytest.mark.parametrize("policy", ["smolvla", "pi05"])
+@pytest.mark.parametrize("policy", ["smolvla", "pi0", "pi05"])
 def test_a_chunk_continues_the_running_one_as_in_lerobot(
     policy: str, checkpoints: dict[str, Path], load: Load
 ) -> None:

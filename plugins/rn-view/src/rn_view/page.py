@@ -13,6 +13,8 @@ import viser
 from numpy.typing import NDArray
 
 from rn_view import markup
+from rn_view.lead import Lead
+from rn_view.lead_panel import LeadPanel
 from rn_view.measured import MeasuredTopics
 from rn_view.player import Player
 from rn_view.plots import History, Plots
@@ -66,6 +68,7 @@ class Page:
         operators: Mapping[str, Operator],
         admit: Callable[[str], access.Holder | None],
         on_choice: Callable[[Page], object],
+        on_lead: Callable[[Page, Lead, object], object],
     ) -> None:
         """Args:
         sources: what can be shown by the robot's name, the first one first; of several one is
@@ -74,6 +77,7 @@ class Page:
             are none.
         admit: whose token a text is; None for nobody's.
         on_choice: called when another robot was chosen.
+        on_lead: called when this page begins to lead, with what it leads as.
         """
         self.client = client
         self.holder: access.Holder | None = None
@@ -82,6 +86,7 @@ class Page:
         self._operators = operators
         self._operator = operators.get(next(iter(sources)))
         self._admit = admit
+        self._on_lead = on_lead
         self._lock = threading.Lock()
         self._content: _Content | None = None
         self._tries = _TRIES
@@ -137,7 +142,13 @@ class Page:
 
         form.on_submit(check)
 
-    def show(self, profile: RobotProfile, history: History) -> None:
+    def show(
+        self,
+        profile: RobotProfile,
+        history: History,
+        lead: Lead,
+        measured: Callable[[], MeasuredTopics | None],
+    ) -> None:
         """Build everything else, for the holder."""
         assert self.holder is not None
         if self._operator is not None:
@@ -147,8 +158,21 @@ class Page:
             if self._operator is None or not Role.OPERATOR.is_held_by(self.holder.role)
             else self._call
         )
+
+        def add_lead() -> LeadPanel | None:
+            if buttons is None or not lead.bounds:
+                return None
+            return LeadPanel(
+                self.client.gui,
+                profile,
+                lead,
+                measured,
+                lambda who: self._on_lead(self, lead, who),
+                lambda title, text: self.tell(title, text, is_bad=True),
+            )
+
         with self._lock:
-            self._content = _Content(self.client, self._source, profile, history, buttons)
+            self._content = _Content(self.client, self._source, profile, history, buttons, add_lead)
 
     def say_full(self, most: int) -> None:
         """Too many pages are open for this one to show more than the stop."""
@@ -204,6 +228,9 @@ class Page:
     def leave(self) -> None:
         """The client is gone."""
         self._is_gone = True
+        with self._lock:
+            if self._content is not None:
+                self._content.end_lead()
         self._leave_robot()
 
     def _leave_robot(self) -> None:
@@ -232,6 +259,7 @@ class _Content:
         profile: RobotProfile,
         history: History,
         call: Callable[[str, dict[str, object]], None] | None,
+        add_lead: Callable[[], LeadPanel | None],
     ) -> None:
         gui = client.gui
         self._source = source
@@ -243,6 +271,7 @@ class _Content:
         self._instruction = gui.add_html("")
         buttons = () if call is None else (self._add_buttons(call),)
         self._modules = gui.add_html("")
+        self._lead = add_lead()
         is_narrow = _PHONE_PX < client.camera.image_width < _WIDE_PX
         tabs = gui.add_tab_group() if is_narrow else gui.add_panel()
         folder = gui.add_folder("What happened")
@@ -276,8 +305,14 @@ class _Content:
         self.scene = PageScene(client, profile, source.config())
         self._count = -1
 
+    def end_lead(self) -> None:
+        if self._lead is not None:
+            self._lead.end()
+
     def remove(self) -> None:
         """Take it off the page: of a robot among several, which has no player."""
+        if self._lead is not None:
+            self._lead.remove()
         for part in self._parts:
             part.remove()
         self._client.scene.reset()
@@ -285,6 +320,8 @@ class _Content:
     def update_state(self, snapshot: PageState, measured: MeasuredTopics) -> None:
         if self._player is not None:
             self._player.update(snapshot)
+        if self._lead is not None:
+            self._lead.update()
         self._instruction.content = markup.instruction_text(snapshot)
         self._modules.content = markup.modules_table(snapshot.modules)
         self._joints.content = markup.joints_table(self._profile, measured.joints)

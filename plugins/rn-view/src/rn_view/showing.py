@@ -10,6 +10,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from rn_view.lead import Lead
 from rn_view.measured import MeasuredTopics
 from rn_view.page import Page
 from rn_view.plots import History
@@ -46,6 +47,7 @@ class Showing:
         self._lock = threading.RLock()
         self._pages: list[Page] = []
         self._profile: RobotProfile | None = None
+        self._lead: Lead | None = None
         self._place: tuple[str, str] = ("", "")
         self._history = History()
         self._shown: dict[str, tuple[int, float, float]] = {}
@@ -84,7 +86,8 @@ class Showing:
                 if self.measured is None:
                     self._start_looking()
                 assert self._profile is not None
-                page.show(self._profile, self._history)
+                assert self._lead is not None
+                page.show(self._profile, self._history, self._lead, lambda: self.measured)
                 self._shown = {}  # it gets the pictures that are there, also if no others come
         except RoboNeuronError as error:
             log.error("The view cannot show the robot: %s", error)
@@ -98,8 +101,14 @@ class Showing:
             if not any(other.is_admitted for other in self._pages):
                 self._stop_looking()
 
+    def goal(self) -> dict[str, float] | None:
+        """Where whoever leads from a page wants the joints by now [rad or m]; None without one."""
+        lead, measured = self._lead, self.measured
+        return None if lead is None or measured is None else lead.goal(measured.joints)
+
     def _start_looking(self) -> None:
         self._profile = self.source.profile()
+        self._lead = Lead(self._profile)
         config = self.source.config()
         self._place = (config.robot.name, config.namespace)
         measured = MeasuredTopics(self.source, self._profile)
@@ -114,6 +123,7 @@ class Showing:
 
     def _stop_looking(self) -> None:
         self._looks.clear()
+        self._lead = None
         measured, self.measured = self.measured, None
         if measured is not None:
             measured.close()

@@ -8,13 +8,16 @@ import io
 import logging
 import threading
 from collections.abc import Mapping
+from concurrent.futures import Future
 from typing import Any
 
 import viser
+from websockets.exceptions import ConnectionClosed
 
 from rn_standard.http.addresses import bind
 from rn_standard.http.listener import BoundedListener, other_bounds
 from rn_view.access import Admission
+from rn_view.lead import RENEWED_S, Lead
 from rn_view.measured import MeasuredTopics
 from rn_view.options import ViewOptions
 from rn_view.page import Operator, Page
@@ -29,6 +32,8 @@ _RIGHT_PX = 380
 _CONNECTIONS = 128
 _SILENT_S = 10.0
 """A websocket has this long to become a page; a browser's takes 1 to 5 s."""
+_PROVED_S = 0.2
+"""So often a page that leads is asked whether it is there."""
 _MOST_SILENT, _MOST_WAITING = 32, 32
 """Websockets that are no pages, and pages that show the stop only: the oldest gives way to the
 newest.
@@ -76,6 +81,7 @@ class Viewer:
             for name, one in self._sources.items()
         }
         self._shown: dict[Page, str] = {}
+        self._proofs: set[Future[None]] = set()
 
     @property
     def measured(self) -> MeasuredTopics | None:
@@ -101,7 +107,13 @@ class Viewer:
         Raises:
             ConfigurationError: as `check_port`.
         """
-        web = Web(self._admission, lambda: self._sources, self._visitors.who, self._visitors.cookie)
+        web = Web(
+            self._admission,
+            lambda: self._sources,
+            self._visitors.who,
+            self._visitors.cookie,
+            self._goal,
+        )
         bound = bind("view", self._options.host, self._options.port, self._admission.tokens)
         self._listener = BoundedListener(bound, other_bounds(_CONNECTIONS))
         with (
@@ -138,6 +150,8 @@ class Viewer:
         """End everything; idempotent."""
         for showing in self._showings.values():
             showing.close()
+        for proof in tuple(self._proofs):
+            proof.cancel()
         server, self._server = self._server, None
         if server is not None:
             with contextlib.redirect_stdout(io.StringIO()):
@@ -183,7 +197,12 @@ class Viewer:
 
     def _on_connect(self, client: viser.ClientHandle) -> None:
         page = Page(
-            client, self._sources, self._operators, self._admission.tokens.find, self._choose
+            client,
+            self._sources,
+            self._operators,
+            self._admission.tokens.find,
+            self._choose,
+            self._on_lead,
         )
         page.holder = self._admission.visitor(client.client_id)
         with self._lock:
@@ -226,6 +245,31 @@ class Viewer:
                 page.say_full(self._options.max_viewers)
                 return
             self._showings[robot].admit(page)
+
+    def _goal(self, robot: str) -> dict[str, float] | None:
+        with self._lock:
+            showing = self._showings.get(robot)
+        return None if showing is None else showing.goal()
+
+    def _on_lead(self, page: Page, lead: Lead, who: object) -> None:
+        """A page has begun to lead: it does so while its browser answers."""
+        server = self._server
+        loop = None if server is None else server._websock_server._background_event_loop
+        if loop is not None:
+            proof = self._prove(page.client.client_id, lead, who)
+            running = asyncio.run_coroutine_threadsafe(proof, loop)
+            self._proofs.add(running)
+            running.add_done_callback(self._proofs.discard)
+
+    async def _prove(self, number: int, lead: Lead, who: object) -> None:
+        assert self._server is not None
+        live = self._server._websock_server._live_connections
+        with contextlib.suppress(ConnectionClosed, TimeoutError):
+            while number in live and lead.renew(who):
+                answered = await live[number].ping()
+                await asyncio.wait_for(answered, RENEWED_S)
+                await asyncio.sleep(_PROVED_S)
+        lead.end(who)
 
     def _choose(self, page: Page) -> None:
         """The page is to show another robot."""

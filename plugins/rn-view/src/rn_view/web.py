@@ -23,6 +23,7 @@ from websockets.http11 import Request, Response
 from rn_standard.http.listener import BACKLOG, BoundedListener
 from rn_view import stop_bar
 from rn_view.access import Admission
+from rn_view.lead import LEAD_PATH
 from rn_view.source import Source
 from roboneuron import RoboNeuronError
 
@@ -50,6 +51,7 @@ class Web:
         sources: of the robots by name, as they are now.
         who: who sends a request, for the audit.
         visited: a page was asked for; returns its cookie.
+        goal: where whoever leads the robot of that name wants its joints; None when nobody does.
     """
 
     def __init__(
@@ -58,11 +60,13 @@ class Web:
         sources: Callable[[], Mapping[str, Source]],
         who: Callable[[Request, str], str],
         visited: Callable[[Request], str],
+        goal: Callable[[str], dict[str, float] | None],
     ) -> None:
         self._admission = admission
         self._sources = sources
         self._who = who
         self._visited = visited
+        self._goal = goal
         self._base = stop_bar.base_page()
         self._pages: dict[tuple[str, ...], tuple[bytes, bytes]] = {}
 
@@ -83,6 +87,8 @@ class Web:
         if asked.path == stop_bar.STATE_PATH:
             latched = {name: source.is_latched() for name, source in self._robots().items()}
             return _json(HTTPStatus.OK, {"latched": latched})
+        if asked.path == LEAD_PATH:
+            return self._lead(request, parse_qs(asked.query).get("robot", [""])[0])
         if asked.path == stop_bar.STOP_PATH:
             return await self._stop(
                 connection, request, parse_qs(asked.query).get("robot", [""])[0]
@@ -112,6 +118,25 @@ class Web:
         if "gzip" in request.headers.get("Accept-Encoding", ""):
             return _answer(HTTPStatus.OK, packed, {**headers, "Content-Encoding": "gzip"})
         return _answer(HTTPStatus.OK, plain, headers)
+
+    def _lead(self, request: Request, robot: str) -> Response:
+        tokens = self._admission.tokens
+        scheme, _, token = request.headers.get("Authorization", "").partition(" ")
+        if tokens and (scheme.lower() != "bearer" or tokens.find(token.strip()) is None):
+            text = "The view has tokens; send one of [[http.tokens]] as a bearer token"
+            return _json(HTTPStatus.UNAUTHORIZED, {"text": text})
+        namespaces = {
+            name: source.config().namespace.strip("/") for name, source in self._robots().items()
+        }
+        found = [name for name, own in namespaces.items() if robot in (name, own)]
+        if not found:
+            have = ", ".join(namespaces.values()) or "none"
+            text = f"There is no robot {robot[:80]!r}; the view has {have}"
+            return _json(HTTPStatus.NOT_FOUND, {"text": text})
+        goal = self._goal(found[0])
+        if goal is None:
+            return _json(HTTPStatus.CONFLICT, {"text": "Nobody leads this robot from the page"})
+        return _json(HTTPStatus.OK, {"positions": goal})
 
     async def _stop(self, connection: ServerConnection, request: Request, robot: str) -> Response:
         if request.headers.get(stop_bar.HEADER) != stop_bar.HEADER_VALUE:

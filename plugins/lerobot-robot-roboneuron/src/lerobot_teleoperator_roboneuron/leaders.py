@@ -1,0 +1,199 @@
+"""Where the motion of a leader comes from: joint states on a ROS topic, or a page of the live
+view.
+"""
+
+from __future__ import annotations
+
+import http.client
+import json
+import threading
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Protocol
+from urllib.parse import quote, urlsplit
+
+from roboneuron import ConfigurationError, InvalidInputError
+from roboneuron.command import environment
+
+if TYPE_CHECKING:
+    from sensor_msgs.msg import JointState
+
+    from roboneuron.command import RosLink
+
+_ASKED_S = 1.0 / 40.0
+"""So often the page is asked: more often than lerobot acts."""
+_ANSWER_S = 0.4
+"""A view that answers later is silent. Below the default `timeout_s`."""
+_JSON = "application/json"
+
+
+@dataclass(frozen=True, slots=True)
+class Led:
+    """What a leader has said last.
+
+    Attributes:
+        positions: by joint [rad or m]; empty before the first.
+        at_s: when they came [monotonic s]; 0 before the first.
+        problem: why they cannot be used; empty when they can.
+        silence: what is known of the cause when they do not come.
+    """
+
+    positions: Mapping[str, float] = field(default_factory=dict)
+    at_s: float = 0.0
+    problem: str = ""
+    silence: str = ""
+
+
+class Leader(Protocol):
+    """A source of motion. Usable from any thread."""
+
+    @property
+    def name(self) -> str:
+        """As it stands in a sentence: "on /leader/joint_states"."""
+        ...
+
+    def open(self) -> None:
+        """Begin to listen; does not wait. Raises RoboNeuronError."""
+        ...
+
+    def newest(self, wait_s: float) -> Led:
+        """What came last, or a problem; waits for the first one at most so long [s]."""
+        ...
+
+    def close(self) -> None:
+        """End."""
+        ...
+
+
+class TopicLeader:
+    """Joint states of a leader arm, of a program or of another robot."""
+
+    def __init__(self, topic: str) -> None:
+        """Args:
+        topic: absolute name, sensor_msgs/JointState.
+        """
+        self.name = f"on {topic}"
+        self._topic = topic
+        self._changed = threading.Condition()
+        self._led = Led(silence="Is it publishing joint states there, in the same ROS domain?")
+        self._link: RosLink | None = None
+
+    def open(self) -> None:
+        """See Leader."""
+        environment.prepare_environment()
+        from sensor_msgs.msg import JointState  # heavy: needs the environment
+
+        from roboneuron.command import RosLink  # likewise
+
+        link = RosLink("lerobot_teleoperator")
+        link.open()
+        link.subscribe(JointState, self._topic, self._take)
+        self._link = link
+
+    def newest(self, wait_s: float) -> Led:
+        """See Leader."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._led.at_s > 0.0, wait_s)
+            return self._led
+
+    def close(self) -> None:
+        """See Leader."""
+        link, self._link = self._link, None
+        if link is not None:
+            link.close()
+
+    def _take(self, message: JointState) -> None:
+        from roboneuron.command import messages  # heavy: needs the environment
+
+        problem, positions = "", dict[str, float]()
+        try:
+            joints = messages.joints_from_message(message)
+            positions = dict(zip(joints.names, joints.position.tolist(), strict=True))
+        except InvalidInputError as error:
+            problem = f"A state {self.name} is malformed: {error}"
+        with self._changed:
+            self._led = Led(positions, time.monotonic(), problem, self._led.silence)
+            self._changed.notify_all()
+
+
+class PageLeader:
+    """A person who leads from a page of the live view, as its server serves it under `/lead`."""
+
+    def __init__(self, view: str, robot: str, token: str) -> None:
+        """Args:
+        view: address of the view, "http://127.0.0.1:8780".
+        robot: namespace of the robot.
+        token: of [[http.tokens]]; empty for a view without tokens.
+
+        Raises:
+            ConfigurationError: the address is none.
+        """
+        parts = urlsplit(view)
+        if parts.scheme != "http" or not parts.hostname:
+            raise ConfigurationError(f"view is {view!r}, expected http://HOST:PORT.")
+        self.name = f"on the page {view}"
+        self._address = parts.hostname, parts.port or 80
+        self._path = f"/lead?robot={quote(robot)}"
+        self._headers = {"Authorization": f"Bearer {token}"} if token else {}
+        self._changed = threading.Condition()
+        self._led = Led(silence="The view has not answered yet.")
+        self._ending = threading.Event()
+        self._thread: threading.Thread | None = None
+
+    def open(self) -> None:
+        """See Leader."""
+        self._ending.clear()
+        self._thread = threading.Thread(target=self._run, name="view-leader", daemon=True)
+        self._thread.start()
+
+    def newest(self, wait_s: float) -> Led:
+        """See Leader."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._led.at_s > 0.0 or bool(self._led.problem), wait_s)
+            return self._led
+
+    def close(self) -> None:
+        """See Leader."""
+        self._ending.set()
+        thread, self._thread = self._thread, None
+        if thread is not None:
+            thread.join()
+
+    def _run(self) -> None:
+        while not self._ending.is_set():
+            led = self._ask()
+            with self._changed:
+                self._led = led
+                self._changed.notify_all()
+            self._ending.wait(_ASKED_S)
+
+    def _ask(self) -> Led:
+        """The next state; a view that is silent leaves the one before, which grows old."""
+        before = self._led
+        try:
+            status, answer = self._get()
+        except (OSError, http.client.HTTPException, ValueError) as error:
+            return Led(before.positions, before.at_s, "", f"The view does not answer: {error}.")
+        text = str(answer.get("text", "")).rstrip(".")
+        if status == http.HTTPStatus.OK:
+            positions = answer.get("positions")
+            if not isinstance(positions, dict):
+                return Led(problem=f"{self.name} is no live view of RoboNeuron.")
+            return Led(
+                {str(key): float(value) for key, value in positions.items()}, time.monotonic()
+            )
+        if status == http.HTTPStatus.CONFLICT:
+            return Led(before.positions, before.at_s, "", f"{text}.")
+        return Led(problem=f"The leader {self.name} was refused: {text or status}.")
+
+    def _get(self) -> tuple[int, dict[str, object]]:
+        connection = http.client.HTTPConnection(*self._address, timeout=_ANSWER_S)
+        try:
+            connection.request("GET", self._path, headers=self._headers)
+            response = connection.getresponse()
+            body = response.read()
+        finally:
+            connection.close()
+        answer = json.loads(body) if response.getheader("Content-Type") == _JSON else {}
+        return response.status, answer if isinstance(answer, dict) else {}
