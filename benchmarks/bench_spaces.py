@@ -20,6 +20,7 @@ import numpy as np
 from rn_controller_urdf.controller import UrdfController
 from rn_controller_urdf.plugin import roboneuron_controllers
 from rn_robot_fr3.profile import HOME_RAD, profile
+from rn_standard.inference.agreement import SpaceAgreement, agree
 from roboneuron.config import LimitsConfig
 from roboneuron.contract import (
     EE_DELTA,
@@ -30,8 +31,6 @@ from roboneuron.contract import (
     Hold,
     JointCommand,
     JointSample,
-    SpaceAgreement,
-    agree,
     robot_space,
 )
 from roboneuron.gate.motion import MotionLimiter, motion_rules

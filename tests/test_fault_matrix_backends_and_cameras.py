@@ -17,8 +17,8 @@ from rn_standard.fastdds.segments import PORT_PREFIX, SHARED_MEMORY, owned_segme
 from rn_standard.ops.memory import MemoryWatch
 from rn_standard.ops.options import MemoryOptions
 from rn_standard.selection.requests import StartChosenInference
+from rn_standard.tools_loop.results import ModuleStatus
 from roboneuron.server.loop import ClosedLoop
-from roboneuron.server.results import ModuleStatus
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 from fault_loop import PARTS, JointWitness, fail, moving_cell

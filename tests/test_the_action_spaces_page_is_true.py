@@ -14,14 +14,13 @@ import pytest
 from rn_controller_urdf.controller import UrdfController
 from rn_controller_urdf.plugin import roboneuron_controllers
 from rn_robot_fr3.profile import profile
+from rn_standard.inference.agreement import SpaceAgreement, agree
 from roboneuron.contract import (
     EE_DELTA,
     SPACE_KINDS,
     ActionChunk,
     Channel,
     ControlSpace,
-    SpaceAgreement,
-    agree,
     robot_space,
 )
 from roboneuron.errors import RoboNeuronError

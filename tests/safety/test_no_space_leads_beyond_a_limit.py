@@ -30,13 +30,12 @@ from rn_robot_fr3.profile import (
     WORKSPACE_UPPER_M,
     profile,
 )
+from rn_standard.inference.agreement import SpaceAgreement, agree
 from roboneuron.contract import (
     SPACE_KINDS,
     ActionChunk,
     ControlSpace,
     RobotProfile,
-    SpaceAgreement,
-    agree,
     robot_space,
 )
 from roboneuron.errors import RoboNeuronError

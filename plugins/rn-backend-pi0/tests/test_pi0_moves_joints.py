@@ -20,6 +20,7 @@ from rn_backend_pi0.plugin import roboneuron_backends
 from rn_backend_pi0.profiles import JOINT_PROFILES
 from rn_backend_pi0.space import pi0_space
 from rn_backend_pi0.tiny import make_tiny
+from rn_standard.inference.agreement import agree
 from roboneuron import (
     EE_DELTA,
     SPACE_KINDS,
@@ -32,7 +33,6 @@ from roboneuron import (
     RobotProfile,
     UngroundedError,
 )
-from roboneuron.contract import agree
 
 Observe = Callable[..., Observation]
 ARM = tuple(f"arm_joint{i}" for i in range(1, 8))

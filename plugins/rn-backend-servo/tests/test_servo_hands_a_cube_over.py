@@ -18,6 +18,7 @@ from rn_robot_fr3.profile import pair_profile
 from rn_robot_fr3.profile import profile as single_profile
 from rn_robot_fr3.simulation import STEP_S, ArmSimulation
 from rn_simulation.engine import ENGINES
+from rn_standard.inference.agreement import agree
 from rn_testing import BackendCase, BackendContract
 from roboneuron.config import LimitsConfig
 from roboneuron.contract import (
@@ -27,7 +28,6 @@ from roboneuron.contract import (
     JointCommand,
     JointSample,
     Observation,
-    agree,
 )
 from roboneuron.errors import InvalidInputError, UngroundedError
 from roboneuron.gate.motion import MotionLimiter, motion_rules

@@ -16,8 +16,8 @@ from rn_backend_servo.chunk import pose_after, rows_done
 from rn_backend_servo.options import ServoOptions
 from rn_standard.execution.adaptive import AdaptiveExecutor
 from rn_standard.execution.mode import Abilities
+from rn_standard.inference.execution import Bounds, Prediction
 from roboneuron.contract import ActionChunk, Ahead, Observation
-from roboneuron.modules.execution import Bounds, Prediction
 
 CUBE_M = (0.5, -0.1)
 ROWS = 12

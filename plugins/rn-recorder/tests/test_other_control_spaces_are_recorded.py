@@ -25,8 +25,8 @@ from rn_recorder_runs.files import Record, RunFile, copy_records, read_records
 from rn_recorder_runs.lerobot import export
 from rn_recorder_runs.replay import EXACT, Compared, Observations, check_labels, replay
 from rn_recorder_runs.store import Run
+from rn_standard.inference.agreement import SpaceAgreement
 from roboneuron import ACTION_LABEL, ControlSpace, InvalidInputError
-from roboneuron.feature import SpaceAgreement
 from roboneuron.ros.messages import to_action_message
 
 KINDS = ("joint_position", "joint_velocity")

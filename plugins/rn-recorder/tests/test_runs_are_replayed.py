@@ -17,9 +17,9 @@ from rn_recorder_runs.images import IMAGE, to_string
 from rn_recorder_runs.lerobot import export
 from rn_recorder_runs.replay import EXACT, Compared, Observations, replay
 from rn_recorder_runs.store import Run
+from rn_standard.inference.agreement import SpaceAgreement
 from rn_testing.fakes import gantry_profile
 from roboneuron import EE_DELTA, ActionChunk, InvalidInputError, Observation, UngroundedError
-from roboneuron.feature import SpaceAgreement
 
 AGREEMENT = SpaceAgreement(declared=EE_DELTA, executed=EE_DELTA, columns=tuple(range(7)))
 INSTRUCTIONS = [("pick up the cup", "success"), ("put it down", "failure")]

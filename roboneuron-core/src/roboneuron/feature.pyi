@@ -10,9 +10,6 @@ from . import (
     estop as estop,
     log_files as log_files,
 )
-from .cli import (
-    terminal as terminal,
-)
 from .config import (
     models as models,
     reading as reading,
@@ -28,16 +25,12 @@ from .gate.motion import (
     task_space as task_space,
 )
 from .modules import (
-    execution as execution,
     settings as settings,
 )
 from .plugins import (
-    availability as availability,
-    descriptor as descriptor,
     loading as loading,
 )
 from .ros import (
-    environment as environment,
     messages as messages,
     qos as qos,
     topics as topics,
@@ -45,7 +38,6 @@ from .ros import (
 from .server import (
     access as access,
     envelope as envelope,
-    results as results,
     schema as schema,
 )
 from .supervisor import (
@@ -53,21 +45,13 @@ from .supervisor import (
 )
 
 # Single names.
-from .cli.main import (
-    CommandModule as CommandModule,
-    all_commands as all_commands,
-    load_command as load_command,
-    spoken as spoken,
-)
 from .config.models import (
     Config as Config,
 )
 from .config.reading import (
     feature_options as feature_options,
-    load_config as load_config,
 )
 from .contract import (
-    SpaceAgreement as SpaceAgreement,
     TOPIC_RULE as TOPIC_RULE,
 )
 from .contract.arrays import (
@@ -86,7 +70,6 @@ from .estop.motion_starts import (
     MotionStarts as MotionStarts,
 )
 from .gate.audit import (
-    AUDIT_FILE as AUDIT_FILE,
     AuditLog as AuditLog,
     AuditRecord as AuditRecord,
 )
@@ -103,53 +86,27 @@ from .gate.motion.rules import (
     motion_rules as motion_rules,
     poses_of as poses_of,
 )
-from .modules.control import (
-    ControlModule as ControlModule,
-)
-from .modules.inference import (
-    InferenceModule as InferenceModule,
-)
-from .modules.handover import (
-    Handover as Handover,
-)
 from .modules.module_host import (
-    Module as Module,
     ModuleHost as ModuleHost,
 )
-from .modules.parent_watch import (
-    Signals as Signals,
-)
 from .modules.plugin import (
-    agree_on_space as agree_on_space,
     build as build,
     load_profile as load_profile,
 )
 from .modules.report import (
+    ModuleFacts as ModuleFacts,
     Report as Report,
 )
 from .modules.settings import (
     MODULE_KINDS as MODULE_KINDS,
     ModuleKind as ModuleKind,
 )
-from .modules.status import (
-    StatusWriter as StatusWriter,
-)
-from .planning import (
-    Plan as Plan,
-    check_plan as check_plan,
-)
 from .plugins.discovery import (
     discover as discover,
-    discover_from as discover_from,
 )
 from .plugins.registry import (
     Offer as Offer,
-    PluginRecord as PluginRecord,
     Registry as Registry,
-    Status as Status,
-)
-from .plugins.specs import (
-    PLUGIN_KINDS as PLUGIN_KINDS,
 )
 from .ros.link import (
     Call as Call,
@@ -158,7 +115,6 @@ from .ros.link import (
 )
 from .server.app import (
     Application as Application,
-    make_served as make_served,
 )
 from .server.events import (
     Events as Events,
@@ -166,8 +122,9 @@ from .server.events import (
 from .server.feature import (
     Transport as Transport,
 )
-from .server.lifecycle_tools import (
+from .server.stop_tools import (
     EmergencyStopArguments as EmergencyStopArguments,
+    EmergencyStopResult as EmergencyStopResult,
 )
 from .server.loop import (
     ClosedLoop as ClosedLoop,
@@ -203,13 +160,12 @@ from .server.schema import (
 from .server.selection import (
     Instruction as Instruction,
     KIND_ENTRIES as KIND_ENTRIES,
+    KindEntry as KindEntry,
     ModuleSection as ModuleSection,
     Selection as Selection,
-    check_configuration as check_configuration,
     check_instruction as check_instruction,
 )
 from .server.surface import (
-    instructions_for as instructions_for,
     make_server as make_server,
 )
 from .server.tool import (
@@ -237,6 +193,7 @@ from .supervisor.process import (
     read_tail as read_tail,
 )
 from .supervisor.slot import (
+    Phase as Phase,
     Slot as Slot,
 )
 

@@ -89,10 +89,10 @@ class World:
         shadow: bool = False,
     ) -> Any:
         """Build a module's node; the caller triggers its transitions."""
+        from rn_standard.inference.module import InferenceModule
+        from rn_standard.perception.module import PerceptionModule
         from roboneuron.modules.control import ControlModule
-        from roboneuron.modules.inference import InferenceModule
         from roboneuron.modules.module import ModuleNode
-        from roboneuron.modules.perception import PerceptionModule
         from roboneuron.modules.robot import RobotModule
 
         classes = {

@@ -12,6 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from rn_standard.inference.execution import Prediction
+from rn_standard.inference.module import InferenceModule
 from roboneuron.contract import (
     Action,
     ActionChunk,
@@ -31,9 +33,7 @@ from roboneuron.contract import (
 )
 from roboneuron.contract.arrays import F64
 from roboneuron.errors import CheckpointError, NotReadyError, UngroundedError
-from roboneuron.modules.execution import Prediction
 from roboneuron.modules.handover import Handover
-from roboneuron.modules.inference import InferenceModule
 from roboneuron.plugins.hookspecs import hookimpl
 from roboneuron.plugins.specs import (
     ActionSpace,

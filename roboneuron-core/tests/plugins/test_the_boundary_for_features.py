@@ -1,33 +1,39 @@
-"""`roboneuron.feature` offers what it lists, lazily, and nothing that `roboneuron` has under
-another meaning.
+"""`roboneuron.feature`, `.command` and `.node` offer what they list, lazily, and nothing that
+`roboneuron` has under another meaning.
 """
 
 from __future__ import annotations
 
 import subprocess
 import sys
+from importlib import import_module
 
 import pytest
 
 import roboneuron
-import roboneuron.feature
+
+LISTS = ("roboneuron.feature", "roboneuron.command", "roboneuron.node")
 
 
-def test_every_name_is_there_and_none_is_in_both() -> None:
-    for name in roboneuron.feature.__all__:
-        assert getattr(roboneuron.feature, name) is not None
-    assert set(roboneuron.feature.__all__) & set(roboneuron.__all__) == set()
+@pytest.mark.parametrize("of", LISTS)
+def test_every_name_is_there_and_none_is_public_too(of: str) -> None:
+    listed = import_module(of)
+    for name in listed.__all__:
+        assert getattr(listed, name) is not None
+    assert set(listed.__all__) & set(roboneuron.__all__) == set()
 
 
-def test_a_name_that_is_not_listed_is_no_attribute() -> None:
-    with pytest.raises(AttributeError, match="no attribute 'Bringup'"):
-        _ = roboneuron.feature.Bringup  # type: ignore[attr-defined]
+@pytest.mark.parametrize("of", LISTS)
+def test_a_name_that_is_not_listed_is_no_attribute(of: str) -> None:
+    with pytest.raises(AttributeError, match=f"{of!r} has no attribute 'Bringup'"):
+        _ = import_module(of).Bringup
 
 
-def test_importing_it_imports_nothing_heavy() -> None:
+@pytest.mark.parametrize("of", LISTS)
+def test_importing_it_imports_nothing_heavy(of: str) -> None:
     script = (
-        "import sys, roboneuron.feature; print([m for m in ('numpy', 'pydantic', 'rclpy', "
-        "'mcp') if m in sys.modules])"
+        f"import sys, {of}; print([m for m in ('numpy', 'pydantic', 'rclpy', 'mcp') "
+        "if m in sys.modules])"
     )
     assert (
         subprocess.run(

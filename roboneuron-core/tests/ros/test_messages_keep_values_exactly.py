@@ -12,6 +12,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import CameraInfo, Image, JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from rn_standard.inference.inputs import CalibratedCamera
 from roboneuron.contract import (
     ACTION_LABEL,
     CameraCalibration,
@@ -24,7 +25,6 @@ from roboneuron.contract import (
     Pose,
 )
 from roboneuron.errors import InvalidInputError
-from roboneuron.modules.inputs import CalibratedCamera
 from roboneuron.ros import messages
 
 FINITE = st.floats(allow_nan=False, allow_infinity=False)

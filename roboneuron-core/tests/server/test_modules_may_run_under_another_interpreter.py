@@ -7,13 +7,14 @@ from __future__ import annotations
 import pytest
 
 from roboneuron.config import Config
-from roboneuron.errors import RoboNeuronError
+from roboneuron.errors import ConfigurationError, RoboNeuronError
 from roboneuron.plugins.registry import Offer, Registry, Status
 from roboneuron.plugins.specs import (
     BackendSpec,
     CameraSpec,
     ControllerSpec,
     DriverSpec,
+    FeatureSpec,
     PerceptionSpec,
     Requirement,
     RobotSpec,
@@ -34,10 +35,17 @@ PARTS = (
     ControllerSpec(name="ik", summary="I.", target=TARGET, requires=ABSENT),
     BackendSpec(name="policy", summary="P.", target=TARGET, requires=ABSENT),
 )
+FEATURES = tuple(
+    FeatureSpec(name=kind, summary="F.", target=TARGET, module=TARGET)
+    for kind in ("perception", "inference")
+)
 REGISTRY = Registry(
     plugins=(),
     all_offers=(
-        Offer(spec=ARM, plugin="rn-test", distribution="rn-test", status=Status.READY),
+        *(
+            Offer(spec=s, plugin="rn-test", distribution="rn-test", status=Status.READY)
+            for s in (ARM, *FEATURES)
+        ),
         *(
             Offer(
                 spec=s,
@@ -68,3 +76,15 @@ def test_its_plugin_needs_nothing_here(kind):
     del sections[kind]["python"]
     with pytest.raises(RoboNeuronError, match="absent_x"):
         Selection.of(kind, Config.model_validate(sections), REGISTRY)
+
+
+def test_a_module_that_no_feature_brings_is_refused_before_it_is_started():
+    offers = tuple(offer for offer in REGISTRY.all_offers if offer.spec not in FEATURES)
+    registry = Registry(plugins=(), all_offers=offers)
+    sections = {name: {**section, "python": "/x"} for name, section in SECTIONS.items()}
+    with pytest.raises(
+        ConfigurationError, match="No feature that runs inference modules"
+    ) as caught:
+        Selection.of("inference", Config.model_validate(sections), registry)
+    assert "rn-inference" in caught.value.hint
+    assert Selection.of("control", Config.model_validate(sections), registry).kind == "control"

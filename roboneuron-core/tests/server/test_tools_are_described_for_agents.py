@@ -12,6 +12,7 @@ import jsonschema
 import pytest
 from mcp import Client, types
 
+from rn_standard.tools_loop.results import ModuleStatus
 from rn_testing.fakes import fake_registry
 from roboneuron.config import Config
 from roboneuron.modules.report import Report
@@ -19,7 +20,6 @@ from roboneuron.plugins.registry import Registry
 from roboneuron.plugins.specs import DriverSpec, RobotSpec
 from roboneuron.server.app import Application
 from roboneuron.server.plugins import PluginCatalogue
-from roboneuron.server.results import ModuleStatus
 from roboneuron.server.tool import CallContext, NoArguments, Result, Tool
 from roboneuron.supervisor.health import ModuleView
 

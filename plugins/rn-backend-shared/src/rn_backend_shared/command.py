@@ -31,7 +31,7 @@ class SharedModelCommand:
         from rn_backend_shared.options import SharedOptions
         from rn_backend_shared.plugin import BACKEND
         from rn_backend_shared.server import serve
-        from roboneuron.feature import load_config, loading
+        from roboneuron.command import load_config, loading
 
         options = loading.load_options(BACKEND, load_config(arguments.config).options(BACKEND.name))
         assert isinstance(options, SharedOptions)

@@ -19,7 +19,7 @@ from roboneuron import (
     RoboNeuronError,
     RuntimeSpec,
 )
-from roboneuron.feature import build, discover
+from roboneuron.command import build, discover
 
 Many = Callable[[Sequence[Observation]], Sequence[ActionChunk]]
 METHOD = "predict_batch"

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from rn_eval.suite import Setup
 from roboneuron import Action, Controller, Hold, JointCommand, JointSample
-from roboneuron.feature import MotionLimiter, inspector_of, motion_rules, settings
+from roboneuron.command import MotionLimiter, inspector_of, motion_rules, settings
 
 F64 = NDArray[np.float64]
 

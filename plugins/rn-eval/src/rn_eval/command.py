@@ -253,7 +253,7 @@ def _resumed(arguments: Namespace) -> EvalPlan:
 def _with_versions(plan: EvalPlan) -> EvalPlan:
     """The plan with the versions that are installed now."""
     from rn_eval.versions import installed_versions
-    from roboneuron.feature import discover
+    from roboneuron.command import discover
 
     return plan.model_copy(update={"versions": installed_versions(plan, discover())})
 
@@ -274,7 +274,7 @@ def _serve(arguments: Namespace) -> int:
     from rn_eval.policy import load_backend
     from rn_eval.runner import refuse_early
     from roboneuron import BackendSpec
-    from roboneuron.feature import discover
+    from roboneuron.command import discover
 
     plan = EvalPlan(
         suite=arguments.suite,
@@ -308,7 +308,7 @@ def _serve(arguments: Namespace) -> int:
 
 def _config(arguments: Namespace) -> dict[str, object]:
     """The configuration with the options of suite and command line in it."""
-    from roboneuron.feature import load_config
+    from roboneuron.command import load_config
 
     config = load_config(arguments.config).model_dump(mode="json")
     options: dict[str, Any] = config["plugins"]
@@ -363,7 +363,7 @@ def _planned(arguments: Namespace) -> EvalPlan:
 
 def _options_of_suite(suite: str) -> Sequence[str]:
     from rn_eval.hooks import SuiteSpec
-    from roboneuron.feature import discover
+    from roboneuron.command import discover
 
     spec = discover().get("suite", suite)
     assert isinstance(spec, SuiteSpec)
@@ -404,7 +404,7 @@ def _report(arguments: Namespace) -> int:
 
 
 def _list_suites() -> int:
-    from roboneuron.feature import discover
+    from roboneuron.command import discover
 
     for name, spec in discover().specs("suite").items():
         print(f"{name}  {spec.summary}")

@@ -30,7 +30,7 @@ from rn_testing.rule import Rule, require
 from rn_testing.rules.descriptor import RULES as OF_EVERY_DESCRIPTOR
 from rn_testing.snapshots import snapshot
 from roboneuron import Controller, Observation
-from roboneuron.feature import build, discover, load_config, load_profile
+from roboneuron.command import build, discover, load_config, load_profile
 
 STAMP_NS = 7_000_000_000
 """Of the pictures that the rules take."""

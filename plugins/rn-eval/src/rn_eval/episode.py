@@ -20,8 +20,8 @@ from rn_eval.policy import Policy
 from rn_eval.record import EpisodeOutcome
 from rn_eval.suite import Episode, Judgement, Scene
 from rn_standard.execution.adaptive import AdaptiveExecutor
+from rn_standard.inference import execution
 from roboneuron import ActionChunk, NotReadyError, RoboNeuronError
-from roboneuron.feature import execution
 
 WATCH_S = 0.1
 """Period of the control module's watchdog."""

@@ -18,7 +18,7 @@ from rn_eval.pools import Pool
 from rn_eval.progress import ProgressView
 from rn_eval.record import EpisodeRecord
 from rn_eval.runner import refuse_early
-from roboneuron.feature import discover
+from roboneuron.command import discover
 
 
 def evaluate(

@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from rn_eval.hooks import SuiteSpec
 from rn_eval.suite import Episode, Suite
 from roboneuron import ConfigurationError
-from roboneuron.feature import Config, Offer, Plan, Registry, Status, build, check_plan
+from roboneuron.command import Config, Offer, Plan, Registry, Status, build, check_plan
 
 NO_PRESET = "none"
 _SAMPLE_BYTES = 65536

@@ -23,9 +23,9 @@ from rn_eval.suite import Setup
 from rn_eval.versions import installed_versions
 from rn_standard.execution.adaptive import AdaptiveExecutor
 from rn_standard.execution.mode import Mode, abilities_of
+from rn_standard.inference.execution import Bounds
 from roboneuron import BackendSpec, Controller, RoboNeuronError
-from roboneuron.feature import build, collision_of, discover, load_profile
-from roboneuron.feature import execution as core_execution
+from roboneuron.command import build, collision_of, discover, load_profile
 
 _DEFAULT_IMAGE_AGE_S = 0.5
 _ERROR_LINES = 6
@@ -143,7 +143,7 @@ class Runner:
         most_s = inference.max_image_age_s if inference is not None else _DEFAULT_IMAGE_AGE_S
         fixed = None if execution == "auto" else cast("Mode", execution)
         return AdaptiveExecutor(
-            abilities_of(self._spec), fixed=fixed, bounds=core_execution.Bounds(first_s=most_s)
+            abilities_of(self._spec), fixed=fixed, bounds=Bounds(first_s=most_s)
         )
 
     def _policy_of(self, preset: str) -> Policy:

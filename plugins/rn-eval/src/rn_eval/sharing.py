@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, cast
 from rn_eval.plan import EvalPlan
 from rn_eval.policy import BatchBackend, load_backend
 from roboneuron import ActionChunk, Backend, ConfigurationError, Observation, PluginError
-from roboneuron.feature import discover
+from roboneuron.command import discover
 
 MOST_IN_BATCH = 32
 _GATHER_S = 0.002

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roboneuron import CameraProfile, Controller, Observation, RobotProfile
-from roboneuron.feature import Config
+from roboneuron.command import Config
 
 F64 = NDArray[np.float64]
 

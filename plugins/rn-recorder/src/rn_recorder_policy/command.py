@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from rn_recorder_policy.demonstration import Demonstration
     from rn_recorder_policy.report import CheckReport
     from rn_recorder_runs.deployed import DeployedBackend
-    from roboneuron.feature import Config
+    from roboneuron.command import Config
 
 
 class CheckPolicy:
@@ -94,7 +94,7 @@ def check_policy(arguments: Namespace) -> CheckReport:
     from rn_recorder_policy.diagnosis import diagnose
     from rn_recorder_policy.name_mapping import NameMapping, parse_renamed
     from rn_recorder_policy.report import CheckReport
-    from roboneuron.feature import load_config
+    from roboneuron.command import load_config
 
     if arguments.frames < LEAST_FRAMES:
         raise InvalidInputError(f"--frames is {arguments.frames}, expected >= {LEAST_FRAMES}.")

@@ -17,7 +17,7 @@ from roboneuron import (
     RobotProfile,
     robot_space,
 )
-from roboneuron.feature import nearest
+from roboneuron.command import nearest
 
 F64 = NDArray[np.float64]
 POSITION = ("x_m", "y_m", "z_m")

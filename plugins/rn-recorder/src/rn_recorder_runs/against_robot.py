@@ -17,7 +17,7 @@ import anyio
 from rn_recorder_runs.settings import PLAY, SWITCH
 from rn_standard.console.client import spawned_server
 from roboneuron import ConfigurationError, NotReadyError, RefusedError
-from roboneuron.feature import ERROR_META, load_config
+from roboneuron.command import ERROR_META, load_config
 
 if TYPE_CHECKING:
     from mcp import Client

@@ -128,7 +128,7 @@ def open_store(arguments: Namespace) -> Store:
     from rn_recorder.options import RecorderOptions
     from rn_recorder.plugin import FEATURE
     from rn_recorder_runs.store import Store
-    from roboneuron.feature import environment, feature_options, load_config
+    from roboneuron.command import environment, feature_options, load_config
 
     if arguments.directory:
         return Store(arguments.directory)

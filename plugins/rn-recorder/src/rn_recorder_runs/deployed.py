@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, cast
 from roboneuron import Backend, BackendSpec, CameraProfile, ConfigurationError, RobotProfile
 
 if TYPE_CHECKING:
-    from roboneuron.feature import Config, SpaceAgreement
+    from rn_standard.inference.agreement import SpaceAgreement
+    from roboneuron.command import Config
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,7 +55,8 @@ def build_backend(
         ConfigurationError: options of a plugin that is not used here.
         RoboNeuronError: the backend does not fit the robot, or cannot be built.
     """
-    from roboneuron.feature import agree_on_space, build, check_plan, discover, load_profile
+    from rn_standard.inference.agreement import agree_on_space
+    from roboneuron.command import build, check_plan, discover, load_profile
 
     registry = discover(settings.disabled_plugins)
     plan = check_plan(

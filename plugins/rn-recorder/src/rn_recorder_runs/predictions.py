@@ -9,10 +9,11 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, cast
 
 from roboneuron import ActionChunk, Observation
-from roboneuron.feature import topics
+from roboneuron.node import topics
 
 if TYPE_CHECKING:
-    from roboneuron.feature import InferenceModule, Module, ModuleHost
+    from rn_standard.inference.module import InferenceModule
+    from roboneuron.node import Module, ModuleHost
 
 _MOST_KEPT = 20
 

@@ -36,7 +36,7 @@ from roboneuron import (
 )
 
 if TYPE_CHECKING:
-    from roboneuron.feature import SpaceAgreement
+    from rn_standard.inference.agreement import SpaceAgreement
 
 F64 = NDArray[np.float64]
 EXACT = 1e-9
@@ -250,7 +250,7 @@ class Observations:
         )
 
     def _frame(self, record: Record, camera: CameraProfile) -> Frame:
-        from roboneuron.feature import messages  # heavy
+        from roboneuron.command import messages  # heavy
 
         message = self._decoder.decode(record)
         image = pixels_of(message, record.type)
@@ -366,7 +366,7 @@ def load_replayed(
         RoboNeuronError: the backend does not fit the robot, or cannot be loaded; or as
             `build_backend` and `Observations`.
     """
-    from roboneuron.feature import load_config
+    from roboneuron.command import load_config
 
     about = read_about(files[0])
     settings = load_config(config)

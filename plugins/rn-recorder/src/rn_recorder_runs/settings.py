@@ -12,7 +12,7 @@ from typing import Literal
 from pydantic import BaseModel, ConfigDict
 
 from rn_recorder_runs.transforms import CameraMount
-from roboneuron.feature import environment, log_files
+from roboneuron.command import environment, log_files
 
 SWITCH, PLAY = "ROBONEURON_RECORDER", "play"
 """Environment variable of a server: with "off" nothing is recorded (tests, small machines); with

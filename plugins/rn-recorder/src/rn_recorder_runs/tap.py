@@ -27,7 +27,7 @@ from rn_recorder_runs.channels import describe_channel
 from rn_recorder_runs.files import Record
 from rn_recorder_runs.images import IMAGE
 from rn_recorder_runs.schemas import definition
-from roboneuron.feature import qos as core_qos
+from roboneuron.command import qos as core_qos
 
 log = logging.getLogger(__name__)
 LOOK_S = 0.1

@@ -11,9 +11,9 @@ from rn_standard.execution.adaptive import AdaptiveExecutor
 from rn_standard.execution.latency import LatencyWindow
 from rn_standard.execution.mode import Abilities, Mode, ModeSelector, choose
 from rn_standard.execution.queue import SentRowQueue, cross_fade
+from rn_standard.inference.execution import Bounds
 from roboneuron.contract import ActionChunk, Frame, Observation, Pose
 from roboneuron.errors import InvalidInputError, NotReadyError
-from roboneuron.modules.execution import Bounds
 
 STEP_S = 0.05
 STEP_NS = round(STEP_S * 1e9)

@@ -12,6 +12,7 @@ from rn_standard.execution.adaptive import AdaptiveExecutor
 from rn_standard.execution.mode import Abilities, Mode
 from rn_standard.execution.queue import SentRowQueue, cross_fade
 from rn_standard.execution.roll_forward import roll_forward
+from rn_standard.inference.execution import Bounds
 from roboneuron.contract import (
     EE_DELTA,
     ActionChunk,
@@ -24,7 +25,6 @@ from roboneuron.contract import (
     robot_space,
 )
 from roboneuron.contract.rotation import matrix_from_quaternion, rotvec_from_matrix
-from roboneuron.modules.execution import Bounds
 
 STEP_S = 0.1
 STEP_NS = round(STEP_S * 1e9)

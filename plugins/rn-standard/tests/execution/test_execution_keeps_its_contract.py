@@ -11,10 +11,10 @@ import pytest
 from rn_standard.execution.adaptive import AdaptiveExecutor
 from rn_standard.execution.feature import join
 from rn_standard.execution.plugin import FEATURE
+from rn_standard.inference.execution import Bounds, executor_maker
 from rn_testing import FeatureCase, FeatureContract, PackageCase, PackageContract
 from roboneuron import ActionSpace, BackendSpec
 from roboneuron.errors import ConfigurationError
-from roboneuron.modules.execution import Bounds, make_sequential
 
 BACKEND = BackendSpec(
     name="plain", summary="x", target="x:X", action_space=ActionSpace(step_s=0.05)
@@ -35,16 +35,16 @@ class TestPackage(PackageContract):
 
 
 def test_a_module_that_joins_gets_the_executor_of_this_package() -> None:
-    host = SimpleNamespace(make_executor=make_sequential)
+    host = SimpleNamespace(lent={})
     join(host)  # type: ignore[arg-type]
-    made = host.make_executor(BACKEND, "overlap", BOUNDS)
+    made = executor_maker(host)(BACKEND, "overlap", BOUNDS)
     assert isinstance(made, AdaptiveExecutor)
     assert made.values()["mode"] == "overlap"
 
 
 @pytest.mark.parametrize("mode", ["rtc", "predicted-state"])
 def test_a_mode_that_the_backend_cannot_do_is_refused(mode: str) -> None:
-    host = SimpleNamespace(make_executor=make_sequential)
+    host = SimpleNamespace(lent={})
     join(host)  # type: ignore[arg-type]
     with pytest.raises(ConfigurationError, match=f"{mode!r}, which backend 'plain' cannot do"):
-        host.make_executor(BACKEND, mode, BOUNDS)
+        executor_maker(host)(BACKEND, mode, BOUNDS)

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from rn_standard.inference.execution import Prediction
 from rn_standard.switching.handover import TimedHandover
 from rn_standard.switching.inference_handover import come_between
 from rn_standard.switching.standby import ACT_FROM, ACT_UNTIL
 from roboneuron import ACTION_FIELDS, ActionChunk, NotReadyError, Observation
-from roboneuron.modules.execution import Prediction
 from roboneuron.modules.status import StatusWriter
 
 NOW_NS = 10**18

@@ -23,7 +23,7 @@ from roboneuron import (
     RobotProfile,
     RobotSpec,
 )
-from roboneuron.feature import loading
+from roboneuron.command import loading
 
 if TYPE_CHECKING:
     from pydantic import BaseModel

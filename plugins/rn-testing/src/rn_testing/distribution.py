@@ -11,18 +11,27 @@ import os
 import re
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from importlib.machinery import PathFinder
 from importlib.metadata import Distribution, EntryPoint, distributions, entry_points
 from pathlib import Path
+from types import ModuleType
 
+import roboneuron.command
 import roboneuron.feature
+import roboneuron.node
 from rn_testing.cases import PackageCase
 from rn_testing.rule import Violation
 
 PROJECT = "roboneuron"
 """The core's package, and the group of entry points."""
+LISTS: Mapping[str, ModuleType] = {
+    "roboneuron.feature": roboneuron.feature,
+    "roboneuron.command": roboneuron.command,
+    "roboneuron.node": roboneuron.node,
+}
+"""Modules that list what plugins of a kind may use of the core beside `roboneuron`."""
 PROBE_LIMIT_S = 60.0
 """Bound on a fresh interpreter's start and import."""
 
@@ -178,7 +187,7 @@ def hosted_directories(case: PackageCase) -> Iterator[Path]:
 
 def imported_modules(path: Path) -> tuple[tuple[str, int], ...]:
     """Absolute names of the modules that a file imports anywhere, with line numbers; of modules in
-    `roboneuron.feature` also the names that it uses.
+    `LISTS` also the names that it uses.
     """
     status = path.stat()
     return _imported_modules(path, status.st_mtime_ns, status.st_size)
@@ -205,16 +214,16 @@ def _imports(tree: ast.Module) -> Iterator[tuple[str, int]]:
 
 def _uses_of_groups(tree: ast.Module) -> Iterator[tuple[str, int]]:
     groups = {
-        alias.asname or alias.name: alias.name
+        alias.asname or alias.name: f"{node.module}.{alias.name}"
         for node in ast.walk(tree)
-        if isinstance(node, ast.ImportFrom) and node.module == "roboneuron.feature"
+        if isinstance(node, ast.ImportFrom) and node.module is not None and node.module in LISTS
         for alias in node.names
-        if alias.name in roboneuron.feature.GROUPS
+        if alias.name in LISTS[node.module].GROUPS
     }
     for node in ast.walk(tree):
         match node:
             case ast.Attribute(value=ast.Name(id=name), attr=used) if name in groups:
-                yield f"roboneuron.feature.{groups[name]}.{used}", node.lineno
+                yield f"{groups[name]}.{used}", node.lineno
 
 
 def requirements(case: PackageCase) -> frozenset[str]:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from pydantic import BaseModel
 
     from roboneuron import Feature
-    from roboneuron.feature import CommandModule
+    from roboneuron.command import CommandModule
 
 
 @dataclass(frozen=True, kw_only=True)

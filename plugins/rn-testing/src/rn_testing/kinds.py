@@ -12,7 +12,8 @@ from dataclasses import dataclass
 from rn_testing.case import Case
 from rn_testing.rule import AnyRule
 from roboneuron import PluginError, Spec
-from roboneuron.feature import discover, loading
+from roboneuron.command import loading
+from roboneuron.feature import discover
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -11,7 +11,7 @@ from pathlib import Path
 from string import Template
 
 from roboneuron import ConfigurationError
-from roboneuron.feature import PLUGIN_KINDS, descriptor
+from roboneuron.command import PLUGIN_KINDS, descriptor
 
 BROUGHT = {"monitor": "rn-standard", "suite": "rn-eval"}
 """Kinds whose hook another package brings, with that package."""

@@ -17,7 +17,8 @@ from dataclasses import dataclass
 from rn_standard.console.chosen_plugins import add_config, find, read_disabled
 from rn_standard.console.plugin_options import add_option, read_options
 from roboneuron import ConfigurationError
-from roboneuron.feature import PLUGIN_KINDS, Registry, Status, discover
+from roboneuron.command import PLUGIN_KINDS, Status
+from roboneuron.feature import Registry, discover
 
 SCHEMA_VERSION = 1
 """Raised when a key of the JSON document changes its meaning or goes."""

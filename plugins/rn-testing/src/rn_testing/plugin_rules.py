@@ -5,7 +5,7 @@ from __future__ import annotations
 from argparse import ArgumentParser, Namespace
 
 from roboneuron import ConfigurationError
-from roboneuron.feature import PLUGIN_KINDS
+from roboneuron.command import PLUGIN_KINDS
 
 
 class PluginsRules:

@@ -13,6 +13,7 @@ import anyio
 from anyio import to_thread
 
 from rn_standard.http.operator_lease import OperatorLease
+from rn_standard.tools_loop.results import ModuleStatus
 from rn_view.event_list import AuditReader, EventList, add_record, failure_of
 from rn_view.source import ModuleRow, PageState
 from roboneuron import Host, RobotProfile
@@ -25,7 +26,6 @@ from roboneuron.feature import (
     Registry,
     access,
     loading,
-    results,
 )
 
 T = TypeVar("T")
@@ -84,7 +84,7 @@ class LiveSource:
 
     def snapshot(self) -> PageState:
         """See Source."""
-        statuses = [results.ModuleStatus.of(self._host.modules.view(kind)) for kind in _ORDER]
+        statuses = [ModuleStatus.of(self._host.modules.view(kind)) for kind in _ORDER]
         stop = self._host.loop.emergency_stop
         is_latched = stop.is_latched()
         instruction = next(
@@ -135,7 +135,7 @@ def robot_profile(config: Config, registry: Registry) -> RobotProfile:
     return load()
 
 
-def _row(status: results.ModuleStatus) -> ModuleRow:
+def _row(status: ModuleStatus) -> ModuleRow:
     text = f"{status.error.message}" if status.error is not None else ""
     text = text or (f"waits for {status.waiting_for}" if status.waiting_for else status.note)
     chosen = status.started_with

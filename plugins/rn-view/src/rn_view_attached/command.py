@@ -13,7 +13,7 @@ from roboneuron import ConfigurationError, MissingDependencyError
 if TYPE_CHECKING:
     from rn_view_attached.source import AttachedSource, Graph
     from rn_view_recorded.source import RecordedSource
-    from roboneuron.feature import Config, Registry
+    from roboneuron.command import Config, Registry
 
 
 class ViewCommand:
@@ -59,7 +59,7 @@ class ViewCommand:
         from rn_view.options import ViewOptions
         from rn_view.plugin import FEATURE
         from rn_view.viewer import Viewer
-        from roboneuron.feature import discover, feature_options, load_config
+        from roboneuron.command import discover, feature_options, load_config
 
         config = load_config(arguments.config)
         robots = _chosen(config, arguments.robot)
@@ -128,7 +128,7 @@ def _sources(
             "--directory goes with --run.", hint="--state names a server's state directory."
         )
     from rn_view_attached.source import AttachedSource, Graph
-    from roboneuron.feature import environment, reading
+    from roboneuron.command import environment, reading
 
     directory = environment.state_directory(
         str(arguments.state) if arguments.state else config.supervisor.state_directory

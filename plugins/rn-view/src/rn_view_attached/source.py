@@ -16,7 +16,7 @@ from rn_view.event_list import AuditReader, EventList, add_record
 from rn_view.live import robot_profile
 from rn_view.source import ModuleRow, PageState
 from roboneuron import RobotProfile
-from roboneuron.feature import AUDIT_FILE, FAULTS, AuditLog, Config, Registry, estop
+from roboneuron.command import AUDIT_FILE, FAULTS, AuditLog, Config, Registry, estop
 
 M = TypeVar("M")
 _ORDER = ("robot", "perception", "inference", "control")
@@ -35,7 +35,7 @@ class Graph:
     def open(self) -> None:
         """Join; raises as `roboneuron.ros.environment.prepare_environment`."""
         self.diagnostics.open()
-        from roboneuron.feature import RosLink  # heavy
+        from roboneuron.command import RosLink  # heavy
 
         self.link = RosLink(f"roboneuron_view_{os.getpid()}")
         self.link.open()
@@ -123,7 +123,7 @@ class AttachedSource:
         self, message_type: type[M], topic: str, callback: Callable[[M], None]
     ) -> Callable[[], None]:
         """See Source."""
-        from roboneuron.feature import qos as core_qos  # heavy
+        from roboneuron.command import qos as core_qos  # heavy
 
         place = f"/{self._config.namespace}/{topic}"
         link = self._graph.link

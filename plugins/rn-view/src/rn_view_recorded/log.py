@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 from rn_recorder_runs.timeline import Timeline
 from rn_view.event_list import EventList, ShownEvent, add_record, shown_arguments
 from rn_view.playback import Mark
-from roboneuron.feature import FAULTS
+from roboneuron.command import FAULTS
 
 T = TypeVar("T", bound=tuple[Any, ...])
 EVENTS, AUDIT = "/roboneuron/events", "/roboneuron/audit"

@@ -24,7 +24,7 @@ from rn_view.playback import Playback
 from rn_view.source import ModuleRow, PageState
 from rn_view_recorded.log import RunLog
 from roboneuron import InvalidInputError, RobotProfile, StateError
-from roboneuron.feature import Config, ModuleView, Periodic, Registry, Report, assess
+from roboneuron.command import Config, ModuleView, Periodic, Registry, Report, assess
 
 log = logging.getLogger(__name__)
 M = TypeVar("M")

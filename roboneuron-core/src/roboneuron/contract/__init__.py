@@ -11,7 +11,6 @@ from roboneuron.contract.action import (
     apply_delta,
     check_action_vector,
 )
-from roboneuron.contract.agreement import SpaceAgreement, agree
 from roboneuron.contract.image import check_rgb8, frame_from_buffer
 from roboneuron.contract.motion import Hold, JointCommand, Posture, Proximity, RobotState
 from roboneuron.contract.observation import (
@@ -104,11 +103,9 @@ __all__ = [
     "RobotState",
     "Runtime",
     "SeveralArms",
-    "SpaceAgreement",
     "SpaceController",
     "Topics",
     "Workspace",
-    "agree",
     "apply_delta",
     "channel_keys",
     "check_action_vector",

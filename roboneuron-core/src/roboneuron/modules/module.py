@@ -25,16 +25,17 @@ from roboneuron.estop.latch import EmergencyStopLatch
 from roboneuron.modules.handover import check_replaceable
 from roboneuron.modules.module_host import Module, ModuleHost, join
 from roboneuron.modules.parent_watch import Signals, watch_stdin
+from roboneuron.modules.plugin import module_class
 from roboneuron.modules.requests import RequestGuard
 from roboneuron.modules.settings import (
     EMERGENCY_STOP,
     EMERGENCY_STOP_TOPIC,
-    MODULE_CLASSES,
     SERVER_SILENT,
     START_PARAMETER,
     ModuleSettings,
 )
 from roboneuron.modules.status import StatusReporter
+from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.loading import load_attribute
 from roboneuron.ros.claim import LEAVE_S, claim
 from roboneuron.ros.qos import STOP_REQUESTS
@@ -317,8 +318,7 @@ def run(line: str) -> None:
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         signals = Signals()
         signals.listen()
-        kind = load_attribute(MODULE_CLASSES[settings.kind], "class of the module")
-        node = ModuleNode(settings, cast("type[Module]", kind))
+        node = ModuleNode(settings, _load_kind(settings))
         node.watch_parent(signals.leave)
         try:
             _spin(node, signals)
@@ -326,6 +326,20 @@ def run(line: str) -> None:
             node.release()
             node.destroy_node()
             rclpy.try_shutdown()
+
+
+def _load_kind(settings: ModuleSettings) -> Callable[[ModuleNode], Module]:
+    """The class of the module, imported now; when it cannot be, `configure` fails and says why."""
+    try:
+        target = module_class(settings.kind, discover(settings.config.disabled_plugins))
+        return cast("type[Module]", load_attribute(target, "class of the module"))
+    except RoboNeuronError as error:
+        failure = error
+
+    def fail(node: ModuleNode) -> Module:
+        raise failure
+
+    return fail
 
 
 def _spin(node: ModuleNode, signals: Signals) -> None:

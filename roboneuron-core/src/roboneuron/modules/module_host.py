@@ -14,13 +14,11 @@ from rclpy.lifecycle import LifecycleNode, LifecyclePublisher
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 
-from roboneuron.modules.execution import Bounds, ChunkExecutor, make_sequential
 from roboneuron.modules.handover import Handover
 from roboneuron.modules.settings import ModuleSettings
 from roboneuron.modules.status import StatusWriter
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.loading import load_attribute
-from roboneuron.plugins.specs import BackendSpec
 from roboneuron.ros.qos import NEWEST
 
 log = logging.getLogger(__name__)
@@ -47,7 +45,7 @@ class ModuleHost(LifecycleNode):  # type: ignore[misc]
             does.
         handover: which inputs are this module's; a feature that replaces modules puts its own
             object here.
-        make_executor: how an inference module gets what executes its chunks; see `make_sequential`.
+        lent: what features lend the module, under names that the module's package publishes.
         on_configured: called with the module at the end of every `configure`, which fails if one
             raises.
     """
@@ -65,7 +63,7 @@ class ModuleHost(LifecycleNode):  # type: ignore[misc]
         self.stopped = False
         self.stops, self.needs_start = 0, ""
         self.handover = Handover(self.status)
-        self.make_executor: Callable[[BackendSpec, str, Bounds], ChunkExecutor] = make_sequential
+        self.lent: dict[str, object] = {}
         self.on_configured: list[Callable[[Module], None]] = []
 
     @abstractmethod

@@ -10,14 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from roboneuron.config import Config, LimitsConfig, ServerConfig
 
 ModuleKind = Literal["robot", "perception", "inference", "control"]
-MODULE_CLASSES: dict[ModuleKind, str] = {
-    "robot": "roboneuron.modules.robot:RobotModule",
-    "perception": "roboneuron.modules.perception:PerceptionModule",
-    "inference": "roboneuron.modules.inference:InferenceModule",
-    "control": "roboneuron.modules.control:ControlModule",
-}
-"""What a module process of each kind runs, "module:attribute": imported in that process alone."""
-MODULE_KINDS: tuple[ModuleKind, ...] = tuple(MODULE_CLASSES)
+MODULE_KINDS: tuple[ModuleKind, ...] = ("robot", "perception", "inference", "control")
 ARM_KINDS: tuple[ModuleKind, ...] = ("robot", "control")
 """Modules that move the arm: after a stop they obey nothing until somebody asks for motion."""
 

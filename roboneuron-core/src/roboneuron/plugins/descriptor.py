@@ -19,7 +19,17 @@ NAME_PATTERN = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
 """Names of offers and drivers: lower-case letters and digits, single hyphens between them."""
 TARGET_PATTERN = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*(\.[A-Za-z_]\w*)*")
 """What REFERENCES hold: "package.module:attribute"."""
-REFERENCES = ("target", "config", "case", "hooks", "on_join", "fleet", "fleet_config")
+REFERENCES = (
+    "target",
+    "config",
+    "case",
+    "hooks",
+    "on_join",
+    "module",
+    "module_check",
+    "fleet",
+    "fleet_config",
+)
 """Fields of descriptors that name what is imported later; all but `target` may be None."""
 KEY_PATTERN = re.compile(r"[a-z][a-z0-9_]*")
 """Top-level keys of roboneuron.toml."""

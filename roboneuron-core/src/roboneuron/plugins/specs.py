@@ -265,6 +265,10 @@ class FeatureSpec(Spec):
         on_join: "module:attribute" of a function that every module process calls with its
             `ModuleHost` once it has joined ROS; None for none. In the server, `start` is the place
             for that.
+        module: "module:attribute" of the class of the modules called as the feature ("perception"
+            or "inference"), called with a `ModuleHost`.
+        module_check: "module:attribute" of a function that raises what speaks against a start of
+            such a module; light, called with Registry, `Plan`, options and section `control`.
         fleet: "module:attribute" of what serves a configuration with several robots: called with
             the Config and the state directory, returns a `roboneuron.server.surface.Served`; None
             when it does not do that.
@@ -282,6 +286,8 @@ class FeatureSpec(Spec):
     hooks: str | None = None
     needs: tuple[str, ...] = ()
     on_join: str | None = None
+    module: str | None = None
+    module_check: str | None = None
     fleet: str | None = None
     fleet_config: str | None = None
     switch: str | None = None

@@ -27,14 +27,14 @@ from roboneuron.ros.environment import state_directory
 from roboneuron.server.events import Events
 from roboneuron.server.feature import Features, Transport
 from roboneuron.server.host import Host
-from roboneuron.server.lifecycle_tools import closed_loop_tools, emergency_tools
 from roboneuron.server.loop import ClosedLoop
 from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.server.registry import ToolRegistry
-from roboneuron.server.resources import STATUS_URI, Resources, status_tool
+from roboneuron.server.resources import Resources
 from roboneuron.server.selection import check_configuration
 from roboneuron.server.stdio import serve_stdio
-from roboneuron.server.surface import Served, instructions_for, make_server
+from roboneuron.server.stop_tools import emergency_tools, stop_tools
+from roboneuron.server.surface import Served, make_server
 from roboneuron.supervisor.health import Watch
 from roboneuron.supervisor.launching import Command, Connect, Connection, module_command
 from roboneuron.supervisor.supervisor import LEAVE_S, Supervisor
@@ -101,23 +101,15 @@ class Application:
         self.supervisor.on_join = self.features.on_join
         reports = SafetyReports(self.loop.starts, self.loop.emergency_stop, self.events.fault)
         self._watch = Watch(reports.look, self.events.health.tell)
-        self.events.health.listen(
-            lambda view, before, health: self.events.resource.tell(STATUS_URI)
-        )
-        self.events.fault.listen(lambda module, what, facts: self.events.resource.tell(STATUS_URI))
         self.tools = ToolRegistry(
-            [
-                status_tool(self.loop, self.started_s),
-                *closed_loop_tools(self.loop),
-                *emergency_tools(self.loop),
-            ],
+            [*stop_tools(self.loop), *emergency_tools(self.loop)],
             most_calls=config.server.max_concurrent_calls,
             ready=self._join_ros,
             on_call=self.events.call.tell,
             on_change=self.events.tools.tell,
             acts_on=lambda: str(self.loop.robot_facts),
         )
-        self.server = make_server(self, config.server.name, "")
+        self.server = make_server(self, config.server.name)
         self.host = Host(
             loop=self.loop,
             audit=self.loop.emergency_stop.audit,
@@ -135,11 +127,10 @@ class Application:
         # without a gate nothing is sent for agents; with two the server does not start
         with suppress(StateError):
             self.host.gate  # noqa: B018
-        self.server.instructions = (
-            f"RoboNeuron operates one {self.loop.robot_facts}. "
-            f"{instructions_for(self.tools.names())}"
+        self.server.introduce(
+            f"RoboNeuron operates one {self.loop.robot_facts}.", self.tools.names()
         )
-        self.resources = Resources(self.loop, self.started_s, offered)
+        self.resources = Resources(offered)
         if attached:
             self.features.attach(self.host)
 

@@ -8,6 +8,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
@@ -21,7 +22,6 @@ from roboneuron.plugins.specs import RobotSpec
 from roboneuron.server.module_views import Modules
 from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.server.replacements import Replacements
-from roboneuron.server.results import RobotFacts
 from roboneuron.server.selection import Choose, Selection, check_instruction, choose_configured
 from roboneuron.server.tool import Arguments
 from roboneuron.supervisor.health import ModuleView, Stopped
@@ -64,6 +64,20 @@ def _listen(link: RosLink, namespace: str) -> deque[Sent]:
         lambda: link.node.create_subscription(Float64MultiArray, topic, receive, STATUS)
     )
     return actions
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RobotFacts:
+    """The robot that runs, or else the one that the configuration names; real unless its driver
+    declares that it is simulated.
+    """
+
+    name: str
+    driver: str
+    kind: Literal["real", "simulated"]
+
+    def __str__(self) -> str:
+        return f"{self.kind} robot {self.name} (driver {self.driver})"
 
 
 class ClosedLoop:

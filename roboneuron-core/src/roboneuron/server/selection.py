@@ -25,7 +25,7 @@ from roboneuron.errors import (
     RoboNeuronError,
     StateError,
 )
-from roboneuron.modules.plugin import agree_on_space
+from roboneuron.modules.plugin import check_module, module_class
 from roboneuron.modules.settings import MAX_INSTRUCTION_LENGTH, ModuleKind, instruction_problem
 from roboneuron.planning import Plan, check_plan
 from roboneuron.plugins.loading import load_options
@@ -56,7 +56,7 @@ class KindEntry:
     """One kind of module. Its section of roboneuron.toml is called as the kind is.
 
     Attributes:
-        kind: which one; its node class is in `roboneuron.modules.settings.MODULE_CLASSES`.
+        kind: which one; its node class is in `roboneuron.modules.plugin.module_class`.
         noun: what such a module runs.
         offer: kind of the plugins that offer it.
         section: model of its section.
@@ -227,6 +227,7 @@ class Selection:
         entry = KIND_ENTRIES[kind]
         section = entry.configured(config, registry)
         plan, spec, names = entry.plan(section, config, registry)
+        module_class(kind, registry)
         name = next(iter(names.values()))
         options = dict(config.options(name))
         if isinstance(section, InferenceConfig):
@@ -237,9 +238,8 @@ class Selection:
                 options["checkpoint"] = names["checkpoint"] = section.checkpoint
         config = config.model_copy(update={kind: section})
         is_here = section.python is None and config.robot.python is None
-        if plan.backend is not None and plan.backend.space is not None and is_here:
-            # before anything heavy is loaded; the module does it again, where its own packages are
-            agree_on_space(registry, plan.backend, options, plan.robot.name, config.control)
+        if is_here:  # the module does it again, where its own packages are
+            check_module(kind, registry, plan, options, config.control)
         _check_options(spec, options, section.python, f"plugins.{name}")
         for part in (plan.runtime, plan.acceleration):
             if part is not None:

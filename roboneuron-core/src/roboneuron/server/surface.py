@@ -58,6 +58,11 @@ class AnnouncingServer(Server[Any]):
             notification_options or self.announced, *arguments, **named
         )
 
+    def introduce(self, robots: str, tools: Collection[str]) -> None:
+        """Tell clients what the server operates, and how to use its tools."""
+        said = [text for tool, text in _INSTRUCTIONS.items() if tool in tools]
+        self.instructions = " ".join([robots, *said, _EVERYWHERE])
+
 
 class Served(Protocol):
     """What `serve` serves: an Application, or several behind one surface."""
@@ -93,7 +98,7 @@ class Served(Protocol):
         """See `Application.close`."""
 
 
-def make_server(surface: Served, name: str, instructions: str) -> AnnouncingServer:
+def make_server(surface: Served, name: str) -> AnnouncingServer:
     """The MCP server in front of tools and resources; they are asked with each request."""
 
     async def list_tools(
@@ -123,7 +128,6 @@ def make_server(surface: Served, name: str, instructions: str) -> AnnouncingServ
     server = AnnouncingServer(
         name,
         version=__version__,
-        instructions=instructions,
         on_list_tools=list_tools,
         on_call_tool=call_tool,
         on_list_resources=list_resources,
@@ -151,14 +155,6 @@ _INSTRUCTIONS = {
 _EVERYWHERE = (
     "A call that returns without an error has done what it says; an error says why and what to do."
 )
-
-
-def instructions_for(tools: Collection[str]) -> str:
-    """How to use a server with these tools, for its clients; stands behind which robot it
-    operates.
-    """
-    said = [text for tool, text in _INSTRUCTIONS.items() if tool in tools]
-    return " ".join([*said, _EVERYWHERE])
 
 
 class RequestContext:

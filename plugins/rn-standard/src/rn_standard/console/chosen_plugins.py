@@ -9,7 +9,7 @@ from argparse import ArgumentParser
 from pathlib import Path
 
 from roboneuron import ConfigurationError
-from roboneuron.feature import Offer, PluginRecord, Registry, nearest
+from roboneuron.command import Offer, PluginRecord, Registry, nearest
 
 
 def add_config(parser: ArgumentParser) -> None:

@@ -17,7 +17,7 @@ class ConfigCheck:
         """Refuse what `roboneuron serve` would refuse at its start, but for ports, which a running
         server may hold.
         """
-        from roboneuron.feature import (
+        from roboneuron.command import (
             check_configuration,
             discover,
             load_config,

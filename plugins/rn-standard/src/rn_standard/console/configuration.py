@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, get_args, get_origin
 
 from rn_standard.console.options import UNSET, describe_options
 from roboneuron import FeatureSpec
-from roboneuron.feature import discover, loading
+from roboneuron.command import discover, loading
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
@@ -27,7 +27,7 @@ class ConfigShow:
 
     def run(self, arguments: Namespace) -> int:
         """Run `roboneuron config show`."""
-        from roboneuron.feature import reading
+        from roboneuron.command import reading
 
         print(reading.default_text() + feature_text(), end="")
         return 0
@@ -87,7 +87,7 @@ def reference() -> str:
     """docs/configuration.md, generated from the configuration models of core and of the installed
     features.
     """
-    from roboneuron.feature import Config, reading
+    from roboneuron.command import Config, reading
 
     lines = [
         "# Configuration",

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from rn_standard.console.client import leaves_of, spawned_server
 from roboneuron import ConfigurationError
-from roboneuron.feature import environment, terminal
+from roboneuron.command import environment, terminal
 
 if TYPE_CHECKING:
     from mcp import Client

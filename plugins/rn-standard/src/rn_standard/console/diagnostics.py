@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 from rn_standard.console.log_runs import log_runs
 from rn_standard.console.status import ReportedModule, ServerStatus
-from roboneuron.feature import (
+from roboneuron.command import (
     MODULE_KINDS,
     Health,
     ModuleKind,
@@ -88,12 +88,12 @@ class DiagnosticsListener:
 
     def open(self) -> None:
         """Join the ROS graph; raises as `roboneuron.ros.environment.prepare_environment`."""
-        from roboneuron.feature import environment
+        from roboneuron.command import environment
 
         environment.prepare_environment()
         from diagnostic_msgs.msg import DiagnosticArray  # heavy
 
-        from roboneuron.feature import RosLink, qos, topics
+        from roboneuron.command import RosLink, qos, topics
 
         self._link = RosLink(f"roboneuron_status_{os.getpid()}")
         self._link.open()

@@ -14,7 +14,7 @@ from rich.text import Text
 from rn_standard.console.interrupt import lasting_interrupt
 from rn_standard.console.log_runs import LogRun, log_runs
 from roboneuron import ConfigurationError
-from roboneuron.feature import log_files
+from roboneuron.command import log_files
 
 _STAMP = re.compile(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d{3} ([A-Z]+) ")
 """How an entry begins, see `roboneuron.log_files.FORMAT`; other lines belong to the entry before

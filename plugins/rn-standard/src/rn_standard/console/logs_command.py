@@ -50,11 +50,11 @@ class Logs:
         from rn_standard.console.log_reading import LogView, choose_run
         from rn_standard.console.log_runs import log_runs
         from rn_standard.console.table import make_console
-        from roboneuron.feature import environment
+        from roboneuron.command import environment
 
         configured = None
         if arguments.config is not None:
-            from roboneuron.feature import load_config
+            from roboneuron.command import load_config
 
             configured = load_config(arguments.config).supervisor.state_directory
         directory = environment.state_directory(

@@ -12,7 +12,7 @@ from pathlib import Path
 import shtab
 
 from roboneuron import RoboNeuronError
-from roboneuron.feature import (
+from roboneuron.command import (
     all_commands,
     discover,
     load_command,

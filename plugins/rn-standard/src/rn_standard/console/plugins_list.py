@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 from rn_standard.console.chosen_plugins import add_config, read_disabled
 from roboneuron import CONTRACT_VERSION, __version__
-from roboneuron.feature import (
+from roboneuron.command import (
     Offer,
     PluginRecord,
     Registry,

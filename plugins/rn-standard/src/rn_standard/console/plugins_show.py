@@ -10,7 +10,7 @@ from rn_standard.console.chosen_plugins import add_config, find, read_disabled
 from rn_standard.console.options import describe_options
 from rn_standard.console.plugins_list import STYLES
 from roboneuron import DriverSpec, RobotSpec, Spec
-from roboneuron.feature import (
+from roboneuron.command import (
     PLUGIN_KINDS,
     Offer,
     Registry,

@@ -32,7 +32,7 @@ class RunCommand:
     def run(self, arguments: Namespace) -> int:
         """Run `roboneuron run`."""
         from roboneuron import ConfigurationError
-        from roboneuron.feature import load_config
+        from roboneuron.command import load_config
 
         if not arguments.instruction.strip():
             raise ConfigurationError(

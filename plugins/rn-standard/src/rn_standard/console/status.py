@@ -9,7 +9,7 @@ from collections.abc import Mapping
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from roboneuron.feature import FAULTS, Health, Report
+from roboneuron.command import FAULTS, Health, Report
 
 
 class ModuleError(BaseModel):

@@ -64,7 +64,7 @@ def _show(arguments: Namespace) -> int:
         import anyio  # heavy
 
         return anyio.run(_ask, arguments)
-    from roboneuron.feature import environment, load_config
+    from roboneuron.command import environment, load_config
 
     configured = (
         load_config(arguments.config).supervisor.state_directory if arguments.config else None

@@ -10,7 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from rn_standard.console.status import ReportedModule, ServerStatus
-from roboneuron.feature import EXPLANATIONS
+from roboneuron.command import EXPLANATIONS
 
 _COLOURS = {
     "ok": "green",

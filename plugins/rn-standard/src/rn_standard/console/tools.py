@@ -53,7 +53,7 @@ def _listing(arguments: Namespace) -> list[Tool]:
         import anyio  # heavy
 
         return anyio.run(_ask, arguments)
-    from roboneuron.feature import (
+    from roboneuron.command import (
         load_config,
         make_served,  # heavy
     )

@@ -110,7 +110,7 @@ def _kept(folder: Path) -> Iterator[None]:
     misleads nobody.
     """
     from roboneuron import StateError
-    from roboneuron.feature import log_files
+    from roboneuron.command import log_files
 
     log_files.make_log_directory(folder)
     with open(folder / _FILE, "a+", encoding="utf-8", opener=log_files.opener) as file:
@@ -128,7 +128,7 @@ def _kept(folder: Path) -> Iterator[None]:
 
 
 def _folder(arguments: Namespace) -> Path:
-    from roboneuron.feature import environment, load_config
+    from roboneuron.command import environment, load_config
 
     return environment.state_directory(load_config(arguments.config).supervisor.state_directory)
 

@@ -19,7 +19,7 @@ from rn_standard.demo.agent import Agent, DemoObject, module_status, simulated_o
 from rn_standard.demo.film import DemoFilm
 from rn_standard.demo.screen import HOLD_GOAL_S, LIFT_GOAL_M, DemoScreen
 from roboneuron import ConfigurationError, NotReadyError, RoboNeuronError
-from roboneuron.feature import load_config, reading
+from roboneuron.command import load_config, reading
 
 _LOOK_PERIOD_S = 0.25
 _PATIENCE_S = 3.0

@@ -16,7 +16,7 @@ from pathlib import Path
 from rn_standard.doctor.finding import Check, Finding, Severity, failed, ok, warning
 from rn_standard.doctor.images import measure_image_transport
 from roboneuron import RoboNeuronError, RobotSpec
-from roboneuron.feature import Config, Registry, Status, availability, discover, environment, estop
+from roboneuron.command import Config, Registry, Status, availability, discover, environment, estop
 
 MIN_SHARED_MEMORY_MIB = 256
 """A segment of 32 MiB for each of the five processes, and as much again for a switch and for what
@@ -210,7 +210,7 @@ def _plugins(config: Config) -> Finding:
 
 
 def _configuration(config: Config) -> Finding:
-    from roboneuron.feature import check_configuration  # pydantic and plugins' options, not mcp
+    from roboneuron.command import check_configuration  # pydantic and plugins' options, not mcp
 
     registry = discover(config.disabled_plugins)
     check_configuration(config, registry)

@@ -29,7 +29,7 @@ class Doctor:
 
         from rn_standard.doctor.checks import run_checks
         from rn_standard.doctor.finding import Finding, Severity
-        from roboneuron.feature import load_config
+        from roboneuron.command import load_config
 
         config = load_config(arguments.config)
         has_colour = sys.stdout.isatty() and "NO_COLOR" not in os.environ

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 
-from roboneuron.feature import Config
+from roboneuron.command import Config
 
 
 class Severity(StrEnum):

@@ -44,7 +44,7 @@ def measure_image_transport() -> ImageTransport:
     # the message package must not be needed to import this module
     from sensor_msgs.msg import Image
 
-    from roboneuron.feature import RosLink, messages, qos
+    from roboneuron.command import RosLink, messages, qos
 
     topic = f"/roboneuron_doctor/images_{os.getpid()}"
     ages_ms: list[float] = []
@@ -97,12 +97,12 @@ def send_images(topic: str) -> int:
     import numpy as np
 
     from roboneuron import Frame
-    from roboneuron.feature import environment
+    from roboneuron.command import environment
 
     environment.prepare_environment()
     from sensor_msgs.msg import Image
 
-    from roboneuron.feature import RosLink, messages, qos
+    from roboneuron.command import RosLink, messages, qos
 
     link = RosLink(f"roboneuron_doctor_sender_{os.getpid()}")
     link.open()

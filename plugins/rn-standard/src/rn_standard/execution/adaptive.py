@@ -12,8 +12,9 @@ from rn_standard.execution.meter import DeliveryMeter, RowDelivery
 from rn_standard.execution.mode import Abilities, Mode, ModeChoice, ModeSelector
 from rn_standard.execution.queue import SentRowQueue, fade_rows_of
 from rn_standard.execution.roll_forward import roll_forward
+from rn_standard.inference import execution
 from roboneuron import EE_DELTA, ActionChunk, Ahead, JointSample, Observation, Pose
-from roboneuron.feature import F64, execution
+from roboneuron.node import F64
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

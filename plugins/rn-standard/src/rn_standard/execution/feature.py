@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, cast
 
 from rn_standard.execution.adaptive import AdaptiveExecutor
 from rn_standard.execution.mode import Mode, abilities_of, check_mode
+from rn_standard.inference.execution import MAKE_EXECUTOR, Bounds, ChunkExecutor
 from roboneuron import BackendSpec, Feature
-from roboneuron.feature import execution as core_execution
 
 if TYPE_CHECKING:
-    from roboneuron.feature import ModuleHost
+    from roboneuron.node import ModuleHost
 
 
 class ExecutionFeature(Feature[None]):
@@ -23,13 +23,11 @@ def join(host: ModuleHost) -> None:
     """Give a module the executor of this package; called in every module process, see
     `FeatureSpec.on_join`.
     """
-    host.make_executor = make_executor
+    host.lent[MAKE_EXECUTOR] = make_executor
 
 
-def make_executor(
-    backend: BackendSpec, execution: str, bounds: core_execution.Bounds
-) -> core_execution.ChunkExecutor:
-    """An executor for that backend, as `ModuleHost.make_executor` says.
+def make_executor(backend: BackendSpec, execution: str, bounds: Bounds) -> ChunkExecutor:
+    """An executor for that backend, a `MakeExecutor`.
 
     Raises:
         ConfigurationError: `execution` fixes a mode that the backend cannot do.

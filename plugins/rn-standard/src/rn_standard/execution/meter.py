@@ -7,7 +7,7 @@ import statistics
 from collections import deque
 from dataclasses import dataclass
 
-from roboneuron.feature import execution
+from rn_standard.inference import execution
 
 _WINDOW = 512
 """Rows that rate and jumps are taken over; counters go on for ever."""

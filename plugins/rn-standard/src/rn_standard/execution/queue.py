@@ -13,8 +13,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from rn_standard.inference import execution
 from roboneuron import EE_DELTA, GRIPPER, ActionChunk, Ahead, ControlSpace
-from roboneuron.feature import execution
 
 F64 = NDArray[np.float64]
 FADE_ROWS = 4

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from rn_standard.execution.adaptive import AdaptiveExecutor
 from rn_standard.execution.meter import RowDelivery
 from rn_standard.execution.mode import Abilities, Mode
+from rn_standard.inference import execution
 from roboneuron import ActionChunk, Ahead, Frame, NotReadyError, Observation, Pose
-from roboneuron.feature import execution
 
 F64 = NDArray[np.float64]
 _CAMERA_HZ = 30.0

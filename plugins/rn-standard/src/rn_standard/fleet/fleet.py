@@ -30,7 +30,6 @@ from roboneuron.feature import (
     Transport,
     emergency,
     estop,
-    instructions_for,
     launching,
     log_files,
     make_server,
@@ -93,16 +92,16 @@ class Fleet:
             f"{name} ({robot.loop.robot_facts})" for name, robot in self.robots.items()
         )
         tools = {name for robot in self.robots.values() for name in robot.tools.names()}
-        instructions = (
+        robots = (
             f"RoboNeuron operates {len(self.robots)} robots: {named}. Every tool takes `robot`, "
             "the one it is about; "
-            "list_fleet shows how they are; emergency_stop without `robot` stops all. "
-            f"{instructions_for(tools)}"
+            "list_fleet shows how they are; emergency_stop without `robot` stops all."
         )
         first = next(iter(self.robots.values()))
         # those of the first robot ask the person behind a client: that depends on no robot
         self.features = first.features
-        self.server = make_server(self, config.server.name, instructions)
+        self.server = make_server(self, config.server.name)
+        self.server.introduce(robots, tools)
         self.server.middleware.append(RobotMiddleware(self.tools, list(self.robots.values())))
         self._host = replace(
             first.host, server=self.server, events=self.events, check_resource=self.resources.check

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Protocol
 from pydantic import Field
 
 from roboneuron import CallContext, InvalidInputError, NoArguments, Result, Tool
-from roboneuron.feature import EmergencyStopArguments, assess, results, roles
+from roboneuron.feature import EmergencyStopArguments, EmergencyStopResult, assess, roles
 
 if TYPE_CHECKING:
     from roboneuron.feature import Application
@@ -85,7 +85,7 @@ def emergency_stop_tool(fleet: StoppedTogether) -> Tool[FleetStop]:
         """Latch all before anything else: also when the arguments are wrong."""
         fleet.press(context.who, str(arguments.get("reason") or ""))
 
-    async def latch(arguments: FleetStop, context: CallContext) -> results.EmergencyStopResult:
+    async def latch(arguments: FleetStop, context: CallContext) -> EmergencyStopResult:
         confirmed, took_s = await context.run(lambda _: fleet.latch(context.who, arguments.reason))
         if arguments.robot is not None:
             raise InvalidInputError(
@@ -98,7 +98,7 @@ def emergency_stop_tool(fleet: StoppedTogether) -> Tool[FleetStop]:
             if confirmed
             else "No module runs; those that are started later are stopped from the beginning."
         )
-        return results.EmergencyStopResult(
+        return EmergencyStopResult(
             latched=True, confirmed_by=confirmed, took_s=round(took_s, 3), note=note
         )
 
@@ -113,7 +113,7 @@ def emergency_stop_tool(fleet: StoppedTogether) -> Tool[FleetStop]:
             "an error names those that have not."
         ),
         arguments=FleetStop,
-        result=results.EmergencyStopResult,
+        result=EmergencyStopResult,
         handler=latch,
         destructive=True,
         idempotent=True,

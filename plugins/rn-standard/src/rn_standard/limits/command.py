@@ -37,7 +37,7 @@ class Limits:
         """Run `roboneuron limits`; exit status 1 when a person did not agree."""
         from rn_standard.tools_arm.tightening import FILE_NAME, TighteningFile
         from roboneuron import ConfigurationError
-        from roboneuron.feature import environment, reading
+        from roboneuron.command import environment, reading
 
         configured = reading.read_state_directory(arguments.config) if arguments.config else None
         directory = environment.state_directory(
@@ -79,7 +79,7 @@ def _loosen(file: object) -> int:
     """
     from rn_standard.tools_arm.tightening import TightenedRecord, Tightening, TighteningFile
     from roboneuron import RefusedError
-    from roboneuron.feature import AUDIT_FILE, AuditLog, AuditRecord, roles
+    from roboneuron.command import AUDIT_FILE, AuditLog, AuditRecord, roles
 
     assert isinstance(file, TighteningFile)
     if not sys.stdin.isatty():

@@ -13,8 +13,9 @@ from rn_standard.ops.other_servers import ServerPresence
 from rn_standard.ops.records import Source, log_resource, record_tools
 from rn_standard.ops.restarts import Restarts
 from rn_standard.ops.server_log import ServerLog
+from rn_standard.tools_loop.results import ModuleStatus
 from roboneuron import Feature, Host, Resource, Tool
-from roboneuron.feature import EXPLANATIONS, FAULTS, Health, ModuleKind, ModuleView, results
+from roboneuron.feature import EXPLANATIONS, FAULTS, Health, ModuleKind, ModuleView
 
 log = logging.getLogger(__name__)
 _ACTIONS = 30
@@ -82,7 +83,7 @@ class Operations(Feature[OpsOptions]):
             return
         if health == "failing" and view.report is not None and view.report.error_code in _ORDINARY:
             return
-        status = results.ModuleStatus.of(view).model_dump(mode="json")
+        status = ModuleStatus.of(view).model_dump(mode="json")
         lines = list(view.process.last_lines()) if view.process is not None else []
         self._incidents.record(
             view.kind,

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 from roboneuron import PluginError, RoboNeuronError
 
 if TYPE_CHECKING:
-    from roboneuron.feature import Module, ModuleHost
+    from roboneuron.node import Module, ModuleHost
 
 RECOVER_PARAMETER = "recover"
 """ROS parameter of the robot node: a new number asks a driver that can to recover; `recovery` tells

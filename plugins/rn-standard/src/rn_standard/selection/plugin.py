@@ -9,6 +9,7 @@ FEATURE = FeatureSpec(
     target="rn_standard.selection.feature:SelectionFeature",
     config="rn_standard.selection.options:SelectionSections",
     sections=("selection", "models"),
+    needs=("tools-loop",),
 )
 """Descriptor of the feature."""
 

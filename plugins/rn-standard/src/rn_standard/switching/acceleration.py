@@ -8,9 +8,10 @@ import logging
 import time
 from typing import Protocol, cast, runtime_checkable
 
+from rn_standard.inference.module import InferenceModule
 from rn_standard.switching.standby import ACCELERATION_PARAMETER
 from roboneuron import AccelerationSpec, AnyAcceleration, RoboNeuronError
-from roboneuron.feature import InferenceModule, ModuleHost, build
+from roboneuron.node import ModuleHost, build
 
 log = logging.getLogger(__name__)
 

@@ -20,7 +20,7 @@ from collections.abc import Callable
 from rn_standard.switching.shadow_controller import ControllerComparison
 from rn_standard.switching.standby import ACT_FROM, ACT_UNTIL, NEVER_NS, PLAY_FROM, PLAY_UNTIL
 from roboneuron import ActionChunk, Hold, JointCommand, Pose
-from roboneuron.feature import Handover, StatusWriter
+from roboneuron.node import Handover, StatusWriter
 
 _SETTLE_S = 5.0
 """A moment is past for good so long after it: whatever was stamped before it has arrived or is too

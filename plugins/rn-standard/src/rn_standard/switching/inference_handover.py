@@ -8,9 +8,10 @@ import threading
 from collections.abc import Callable
 from functools import partial
 
+from rn_standard.inference import execution
+from rn_standard.inference.module import InferenceModule
 from rn_standard.switching.handover import TimedHandover
 from roboneuron import ActionChunk, NotReadyError
-from roboneuron.feature import InferenceModule, execution
 
 Deliver = Callable[[execution.Prediction, ActionChunk, threading.Event], None]
 

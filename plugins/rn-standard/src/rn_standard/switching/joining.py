@@ -6,12 +6,13 @@ from functools import partial
 
 from std_msgs.msg import Empty
 
+from rn_standard.inference.module import InferenceModule
 from rn_standard.switching.acceleration import AccelerationInForce
 from rn_standard.switching.handover import TimedHandover
 from rn_standard.switching.inference_handover import come_between
 from rn_standard.switching.predecessor import follow_predecessor
 from rn_standard.switching.standby import LISTENERS, restore
-from roboneuron.feature import InferenceModule, Module, ModuleHost, qos
+from roboneuron.node import Module, ModuleHost, qos
 
 WARM_UP = "_warm_up"
 """std_msgs/Empty, hidden as ROS hides names with an underscore: opens the ports of a module in

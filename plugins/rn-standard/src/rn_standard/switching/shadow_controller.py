@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Mapping
 
 from roboneuron import Hold, JointCommand, Pose
-from roboneuron.feature import StatusWriter, task_space
+from roboneuron.node import StatusWriter, task_space
 
 _POSES = 64
 """Own poses remembered until the predecessor's for the same joint state arrives: half a second of

@@ -10,12 +10,12 @@ from pydantic import Field, model_validator
 
 from rn_standard.selection.requests import StartChosenInference, StartControl, StartPerception
 from rn_standard.switching.replacing import Switched, Switching
+from rn_standard.tools_loop.results import ModuleSummary
 from roboneuron import Arguments, CallContext, Tool
 from roboneuron.feature import (
     ClosedLoop,
     ModuleKind,
     Stage,
-    results,
     settings,
 )
 
@@ -64,7 +64,7 @@ class SwitchControl(Switch, StartControl):
     """Arguments of switch_control."""
 
 
-class SwitchResult(results.ModuleSummary):
+class SwitchResult(ModuleSummary):
     """The new module runs and has proved that it works."""
 
     replaced: dict[str, str] = Field(description="what ran before")

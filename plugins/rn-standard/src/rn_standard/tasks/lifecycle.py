@@ -11,8 +11,9 @@ from rn_standard.selection.choosing import choose
 from rn_standard.selection.options import NamedModelOptions, named_models
 from rn_standard.selection.requests import StartChosenInference
 from rn_standard.tasks.starting import ParallelStart, requests_for
+from rn_standard.tools_loop.results import ModuleSummary
 from roboneuron import Arguments, CallContext, Host, NoArguments, Result, RoboNeuronError, Tool
-from roboneuron.feature import ModuleKind, Registry, results, settings
+from roboneuron.feature import ModuleKind, Registry, settings
 
 
 class StartAll(Arguments):
@@ -33,7 +34,7 @@ class StartAll(Arguments):
 class StartAllResult(Result):
     """Everything that is configured runs and has proved that it works."""
 
-    started: list[results.ModuleSummary]
+    started: list[ModuleSummary]
     already: list[ModuleKind] = Field(description="ran before")
     ready_after_s: dict[str, float] = Field(description="from the call to the proof of each module")
     took_s: float
@@ -72,7 +73,7 @@ def start_all_tool(host: Host) -> Tool[StartAll]:
         start = ParallelStart(host.loop, host.modules, requests, context.role)
         done = await context.run(start.run, on_cancel=start.cancel)
         return StartAllResult(
-            started=[results.ModuleSummary.short_of(view) for view in done.views],
+            started=[ModuleSummary.short_of(view) for view in done.views],
             already=list(done.already),
             ready_after_s={kind: round(took_s, 3) for kind, took_s in sorted(done.took_s.items())},
             took_s=round(done.total_s, 3),

@@ -16,8 +16,9 @@ from rn_testing.fakes.engine import (
 from rn_testing.fakes.perception import FAKE_PERCEPTION, ControlledSource, gradient_image
 from rn_testing.fakes.robot import FAKE_ROBOT, FakeDriver, FakeDriverOptions, gantry_profile
 from rn_testing.fakes.topics import MemoryTopics
-from roboneuron import Spec
-from roboneuron.feature import Offer, PluginRecord, Registry, Status
+from roboneuron import FeatureSpec, Spec
+from roboneuron.command import PluginRecord, Status
+from roboneuron.feature import Offer, Registry
 
 FAKE_SPECS: tuple[Spec, ...] = (
     FAKE_BACKEND,
@@ -30,9 +31,28 @@ FAKE_SPECS: tuple[Spec, ...] = (
 """One descriptor of each kind."""
 
 
+_MODULES = tuple(
+    FeatureSpec(
+        name=kind,
+        summary=f"Brings {kind} modules.",
+        target="roboneuron:Feature",
+        module=f"rn_standard.{kind}.module:{kind.title()}Module",
+    )
+    for kind in ("inference", "perception")
+)
+_TOOLS = FeatureSpec(
+    name="tools-loop",
+    summary="Tools of the closed loop.",
+    target="rn_standard.tools_loop.feature:LoopTools",
+)
+
+
 def fake_registry(*more: Spec) -> Registry:
-    """A registry that holds the fakes and `more`, all ready, as if one plugin had offered them."""
-    specs = (*FAKE_SPECS, *more)
+    """A registry that holds the fakes, what brings the modules that they run in and
+    the tools that start these, and `more`, all
+    ready, as if one plugin had offered them.
+    """
+    specs = (*FAKE_SPECS, *_MODULES, _TOOLS, *more)
     offers = tuple(
         Offer(spec=s, plugin="rn-fakes", distribution="rn-fakes", status=Status.READY)
         for s in specs

@@ -35,6 +35,7 @@ _LEAVE_S = 5.0
 _FORBIDDEN = (
     "rclpy",
     f"roboneuron.feature.{SENDING_NAME}",
+    f"roboneuron.command.{SENDING_NAME}",
     f"{SENDER_PACKAGE}.writer",
     f"{SENDER_PACKAGE}.traffic",
 )

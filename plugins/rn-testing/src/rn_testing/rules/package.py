@@ -13,9 +13,10 @@ from importlib.metadata import (
     packages_distributions,
 )
 
-import roboneuron.feature
+import roboneuron
 from rn_testing.cases import PackageCase
 from rn_testing.distribution import (
+    LISTS,
     PROJECT,
     find_distribution,
     find_entry_points,
@@ -154,37 +155,51 @@ def _check_core(case: PackageCase) -> None:
     )
 
 
-def is_public(name: str, *, for_features: bool, sends: bool = False) -> bool:
-    """Whether a plugin may import what `name` means: `roboneuron.<name>`, and
-    `roboneuron.feature.<name>` for some.
+def lists_for(*, features: bool, commands: bool, is_kit: bool = False) -> frozenset[str]:
+    """Which of `LISTS` a plugin may use: what it offers runs in the server, in modules, or as a
+    process of its own. The contract kit tries all of these.
+    """
+    lists = {"roboneuron.feature", "roboneuron.node"} if features or is_kit else set()
+    return frozenset(lists | ({"roboneuron.command"} if commands or is_kit else set()))
+
+
+def is_public(name: str, lists: Collection[str], *, sends: bool = False) -> bool:
+    """Whether a plugin may import what `name` means: `roboneuron.<name>`, and what these lists
+    hold.
 
     Args:
         name: as `imported_modules` gives it.
-        for_features: the package offers features or commands.
-        sends: it offers commands, or is the direct path.
+        lists: of `LISTS`.
+        sends: it is the direct path.
     """
     top, *inner = name.split(".")
     if top != PROJECT or not inner:
         return True
-    if inner[0] == "feature":
-        name, used = [*inner[1:], "", ""][:2]
-        is_listed = not name or name in roboneuron.feature.__all__
-        is_open = not used or used in roboneuron.feature.GROUPS.get(name, ())
-        return for_features and is_listed and is_open and (sends or name != SENDING_NAME)
-    return len(inner) == 1 and inner[0] in roboneuron.__all__
+    of = f"{top}.{inner[0]}"
+    if of not in LISTS:
+        return len(inner) == 1 and inner[0] in roboneuron.__all__
+    name, used = [*inner[1:], "", ""][:2]
+    is_listed = not name or name in LISTS[of].__all__
+    is_open = not used or used in LISTS[of].GROUPS.get(name, ())
+    may_send = sends or of != "roboneuron.feature" or name != SENDING_NAME
+    return of in lists and is_listed and is_open and may_send
 
 
 def _check_direction(case: PackageCase) -> None:
     specs = tuple(_specs(case))
-    command = any(isinstance(spec, CommandSpec) for spec in specs)
-    for_features = command or any(isinstance(spec, FeatureSpec) for spec in specs)
-    sends = command or (normalise(case.distribution), case.plugin) == SENDER
-    where = "roboneuron and roboneuron.feature" if for_features else "roboneuron"
+    distribution = normalise(case.distribution)
+    lists = lists_for(
+        features=any(isinstance(spec, FeatureSpec) for spec in specs),
+        commands=any(isinstance(spec, CommandSpec) for spec in specs),
+        is_kit=distribution == KIT,
+    )
+    where = ", ".join(["roboneuron", *sorted(lists)])
     for path in source_files(case):
         for name, line in imported_modules(path):
             require(
-                is_public(name, for_features=for_features, sends=sends),
-                f"{path.name}:{line} imports {name}; this plugin may import what {where} list",
+                is_public(name, lists, sends=(distribution, case.plugin) == SENDER),
+                f"{path.name}:{line} imports {name}; of the core this plugin may import what "
+                f"{where} list",
             )
 
 
@@ -380,7 +395,7 @@ RULES: tuple[Rule[PackageCase], ...] = (
     Rule(
         id="package/import-direction",
         text="Of the core it imports what `roboneuron` lists; with features or commands, "
-        "`roboneuron.feature` too.",
+        "`roboneuron.feature`, `roboneuron.node` or `roboneuron.command` too.",
         source=_SOURCE,
         check=_check_direction,
     ),

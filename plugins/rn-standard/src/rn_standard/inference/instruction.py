@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from roboneuron.errors import InvalidInputError
-from roboneuron.modules.module_host import ModuleHost
-from roboneuron.modules.settings import INSTRUCTION_PARAMETER, instruction_problem
+from roboneuron import InvalidInputError
+from roboneuron.node import ModuleHost, settings
 
 
 class Instruction:
@@ -34,10 +33,10 @@ class Instruction:
         self.count = 0
         self.is_new = True
         self._actions = 0
-        if reason := instruction_problem(text):
+        if reason := settings.instruction_problem(text):
             raise InvalidInputError(reason)
         node.resources.callback(
-            node.add_parameter(INSTRUCTION_PARAMETER, text, self._take, self._refusal)
+            node.add_parameter(settings.INSTRUCTION_PARAMETER, text, self._take, self._refusal)
         )
         # After a stop while the backend was loaded, the instruction of the start counts no more:
         # motion needs a new one.
@@ -79,4 +78,4 @@ class Instruction:
         """Why an instruction cannot be taken; empty when it can. None (empty) is always taken."""
         if text.strip() and self._node.stopped:
             return "the emergency stop is latched"
-        return instruction_problem(text)
+        return settings.instruction_problem(text)

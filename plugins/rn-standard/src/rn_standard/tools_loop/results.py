@@ -10,11 +10,16 @@ from typing import Any, Literal, Self
 
 from pydantic import Field
 
-from roboneuron.modules.report import ModuleFacts
-from roboneuron.modules.settings import ModuleKind
-from roboneuron.server.tool import Result
-from roboneuron.supervisor.health import EXPLANATIONS, Health, ModuleView, Stopped, assess
-from roboneuron.supervisor.slot import Phase
+from roboneuron import Result
+from roboneuron.feature import (
+    EXPLANATIONS,
+    Health,
+    ModuleFacts,
+    ModuleKind,
+    ModuleView,
+    Phase,
+    assess,
+)
 
 STALE_S = 1.0
 """A module whose newest report is older than this (five periods) is shown as not responding."""
@@ -88,23 +93,6 @@ class StartResult(ModuleSummary):
     took_s: float = Field(description="from the call to the proof of readiness")
 
 
-class StopResult(Result):
-    """A module that is gone from the process table, or a start that was cancelled."""
-
-    module: ModuleKind
-    cancelled_start: bool = Field(default=False, description="it was still starting")
-    pid: int | None = None
-    exit_code: int | None = Field(default=None, description="negative for the signal that ended it")
-    killed: bool = Field(default=False, description="it did not leave by itself in time")
-    took_s: float = 0.0
-
-
-class StopAllResult(Result):
-    """Everything that was stopped, in that order; empty when nothing ran."""
-
-    stopped: list[StopResult]
-
-
 class InstructionResult(Result):
     """The backend has published its first action for the new instruction."""
 
@@ -113,16 +101,7 @@ class InstructionResult(Result):
     note: str = ""
 
 
-class EmergencyStopResult(Result):
-    """The latch, as the modules themselves report it."""
-
-    latched: bool
-    confirmed_by: list[str] = Field(description="running modules that report it")
-    took_s: float
-    note: str = ""
-
-
-class RobotFacts(Result):
+class RobotStatus(Result):
     """The robot that runs, or else the one that the configuration names."""
 
     name: str
@@ -130,9 +109,6 @@ class RobotFacts(Result):
     kind: Literal["real", "simulated"] = Field(
         description="real unless its driver declares that it is simulated"
     )
-
-    def __str__(self) -> str:
-        return f"{self.kind} robot {self.name} (driver {self.driver})"
 
 
 class StatusResult(Result):
@@ -142,7 +118,7 @@ class StatusResult(Result):
 
     sparse = True
 
-    robot: RobotFacts
+    robot: RobotStatus
     modules: list[ModuleStatus]
     emergency_stop: bool = Field(
         description="latched here or in any module; nothing moves until it is reset"
@@ -230,16 +206,3 @@ def _bounded(value: Any) -> Any:
 
 def _clipped(text: str, most: int) -> str:
     return text if len(text) <= most else f"{text[:most]} ... ({len(text)} characters)"
-
-
-def stop_result(kind: ModuleKind, stopped: Stopped | None) -> StopResult:
-    """How a stop went, as the agent reads it."""
-    if stopped is None:
-        return StopResult(module=kind, cancelled_start=True)
-    return StopResult(
-        module=stopped.kind,
-        pid=stopped.pid,
-        exit_code=stopped.exit_code,
-        killed=stopped.killed,
-        took_s=round(stopped.took_s, 3),
-    )

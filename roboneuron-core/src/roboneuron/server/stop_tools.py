@@ -1,10 +1,7 @@
-"""The tools that start, instruct and stop the modules of the closed loop, and the emergency stop
-and its reset.
-"""
+"""The tools that stop: modules, everything, and the emergency stop with its reset."""
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
 from contextlib import suppress
 from datetime import UTC, datetime
@@ -16,74 +13,49 @@ from roboneuron.errors import RefusedError, UnsafeError
 from roboneuron.estop.emergency import reset_command
 from roboneuron.estop.pin import ReleasePin
 from roboneuron.gate.roles import ADMIN, VIEWER
-from roboneuron.modules.settings import MAX_INSTRUCTION_LENGTH, MODULE_KINDS
+from roboneuron.modules.settings import MODULE_KINDS, ModuleKind
 from roboneuron.server.loop import ClosedLoop
-from roboneuron.server.results import (
-    EmergencyStopResult,
-    InstructionResult,
-    StartResult,
-    StopAllResult,
-    StopResult,
-    stop_result,
-)
 from roboneuron.server.selection import KIND_ENTRIES, KindEntry
-from roboneuron.server.tool import Arguments, CallContext, NoArguments, Tool
+from roboneuron.server.tool import Arguments, CallContext, NoArguments, Result, Tool
+from roboneuron.supervisor.health import Stopped
 
 
-class SetInstruction(Arguments):
-    """Arguments of set_instruction."""
+class StopResult(Result):
+    """A module that is gone from the process table, or a start that was cancelled."""
 
-    instruction: str = Field(
-        max_length=MAX_INSTRUCTION_LENGTH,
-        description='What to do, for instance "pick up the red cube".',
-    )
-    timeout_s: float = Field(
-        default=30.0, gt=0, le=600, description="How long to wait for the first action, in seconds."
-    )
-
-
-def closed_loop_tools(loop: ClosedLoop) -> list[Tool[Any]]:
-    """All tools of the closed loop, in the order in which an agent uses them."""
-    return [
-        *(_start_tool(loop, entry) for entry in KIND_ENTRIES.values()),
-        _set_instruction(loop),
-        *(_stop_tool(loop, KIND_ENTRIES[kind]) for kind in MODULE_KINDS),
-        _stop_all(loop),
-    ]
+    module: ModuleKind
+    cancelled_start: bool = Field(default=False, description="it was still starting")
+    pid: int | None = None
+    exit_code: int | None = Field(default=None, description="negative for the signal that ended it")
+    killed: bool = Field(default=False, description="it did not leave by itself in time")
+    took_s: float = 0.0
 
 
-def _set_instruction(loop: ClosedLoop) -> Tool[Any]:
-    async def set_instruction(arguments: SetInstruction, context: CallContext) -> InstructionResult:
-        report, took_s = await context.run(
-            lambda _: loop.set_instruction(arguments.instruction, arguments.timeout_s)
-        )
-        return InstructionResult(
-            instruction=report.instruction, took_s=round(took_s, 3), note=report.note
-        )
+class StopAllResult(Result):
+    """Everything that was stopped, in that order; empty when nothing ran."""
 
-    return Tool(
-        name="set_instruction",
-        title="Tell the robot what to do",
-        description=(
-            "Give the running policy an instruction. Returns at its first action, not at the end "
-            "of the task; stop_inference ends the motion. If the policy cannot act on the "
-            "instruction, "
-            "the error says why "
-            "and nothing moves."
-        ),
-        arguments=SetInstruction,
-        result=InstructionResult,
-        handler=set_instruction,
-        open_world=True,
-        offered=loop.takes_policies,
-    )
+    stopped: list[StopResult]
+
+
+class EmergencyStopResult(Result):
+    """The latch, as the modules themselves report it."""
+
+    latched: bool
+    confirmed_by: list[str] = Field(description="running modules that report it")
+    took_s: float
+    note: str = ""
+
+
+def stop_tools(loop: ClosedLoop) -> list[Tool[Any]]:
+    """A tool for each kind of module, and stop_all."""
+    return [*(_stop_tool(loop, KIND_ENTRIES[kind]) for kind in MODULE_KINDS), _stop_all(loop)]
 
 
 def _stop_tool(loop: ClosedLoop, entry: KindEntry) -> Tool[Any]:
     kind = entry.kind
 
     async def handler(_: NoArguments, context: CallContext) -> StopResult:
-        return stop_result(kind, await context.run(lambda _: loop.stop(kind)))
+        return _stop_result(kind, await context.run(lambda _: loop.stop(kind)))
 
     return Tool(
         name=f"stop_{kind}",
@@ -100,10 +72,23 @@ def _stop_tool(loop: ClosedLoop, entry: KindEntry) -> Tool[Any]:
     )
 
 
+def _stop_result(kind: ModuleKind, stopped: Stopped | None) -> StopResult:
+    """How a stop went, as the agent reads it."""
+    if stopped is None:
+        return StopResult(module=kind, cancelled_start=True)
+    return StopResult(
+        module=stopped.kind,
+        pid=stopped.pid,
+        exit_code=stopped.exit_code,
+        killed=stopped.killed,
+        took_s=round(stopped.took_s, 3),
+    )
+
+
 def _stop_all(loop: ClosedLoop) -> Tool[Any]:
     async def handler(_: NoArguments, context: CallContext) -> StopAllResult:
         stopped = await context.run(lambda _: loop.stop_all())
-        return StopAllResult(stopped=[stop_result(s.kind, s) for s in stopped])
+        return StopAllResult(stopped=[_stop_result(s.kind, s) for s in stopped])
 
     return Tool(
         name="stop_all",
@@ -117,30 +102,6 @@ def _stop_all(loop: ClosedLoop) -> Tool[Any]:
         idempotent=True,
         open_world=True,
         always=True,
-    )
-
-
-def _start_tool(loop: ClosedLoop, entry: KindEntry) -> Tool[Any]:
-    which = f" The configured one is the {loop.robot_facts}." if entry.kind == "robot" else ""
-
-    async def handler(request: Arguments, context: CallContext) -> StartResult:
-        started_s = time.monotonic()
-        view = await context.run(
-            lambda stage: loop.start(entry.kind, request, stage, context.role),
-            on_cancel=lambda: loop.cancel(entry.kind),
-        )
-        return StartResult.short_of(view, took_s=round(time.monotonic() - started_s, 3))
-
-    return Tool(
-        name=f"start_{entry.kind}",
-        title=entry.title,
-        description=f"{entry.start_text}{which} Returns when {entry.proof}; if it fails, nothing "
-        "is left running.",
-        offered=loop.takes_policies if entry.kind == "inference" else lambda: True,
-        arguments=entry.request,
-        result=StartResult,
-        handler=handler,
-        open_world=True,
     )
 
 

@@ -6,10 +6,9 @@ import threading
 import time
 from collections.abc import Callable
 
-from roboneuron.errors import NotReadyError
-from roboneuron.modules.execution import ChunkExecutor, Row
-from roboneuron.modules.module_host import ModuleHost
-from roboneuron.modules.worker import Worker
+from rn_standard.inference.execution import ChunkExecutor, Row
+from roboneuron import NotReadyError
+from roboneuron.node import ModuleHost, Worker
 
 _WAIT_S = 0.1
 """Longest wait for a row; well below the 0.4 s after which a thread counts as stalled."""

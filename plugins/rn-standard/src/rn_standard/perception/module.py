@@ -10,14 +10,23 @@ from typing import cast
 
 from sensor_msgs.msg import CameraInfo, Image
 
-from roboneuron.contract import CameraProfile, PerceptionSource
-from roboneuron.errors import ConfigurationError, NotReadyError, PluginError
-from roboneuron.modules.module_host import Module, ModuleHost
-from roboneuron.modules.plugin import build, load_profile
-from roboneuron.modules.worker import Worker
-from roboneuron.ros.host import NodeTopics
-from roboneuron.ros.messages import to_camera_info, to_image
-from roboneuron.ros.topics import camera_image, camera_info
+from roboneuron import (
+    CameraProfile,
+    ConfigurationError,
+    NotReadyError,
+    PerceptionSource,
+    PluginError,
+)
+from roboneuron.node import (
+    Module,
+    ModuleHost,
+    NodeTopics,
+    Worker,
+    build,
+    load_profile,
+    messages,
+    topics,
+)
 
 _READ_TIMEOUT_S = 0.25
 """Below the 0.4 s after which the reading thread counts as stalled."""
@@ -52,10 +61,12 @@ class PerceptionModule(Module):
         node.resources.callback(self._source.close)
         self._source.open()
         self._images = {
-            camera.name: node.advertise(Image, camera_image(camera.name)) for camera in cameras
+            camera.name: node.advertise(Image, topics.camera_image(camera.name))
+            for camera in cameras
         }
         self._infos = {
-            camera.name: node.advertise(CameraInfo, camera_info(camera.name)) for camera in cameras
+            camera.name: node.advertise(CameraInfo, topics.camera_info(camera.name))
+            for camera in cameras
         }
         self._newest_s = 0.0
         self._missing: set[str] = set()
@@ -109,10 +120,10 @@ class PerceptionModule(Module):
         )
         if self.handover.is_ours(frame.stamp_ns):
             # before the image: whoever decodes that looks for its intrinsics
-            info = to_camera_info(frame)
+            info = messages.to_camera_info(frame)
             if info is not None:
                 self._infos[frame.camera].publish(info)
-            publisher.publish(to_image(frame))
+            publisher.publish(messages.to_image(frame))
             self.status.output.tick()
             self.handover.note_sent(frame.camera)
         age_ms = (self._topics.now_ns() - frame.stamp_ns) / 1e6

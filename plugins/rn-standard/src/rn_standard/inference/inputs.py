@@ -11,27 +11,20 @@ import numpy as np
 from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import CameraInfo, Image, JointState
 
-from roboneuron.contract import (
+from roboneuron import (
     ArmProfile,
     ArmState,
     CameraCalibration,
     CameraProfile,
+    ConfigurationError,
     Frame,
     GripperProfile,
+    InvalidInputError,
     JointSample,
     Observation,
     Pose,
 )
-from roboneuron.errors import ConfigurationError, InvalidInputError
-from roboneuron.modules.settings import FUTURE_S
-from roboneuron.modules.status import StatusWriter
-from roboneuron.ros.messages import (
-    frame_from_message,
-    intrinsics_from_camera_info,
-    joints_from_message,
-    pose_from_message,
-)
-from roboneuron.ros.topics import EE_POSE, JOINT_STATES, camera_image
+from roboneuron.node import StatusWriter, messages, settings, topics
 
 _HAND_OVER_S = 1e-5
 """Any sleep gives the interpreter lock away; the kernel makes about 60 us of it."""
@@ -69,7 +62,9 @@ class CalibratedCamera:
         # it comes with every image, and hardly ever changes
         if mounted is None or self._published.get(size) == values:
             return
-        self._calibrations[size] = replace(mounted, intrinsics=intrinsics_from_camera_info(message))
+        self._calibrations[size] = replace(
+            mounted, intrinsics=messages.intrinsics_from_camera_info(message)
+        )
         self._published[size] = values
 
     def to_frame(self, message: Image) -> Frame:
@@ -83,7 +78,7 @@ class CalibratedCamera:
         size = (int(message.width), int(message.height))
         if size not in self._calibrations:
             self._calibrations[size] = self._profile.calibration_at(*size)
-        frame = frame_from_message(message, self._profile.name, self._calibrations[size])
+        frame = messages.frame_from_message(message, self._profile.name, self._calibrations[size])
         shape, expected = frame.image.shape, self._shape or frame.image.shape
         if shape != expected:
             raise InvalidInputError(
@@ -176,7 +171,7 @@ class NewestInputs:
     def on_joint_state(self, message: JointState) -> None:
         """Subscription callback."""
         try:
-            joints = joints_from_message(message)
+            joints = messages.joints_from_message(message)
         except InvalidInputError as error:
             self._status.dropped.add("bad_joint_state")
             self._status.set_error(error)
@@ -187,27 +182,27 @@ class NewestInputs:
     def on_ee_pose(self, message: PoseStamped) -> None:
         """Subscription callback."""
         with self._fresh:
-            self._ee_pose = pose_from_message(message)
+            self._ee_pose = messages.pose_from_message(message)
 
     def on_arm_pose(self, arm: str, message: PoseStamped) -> None:
         """Subscription callback for the TCP of one of several arms."""
         with self._fresh:
-            self._arm_poses[arm] = pose_from_message(message)
+            self._arm_poses[arm] = messages.pose_from_message(message)
 
-    def check_types(self, topics: Mapping[str, list[str]], namespace: str) -> None:
+    def check_types(self, types: Mapping[str, list[str]], namespace: str) -> None:
         """Compare the graph's types with the contract's: DDS does not connect different types, and
         says nothing about that.
 
         Args:
-            topics: types by absolute topic.
+            types: of the graph, by absolute topic.
             namespace: of the robot.
 
         Raises:
             ConfigurationError: somebody publishes an image topic with another type.
         """
         for camera in self.cameras.values():
-            topic = f"{namespace.rstrip('/')}/{camera_image(camera.name)}"
-            foreign = [t for t in topics.get(topic, [_IMAGE_TYPE]) if t != _IMAGE_TYPE]
+            topic = f"{namespace.rstrip('/')}/{topics.camera_image(camera.name)}"
+            foreign = [t for t in types.get(topic, [_IMAGE_TYPE]) if t != _IMAGE_TYPE]
             if foreign:
                 raise ConfigurationError(
                     f"Topic {topic} carries {foreign[0]}, expected {_IMAGE_TYPE} in rgb8."
@@ -217,15 +212,17 @@ class NewestInputs:
         """What has not arrived yet, as a phrase; empty when everything has."""
         with self._fresh:
             absent = [
-                f"images on {camera_image(self.cameras[role].name)}"
+                f"images on {topics.camera_image(self.cameras[role].name)}"
                 for role in self.cameras
                 if role not in self._frames and role not in self._optional
             ]
             if self.needs_state:
                 if self._joints is None:
-                    absent.append(f"joint states on {JOINT_STATES}")
+                    absent.append(f"joint states on {topics.JOINT_STATES}")
                 if self._ee_pose is None:
-                    absent.append(f"the end-effector pose on {EE_POSE} (is control running?)")
+                    absent.append(
+                        f"the end-effector pose on {topics.EE_POSE} (is control running?)"
+                    )
         return " and ".join(absent)
 
     def captured_ns(self, observation: Observation) -> int:
@@ -303,7 +300,7 @@ class NewestInputs:
         """
         if stamp_ns < now_ns - int(self.max_age_s * 1e9):
             return "old"
-        return "future" if stamp_ns > now_ns + int(FUTURE_S * 1e9) else ""
+        return "future" if stamp_ns > now_ns + int(settings.FUTURE_S * 1e9) else ""
 
     def _refuse(self, what: str, doubt: str) -> None:
         self._status.dropped.add(f"{doubt}_{what}")

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from rn_standard.inference.execution import Bounds, ChunkExecutor, Row
+from rn_standard.inference.player import RowPlayer
 from roboneuron.contract import ActionChunk, Observation
 from roboneuron.errors import NotReadyError
-from roboneuron.modules.execution import Bounds, ChunkExecutor, Row
-from roboneuron.modules.player import RowPlayer
 from roboneuron.modules.status import StatusWriter
 
 STEP_S = 30.0

@@ -7,9 +7,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from rn_standard.inference.execution import Bounds, ChunkExecutor, make_sequential
 from roboneuron.contract import ActionChunk, Frame, Observation
 from roboneuron.errors import ConfigurationError, NotReadyError
-from roboneuron.modules.execution import Bounds, ChunkExecutor, make_sequential
 from roboneuron.plugins.specs import ActionSpace, BackendSpec
 
 STEP_S = 0.05
@@ -103,4 +103,4 @@ def test_a_row_is_not_sent_when_its_image_is_too_old() -> None:
 def test_a_mode_that_nobody_offers_is_refused(mode: str) -> None:
     with pytest.raises(ConfigurationError, match=f"{mode!r}, which no feature offers") as caught:
         make_sequential(BACKEND, mode, Bounds(first_s=0.5))
-    assert "pip install -r requirements.txt" in caught.value.hint
+    assert "rn-execution" in caught.value.hint

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from rn_standard.inference.agreement import agree
 from roboneuron.contract import (
     EE_DELTA,
     ActionChunk,
@@ -18,7 +19,6 @@ from roboneuron.contract import (
     GripperProfile,
     JointSample,
     RobotProfile,
-    agree,
     robot_space,
 )
 from roboneuron.errors import InvalidInputError, PlanningError

@@ -18,32 +18,33 @@ from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import CameraInfo, Image, JointState
 from std_msgs.msg import Float64MultiArray
 
-from roboneuron.contract import (
+from rn_standard.inference.agreement import agree_on_space
+from rn_standard.inference.execution import Bounds, Prediction, Row, executor_maker
+from rn_standard.inference.inputs import NewestInputs
+from rn_standard.inference.instruction import Instruction
+from rn_standard.inference.player import RowPlayer
+from roboneuron import (
     ActionChunk,
     AnyRuntime,
     Backend,
+    BackendSpec,
     CameraProfile,
+    ConfigurationError,
     ControlSpace,
+    NotReadyError,
     Observation,
     RobotProfile,
 )
-from roboneuron.errors import ConfigurationError, NotReadyError
-from roboneuron.modules.execution import Bounds, Prediction, Row
-from roboneuron.modules.inputs import NewestInputs
-from roboneuron.modules.instruction import Instruction
-from roboneuron.modules.module_host import Module, ModuleHost
-from roboneuron.modules.player import RowPlayer
-from roboneuron.modules.plugin import agree_on_space, build, load_profile
-from roboneuron.modules.worker import Worker
-from roboneuron.planning import Plan, check_plan
-from roboneuron.plugins.specs import BackendSpec
-from roboneuron.ros.messages import to_action_message
-from roboneuron.ros.topics import (
-    ACTION,
-    EE_POSE,
-    JOINT_STATES,
-    camera_image,
-    camera_info,
+from roboneuron.node import (
+    Module,
+    ModuleHost,
+    Plan,
+    Worker,
+    build,
+    check_plan,
+    load_profile,
+    messages,
+    topics,
 )
 
 _WAIT_S = 0.1
@@ -148,9 +149,9 @@ class InferenceModule(Module):
             now_ns=node.now_ns,
         )
         self._subscribe(cameras, with_state=spec.needs_state)
-        self._actions = node.advertise(Float64MultiArray, ACTION)
+        self._actions = node.advertise(Float64MultiArray, topics.ACTION)
         bounds = Bounds(first_s=config.max_image_age_s, tail_s=config.max_tail_age_s)
-        self.executor = node.make_executor(spec, config.execution, bounds)
+        self.executor = executor_maker(node)(spec, config.execution, bounds)
         self._not_before_ns = 0
         self._is_blind = False
         self._worker = Worker("inference", self._step, self.status, limit_s=_FIRST_LIMIT_S)
@@ -216,16 +217,21 @@ class InferenceModule(Module):
     def _subscribe(self, cameras: dict[str, CameraProfile], *, with_state: bool) -> None:
         for role, camera in cameras.items():
             self.node.subscribe(
-                CameraInfo, camera_info(camera.name), partial(self._inputs.on_camera_info, role)
+                CameraInfo,
+                topics.camera_info(camera.name),
+                partial(self._inputs.on_camera_info, role),
             )
             self.node.subscribe(
-                Image, camera_image(camera.name), partial(self._inputs.on_image, role)
+                Image, topics.camera_image(camera.name), partial(self._inputs.on_image, role)
             )
         if with_state:
-            self.node.subscribe(JointState, JOINT_STATES, self._inputs.on_joint_state)
-            self.node.subscribe(PoseStamped, EE_POSE, self._inputs.on_ee_pose)
+            self.node.subscribe(JointState, topics.JOINT_STATES, self._inputs.on_joint_state)
+            self.node.subscribe(PoseStamped, topics.EE_POSE, self._inputs.on_ee_pose)
             for arm in self._inputs.arms:
-                topic, take = f"{arm.name}/{EE_POSE}", partial(self._inputs.on_arm_pose, arm.name)
+                topic, take = (
+                    f"{arm.name}/{topics.EE_POSE}",
+                    partial(self._inputs.on_arm_pose, arm.name),
+                )
                 self.node.subscribe(PoseStamped, topic, take)
 
     def _step(self, stop: threading.Event) -> None:
@@ -344,7 +350,7 @@ class InferenceModule(Module):
 
     def _send(self, row: Row) -> None:
         """Publish one row; called by the player, which holds the executor's lock."""
-        self._actions.publish(to_action_message(row.vector, self.space))
+        self._actions.publish(messages.to_action_message(row.vector, self.space))
         self.status.output.tick()
         self._instruction.note_action()
         if row.is_border:

@@ -4,7 +4,7 @@ and when.
 Everything is decided here under one lock; the threads that call it, one to predict and one to play,
 hold no state. Time comes from outside, so that tests and simulations run it by a virtual clock. A
 feature may put an executor of its own, derived from this one, in its place
-(`ModuleHost.make_executor`).
+(`MAKE_EXECUTOR`).
 """
 
 from __future__ import annotations
@@ -13,13 +13,15 @@ import math
 import threading
 import time
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, cast
 
-from roboneuron.contract import ActionChunk, Observation
-from roboneuron.contract.arrays import F64
-from roboneuron.errors import ConfigurationError, NotReadyError
-from roboneuron.plugins.availability import install_command, package_of
-from roboneuron.plugins.specs import BackendSpec
+from roboneuron import ActionChunk, BackendSpec, ConfigurationError, NotReadyError, Observation
+from roboneuron.node import F64
+
+if TYPE_CHECKING:
+    from roboneuron.node import ModuleHost
 
 _PACE = 0.8
 """The next image may be taken after this share of a step since the last row went out: the arm has
@@ -287,11 +289,20 @@ def make_sequential(backend: BackendSpec, execution: str, bounds: Bounds) -> Chu
         ConfigurationError: another mode is configured.
     """
     if execution not in ("auto", "sequential"):
-        package = package_of("feature", "execution")
         raise ConfigurationError(
             f"inference.execution is {execution!r}, which no feature offers where backend "
             f"{backend.name!r} runs.",
-            hint=f"For its interpreter: {install_command(*filter(None, [package]))}. Or use "
-            "'auto'.",
+            hint="Take rn-execution out of disabled_plugins, or use 'auto'.",
         )
     return ChunkExecutor(bounds)
+
+
+MakeExecutor = Callable[[BackendSpec, str, Bounds], ChunkExecutor]
+"""Makes what executes the chunks of a backend, called as `make_sequential`."""
+MAKE_EXECUTOR = "make_executor"
+"""Under this name in `ModuleHost.lent` a feature puts a MakeExecutor of its own."""
+
+
+def executor_maker(host: ModuleHost) -> MakeExecutor:
+    """What makes the executor of a module: a feature's, or `make_sequential`."""
+    return cast("MakeExecutor", host.lent.get(MAKE_EXECUTOR, make_sequential))

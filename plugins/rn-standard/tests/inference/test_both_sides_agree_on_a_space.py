@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from rn_standard.inference.agreement import SpaceAgreement, agree
 from roboneuron.contract import (
     EE_DELTA,
     GRIPPER,
@@ -21,8 +22,6 @@ from roboneuron.contract import (
     GripperProfile,
     JointSample,
     RobotProfile,
-    SpaceAgreement,
-    agree,
     robot_space,
 )
 from roboneuron.errors import InvalidInputError, PlanningError

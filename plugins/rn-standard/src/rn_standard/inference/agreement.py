@@ -4,17 +4,28 @@ execute, compared by names, units and frames before anything heavy is loaded.
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 
-from roboneuron.contract.action import ActionChunk
-from roboneuron.contract.arrays import F64
-from roboneuron.contract.observation import JointSample
-from roboneuron.contract.profile import RobotProfile
-from roboneuron.contract.space import EE_DELTA, GRIPPER, ControlSpace, robot_space
-from roboneuron.errors import InvalidInputError, PlanningError
+from roboneuron import (
+    EE_DELTA,
+    GRIPPER,
+    SPACE_KINDS,
+    ActionChunk,
+    BackendSpec,
+    ControllerSpec,
+    ControlSpace,
+    InvalidInputError,
+    JointSample,
+    PlanningError,
+    PluginError,
+    RobotProfile,
+    robot_space,
+)
+from roboneuron.node import F64, Plan, Registry, load_profile, loading, models, settings
 
 _RATE_SHARE = 0.02
 """How far the period of a chunk may be from the declared rate: rates are told in whole Hz."""
@@ -151,3 +162,66 @@ def _described(space: ControlSpace) -> str:
     relative = ", relative to the measured joints" if space.kind == "joint_delta" else ""
     rate = f" at {space.rate_hz:g} Hz" if space.rate_hz else ""
     return f"{space.kind} ({', '.join(space.keys)}{relative}{rate})"
+
+
+def agree_on_space(
+    registry: Registry,
+    backend: BackendSpec,
+    options: Mapping[str, object],
+    robot: str,
+    control: models.ControlConfig | None,
+) -> SpaceAgreement:
+    """What the backend yields with these options, as the configured controller executes it.
+
+    Args:
+        registry: what is installed.
+        backend: its descriptor.
+        options: of the backend, with its checkpoint.
+        robot: name of the robot.
+        control: section of the configuration; None: every space is taken.
+
+    Raises:
+        PlanningError: they do not fit, see `agree`.
+        ConfigurationError, PluginError: something named cannot be used, or the descriptor does not
+            fit its space; as what declares the space.
+    """
+    profile = load_profile(registry, robot)
+    declared: object = EE_DELTA
+    if backend.space is not None:
+        declare = cast(
+            "Callable[..., object]",
+            loading.load_attribute(backend.space, f"`space` of {backend.name!r}"),
+        )
+        declared = declare(options, profile)
+    if not isinstance(declared, ControlSpace):
+        raise PluginError(
+            f"The `space` of {backend.name!r} returned {type(declared).__name__}, expected "
+            "ControlSpace."
+        )
+    if declared.kind == "joint_delta" and not backend.needs_state:
+        raise PluginError(
+            f"Backend {backend.name!r} yields joint_delta, which is relative to the measured "
+            "joints, but its descriptor does not say needs_state."
+        )
+    kinds: tuple[str, ...] = SPACE_KINDS
+    name, longest_s = "", None
+    if control is not None:
+        name = control.controller
+        kinds = registry.get(ControllerSpec, name, elsewhere=True).spaces
+        longest_s = control.action_timeout_s * settings.HOLD_SHARE
+    return agree(
+        declared, profile, kinds, backend=backend.name, controller=name, longest_s=longest_s
+    )
+
+
+def check_space(
+    registry: Registry,
+    plan: Plan,
+    options: Mapping[str, object],
+    control: models.ControlConfig | None,
+) -> None:
+    """Check the space of a backend before its process is started, see `FeatureSpec.module_check`;
+    raises as `agree_on_space`.
+    """
+    if plan.backend is not None and plan.backend.space is not None:
+        agree_on_space(registry, plan.backend, options, plan.robot.name, control)

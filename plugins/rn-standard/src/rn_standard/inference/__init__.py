@@ -1,0 +1,1 @@
+"""Inference modules: images and states in, the actions of a policy out."""

@@ -1,0 +1,18 @@
+"""What this package offers; standard library and descriptors only."""
+
+from roboneuron import FeatureSpec, hookimpl
+
+FEATURE = FeatureSpec(
+    name="inference",
+    summary="Runs policies: newest images and states in, actions out.",
+    target="roboneuron:Feature",
+    module="rn_standard.inference.module:InferenceModule",
+    module_check="rn_standard.inference.agreement:check_space",
+)
+"""Descriptor of the feature; it has nothing to do in the server."""
+
+
+@hookimpl
+def roboneuron_features() -> tuple[FeatureSpec, ...]:
+    """The features of this package."""
+    return (FEATURE,)

@@ -1,0 +1,1 @@
+"""Perception modules: frames of a source in, images on ROS topics out."""

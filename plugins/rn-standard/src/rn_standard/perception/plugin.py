@@ -1,0 +1,17 @@
+"""What this package offers; standard library and descriptors only."""
+
+from roboneuron import FeatureSpec, hookimpl
+
+FEATURE = FeatureSpec(
+    name="perception",
+    summary="Runs cameras: frames of a source in, images on ROS topics out.",
+    target="roboneuron:Feature",
+    module="rn_standard.perception.module:PerceptionModule",
+)
+"""Descriptor of the feature; it has nothing to do in the server."""
+
+
+@hookimpl
+def roboneuron_features() -> tuple[FeatureSpec, ...]:
+    """The features of this package."""
+    return (FEATURE,)

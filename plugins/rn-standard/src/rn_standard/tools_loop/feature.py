@@ -1,0 +1,28 @@
+"""The feature: tools of the closed loop, and its status as a resource that tells of its changes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from rn_standard.tools_loop.status import STATUS_URI, status_resource, status_tool
+from rn_standard.tools_loop.tools import start_tools
+from roboneuron import Feature, Host, Resource, Tool
+
+
+class LoopTools(Feature[None]):
+    """start_* for each kind of module, set_instruction and get_status."""
+
+    def tools(self, host: Host) -> Sequence[Tool[Any]]:
+        """See Feature."""
+
+        def changed(*_: object) -> None:
+            host.events.resource.tell(STATUS_URI)
+
+        host.events.health.listen(changed)
+        host.events.fault.listen(changed)
+        return [status_tool(host.loop, host.started_s), *start_tools(host.loop)]
+
+    def resources(self, host: Host) -> Sequence[Resource]:
+        """See Feature."""
+        return [status_resource(host.loop, host.started_s)]

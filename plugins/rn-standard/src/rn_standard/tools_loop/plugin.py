@@ -1,0 +1,16 @@
+"""What this package offers; standard library and descriptors only."""
+
+from roboneuron import FeatureSpec, hookimpl
+
+FEATURE = FeatureSpec(
+    name="tools-loop",
+    summary="start_*, set_instruction and get_status: the closed loop for agents.",
+    target="rn_standard.tools_loop.feature:LoopTools",
+)
+"""Descriptor of the feature."""
+
+
+@hookimpl
+def roboneuron_features() -> tuple[FeatureSpec, ...]:
+    """The features of this package."""
+    return (FEATURE,)

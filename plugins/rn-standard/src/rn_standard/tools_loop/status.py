@@ -1,0 +1,86 @@
+"""The status of everything: get_status, and the same as an MCP resource."""
+
+from __future__ import annotations
+
+import os
+import platform
+import time
+from dataclasses import asdict
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
+
+from rn_standard.tools_loop.results import ModuleStatus, RobotStatus, StatusResult
+from roboneuron import CallContext, NoArguments, Resource, Tool, __version__
+from roboneuron.feature import ClosedLoop
+
+STATUS_URI = "roboneuron://status"
+
+
+@cache
+def _versions() -> dict[str, str]:
+    """Versions of what matters when something is reported."""
+    found = {"roboneuron": __version__, "python": platform.python_version()}
+    for package in ("mcp", "ros-jazzy-rclpy"):
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            found[package] = "not installed as a package"
+    return found
+
+
+def status(loop: ClosedLoop, started_s: float) -> StatusResult:
+    """The status of everything, `started_s` being the monotonic time of the server's start."""
+    cause = loop.emergency_stop.cause()
+    return StatusResult(
+        robot=RobotStatus(**asdict(loop.robot_facts)),
+        modules=[ModuleStatus.of(view) for view in loop.modules.views()],
+        emergency_stop=loop.emergency_stop.is_latched(),
+        **({"emergency_stop_cause": cause} if cause else {}),
+        namespace=loop.config.namespace,
+        tightened_limits=_tightened(loop),
+        uptime_s=round(time.monotonic() - started_s, 1),
+        pid=os.getpid(),
+        versions=_versions(),
+        log_directory=str(loop.modules.log_directory),
+    )
+
+
+def _tightened(loop: ClosedLoop) -> dict[str, Any]:
+    """By key, the limits that are tighter than those of the configuration."""
+    base, now = (limits.model_dump(mode="json") for limits in (loop.base.limits, loop.limits))
+    return {key: value for key, value in now.items() if value != base[key]}
+
+
+def status_tool(loop: ClosedLoop, started_s: float) -> Tool[NoArguments]:
+    """get_status."""
+
+    async def get_status(_: NoArguments, context: CallContext) -> StatusResult:
+        return status(loop, started_s)
+
+    return Tool(
+        name="get_status",
+        title="Status of everything",
+        description=(
+            "Which robot this is, real or simulated; state, rates and errors of each module; "
+            "whether the emergency "
+            "stop is latched, and by whom."
+        ),
+        arguments=NoArguments,
+        result=StatusResult,
+        handler=get_status,
+        read_only=True,
+        idempotent=True,
+    )
+
+
+def status_resource(loop: ClosedLoop, started_s: float) -> Resource:
+    """The answer of get_status under `STATUS_URI`."""
+    return Resource(
+        uri=STATUS_URI,
+        name="status",
+        title="Status of everything",
+        description="The answer of get_status.",
+        read=lambda: status(loop, started_s).model_dump_json(indent=2, exclude_unset=True),
+        mime_type="application/json",
+    )

@@ -1,0 +1,30 @@
+"""What commands may use of the core, beside `roboneuron` itself: they are processes of their own,
+beside a server or without one.
+
+See `roboneuron.feature` for how to use such a list.
+"""
+
+from collections.abc import Mapping
+
+from roboneuron.listing import attach
+
+__getattr__, __dir__, __all__ = attach(__name__, __file__)
+GROUPS: Mapping[str, frozenset[str]] = {
+    name: frozenset(names.split())
+    for name, names in {
+        "availability": "install_command missing present",
+        "descriptor": "NAME_PATTERN check_spec",
+        "environment": "CLIENT_TOKEN module_environment prepare_environment state_directory",
+        "estop": "EmergencyStopLatch",
+        "loading": "load_attribute load_options load_options_model load_target",
+        "log_files": "begin_logging escaped make_log_directory opener",
+        "messages": "intrinsics_from_camera_info to_image to_ns",
+        "qos": "NEWEST STATUS requested_qos",
+        "reading": "default_text read_state_directory robot_folder",
+        "roles": "ADMIN",
+        "settings": "FIRST_STEP_S HOLD_DURATION_S HOLD_SHARE SHORTEST_STEP_S",
+        "terminal": "add_verbosity log_level",
+        "topics": "DIAGNOSTICS",
+    }.items()
+}
+"""What may be used of the modules among these names; a contract rule of packages checks it."""

@@ -1,0 +1,122 @@
+"""What commands may use of the core, by the modules that define it; `command.py` reads this at run
+time.
+"""
+
+# ruff: noqa: I001
+from collections.abc import Mapping
+
+# Modules, of which the names in `GROUPS` may be used.
+from . import (
+    estop as estop,
+    log_files as log_files,
+)
+from .cli import (
+    terminal as terminal,
+)
+from .config import (
+    reading as reading,
+)
+from .gate import (
+    roles as roles,
+)
+from .modules import (
+    settings as settings,
+)
+from .plugins import (
+    availability as availability,
+    descriptor as descriptor,
+    loading as loading,
+)
+from .ros import (
+    environment as environment,
+    messages as messages,
+    qos as qos,
+    topics as topics,
+)
+
+# Single names.
+from .cli.main import (
+    CommandModule as CommandModule,
+    all_commands as all_commands,
+    load_command as load_command,
+    spoken as spoken,
+)
+from .config.models import (
+    Config as Config,
+)
+from .config.reading import (
+    feature_options as feature_options,
+    load_config as load_config,
+)
+from .errors import (
+    nearest as nearest,
+)
+from .gate.audit import (
+    AUDIT_FILE as AUDIT_FILE,
+    AuditLog as AuditLog,
+    AuditRecord as AuditRecord,
+)
+from .gate.motion.limiter import (
+    MotionLimiter as MotionLimiter,
+)
+from .gate.motion.rules import (
+    collision_of as collision_of,
+    inspector_of as inspector_of,
+    motion_rules as motion_rules,
+)
+from .modules.parent_watch import (
+    Signals as Signals,
+)
+from .modules.plugin import (
+    build as build,
+    load_profile as load_profile,
+)
+from .modules.report import (
+    Report as Report,
+)
+from .modules.settings import (
+    MODULE_KINDS as MODULE_KINDS,
+    ModuleKind as ModuleKind,
+)
+from .planning import (
+    Plan as Plan,
+    check_plan as check_plan,
+)
+from .plugins.discovery import (
+    discover as discover,
+    discover_from as discover_from,
+)
+from .plugins.registry import (
+    Offer as Offer,
+    PluginRecord as PluginRecord,
+    Registry as Registry,
+    Status as Status,
+)
+from .plugins.specs import (
+    PLUGIN_KINDS as PLUGIN_KINDS,
+)
+from .ros.link import (
+    RosLink as RosLink,
+)
+from .server.app import (
+    make_served as make_served,
+)
+from .server.registry import (
+    ERROR_META as ERROR_META,
+)
+from .server.selection import (
+    check_configuration as check_configuration,
+)
+from .supervisor.changes import (
+    Periodic as Periodic,
+)
+from .supervisor.health import (
+    EXPLANATIONS as EXPLANATIONS,
+    FAULTS as FAULTS,
+    Health as Health,
+    ModuleView as ModuleView,
+    assess as assess,
+)
+
+__all__: list[str]
+GROUPS: Mapping[str, frozenset[str]]

@@ -1,0 +1,25 @@
+"""What features may use of the core in the process of a module, beside `roboneuron` itself: in the
+classes of modules that they bring (`FeatureSpec.module`) and in what joins one (`on_join`).
+
+See `roboneuron.feature` for how to use such a list.
+"""
+
+from collections.abc import Mapping
+
+from roboneuron.listing import attach
+
+__getattr__, __dir__, __all__ = attach(__name__, __file__)
+GROUPS: Mapping[str, frozenset[str]] = {
+    name: frozenset(names.split())
+    for name, names in {
+        "loading": "load_attribute",
+        "messages": "frame_from_message intrinsics_from_camera_info joints_from_message "
+        "pose_from_message to_action_message to_camera_info to_image",
+        "models": "ControlConfig",
+        "qos": "NEWEST",
+        "settings": "FUTURE_S HOLD_SHARE INSTRUCTION_PARAMETER instruction_problem",
+        "task_space": "angle_rad distance_m",
+        "topics": "ACTION EE_POSE JOINT_STATES PREDICTIONS camera_image camera_info",
+    }.items()
+}
+"""What may be used of the modules among these names; a contract rule of packages checks it."""

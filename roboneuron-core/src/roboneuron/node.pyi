@@ -1,0 +1,63 @@
+"""What features may use of the core in a module's process, by the modules that define it; `node.py`
+reads this at run time.
+"""
+
+# ruff: noqa: I001
+from collections.abc import Mapping
+
+# Modules, of which the names in `GROUPS` may be used.
+from .config import (
+    models as models,
+)
+from .gate.motion import (
+    task_space as task_space,
+)
+from .modules import (
+    settings as settings,
+)
+from .plugins import (
+    loading as loading,
+)
+from .ros import (
+    messages as messages,
+    qos as qos,
+    topics as topics,
+)
+
+# Single names.
+from .contract.arrays import (
+    F64 as F64,
+)
+from .modules.control import (
+    ControlModule as ControlModule,
+)
+from .modules.handover import (
+    Handover as Handover,
+)
+from .modules.module_host import (
+    Module as Module,
+    ModuleHost as ModuleHost,
+)
+from .modules.plugin import (
+    build as build,
+    load_profile as load_profile,
+)
+from .modules.status import (
+    StatusWriter as StatusWriter,
+)
+from .modules.worker import (
+    Worker as Worker,
+)
+from .planning import (
+    Plan as Plan,
+    check_plan as check_plan,
+)
+from .plugins.registry import (
+    Registry as Registry,
+)
+from .ros.host import (
+    NodeTopics as NodeTopics,
+)
+
+__all__: list[str]
+GROUPS: Mapping[str, frozenset[str]]
