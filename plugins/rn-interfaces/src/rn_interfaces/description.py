@@ -4,12 +4,11 @@ them in a file, in the structures of rosidl.
 
 from __future__ import annotations
 
+import ctypes
 import json
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
-
-import ctypes
 
 from rn_interfaces import structures as c
 

@@ -1,73 +1,107 @@
 """Python classes, descriptions and hashes of a package's interfaces, by rosidl's own generators.
 
-    python -m rn_interfaces.generate PACKAGE TEXTS OUTPUT INCLUDE...
+    python -m rn_interfaces.generate < PLAN
 
-Run as a program: the generators print, change global state and read the file system. Nothing is
-compiled: the type supports are made at run time (`rn_interfaces.support`).
+Run as a program where others share the process: the generators print and change global state.
+Nothing is compiled: the type supports are made at run time (`rn_interfaces.support`).
 """
 
 from __future__ import annotations
 
 import json
-import os
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import redirect_stdout
+from importlib.metadata import distribution
 from pathlib import Path
 
-KINDS = ("msg", "srv", "action")
+
+class GenerationError(RuntimeError):
+    """The generators do not take a definition."""
 
 
-def generate(package: str, names: Iterable[str], texts: Path, output: Path, prefixes: Iterable[Path]) -> None:
-    """Write `output/<kind>/_<name>.py` and `output/<kind>/<Name>.json` of some interfaces.
+def templates() -> Path:
+    """The folder of the templates of rosidl_generator_py, as its wheel has it.
 
-    `names` are such as `msg/Seam`; `texts` is the folder that holds `msg/Seam.msg`; `prefixes` are
-    folders that hold `<package>/<kind>/<Name>.json` of other packages.
+    Raises
+    ------
+    GenerationError
+        There is none.
     """
-    import rosidl_generator_py  # type: ignore[import-untyped]
-    import rosidl_generator_type_description as describe  # type: ignore[import-untyped]
-    from rosidl_adapter import convert_to_idl  # type: ignore[import-untyped]
-    from rosidl_pycommon import generate_files  # type: ignore[import-untyped]
+    name = "share/rosidl_generator_py/resource/_idl.py.em"
+    found = Path(str(distribution("ros-rosidl-generator-py").locate_file(""))).parents
+    for prefix in (Path(sys.prefix), *found):
+        if (prefix / name).is_file():
+            return (prefix / name).parent
+    raise GenerationError(f"no {name} in {sys.prefix}; reinstall ros-rosidl-generator-py")
 
-    templates = Path(rosidl_generator_py.__file__).parents[4] / "share/rosidl_generator_py/resource"
-    relative = []
+
+def describe(
+    package: str, names: Sequence[str], texts: Path, work: Path, includes: Mapping[str, Path]
+) -> None:
+    """Write `work/<package>/<kind>/<Name>.idl` and `.json`, the description with all hashes.
+
+    Parameters
+    ----------
+    names
+        Such as `msg/Seam`.
+    texts
+        The folder that holds `<package>/msg/Seam.msg`.
+    includes
+        Folders that hold `<kind>/<Name>.json`, by package; of packages without one, and of the
+        interfaces of this one that are not among `names`, they are in `work`.
+    """
+    import rosidl_generator_type_description as description  # type: ignore[import-untyped]
+    from rosidl_adapter import convert_to_idl  # type: ignore[import-untyped]
+
+    output = work / package
     for name in names:
         path = Path(f"{name}.{name.partition('/')[0]}")
         (output / path.parent).mkdir(parents=True, exist_ok=True)
-        convert_to_idl(texts, package, path, output)
-        relative.append(path.with_suffix(".idl").as_posix())
-    others = {folder.name: folder for prefix in prefixes for folder in prefix.iterdir()}
-    others.pop(package, None)
-    arguments = output / "arguments.json"
+        convert_to_idl(texts / package, package, path, output)
+    description.generate_type_hash(str(_arguments(package, names, work, includes)))
+
+
+def write_classes(package: str, names: Sequence[str], work: Path) -> None:
+    """Write `work/<package>/<kind>/_<name>.py`, after `describe`."""
+    from rosidl_pycommon import generate_files  # type: ignore[import-untyped]
+
+    generate_files(str(_arguments(package, names, work, {})), {"_idl.py.em": "_%s.py"})
+
+
+def _arguments(
+    package: str, names: Iterable[str], work: Path, includes: Mapping[str, Path]
+) -> Path:
+    output = work / package
+    others = {path.name: path for path in work.iterdir() if path.is_dir() and path != output}
+    listed = [f"{name}.idl" for name in names]
     facts = {
         "package_name": package,
         "output_dir": str(output),
-        "template_dir": str(templates),
-        "idl_tuples": [f"{output}:{name}" for name in relative],
+        "template_dir": str(templates()),
+        "idl_tuples": [f"{output}:{name}" for name in listed],
         "ros_interface_dependencies": [],
         "ros_interface_files": [],
         "target_dependencies": [],
-        "include_paths": [f"{name}:{folder}" for name, folder in others.items()],
+        "include_paths": [f"{name}:{path}" for name, path in {**includes, **others}.items()],
+        "type_description_tuples": [
+            f"{name}:{(output / name).with_suffix('.json')}" for name in listed
+        ],
     }
+    arguments = output / "arguments.json"
     arguments.write_text(json.dumps(facts), encoding="utf-8")
-    describe.generate_type_hash(str(arguments))
-    facts["type_description_tuples"] = [
-        f"{name}:{(output / name).with_suffix('.json')}" for name in relative
-    ]
-    arguments.write_text(json.dumps(facts), encoding="utf-8")
-    generate_files(str(arguments), {"_idl.py.em": "_%s.py"})
+    return arguments
 
 
 def main() -> None:
-    package, texts, output, prefixes, *names = sys.argv[1:]
+    """Carry out a plan: texts, work, includes, and steps of a package with names each."""
+    plan = json.load(sys.stdin)
+    includes = {name: Path(path) for name, path in plan["includes"].items()}
+    work = Path(plan["work"])
     with redirect_stdout(sys.stderr):
-        generate(
-            package,
-            names,
-            Path(texts),
-            Path(output),
-            [Path(one) for one in prefixes.split(os.pathsep)],
-        )
+        for package, names in plan["steps"]:
+            describe(package, names, Path(plan["texts"]), work, includes)
+            write_classes(package, names, work)
 
 
 if __name__ == "__main__":

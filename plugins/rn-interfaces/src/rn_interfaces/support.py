@@ -4,12 +4,19 @@
 The Python classes are those that rosidl_generator_py writes. A ROS message in C is a block of
 memory whose address stands for a Python object: its CDR on the way out, the message on the way in.
 Everything that C keeps a pointer to lives as long as the process.
+
+rclpy publishes and takes with the GIL held, and Fast DDS calls these functions with the lock of a
+reader or writer held. Python may hand the GIL to another thread within such a function; if that one
+published or took on the same topic, it would wait for that lock with the GIL in its hands, forever.
+So a lock of each type is held from the moment when rclpy makes a ROS message until it destroys it,
+and whoever waits for it waits without the GIL.
 """
 
 from __future__ import annotations
 
 import ctypes
 import logging
+import threading
 from collections.abc import Callable, Sequence
 from functools import cache
 from importlib import import_module
@@ -38,7 +45,7 @@ _kept: list[object] = []
 """What C code has pointers to."""
 _held: dict[int, object] = {}
 """By the address of a ROS message: what it stands for."""
-_blocks: dict[int, object] = {}
+_blocks: dict[int, tuple[object, threading.RLock]] = {}
 BLOCK = 16
 """Size of a ROS message [B]; only its address is used."""
 
@@ -72,16 +79,10 @@ def address_of_function(prototype: type, body: Callable[..., object]) -> int:
     return pointer
 
 
-def _create() -> int:
-    block = ctypes.create_string_buffer(BLOCK)
-    place = ctypes.addressof(block)
-    _blocks[place] = block
-    return place
-
-
 def _destroy(message: int) -> None:
     _held.pop(message, None)
-    _blocks.pop(message, None)
+    _, lock = _blocks.pop(message)
+    lock.release()
 
 
 class FastCdr:
@@ -105,7 +106,9 @@ class FastCdr:
         No function says how many: the size stands in the buffer that a Cdr refers to.
         """
         buffer = ctypes.c_void_p.from_address(cdr + BUFFER_OFFSET).value
-        _, memory, size = (ctypes.c_size_t * 3).from_address(buffer or 0)
+        if not buffer:
+            raise CdrError("Fast CDR gives no buffer where 2.2 does")
+        _, memory, size = (ctypes.c_size_t * 3).from_address(buffer)
         place = self.place(cdr)
         if memory != self.begin(cdr) or not memory <= place <= memory + size:
             raise CdrError("the buffer of Fast CDR is not laid out as that of 2.2")
@@ -124,7 +127,9 @@ def fast_cdr() -> FastCdr:
     try:
         return FastCdr()
     except (OSError, AttributeError) as error:
-        raise c.LayoutError(f"types cannot be made at run time with this Fast CDR: {error}") from error
+        raise c.LayoutError(
+            f"types cannot be made at run time with this Fast CDR: {error}"
+        ) from error
 
 
 class MessageType:
@@ -135,6 +140,7 @@ class MessageType:
         self._cls = cls
         self._codec = codec(cls)
         self._cdr = fast_cdr()
+        self._lock = threading.RLock()
         callbacks = c.MessageCallbacks(
             "::".join(namespace).encode(),
             cls.__name__.encode(),
@@ -153,12 +159,19 @@ class MessageType:
         )
         described = description.functions()
         self.support.type_hash, self.support.description, self.support.sources = described
-        self.create = c.capsule_of(address_of_function(CREATE, _create))
+        self.create = c.capsule_of(address_of_function(CREATE, self._create))
         self.destroy = c.capsule_of(address_of_function(DESTROY, _destroy))
         self.from_python = c.capsule_of(address_of_function(FROM_PYTHON, self._from_python))
         self.to_python = c.capsule_of(address_of_function(TO_PYTHON, _held.__getitem__))
         self.address = ctypes.addressof(self.support)
         self.capsule = c.capsule_of(self.address)
+
+    def _create(self) -> int:
+        self._lock.acquire()
+        block = ctypes.create_string_buffer(BLOCK)
+        place = ctypes.addressof(block)
+        _blocks[place] = (block, self._lock)
+        return place
 
     def _from_python(self, message: object, place: int) -> bool:
         try:
