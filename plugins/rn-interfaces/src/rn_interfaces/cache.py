@@ -47,13 +47,17 @@ def packages(store: Store, package: str) -> Path:
     return folder
 
 
-def installed(package: str) -> Path | None:
-    """The folder of a package of the wheels or of another prefix, with `<kind>/<Name>.json`."""
+def installed(package: str, besides: Path) -> Path | None:
+    """The folder of a package of the wheels or of another prefix, with `<kind>/<Name>.json`.
+
+    Args:
+        package: that is looked for.
+        besides: a prefix that does not count, that of the store.
+    """
     prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
     for prefix in (*prefixes, sys.prefix):
         folder = Path(prefix) / "share" / package
-        # the store is such a prefix too, which has no descriptions
-        if prefix and next(folder.glob("*/*.json"), None) is not None:
+        if prefix and Path(prefix) != besides and next(folder.glob("*/*.json"), None) is not None:
             return folder
     return None
 
@@ -105,7 +109,7 @@ class Cache:
             if one in found:
                 continue
             if not self._store.has(one):
-                if installed(one.package) is None:
+                if installed(one.package, self._store.prefix) is None:
                     raise ConfigurationError(
                         f"{name} uses {one}, which is not known.",
                         hint="Learn it too: `roboneuron ros learn graph`, or a folder that has it.",
@@ -121,7 +125,7 @@ class Cache:
             if other in used:
                 digest.update(self._key(other, used).encode())
                 continue
-            folder = installed(other.package)
+            folder = installed(other.package, self._store.prefix)
             assert folder is not None  # as `_closure` has found
             path = folder / other.kind / f"{other.word}.json"
             digest.update(path.read_bytes() if path.is_file() else b"")
@@ -137,7 +141,7 @@ class Cache:
                 target.parent.mkdir(parents=True, exist_ok=True)
                 shutil.copyfile(made, target)
             others = {one.package for uses in used.values() for one in uses if one not in used}
-            includes = {package: str(installed(package)) for package in others}
+            includes = {one: str(installed(one, self._store.prefix)) for one in others}
             steps = [
                 (names[0].package, [f"{name.kind}/{name.word}" for name in names])
                 for names in by_package({name: used[name] for name in places})

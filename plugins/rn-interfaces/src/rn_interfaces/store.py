@@ -68,10 +68,13 @@ class Origin(NamedTuple):
 
 
 class Interface(NamedTuple):
-    """What is learnt of one interface: its text, the IDL that rosidl made of it, where from."""
+    """What is learnt of one interface: its text, what rosidl made of it (IDL and JSON), and where
+    it is from.
+    """
 
     text: str
     idl: str
+    description: str
     origin: Origin
 
 
@@ -148,9 +151,10 @@ class Store:
                 hint="Forget packages that you do not use: `roboneuron ros forget PACKAGE`.",
             )
         origins = self.origins()
-        for name, (text, idl, origin) in learnt.items():
+        for name, (text, idl, description, origin) in learnt.items():
             path = self.share / name.file
             write(path.with_suffix(".idl"), idl)
+            write(path.with_suffix(".json"), description)
             write(path, text)
             origins[str(name)] = origin
         self._write_origins(origins)
@@ -168,8 +172,8 @@ class Store:
             (self.share / _INDEX / package).unlink(missing_ok=True)
             for name in names:
                 path = self.share / name.file
-                path.unlink(missing_ok=True)
-                path.with_suffix(".idl").unlink(missing_ok=True)
+                for suffix in (path.suffix, ".idl", ".json"):
+                    path.with_suffix(suffix).unlink(missing_ok=True)
             gone = set(map(str, names))
             self._write_origins({n: o for n, o in self.origins().items() if n not in gone})
         return len(names)
