@@ -88,9 +88,18 @@ class Store:
     """Reads at every call, so that what another process has learnt is there at once."""
 
     def __init__(self, prefix: Path | None = None) -> None:
-        """`prefix` is `default_folder()` when None; it need not exist."""
-        self.prefix = prefix or default_folder()
-        self.share = self.prefix / "share"
+        """`prefix` is `default_folder()` at the time of each call when None; it need not exist."""
+        self._prefix = prefix
+
+    @property
+    def prefix(self) -> Path:
+        """The ament prefix that the store is."""
+        return self._prefix or default_folder()
+
+    @property
+    def share(self) -> Path:
+        """Its folder of definitions."""
+        return self.prefix / "share"
 
     def has_package(self, package: str) -> bool:
         """Whether anything of a package is learnt."""
