@@ -11,10 +11,12 @@ import pytest
 sys.path.append(str(Path(__file__).parent))
 
 from made_packages import WELD, write_package
+
 from rn_interfaces.finder import PREFIXES, install
 from rn_interfaces.learning import learn
 from rn_interfaces.sources import definitions
 from rn_interfaces.store import Store
+
 
 @pytest.fixture(scope="package")
 def user(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:

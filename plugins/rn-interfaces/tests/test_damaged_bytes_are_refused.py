@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import random
+from contextlib import suppress
 from typing import Any
 
 import pytest
+from made_messages import filled
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.serialization import deserialize_message, serialize_message
 
-from made_messages import filled
 from rn_interfaces.codec import CdrError, codec
 from rn_interfaces.store import Store
 
@@ -45,17 +47,15 @@ def test_rclpy_goes_on_after_damaged_bytes(store: Store) -> None:
     from weld_msgs.msg import Path as Welds
 
     rng = random.Random(4)
-    refused = 0
+    decoded = 0
     for _ in range(TRIALS // 3):
         message = filled(Welds, rng)
         data = serialize_message(message)
-        try:
+        with suppress(rclpy_implementation.RMWError):
             deserialize_message(data[:4] + damaged(data[4:], rng), Welds)
-        except Exception as error:  # RMWError has no public name
-            assert type(error).__name__ == "RMWError"
-            refused += 1
+            decoded += 1
         assert deserialize_message(data, Welds) == message
-    assert refused
+    assert 0 < decoded < TRIALS // 3
 
 
 @pytest.mark.parametrize(

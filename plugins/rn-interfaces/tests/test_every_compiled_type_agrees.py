@@ -14,9 +14,9 @@ from typing import Any
 
 import pytest
 import rosidl_generator_py
+from made_messages import filled
 from rclpy.serialization import deserialize_message, serialize_message
 
-from made_messages import filled
 from rn_interfaces.codec import codec
 from rn_interfaces.definitions import by_package, used_by
 from rn_interfaces.generate import describe, write_classes
@@ -48,9 +48,10 @@ def classes(name: Name) -> list[type]:
         return [found]
     if name.kind == "srv":
         return [found.Request, found.Response]
-    parts = (found.Impl.SendGoalService, found.Impl.GetResultService)
-    return [found.Goal, found.Result, found.Feedback, found.Impl.FeedbackMessage] + [
-        one for part in parts for one in (part.Request, part.Response)
+    goal, result = found.Impl.SendGoalService, found.Impl.GetResultService
+    return [
+        *(found.Goal, found.Result, found.Feedback, found.Impl.FeedbackMessage),
+        *(goal.Request, goal.Response, result.Request, result.Response),
     ]
 
 
@@ -94,9 +95,8 @@ def _compare(names: list[Name], work: Path) -> None:
             describe(package, listed, SHARE, work, others)
             write_classes(package, listed, work)
         for one in chosen:
-            for path in (work / package / one.kind).glob(f"{one.word}*.json"):
-                theirs = json.loads((SHARE / package / one.kind / path.name).read_text())
-                assert json.loads(path.read_text()) == theirs
+            path = one.file.with_suffix(".json")
+            assert json.loads((work / path).read_text()) == json.loads((SHARE / path).read_text())
         for path in (work / package).glob("*/_*.py"):
             theirs = (SITE / package / path.parent.name / path.name).read_text()
             assert path.read_text() == theirs

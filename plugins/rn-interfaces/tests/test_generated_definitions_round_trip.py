@@ -7,10 +7,10 @@ from importlib import import_module
 from pathlib import Path
 
 import pytest
+from made_messages import definition, filled
+from made_packages import write_package
 from rclpy.serialization import deserialize_message, serialize_message
 
-from made_packages import write_package
-from made_messages import definition, filled
 from rn_interfaces.learning import learn
 from rn_interfaces.sources import definitions
 from rn_interfaces.store import Store

@@ -1,5 +1,5 @@
-"""Classes made of learnt texts, each in a folder of the user's cache that is named by a digest of
-all that it was made of. What is there is never changed, so that processes may share it.
+"""Classes made of learnt interfaces, each in a folder of the user's cache that is named by a digest
+of what it was made of. What is there is never changed, so that processes may share it.
 """
 
 from __future__ import annotations
@@ -10,18 +10,18 @@ import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Mapping
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from rn_interfaces.definitions import by_package, used_by
 from rn_interfaces.description import TypeDescription, TypeSource
-from rn_interfaces.store import KINDS, Name, Store, write
+from rn_interfaces.store import KINDS, Name, Store, parse_name, write
 from roboneuron import ConfigurationError
 
-_TIMEOUT_S = 120.0
-"""Of the generators: less than a second each, on a machine that is busy with other starts."""
+_TIMEOUT_S = 300.0
+"""Of the generators: less than a second for each interface, on a machine that is busy."""
 PACKAGES = "packages"
 _OF_PACKAGE = '"""Interfaces made at run time."""\n'
 _OF_KIND = f"""{_OF_PACKAGE}
@@ -65,116 +65,75 @@ def installed(package: str, besides: Path) -> Path | None:
 class Cache:
     """The cache of what is in a store."""
 
-    def __init__(self, store: Store, folder: Path | None = None) -> None:
-        """`folder` is `default_folder()` when None; it need not exist."""
+    def __init__(self, store: Store) -> None:
         self._store = store
-        self._folder = folder or default_folder()
+        self._folder = default_folder()
 
     def module(self, name: Name) -> Path:
-        """The file of an interface's classes, made now where it is not there.
+        """The file of an interface's classes, made now where it is not there; those of learnt
+        interfaces that it uses are made with it.
 
         Raises
         ------
         ConfigurationError
-            Something that it uses is not known, or the generators do not take its text.
+            The generators fail.
         """
-        return self._made(name) / f"_{lowered(name.word)}.py"
+        place = self._place(name)
+        if not place.is_file():
+            used = {name, *filter(self._store.has, self._used(name))}
+            self._make({one: self._place(one) for one in used if not self._place(one).is_file()})
+        return place
 
     def describe(self, full_name: str) -> TypeDescription:
         """The description of an interface or of a part of one, such as
-        `weld_msgs/srv/Strike_Request`; raises as `module`.
+        `weld_msgs/srv/Strike_Request`.
         """
-        package, kind, word = full_name.split("/")
-        name = Name(package, kind, word.partition("_")[0])
-        source = (
-            TypeSource(full_name, kind, self._store.text(name))
-            if word == name.word
-            else TypeSource(full_name, "implicit", "")
-        )
-        return TypeDescription(self._made(name) / f"{word}.json", source)
+        path = self._store.share / f"{full_name}.json"
+        facts = json.loads(path.read_text(encoding="utf-8"))
+        described = facts["type_description_msg"]["referenced_type_descriptions"]
+        names = [full_name, *(one["type_name"] for one in described)]
+        return TypeDescription(facts, [self._source(one) for one in names])
 
-    def _made(self, name: Name) -> Path:
-        used = self._closure(name)
-        places = {one: self._folder / self._key(one, used) for one in used}
-        if not places[name].is_dir():
-            self._make({one: place for one, place in places.items() if not place.is_dir()}, used)
-        return places[name]
+    def _source(self, full_name: str) -> TypeSource:
+        if "_" in full_name.rpartition("/")[2]:
+            return TypeSource(full_name, "implicit", "")
+        name = parse_name(full_name)
+        folder = installed(name.package, self._store.prefix) or self._store.share / name.package
+        path = folder / name.kind / f"{name.word}.{name.kind}"
+        if not path.is_file():
+            return TypeSource(full_name, "implicit", "")
+        return TypeSource(full_name, name.kind, path.read_text(encoding="utf-8"))
 
-    def _closure(self, name: Name) -> dict[Name, frozenset[Name]]:
-        """What learnt interfaces use, from one on."""
-        found: dict[Name, frozenset[Name]] = {}
-        waiting = [name]
-        while waiting:
-            one = waiting.pop()
-            if one in found:
-                continue
-            if not self._store.has(one):
-                if installed(one.package, self._store.prefix) is None:
-                    raise ConfigurationError(
-                        f"{name} uses {one}, which is not known.",
-                        hint="Learn it too: `roboneuron ros learn graph`, or a folder that has it.",
-                    )
-                continue
-            found[one] = used_by(one, self._store.text(one))
-            waiting += found[one]
-        return found
+    def _used(self, name: Name) -> list[Name]:
+        path = (self._store.share / name.file).with_suffix(".json")
+        described = json.loads(path.read_text(encoding="utf-8"))["type_description_msg"]
+        names = [one["type_name"] for one in described["referenced_type_descriptions"]]
+        return [parse_name(one) for one in names if "_" not in one.rpartition("/")[2]]
 
-    def _key(self, name: Name, used: dict[Name, frozenset[Name]]) -> str:
-        digest = hashlib.sha256(f"{generators()} {name}\n{self._store.text(name)}".encode())
-        for other in sorted(used[name]):
-            if other in used:
-                digest.update(self._key(other, used).encode())
-                continue
-            folder = installed(other.package, self._store.prefix)
-            assert folder is not None  # as `_closure` has found
-            path = folder / other.kind / f"{other.word}.json"
-            digest.update(path.read_bytes() if path.is_file() else b"")
-        return digest.hexdigest()[:40]
+    def _place(self, name: Name) -> Path:
+        idl = (self._store.share / name.file).with_suffix(".idl").read_text(encoding="utf-8")
+        digest = hashlib.sha256(f"{generators()} {name}\n{idl}".encode()).hexdigest()[:40]
+        return self._folder / digest / f"_{lowered(name.word)}.py"
 
-    def _make(self, places: dict[Name, Path], used: dict[Name, frozenset[Name]]) -> None:
+    def _make(self, places: Mapping[Name, Path]) -> None:
         self._folder.mkdir(parents=True, exist_ok=True)
         with TemporaryDirectory(dir=self._folder, prefix=".new-") as scratch:
             work = Path(scratch)
-            for name in used.keys() - places.keys():  # made before: descriptions are enough
-                made = self._folder / self._key(name, used) / f"{name.word}.json"
-                target = work / name.package / name.kind / made.name
-                target.parent.mkdir(parents=True, exist_ok=True)
-                shutil.copyfile(made, target)
-            others = {one.package for uses in used.values() for one in uses if one not in used}
-            includes = {one: str(installed(one, self._store.prefix)) for one in others}
-            steps = [
-                (names[0].package, [f"{name.kind}/{name.word}" for name in names])
-                for names in by_package({name: used[name] for name in places})
-            ]
-            plan = {
-                "texts": str(self._store.share),
-                "work": scratch,
-                "includes": includes,
-                "steps": steps,
-            }
-            run_generators(plan, ", ".join(map(str, sorted(places))))
+            for name in places:
+                for path in (name.file.with_suffix(".idl"), name.file.with_suffix(".json")):
+                    (work / path).parent.mkdir(parents=True, exist_ok=True)
+                    shutil.copyfile(self._store.share / path, work / path)
+            names = ", ".join(sorted(map(str, places)))
+            run_generators(work, [str(name) for name in sorted(places)], names)
             for name, place in places.items():
-                self._keep(work / name.package / name.kind, name, place)
-
-    def _keep(self, made: Path, name: Name, place: Path) -> None:
-        with TemporaryDirectory(dir=self._folder, prefix=".new-") as scratch:
-            folder = Path(scratch) / "made"
-            folder.mkdir()
-            files = [*made.glob(f"{name.word}.json"), *made.glob(f"{name.word}_*.json")]
-            for path in (*files, made / f"_{lowered(name.word)}.py"):
-                shutil.copyfile(path, folder / path.name)
-            try:
-                folder.rename(place)
-            except OSError:
-                if not place.is_dir():  # another process was first: what it has made is equal
-                    raise
+                made = work / name.package / name.kind / place.name
+                write(place, made.read_text(encoding="utf-8"))
 
 
 @cache
 def generators() -> str:
     """Versions of what classes are made by."""
-    names = ("generator-py", "generator-type-description", "adapter")
-    return " ".join(version(f"ros-rosidl-{name}") for name in names)
+    return " ".join(version(f"ros-rosidl-{name}") for name in ("generator-py", "parser"))
 
 
 def lowered(word: str) -> str:
@@ -187,7 +146,7 @@ def lowered(word: str) -> str:
     return found
 
 
-def run_generators(plan: dict[str, object], what: str) -> None:
+def run_generators(work: Path, names: list[str], what: str) -> None:
     """Run the generators in a process of their own; see `rn_interfaces.generate.main`.
 
     Raises
@@ -195,11 +154,11 @@ def run_generators(plan: dict[str, object], what: str) -> None:
     ConfigurationError
         They fail; with their last words.
     """
-    command = [sys.executable, "-P", "-m", "rn_interfaces.generate"]
+    command = [sys.executable, "-P", "-m", "rn_interfaces.generate", str(work)]
     try:
         subprocess.run(
             command,
-            input=json.dumps(plan),
+            input="\n".join(names),
             capture_output=True,
             text=True,
             timeout=_TIMEOUT_S,

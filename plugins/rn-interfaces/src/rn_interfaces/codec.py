@@ -1,8 +1,8 @@
 """CDR of a message class of rosidl, as Fast CDR writes it for ROS 2: plain XCDR1, little-endian.
 
-Functions that write and read one class are made from its `SLOT_TYPES` once, as source text, as
-dataclasses make theirs: fields of a fixed size, those of nested messages among them, are packed
-together. Alignment counts from the first byte after the encapsulation header.
+Functions that write and read one class are put together from its `SLOT_TYPES` once: fields of a
+fixed size that follow each other are packed together, when written also those of nested messages.
+Alignment counts from the first byte after the encapsulation header.
 
 Sources: OMG DDS-XTypes 1.3, section 7.4 (XCDR1); the bytes of the compiled types, with which the
 tests compare.
@@ -15,12 +15,13 @@ import sys
 from collections.abc import Callable
 from functools import cache
 from importlib import import_module
+from operator import attrgetter
 from struct import Struct, calcsize
 from struct import error as StructError
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from rosidl_parser.definition import (  # type: ignore[import-untyped]
+from rosidl_parser.definition import (
     AbstractGenericString,
     AbstractNestedType,
     AbstractSequence,
@@ -34,7 +35,7 @@ from rosidl_parser.definition import (  # type: ignore[import-untyped]
 assert sys.byteorder == "little"  # as all platforms of the wheels are
 FORMATS = {
     "boolean": "?",
-    "octet": "B",
+    "octet": "c",
     "char": "B",
     "int8": "b",
     "uint8": "B",
@@ -47,9 +48,8 @@ FORMATS = {
     "float": "f",
     "double": "d",
 }
-"""By the IDL name: the format of `struct`, which is the type code of `array` and numpy too."""
-LISTED = frozenset({"boolean", "octet"})
-"""Of which rosidl's Python classes keep lists; all other numbers are in arrays."""
+"""By the IDL name: the format of `struct`, which is the type code of `array` and numpy too; octets
+are bytes of length 1."""
 WIDE = 4
 """Bytes [B] of a UTF-16 unit of a wide text: Fast CDR writes a `wchar_t` each."""
 
@@ -99,7 +99,9 @@ def codec(cls: type) -> Codec:
 
 
 Write = Callable[[object, bytearray], None]
-Read = Callable[[bytes, int, int], tuple[object, int]]
+"""Appends a message."""
+Read = Callable[[bytes, int, int], tuple[Any, int]]
+"""Of the bytes, a place and their end: a value, and the place after it."""
 
 
 class Run:
@@ -123,7 +125,7 @@ class Run:
 def type_of(owner: type, name: NamespacedType) -> type:
     """Return the class of a field's type. Those of a service or action are in its own module."""
     found = getattr(sys.modules[owner.__module__], name.name, None)
-    if found is None or found.__module__.split(".")[0] != name.namespaces[0]:
+    if found is None or found.__module__.split(".")[:2] != list(name.namespaces):
         found = getattr(import_module(".".join(name.namespaces)), name.name)
     if not isinstance(found, type):
         raise CdrError(f"{'.'.join(name.namespaces)}.{name.name} is no message")
@@ -142,37 +144,14 @@ def wide_text(data: bytes) -> str:
     return units.tobytes().decode("utf-16-le", "replace")
 
 
-class _Source:
-    """Source text of one function, and the objects that it uses by name."""
-
-    def __init__(self, head: str) -> None:
-        self.lines = [head]
-        self.names: dict[str, object] = {
-            "CdrError": CdrError,
-            "array": array.array,
-            "np": np,
-            "wide_bytes": wide_bytes,
-            "wide_text": wide_text,
-        }
-
-    def add(self, *lines: str, depth: int = 1) -> None:
-        self.lines.extend("    " * depth + line for line in lines)
-
-    def name(self, value: object, stem: str) -> str:
-        """Return a name of a value in the function."""
-        text = f"{stem}{len(self.names)}"
-        self.names[text] = value
-        return text
-
-    def compile(self) -> object:
-        scope = dict(self.names)
-        exec("\n".join(self.lines), scope)  # noqa: S102  (text of this module alone)
-        return scope["function"]
+COUNT = Run("I").at
+EMPTY = "x"
+"""rosidl gives an empty structure one byte."""
 
 
 @cache
 def _functions(cls: type) -> tuple[Write, Read]:
-    return _Writing(cls).function(), _Reading(cls).function()
+    return _writing(cls), _reading(cls)
 
 
 def _members(cls: type) -> list[tuple[str, object]]:
@@ -187,218 +166,314 @@ def _format(slot: BasicType) -> str:
     return FORMATS[slot.typename]
 
 
-def _length_lines(slot: object, what: str) -> list[str]:
-    bound = slot.maximum_size if isinstance(slot, BoundedSequence) else None
+def _length_check(slot: AbstractNestedType, name: str) -> Callable[[int], None]:
     if isinstance(slot, Array):
-        bound = slot.size
-    if bound is None:
-        return []
-    sign, words = ("!=", "not") if isinstance(slot, Array) else (">", "more than")
-    text = f"{what[2:] or what} has {{n}} entries, {words} {bound}"
-    return [f"if n {sign} {bound}: raise CdrError(f{text!r})"]
+        exact = slot.size
+
+        def check(count: int) -> None:
+            if count != exact:
+                raise CdrError(f"{name} has {count} entries, not {exact}")
+
+        return check
+    most = slot.maximum_size if isinstance(slot, BoundedSequence) else sys.maxsize
+
+    def check_most(count: int) -> None:
+        if count > most:
+            raise CdrError(f"{name} has {count} entries, more than {most}")
+
+    return check_most
 
 
-class _Writing:
-    def __init__(self, cls: type) -> None:
-        self._cls = cls
-        self._source = _Source("def function(m, out):")
-        self._formats = ""
-        self._values: list[str] = []
+def _writing(cls: type) -> Write:
+    steps: list[Write] = []
+    pending: list[tuple[str, str]] = []
+    _add_writes(cls, "", steps, pending)
+    _end_run(steps, pending)
+    if len(steps) == 1:
+        return steps[0]
 
-    def function(self) -> Write:
-        self._message(self._cls, "m")
-        self._flush()
-        self._source.add("return None")
-        return self._source.compile()  # type: ignore[return-value]
+    def write(message: object, out: bytearray) -> None:
+        for step in steps:
+            step(message, out)
 
-    def _message(self, cls: type, place: str) -> None:
-        members = _members(cls)
-        if not members:  # rosidl gives an empty structure one byte
-            self._number("B", "0")
-        for name, slot in members:
-            self._field(cls, f"{place}.{name}", slot)
+    return write
 
-    def _number(self, form: str, value: str) -> None:
-        self._formats += form
-        self._values.append(value)
 
-    def _flush(self) -> None:
-        if self._formats:
-            run = self._source.name(Run(self._formats).at, "run")
-            self._source.add(f"out += {run}[len(out) & 7].pack({', '.join(self._values)})")
-        self._formats, self._values = "", []
-
-    def _field(self, owner: type, place: str, slot: object) -> None:
+def _add_writes(cls: type, place: str, steps: list[Write], pending: list[tuple[str, str]]) -> None:
+    members = _members(cls)
+    if not members:
+        pending.append((EMPTY, ""))
+    for name, slot in members:
+        path = f"{place}{name}"
         if isinstance(slot, BasicType):
-            value = f"{place}[0]" if slot.typename == "octet" else place
-            self._number(_format(slot), value)
+            pending.append((_format(slot), path))
         elif isinstance(slot, NamespacedType):
-            self._message(type_of(owner, slot), place)
-        elif isinstance(slot, AbstractGenericString):
-            self._flush()
-            self._text(place, slot, 1)
-        elif isinstance(slot, AbstractNestedType):
-            self._flush()
-            self._entries(owner, place, slot)
+            _add_writes(type_of(cls, slot), f"{path}.", steps, pending)
         else:
-            raise CdrError(f"{place}: no encoding of {type(slot).__name__}")
+            _end_run(steps, pending)
+            steps.append(_of_field(attrgetter(path), _write_value(cls, path, slot)))
 
-    def _text(self, value: str, slot: AbstractGenericString, depth: int) -> None:
-        head = self._source.name(Run("I").at, "head")
-        add = self._source.add
-        if isinstance(slot, AbstractWString):
-            add(f"t = wide_bytes({value})", f"n = len(t) // {WIDE}", depth=depth)
+
+def _end_run(steps: list[Write], pending: list[tuple[str, str]]) -> None:
+    """Turn numbers that follow each other into one step."""
+    if not pending:
+        return
+    packs = [one.pack for one in Run("".join(form for form, _ in pending)).at]
+    paths = [path for _, path in pending if path]
+    pending.clear()
+    if len(paths) > 1:
+        get = attrgetter(*paths)
+
+        def write(message: object, out: bytearray) -> None:
+            out += packs[len(out) & 7](*get(message))
+
+    elif paths:
+        get = attrgetter(paths[0])
+
+        def write(message: object, out: bytearray) -> None:
+            out += packs[len(out) & 7](get(message))
+
+    else:
+
+        def write(message: object, out: bytearray) -> None:
+            out += packs[len(out) & 7]()
+
+    steps.append(write)
+
+
+def _of_field(get: Callable[[object], object], write: Callable[[Any, bytearray], None]) -> Write:
+    def step(message: object, out: bytearray) -> None:
+        write(get(message), out)
+
+    return step
+
+
+def _write_value(owner: type, name: str, slot: object) -> Callable[[Any, bytearray], None]:
+    if isinstance(slot, AbstractGenericString):
+        return _write_text(slot)
+    if not isinstance(slot, AbstractNestedType):
+        raise CdrError(f"{name}: no encoding of {type(slot).__name__}")
+    check = _length_check(slot, name.lstrip("_"))
+    entries = _write_entries(owner, name, slot.value_type)
+    has_count = isinstance(slot, AbstractSequence)
+
+    def write(value: Any, out: bytearray) -> None:
+        count = len(value)
+        check(count)
+        if has_count:
+            out += COUNT[len(out) & 7].pack(count)
+        if count:
+            entries(value, out)
+
+    return write
+
+
+def _write_text(slot: AbstractGenericString) -> Callable[[Any, bytearray], None]:
+    most = slot.maximum_size if slot.has_maximum_size() else sys.maxsize
+    wide = isinstance(slot, AbstractWString)
+
+    def write(value: str, out: bytearray) -> None:
+        data = wide_bytes(value) if wide else value.encode()
+        count = len(data) // WIDE if wide else len(data)
+        if count > most:
+            raise CdrError(f"a text of {count} bytes, the type allows {most}")
+        if not wide:
+            data += b"\0"
+            count += 1
+        out += COUNT[len(out) & 7].pack(count)
+        out += data
+
+    return write
+
+
+def _write_entries(owner: type, name: str, value: object) -> Callable[[Any, bytearray], None]:
+    if isinstance(value, BasicType):
+        return _write_numbers(value)
+    one: Callable[[Any, bytearray], None]
+    if isinstance(value, AbstractGenericString):
+        one = _write_value(owner, name, value)
+    else:
+        one = _functions(type_of(owner, value))[0]
+
+    def write(entries: Any, out: bytearray) -> None:
+        for entry in entries:
+            one(entry, out)
+
+    return write
+
+
+def _write_numbers(slot: BasicType) -> Callable[[Any, bytearray], None]:
+    form = _format(slot)
+    size = calcsize(f"<{form}")
+    if slot.typename == "octet":
+
+        def write(entries: Any, out: bytearray) -> None:
+            data = b"".join(entries)
+            if len(data) != len(entries):
+                raise CdrError("a byte that is not of length 1")
+            out += data
+
+    elif slot.typename == "boolean":
+
+        def write(entries: Any, out: bytearray) -> None:
+            out += bytes(map(bool, entries))
+
+    else:
+
+        def write(entries: Any, out: bytearray) -> None:
+            out += bytes(-len(out) % size)
+            is_block = isinstance(entries, array.array) and entries.typecode == form
+            out += entries.tobytes() if is_block else np.asarray(entries, form).tobytes()
+
+    return write
+
+
+def _reading(cls: type) -> Read:
+    steps: list[Callable[[object, bytes, int, int], int]] = []
+    pending: list[tuple[str, str]] = []
+    members = _members(cls)
+    for name, slot in members or [("", None)]:
+        if slot is None:
+            pending.append((EMPTY, ""))
+        elif isinstance(slot, BasicType):
+            pending.append((_format(slot), name))
         else:
-            add(f"t = {value}.encode() + b'\\0'", "n = len(t) - 1", depth=depth)
-        if slot.has_maximum_size():
-            text = f"a text of {{n}} bytes, the type allows {slot.maximum_size}"
-            add(f"if n > {slot.maximum_size}: raise CdrError(f{text!r})", depth=depth)
-        count = "n" if isinstance(slot, AbstractWString) else "n + 1"
-        add(f"out += {head}[len(out) & 7].pack({count})", "out += t", depth=depth)
+            _end_reads(cls, steps, pending)
+            steps.append(_set_field(cls, name, _read_value(cls, name, slot)))
+    _end_reads(cls, steps, pending)
+    new: Callable[[type], object] = cls.__new__
+    unchecked = getattr(cls, "_check_fields").__set__  # noqa: B009  (a slot, unknown to checkers)
 
-    def _entries(self, owner: type, place: str, slot: AbstractNestedType) -> None:
-        add = self._source.add
-        value = slot.value_type
-        add(f"v = {place}", "n = len(v)", *_length_lines(slot, place))
-        if isinstance(slot, AbstractSequence):
-            head = self._source.name(Run("I").at, "head")
-            add(f"out += {head}[len(out) & 7].pack(n)")
-        if isinstance(value, BasicType):
-            form = _format(value)
-            if value.typename == "octet":
-                add("out += b''.join(v)")
-            elif value.typename == "boolean":
-                add("out += bytes(map(bool, v))")
-            else:
-                add(f"if n: out += bytes(-len(out) % {calcsize('<' + form)})")
-                add(f"out += memoryview(v if hasattr(v, 'tobytes') else array({form!r}, v))")
-        elif isinstance(value, AbstractGenericString):
-            add("for one in v:")
-            self._text("one", value, 2)
-        else:
-            write = self._source.name(_functions(type_of(owner, value))[0], "write")
-            add("for one in v:", f"    {write}(one, out)")
+    def read(data: bytes, place: int, end: int) -> tuple[object, int]:
+        message = new(cls)  # __init__ would fill and check each field first
+        unchecked(message, False)
+        for step in steps:
+            place = step(message, data, place, end)
+        return message, place
+
+    return read
 
 
-class _Reading:
-    def __init__(self, cls: type) -> None:
-        self._cls = cls
-        self._source = _Source("def function(b, p, end):")
-        self._formats = ""
-        self._targets: list[tuple[str, bool]] = []
-        self._count = 0
+Step = Callable[[object, bytes, int, int], int]
 
-    def function(self) -> Read:
-        self._source.names["view"] = memoryview
-        self._message(self._cls, "m")
-        self._flush()
-        self._source.add("return m, p")
-        return self._source.compile()  # type: ignore[return-value]
 
-    def _message(self, cls: type, place: str) -> None:
-        made = self._source.name(cls, "cls")
-        # __new__ alone: __init__ would fill and check each field first
-        self._source.add(f"{place} = {made}.__new__({made})", f"{place}._check_fields = False")
-        members = _members(cls)
-        if not members:
-            self._number("B", "_")
-        for name, slot in members:
-            self._field(cls, f"{place}.{name}", slot)
+def _set_field(cls: type, name: str, read: Read) -> Step:
+    put = getattr(cls, name).__set__
 
-    def _number(self, form: str, target: str, *, is_octet: bool = False) -> None:
-        self._formats += form
-        self._targets.append((target, is_octet))
+    def step(message: object, data: bytes, place: int, end: int) -> int:
+        value, place = read(data, place, end)
+        put(message, value)
+        return place
 
-    def _flush(self) -> None:
-        if self._formats:
-            run = self._source.name(Run(self._formats).at, "run")
-            targets = ", ".join(target for target, _ in self._targets)
-            self._source.add(
-                f"s = {run}[p & 7]",
-                f"{targets}, = s.unpack_from(b, p)",
-                "p += s.size",
-            )
-            for target, is_octet in self._targets:
-                if is_octet:
-                    self._source.add(f"{target} = bytes(({target},))")
-        self._formats, self._targets = "", []
+    return step
 
-    def _field(self, owner: type, place: str, slot: object) -> None:
-        if isinstance(slot, BasicType):
-            self._number(_format(slot), place, is_octet=slot.typename == "octet")
-        elif isinstance(slot, NamespacedType):
-            self._count += 1
-            inner = f"m{self._count}"
-            self._message(type_of(owner, slot), inner)
-            self._source.add(f"{place} = {inner}")
-        elif isinstance(slot, AbstractGenericString):
-            self._flush()
-            self._text(place, slot, 1)
-        elif isinstance(slot, AbstractNestedType):
-            self._flush()
-            self._entries(owner, place, slot)
-        else:
-            raise CdrError(f"{place}: no encoding of {type(slot).__name__}")
 
-    def _length(self, depth: int) -> None:
-        head = self._source.name(Run("I").at, "head")
-        self._source.add(
-            f"s = {head}[p & 7]", "n, = s.unpack_from(b, p)", "p += s.size", depth=depth
-        )
+def _end_reads(cls: type, steps: list[Step], pending: list[tuple[str, str]]) -> None:
+    if not pending:
+        return
+    runs = Run("".join(form for form, _ in pending)).at
+    puts = [getattr(cls, name).__set__ for _, name in pending if name]
+    pending.clear()
 
-    def _room(self, size: int, depth: int) -> None:
-        text = "an entry of {n} elements is longer than the rest of the message"
-        amount = "n" if size == 1 else f"n * {size}"
-        self._source.add(f"if {amount} > end - p: raise CdrError(f{text!r})", depth=depth)
+    def step(message: object, data: bytes, place: int, end: int) -> int:
+        run = runs[place & 7]
+        for put, value in zip(puts, run.unpack_from(data, place), strict=True):
+            put(message, value)
+        return place + run.size
 
-    def _text(self, target: str, slot: AbstractGenericString, depth: int) -> None:
-        add = self._source.add
-        self._length(depth)
-        wide = isinstance(slot, AbstractWString)
-        self._room(WIDE if wide else 1, depth)
+    steps.append(step)
+
+
+def _read_value(owner: type, name: str, slot: object) -> Read:
+    if isinstance(slot, NamespacedType):
+        return _functions(type_of(owner, slot))[1]
+    if isinstance(slot, AbstractGenericString):
+        return _read_text(slot)
+    if not isinstance(slot, AbstractNestedType):
+        raise CdrError(f"{name}: no encoding of {type(slot).__name__}")
+    entries = _read_entries(owner, name, slot)
+    if isinstance(slot, Array):
+        size = slot.size
+        return lambda data, place, end: entries(data, place, end, size)
+    check = _length_check(slot, name.lstrip("_"))
+
+    def read(data: bytes, place: int, end: int) -> tuple[object, int]:
+        head = COUNT[place & 7]
+        (count,) = head.unpack_from(data, place)
+        check(count)
+        return entries(data, place + head.size, end, count)
+
+    return read
+
+
+def _check_rest(count: int, size: int, place: int, end: int) -> None:
+    if count * size > end - place:
+        raise CdrError(f"an entry of {count} elements is longer than the rest of the message")
+
+
+def _read_text(slot: AbstractGenericString) -> Read:
+    most = slot.maximum_size if slot.has_maximum_size() else sys.maxsize
+    wide = isinstance(slot, AbstractWString)
+    size = WIDE if wide else 1
+
+    def read(data: bytes, place: int, end: int) -> tuple[str, int]:
+        head = COUNT[place & 7]
+        (count,) = head.unpack_from(data, place)
+        place += head.size
+        _check_rest(count, size, place, end)
+        after = place + count * size
         if wide:
-            add(f"{target} = wide_text(b[p:p + n * {WIDE}])", f"p += n * {WIDE}", depth=depth)
-        else:
-            # some vendors send an empty text without its closing zero
-            add(f"{target} = str(b[p:p + n - 1], 'utf-8', 'replace') if n else ''", depth=depth)
-            add("p += n", depth=depth)
-        if slot.has_maximum_size():
-            text = f"a text of {{len({target})}} characters, the type allows {slot.maximum_size}"
-            add(
-                f"if len({target}) > {slot.maximum_size}: raise CdrError(f{text!r})", depth=depth
-            )
+            text = wide_text(data[place:after])
+        else:  # some vendors send an empty text without its closing zero
+            text = str(data[place : after - 1], "utf-8", "replace") if count else ""
+        if len(text) > most:
+            raise CdrError(f"a text of {len(text)} characters, the type allows {most}")
+        return text, after
 
-    def _entries(self, owner: type, place: str, slot: AbstractNestedType) -> None:
-        add = self._source.add
-        value = slot.value_type
-        if isinstance(slot, AbstractSequence):
-            self._length(1)
-            add(*_length_lines(slot, place))
-        else:
-            add(f"n = {slot.size}")
-        if isinstance(value, BasicType):
-            form = _format(value)
-            size = calcsize(f"<{form}")
-            if size > 1:
-                add(f"if n: p += -p % {size}")
-            self._room(size, 1)
-            data = f"view(b)[p:p + n * {size}]"
-            if value.typename == "octet":
-                add(f"{place} = [bytes((one,)) for one in b[p:p + n]]")
-            elif value.typename == "boolean":
-                add(f"{place} = [bool(one) for one in b[p:p + n]]")
-            elif isinstance(slot, Array):
-                add(f"{place} = np.frombuffer({data}, {np.dtype(form).str!r}).copy()")
-            else:
-                add(f"v = array({form!r})", f"v.frombytes({data})", f"{place} = v")
-            add(f"p += n * {size}")
-        elif isinstance(value, AbstractGenericString):
-            self._room(1, 1)
-            add("v = []", "for _ in range(n):")
-            self._text("one", value, 2)
-            add("    v.append(one)", f"{place} = v")
-        else:
-            self._room(1, 1)
-            read = self._source.name(_functions(type_of(owner, value))[1], "read")
-            add("v = []", "for _ in range(n):", f"    one, p = {read}(b, p, end)")
-            add("    v.append(one)", f"{place} = v")
+    return read
+
+
+Entries = Callable[[bytes, int, int, int], tuple[Any, int]]
+"""As Read, with the count behind."""
+
+
+def _read_entries(owner: type, name: str, slot: AbstractNestedType) -> Entries:
+    value = slot.value_type
+    if isinstance(value, BasicType):
+        return _read_numbers(value, isinstance(slot, Array))
+    one = _read_value(owner, name, value)
+
+    def read(data: bytes, place: int, end: int, count: int) -> tuple[object, int]:
+        _check_rest(count, 1, place, end)
+        found = []
+        for _ in range(count):
+            entry, place = one(data, place, end)
+            found.append(entry)
+        return found, place
+
+    return read
+
+
+def _read_numbers(slot: BasicType, is_fixed: bool) -> Entries:
+    form = _format(slot)
+    size = calcsize(f"<{form}")
+
+    def unpack(data: memoryview) -> object:
+        if slot.typename == "octet":
+            return [bytes((one,)) for one in data]
+        if slot.typename == "boolean":
+            return [bool(one) for one in data]
+        if is_fixed:
+            return np.frombuffer(data, form).copy()
+        found = array.array(form)
+        found.frombytes(data)
+        return found
+
+    def read(data: bytes, place: int, end: int, count: int) -> tuple[object, int]:
+        if count:
+            place += -place % size
+        _check_rest(count, size, place, end)
+        after = place + count * size
+        return unpack(memoryview(data)[place:after]), after
+
+    return read

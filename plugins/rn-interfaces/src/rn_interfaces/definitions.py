@@ -34,7 +34,7 @@ MOST_FIELDS = 2000
 
 
 def used_by(name: Name, text: str) -> frozenset[Name]:
-    """Return the messages that the fields of an interface and its parts have, after a look at its text.
+    """Return the messages that an interface and its parts hold, after a look at its text.
 
     Raises
     ------

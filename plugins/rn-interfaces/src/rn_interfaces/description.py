@@ -5,9 +5,8 @@ them in a file, in the structures of rosidl.
 from __future__ import annotations
 
 import ctypes
-import json
+from collections.abc import Sequence
 from functools import cached_property
-from pathlib import Path
 from typing import Any, NamedTuple
 
 from rn_interfaces import structures as c
@@ -25,12 +24,17 @@ class TypeSource(NamedTuple):
 
 
 class TypeDescription:
-    """Description, hash and source of one type."""
+    """Description, hash and sources of one type."""
 
-    def __init__(self, path: Path, source: TypeSource) -> None:
-        """`path` is the JSON file of rosidl_generator_type_description."""
-        self._facts: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        self._source = source
+    def __init__(self, facts: dict[str, Any], sources: Sequence[TypeSource]) -> None:
+        """Make it of what rosidl_generator_type_description writes.
+
+        Args:
+            facts: of its JSON file.
+            sources: of the type, and of all that it uses.
+        """
+        self._facts = facts
+        self._sources = sources
 
     @cached_property
     def type_hash(self) -> str:
@@ -45,31 +49,32 @@ class TypeDescription:
 
     @cached_property
     def _functions(self) -> tuple[int, int, int]:
-        from rn_interfaces.support import address_of, address_of_function
-
         value = bytes.fromhex(self.type_hash.removeprefix(HASH_PREFIX))
         described = self._facts["type_description_msg"]
         referenced = [_individual(one) for one in described["referenced_type_descriptions"]]
-        source = (c.Source * 1)(c.Source(*map(c.text, self._source)))
+        sources = [c.Source(*map(c.text, one)) for one in self._sources]
         parts = (
             c.TypeHash(1, (ctypes.c_uint8 * 32)(*value)),
             c.Description(
                 _individual(described["type_description"]),
                 _sequence(c.IndividualDescriptions, c.IndividualDescription, referenced),
             ),
-            c.Sources(source, 1, 1),
+            _sequence(c.Sources, c.Source, sources),
         )
-        hash_at, description_at, sources_at = (
-            address_of_function(c.GET, lambda _, place=address_of(part): place) for part in parts
-        )
-        return hash_at, description_at, sources_at
+        at_hash, at_description, at_sources = map(_returning, parts)
+        return at_hash, at_description, at_sources
+
+
+def _returning(part: ctypes.Structure) -> int:
+    from rn_interfaces.support import address_of, address_of_function
+
+    place = address_of(part)
+    return address_of_function(c.GET, lambda _: place)
 
 
 def _individual(facts: dict[str, Any]) -> c.IndividualDescription:
     fields = [_field(one) for one in facts["fields"]]
-    return c.IndividualDescription(
-        c.text(facts["type_name"]), _sequence(c.Fields, c.Field, fields)
-    )
+    return c.IndividualDescription(c.text(facts["type_name"]), _sequence(c.Fields, c.Field, fields))
 
 
 def _field(facts: dict[str, Any]) -> c.Field:

@@ -1,6 +1,6 @@
 """Python classes, descriptions and hashes of a package's interfaces, by rosidl's own generators.
 
-    python -m rn_interfaces.generate < PLAN
+    python -m rn_interfaces.generate FOLDER < NAMES
 
 Run as a program where others share the process: the generators print and change global state.
 Nothing is compiled: the type supports are made at run time (`rn_interfaces.support`).
@@ -63,7 +63,7 @@ def describe(
 
 
 def write_classes(package: str, names: Sequence[str], work: Path) -> None:
-    """Write `work/<package>/<kind>/_<name>.py`, after `describe`."""
+    """Write `work/<package>/<kind>/_<name>.py` from the IDL that `describe` has written."""
     from rosidl_pycommon import generate_files  # type: ignore[import-untyped]
 
     generate_files(str(_arguments(package, names, work, {})), {"_idl.py.em": "_%s.py"})
@@ -94,13 +94,16 @@ def _arguments(
 
 
 def main() -> None:
-    """Carry out a plan: texts, work, includes, and steps of a package with names each."""
-    plan = json.load(sys.stdin)
-    includes = {name: Path(path) for name, path in plan["includes"].items()}
-    work = Path(plan["work"])
+    """Write the classes of interfaces whose IDL is in the folder that is the argument; their full
+    names are the lines of stdin.
+    """
+    work = Path(sys.argv[1])
+    packages: dict[str, list[str]] = {}
+    for line in sys.stdin.read().split():
+        package, _, name = line.partition("/")
+        packages.setdefault(package, []).append(name)
     with redirect_stdout(sys.stderr):
-        for package, names in plan["steps"]:
-            describe(package, names, Path(plan["texts"]), work, includes)
+        for package, names in packages.items():
             write_classes(package, names, work)
 
 

@@ -89,6 +89,7 @@ class _Lesson:
 
     def complete(self) -> None:
         """Look up what is used, and refuse what uses something that nobody knows."""
+        self._take_dependents()
         waiting = list(self._used)
         while waiting:
             name = waiting.pop()
@@ -103,6 +104,22 @@ class _Lesson:
                     break
                 self.take(other, found)
                 waiting.append(other)
+
+    def _take_dependents(self) -> None:
+        """Learn again what is in the store and uses something whose text changes."""
+        changed = {
+            name
+            for name, text in self._texts.items()
+            if self._store.has(name) and self._store.text(name) != text.text
+        }
+        while changed:
+            name = changed.pop()
+            for other in self._store.names():
+                if other in self._used or name not in used_by(other, self._store.text(other)):
+                    continue
+                source = self._store.origins()[str(other)].source
+                self.take(other, Text(self._store.text(other), source))
+                changed.add(other)
 
     def _is_installed(self, name: Name) -> bool:
         folder = installed(name.package, besides=self._store.prefix)
@@ -163,10 +180,10 @@ class _Lesson:
 
     def _keep(self, name: Name, work: Path, made: dict[Name, Interface]) -> None:
         text, source, expected = self._texts[name]
-        place = work / name.package / name.kind / name.word
-        description = place.with_suffix(".json").read_text(encoding="utf-8")
-        hashes = {one["type_name"]: one["hash_string"] for one in _hashes(description)}
-        found = hashes[str(name)]
+        place = work / name.package / name.kind
+        files = [place / f"{name.word}.json", *place.glob(f"{name.word}_*.json")]
+        descriptions = {path.stem: path.read_text(encoding="utf-8") for path in files}
+        found = _hash(descriptions[name.word], name)
         if expected not in ("", found):
             self._refuse(
                 name,
@@ -174,14 +191,18 @@ class _Lesson:
                 "is not the one that it was built with",
             )
             return
-        if self._store.has(name) and self._store.text(name) == text:
+        if (
+            self._store.has(name)
+            and self._store.text(name) == text
+            and self._store.description(name) == descriptions[name.word]
+        ):
             self._learnt.known.add(name)
             return
-        idl = place.with_suffix(".idl").read_text(encoding="utf-8")
+        idl = (place / f"{name.word}.idl").read_text(encoding="utf-8")
         self._learnt.added[name] = found
-        made[name] = Interface(text, idl, description, Origin(source, found))
+        made[name] = Interface(text, idl, descriptions, Origin(source, found))
 
 
-def _hashes(description: str) -> list[dict[str, str]]:
-    found: list[dict[str, str]] = json.loads(description)["type_hashes"]
-    return found
+def _hash(description: str, name: Name) -> str:
+    hashes: list[dict[str, str]] = json.loads(description)["type_hashes"]
+    return next(one["hash_string"] for one in hashes if one["type_name"] == str(name))

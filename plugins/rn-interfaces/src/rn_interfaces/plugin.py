@@ -14,7 +14,7 @@ FEATURE = FeatureSpec(
 COMMAND = CommandSpec(
     name="ros",
     summary="learn, list and show ROS interfaces from their definitions",
-    target="rn_interfaces.command:Ros",
+    target="rn_interfaces_learning.command:Ros",
 )
 """Descriptor of the command."""
 

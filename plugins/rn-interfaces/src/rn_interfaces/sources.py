@@ -85,12 +85,12 @@ def _named(files: Iterable[tuple[str, Callable[[], bytes]]], source: Path) -> di
             texts[path] = read().decode()
         if len(texts) > MOST_INTERFACES:
             raise ConfigurationError(f"{source} has more than {MOST_INTERFACES} interfaces.")
-    found = {}
+    found: dict[Name, Text] = {}
     for path, text in texts.items():
         folder = path.parents[1]
         package = packages.get(folder, folder.name)
-        name = parse_name(f"{package}/{path.parent.name}/{path.stem}")
-        found[name] = Text(text, f"{source.resolve()}")
+        interface = parse_name(f"{package}/{path.parent.name}/{path.stem}")
+        found[interface] = Text(text, f"{source.resolve()}")
     return found
 
 

@@ -68,13 +68,18 @@ class Origin(NamedTuple):
 
 
 class Interface(NamedTuple):
-    """What is learnt of one interface: its text, what rosidl made of it (IDL and JSON), and where
-    it is from.
+    """What is learnt of one interface.
+
+    Attributes:
+        text: its definition.
+        idl: what rosidl made of it.
+        descriptions: JSON texts of it and of its parts, by name, such as `Strike_Request`.
+        origin: where the text is from.
     """
 
     text: str
     idl: str
-    description: str
+    descriptions: Mapping[str, str]
     origin: Origin
 
 
@@ -112,6 +117,10 @@ class Store:
     def text(self, name: Name) -> str:
         """Definition of an interface. Raises FileNotFoundError."""
         return (self.share / name.file).read_text(encoding="utf-8")
+
+    def description(self, name: Name) -> str:
+        """JSON text of what rosidl says about an interface. Raises FileNotFoundError."""
+        return (self.share / name.file).with_suffix(".json").read_text(encoding="utf-8")
 
     def words(self, package: str, kind: str) -> list[str]:
         """Names of a package's interfaces of a kind, sorted."""
@@ -160,10 +169,11 @@ class Store:
                 hint="Forget packages that you do not use: `roboneuron ros forget PACKAGE`.",
             )
         origins = self.origins()
-        for name, (text, idl, description, origin) in learnt.items():
+        for name, (text, idl, descriptions, origin) in learnt.items():
             path = self.share / name.file
             write(path.with_suffix(".idl"), idl)
-            write(path.with_suffix(".json"), description)
+            for word, description in descriptions.items():
+                write(path.with_name(f"{word}.json"), description)
             write(path, text)
             origins[str(name)] = origin
         self._write_origins(origins)
@@ -181,8 +191,10 @@ class Store:
             (self.share / _INDEX / package).unlink(missing_ok=True)
             for name in names:
                 path = self.share / name.file
-                for suffix in (path.suffix, ".idl", ".json"):
-                    path.with_suffix(suffix).unlink(missing_ok=True)
+                for file in (path, path.with_suffix(".idl"), path.with_suffix(".json")):
+                    file.unlink(missing_ok=True)
+                for part in path.parent.glob(f"{name.word}_*.json"):
+                    part.unlink()
             gone = set(map(str, names))
             self._write_origins({n: o for n, o in self.origins().items() if n not in gone})
         return len(names)

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 _RULE = "=" * 80
 _NEWEST = ("ROS2_JAZZY", "ROS2_LYRICAL", "ROS2_KILTED", "ROS2_IRON", "ROS2_HUMBLE")
-"""In the order in which they are asked: the distribution of the wheels, then others, newest first."""
+"""In the order in which they are asked: that of the wheels, then others, newest first."""
 
 
 def known_definition(name: Name) -> Text | None:

@@ -273,9 +273,9 @@ def check_layout() -> None:
     from std_msgs.msg import String
 
     metaclass = type(String)
-    if metaclass._TYPE_SUPPORT is None:  # type: ignore[attr-defined]
-        metaclass.__import_type_support__()  # type: ignore[attr-defined]
-    support = MessageSupport.from_address(pointer_of(metaclass._TYPE_SUPPORT))  # type: ignore[attr-defined]
+    if metaclass._TYPE_SUPPORT is None:
+        metaclass.__import_type_support__()
+    support = MessageSupport.from_address(pointer_of(metaclass._TYPE_SUPPORT))
     found = _described(support)
     expected = {
         "name": (b"std_msgs::msg", b"String"),

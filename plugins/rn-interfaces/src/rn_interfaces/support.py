@@ -23,7 +23,7 @@ from importlib import import_module
 from types import ModuleType
 from typing import TypeVar
 
-from rosidl_parser.definition import (  # type: ignore[import-untyped]
+from rosidl_parser.definition import (
     AbstractGenericString,
     AbstractNestedType,
     AbstractWString,

@@ -53,9 +53,9 @@ class Ros:
 
 
 def _learn(store: Store, source: str) -> int:
-    from rn_interfaces.graph import Found, ask_nodes, with_graph  # heavy
-    from rn_interfaces.learning import learn
+    from rn_interfaces.learning import learn  # heavy
     from rn_interfaces.sources import definitions
+    from rn_interfaces_learning.nodes import Found, ask_nodes, with_graph
 
     if source == GRAPH and not Path(source).exists():
         found = with_graph(lambda graph: ask_nodes(graph, store))
@@ -97,9 +97,7 @@ def _show(store: Store, type_name: str) -> int:
             hint="`roboneuron ros list` shows what is; `roboneuron describe` shows compiled types.",
         )
     origin = store.origins()[str(name)]
-    sys.stdout.write(
-        f"# {name}\n# {origin.type_hash}\n# from {origin.source}\n{store.text(name)}"
-    )
+    sys.stdout.write(f"# {name}\n# {origin.type_hash}\n# from {origin.source}\n{store.text(name)}")
     return 0
 
 
