@@ -60,7 +60,7 @@ def _number(typename: str, rng: random.Random) -> Any:
 def definition(rng: random.Random, earlier: list[str]) -> str:
     """A .msg with constants, comments, defaults, bounds, arrays and earlier messages."""
     lines = ['# What it\'s for: "tests", 漢.', "int32 LIMIT=7", f"string WORD='{'a' * 3}'"]
-    for index in range(rng.randrange(1, 9)):
+    for index in range(rng.randrange(1, 5)):
         name = f"field_{index}"
         lines += [f"# Comment of {name} [m/s]."] if rng.random() < 0.5 else []
         lines.append(f"{_field_type(rng, earlier)} {name}")

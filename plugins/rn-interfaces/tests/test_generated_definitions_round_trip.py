@@ -41,5 +41,6 @@ def test_generated_definitions_round_trip(user: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1800)
 def test_a_thousand_generated_definitions_round_trip(user: Path, tmp_path: Path) -> None:
     round_trip(tmp_path, "made_thousand_msgs", 1000)

@@ -341,7 +341,7 @@ def _reading(cls: type) -> Read:
             _end_reads(cls, steps, pending)
             steps.append(_set_field(cls, name, _read_value(cls, name, slot)))
     _end_reads(cls, steps, pending)
-    new: Callable[[type], object] = cls.__new__
+    new: Any = cls.__new__
     unchecked = getattr(cls, "_check_fields").__set__  # noqa: B009  (a slot, unknown to checkers)
 
     def read(data: bytes, place: int, end: int) -> tuple[object, int]:
