@@ -16,7 +16,7 @@ MOST_BYTES = 44_500
 """Of the default configuration with the packages that `[standard]` (recorder and view with it) and
 a robot bring.
 """
-OPTIONAL = ("rn-eval-libero", "rn-backend-shared")
+OPTIONAL = ("rn-eval-libero", "rn-backend-shared", "rn-interfaces")
 """Packages with tools or backends of their own that are installed beside the standard ones."""
 
 

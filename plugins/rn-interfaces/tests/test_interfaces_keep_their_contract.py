@@ -1,15 +1,28 @@
-"""The feature keeps its contract, and its package that of plugins."""
+"""Feature and command keep their contracts, and the package that of plugins."""
 
 import pytest
 
-from rn_interfaces.plugin import FEATURE
-from rn_testing import FeatureCase, FeatureContract, PackageCase, PackageContract
+from rn_interfaces.plugin import COMMAND, FEATURE
+from rn_testing import (
+    CommandCase,
+    CommandContract,
+    FeatureCase,
+    FeatureContract,
+    PackageCase,
+    PackageContract,
+)
 
 
 class TestFeature(FeatureContract):
     @pytest.fixture
     def plugin(self) -> FeatureCase:
         return FeatureCase(spec=FEATURE)
+
+
+class TestCommand(CommandContract):
+    @pytest.fixture
+    def plugin(self) -> CommandCase:
+        return CommandCase(spec=COMMAND)
 
 
 class TestPackage(PackageContract):
