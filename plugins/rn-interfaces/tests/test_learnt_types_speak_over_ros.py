@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import suppress
@@ -18,6 +19,7 @@ from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.node import Node
 from rclpy.serialization import serialize_message
 
+from rn_interfaces.finder import PREFIXES
 from rn_interfaces.graph import hash_here
 from rn_interfaces.store import Name, Store
 from rn_interfaces_learning.nodes import NodeGraph, ask_nodes
@@ -169,13 +171,14 @@ def until_discovered(link: RosLink, *topics: str) -> NodeGraph:
 
 
 def test_a_node_gives_the_definition_of_what_it_publishes(
-    node: Node, link: RosLink, store: Store, tmp_path: Any
+    node: Node, link: RosLink, store: Store, tmp_path: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from weld_msgs.msg import Seam
     from weld_msgs.srv import Strike
 
     node.create_publisher(Seam, "/seam", 10)
     node.create_service(Strike, "/strike", lambda request, response: response)
+    monkeypatch.setenv(PREFIXES, sys.prefix)  # another user has another store
     empty = Store(tmp_path / "empty")
     found = ask_nodes(until_discovered(link, "/seam"), empty)
     assert found.texts[SEAM].text == store.text(SEAM)
