@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import array
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import cache
 from importlib import import_module
 from operator import attrgetter
@@ -58,12 +58,44 @@ class CdrError(ValueError):
     """Bytes that are no message of the type, or a message that its type has no bytes for."""
 
 
+LARGE = 65_536
+"""Size of an array [B] from which on it is not copied into what is encoded."""
+
+
+class Parts(bytearray):
+    """What is encoded but for large arrays, which follow at some places.
+
+    Attributes:
+        blocks: place in these bytes, and what is to stand before it; its length is a multiple of
+            eight, so that these bytes alone tell the alignment.
+    """
+
+    blocks: tuple[tuple[int, memoryview], ...] = ()
+
+    def leave_out(self, view: memoryview) -> memoryview:
+        """Note a large array; returns its last bytes, which are no multiple of eight."""
+        whole = len(view) & ~7
+        self.blocks += ((len(self), view[:whole]),)
+        return view[whole:]
+
+    def __iter__(self) -> Iterator[bytes | memoryview]:  # type: ignore[override]
+        """All parts in order."""
+        place = 0
+        for after, view in self.blocks:
+            yield bytes(memoryview(self)[place:after])
+            yield view
+            place = after
+        yield bytes(memoryview(self)[place:])
+
+
 class Codec(NamedTuple):
     """The two directions of one class."""
 
-    encode: Callable[[object], bytes]
-    """Message -> CDR without the encapsulation header. Raises CdrError."""
-    decode: Callable[[bytes], object]
+    encode: Callable[[object], bytes | Parts]
+    """Message -> CDR without the encapsulation header; in parts where there is a large array.
+    Raises CdrError.
+    """
+    decode: Callable[[bytes | bytearray], object]
     """CDR without the encapsulation header -> message. Raises CdrError."""
 
 
@@ -79,15 +111,15 @@ def codec(cls: type) -> Codec:
     write, read = _functions(cls)
     name = f"{cls.__module__.split('.')[0]}/{cls.__name__}"
 
-    def encode(message: object) -> bytes:
-        out = bytearray()
+    def encode(message: object) -> bytes | Parts:
+        out = Parts()
         try:
             write(message, out)
         except (StructError, TypeError, AttributeError, ValueError, IndexError) as error:
             raise CdrError(f"this {name} cannot be encoded: {error}") from error
-        return bytes(out)
+        return out if out.blocks else bytes(out)
 
-    def decode(data: bytes) -> object:
+    def decode(data: bytes | bytearray) -> object:
         try:
             # What follows is padding: rmw_fastrtps takes a message for longer than it becomes.
             message, _ = read(data, 0, len(data))
@@ -98,9 +130,10 @@ def codec(cls: type) -> Codec:
     return Codec(encode, decode)
 
 
+Bytes = bytes | bytearray
 Write = Callable[[object, bytearray], None]
 """Appends a message."""
-Read = Callable[[bytes, int, int], tuple[Any, int]]
+Read = Callable[[Bytes, int, int], tuple[Any, int]]
 """Of the bytes, a place and their end: a value, and the place after it."""
 
 
@@ -138,13 +171,14 @@ def wide_bytes(text: str) -> bytes:
     return array.array("I", units).tobytes()
 
 
-def wide_text(data: bytes) -> str:
+def wide_text(data: bytes | bytearray) -> str:
     """Raises OverflowError for a unit beyond UTF-16."""
     units = array.array("H", array.array("I", data))
     return units.tobytes().decode("utf-16-le", "replace")
 
 
 COUNT = Run("I").at
+_PACK_COUNT = tuple(one.pack for one in COUNT)
 EMPTY = "x"
 """rosidl gives an empty structure one byte."""
 
@@ -261,7 +295,7 @@ def _write_value(owner: type, name: str, slot: object) -> Callable[[Any, bytearr
         count = len(value)
         check(count)
         if has_count:
-            out += COUNT[len(out) & 7].pack(count)
+            out += _PACK_COUNT[len(out) & 7](count)
         if count:
             entries(value, out)
 
@@ -270,20 +304,22 @@ def _write_value(owner: type, name: str, slot: object) -> Callable[[Any, bytearr
 
 def _write_text(slot: AbstractGenericString) -> Callable[[Any, bytearray], None]:
     most = slot.maximum_size if slot.has_maximum_size() else sys.maxsize
-    wide = isinstance(slot, AbstractWString)
 
     def write(value: str, out: bytearray) -> None:
-        data = wide_bytes(value) if wide else value.encode()
-        count = len(data) // WIDE if wide else len(data)
+        data = value.encode()
+        count = len(data)
         if count > most:
             raise CdrError(f"a text of {count} bytes, the type allows {most}")
-        if not wide:
-            data += b"\0"
-            count += 1
-        out += COUNT[len(out) & 7].pack(count)
-        out += data
+        out += _PACK_COUNT[len(out) & 7](count + 1) + data + b"\0"
 
-    return write
+    def write_wide(value: str, out: bytearray) -> None:
+        data = wide_bytes(value)
+        count = len(data) // WIDE
+        if count > most:
+            raise CdrError(f"a text of {count} units, the type allows {most}")
+        out += _PACK_COUNT[len(out) & 7](count) + data
+
+    return write_wide if isinstance(slot, AbstractWString) else write
 
 
 def _write_entries(owner: type, name: str, value: object) -> Callable[[Any, bytearray], None]:
@@ -323,13 +359,17 @@ def _write_numbers(slot: BasicType) -> Callable[[Any, bytearray], None]:
         def write(entries: Any, out: bytearray) -> None:
             out += bytes(-len(out) % size)
             is_block = isinstance(entries, array.array) and entries.typecode == form
-            out += entries.tobytes() if is_block else np.asarray(entries, form).tobytes()
+            block: Any = entries if is_block else np.asarray(entries, form)
+            view = memoryview(block).cast("B")
+            if len(view) >= LARGE and isinstance(out, Parts):
+                view = out.leave_out(view)
+            out += view
 
     return write
 
 
 def _reading(cls: type) -> Read:
-    steps: list[Callable[[object, bytes, int, int], int]] = []
+    steps: list[Callable[[object, Bytes, int, int], int]] = []
     pending: list[tuple[str, str]] = []
     members = _members(cls)
     for name, slot in members or [("", None)]:
@@ -344,7 +384,7 @@ def _reading(cls: type) -> Read:
     new: Any = cls.__new__
     unchecked = getattr(cls, "_check_fields").__set__  # noqa: B009  (a slot, unknown to checkers)
 
-    def read(data: bytes, place: int, end: int) -> tuple[object, int]:
+    def read(data: Bytes, place: int, end: int) -> tuple[object, int]:
         message = new(cls)  # __init__ would fill and check each field first
         unchecked(message, False)
         for step in steps:
@@ -354,13 +394,13 @@ def _reading(cls: type) -> Read:
     return read
 
 
-Step = Callable[[object, bytes, int, int], int]
+Step = Callable[[object, Bytes, int, int], int]
 
 
 def _set_field(cls: type, name: str, read: Read) -> Step:
     put = getattr(cls, name).__set__
 
-    def step(message: object, data: bytes, place: int, end: int) -> int:
+    def step(message: object, data: Bytes, place: int, end: int) -> int:
         value, place = read(data, place, end)
         put(message, value)
         return place
@@ -375,7 +415,7 @@ def _end_reads(cls: type, steps: list[Step], pending: list[tuple[str, str]]) -> 
     puts = [getattr(cls, name).__set__ for _, name in pending if name]
     pending.clear()
 
-    def step(message: object, data: bytes, place: int, end: int) -> int:
+    def step(message: object, data: Bytes, place: int, end: int) -> int:
         run = runs[place & 7]
         for put, value in zip(puts, run.unpack_from(data, place), strict=True):
             put(message, value)
@@ -397,7 +437,7 @@ def _read_value(owner: type, name: str, slot: object) -> Read:
         return lambda data, place, end: entries(data, place, end, size)
     check = _length_check(slot, name.lstrip("_"))
 
-    def read(data: bytes, place: int, end: int) -> tuple[object, int]:
+    def read(data: Bytes, place: int, end: int) -> tuple[object, int]:
         head = COUNT[place & 7]
         (count,) = head.unpack_from(data, place)
         check(count)
@@ -416,7 +456,7 @@ def _read_text(slot: AbstractGenericString) -> Read:
     wide = isinstance(slot, AbstractWString)
     size = WIDE if wide else 1
 
-    def read(data: bytes, place: int, end: int) -> tuple[str, int]:
+    def read(data: Bytes, place: int, end: int) -> tuple[str, int]:
         head = COUNT[place & 7]
         (count,) = head.unpack_from(data, place)
         place += head.size
@@ -433,7 +473,7 @@ def _read_text(slot: AbstractGenericString) -> Read:
     return read
 
 
-Entries = Callable[[bytes, int, int, int], tuple[Any, int]]
+Entries = Callable[[Bytes, int, int, int], tuple[Any, int]]
 """As Read, with the count behind."""
 
 
@@ -443,7 +483,7 @@ def _read_entries(owner: type, name: str, slot: AbstractNestedType) -> Entries:
         return _read_numbers(value, isinstance(slot, Array))
     one = _read_value(owner, name, value)
 
-    def read(data: bytes, place: int, end: int, count: int) -> tuple[object, int]:
+    def read(data: Bytes, place: int, end: int, count: int) -> tuple[object, int]:
         _check_rest(count, 1, place, end)
         found = []
         for _ in range(count):
@@ -469,7 +509,7 @@ def _read_numbers(slot: BasicType, is_fixed: bool) -> Entries:
         found.frombytes(data)
         return found
 
-    def read(data: bytes, place: int, end: int, count: int) -> tuple[object, int]:
+    def read(data: Bytes, place: int, end: int, count: int) -> tuple[object, int]:
         if count:
             place += -place % size
         _check_rest(count, size, place, end)

@@ -23,6 +23,7 @@ from importlib import import_module
 from types import ModuleType
 from typing import TypeVar
 
+import numpy as np
 from rosidl_parser.definition import (
     AbstractGenericString,
     AbstractNestedType,
@@ -36,7 +37,7 @@ from rosidl_pycommon import (  # type: ignore[import-untyped]
 )
 
 from rn_interfaces import structures as c
-from rn_interfaces.codec import CdrError, codec, type_of
+from rn_interfaces.codec import CdrError, Parts, codec, type_of
 from rn_interfaces.description import TypeDescription
 
 logger = logging.getLogger(__name__)
@@ -45,7 +46,6 @@ _kept: list[object] = []
 """What C code has pointers to."""
 _held: dict[int, object] = {}
 """By the address of a ROS message: what it stands for."""
-_blocks: dict[int, tuple[object, threading.RLock]] = {}
 BLOCK = 16
 """Size of a ROS message [B]; only its address is used."""
 
@@ -79,12 +79,6 @@ def address_of_function(prototype: type, body: Callable[..., object]) -> int:
     return pointer
 
 
-def _destroy(message: int) -> None:
-    _held.pop(message, None)
-    _, lock = _blocks.pop(message)
-    lock.release()
-
-
 class FastCdr:
     """Functions of libfastcdr, by the names of its symbols (Fast CDR 2.2)."""
 
@@ -93,6 +87,10 @@ class FastCdr:
         self.write = library["_ZN8eprosima7fastcdr3Cdr15serialize_arrayEPKcm"]
         self.write.argtypes = (ctypes.c_void_p, ctypes.c_char_p, ctypes.c_size_t)
         self.write.restype = ctypes.c_void_p
+        # a second object of the same function, for memory that is not of Python's bytes
+        self.write_block = library["_ZN8eprosima7fastcdr3Cdr15serialize_arrayEPKcm"]
+        self.write_block.argtypes = (ctypes.c_void_p, ctypes.c_void_p, ctypes.c_size_t)
+        self.write_block.restype = ctypes.c_void_p
         self.begin = library["_ZN8eprosima7fastcdr3Cdr18get_buffer_pointerEv"]
         self.begin.argtypes = (ctypes.c_void_p,)
         self.begin.restype = ctypes.c_void_p
@@ -141,6 +139,7 @@ class MessageType:
         self._codec = codec(cls)
         self._cdr = fast_cdr()
         self._lock = threading.RLock()
+        self._spare: list[int] = []  # blocks that were destroyed: as many as a thread has at a time
         callbacks = c.MessageCallbacks(
             "::".join(namespace).encode(),
             cls.__name__.encode(),
@@ -160,7 +159,7 @@ class MessageType:
         described = description.functions()
         self.support.type_hash, self.support.description, self.support.sources = described
         self.create = c.capsule_of(address_of_function(CREATE, self._create))
-        self.destroy = c.capsule_of(address_of_function(DESTROY, _destroy))
+        self.destroy = c.capsule_of(address_of_function(DESTROY, self._destroy))
         self.from_python = c.capsule_of(address_of_function(FROM_PYTHON, self._from_python))
         self.to_python = c.capsule_of(address_of_function(TO_PYTHON, _held.__getitem__))
         self.address = ctypes.addressof(self.support)
@@ -168,10 +167,17 @@ class MessageType:
 
     def _create(self) -> int:
         self._lock.acquire()
+        if self._spare:
+            return self._spare.pop()
         block = ctypes.create_string_buffer(BLOCK)
         place = ctypes.addressof(block)
-        _blocks[place] = (block, self._lock)
+        keep(block)
         return place
+
+    def _destroy(self, place: int) -> None:
+        _held.pop(place, None)
+        self._spare.append(place)
+        self._lock.release()
 
     def _from_python(self, message: object, place: int) -> bool:
         try:
@@ -184,8 +190,13 @@ class MessageType:
 
     def _serialize(self, place: int, cdr: int) -> bool:
         data = _held[place]
-        assert isinstance(data, bytes)
-        self._cdr.write(cdr, data, len(data))
+        if data.__class__ is bytes:
+            self._cdr.write(cdr, data, len(data))
+            return True
+        assert isinstance(data, Parts)
+        for part in data:
+            block = np.frombuffer(part, np.uint8)
+            self._cdr.write_block(cdr, block.ctypes.data, len(block))
         return True
 
     def _deserialize(self, cdr: int, place: int) -> bool:
@@ -198,8 +209,10 @@ class MessageType:
 
     def _size(self, place: int) -> int:
         data = _held[place]
-        assert isinstance(data, bytes)
-        return len(data)
+        if data.__class__ is bytes:
+            return len(data)
+        assert isinstance(data, Parts)
+        return len(data) + sum(len(block) for _, block in data.blocks)
 
 
 def _no_maximum(bounds: ctypes._Pointer[ctypes.c_char]) -> int:
