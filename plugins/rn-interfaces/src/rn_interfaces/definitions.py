@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from rosidl_adapter.parser import (  # type: ignore[import-untyped]
     Field,
     InvalidSpecification,
+    InvalidValue,
     parse_action_string,
     parse_message_string,
     parse_service_string,
@@ -31,6 +32,7 @@ _ADDED = {
 }
 """What rosidl adds to the parts of services and actions."""
 MOST_FIELDS = 2000
+_MALFORMED = (ValueError, TypeError, IndexError, KeyError, NameError, AssertionError, SyntaxError)
 
 
 def used_by(name: Name, text: str) -> frozenset[Name]:
@@ -46,7 +48,7 @@ def used_by(name: Name, text: str) -> frozenset[Name]:
     try:
         fields = _fields(name, text)
     # of the parser: beside its own errors, what a malformed line makes its code raise
-    except (InvalidSpecification, ValueError, TypeError, IndexError, NameError) as error:
+    except (InvalidSpecification, InvalidValue, *_MALFORMED) as error:
         what = " ".join(str(error).split()) or type(error).__name__
         raise ConfigurationError(f"{name} is no definition: {what[:200]}.") from error
     if len(fields) > MOST_FIELDS:
