@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import os
+import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
@@ -16,12 +17,16 @@ from typing import Any
 import anyio
 import pytest
 import rclpy
+from made_packages import WELD, write_package
 from mcap.reader import make_reader
 from mcp import Client, StdioServerParameters
 from rclpy.exceptions import InvalidHandle
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 
+from rn_interfaces.finder import PREFIXES
+from rn_interfaces.learning import learn
+from rn_interfaces.sources import definitions
 from rn_interfaces.store import Store
 from roboneuron.ros.environment import prepare_environment
 
@@ -152,3 +157,55 @@ def test_an_agent_publishes_reads_and_records_a_learnt_type(
             schemas |= {one.name: one.data.decode() for one in summary.schemas.values()}
     assert "MSG: weld_msgs/Seam" in schemas["weld_msgs/msg/Path"]
     assert "string<=16 tool" in schemas["weld_msgs/msg/Path"]
+
+
+OTHER = """
+import time
+import rclpy
+from rclpy.node import Node
+from rn_interfaces.finder import install
+
+install()
+from weld_msgs.msg import Path, Seam
+
+rclpy.init()
+node = Node("stranger", namespace="fr3")
+node.create_publisher(Path, "done", 10)
+node.create_subscription(Seam, "seam", lambda message: None, 10)
+print("there", flush=True)
+rclpy.spin(node)
+"""
+
+
+def test_another_definition_of_the_type_is_refused(store: Store, tmp_path: Path) -> None:
+    prepare_environment(tmp_path / "log")
+    other = {**os.environ, "XDG_DATA_HOME": str(tmp_path / "other")}
+    other[PREFIXES] = sys.prefix
+    changed = {**WELD, "msg/Seam.msg": WELD["msg/Seam.msg"] + "int32 added\n"}
+    folder = write_package(tmp_path / "src", "weld_msgs", changed)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(PREFIXES, sys.prefix)  # the other user does not have this one's store
+        learn(Store(tmp_path / "other" / "roboneuron" / "interfaces"), definitions(folder))
+    config = tmp_path / "roboneuron.toml"
+    config.write_text(CONFIG.format(state=tmp_path / "state"))
+    command = ["-m", "roboneuron.cli.main", "serve", "--config", str(config)]
+    server = StdioServerParameters(command=sys.executable, args=command, env=dict(os.environ))
+
+    async def scenario() -> None:
+        async with Client(server) as client:
+            for tool, arguments in (("read_done", {}), ("publish_seam", {"message": {}})):
+                answer = await client.call_tool(tool, arguments)
+                assert answer.is_error
+                text = answer.content[0].text  # type: ignore[union-attr]
+                assert "has another definition of weld_msgs/msg/" in text
+                assert "ros learn graph" in text
+
+    with subprocess.Popen(
+        [sys.executable, "-c", OTHER], env=other, stdout=subprocess.PIPE, text=True
+    ) as process:
+        try:
+            assert process.stdout is not None
+            assert process.stdout.readline() == "there\n"
+            anyio.run(scenario)
+        finally:
+            process.terminate()  # not killed: it would stay on the graph of the next test

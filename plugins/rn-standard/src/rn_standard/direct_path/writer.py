@@ -19,6 +19,7 @@ from rclpy.qos import (
     ReliabilityPolicy,
 )
 
+from rn_standard.direct_path.type_hashes import check_type_hash
 from roboneuron import ConfigurationError
 from roboneuron.feature import UNSENT
 from roboneuron.feature import qos as core_qos
@@ -138,6 +139,7 @@ class TopicWriter:
             raise ConfigurationError(
                 f"Topic {self.topic} carries {foreign[0]}, it is exposed as {self._type_name}."
             )
+        check_type_hash(self.topic, self._type_name, found)
         return found
 
     def _offer(self, profile: Any) -> None:
