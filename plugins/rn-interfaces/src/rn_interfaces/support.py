@@ -9,7 +9,8 @@ rclpy publishes and takes with the GIL held, and Fast DDS calls these functions 
 reader or writer held. Python may hand the GIL to another thread within such a function; if that one
 published or took on the same topic, it would wait for that lock with the GIL in its hands, forever.
 So a lock of each type is held from the moment when rclpy makes a ROS message until it destroys it,
-and whoever waits for it waits without the GIL.
+and whoever waits for it waits without the GIL. This does not cover all: four threads that publish
+one topic at full speed while others take it have been seen to stop.
 """
 
 from __future__ import annotations
@@ -46,6 +47,8 @@ _kept: list[object] = []
 """What C code has pointers to."""
 _held: dict[int, object] = {}
 """By the address of a ROS message: what it stands for."""
+PATIENCE_S = 1.0
+"""For another thread with a message of the type: publishing and taking last milliseconds."""
 BLOCK = 16
 """Size of a ROS message [B]; only its address is used."""
 
@@ -139,6 +142,7 @@ class MessageType:
         self._codec = codec(cls)
         self._cdr = fast_cdr()
         self._lock = threading.RLock()
+        self._taken: dict[int, threading.RLock] = {}  # by block, what its destruction releases
         self._spare: list[int] = []  # blocks that were destroyed: as many as a thread has at a time
         callbacks = c.MessageCallbacks(
             "::".join(namespace).encode(),
@@ -166,7 +170,16 @@ class MessageType:
         self.capsule = c.capsule_of(self.address)
 
     def _create(self) -> int:
-        self._lock.acquire()
+        lock = self._lock
+        if not lock.acquire(timeout=PATIENCE_S):
+            logger.error("The lock of %s was not released; it is replaced.", self._cls.__name__)
+            lock = self._lock = threading.RLock()
+            lock.acquire()
+        place = self._block()
+        self._taken[place] = lock
+        return place
+
+    def _block(self) -> int:
         if self._spare:
             return self._spare.pop()
         block = ctypes.create_string_buffer(BLOCK)
@@ -176,8 +189,9 @@ class MessageType:
 
     def _destroy(self, place: int) -> None:
         _held.pop(place, None)
+        lock = self._taken.pop(place)
         self._spare.append(place)
-        self._lock.release()
+        lock.release()
 
     def _from_python(self, message: object, place: int) -> bool:
         try:
