@@ -15,6 +15,7 @@ import pytest
 from made_packages import WELD, write_package
 from mcap.writer import Writer
 
+from rn_interfaces.finder import PREFIXES
 from rn_interfaces.learning import Learnt, Text, learn
 from rn_interfaces.sources import definitions
 from rn_interfaces.store import MOST_TEXT, Name, Store, parse_name
@@ -24,8 +25,9 @@ SEAM = Name("weld_msgs", "msg", "Seam")
 
 
 @pytest.fixture
-def empty(tmp_path: Path, user: Path) -> Store:
-    """A store of somebody else."""
+def empty(tmp_path: Path, user: Path, monkeypatch: pytest.MonkeyPatch) -> Store:
+    """A store of somebody else, who does not have this user's."""
+    monkeypatch.setenv(PREFIXES, sys.prefix)
     return Store(tmp_path / "store")
 
 
@@ -157,7 +159,7 @@ def test_text_of_strangers_is_never_run(user: Path, tmp_path: Path) -> None:
 
 def test_the_command_learns_lists_shows_and_forgets(user: Path, tmp_path: Path) -> None:
     folder = write_package(tmp_path, "weld_msgs", WELD)
-    environment = {**os.environ, "XDG_DATA_HOME": str(tmp_path / "data")}
+    environment = {**os.environ, "XDG_DATA_HOME": str(tmp_path / "data"), PREFIXES: sys.prefix}
 
     def ros(*words: str) -> subprocess.CompletedProcess[str]:
         command = [sys.executable, "-m", "roboneuron.cli.main", "ros", *words]
