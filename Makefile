@@ -22,6 +22,7 @@ LEROBOT_PYTHON ?= python3.12
 
 DEMO_PACKAGES := $(shell sed -n 's|^\./||p' requirements.txt)
 FLEET_PACKAGES := plugins/rn-robot-bases
+SO101_PACKAGES := plugins/rn-robot-lerobot
 LEARNED_PACKAGES := plugins/rn-vla plugins/rn-runtime-torch plugins/rn-backend-oft plugins/rn-policy-cubes
 ALL_PACKAGES := roboneuron-core $(sort $(wildcard plugins/rn-*)) .
 # It compiles ROS 2 types and needs a C++ compiler; without one the rest works, and its tests are skipped.
@@ -40,7 +41,7 @@ PROJECTS := $(addsuffix /pyproject.toml,$(ALL_PACKAGES)) constraints.txt require
 .PHONY: $(shell sed -nE 's/^([a-z0-9-]+):.*\#\#.*/\1/p' Makefile)
 
 help: ## show this list
-	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
+	@grep -hE '^[a-z0-9-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
 
 # The learned policy needs PyTorch, which the demo otherwise does without.
 demo: $(if $(findstring learned,$(ARGS)),$(VENV)/.demo-learned,$(VENV)/.demo) ## an agent picks up a cube with a simulated FR3
@@ -153,13 +154,47 @@ test-lerobot: $(VENV)/.develop .venv-lerobot/.ready ## exported data sets, opene
 	.venv-lerobot/bin/python -m pip install --quiet --disable-pip-version-check 'lerobot[dataset]==0.6.1'
 	@touch $@
 
+test-lerobot-policies: $(VENV)/.develop .venv-lerobot-policies/.ready ## policies of LeRobot beside LeRobot's own engines, then through ROS (its own environment)
+	.venv-lerobot-policies/bin/python -m pytest plugins/rn-backend-lerobot/tests/policies \
+	  plugins/rn-backend-lerobot/tests/test_lerobot_keeps_its_contract.py $(ARGS)
+	$(BIN)/python -m pytest plugins/rn-backend-lerobot/tests/test_lerobot_policy_moves_the_arm.py $(ARGS)
+
+bench-lerobot: .venv-lerobot-policies/.ready ## what the boundary to a LeRobot policy costs beside calling it in its own process
+	.venv-lerobot-policies/bin/python benchmarks/bench_lerobot.py $(ARGS)
+
+.venv-lerobot-policies: .venv-lerobot-policies/.ready
+
+# LeRobot caps numpy below 2.3, so of constraints.txt only the ROS packages hold here. An inference module needs the
+# robot, the controller's descriptor and the standard features in its own interpreter.
+LEROBOT_POLICIES := roboneuron-core $(addprefix plugins/,rn-standard rn-simulation rn-robot-fr3 rn-controller-urdf rn-vla \
+  rn-runtime-torch rn-backend-shared rn-testing rn-backend-lerobot)
+
+.venv-lerobot-policies/.ready: plugins/rn-backend-lerobot/pyproject.toml
+	@echo "Setting up .venv-lerobot-policies (once, several gigabytes; LeRobot needs Python >= 3.12) ..."
+	$(LEROBOT_PYTHON) -m venv .venv-lerobot-policies
+	grep '^ros-' constraints.txt > .venv-lerobot-policies/ros-constraints.txt
+	.venv-lerobot-policies/bin/python -m pip install --quiet --disable-pip-version-check \
+	  --constraint .venv-lerobot-policies/ros-constraints.txt 'lerobot[dataset,diffusion,smolvla,pi]==0.6.1' \
+	  $(addprefix --editable ,$(LEROBOT_POLICIES)) hypothesis pytest pytest-timeout pytest-xdist
+
+test-lerobot-robots: $(VENV)/.develop .venv-lerobot/.ready-robots ## lerobot's own commands with our robots, and our driver with lerobot's
+	$(BIN)/python -m pytest plugins/lerobot-robot-roboneuron/tests -m "slow or not slow" $(ARGS)
+
+LEROBOT_PACKAGES := roboneuron-core plugins/rn-simulation plugins/rn-robot-fr3 plugins/rn-robot-lerobot \
+  plugins/lerobot-robot-roboneuron
+
+.venv-lerobot/.ready-robots: .venv-lerobot/.ready $(addsuffix /pyproject.toml,$(LEROBOT_PACKAGES))
+	.venv-lerobot/bin/python -m pip install --quiet --disable-pip-version-check \
+	  'lerobot[dataset,hardware,feetech]==0.6.1' $(addprefix --editable ,$(LEROBOT_PACKAGES))
+	@touch $@
+
 # Checkouts of https://github.com/Physical-Intelligence/openpi (15a9616 made the numbers that are here) and
 # https://github.com/huggingface/lerobot (7427f31).
 OPENPI ?= ../openpi
 LEROBOT ?= ../lerobot
 PARITY := plugins/rn-backend-pi0/tests
 
-test-parity: $(VENV)/.develop .venv-openpi/.ready .venv-fast/.ready ## pi0.5 and pi0-FAST against the public code, run again: OPENPI=path LEROBOT=path
+test-parity: parity-checkouts $(VENV)/.develop .venv-openpi/.ready .venv-fast/.ready ## pi0.5 and pi0-FAST against the public code, run again: OPENPI=path LEROBOT=path
 	rm -rf out/parity && mkdir -p out/parity
 	$(BIN)/roboneuron-pi0 make-tiny out/parity/pi05 --variant pi05 --layout openpi --profile droid
 	$(BIN)/roboneuron-pi0 make-tiny out/parity/fast --variant pi0_fast --profile droid
@@ -168,11 +203,16 @@ test-parity: $(VENV)/.develop .venv-openpi/.ready .venv-fast/.ready ## pi0.5 and
 	PI05_NUMBERS=out/parity/pi05.npz PI0_FAST_NUMBERS=out/parity/fast.npz $(BIN)/python -m pytest \
 	  $(PARITY)/test_pi05_matches_openpi.py $(PARITY)/test_pi0_fast_matches_lerobot.py $(ARGS)
 
+.PHONY: parity-checkouts
+parity-checkouts:
+	@test -d $(OPENPI)/src/openpi || { echo "OPENPI=$(OPENPI) is no checkout of openpi."; exit 1; }
+	@test -d $(LEROBOT)/src/lerobot || { echo "LEROBOT=$(LEROBOT) is no checkout of lerobot."; exit 1; }
+
 .venv-openpi: .venv-openpi/.ready
 
 # openpi replaces files of transformers 4.53.2 by its own.
-.venv-openpi/.ready:
-	@echo "Setting up .venv-openpi (once, about two minutes, 1.5 GB) ..."
+.venv-openpi/.ready: | parity-checkouts
+	@echo "Setting up .venv-openpi (once, two to four minutes, 6 GB with PyTorch for CUDA) ..."
 	$(PYTHON) -m venv .venv-openpi
 	.venv-openpi/bin/python -m pip install --quiet --disable-pip-version-check torch \
 	  transformers==4.53.2 numpy safetensors sentencepiece einops
@@ -183,8 +223,8 @@ test-parity: $(VENV)/.develop .venv-openpi/.ready .venv-fast/.ready ## pi0.5 and
 .venv-fast: .venv-fast/.ready
 
 # What lerobot asks for; of lerobot itself only the files of pi0-FAST are loaded.
-.venv-fast/.ready:
-	@echo "Setting up .venv-fast (once, about two minutes, 1.5 GB) ..."
+.venv-fast/.ready: | parity-checkouts
+	@echo "Setting up .venv-fast (once, two to four minutes, 6 GB with PyTorch for CUDA) ..."
 	$(PYTHON) -m venv .venv-fast
 	.venv-fast/bin/python -m pip install --quiet --disable-pip-version-check torch transformers==5.5.4 numpy \
 	  safetensors scipy draccus
@@ -198,6 +238,9 @@ demo-bases: $(VENV)/.demo-bases ## an MCP client drives three mobile bases at th
 
 demo-fleet: $(VENV)/.demo-fleet ## one MCP client, two FR3s and a base: both arms pick up a cube while the base drives
 	@$(BIN)/python examples/demo_fleet.py $(ARGS)
+
+demo-so101: $(VENV)/.demo-so101 ## a simulated SO-101 picks up a cube, the simulator judges
+	@$(BIN)/python examples/demo_so101.py $(ARGS)
 
 demo-pair: $(VENV)/.demo ## two FR3s at one table: the left one hands a cube to the right one
 	@$(BIN)/python examples/demo_pair.py $(ARGS)
@@ -241,6 +284,7 @@ check: $(VENV)/.develop ## lint, format and types
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy $(SOURCES)
+	$(BIN)/mypy --allow-subclassing-any plugins/lerobot-robot-roboneuron/src
 	MYPYPATH=benchmarks:plugins/rn-view/tests $(BIN)/mypy --cache-dir .mypy_cache/benchmarks \
 	  --no-explicit-package-bases --allow-subclassing-any --no-warn-return-any benchmarks tools
 
@@ -320,6 +364,10 @@ $(VENV)/.demo-fleet: $(VENV)/.demo
 	$(call install,bases,--constraint constraints.txt $(addprefix --editable ,$(FLEET_PACKAGES)))
 	@touch $@
 
+$(VENV)/.demo-so101: $(VENV)/.demo
+	$(call install,SO-101,--constraint constraints.txt $(addprefix --editable ,$(SO101_PACKAGES)))
+	@touch $@
+
 $(VENV)/.docs: constraints.txt | $(BIN)/python
 	$(PIP) --constraint constraints.txt mkdocs-material 'mkdocstrings[python]'
 	@touch $@
@@ -334,7 +382,7 @@ $(VENV)/.develop: $(PROJECTS) | $(BIN)/python
 	$(call install,tools for tests and checks,--constraint constraints.txt \
 	  pytest pytest-timeout pytest-xdist pytest-rerunfailures hypothesis ruff mypy types-psutil jsonschema types-jsonschema psutil build hatchling editables \
 	  ros-jazzy-test-msgs transformers mujoco franky-control 'pylibfranka; python_version < "3.13"' ruckig playwright rosbags)
-	@touch $@ $(VENV)/.demo $(VENV)/.demo-fr3 $(VENV)/.demo-learned $(VENV)/.demo-bases $(VENV)/.demo-fleet
+	@touch $@ $(VENV)/.demo $(VENV)/.demo-fr3 $(VENV)/.demo-learned $(VENV)/.demo-bases $(VENV)/.demo-fleet $(VENV)/.demo-so101
 
 $(VENV)/.mutations: $(VENV)/.develop
 	$(call install,mutation tests,--constraint constraints.txt mutmut)

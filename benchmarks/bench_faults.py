@@ -41,6 +41,7 @@ from fault_loop import JointWitness, moving_cell
 from plugin_site import chunks
 
 from rn_standard.selection.requests import StartChosenInference
+from rn_standard.tools_loop.instructing import give_instruction
 from roboneuron.errors import RoboNeuronError
 from roboneuron.modules.settings import EMERGENCY_STOP_TOPIC, ModuleKind
 from roboneuron.server.loop import ClosedLoop
@@ -211,7 +212,7 @@ class Bench:
             self.loop.modules.view("inference").phase == "running"
             and not self.loop.starts.instruction
         ):
-            self.loop.set_instruction("swing", 10.0)
+            give_instruction(self.loop, "swing", 10.0)
 
     def attempt(self, what: str, trial: Callable[[], None]) -> None:
         """Run a trial; what it did not see is told, and the cell brought up again."""

@@ -30,8 +30,7 @@ from rich.table import Table
 
 from rn_standard.execution.plugin import FEATURE as EXECUTION
 from rn_testing.domain import free_ros_domain
-from roboneuron.config import parse_config
-from roboneuron.modules.settings import ModuleSettings
+from roboneuron.config import ModuleSettings, parse_config
 from roboneuron.ros.environment import prepare_environment
 from roboneuron.supervisor.changes import Changes
 from roboneuron.supervisor.lifecycle import NodeClient
@@ -179,7 +178,10 @@ def activate(process: subprocess.Popen[bytes], log: Path) -> None:
 @contextmanager
 def relay(environment: dict[str, str]) -> Iterator[None]:
     """The bare relay process."""
-    process = subprocess.Popen([sys.executable, str(HERE / "loop_relay.py")], env=environment)
+    # a session of its own, as ours: the kernel shares out processor time by sessions
+    process = subprocess.Popen(
+        [sys.executable, str(HERE / "loop_relay.py")], env=environment, start_new_session=True
+    )
     try:
         yield
     finally:

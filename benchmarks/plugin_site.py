@@ -17,21 +17,24 @@ HERE = Path(__file__).parent
 
 
 @contextmanager
-def installed(folder: Path, distribution: str, modules: tuple[str, ...]) -> Iterator[None]:
-    """Install modules of this directory below `folder`, on a ROS domain of their own.
+def installed(
+    folder: Path, distribution: str, modules: tuple[str, ...], *, source: Path = HERE
+) -> Iterator[None]:
+    """Install modules of `source` below `folder`, on a ROS domain of their own.
 
     Args:
         folder: where the installation and ROS' logs go; an installation that is there already is
             used.
         distribution: its name.
         modules: names without `.py`; the first one is the plugin.
+        source: directory of the modules; by default that of the benchmarks.
     """
     site = folder / "site"
     if not site.exists():
         info = site / f"{distribution.replace('-', '_')}-1.0.dist-info"
         info.mkdir(parents=True)
         for module in modules:
-            shutil.copy(HERE / f"{module}.py", site)
+            shutil.copy(source / f"{module}.py", site)
         (info / "METADATA").write_text(
             f"Metadata-Version: 2.1\nName: {distribution}\nVersion: 1.0\n"
         )

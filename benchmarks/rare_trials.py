@@ -27,6 +27,7 @@ from switch_loop import Witness, moving_loop
 
 from rn_standard.selection.requests import StartControl
 from rn_standard.switching.replacing import Switching
+from rn_standard.tools_loop.instructing import give_instruction
 from roboneuron.errors import RoboNeuronError
 from roboneuron.server.loop import ClosedLoop
 
@@ -214,12 +215,12 @@ def _one_restart(loop: ClosedLoop, witness: JointWitness) -> dict[str, Any]:
     time.sleep(random.choice((0.0, random.uniform(0.0, 1.5))))
     try:
         loop.start("control")
-        loop.set_instruction("swing", MOVES_S)  # a restart starts no motion
+        give_instruction(loop, "swing", MOVES_S)  # a restart starts no motion
     except RoboNeuronError as error:
         first = _said(loop)
         if loop.modules.view("control").phase != "running":
             loop.start("control")
-        loop.set_instruction("swing", MOVES_S)
+        give_instruction(loop, "swing", MOVES_S)
         return {"outcome": f"start failed: {type(error).__name__}", "error": str(error), **first}
     started_s = time.monotonic()
     if not _wait(lambda: _moves_well(witness), MOVES_S):

@@ -148,7 +148,9 @@ def listening() -> Iterator[Witness]:
         rclpy.try_shutdown(context=context)
 
 
+# Rows that come late because others use the processor are lost: nothing may run beside this.
 @pytest.mark.ros
+@pytest.mark.timing
 @pytest.mark.parametrize("engine", [engine for engine in ENGINES if is_importable(engine)])
 def test_the_simulated_fr3_follows_the_path(tmp_path: Path, engine: str) -> None:
     config = parse_config(CONFIG.format(engine=engine))
@@ -182,6 +184,7 @@ def at_the_end(supervisor: Supervisor) -> bool:
 
 
 @pytest.mark.ros
+@pytest.mark.timing
 @pytest.mark.timeout(150)
 def test_it_replaces_a_policy_of_tcp_deltas_while_the_arm_moves(tmp_path: Path) -> None:
     """And that replaces it again; each time at the border of a row."""
@@ -207,7 +210,7 @@ def test_it_replaces_a_policy_of_tcp_deltas_while_the_arm_moves(tmp_path: Path) 
             control = next(
                 one for one in (await do("get_status"))["modules"] if one["module"] == "control"
             )
-            assert control["dropped"] == 0
+            assert control["dropped"] == 0, control
             await do("stop_all")
 
     config = CONFIG.format(engine="auto").replace('"joint-path"', '"sway"')

@@ -1,5 +1,5 @@
-"""Core with a robot, a controller and a backend runs the closed loop over stdio; every feature is
-left out.
+"""Core with a robot, a controller, a backend and the features that are parts of the closed loop
+runs it over stdio; every other feature is left out.
 """
 
 from __future__ import annotations
@@ -29,21 +29,29 @@ FEATURELESS = (
     "set_instruction",
     "stop_all",
 )
+LOOP_FEATURES = {"rn-inference", "rn-perception", "rn-tools-loop"}
+"""They bring two of the modules, and the tools that start."""
 CLOSED_LOOP = ("start_robot", "start_perception", "start_control")
 
 
-def without_features() -> str:
+def without_features(distribution: str = "") -> str:
     """The embedded default with every plugin disabled that offers a feature or a command and no
-    device or model.
+    device, model or part of the loop.
+
+    Args:
+        distribution: only plugins of this one are disabled; empty for all that are installed.
     """
-    by_kind = {kind: {o.plugin for o in discover().offers(kind)} for kind in PLUGIN_KINDS}
+    by_kind = {
+        kind: {o.plugin for o in discover().offers(kind) if distribution in ("", o.distribution)}
+        for kind in PLUGIN_KINDS
+    }
     devices = {
         name
         for kind, names in by_kind.items()
         if kind not in ("feature", "command")
         for name in names
     }
-    extending = sorted((by_kind["feature"] | by_kind["command"]) - devices)
+    extending = sorted((by_kind["feature"] | by_kind["command"]) - devices - LOOP_FEATURES)
     listed = ", ".join(f'"{name}"' for name in extending)
     return f"disabled_plugins = [{listed}]\n{default_text()}"
 
@@ -73,7 +81,7 @@ async def run_loop(python: str, config: Path, environment: dict[str, str]) -> se
 
 @pytest.mark.ros
 @pytest.mark.timeout(180)
-def test_the_closed_loop_runs_without_any_feature(tmp_path: Path) -> None:
+def test_the_closed_loop_runs_without_any_other_feature(tmp_path: Path) -> None:
     config = tmp_path / "roboneuron.toml"
     config.write_text(without_features())
     environment = {
@@ -93,7 +101,7 @@ def test_the_closed_loop_runs_without_any_feature(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.ros
 @pytest.mark.timeout(900)
-def test_an_environment_with_nothing_but_core_and_three_plugins_runs_it_too(tmp_path: Path) -> None:
+def test_an_environment_with_nothing_but_these_distributions_runs_it_too(tmp_path: Path) -> None:
     """Installs from the package index; `make test-all` runs it."""
     venv = tmp_path / "venv"
     subprocess.run([sys.executable, "-m", "venv", str(venv)], check=True)
@@ -102,7 +110,13 @@ def test_an_environment_with_nothing_but_core_and_three_plugins_runs_it_too(tmp_
         "roboneuron-core",
         *(
             f"plugins/{n}"
-            for n in ("rn-robot-fr3", "rn-simulation", "rn-controller-urdf", "rn-backend-servo")
+            for n in (
+                "rn-robot-fr3",
+                "rn-simulation",
+                "rn-controller-urdf",
+                "rn-backend-servo",
+                "rn-standard",
+            )
         ),
     ]
     command = [
@@ -118,7 +132,7 @@ def test_an_environment_with_nothing_but_core_and_three_plugins_runs_it_too(tmp_
         [*command, *(str(ROOT / package) for package in packages)], check=True, timeout=600
     )
     config = tmp_path / "roboneuron.toml"
-    config.write_text(default_text())
+    config.write_text(without_features("rn-standard"))
     environment = {
         **{
             k: v

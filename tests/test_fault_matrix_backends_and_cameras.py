@@ -17,6 +17,7 @@ from rn_standard.fastdds.segments import PORT_PREFIX, SHARED_MEMORY, owned_segme
 from rn_standard.ops.memory import MemoryWatch
 from rn_standard.ops.options import MemoryOptions
 from rn_standard.selection.requests import StartChosenInference
+from rn_standard.tools_loop.instructing import give_instruction
 from rn_standard.tools_loop.results import ModuleStatus
 from roboneuron.server.loop import ClosedLoop
 
@@ -268,7 +269,8 @@ def test_module_whose_port_has_lost_its_file_hears_its_new_neighbour(cell: Cell)
     for name in ports:
         (SHARED_MEMORY / name).unlink()
     cell.loop.start("perception")
-    cell.loop.set_instruction("move on", 10.0)  # a module that was stopped ended what was asked for
+    # a module that was stopped ended what was asked for
+    give_instruction(cell.loop, "move on", 10.0)
     wait_until(cell.moves, 10.0, "inference hears the new perception, and the arm moves")
     wait_until(
         lambda: all((SHARED_MEMORY / name).exists() for name in ports),

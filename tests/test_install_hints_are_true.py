@@ -20,7 +20,8 @@ from roboneuron.plugins.specs import FeatureSpec
 
 ROOT = Path(__file__).parents[1]
 closure = runpy.run_path(str(ROOT / "tools" / "requirements.py"))["closure"]
-PROJECTS = sorted(ROOT.glob("plugins/*/pyproject.toml"))
+PROJECTS = sorted(ROOT.glob("plugins/rn-*/pyproject.toml"))
+"""Those that RoboNeuron finds; lerobot's plugin is found and installed beside lerobot."""
 COMMON = {
     "roboneuron",
     *closure(tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["dependencies"]),

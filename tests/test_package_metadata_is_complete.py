@@ -15,7 +15,7 @@ ROOT = Path(__file__).parents[1]
 PROJECTS = [
     ROOT / "roboneuron-core" / "pyproject.toml",
     ROOT / "pyproject.toml",
-    *sorted(ROOT.glob("plugins/*/pyproject.toml")),
+    *sorted(ROOT.glob("plugins/rn-*/pyproject.toml")),
 ]
 
 

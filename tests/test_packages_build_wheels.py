@@ -17,7 +17,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 PACKAGES = [
     ROOT / "roboneuron-core",
-    *sorted(p.parent for p in (ROOT / "plugins").glob("*/pyproject.toml")),
+    *sorted(p.parent for p in (ROOT / "plugins").glob("rn-*/pyproject.toml")),
 ]
 
 pytest.importorskip("hatchling", reason="wheels are built with hatchling")

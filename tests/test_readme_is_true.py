@@ -47,7 +47,7 @@ def test_every_command_in_the_readme_exists(root: Path) -> None:
     used = set(re.findall(r"(?:^|`)roboneuron ([a-z-]+)", text, re.MULTILINE))
     assert used
     assert used <= {*COMMANDS, *GROUPS, *installed_commands(discover())}
-    targets = set(re.findall(r"make ([a-z-]+)", " ".join(blocks(root, "bash"))))
+    targets = set(re.findall(r"make ([a-z0-9-]+)", " ".join(blocks(root, "bash"))))
     makefile = (root / "Makefile").read_text(encoding="utf-8")
     assert {t for t in targets if not re.search(rf"^{t}:", makefile, re.MULTILINE)} == set()
 

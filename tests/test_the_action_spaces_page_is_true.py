@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import runpy
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -15,15 +16,20 @@ from rn_controller_urdf.controller import UrdfController
 from rn_controller_urdf.plugin import roboneuron_controllers
 from rn_robot_fr3.profile import profile
 from rn_standard.inference.agreement import SpaceAgreement, agree
+from roboneuron.config import LimitsConfig
 from roboneuron.contract import (
     EE_DELTA,
     SPACE_KINDS,
     ActionChunk,
     Channel,
     ControlSpace,
+    JointCommand,
+    JointSample,
+    RobotProfile,
     robot_space,
 )
-from roboneuron.errors import RoboNeuronError
+from roboneuron.errors import PlanningError, RoboNeuronError
+from roboneuron.gate.motion import MotionLimiter, motion_rules
 from roboneuron.modules.control import ControlModule, _executed_spaces
 
 PAGE = (Path(__file__).parents[1] / "docs" / "action-spaces.md").read_text(encoding="utf-8")
@@ -107,3 +113,67 @@ def test_a_fault_is_refused_in_the_words_of_the_page(fault: str) -> None:
     with pytest.raises(RoboNeuronError) as refusal:
         FAULTS[fault]()
     assert rows[fault] in refusal.value.message
+
+
+def rover() -> RobotProfile:
+    """The robot of examples/rover_profile.py."""
+    names = runpy.run_path(str(Path(__file__).parents[1] / "examples" / "rover_profile.py"))
+    made: RobotProfile = names["rover"]()
+    return made
+
+
+def test_the_base_of_the_rover_is_channels_like_its_arm() -> None:
+    space = robot_space("joint_velocity", rover(), 10.0)
+    units = {channel.name: channel.unit for channel in space.channels}
+    assert units == {
+        **dict.fromkeys(("base_x", "base_y", "lift"), "m/s"),
+        **dict.fromkeys(("base_yaw", "shoulder"), "rad/s"),
+        "gripper_open": "opening",
+    }
+    policy = replace(space, channels=space.channels[::-1])  # whatever order it has
+    agreement = agree(
+        policy, rover(), CONTROLLER.spaces, backend="drive", controller="urdf", longest_s=0.3
+    )
+    row = np.array([[0.25, 0.0, 0.0, 0.5, 0.0, 0.3]])
+    chunk = agreement.convert(ActionChunk(actions=row, step_s=0.1, space=policy), None)
+    assert chunk.actions.tolist() == [[0.3, 0.0, 0.5, 0.0, 0.0, 0.25]]
+    for twist in ("m/s", "rad"):
+        wrong = replace(space.channels[2], unit=twist)
+        channels = (*space.channels[:2], wrong, *space.channels[3:])
+        with pytest.raises(PlanningError, match="unit of base_yaw"):
+            agree(
+                replace(space, channels=channels),
+                rover(),
+                CONTROLLER.spaces,
+                backend="drive",
+                controller="urdf",
+            )
+
+
+@pytest.mark.parametrize("wanted", [0.3, 0.9])
+def test_the_limits_hold_for_the_base_of_the_rover(wanted: float) -> None:
+    facts = rover()
+    controller = UrdfController(None, facts)
+    controller.load()
+    rules = motion_rules(LimitsConfig(max_speed_m_s=2.0, max_step_m=0.2), facts)
+    limiter = MotionLimiter(rules, facts, controller.forward, controller.inspect)
+    space = robot_space("joint_velocity", facts, 10.0)
+    names, position = (*facts.arm_joints, "finger"), np.array([*facts.home_rad, 0.02])
+    velocities, durations, now_s = [], [], 100.0
+    for _ in range(15):
+        joints = JointSample(names=names, position=position)
+        row = np.array([wanted, 0.0, 0.5, 0.0, 0.0, 1.0])
+        command = controller.execute(space, row, limiter.reference(joints, now_s), 0.1)
+        assert isinstance(command, JointCommand)
+        sent = limiter.limit(command, joints, now_s).command
+        assert isinstance(sent, JointCommand)
+        ends = dict(zip(sent.names, sent.position.tolist(), strict=True))
+        moved = np.array([ends[name] for name in names]) - position
+        velocities.append(moved[0] / sent.duration_s)
+        durations.append(sent.duration_s)
+        position, now_s = position + moved, now_s + sent.duration_s
+        assert ends["finger"] == pytest.approx(0.05)
+    assert (np.diff([0.0, *velocities]) <= 0.8 * 1.001 * np.array(durations)).all()
+    assert min(wanted, 0.5) <= max(velocities) + 1e-9
+    assert max(velocities) <= 0.6
+    assert position[2] > 0.3, "it turned meanwhile"

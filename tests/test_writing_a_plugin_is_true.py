@@ -54,7 +54,7 @@ def test_the_plugin_of_the_page_keeps_its_contract(tmp_path):
 
 def test_the_extra_with_what_tests_need_has_one_name():
     own = "plugins/rn-testing/pyproject.toml"
-    for path in ROOT.glob("plugins/*/pyproject.toml"):
+    for path in ROOT.glob("plugins/rn-*/pyproject.toml"):
         extras = tomllib.loads(path.read_text(encoding="utf-8"))["project"].get(
             "optional-dependencies", {}
         )

@@ -42,8 +42,24 @@ STILL_RAD_S = 0.02
 """Every joint slower than this: the arm stands."""
 
 
+PAIR_CONFIG = """
+[robot]
+name = "fr3-pair"
+command_timeout_s = 0.5
+[control]
+controller = "urdf"
+action_timeout_s = 0.4
+[supervisor]
+start_timeout_s = 60.0
+"""
+
+
 class Arm:
     """The FR3 of one test module, as a stranger sees it; times are monotonic."""
+
+    text = CONFIG
+    joints: slice | list[int] = slice(7)
+    """Of the arm, among those that are measured."""
 
     def __init__(self, state: Path) -> None:
         import rclpy
@@ -56,11 +72,13 @@ class Arm:
         from roboneuron.ros.qos import NEWEST
 
         self.state_directory = state
-        self.config: Config = parse_config(CONFIG)
+        self.config: Config = parse_config(self.text)
         self.supervisor = Supervisor(state)
         self.context = rclpy.Context()
         rclpy.init(context=self.context)
-        self.node = rclpy.create_node("stranger", namespace="fr3", context=self.context)
+        self.node = rclpy.create_node(
+            "stranger", namespace=self.config.namespace, context=self.context
+        )
         self.states: list[tuple[float, np.ndarray, np.ndarray]] = []
         self.tcp: list[tuple[float, np.ndarray]] = []
         self.action_times: list[float] = []
@@ -93,7 +111,11 @@ class Arm:
 
     def _on_state(self, message: Any) -> None:
         self.states.append(
-            (time.monotonic(), np.array(message.position[:7]), np.array(message.velocity[:7]))
+            (
+                time.monotonic(),
+                np.array(message.position)[self.joints],
+                np.array(message.velocity)[self.joints],
+            )
         )
 
     def _on_pose(self, message: Any) -> None:
@@ -150,20 +172,21 @@ class Arm:
 
         self.actions.publish(Float64MultiArray(data=values))
 
+    def wave(self, there: bool) -> Any:
+        """An action that moves the arm there or back."""
+        from std_msgs.msg import Float64MultiArray
+
+        return Float64MultiArray(data=[0.0, 0.02 if there else -0.02, 0.0, 0.0, 0.0, 0.0, 1.0])
+
     @contextlib.contextmanager
     def waving(self) -> Iterator[None]:
         """Somebody moves the TCP 20 mm per 0.1 s to and fro while the block lasts."""
-        from std_msgs.msg import Float64MultiArray
-
         end = threading.Event()
 
         def wave() -> None:
             turn = 0
             while not end.wait(0.1):
-                side = 0.02 if turn % 12 < 6 else -0.02
-                self.other_actions.publish(
-                    Float64MultiArray(data=[0.0, side, 0.0, 0.0, 0.0, 0.0, 1.0])
-                )
+                self.other_actions.publish(self.wave(turn % 12 < 6))
                 turn += 1
 
         thread = threading.Thread(target=wave)
@@ -185,6 +208,31 @@ class Arm:
         rclpy.try_shutdown(context=self.context)
 
 
+class Pair(Arm):
+    """Two FR3s at one table; everybody waves with both."""
+
+    text = PAIR_CONFIG
+    joints = [*range(7), *range(9, 16)]  # noqa: RUF012
+
+    def is_moving(self) -> bool:
+        """Whether a joint of each arm moves."""
+        if not self.states:
+            return False
+        left, right = np.split(np.abs(self.states[-1][2]), 2)
+        return bool(min(left.max(), right.max()) > 5 * STILL_RAD_S)
+
+    def wave(self, there: bool) -> Any:
+        """Joint velocities that move both arms there or back."""
+        from rn_robot_fr3.profile import pair_profile
+        from roboneuron.contract import GRIPPER, robot_space
+        from roboneuron.ros.messages import to_action_message
+
+        space = robot_space("joint_velocity", pair_profile(), 10.0)
+        speed = 0.2 if there else -0.2
+        row = [1.0 if channel.name == GRIPPER else speed for channel in space.channels]
+        return to_action_message(np.array(row), space)
+
+
 @pytest.fixture(scope="session")
 def wait() -> Callable[[Callable[[], bool], float, str], float]:
     """Bounded wait for a condition."""
@@ -194,12 +242,22 @@ def wait() -> Callable[[Callable[[], bool], float, str], float]:
 @pytest.fixture(scope="module")
 def arm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Arm]:
     """An FR3 on a ROS domain of its own; tests start the modules they need."""
+    yield from _made(Arm, tmp_path_factory)
+
+
+@pytest.fixture(scope="module")
+def pair(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Arm]:
+    """Two of them at one table, likewise."""
+    yield from _made(Pair, tmp_path_factory)
+
+
+def _made(kind: type[Arm], tmp_path_factory: pytest.TempPathFactory) -> Iterator[Arm]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("ROS_DOMAIN_ID", str(free_ros_domain()))
         patch.setenv("ROS_LOG_DIR", os.environ.get("ROS_LOG_DIR", ""))
         state = tmp_path_factory.mktemp("state")
         prepare_environment(state / "log")
-        created = Arm(state)
+        created = kind(state)
         try:
             yield created
         finally:

@@ -13,11 +13,10 @@ import numpy as np
 from motion_judge import MotionJudge
 from std_msgs.msg import Float64MultiArray
 
-from roboneuron.config import parse_config
+from roboneuron.config import ModuleSettings, parse_config
 from roboneuron.contract import JointSample
 from roboneuron.modules.control import ControlModule
 from roboneuron.modules.module_host import Handover
-from roboneuron.modules.settings import ModuleSettings
 from roboneuron.modules.status import StatusWriter
 from roboneuron.ros.messages import to_joint_state
 

@@ -102,6 +102,13 @@ class MotionJudge:
         share = min(1.0, max(0.0, (now_s - self._sent_s) / self._lasts_s))
         return np.asarray(self._start + (self._end - self._start) * share)
 
+    def _velocity(self, now_s: float) -> F64:
+        """How fast the joints are: after the end of its command no arm stops faster than it may."""
+        commanded = (self._end - self._start) / self._lasts_s
+        over_s = max(0.0, now_s - self._sent_s - self._lasts_s)
+        left = np.abs(commanded) - self.facts.acceleration * over_s
+        return np.asarray(np.sign(commanded) * np.maximum(left, 0.0))
+
     def finger(self) -> float:
         """Where the finger is."""
         return self._finger
@@ -122,8 +129,7 @@ class MotionJudge:
         """A command is sent: judge it, then follow it."""
         facts = self.facts
         start, end = self.place(now_s), self._ordered(names, position)
-        is_moving = now_s - self._sent_s < self._lasts_s  # at the end of its command the arm stands
-        before = (self._end - self._start) / self._lasts_s if is_moving else np.zeros(len(start))
+        before = self._velocity(now_s)
         velocity = (end - start) / lasts_s
         if not (np.isfinite(end).all() and np.isfinite(lasts_s) and lasts_s > 0.0):
             self._demand("finite", False, f"{end} in {lasts_s} s")

@@ -17,8 +17,16 @@ from rn_controller_urdf.controller import UrdfController
 from rn_robot_fr3.limits import ACCELERATION_RAD_S2, LOWER_RAD, UPPER_RAD, VELOCITY_RAD_S
 from rn_robot_fr3.profile import HOME_RAD, pair_profile
 from rn_simulation.mujoco_scene import VISUAL_GROUP, read_urdf
+from roboneuron import matrix_from_quaternion, matrix_from_rotvec, quaternion_from_matrix
 from roboneuron.config import LimitsConfig
-from roboneuron.contract import JointCommand, JointSample
+from roboneuron.contract import (
+    ControlSpace,
+    JointCommand,
+    JointSample,
+    Pose,
+    robot_space,
+)
+from roboneuron.errors import RoboNeuronError
 from roboneuron.gate.motion import LIMITS, MotionLimiter, motion_rules
 
 F64 = NDArray[np.float64]
@@ -116,7 +124,9 @@ class Run:
         # the arm is where the command has taken it by the time of the next one
         share = min(1.0, PERIOD_S / duration_s)
         self.position = self.position + (end - self.position) * share
-        self.velocity = velocity if share < 1.0 else np.zeros(14)
+        # after its end no arm stops faster than it may
+        left = np.abs(velocity) - np.tile(ACCELERATION_RAD_S2, 2) * max(0.0, PERIOD_S - duration_s)
+        self.velocity = np.sign(velocity) * np.maximum(left, 0.0)
 
 
 def _gate(reaction: str) -> MotionLimiter:
@@ -168,6 +178,72 @@ def test_hostile_commands_for_both_arms_stay_within_every_limit(reaction: str, s
     for target, duration_s in _hostile(np.random.default_rng(seed), run):
         run.ask(target, duration_s)
     assert run.acted, "nothing that was asked had to be limited"
+
+
+KINDS = ("ee_pose", "joint_position", "joint_velocity")
+
+
+def _hostile_row(
+    space: ControlSpace, run: Run, poses: tuple[Pose, ...], rng: np.random.Generator, lean: F64
+) -> F64:
+    """A row for both arms: on and on in one direction, mostly into each other, and damage."""
+    named = dict.fromkeys(space.keys, float(rng.choice([0.0, 0.4, 1.0])))
+    size = float(rng.choice([0.01, 0.05, 1.0], p=[0.4, 0.4, 0.2]))
+    if space.kind == "ee_pose":
+        middle_m = (poses[0].position_m + poses[1].position_m) / 2.0
+        for arm, pose, push in zip(ARMS, poses, lean.reshape(2, 7), strict=True):
+            towards = 0.2 * (middle_m - pose.position_m) + 0.3 * push[:3] + rng.normal(0, 0.02, 3)
+            place_m = pose.position_m + size * towards
+            turn = matrix_from_rotvec(size * 0.5 * push[3:6]) @ matrix_from_quaternion(
+                pose.quaternion_xyzw
+            )
+            quaternion = quaternion_from_matrix(turn) * rng.choice([-1.0, 1.0, 1.05])
+            named |= {f"{arm}/{x}": v for x, v in zip("xyz", place_m, strict=True)}
+            named |= {f"{arm}/q{x}": v for x, v in zip("xyzw", quaternion, strict=True)}
+    else:
+        step = size * np.clip(np.tile(STRETCHED, 2) + lean - run.position, -0.2, 0.2)
+        value = run.position + step if space.kind == "joint_position" else step / PERIOD_S
+        keys = (key for key in space.keys if not key.endswith("gripper_open"))
+        named |= dict(zip(keys, value, strict=True))
+    row = np.array([named[key] for key in space.keys])
+    if rng.random() < 0.03:
+        row[int(rng.integers(len(row)))] = rng.choice([np.nan, np.inf, 1e9])
+    return row
+
+
+@pytest.mark.parametrize(
+    "rows", [COMMANDS, pytest.param(10_000, marks=[pytest.mark.slow, pytest.mark.timeout(600)])]
+)
+@pytest.mark.parametrize("reaction", ["scale", "hold"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_hostile_rows_for_both_arms_stay_within_every_limit(
+    kind: str, reaction: str, rows: int
+) -> None:
+    run, controller = Run(limiter=_gate(reaction), judge=Judge()), UrdfController(None, ROBOT)
+    controller.load()
+    rng = np.random.default_rng([KINDS.index(kind), reaction == "hold"])
+    space, lean, refused = robot_space(kind, ROBOT, 1.0 / PERIOD_S), np.zeros(14), 0
+    for number in range(rows):
+        if number % 15 == 0:
+            lean = rng.normal(0.0, rng.choice([0.05, 0.3, 1.0]), 14)
+        sample = JointSample(names=ROBOT.arm_joints, position=run.position)
+        try:
+            row = space.check(_hostile_row(space, run, controller.poses(sample), rng, lean))
+        except RoboNeuronError:
+            refused += 1
+            continue
+        answer = controller.execute(
+            space, row, run.limiter.reference(sample, run.now_s + PERIOD_S), PERIOD_S
+        )
+        if isinstance(answer, JointCommand):
+            arm = [answer.names.index(name) for name in ROBOT.arm_joints]
+            lasts_s = answer.duration_s + float(rng.choice([0.0, 0.01, 0.1]))
+            run.ask(answer.position[arm], lasts_s)
+        else:
+            refused += 1
+    assert run.acted, "nothing that was asked had to be limited"
+    assert run.travelled > 0.2
+    assert refused < rows
 
 
 def test_arms_that_are_sent_into_each_other_stop_apart() -> None:

@@ -163,13 +163,6 @@ def test_state_of_bridge_is_position_angles_against_gripper_down_and_opening():
     np.testing.assert_allclose(state, [0.4, -0.1, 0.3, 0.1, -0.2, 0.3, 1.0], atol=1e-9)
 
 
-def test_two_arm_constants_are_refused_with_the_reason(tiny):
-    with pytest.raises(
-        ConfigurationError, match=r"14 values per action .left and right.*state of one arm"
-    ):
-        _backend(tiny, constants="aloha").load()
-
-
 def test_constants_that_do_not_fit_the_head_are_refused(complete):
     """A bridge chunk of five on a LIBERO head cannot be told from the head, but its state width
     can.

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from rn_backend_oft.case import oft_case, oft_primary_case
+from rn_backend_oft.case import oft_case, oft_pair_case, oft_primary_case
 from rn_testing import BackendCase, BackendContract, PackageCase, PackageContract
 
 
@@ -16,6 +16,12 @@ class TestOftPrimary(BackendContract):
     @pytest.fixture
     def plugin(self) -> BackendCase:
         return oft_primary_case()
+
+
+class TestOftPair(BackendContract):
+    @pytest.fixture
+    def plugin(self) -> BackendCase:
+        return oft_pair_case()
 
 
 class TestOftPackage(PackageContract):

@@ -13,11 +13,10 @@ import pytest
 import torch
 from pydantic import ValidationError
 
-from rn_backend_oft.backend import OftBackend, OftPrimaryBackend
+from rn_backend_oft.backend import OftBackend, OftPairBackend, OftPrimaryBackend
 from rn_backend_oft.components import head_shard, proprio_shard
 from rn_backend_oft.config import OftConfig
 from rn_backend_oft.constants import CONSTANTS
-from rn_backend_oft.joints import JointActions
 from rn_backend_oft.plugin import roboneuron_backends
 from rn_backend_oft.space import oft_space
 from rn_backend_oft.tiny import make_tiny_oft
@@ -30,11 +29,15 @@ from rn_vla.openvla.tiny import random_values
 from roboneuron import (
     EE_DELTA,
     SPACE_KINDS,
+    ArmProfile,
+    ArmState,
     ConfigurationError,
     Frame,
+    GripperProfile,
     JointSample,
     Observation,
     PlanningError,
+    Pose,
     RobotProfile,
     UngroundedError,
 )
@@ -43,7 +46,26 @@ ARM = tuple(f"joint{i}" for i in range(1, 7))
 ROBOT = RobotProfile(name="six", arm_joints=ARM)
 OWN = {"chunk": 4, "action_width": 7, "state": "joints", "bounds": "minmax", "step_s": 0.04}
 OPTIONS = {"profile": "joints", "constants": "own", "own_constants": OWN, "joints": ARM}
-BOTH_ARMS = (*(f"left_{name}" for name in ARM), *(f"right_{name}" for name in ARM))
+
+
+def _pair(joints: tuple[str, ...]) -> RobotProfile:
+    arms = tuple(
+        ArmProfile(
+            name=arm,
+            joints=tuple(f"{arm}_{joint}" for joint in joints),
+            base_link="base",
+            tcp_link=f"{arm}_tcp",
+            gripper=GripperProfile(joint=f"{arm}_finger", closed_position=0, open_position=1),
+        )
+        for arm in ("left", "right")
+    )
+    names = tuple(joint for arm in arms for joint in arm.joints)
+    return RobotProfile(name="pair", arm_joints=names, arms=arms)
+
+
+TWO_ARMED = _pair(ARM)
+BOTH_ARMS = TWO_ARMED.arm_joints
+ALOHA = {"constants": "aloha", "profile": "joints", "joints": list(BOTH_ARMS)}
 
 
 @pytest.fixture(scope="module")
@@ -122,27 +144,103 @@ def test_proprio_of_aloha_is_normalised_and_clipped_as_in_the_public_code(aloha)
 
 
 def test_rows_of_aloha_are_two_arms_with_openings_cut_to_their_range(aloha):
-    actions = JointActions(constants=CONSTANTS["aloha"], joints=BOTH_ARMS)
-    space, native = actions.space, aloha["actions"][0]
-    rows = actions.to_contract(native)
+    rows, native = CONSTANTS["aloha"].rows(), aloha["actions"][0]
+    space, actions = rows.space(BOTH_ARMS), rows.to_contract(native)
     joints = [i for i, key in enumerate(space.keys) if not key.endswith("gripper_open")]
-    np.testing.assert_array_equal(rows[:, joints], native[:, joints])
-    np.testing.assert_array_equal(rows[:, [6, 13]], np.clip(native[:, [6, 13]], 0, 1))
+    np.testing.assert_array_equal(actions[:, joints], native[:, joints])
+    np.testing.assert_array_equal(actions[:, [6, 13]], np.clip(native[:, [6, 13]], 0, 1))
     assert space.keys[6] == "left/gripper_open"
     assert space.keys[7] == "right/right_joint1"
     assert (space.kind, space.rate_hz, space.size) == ("joint_position", 25.0, 14)
-    for row in rows:
+    for row in actions:
         space.check(row)
 
 
-def test_both_arms_of_aloha_are_refused_by_planning_and_by_loading(tiny):
-    options = {"constants": "aloha", "profile": "joints", "joints": list(BOTH_ARMS)}
-    arms = [channel.arm for channel in oft_space(options, ROBOT).channels]
-    assert arms == ["left"] * 7 + ["right"] * 7
-    with pytest.raises(PlanningError, match="robot lacks left/left_joint1"):
-        agree(oft_space(options, ROBOT), ROBOT, SPACE_KINDS, backend="oft", controller="urdf")
-    with pytest.raises(ConfigurationError, match="state of one arm"):
-        _backend(tiny, own_constants=None, **options).load()
+@pytest.fixture(scope="module")
+def both(tmp_path_factory) -> OftBackend:
+    """`oft-pair` with a tiny checkpoint of ALOHA, loaded."""
+    path = tmp_path_factory.mktemp("both") / "oft"
+    make_tiny_oft(path, platform="aloha")
+    runtime = TorchRuntime(TorchRuntimeConfig(device="cpu", dtype="float32"))
+    made = OftPairBackend(OftConfig(checkpoint=path, proprio=True, **ALOHA), runtime=runtime)
+    made.load()
+    return made
+
+
+def _both_seen(**changes) -> Observation:
+    """Left joints at 0.01, 0.02 .., right ones at -0.01, -0.02 .., in an order of the robot's."""
+    position = np.array([0.01 * int(n[-1]) * (1 if n[0] == "l" else -1) for n in BOTH_ARMS])
+    pose = Pose(position_m=np.zeros(3), quaternion_xyzw=np.array([0.0, 0.0, 0.0, 1.0]))
+    grey = np.full((224, 224, 3), 80, dtype=np.uint8)
+    given = {
+        "frames": {
+            role: Frame(camera=role, image=grey, stamp_ns=1, frame_id=role)
+            for role in ("primary", "wrist", "right_wrist")
+        },
+        "instruction": "fold the shirt",
+        "joints": JointSample(names=BOTH_ARMS[::-1], position=position[::-1]),
+        "gripper_open": 0.25,
+        "arms": {
+            "right": ArmState(ee_pose=pose, gripper_open=0.75),
+            "left": ArmState(ee_pose=pose, gripper_open=0.25),
+        },
+    }
+    return Observation(**{**given, **changes})
+
+
+def test_both_arms_of_aloha_move(both, monkeypatch):
+    requests = []
+    runtime = both._runtime
+    run = runtime.run
+    monkeypatch.setattr(runtime, "run", lambda request: requests.append(request) or run(request))
+    chunk = both.predict(_both_seen())
+    assert chunk.space == oft_space(ALOHA, TWO_ARMED)
+    assert (chunk.actions.shape, chunk.step_s) == ((25, 14), 0.04)
+    agree(chunk.space, TWO_ARMED, SPACE_KINDS, backend="oft-pair", controller="urdf")
+    # Joints within 0.5 rad and openings 0..1 are -1..1 in the tiny checkpoint's statistics.
+    arm = 0.02 * np.arange(1, 7)
+    expected = [*arm, -0.5, *-arm, 0.5]
+    np.testing.assert_allclose(requests[0].prompt.arrays["proprio"], expected, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("block", "words"),
+    [
+        ("action", "has 13 action values, constants = 'aloha' says 14"),
+        ("proprio", "13 proprio val"),
+    ],
+)
+def test_statistics_that_lack_a_channel_are_refused(tmp_path, block, words):
+    make_tiny_oft(tmp_path / "oft", platform="aloha")
+    file = tmp_path / "oft" / "dataset_statistics.json"
+    statistics = json.loads(file.read_text())
+    for values in statistics["tiny"][block].values():
+        del values[3]
+    file.write_text(json.dumps(statistics))
+    runtime = TorchRuntime(TorchRuntimeConfig(device="cpu", dtype="float32"))
+    config = OftConfig(checkpoint=tmp_path / "oft", proprio=True, **ALOHA)
+    with pytest.raises(ConfigurationError, match=words):
+        OftPairBackend(config, runtime=runtime).load()
+
+
+def test_a_gripper_that_is_not_measured_is_named_with_its_arm(both):
+    seen = _both_seen()
+    with pytest.raises(UngroundedError, match="the gripper's opening of arm 'right'"):
+        both.predict(dataclasses.replace(seen, arms={"left": seen.arms["left"]}))
+
+
+def test_arms_of_another_length_or_number_are_refused_by_planning():
+    with pytest.raises(ConfigurationError, match=r"left_joint1.* which robot 'six' does not have"):
+        oft_space(ALOHA, ROBOT)
+    longer = _pair((*ARM, "joint7"))
+    with pytest.raises(PlanningError, match="backend lacks left/left_joint7, right/right_joint7"):
+        agree(oft_space(ALOHA, longer), longer, SPACE_KINDS, backend="oft", controller="urdf")
+
+
+def test_an_action_width_that_is_no_two_equal_arms_is_refused():
+    odd = dataclasses.replace(CONSTANTS["aloha"], action_width=13)
+    with pytest.raises(ConfigurationError, match="action_width 13 is no joints and a gripper"):
+        odd.rows()
 
 
 def test_a_chunk_of_one_arm_has_the_declared_space(backend):
@@ -182,7 +280,7 @@ def test_what_is_not_measured_is_an_error(backend, change):
     [
         (None, "needs the option 'joints'"),
         (["joint1"], "the policy moves 6"),
-        ([*ARM[:5], "elbow"], "elbow, which the arm"),
+        ([*ARM[:5], "elbow"], "elbow, which robot"),
     ],
 )
 def test_planning_learns_that_joints_do_not_fit(joints, message):

@@ -157,8 +157,8 @@ def test_a_shard_that_is_missing_is_named(copy: Path) -> None:
 @pytest.mark.parametrize(
     ("kind", "advice"),
     [
-        ("act", "No backend of RoboNeuron runs that family"),
-        ("smolvla", "No backend of RoboNeuron runs that family"),
+        ("act", "Choose a backend that runs it: lerobot"),
+        ("smolvla", "Choose a backend that runs it: lerobot"),
         ("openvla", "Choose a backend that runs it: openvla (OpenVLA), oft (OpenVLA-OFT)."),
     ],
 )

@@ -22,6 +22,14 @@ def test_a_tiny_checkpoint_is_made_and_found_complete(
     assert sum(path.stat().st_size for path in target.rglob("*")) < 500_000
 
 
+@pytest.mark.parametrize(("variant", "backend"), [("pi05", "pi0"), ("pi0_fast", "pi0-fast")])
+def test_the_backend_that_runs_a_variant_is_named(
+    tmp_path: Path, variant: str, backend: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["make-tiny", str(tmp_path / "tiny"), "--variant", variant]) == 0
+    assert f"checkpoint of backend '{backend}'" in capsys.readouterr().out
+
+
 def test_the_same_seed_makes_the_same_weights(tmp_path: Path) -> None:
     for name, seed in (("a", "1"), ("b", "1"), ("c", "2")):
         assert main(["make-tiny", str(tmp_path / name), "--seed", seed]) == 0

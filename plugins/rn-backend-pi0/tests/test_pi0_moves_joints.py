@@ -5,6 +5,7 @@ chunking.
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -25,22 +26,47 @@ from roboneuron import (
     EE_DELTA,
     SPACE_KINDS,
     Ahead,
+    ArmProfile,
+    ArmState,
+    CheckpointError,
     ConfigurationError,
     GripperProfile,
     JointSample,
     Observation,
     PlanningError,
+    Pose,
     RobotProfile,
     UngroundedError,
 )
 
 Observe = Callable[..., Observation]
+
+
+def pair_of(count: int) -> RobotProfile:
+    """A robot with two arms of so many joints."""
+    arms = tuple(
+        ArmProfile(
+            name=arm,
+            joints=tuple(f"{arm}_{i + 1}" for i in range(count)),
+            base_link="base",
+            tcp_link=f"{arm}_tcp",
+            gripper=GripperProfile(joint=f"{arm}_finger", closed_position=0.0, open_position=0.04),
+        )
+        for arm in ("left", "right")
+    )
+    joints = tuple(joint for arm in arms for joint in arm.joints)
+    return RobotProfile(name="pair", arm_joints=joints, arms=arms)
+
+
 ARM = tuple(f"arm_joint{i}" for i in range(1, 8))
 ROBOT = RobotProfile(
     name="seven",
     arm_joints=ARM,
     gripper=GripperProfile(joint="finger", closed_position=0.0, open_position=0.04),
 )
+TWO_ARMED = pair_of(6)
+BOTH = TWO_ARMED.arm_joints
+BOTH_RAD = np.concatenate([0.1 * np.arange(1, 7), -0.1 * np.arange(1, 7)])
 POSTURE = np.array([0.1, -0.7, 0.2, -2.2, 0.3, 1.5, 0.9])
 
 
@@ -171,7 +197,7 @@ def test_a_running_chunk_is_continued(backend: Pi0Backend, observe: Observe) -> 
     [
         (None, "needs the option 'joints'"),
         (["arm_joint1"], "the policy moves 7"),
-        ([*ARM[:6], "elbow"], "elbow, which the arm"),
+        ([*ARM[:6], "elbow"], "elbow, which robot 'seven'"),
     ],
 )
 def test_planning_learns_that_joints_do_not_fit(
@@ -200,14 +226,93 @@ def test_the_option_goes_before_what_the_checkpoint_says(checkpoints: dict[str, 
     assert pi0_space(options, ROBOT).kind == "joint_position"
 
 
-def test_two_arms_are_declared_and_not_run(checkpoints: dict[str, Path]) -> None:
-    joints = tuple(f"{arm}_{i}" for arm in ("left", "right") for i in range(6))
-    space = pi0_space({"checkpoint": checkpoints["aloha"], "joints": joints}, ROBOT)
-    assert {channel.arm for channel in space.channels} == {"left", "right"}
-    with pytest.raises(PlanningError, match="robot lacks left/left_0"):
-        agree(space, ROBOT, SPACE_KINDS, backend="pi0", controller="urdf")
-    with pytest.raises(ConfigurationError, match="moves 2 arms"):
-        _backend(checkpoints["aloha"], joints=joints).load()
+def _both_seen(observe: Observe, **changes: Any) -> Observation:
+    """An observation of a robot with two arms, left 0.1 i and right -0.1 i, in a shuffled order."""
+    names = BOTH[::-1]
+    position = np.array([BOTH_RAD[BOTH.index(name)] for name in names])
+    pose = Pose(position_m=np.zeros(3), quaternion_xyzw=np.array([0.0, 0.0, 0.0, 1.0]))
+    arms = {
+        "right": ArmState(ee_pose=pose, gripper_open=0.75),
+        "left": ArmState(ee_pose=pose, gripper_open=0.25),
+    }
+    joints = JointSample(names=names, position=position)
+    given = {"joints": joints, "arms": arms, "gripper_open": 0.25, **changes}
+    return replace(observe(), ee_pose=None, **given)
+
+
+@pytest.mark.parametrize("name", ["aloha", "aloha-absolute", "aloha-plain", "aloha-plain-absolute"])
+def test_both_arms_of_aloha_move_by_what_openpi_computes(
+    tmp_path: Path, observe: Observe, name: str
+) -> None:
+    make_tiny(tmp_path / "tiny", layout="openpi", profile=name)
+    backend = _backend(tmp_path / "tiny", joints=BOTH)
+    backend.load()
+    chunk = backend.predict(_both_seen(observe))
+    assert chunk.space == pi0_space({"profile": name, "joints": BOTH}, TWO_ARMED)
+    agree(chunk.space, TWO_ARMED, SPACE_KINDS, backend="pi0", controller="urdf")
+    assert isinstance(chunk.context, RunningChunk)
+    layout = JOINT_PROFILES[name]
+    measured = np.insert(BOTH_RAD, [6, 12], [0.25, 0.75])
+    state = layout.to_network(measured)
+    np.testing.assert_allclose(chunk.context.state, state, atol=1e-12)
+    stats = json.loads((tmp_path / "tiny/assets/tiny/norm_stats.json").read_text())["norm_stats"]
+    spread = np.array(stats["actions"]["std"]) + 1e-6
+    raw = chunk.context.normalized[:, :14].astype(np.float64) * spread + stats["actions"]["mean"]
+    # `to_robot` is compared with openpi's own numbers in test_pi0_joint_spaces_are_those_of_openpi.
+    told = layout.to_robot(raw, state)
+    told[:, [6, 13]] = told[:, [6, 13]].clip(0.0, 1.0)
+    np.testing.assert_allclose(chunk.actions, told, atol=1e-9)
+
+
+def test_what_is_not_measured_of_either_arm_is_an_error(
+    checkpoints: dict[str, Path], observe: Observe
+) -> None:
+    backend = _backend(checkpoints["aloha"], joints=BOTH)
+    backend.load()
+    seen = _both_seen(observe)
+    left_only = {"left": seen.arms["left"]}
+    with pytest.raises(UngroundedError, match="the gripper's opening of arm 'right'"):
+        backend.predict(replace(seen, arms=left_only))
+    joints = JointSample(names=BOTH[:11], position=BOTH_RAD[:11])
+    with pytest.raises(UngroundedError, match="The state needs right_6; the joints that are"):
+        backend.predict(replace(seen, joints=joints))
+
+
+def test_arms_of_six_joints_are_refused_on_arms_of_seven(checkpoints: dict[str, Path]) -> None:
+    pair = pair_of(7)
+    space = pi0_space({"checkpoint": checkpoints["aloha"], "joints": BOTH}, pair)
+    with pytest.raises(PlanningError, match="the backend lacks left/left_7, right/right_7"):
+        agree(space, pair, SPACE_KINDS, backend="pi0", controller="urdf")
+
+
+def test_two_arms_are_refused_on_a_robot_that_has_one(checkpoints: dict[str, Path]) -> None:
+    six = RobotProfile(name="six", arm_joints=BOTH[:6])
+    with pytest.raises(ConfigurationError, match=r"right_1, right_2.* which robot 'six' does not"):
+        pi0_space({"checkpoint": checkpoints["aloha"], "joints": BOTH}, six)
+
+
+def test_arms_are_not_swapped_by_the_order_of_joints(checkpoints: dict[str, Path]) -> None:
+    swapped = (*BOTH[6:], *BOTH[:6])
+    space = pi0_space({"checkpoint": checkpoints["aloha"], "joints": swapped}, TWO_ARMED)
+    with pytest.raises(PlanningError, match="the robot lacks left/right_1"):
+        agree(space, TWO_ARMED, SPACE_KINDS, backend="pi0", controller="urdf")
+
+
+@pytest.mark.parametrize("block", ["state", "actions"])
+@pytest.mark.parametrize(("profile", "joints", "width"), [("franka", ARM, 8), ("aloha", BOTH, 14)])
+def test_statistics_that_lack_a_channel_are_refused(
+    tmp_path: Path, profile: str, joints: tuple[str, ...], width: int, block: str
+) -> None:
+    make_tiny(tmp_path / "tiny", layout="openpi", profile=profile)
+    file = tmp_path / "tiny/assets/tiny/norm_stats.json"
+    stats = json.loads(file.read_text())
+    for values in stats["norm_stats"][block].values():
+        del values[3]
+    file.write_text(json.dumps(stats))
+    what = block.removesuffix("s")
+    told = f"has statistics of {width - 1} {what} values, the profile has {width}."
+    with pytest.raises(CheckpointError, match=re.escape(told)):
+        _backend(tmp_path / "tiny", joints=joints).load()
 
 
 @pytest.mark.parametrize("name", ["droid", "franka"])

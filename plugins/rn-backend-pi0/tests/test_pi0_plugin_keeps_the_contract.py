@@ -123,7 +123,7 @@ def test_the_remote_backend_does_without_torch() -> None:
 def test_descriptors_say_what_the_backends_need() -> None:
     for spec in SPECS.values():
         assert spec.needs_state
-        assert (spec.cameras, spec.optional_cameras) == (("primary",), ("wrist",))
+        assert (spec.cameras, spec.optional_cameras) == (("primary",), ("wrist", "right_wrist"))
         assert spec.family == ""
     assert {r.module for r in SPECS["pi0"].requires} == {"torch", "safetensors", "tokenizers"}
     assert {r.module for r in SPECS["pi0-remote"].requires} == {"msgpack", "websockets"}

@@ -14,9 +14,11 @@ from rn_backend_pi0.options import Pi0RemoteOptions
 from rn_backend_pi0.plugin import roboneuron_backends
 from rn_backend_pi0.remote import Pi0RemoteBackend
 from roboneuron import (
+    ArmState,
     ConfigurationError,
     JointSample,
     Observation,
+    Pose,
     UngroundedError,
     UnsafeError,
 )
@@ -71,6 +73,31 @@ def test_a_server_has_added_the_state_to_positions(policy_server: Any, observe: 
     np.testing.assert_allclose(chunk.actions[0], [*POSTURE, 0.0], atol=1e-12)
     sent = policy_server.requests[-1]["observation/state"]
     np.testing.assert_allclose(sent, [*POSTURE, 0.0])
+    backend.close()
+
+
+def test_a_served_policy_of_two_arms_gets_the_state_of_both(
+    policy_server: Any, observe: Observe
+) -> None:
+    names = tuple(f"{arm}{i}" for arm in ("left", "right") for i in range(6))
+    _serve(policy_server, [*np.full(6, 0.1), 0.25, *np.full(6, -0.1), 1.5])
+    backend = _backend(
+        policy_server, profile="aloha", joints=names, joint_key=None, gripper_key=None
+    )
+    pose = Pose(position_m=np.zeros(3), quaternion_xyzw=np.array([0.0, 0.0, 0.0, 1.0]))
+    seen = replace(
+        observe(),
+        joints=JointSample(names=names, position=np.arange(12.0)),
+        arms={
+            "left": ArmState(ee_pose=pose, gripper_open=0.2),
+            "right": ArmState(ee_pose=pose, gripper_open=0.9),
+        },
+    )
+    chunk = backend.predict(seen)
+    sent = policy_server.requests[-1]["observation/state"]
+    np.testing.assert_allclose(sent, [*range(6), 0.2, *range(6, 12), 0.9])
+    np.testing.assert_allclose(chunk.actions[0, [0, 6, 7, 13]], [0.1, 0.25, -0.1, 1.0])
+    assert chunk.space.keys[13] == "right/gripper_open"
     backend.close()
 
 

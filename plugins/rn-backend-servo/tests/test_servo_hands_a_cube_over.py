@@ -4,14 +4,19 @@ at 10 Hz of simulated time; only the simulator judges.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 
 pytest.importorskip("rn_robot_fr3.simulation", exc_type=ImportError)
 pytest.importorskip("rn_controller_urdf.controller", exc_type=ImportError)
 
 from rn_backend_servo.case import pair_case
+from rn_backend_servo.geometry import matrix_of
 from rn_backend_servo.options import HandOverOptions
 from rn_backend_servo.pair_backend import HandOverBackend, hand_over_space
+from rn_backend_servo.sight import look
 from rn_controller_urdf.controller import UrdfController
 from rn_robot_fr3.cell import PAIR
 from rn_robot_fr3.profile import pair_profile
@@ -140,6 +145,78 @@ def test_a_cube_goes_from_the_left_hand_to_the_right(engine: str) -> None:
         assert red.handed_over_s >= 1.0, notes
         assert red.held_s > red.handed_over_s, "it was in the air all the time"
         assert notes[-1] == "handed over red cube"
+
+
+def _after_some_steps(simulation: ArmSimulation) -> PairCell:
+    """The giver is on its way to the cube."""
+    cell = PairCell(simulation)
+    for _ in range(8):
+        cell.step("hand over the red cube")
+    return cell
+
+
+def _carry_on(cell: PairCell) -> None:
+    for _ in range(12):
+        cell.step("hand over the red cube")
+
+
+def test_a_camera_that_froze_while_the_giver_moves_is_refused() -> None:
+    with ArmSimulation(3, cell=PAIR) as simulation:
+        cell = _after_some_steps(simulation)
+        frozen = cell._frames["primary"].image
+        look = cell._look
+        cell._look = lambda: {  # type: ignore[method-assign]
+            role: replace(frame, image=frozen) if role == "primary" else frame
+            for role, frame in look().items()
+        }
+        with pytest.raises(UngroundedError, match="'front' is frozen: it has not changed"):
+            _carry_on(cell)
+
+
+def test_an_image_that_comes_again_is_refused() -> None:
+    with ArmSimulation(3, cell=PAIR) as simulation:
+        cell = _after_some_steps(simulation)
+        cell._look = lambda: before  # type: ignore[method-assign]
+        before = cell._frames
+        cell.step("hand over the red cube")
+        with pytest.raises(UngroundedError, match="is the one seen before"):
+            cell.step("hand over the red cube")
+
+
+def test_a_cube_is_seen_by_the_camera_of_the_second_hand_where_it_is() -> None:
+    """The right arm gives: its own camera is placed by its own TCP."""
+    with ArmSimulation(3, cell=PAIR) as simulation:
+        controller = UrdfController(None, ROBOT)
+        controller.load()
+        joints = JointSample(names=PAIR.joints, position=simulation.joint_positions(), stamp_ns=1)
+        tcps = dict(zip(("left", "right"), controller.poses(joints), strict=True))
+        camera = next(camera for camera in ROBOT.cameras if camera.role == "right_wrist")
+        frame = Frame(
+            camera=camera.name,
+            image=simulation.render(camera.name),
+            stamp_ns=1,
+            frame_id=camera.frame_id,
+            calibration=camera.calibration,
+        )
+        assert camera.calibration is not None
+        assert camera.calibration.arm == "right"
+        seen = [
+            (name, np.array([sighting.estimate.x_m, sighting.estimate.y_m]))
+            for name in simulation.cubes()
+            if (
+                sighting := look(
+                    {camera.role: frame},
+                    {camera.role: matrix_of(tcps["right"])},
+                    name,
+                    HandOverOptions(),
+                )
+            )
+            and sighting.estimate.is_clear
+        ]
+        assert seen, "no cube lies in front of the right hand in this scene"
+        for name, centre_m in seen:
+            at_m = simulation.cubes()[name].position_m
+            assert np.linalg.norm(centre_m - at_m[:2]) < 0.02, name
 
 
 @pytest.mark.parametrize("instruction", ["pick up the red cube", "hand over the cube", "dance"])

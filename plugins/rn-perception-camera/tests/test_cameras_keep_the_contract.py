@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import sys
+from importlib.metadata import entry_points
 
 import pytest
 
 from rn_perception_camera.contract_cases import ros_case, video_case
 from rn_testing import PackageCase, PackageContract, PerceptionCase, PerceptionContract
-from roboneuron.plugins.discovery import discover
+from roboneuron.plugins.discovery import discover_from
 from roboneuron.plugins.registry import Status
 
 
@@ -40,8 +41,9 @@ def test_without_opencv_only_the_video_camera_is_unavailable(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setitem(sys.modules, "cv2", None)
+    registry = discover_from(entry_points(group="roboneuron"))
     offers = {
-        offer.spec.name: offer for offer in discover().all_offers if offer.spec.kind == "perception"
+        offer.spec.name: offer for offer in registry.all_offers if offer.spec.kind == "perception"
     }
     assert offers["ros-camera"].status is Status.READY
     assert offers["video-camera"].status is Status.UNAVAILABLE

@@ -15,8 +15,8 @@ from rn_policy_cubes.recipe import ACTION_SCALE, PATCHES, ROWS
 from rn_policy_cubes.teacher import STEP_S, Situations, chunks, tilt_of, yaw_of
 from rn_policy_cubes.words import Prompts
 from rn_robot_fr3.profile import profile
-from rn_robot_fr3.scene import RGBA_BY_COLOUR
 from rn_robot_fr3.simulation import JOINTS, ArmSimulation
+from rn_simulation.cubes import RGBA_BY_COLOUR
 from roboneuron import Action, Hold, JointSample, matrix_from_quaternion
 
 

@@ -50,7 +50,7 @@ def main(root: str, expected: str) -> None:
                 row["observation.state"].numpy(), wanted["state"][frame].astype(np.float32)
             ), where
             assert int(row["roboneuron.sent_ns"]) == wanted["sent_ns"][frame], where
-            assert int(row["roboneuron.image_ns"]) == wanted["image_ns"][frame], where
+            assert int(row["roboneuron.seen_ns"]) == wanted["image_ns"][frame], where
             assert row["task"] == str(wanted["task"]), where
             assert np.isclose(float(row["timestamp"]), frame / dataset.fps, atol=1e-6), where
             for camera in dataset.meta.video_keys:

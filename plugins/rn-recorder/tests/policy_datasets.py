@@ -22,7 +22,7 @@ from policy_world import (
     recorded,
 )
 
-from rn_recorder_runs.lerobot_meta import POSE_NAMES
+from rn_recorder_runs.episodes import POSE_NAMES
 from rn_recorder_runs.video import CameraVideo
 
 TASK = "pick up the cup"

@@ -37,7 +37,7 @@ def test_a_demonstration_is_recorded_exported_and_repeated(
     np.testing.assert_array_equal(rows["roboneuron.action"], wanted["action"])
     np.testing.assert_array_equal(rows["observation.state"], wanted["state"].astype(np.float32))
     assert rows["roboneuron.sent_ns"] == wanted["sent_ns"].tolist()
-    assert rows["roboneuron.image_ns"] == wanted["image_ns"].tolist()
+    assert rows["roboneuron.seen_ns"] == wanted["image_ns"].tolist()
 
     parser = ArgumentParser()
     Runs().configure(parser)

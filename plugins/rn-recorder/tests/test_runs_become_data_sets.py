@@ -7,6 +7,7 @@ from __future__ import annotations
 import errno
 import json
 import subprocess
+import sys
 from argparse import ArgumentParser
 from collections.abc import Callable
 from dataclasses import replace
@@ -24,7 +25,13 @@ from rn_recorder_runs.files import Record, RunFile, read_records
 from rn_recorder_runs.lerobot import export
 from rn_recorder_runs.statistics import merge, stats_of
 from rn_recorder_runs.store import Run, Store
-from roboneuron import ConfigurationError, InvalidInputError, StateError
+from rn_recorder_runs.video import Codec
+from roboneuron import (
+    ConfigurationError,
+    InvalidInputError,
+    MissingDependencyError,
+    StateError,
+)
 
 ROOT = Path(__file__).parents[3]
 LEROBOT = ROOT / ".venv-lerobot" / "bin" / "python"
@@ -52,9 +59,9 @@ def test_rows_equal_the_recording(tmp_path: Path) -> None:
     np.testing.assert_array_equal(
         table["action"], [action(number).astype(np.float32) for number in range(16)]
     )
-    assert np.diff(table["roboneuron.image_ns"]).tolist() == [100_000_000] * 15
+    assert np.diff(table["roboneuron.seen_ns"]).tolist() == [100_000_000] * 15
     assert (
-        np.array(table["roboneuron.sent_ns"]) - np.array(table["roboneuron.image_ns"]) == 30_000_000
+        np.array(table["roboneuron.sent_ns"]) - np.array(table["roboneuron.seen_ns"]) == 30_000_000
     ).all()
     assert table["episode_index"] == [0] * 8 + [1] * 8
     assert table["frame_index"] == [*range(8), *range(8)]
@@ -261,6 +268,101 @@ def test_lerobot_opens_it_and_finds_what_was_recorded(tmp_path: Path) -> None:
     assert "2 episodes, 16 frames equal" in opened_by_lerobot(
         tmp_path / "set", tmp_path / "expected"
     )
+
+
+@pytest.mark.slow
+@needs_lerobot
+@pytest.mark.parametrize("codec", ["av1", "h264"])
+def test_lerobots_own_writer_gives_the_same_data_set(tmp_path: Path, codec: Codec) -> None:
+    store = store_in(tmp_path)
+    runs = [
+        record_run(store, name, [(text, "success"), ("put it down", "success")])
+        for name, text in (("one", "pick it up"), ("two", "turn it"))
+    ]
+    own, theirs = tmp_path / "own", tmp_path / "theirs"
+    written = export(runs, own, outcome=None, fps=None, codec=codec)
+    assert written == export(
+        runs, theirs, outcome=None, fps=None, codec=codec, with_lerobot=LEROBOT
+    )
+    assert names_in(own) == names_in(theirs)
+    for name in ("data/chunk-000/file-000.parquet", "meta/tasks.parquet"):
+        found, expected = pq.read_table(own / name), pq.read_table(theirs / name)
+        assert {c: found[c] for c in found.column_names} == {
+            c: expected[c] for c in expected.column_names
+        }, name
+    check_same_info(own / "meta/info.json", theirs / "meta/info.json")
+    check_same_statistics(own / "meta/stats.json", theirs / "meta/stats.json")
+    for camera in ("front", "hand"):
+        name = f"videos/observation.images.{camera}/chunk-000/file-000.mp4"
+        for one, other in zip(frames_of(own / name), frames_of(theirs / name), strict=True):
+            # each may lose 4 to the codec
+            assert np.abs(one.astype(int) - other).mean() < 8
+    episodes = "meta/episodes/chunk-000/file-000.parquet"
+    listed = [pq.read_table(folder / episodes).to_pydict() for folder in (own, theirs)]
+    assert listed[0].keys() == listed[1].keys()
+    for name in (name for name in listed[0] if not name.startswith("stats/")):
+        if name == "tasks":
+            assert listed[0][name] == listed[1][name]
+        else:
+            np.testing.assert_allclose(listed[0][name], listed[1][name], atol=1e-9, err_msg=name)
+
+
+def names_in(folder: Path) -> set[str]:
+    return {str(path.relative_to(folder)) for path in folder.rglob("*")}
+
+
+def check_same_info(own: Path, theirs: Path) -> None:
+    """lerobot tells some settings of the encoder besides."""
+    found, expected = (json.loads(path.read_text()) for path in (own, theirs))
+    for name, feature in found["features"].items():
+        other = expected["features"][name]
+        told = feature.pop("info", {})
+        assert told.items() <= other.pop("info", {}).items(), name
+    assert found == expected
+
+
+def check_same_statistics(own: Path, theirs: Path) -> None:
+    found, expected = (json.loads(path.read_text()) for path in (own, theirs))
+    assert found.keys() == expected.keys()
+    for feature, values in found.items():
+        assert values.keys() == expected[feature].keys()
+        mean, low, high = (np.array(values[name]) for name in ("mean", "min", "max"))
+        for name, value in values.items():
+            got, wanted = np.array(value), np.array(expected[feature][name])
+            assert got.shape == wanted.shape, (feature, name)
+            if feature.startswith("observation.images."):
+                # we draw other pixels than lerobot does
+                tolerance: object = 0.05
+            elif name == "std":
+                # lerobot subtracts the square of the mean, in the precision of the values
+                kind = np.float64 if feature.endswith("_ns") else np.float32
+                tolerance = np.sqrt(np.finfo(kind).eps) * 2.0 * np.abs(mean)
+            elif name.startswith("q"):
+                # lerobot takes one of the 8 values of an episode, we go between two
+                tolerance = (high - low) / 7
+            else:
+                tolerance = 1e-6 * np.maximum(np.abs(mean), high - low)
+            assert (np.abs(got - wanted) <= np.maximum(tolerance, 1e-9)).all(), (feature, name)
+
+
+@pytest.mark.parametrize(
+    ("python", "error", "words"),
+    [
+        ("nowhere/python", ConfigurationError, "nowhere/python cannot be run: No such file"),
+        (sys.executable, MissingDependencyError, "no lerobot that can be used: No module named"),
+        ("/bin/false", StateError, "failed with status 1: it said nothing"),
+        ("/bin/true", StateError, "failed with status 0"),
+    ],
+)
+def test_an_interpreter_without_lerobot_is_refused_and_leaves_nothing(
+    tmp_path: Path, python: str, error: type[Exception], words: str
+) -> None:
+    runs = [record_run(store_in(tmp_path), "demo", TWO, rows=40)]
+    target = tmp_path / "out" / "set"
+    target.parent.mkdir()
+    with pytest.raises(error, match=words):
+        export(runs, target, outcome=None, fps=None, codec="av1", with_lerobot=Path(python))
+    assert list(target.parent.iterdir()) == []
 
 
 @pytest.mark.slow

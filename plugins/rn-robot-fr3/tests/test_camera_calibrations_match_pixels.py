@@ -7,9 +7,9 @@ import pytest
 from numpy.typing import NDArray
 
 from rn_robot_fr3.cameras import cameras
-from rn_robot_fr3.ground_truth import CubeState
 from rn_robot_fr3.simulation import ArmSimulation
 from rn_simulation.engine import Engine
+from rn_simulation.ground_truth import CubeState
 from roboneuron.contract import CameraCalibration
 from roboneuron.contract.rotation import matrix_from_quaternion
 

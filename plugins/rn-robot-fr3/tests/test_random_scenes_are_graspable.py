@@ -5,15 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rn_robot_fr3.scene import (
-    EDGE_M,
-    REGION_X_M,
-    REGION_Y_M,
-    RGBA_BY_COLOUR,
-    SPACING_M,
-    random_cubes,
-)
+from rn_robot_fr3.scene import EDGE_M, REGION_X_M, REGION_Y_M, SPACING_M, random_cubes
 from rn_robot_fr3.simulation import ArmSimulation
+from rn_simulation.cubes import RGBA_BY_COLOUR
 from rn_simulation.engine import Engine
 from roboneuron.errors import ConfigurationError
 

@@ -15,9 +15,9 @@ from rn_robot_fr3.limits import (
     VELOCITY_RAD_S,
 )
 from rn_robot_fr3.profile import HOME_RAD
-from rn_robot_fr3.setpoint import JointSetpoint
 from rn_robot_fr3.simulation import STEP_S, ArmSimulation
 from rn_simulation.engine import Engine
+from rn_simulation.setpoint import JointSetpoint
 from roboneuron.errors import InvalidInputError, StateError
 
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rn_robot_fr3.ground_truth import CubeState, LiftClock
-from rn_robot_fr3.scene import Cube
-from rn_robot_fr3.world import RawPose
+from rn_simulation.cubes import Cube, RawPose
+from rn_simulation.ground_truth import CubeState, LiftClock
 
 CUBE = Cube(name="red", edge_m=0.04, x_m=0.5, y_m=0.0, yaw_rad=0.0)
 ON_IT, AWAY, NEAR = np.array([0.5, 0.0, 0.4]), np.array([0.5, 0.5, 0.4]), np.array([0.5, 0.06, 0.4])

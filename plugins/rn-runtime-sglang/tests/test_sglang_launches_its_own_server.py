@@ -24,6 +24,7 @@ from rn_runtime_sglang.standin.site import write_site
 from roboneuron.errors import ConfigurationError, MissingDependencyError, NotReadyError
 
 BROUGHT_BY_SGLANG = {
+    "httpx2",  # transformers loads it, where the hub's client uses it
     "numpy",
     "pillow",
     "pydantic",

@@ -10,7 +10,7 @@ import viser
 
 from rn_view.measured import MeasuredTopics, ShownAction
 from rn_view.plots import History, Plots, action_panels
-from roboneuron import ACTION_LABEL, EE_DELTA, GRIPPER, Channel, ControlSpace
+from roboneuron import ACTION_LABEL, EE_DELTA, GRIPPER, Channel, ControlSpace, RobotProfile
 
 JOINTS = ControlSpace(
     kind="joint_velocity",
@@ -75,8 +75,10 @@ def test_another_space_brings_its_own_plots(plots: Shown) -> None:
 
 
 def test_channels_of_two_arms_keep_their_names() -> None:
-    motion, gripper = action_panels(TWO_ARMS.label)
-    assert motion.names == ("left/joint1", "left/joint2", "right/joint1", "right/joint2")
+    left, right, gripper = action_panels(TWO_ARMS.label)
+    assert left.title == "left: joint position [rad or m]"
+    assert (left.names, left.columns) == (("left/joint1", "left/joint2"), (0, 1))
+    assert (right.names, right.columns) == (("right/joint1", "right/joint2"), (3, 4))
     assert (gripper.names, gripper.columns) == (("left/gripper_open", "right/gripper_open"), (2, 5))
 
 
@@ -97,6 +99,6 @@ def test_messages_are_kept_with_their_label() -> None:
         def now_s(self) -> float:
             return 3.0
 
-    measured = MeasuredTopics(Now(), None)  # type: ignore[arg-type]
+    measured = MeasuredTopics(Now(), RobotProfile(name="arm"))  # type: ignore[arg-type]
     measured._on_action(to_action_message(np.arange(8.0), JOINTS))
     assert list(measured.actions) == [ShownAction(3.0, JOINTS.label, tuple(np.arange(8.0)))]

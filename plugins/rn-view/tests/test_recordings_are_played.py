@@ -71,8 +71,9 @@ def test_the_slider_shows_everything_as_it_was(cinema: Cinema) -> None:
     cinema.seek(1.3)
     measured = cinema.measured
     assert measured.joints["slide_x"] == pytest.approx(0.13)
-    assert measured.tcp is not None
-    assert measured.tcp[0][0] == pytest.approx(0.13)
+    pose = measured.tracks[""].pose
+    assert pose is not None
+    assert pose[0][0] == pytest.approx(0.13)
     at_s, label, action = measured.actions[-1]
     assert label == ACTION_LABEL
     assert at_s == pytest.approx(BEGIN_NS / 1e9 + 1.3)
@@ -96,7 +97,7 @@ def test_going_back_shows_nothing_of_what_came_later(cinema: Cinema) -> None:
     assert cinema.texts() == ['start_inference(instruction="push"): done, 0.15 s']
     snapshot = cinema.source.snapshot()
     assert (snapshot.instruction, snapshot.is_latched) == ("push", False)
-    assert max(point[0] for point in cinema.measured.trail) <= 0.05 + 1e-9
+    assert max(point[0] for point in cinema.measured.tracks[""].trail) <= 0.05 + 1e-9
     assert max(action.at_s for action in cinema.measured.actions) <= BEGIN_NS / 1e9 + 0.5 + 1e-6
     cinema.seek(0.0)
     assert cinema.texts() == []

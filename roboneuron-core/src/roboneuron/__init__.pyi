@@ -108,7 +108,6 @@ from .plugins.specs import (
 )
 from .server.feature import (
     Feature as Feature,
-    Resource as Resource,
 )
 from .server.host import (
     Host as Host,
@@ -119,6 +118,7 @@ from .server.tool import (
     NoArguments as NoArguments,
     Picture as Picture,
     Reply as Reply,
+    Resource as Resource,
     Result as Result,
     Tool as Tool,
 )

@@ -18,13 +18,13 @@ GROUPS: Mapping[str, frozenset[str]] = {
         "estop": "EmergencyStopLatch",
         "loading": "load_attribute load_options load_options_model load_target",
         "log_files": "begin_logging escaped make_log_directory opener",
-        "messages": "intrinsics_from_camera_info to_image to_ns",
+        "messages": "intrinsics_from_camera_info joints_from_message to_image to_ns",
         "qos": "NEWEST STATUS requested_qos",
         "reading": "default_text read_state_directory robot_folder",
         "roles": "ADMIN",
-        "settings": "FIRST_STEP_S HOLD_DURATION_S HOLD_SHARE SHORTEST_STEP_S",
+        "settings": "EMERGENCY_STOP_TOPIC FIRST_STEP_S HOLD_DURATION_S HOLD_SHARE SHORTEST_STEP_S",
         "terminal": "add_verbosity log_level",
-        "topics": "DIAGNOSTICS",
+        "topics": "ACTION DIAGNOSTICS JOINT_STATES",
     }.items()
 }
 """What may be used of the modules among these names; a contract rule of packages checks it."""

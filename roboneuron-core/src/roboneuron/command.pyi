@@ -61,8 +61,8 @@ from .gate.motion.limiter import (
 )
 from .gate.motion.rules import (
     collision_of as collision_of,
-    inspector_of as inspector_of,
     motion_rules as motion_rules,
+    poses_of as poses_of,
 )
 from .modules.parent_watch import (
     Signals as Signals,

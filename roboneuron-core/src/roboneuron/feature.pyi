@@ -86,9 +86,6 @@ from .gate.motion.rules import (
     motion_rules as motion_rules,
     poses_of as poses_of,
 )
-from .modules.module_host import (
-    ModuleHost as ModuleHost,
-)
 from .modules.plugin import (
     build as build,
     load_profile as load_profile,
@@ -113,14 +110,14 @@ from .ros.link import (
     RosLink as RosLink,
     UNSENT as UNSENT,
 )
+from .server.access import (
+    Transport as Transport,
+)
 from .server.app import (
     Application as Application,
 )
 from .server.events import (
     Events as Events,
-)
-from .server.feature import (
-    Transport as Transport,
 )
 from .server.stop_tools import (
     EmergencyStopArguments as EmergencyStopArguments,
@@ -128,9 +125,6 @@ from .server.stop_tools import (
 )
 from .server.loop import (
     ClosedLoop as ClosedLoop,
-)
-from .server.module_views import (
-    Modules as Modules,
 )
 from .server.motion_gate import (
     Clamp as Clamp,
@@ -150,9 +144,6 @@ from .server.registry import (
     ToolRegistry as ToolRegistry,
     failure as failure,
 )
-from .server.resources import (
-    Resources as Resources,
-)
 from .server.schema import (
     Schema as Schema,
     Shape as Shape,
@@ -160,7 +151,6 @@ from .server.schema import (
 from .server.selection import (
     Instruction as Instruction,
     KIND_ENTRIES as KIND_ENTRIES,
-    KindEntry as KindEntry,
     ModuleSection as ModuleSection,
     Selection as Selection,
     check_instruction as check_instruction,
@@ -182,6 +172,7 @@ from .supervisor.health import (
     EXPLANATIONS as EXPLANATIONS,
     FAULTS as FAULTS,
     Health as Health,
+    Modules as Modules,
     ModuleView as ModuleView,
     assess as assess,
 )

@@ -6,9 +6,8 @@ import pytest
 
 from rn_testing.fakes import fake_registry
 from roboneuron import FeatureSpec
-from roboneuron.config import feature_options, parse_config
+from roboneuron.config import ModuleSettings, feature_options, parse_config
 from roboneuron.errors import ConfigurationError
-from roboneuron.modules.settings import ModuleSettings
 from roboneuron.plugins.registry import Offer, Registry, Status
 
 ROBOT = '[robot]\nname = "gantry"\n'

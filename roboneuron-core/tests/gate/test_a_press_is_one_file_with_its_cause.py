@@ -18,7 +18,7 @@ from pathlib import Path
 import pytest
 
 from roboneuron.errors import RefusedError, StateError, UnsafeError
-from roboneuron.estop import EmergencyStopLatch, LatchState, press_together
+from roboneuron.estop import EmergencyStopLatch, LatchState
 from roboneuron.estop.pin import ReleasePin
 from roboneuron.gate import AuditLog, AuditRecord
 
@@ -230,7 +230,7 @@ def test_a_disk_that_does_not_sync_stops_no_stop(latch, monkeypatch: pytest.Monk
 
 def test_a_full_disk_still_holds_the_latch_without_its_cause(latch) -> None:
     with no_more(resource.RLIMIT_FSIZE, 0):
-        assert press_together([latch], who="ann", reason="smoke") == []
+        assert EmergencyStopLatch.press_together([latch], who="ann", reason="smoke") == []
     assert latch.path.read_bytes() == b""
     assert a_latch(latch.path).is_latched()
 
@@ -270,7 +270,7 @@ def test_all_robots_are_stopped_before_a_file_is_written_and_all_files_before_an
         latch.on_pressed(
             lambda name=name: seen.append(("pressed", name, sorted(os.listdir(tmp_path))))
         )
-    failures = press_together([left, nowhere, right], who="ann", reason="smoke")
+    failures = EmergencyStopLatch.press_together([left, nowhere, right], who="ann", reason="smoke")
     names, both = ("left", "nowhere", "right"), ["left", "right"]
     assert seen == [("press", name, []) for name in names] + [
         ("pressed", name, both) for name in names
@@ -294,7 +294,9 @@ def test_a_second_press_tells_nobody_and_the_first_cause_stays(latch) -> None:
 def test_a_press_right_after_a_reset_by_another_process_stops_again(latch, audit) -> None:
     latch.press(who="ann", reason="smoke")
     a_latch(latch.path).reset(who="bea", role="admin", audit=audit)
-    assert press_together([latch], who="ann", reason="fire") == []  # it has not looked since
+    assert (
+        EmergencyStopLatch.press_together([latch], who="ann", reason="fire") == []
+    )  # it has not looked since
     assert a_latch(latch.path).read_state().cause == "ann: fire"
 
 
@@ -302,16 +304,16 @@ def test_a_press_that_could_not_be_written_is_written_by_the_next(tmp_path: Path
     (tmp_path / "state").touch()  # in the way
     latch = a_latch(tmp_path / "state" / "stop")
     for _ in range(2):
-        assert len(press_together([latch], who="ann", reason="smoke")) == 1
+        assert len(EmergencyStopLatch.press_together([latch], who="ann", reason="smoke")) == 1
     (tmp_path / "state").unlink()
-    assert press_together([latch], who="ann", reason="smoke") == []
+    assert EmergencyStopLatch.press_together([latch], who="ann", reason="smoke") == []
     assert a_latch(latch.path).read_state().cause == "ann: smoke"
 
 
 def test_who_presses_what_another_has_latched_is_released_with_it(latch, audit) -> None:
     other = a_latch(latch.path)
     other.press(who="bob", reason="fire")
-    assert press_together([latch], who="ann", reason="smoke") == []
+    assert EmergencyStopLatch.press_together([latch], who="ann", reason="smoke") == []
     assert json.loads(latch.path.read_text())["who"] == "bob"
     other.reset(who="bea", role="admin", audit=audit)
     assert not latch.is_latched()
@@ -328,7 +330,7 @@ def test_a_file_that_vanishes_while_it_is_pressed_fails_no_press(
 
     with monkeypatch.context() as patch:
         patch.setattr(os, "lstat", vanish)
-        assert press_together([latch], who="ann", reason="smoke") == []
+        assert EmergencyStopLatch.press_together([latch], who="ann", reason="smoke") == []
         assert latch.is_latched()
     assert latch.is_latched()
 
@@ -398,7 +400,7 @@ def test_a_latch_that_was_never_written_is_written_before_it_is_reset(
     """Without a file that can be written there is no reset."""
     (tmp_path / "state").touch()  # in the way
     latch = a_latch(tmp_path / "state" / "stop")
-    press_together([latch], who="ann", reason="smoke")
+    EmergencyStopLatch.press_together([latch], who="ann", reason="smoke")
     with pytest.raises(StateError, match="stays latched"):
         latch.reset(who="bea", role="admin", audit=audit)
     (tmp_path / "state").unlink()
@@ -429,5 +431,5 @@ def test_a_press_after_a_reset_that_the_disk_refused_stops_the_robot(
         patch.setattr(os, "lstat", fail)
         with pytest.raises(StateError, match="stays latched"):
             latch.reset(who="bea", role="admin", audit=audit)
-    press_together([latch], who="ann", reason="smoke")
+    EmergencyStopLatch.press_together([latch], who="ann", reason="smoke")
     assert told == ["press"]

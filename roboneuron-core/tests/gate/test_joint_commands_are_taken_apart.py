@@ -132,24 +132,39 @@ def test_a_joint_that_nobody_knows_is_not_commanded() -> None:
         (10.0, 1.0, 2.0),
         (10.125, 1.25, 2.0),
         (10.499, 1.998, 2.0),
-        (10.5, 2.0, 0.0),
-        (10.75, 2.0, 0.0),
+        (10.5, 2.0, 2.0),
+        (10.75, 2.0, 1.0),
+        (11.0, 2.0, 0.0),
         (99.0, 2.0, 0.0),
     ],
 )
-def test_a_setpoint_moves_evenly_and_rests_at_its_end(
+def test_a_setpoint_moves_evenly_and_brakes_at_its_end(
     now_s: float, position: float, velocity: float
 ) -> None:
     setpoint = Setpoint(
         start=np.ones(1), displacement=np.ones(1), duration_s=0.5, sent_s=10.0, immediate=False
     )
-    where, speed = setpoint.at(now_s)
+    where, speed = setpoint.at(now_s, np.array([4.0]))
     assert where.tolist() == pytest.approx([position])
     assert speed.tolist() == [velocity]
 
 
+def test_a_setpoint_without_a_limit_of_acceleration_rests_at_its_end() -> None:
+    setpoint = Setpoint(
+        start=np.zeros(2),
+        displacement=np.array([-1.0, 0.0]),
+        duration_s=0.5,
+        sent_s=10.0,
+        immediate=False,
+    )
+    endless = np.full(2, np.inf)
+    assert setpoint.at(10.5, endless)[1].tolist() == [-2.0, 0.0]
+    assert setpoint.at(10.501, endless)[1].tolist() == [0.0, 0.0]
+    assert setpoint.at(10.75, np.full(2, 4.0))[1].tolist() == [-1.0, 0.0]
+
+
 @pytest.mark.parametrize(
-    ("now_s", "velocity"), [(10.0, 2.0), (10.75, 2.0), (11.0, 2.0), (11.001, 0.0), (99.0, 0.0)]
+    ("now_s", "velocity"), [(10.0, 2.0), (10.75, 2.0), (11.0, 2.0), (11.25, 1.0), (99.0, 0.0)]
 )
 def test_an_immediate_setpoint_is_there_at_once_and_moves_until_the_next_one_is_due(
     now_s: float, velocity: float
@@ -157,5 +172,5 @@ def test_an_immediate_setpoint_is_there_at_once_and_moves_until_the_next_one_is_
     setpoint = Setpoint(
         start=np.ones(1), displacement=np.ones(1), duration_s=0.5, sent_s=10.0, immediate=True
     )
-    where, speed = setpoint.at(now_s)
+    where, speed = setpoint.at(now_s, np.array([4.0]))
     assert (where.tolist(), speed.tolist()) == ([2.0], [velocity])

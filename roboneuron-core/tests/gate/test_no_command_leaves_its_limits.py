@@ -362,8 +362,7 @@ def test_random_actions_never_produce_a_command_outside_any_limit(
     limits = [joint_limits(profile(braking=braking))[name] for name in NAMES]
     position, commanded, velocity = START.copy(), START.copy(), np.zeros(2)
     now_s, last_s = 10.0, -math.inf
-    for asked, pause_s, duration_s, lag in steps:
-        wait_s = pause_s
+    for asked, wait_s, duration_s, lag in steps:
         verdict = judge.limit(command(position + asked, duration_s), sample(position), now_s)
         if isinstance(verdict.command, JointCommand):
             target = verdict.command
@@ -385,15 +384,13 @@ def test_random_actions_never_produce_a_command_outside_any_limit(
             assert tcp[2] >= 0.1 - 1e-9
             assert not ((tcp > [0.3, -1, 0.3]) & (tcp < [0.45, 1, 0.45])).all()
             assert inspect(sample(target.position)).smallest_singular_value >= 0.1 - 1e-9
-            # whether it rests by then is rounding
-            while min(abs(wait_s - time_s), abs(wait_s - 2 * time_s)) < 1e-6:
-                wait_s += 1e-3
             # The robot follows: it is where the command brings it in `wait_s`, or a little behind.
             part = 1.0 if immediate else min(1.0, wait_s / time_s)
             last_s = now_s
             velocity = change / time_s
-            if (immediate and wait_s > 2 * time_s) or (not immediate and wait_s >= time_s):
-                velocity = np.zeros(2)
+            # after its end it brakes by 4 rad/s^2
+            over_s = max(0.0, wait_s - (2 * time_s if immediate else time_s))
+            velocity = np.sign(velocity) * np.maximum(0.0, np.abs(velocity) - 4.0 * over_s)
             behind = min(lag, 0.05 / max(1e-9, float(np.abs(change * part).max())))
             position, commanded = (
                 commanded + change * part * (1 - behind),

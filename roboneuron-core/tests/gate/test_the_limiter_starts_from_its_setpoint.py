@@ -89,6 +89,34 @@ def test_where_the_setpoint_is_lost_the_arm_starts_from_rest() -> None:
     assert place(lost) == pytest.approx([1.05, 0.0, 0.0]), "0.5 m/s from rest"
 
 
+@pytest.mark.parametrize(
+    ("now_s", "end_m"),
+    [
+        # From 1 m/s, which it has to its end at 10.1 s and loses at 10 m/s^2 from then on.
+        (10.1, 0.1),
+        (10.101, 0.099),
+        (10.15, 0.05),
+        (10.2, 0.0),
+        (10.5, 0.0),
+    ],
+)
+def test_an_arm_reverses_no_faster_after_the_end_of_a_command(now_s: float, end_m: float) -> None:
+    judge = limiter(robot=profile(acceleration=10.0))
+    judge.limit(to(0.1), at(), 10.0)
+    verdict = judge.limit(to(), at(0.1), now_s)
+    assert place(verdict) == pytest.approx([end_m, 0.0, 0.0])
+    assert (verdict.acted == ()) is (end_m == 0.0)
+
+
+@pytest.mark.parametrize("late_s", [0.0, 1e-9, 0.004])
+def test_a_steady_motion_goes_on_although_its_command_has_just_ended(late_s: float) -> None:
+    judge = limiter(robot=profile(acceleration=5.0))
+    judge.follow(to(0.1), at(), 10.0)
+    verdict = judge.limit(to(0.2), at(0.1), 10.1 + late_s)
+    assert verdict.acted == ()
+    assert place(verdict) == pytest.approx([0.2, 0.0, 0.0])
+
+
 def test_a_command_that_another_process_sent_is_the_setpoint() -> None:
     judge = limiter(robot=profile(acceleration=10.0))
     judge.follow(to(0.1), at(), 10.0)

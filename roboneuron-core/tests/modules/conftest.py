@@ -18,8 +18,8 @@ import pytest
 
 from rn_testing.domain import free_ros_domain
 from rn_testing.waiting import holds_within
-from roboneuron.config import parse_config
-from roboneuron.modules.settings import ModuleKind, ModuleSettings
+from roboneuron.config import ModuleSettings, parse_config
+from roboneuron.modules.settings import ModuleKind
 from roboneuron.ros.environment import prepare_environment
 
 HERE = Path(__file__).parent

@@ -91,6 +91,7 @@ def _inputs() -> NewestInputs:
         max_age_s=5.0,
         status=cast("Any", SimpleNamespace(dropped=set())),
         now_ns=time.time_ns,
+        take_images=time.sleep,
     )
 
 

@@ -72,8 +72,7 @@ class Machine:
         }
 
     def slot_of(self, process: Process) -> Any:
-        choice = SimpleNamespace(settings=SimpleNamespace(status_name=f"r/{process.kind}"))
-        slot = SimpleNamespace(kind=process.kind, phase="running", process=process, choice=choice)
+        slot = SimpleNamespace(kind=process.kind, phase="running", process=process)
         slot.check_alive = lambda doing: None
         return slot
 
@@ -93,8 +92,8 @@ class Machine:
     def report_of(self, slot: Any) -> Report:
         return cast(Report, slot.process.report)
 
-    def parameters(self, node: str, process: Process) -> Process:
-        return process
+    def parameters(self, slot: Any) -> Process:
+        return cast(Process, slot.process)
 
     def end(self, slot: Any) -> None:
         slot.process.ended, slot.phase = True, "stopped"

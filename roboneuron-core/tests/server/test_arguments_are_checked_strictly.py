@@ -78,3 +78,11 @@ def test_what_is_no_text_is_refused() -> None:
 
 def test_an_integer_may_be_written_with_a_point_and_null_is_omitted() -> None:
     assert parse(Move, {"times": 2.0, "speed": 1, "note": None}) == Move(times=2, speed=1.0)
+
+
+def test_arguments_that_are_nested_too_deeply_are_refused_and_no_fault_of_the_server() -> None:
+    nested: dict[str, Any] = {}
+    for _ in range(5000):
+        nested = {"a": nested}
+    with pytest.raises(InvalidInputError, match="nested too deeply"):
+        parse(Move, {"steps": [nested]})

@@ -23,8 +23,8 @@ from roboneuron import (
 )
 from roboneuron.config import Config
 from roboneuron.errors import ConfigurationError, RefusedError, RoboNeuronError
+from roboneuron.server.access import Transport
 from roboneuron.server.app import Application
-from roboneuron.server.feature import Transport
 from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.supervisor.supervisor import Supervisor
 
@@ -184,8 +184,8 @@ def _this() -> Any:
 def test_a_feature_brings_tools_resources_and_a_life_of_its_own(make):
     application = make(spec(Odometer))
     assert "read_odometer" in {tool.name for tool in application.tools.listing("viewer")}
-    assert application.resources.read("roboneuron://odometer").text == "12 m"
-    assert "roboneuron://odometer" in {resource.uri for resource in application.resources.listing()}
+    assert application.resources["roboneuron://odometer"].read() == "12 m"
+    assert "roboneuron://odometer" in {resource.uri for resource in application.resources.values()}
     application.features.start(application.host)
     application.events.fault.tell("control", "lease", {})
     application.close()

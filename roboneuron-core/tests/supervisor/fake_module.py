@@ -13,9 +13,10 @@ import sys
 import threading
 import time
 
+from roboneuron.config import ModuleSettings
 from roboneuron.errors import CheckpointError, UngroundedError
 from roboneuron.modules.parent_watch import Signals, end_group, follow_parent
-from roboneuron.modules.settings import INSTRUCTION_PARAMETER, ModuleSettings
+from roboneuron.modules.settings import INSTRUCTION_PARAMETER
 from roboneuron.ros.claim import LEAVE_S, claim
 from roboneuron.ros.environment import prepare_environment
 

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from roboneuron.config import Config
-from roboneuron.modules.settings import ModuleKind, ModuleSettings
+from roboneuron.config import Config, ModuleSettings
+from roboneuron.modules.settings import ModuleKind
 from roboneuron.supervisor.slot import Choice, Slot
 from roboneuron.supervisor.supervisor import Supervisor
 

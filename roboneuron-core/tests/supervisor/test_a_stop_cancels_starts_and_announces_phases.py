@@ -10,8 +10,8 @@ from collections.abc import Callable
 import pytest
 from stop_world import Module, World
 
+from roboneuron.config import ModuleSettings
 from roboneuron.errors import StateError
-from roboneuron.modules.settings import ModuleSettings
 from roboneuron.supervisor.slot import Choice, Slot
 
 

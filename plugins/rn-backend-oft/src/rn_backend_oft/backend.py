@@ -1,4 +1,6 @@
-"""The backends `oft` and `oft-primary`: images, state and an instruction to a chunk of actions."""
+"""The backends `oft`, `oft-primary` and `oft-pair`: images, state and an instruction to a chunk of
+actions.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rn_backend_oft.config import OftConfig
-from rn_backend_oft.joints import JointActions
 from rn_backend_oft.policy import OftPolicy
 from rn_backend_oft.state import read_state, state_width
 from rn_vla.decoding import (
@@ -21,6 +22,7 @@ from rn_vla.decoding import (
     RowsRequest,
     RowsRuntime,
 )
+from rn_vla.joint_rows import JointRows
 from rn_vla.openvla.bins import ActionBins, OutsideCounter
 from rn_vla.openvla.checkpoint import OpenvlaCheckpoint
 from rn_vla.openvla.policy import action_bins, prompt_encoder
@@ -63,7 +65,9 @@ class OftBackend:
     ) -> None:
         self._config = config
         self._profile = None if config.profile == "joints" else config.action_profile()
-        self._joints: JointActions | None = None
+        self._rows: JointRows | None = None
+        self._joints = config.joints or ()
+        self._space = EE_DELTA
         self._constants = config.platform()
         self._runtime = runtime
         self._acceleration = acceleration
@@ -90,8 +94,10 @@ class OftBackend:
             raise ConfigurationError(
                 "Backend 'oft' needs a runtime.", hint="Install rn-runtime-torch."
             )
-        self._joints = config.joint_actions()
-        if self._joints is None and constants.action_width != ACTION_SIZE:
+        self._rows = config.joint_rows()
+        if self._rows is not None:
+            self._space = self._rows.space(self._joints)
+        elif constants.action_width != ACTION_SIZE:
             raise ConfigurationError(
                 f"constants = {config.constants!r} has {constants.action_width} values per action; "
                 f"TCP delta and gripper of one arm are {ACTION_SIZE} values."
@@ -132,7 +138,7 @@ class OftBackend:
         self._proprio = None
         if not self._config.proprio:
             return
-        width = constants.action_width if self._joints else state_width(constants.state)
+        width = constants.action_width if self._rows else state_width(constants.state)
         if statistics.proprio is None or len(statistics.proprio.min) != width:
             has = "none" if statistics.proprio is None else str(len(statistics.proprio.min))
             raise ConfigurationError(
@@ -221,12 +227,13 @@ class OftBackend:
         played = actions[: self._config.execute]
         told = " ".join(filter(None, (note, reply.note)))
         step_s = self._constants.step_s if self._profile is None else self._profile.step_s
-        space = EE_DELTA if self._joints is None else self._joints.space
-        return ActionChunk(actions=played, step_s=step_s, metrics=metrics, note=told, space=space)
+        return ActionChunk(
+            actions=played, step_s=step_s, metrics=metrics, note=told, space=self._space
+        )
 
     def _normalized_state(self, observation: Observation) -> F32 | None:
-        if self._joints is not None:
-            state = self._joints.read_state(observation)
+        if self._rows is not None:
+            state = self._rows.read_state(observation, self._joints)
         else:
             state = read_state(
                 observation,
@@ -261,9 +268,9 @@ class OftBackend:
             raise UnsafeError("The model produced non-finite values; nothing was published.")
         if self._profile is not None:
             return self._profile.to_contract(native, observation.ee_pose)
-        if self._joints is None:
+        if self._rows is None:
             raise StateError("Backend 'oft' is not loaded; call load first.")
-        return self._joints.to_contract(native)
+        return self._rows.to_contract(native)
 
     def reset(self) -> None:
         """Nothing is remembered between observations."""
@@ -279,3 +286,9 @@ class OftPrimaryBackend(OftBackend):
     """The same for checkpoints trained with one camera."""
 
     cameras: ClassVar[tuple[str, ...]] = ("primary",)
+
+
+class OftPairBackend(OftBackend):
+    """The same for checkpoints trained with a camera at each of two wrists."""
+
+    cameras: ClassVar[tuple[str, ...]] = ("primary", "wrist", "right_wrist")

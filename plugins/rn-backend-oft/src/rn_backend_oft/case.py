@@ -22,6 +22,11 @@ def oft_primary_case() -> BackendCase:
     return _case(roboneuron_backends()[1])
 
 
+def oft_pair_case() -> BackendCase:
+    """`oft-pair` likewise."""
+    return _case(roboneuron_backends()[2])
+
+
 def _case(spec: BackendSpec) -> BackendCase:
     from rn_runtime_torch.config import TorchRuntimeConfig
     from rn_runtime_torch.runtime import TorchRuntime

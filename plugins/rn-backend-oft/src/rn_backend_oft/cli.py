@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 
+from rn_backend_oft.constants import CONSTANTS
 from rn_vla.openvla.command import MakeTiny, TinyCommand
 
 
-def _load() -> MakeTiny:
+def _load(platform: str) -> MakeTiny:
     from rn_backend_oft.tiny import make_tiny_oft  # heavy: torch
 
-    return make_tiny_oft
+    return functools.partial(make_tiny_oft, platform=platform)
 
 
 COMMAND = TinyCommand(
     program="roboneuron-oft",
     model="OpenVLA-OFT",
-    options='profile = "libero", constants = "libero", proprio = true',
+    options='constants = "{}", the profile that belongs to it, proprio = true',
     load=_load,
+    platforms=tuple(CONSTANTS),
 )
 
 

@@ -6,9 +6,9 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from rn_backend_oft.constants import CONSTANTS, Constants, JointGripper, StateLayout
-from rn_backend_oft.joints import JointActions
+from rn_backend_oft.constants import CONSTANTS, Constants, StateLayout
 from rn_backend_oft.plugin import MAX_CHUNK
+from rn_vla.joint_rows import JointGripper, JointRows
 from rn_vla.openvla.options import ModelOptions
 from rn_vla.openvla.statistics import Bounds
 from roboneuron import ConfigurationError
@@ -46,7 +46,7 @@ class OwnConstants(BaseModel):
 
 
 class OftConfig(ModelOptions):
-    """Options of the backends `oft` and `oft-primary`."""
+    """Options of the backends of OpenVLA-OFT."""
 
     constants: Literal["libero", "bridge", "aloha", "own"]
     """Platform whose chunk length, widths and normalisation the checkpoint was trained with."""
@@ -98,19 +98,14 @@ class OftConfig(ModelOptions):
             return CONSTANTS[self.constants]
         return self.own_constants.constants()
 
-    def joint_actions(self) -> JointActions | None:
-        """What the rows are when they are joints; None when they move the TCP.
+    def joint_rows(self) -> JointRows | None:
+        """What the rows are when they are joints, which are then called `joints`; None when they
+        move the TCP.
 
         Raises:
-            ConfigurationError: `profile` and `joints` do not fit the constants, or they move more
-                than one arm.
+            ConfigurationError: `profile` and `joints` do not fit the constants.
         """
         constants = self.platform()
-        if constants.state == "joints" and len(constants.arms) > 1:
-            raise ConfigurationError(
-                f"constants = {self.constants!r} has {constants.action_width} values per action "
-                f"({' and '.join(constants.arms)} arm); an observation holds the state of one arm."
-            )
         if (constants.state == "joints") != (self.profile == "joints"):
             raise ConfigurationError(
                 f"constants = {self.constants!r} has the state {constants.state!r}, which does not "
@@ -121,6 +116,4 @@ class OftConfig(ModelOptions):
             raise ConfigurationError(
                 "The option 'joints' must be given exactly when profile is \"joints\"."
             )
-        if self.joints is None:
-            return None
-        return JointActions(constants=constants, joints=self.joints)
+        return None if self.joints is None else constants.rows()

@@ -9,10 +9,11 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Literal
 
+from rn_vla.joint_rows import JointGripper, JointRows
 from rn_vla.openvla.statistics import Bounds
+from roboneuron import ConfigurationError
 
 StateLayout = Literal["xyz_rotvec_fingers", "xyz_rpy_opening", "joints"]
-JointGripper = Literal["open_fraction", "closed_fraction"]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -43,6 +44,26 @@ class Constants:
     def tokens(self) -> int:
         """Placeholder tokens, one per value."""
         return self.chunk * self.action_width
+
+    def rows(self) -> JointRows:
+        """What the rows are, of a platform whose state is "joints".
+
+        Raises:
+            ConfigurationError: `action_width` is no joints and a gripper for each arm.
+        """
+        each, rest = divmod(self.action_width, len(self.arms))
+        if rest or each < 2:
+            raise ConfigurationError(
+                f"action_width {self.action_width} is no joints and a gripper for each of "
+                f"{len(self.arms)} arms."
+            )
+        return JointRows(
+            kind="joint_position",
+            joints=each - 1,
+            rate_hz=1.0 / self.step_s,
+            gripper=self.gripper,
+            arms=self.arms,
+        )
 
 
 # Source: OpenVLA-OFT (Kim et al. 2025), platform constants; DT of its ALOHA environment.

@@ -1,4 +1,4 @@
-"""What this package offers: the backends `oft` and `oft-primary`."""
+"""What this package offers: the backends `oft`, `oft-primary` and `oft-pair`."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def _spec(name: str, summary: str, target: str, case: str, cameras: tuple[str, .
 
 @hookimpl
 def roboneuron_backends() -> Sequence[BackendSpec]:
-    """OpenVLA-OFT checkpoints trained with one or with two cameras."""
+    """OpenVLA-OFT checkpoints trained with one, two or three cameras."""
     return (
         _spec(
             "oft",
@@ -62,5 +62,12 @@ def roboneuron_backends() -> Sequence[BackendSpec]:
             "OftPrimaryBackend",
             "oft_primary_case",
             ("primary",),
+        ),
+        _spec(
+            "oft-pair",
+            "OpenVLA-OFT checkpoints of two arms: a primary camera and one at each wrist.",
+            "OftPairBackend",
+            "oft_pair_case",
+            ("primary", "wrist", "right_wrist"),
         ),
     )

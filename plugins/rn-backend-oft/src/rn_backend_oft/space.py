@@ -8,8 +8,8 @@ from pydantic import TypeAdapter, ValidationError
 
 from rn_backend_oft.config import OwnConstants
 from rn_backend_oft.constants import CONSTANTS, Constants
-from rn_backend_oft.joints import JointActions
-from roboneuron import EE_DELTA, ConfigurationError, ControlSpace, RobotProfile
+from rn_vla.joint_rows import declare_joints
+from roboneuron import EE_DELTA, ControlSpace, RobotProfile
 
 
 def oft_space(options: Mapping[str, object], profile: RobotProfile) -> ControlSpace:
@@ -23,24 +23,9 @@ def oft_space(options: Mapping[str, object], profile: RobotProfile) -> ControlSp
     constants = _constants(options)
     if constants is None or constants.state != "joints":
         return EE_DELTA
-    robots = ", ".join(f'"{joint}"' for joint in profile.arm_joints)
-    hint = f"Robot {profile.name!r} has, from base to tip: joints = [{robots}]"
-    joints = options.get("joints")
-    if not isinstance(joints, list | tuple) or not all(isinstance(j, str) for j in joints):
-        raise ConfigurationError(
-            "A checkpoint that acts on joints needs the option 'joints': the robot's joints in the "
-            "policy's order.",
-            hint=hint,
-        )
-    space = JointActions(constants=constants, joints=tuple(joints)).space
-    absent = [joint for joint in joints if joint not in profile.arm_joints]
-    if len(constants.arms) == 1 and absent:
-        raise ConfigurationError(
-            f"The option 'joints' names {', '.join(absent)}, which the arm of robot "
-            f"{profile.name!r} does not have.",
-            hint=hint,
-        )
-    return space
+    return declare_joints(
+        constants.rows(), options, profile, policy="A checkpoint that acts on joints"
+    )
 
 
 def _constants(options: Mapping[str, object]) -> Constants | None:

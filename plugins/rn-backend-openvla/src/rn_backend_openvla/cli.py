@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from rn_vla.openvla.command import MakeTiny, TinyCommand
 
 
-def _load() -> MakeTiny:
+def _load(_: str) -> MakeTiny:
     from rn_vla.openvla.tiny import make_tiny  # heavy: torch
 
     return make_tiny

@@ -68,9 +68,10 @@ def _make_tiny(chosen: argparse.Namespace) -> None:
         variant=chosen.variant,
         profile=chosen.profile,
     )
+    backend = "pi0-fast" if chosen.variant == "pi0_fast" else "pi0"
     print(
         f"Wrote a tiny random {chosen.variant} checkpoint to {chosen.directory}. Use it as the "
-        "checkpoint of backend 'pi0'."
+        f"checkpoint of backend {backend!r}."
     )
 
 

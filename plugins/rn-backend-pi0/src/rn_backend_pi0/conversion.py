@@ -12,13 +12,11 @@ from numpy.typing import NDArray
 
 from rn_backend_pi0.joint_layout import JointLayout
 from rn_backend_pi0.profiles import Profile
-from rn_backend_pi0.state import StateLayout
 from rn_backend_pi0.statistics import Real
 from rn_vla.rotation import F64
 from roboneuron import (
     ACTION_FIELDS,
     EE_DELTA,
-    ConfigurationError,
     ControlSpace,
     Observation,
     UnsafeError,
@@ -122,7 +120,7 @@ class JointConversion:
             lies between that and the network.
 
     Raises:
-        ConfigurationError: the names do not fit, or the policy moves more than one arm.
+        ConfigurationError: the names do not fit.
     """
 
     layout: JointLayout
@@ -131,11 +129,6 @@ class JointConversion:
 
     def __post_init__(self) -> None:
         self.layout.space(self.joints)
-        if len(self.layout.arms) > 1:
-            raise ConfigurationError(
-                f"The policy moves {len(self.layout.arms)} arms ({', '.join(self.layout.arms)}), "
-                "an observation holds the state of one."
-            )
 
     @property
     def space(self) -> ControlSpace:
@@ -166,12 +159,7 @@ class JointConversion:
         return np.dtype(np.float64)
 
     def read_state(self, observation: Observation) -> F64:
-        closed = self.layout.gripper == "closed_fraction"
-        terms = StateLayout(
-            terms=("joints", "gripper_closed" if closed else "gripper_open"),
-            joint_names=self.joints,
-        )
-        state = terms.build(observation)
+        state = self.layout.read_state(observation, self.joints)
         return state if self.served else self.layout.to_network(state)
 
     def to_contract(self, raw: F64, state: F64, observation: Observation) -> F64:

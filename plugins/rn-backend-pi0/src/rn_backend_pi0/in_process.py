@@ -37,7 +37,7 @@ EMPTY = "-"
 _ROLE_BY_SLOT = {
     "base_0_rgb": "primary",
     "left_wrist_0_rgb": "wrist",
-    "right_wrist_0_rgb": EMPTY,
+    "right_wrist_0_rgb": "right_wrist",
     "base_1_rgb": EMPTY,
     "wrist_0_rgb": "wrist",
     "image": "primary",

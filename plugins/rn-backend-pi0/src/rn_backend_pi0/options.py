@@ -32,7 +32,8 @@ class NativeOptions(ProfileOptions):
         default=None, description="camera role for each slot of the model, '-' for an empty one"
     )
     optional_roles: tuple[Role, ...] = Field(
-        default=("wrist",), description="roles that may be absent; their slot is then masked"
+        default=("wrist", "right_wrist"),
+        description="roles that may be absent; their slot is then masked",
     )
     device: str = Field(
         default="auto",

@@ -17,6 +17,7 @@ from rn_backend_pi0.options import Pi0RemoteOptions
 from rn_backend_pi0.wire import Value
 from roboneuron import (
     ActionChunk,
+    ArmState,
     ConfigurationError,
     Frame,
     JointSample,
@@ -177,7 +178,8 @@ class Pi0RemoteBackend:
         if config.joint_key is None or config.gripper_key is None:
             request[config.state_key] = state
         else:
-            request |= {config.joint_key: state[:-1], config.gripper_key: state[-1:]}
+            is_gripper = np.array([column == "gripper" for column in conversion.state_columns])
+            request |= {config.joint_key: state[~is_gripper], config.gripper_key: state[is_gripper]}
         for role, key in config.image_keys.items():
             frame = observation.frames.get(role)
             if frame is None:
@@ -197,6 +199,8 @@ def _nominal(config: Pi0RemoteOptions, conversion: Conversion) -> Observation:
     side = config.image_side_px
     grey = np.full((side, side, 3), 128, dtype=np.uint8)
     names = conversion.measured_joints
+    pose = Pose(position_m=np.array([0.45, 0.0, 0.45]), quaternion_xyzw=np.array(_DOWN_XYZW))
+    arms = {channel.arm for channel in conversion.space.channels} - {""}
     return Observation(
         frames={
             role: Frame(camera=role, image=grey, stamp_ns=0, frame_id=role)
@@ -204,8 +208,9 @@ def _nominal(config: Pi0RemoteOptions, conversion: Conversion) -> Observation:
         },
         instruction="warm up",
         joints=JointSample(names=names, position=np.zeros(len(names))),
-        ee_pose=Pose(position_m=np.array([0.45, 0.0, 0.45]), quaternion_xyzw=np.array(_DOWN_XYZW)),
+        ee_pose=pose,
         gripper_open=0.5,
+        arms={arm: ArmState(ee_pose=pose, gripper_open=0.5) for arm in arms},
     )
 
 

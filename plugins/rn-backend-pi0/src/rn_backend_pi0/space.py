@@ -9,7 +9,8 @@ from rn_backend_pi0.checkpoint import PROFILE_FILE
 from rn_backend_pi0.documents import ProfileDocument
 from rn_backend_pi0.profiles import JOINT_PROFILES
 from rn_vla.checkpoint_files import read_schema
-from roboneuron import EE_DELTA, ConfigurationError, ControlSpace, RobotProfile
+from rn_vla.joint_rows import declare_joints
+from roboneuron import EE_DELTA, ControlSpace, RobotProfile
 
 
 def pi0_space(options: Mapping[str, object], profile: RobotProfile) -> ControlSpace:
@@ -25,25 +26,7 @@ def pi0_space(options: Mapping[str, object], profile: RobotProfile) -> ControlSp
     name = options.get("profile") or _declared(options.get("checkpoint"))
     if not isinstance(name, str) or name not in JOINT_PROFILES:
         return EE_DELTA
-    layout = JOINT_PROFILES[name]
-    joints = options.get("joints")
-    robots = ", ".join(f'"{joint}"' for joint in profile.arm_joints)
-    hint = f"Robot {profile.name!r} has, from base to tip: joints = [{robots}]"
-    if not isinstance(joints, list | tuple) or not all(isinstance(j, str) for j in joints):
-        raise ConfigurationError(
-            f"Profile {name!r} needs the option 'joints': the robot's joints in the policy's "
-            "order.",
-            hint=hint,
-        )
-    space = layout.space(joints)
-    absent = [joint for joint in joints if joint not in profile.arm_joints]
-    if len(layout.arms) == 1 and absent:
-        raise ConfigurationError(
-            f"The option 'joints' names {', '.join(absent)}, which the arm of robot "
-            f"{profile.name!r} does not have.",
-            hint=hint,
-        )
-    return space
+    return declare_joints(JOINT_PROFILES[name], options, profile, policy=f"Profile {name!r}")
 
 
 def _declared(checkpoint: object) -> str:

@@ -60,8 +60,8 @@ class CameraView:
 
     @classmethod
     def of(cls, calibration: CameraCalibration, T_base_tcp: F64) -> CameraView:
-        """The view of a camera on the base or at a TCP that is at `T_base_tcp` (4, 4)."""
-        mount = T_base_tcp if calibration.mount == "tcp" else np.eye(4)
+        """The view of a camera on the base, or at a TCP that is at `T_base_tcp` (4, 4)."""
+        mount = np.eye(4) if calibration.arm is None else T_base_tcp
         return cls(
             intrinsics=calibration.intrinsics, T_base_camera=mount @ calibration.T_mount_camera
         )

@@ -30,7 +30,13 @@ class ServoOptions(BaseModel):
         default=0.02, gt=0, le=0.2, description="TCP above the table when the gripper closes [m]."
     )
     lift_m: float = Field(
-        default=0.20, ge=0.15, le=0.5, description="How far the grasped cube is lifted [m]."
+        default=0.20, ge=0.03, le=0.5, description="How far the grasped cube is lifted [m]."
+    )
+    retreat_m: float = Field(
+        default=0.30,
+        gt=0,
+        le=0.6,
+        description="TCP above the table from where the hand hides nothing [m].",
     )
     max_step_m: float = Field(
         default=0.03, gt=0, le=0.05, description="Longest translation per action [m]."

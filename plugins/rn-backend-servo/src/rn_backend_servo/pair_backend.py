@@ -8,12 +8,14 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from rn_backend_servo.geometry import matrix_of
+from rn_backend_servo.geometry import F64
 from rn_backend_servo.hand_over import ArmGoal, HandOverPolicy, Stage
+from rn_backend_servo.history import PoseHistory
 from rn_backend_servo.instruction import parse_hand_over
 from rn_backend_servo.options import HandOverOptions
 from rn_backend_servo.phases import Phase
 from rn_backend_servo.sight import look, not_visible
+from rn_backend_servo.watch import FrameWatch
 from roboneuron import (
     GRIPPER,
     ActionChunk,
@@ -80,6 +82,9 @@ class HandOverBackend:
         self._options = config or HandOverOptions()
         self._is_loaded = False
         self._policy = HandOverPolicy(self._options)
+        self._histories: dict[str, PoseHistory] = {}
+        # by role of the camera and arm
+        self._watches: dict[tuple[str, str], FrameWatch] = {}
         self._instruction = ""
         self._space = space_of(self._options)
 
@@ -91,6 +96,8 @@ class HandOverBackend:
     def reset(self) -> None:
         """Forget the episode."""
         self._policy.reset()
+        self._histories.clear()
+        self._watches.clear()
         self._instruction = ""
 
     def close(self) -> None:
@@ -101,8 +108,9 @@ class HandOverBackend:
         """Return the next small motions of both TCPs.
 
         Raises:
-            UngroundedError: instruction, images, or a lost cube leave nothing sensible to do.
-            InvalidInputError: the state of one of the arms is absent.
+            UngroundedError: instruction, images (also those that are repeated or frozen), or a lost
+                cube leave nothing sensible to do.
+            InvalidInputError: the primary image or the state of one of the arms is absent.
             UnsafeError: it is not finite.
             StateError: not loaded.
         """
@@ -111,6 +119,10 @@ class HandOverBackend:
                 "The backend 'servo-pair' was used before it was loaded.", hint="Call load() first."
             )
         options = self._options
+        if "primary" not in observation.frames:
+            raise InvalidInputError(
+                "The observation has no frame of role 'primary'.", path="frames"
+            )
         giver = self._state(observation, options.giver)
         taker = self._state(observation, options.taker)
         colour = parse_hand_over(observation.instruction)
@@ -118,9 +130,9 @@ class HandOverBackend:
             self.reset()
             self._instruction = observation.instruction
         policy = self._policy
+        places = self._watch(observation)
         sighting = None
         if policy.stage is Stage.PICK:
-            places = dict.fromkeys(observation.frames, matrix_of(giver.ee_pose))
             sighting = look(observation.frames, places, colour, options)
             if sighting is None and policy.pick.episode.phase is Phase.SEARCH:
                 raise not_visible(observation.frames, colour)
@@ -134,6 +146,42 @@ class HandOverBackend:
             note=f"{policy.stage.value} {colour} cube",
             space=self._space,
         )
+
+    def _watch(self, observation: Observation) -> dict[str, F64 | None]:
+        """TCP pose (4, 4) of the arm that carries each camera, of the giver for a fixed one, when
+        its image was taken.
+
+        Raises:
+            UngroundedError: an image cannot be acted on, see `FrameWatch.check`.
+        """
+        giver, taker = self._options.giver, self._options.taker
+        for name in (giver, taker):
+            history = self._histories.setdefault(name, PoseHistory())
+            history.add(observation.arms[name].ee_pose)
+        newest_ns = max(frame.stamp_ns for frame in observation.frames.values())
+        is_approaching = self._policy.stage is Stage.PICK and (
+            self._policy.pick.episode.phase in (Phase.APPROACH, Phase.DESCEND)
+        )
+        places: dict[str, F64 | None] = {}
+        for role, frame in observation.frames.items():
+            carrier = None if frame.calibration is None else frame.calibration.arm
+            if carrier == "":
+                carrier = next(iter(observation.arms))
+            # a camera beside the arms sees both move
+            for name in (giver, taker) if carrier is None else (carrier,):
+                if name not in self._histories:
+                    continue  # it is on an arm that does nothing here
+                place = self._histories[name].at(frame.stamp_ns)
+                places.setdefault(role, place)
+                self._watches.setdefault((role, name), FrameWatch()).check(
+                    frame,
+                    observation.arms[name].ee_pose,
+                    place,
+                    newest_ns=newest_ns,
+                    must_change=carrier is None or (name == giver and is_approaching),
+                )
+            places.setdefault(role, None)
+        return places
 
     def _state(self, observation: Observation, arm: str) -> ArmState:
         """State of an arm, present and finite."""

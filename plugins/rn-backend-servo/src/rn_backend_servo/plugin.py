@@ -42,7 +42,7 @@ def roboneuron_backends() -> Sequence[BackendSpec]:
             config="rn_backend_servo.options:HandOverOptions",
             case="rn_backend_servo.case:pair_case",
             cameras=("primary",),
-            optional_cameras=("wrist",),
+            optional_cameras=("wrist", "right_wrist"),
             needs_state=True,
             space="rn_backend_servo.pair_backend:hand_over_space",
         ),

@@ -22,8 +22,6 @@ _STRAY_M = 0.008
 _BLIND_M = 0.09
 """Below this height of the TCP above the table the fingers hide the cube: its place is remembered.
 """
-_RETREAT_M = 0.30
-"""Height above the table from which the hand hides nothing."""
 _SEEN_TWICE = 2
 _CLOSING_STEPS, _STEADY_STEPS, _STEADY = 6, 3, 0.02
 """A grasp is judged after so many actions, once the opening changes by less than _STEADY over
@@ -194,7 +192,7 @@ class PickPolicy:
 
     def _retreat(self, sighting: Sighting | None, tcp: F64, gripper_open: float) -> ServoMotion:
         anchor = self.episode.anchor
-        goal = self._goal(anchor[0, 3], anchor[1, 3], _RETREAT_M, yaw_of(anchor))
+        goal = self._goal(anchor[0, 3], anchor[1, 3], self._options.retreat_m, yaw_of(anchor))
         if goal[2, 3] - tcp[2, 3] < _NEAR_HEIGHT_M and gripper_open > _FULLY_OPEN:
             self.episode.enter(Phase.SEARCH, tcp)
             self.episode.target = None

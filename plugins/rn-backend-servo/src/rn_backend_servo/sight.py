@@ -42,7 +42,8 @@ def look(
 
     Args:
         frames: images by role.
-        T_base_tcp: where the TCP was when each was taken, by role; None skips cameras on the TCP.
+        T_base_tcp: where the TCP of the camera's arm was when each was taken, by role; None skips
+            cameras on a TCP.
         colour: key of `segmentation.HUES_DEG`.
         options: where the table is and how large cubes are.
     """
@@ -50,7 +51,7 @@ def look(
     best_rank = (False, False)
     for role, frame in frames.items():
         calibration, tcp = frame.calibration, T_base_tcp[role]
-        if calibration is None or (calibration.mount == "tcp" and tcp is None):
+        if calibration is None or (calibration.arm is not None and tcp is None):
             continue
         blob = find_blob(frame.image, colour)
         if blob is None:
@@ -65,7 +66,7 @@ def look(
         )
         if estimate is None:
             continue
-        rank = (estimate.is_clear, calibration.mount == "tcp")
+        rank = (estimate.is_clear, calibration.arm is not None)
         if best is None or rank > best_rank:
             best, best_rank = Sighting(role=role, estimate=estimate), rank
     return best

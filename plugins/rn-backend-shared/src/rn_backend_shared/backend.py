@@ -66,7 +66,11 @@ class SharedBackend:
             ) from error
         metrics = {**chunk.metrics, "shared.round_trip_ms": (time.monotonic() - began_s) * 1e3}
         return ActionChunk(
-            actions=chunk.actions, step_s=chunk.step_s, metrics=metrics, note=chunk.note
+            actions=chunk.actions,
+            step_s=chunk.step_s,
+            metrics=metrics,
+            note=chunk.note,
+            space=chunk.space,
         )
 
     def reset(self) -> None:

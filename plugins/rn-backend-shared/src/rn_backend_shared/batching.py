@@ -196,4 +196,5 @@ def _with_metrics(answer: Answer, count: int, took_s: float) -> Answer:
         step_s=answer.step_s,
         metrics={**answer.metrics, "shared.batch": float(count), "shared.model_ms": took_s * 1e3},
         note=answer.note,
+        space=answer.space,
     )

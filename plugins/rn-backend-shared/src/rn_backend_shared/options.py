@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from roboneuron import ConfigurationOnly
 
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9-]*$", max_length=64)]
-_VERSION = 1
+_VERSION = 2
 """Of the messages: robots of another version use other servers."""
 Table = Annotated[dict[str, object], ConfigurationOnly()]
 

@@ -18,6 +18,7 @@ BACKEND = BackendSpec(
     needs_state=True,
     action_space=ActionSpace(horizon=100, step_s=0.0),
     case="rn_backend_shared.case:shared_case",
+    space="rn_backend_shared.space:shared_space",
 )
 """Descriptor of the backend. What the model itself needs is checked when its server answers."""
 COMMAND = CommandSpec(

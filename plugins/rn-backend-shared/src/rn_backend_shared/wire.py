@@ -16,11 +16,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+import roboneuron
 from roboneuron import (
+    EE_DELTA,
     ActionChunk,
     CameraCalibration,
     CheckpointError,
     ConfigurationError,
+    ControlSpace,
     Frame,
     InvalidInputError,
     JointSample,
@@ -39,6 +42,7 @@ Document = dict[str, Any]
 _HEAD = struct.Struct("!II")
 """Bytes of the document, and of everything behind it."""
 _LONG_S = 1e6
+_LEAST_S = 1e-3
 _MOST_BYTES = 1 << 26
 _DTYPES = ("|u1", "<f8", "<i8", "<f4")
 _ARRAY = "$array"
@@ -60,6 +64,11 @@ _ERRORS: dict[str, type[RoboNeuronError]] = {
 
 def encode(document: Mapping[str, object]) -> bytes:
     """One frame of a document that may hold arrays anywhere."""
+    return b"".join(_buffers(document))
+
+
+def _buffers(document: Mapping[str, object]) -> list[bytes | memoryview]:
+    """The frame in parts; arrays are not copied."""
     parts: list[NDArray[Any]] = []
 
     def default(value: object) -> object:
@@ -71,13 +80,14 @@ def encode(document: Mapping[str, object]) -> bytes:
     text = json.dumps(document, default=default)
     heads = [[part.dtype.str, part.shape] for part in parts]
     head = f"[{text}, {json.dumps(heads)}]".encode()
-    tail = b"".join(part.tobytes() for part in parts)
-    return _HEAD.pack(len(head), len(tail)) + head + tail
+    size = sum(part.nbytes for part in parts)
+    tails = [part.reshape(-1).view(np.uint8).data for part in parts if part.size]
+    return [_HEAD.pack(len(head), size) + head, *tails]
 
 
-def decode(head: bytes, tail: bytes) -> Document:
-    """The document of a frame. Raises ValueError for what is none."""
-    document, heads = json.loads(head)
+def decode(head: bytes | memoryview, tail: bytes | memoryview) -> Document:
+    """The document of a frame, whose arrays keep its memory. Raises ValueError for what is none."""
+    document, heads = json.loads(bytes(head))
     arrays: list[NDArray[Any]] = []
     offset = 0
     for dtype, shape in heads:
@@ -110,12 +120,15 @@ class Channel:
 
     def __init__(self, connected: socket.socket) -> None:
         self._in, self._out = connected, connected.dup()  # each with a time limit of its own
-        self._received = bytearray()
+        self._buffer, self._filled = bytearray(_HEAD.size), 0
+        self._head_size: int | None = None  # of the frame that is being received
 
     def send(self, document: Mapping[str, object], timeout_s: float) -> None:
         """Raises OSError when the other side is gone, or does not read in time."""
-        self._out.settimeout(timeout_s)
-        self._out.sendall(encode(document))
+        end_s = time.monotonic() + timeout_s
+        for part in _buffers(document):
+            self._out.settimeout(max(end_s - time.monotonic(), _LEAST_S))
+            self._out.sendall(part)
 
     def receive(self, deadline_s: float | None) -> Document:
         """The next document; what has come of a frame by the deadline (monotonic [s]) is kept for
@@ -126,27 +139,32 @@ class Channel:
             OSError: the other side is gone.
             ValueError: it sent something else.
         """
-        head_size, tail_size = _HEAD.unpack(self._take(_HEAD.size, deadline_s, keep=True))
-        if head_size + tail_size > _MOST_BYTES:
-            raise ValueError(f"a frame of {head_size + tail_size} bytes is more than expected")
-        frame = self._take(_HEAD.size + head_size + tail_size, deadline_s)
-        end = _HEAD.size + head_size
-        return decode(frame[_HEAD.size : end], frame[end:])
+        if self._head_size is None:
+            self._fill(deadline_s)
+            head_size, tail_size = _HEAD.unpack(self._buffer)
+            if head_size + tail_size > _MOST_BYTES:
+                with suppress(OSError):  # unread bytes would reset the connection at its end
+                    self._in.recv(1 << 20, socket.MSG_DONTWAIT)
+                raise ValueError(f"a frame of {head_size + tail_size} bytes is more than expected")
+            self._head_size = head_size
+            self._buffer, self._filled = bytearray(head_size + tail_size), 0
+        self._fill(deadline_s)
+        frame, end = memoryview(self._buffer), self._head_size
+        self._buffer, self._filled, self._head_size = bytearray(_HEAD.size), 0, None
+        return decode(frame[:end], frame[end:])
 
-    def _take(self, count: int, deadline_s: float | None, *, keep: bool = False) -> bytes:
-        while len(self._received) < count:
+    def _fill(self, deadline_s: float | None) -> None:
+        """Receive until the buffer is full."""
+        rest = memoryview(self._buffer)
+        while self._filled < len(rest):
             left_s = _LONG_S if deadline_s is None else deadline_s - time.monotonic()
             if left_s <= 0:
                 raise TimeoutError("no answer in time")
             self._in.settimeout(left_s)  # never None: it would make the other half blocking too
-            part = self._in.recv(1 << 20)
-            if not part:
+            count = self._in.recv_into(rest[self._filled :])
+            if not count:
                 raise ConnectionError("the other side has closed the connection")
-            self._received += part
-        taken = bytes(self._received[:count])
-        if not keep:
-            del self._received[:count]
-        return taken
+            self._filled += count
 
     def close(self) -> None:
         """Hang up, also for a thread that reads; idempotent."""
@@ -228,8 +246,11 @@ def from_answer(answer: ActionChunk | RoboNeuronError) -> Document:
     if isinstance(answer, RoboNeuronError):
         return {"error": answer.code, "message": answer.message, "hint": answer.hint}
     metrics = {name: float(value) for name, value in answer.metrics.items()}
+    space = answer.space
+    channels = [[c.name, c.unit, c.frame, c.arm] for c in space.channels]
     return {
         "actions": answer.actions,
+        "space": [space.kind, space.rate_hz, channels],
         "step_s": answer.step_s,
         "metrics": metrics,
         "note": answer.note,
@@ -252,4 +273,18 @@ def to_answer(document: Document) -> ActionChunk:
         step_s=document["step_s"],
         metrics=document["metrics"],
         note=document["note"],
+        space=_to_space(*document["space"]),
     )
+
+
+def _to_space(kind: str, rate_hz: float, channels: list[list[str]]) -> ControlSpace:
+    """The space that was sent; the default is the contract's own object."""
+    space = ControlSpace(
+        kind=kind,
+        channels=tuple(
+            roboneuron.Channel(name=name, unit=unit, frame=frame, arm=arm)
+            for name, unit, frame, arm in channels
+        ),
+        rate_hz=rate_hz,
+    )
+    return EE_DELTA if space == EE_DELTA else space

@@ -59,10 +59,11 @@ class InverseKinematics:
         import pinocchio  # heavy
 
         self._pin: ModuleType = pinocchio
-        self._cholesky = eigenpy.LLT
         self._model = model
         self._data = model.kinematics.createData()
+        # by rows; a factorization keeps its scratch memory
         self._identity = {rows: np.eye(rows) for rows in (3, 6)}
+        self._cholesky = {rows: eigenpy.LLT(rows) for rows in (3, 6)}
         self._local = pinocchio.ReferenceFrame.LOCAL
 
     def place(self, position: F64) -> pinocchio.SE3:
@@ -123,10 +124,17 @@ class InverseKinematics:
         frozen and the step is taken again with the others.
         """
         # As long as no score is a number, the caller sees infinite residuals and refuses.
+        model, data, pin = self._model, self._data, self._pin
+        kinematics, frame = model.kinematics, model.tcp_frame
         q, lowest = start, math.inf
         best, best_m, best_rad, steps = start, math.inf, math.inf, 0
         for iteration in range(max_iterations + 1):
-            error, residual_m, residual_rad = self._measure(q, target, track_rotation)
+            pin.computeJointJacobians(kinematics, data, self._chain_positions(q))
+            # in axes of the TCP frame
+            difference = pin.updateFramePlacement(kinematics, data, frame).actInv(target)
+            error: F64 = pin.log6(difference).vector
+            residual_m = math.hypot(*difference.translation.tolist())
+            residual_rad = math.hypot(*error[3:].tolist())
             score = residual_m + residual_rad if track_rotation else residual_m
             if score < lowest:
                 lowest = score
@@ -136,6 +144,8 @@ class InverseKinematics:
                 ):
                     break
             if iteration < max_iterations:
+                if not track_rotation:
+                    error = difference.translation
                 q = self._step(q, error, self._jacobian(track_rotation))
         return Solution(position=best, residual_m=best_m, residual_rad=best_rad, iterations=steps)
 
@@ -145,19 +155,6 @@ class InverseKinematics:
         gain, offset = self._model.coupling
         chain: F64 = gain @ position + offset
         return chain
-
-    def _measure(
-        self, position: F64, target: pinocchio.SE3, track_rotation: bool
-    ) -> tuple[F64, float, float]:
-        """Error (k,) in axes of the TCP frame, and the distances [m], [rad]; k is 6 or 3."""
-        model, pin = self._model, self._pin
-        pin.computeJointJacobians(model.kinematics, self._data, self._chain_positions(position))
-        pose = pin.updateFramePlacement(model.kinematics, self._data, model.tcp_frame)
-        difference = pose.actInv(target)
-        error: F64 = pin.log6(difference).vector
-        residual_m = math.hypot(*difference.translation.tolist())
-        residual_rad = math.hypot(*error[3:].tolist())
-        return error if track_rotation else difference.translation, residual_m, residual_rad
 
     def _jacobian(self, track_rotation: bool) -> F64:
         """Jacobian (k, n) in axes of the TCP frame, of the posture that was measured last."""
@@ -171,12 +168,12 @@ class InverseKinematics:
 
     def _step(self, q: F64, error: F64, jacobian: F64) -> F64:
         lower, upper = self._model.lower, self._model.upper
-        damping = self._identity[len(error)] * (
-            _DAMPING + _DAMPING_BY_ERROR * float(np.dot(error, error))
-        )
+        rows = len(error)
+        squared = _DAMPING + _DAMPING_BY_ERROR * float(error.dot(error))
+        damping, cholesky = self._identity[rows] * squared, self._cholesky[rows]
         while True:
-            normal = np.inner(jacobian, jacobian) + damping
-            change = np.dot(jacobian.T, self._cholesky(normal).solve(error))
+            cholesky.compute(jacobian.dot(jacobian.T) + damping)
+            change = cholesky.solve(error).dot(jacobian)
             farthest = max(map(abs, change.tolist()))
             if farthest > _FARTHEST_STEP:
                 change *= _FARTHEST_STEP / farthest

@@ -7,14 +7,27 @@ a simulation.
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import cast
+
 import numpy as np
 from numpy.typing import NDArray
 
 from rn_eval.suite import Setup
-from roboneuron import Action, Controller, Hold, JointCommand, JointSample
-from roboneuron.command import MotionLimiter, inspector_of, motion_rules, settings
+from roboneuron import (
+    EE_DELTA,
+    Action,
+    Controller,
+    Hold,
+    JointCommand,
+    JointSample,
+    SpaceController,
+)
+from roboneuron.command import MotionLimiter, motion_rules, settings
 
 F64 = NDArray[np.float64]
+_SHARE_OF_REST = 0.5
+"""As of the control module: how much of the time that is left of a row the next one is given."""
 
 
 class DeployedArm:
@@ -31,14 +44,14 @@ class DeployedArm:
         self._timeout_s = control.action_timeout_s
         self._names = setup.profile.arm_joints
         self._controller = controller
-        self._limiter = MotionLimiter(
+        self._limiter = MotionLimiter.of(
             motion_rules(setup.config.limits, setup.profile),
             setup.profile,
-            controller.forward,
-            inspector_of(controller),
+            controller,
             immediate=control.command == "joint_state",
             longest_s=setup.config.robot.server_timeout_s,
         )
+        self._space = setup.space
         self._action_s = -1e9
         self._holding = True
 
@@ -48,7 +61,7 @@ class DeployedArm:
         """What is sent for an action, and a word for what stopped or changed it.
 
         Args:
-            vector: float64 (7,), contract units.
+            vector: one row of `Setup.space`, contract units.
             joints: measured now.
             now_s: simulated time [s].
 
@@ -62,9 +75,7 @@ class DeployedArm:
             if since_s < self._timeout_s
             else settings.FIRST_STEP_S
         )
-        outcome: JointCommand | Hold | None = self._controller.compute(
-            Action.from_vector(vector), joints, step_s
-        )
+        outcome: JointCommand | Hold | None = self._compute(vector, joints, step_s, now_s)
         word = ""
         if isinstance(outcome, JointCommand):
             verdict = self._limiter.limit(outcome, joints, now_s)
@@ -83,6 +94,23 @@ class DeployedArm:
             return self._hold(joints, now_s), outcome.code
         self._holding = False
         return outcome, word
+
+    def _compute(
+        self, row: F64, joints: JointSample, step_s: float, now_s: float
+    ) -> JointCommand | Hold:
+        """The controller's answer to one row, as the control module asks for it."""
+        space = self._space
+        if space is EE_DELTA:
+            return self._controller.compute(Action.from_vector(row), joints, step_s)
+        controller = cast("SpaceController", self._controller)  # planning has looked
+        if space.rate_hz:
+            step_s = 1.0 / space.rate_hz
+        reference = self._limiter.reference(joints, now_s)
+        answer = controller.execute(space, row, reference, step_s)
+        if space.rate_hz and isinstance(answer, JointCommand):
+            more_s = _SHARE_OF_REST * self._limiter.remaining_s(now_s)
+            answer = replace(answer, duration_s=answer.duration_s + more_s)
+        return answer
 
     def watch(self, joints: JointSample, now_s: float) -> JointCommand | None:
         """A hold when actions have ceased; None otherwise, and while it holds already."""

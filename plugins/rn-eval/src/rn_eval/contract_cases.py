@@ -1,5 +1,5 @@
-"""The contract of suites of tasks, and the case of the suite "cubes"; loaded by the contract kit
-and by tests only.
+"""The contract of suites of tasks, and the cases of the suites "cubes" and "hand-over"; loaded by
+the contract kit and by tests only.
 
 A third party tries a suite of its own with `contract_of(SuiteSpec)` and a `SuiteCase`, as this
 package's tests do.
@@ -10,15 +10,16 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar, cast
 
 import numpy as np
 
 from rn_eval.hooks import SuiteSpec
 from rn_eval.plan import with_body
-from rn_eval.plugin import CUBES
+from rn_eval.plugin import CUBES, HAND_OVER
 from rn_eval.suite import F64, Episode, Judgement, Scene, Setup, Suite
+from rn_robot_fr3.cell import FACING_M
 from rn_testing.attempts import attempt
 from rn_testing.case import Case
 from rn_testing.effects import check_releases
@@ -29,7 +30,7 @@ from rn_testing.process_state import find_changes
 from rn_testing.rule import Rule, require
 from rn_testing.rules.descriptor import RULES as OF_EVERY_DESCRIPTOR
 from rn_testing.snapshots import snapshot
-from roboneuron import Controller, Observation
+from roboneuron import EE_DELTA, Controller, Observation, robot_space
 from roboneuron.command import build, discover, load_config, load_profile
 
 STAMP_NS = 7_000_000_000
@@ -50,12 +51,14 @@ class SuiteCase(Case[SuiteSpec]):
         setup: makes what scenes are opened with; the installed robot with its controller, or the
             body, when None.
         idle_ticks: how long doing nothing must not be a success.
+        move: a row of the setup's space that shows whether actions have an effect.
     """
 
     subject: ClassVar[str] = "suite"
 
     setup: Callable[[], Setup] | None = None
     idle_ticks: int = TICKS
+    move: F64 = field(default_factory=MOVE.copy)
 
     def build(self) -> Suite:
         """A new suite."""
@@ -79,7 +82,12 @@ class SuiteCase(Case[SuiteSpec]):
             controller.load()
         cameras = {camera.role: camera for camera in profile.cameras}
         return Setup(
-            profile=profile, cameras=cameras, controller=controller, config=config, needs_state=True
+            profile=profile,
+            cameras=cameras,
+            controller=controller,
+            config=config,
+            needs_state=True,
+            space=robot_space("ee_pose", profile) if profile.arms else EE_DELTA,
         )
 
 
@@ -187,7 +195,7 @@ def _check_observation(case: SuiteCase) -> None:
     with _first_scene(case) as (scene, episode):
         first = scene.observe(STAMP_NS)
         kept = snapshot(first)
-        scene.act(MOVE, 0.0)
+        scene.act(case.move, 0.0)
         scene.advance(TICKS)
         later = scene.observe(STAMP_NS + 1)
     require(
@@ -216,13 +224,13 @@ def _check_observation(case: SuiteCase) -> None:
 
 
 def _play(
-    case: SuiteCase, suite: Suite, episode: Episode, move: F64 | None = MOVE
+    case: SuiteCase, suite: Suite, episode: Episode, *, is_idle: bool = False
 ) -> tuple[object, object, bytes]:
     """What is seen at first, what in the end, and the state then."""
     with _scene(case, suite, episode) as scene:
         first = snapshot(scene.observe(STAMP_NS))
-        if move is not None:
-            word = scene.act(move, 0.0)
+        if not is_idle:
+            word = scene.act(case.move, 0.0)
             require(isinstance(word, str), f"act returned {word!r}, expected a word or none")
         scene.advance(TICKS)
         return first, snapshot(scene.observe(STAMP_NS)), bytes(scene.state())
@@ -251,7 +259,7 @@ def _check_seeds(case: SuiteCase) -> None:
 def _check_actions(case: SuiteCase) -> None:
     with _suite(case) as suite:
         episode = suite.episodes(1, 0)[0]
-        acted, idle = _play(case, suite, episode), _play(case, suite, episode, None)
+        acted, idle = _play(case, suite, episode), _play(case, suite, episode, is_idle=True)
     require(acted[1:] != idle[1:], f"{TICKS} ticks after an action everything is as without it")
 
 
@@ -261,7 +269,7 @@ def _check_ticks(case: SuiteCase) -> None:
         episode = suite.episodes(1, 0)[0]
         for steps in ((TICKS,), (TICKS // 2, TICKS - TICKS // 2)):
             with _scene(case, suite, episode) as scene:
-                scene.act(MOVE, 0.0)
+                scene.act(case.move, 0.0)
                 for ticks in steps:
                     scene.advance(ticks)
                 states.append(bytes(scene.state()))
@@ -308,7 +316,7 @@ def _run_through(case: SuiteCase) -> Suite:
     suite = attempt(case, case.build)
     scene = attempt(case, lambda: suite.open(suite.episodes(1, 0)[0], case.make_setup()))
     scene.observe(STAMP_NS)
-    scene.act(MOVE, 0.0)
+    scene.act(case.move, 0.0)
     scene.advance(TICKS)
     scene.watch(0.1)
     scene.judge()
@@ -419,3 +427,10 @@ KIND = Kind(case=SuiteCase, rules=RULES)
 def cubes_case() -> SuiteCase:
     """The suite "cubes" with small pictures."""
     return SuiteCase(spec=CUBES, options={"image_px": 64})
+
+
+def hand_over_case() -> SuiteCase:
+    """The suite "hand-over" with small pictures; the left hand moves from its home."""
+    left = [0.327, 0.0, 0.477, 1.0, 0.0, 0.0, 0.0, 1.0]
+    right = [FACING_M - 0.307, 0.0, 0.487, 0.0, 1.0, 0.0, 0.0, 1.0]
+    return SuiteCase(spec=HAND_OVER, options={"image_px": 64}, move=np.array([*left, *right]))

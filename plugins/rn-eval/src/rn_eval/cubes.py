@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +14,18 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from rn_eval.arm import DeployedArm
 from rn_eval.suite import Episode, Judgement, Setup
-from rn_robot_fr3.scene import DEFAULT_COLOURS, RGBA_BY_COLOUR
-from rn_robot_fr3.simulation import JOINTS, STEP_S, ArmSimulation
-from roboneuron import Frame, JointSample, Observation, matrix_from_quaternion
+from rn_robot_fr3.cell import FR3, Cell
+from rn_robot_fr3.simulation import STEP_S, ArmSimulation
+from rn_simulation.cubes import DEFAULT_COLOURS, RGBA_BY_COLOUR
+from roboneuron import (
+    ArmState,
+    Frame,
+    GripperProfile,
+    JointSample,
+    Observation,
+    matrix_from_quaternion,
+)
+from roboneuron.command import poses_of
 
 F64 = NDArray[np.float64]
 
@@ -78,7 +87,15 @@ class CubesOptions(BaseModel):
 
 
 class Cubes:
-    """Follows the protocol `Suite`. The named colour changes from seed to seed in turn."""
+    """Follows the protocol `Suite`. The named colour changes from seed to seed in turn.
+
+    Attributes:
+        phrase: the plain instruction.
+        verb: what the names of its tasks begin with.
+    """
+
+    phrase: ClassVar[str] = PLAIN
+    verb: ClassVar[str] = "pick"
 
     def __init__(self, config: CubesOptions | None) -> None:
         self._options = config or CubesOptions()
@@ -114,20 +131,26 @@ class Cubes:
 
     def _episode(self, seed: int) -> Episode:
         target = self._target(seed)
-        number = 0
+        wording = self.phrase
         if self._options.wordings == "varied":
-            number = int(np.random.default_rng([_DRAW + 1, seed]).integers(len(WORDINGS)))
+            drawn = np.random.default_rng([_DRAW + 1, seed])
+            wording = WORDINGS[int(drawn.integers(len(WORDINGS)))]
         return Episode(
-            task=f"pick-{target}",
+            task=f"{self.verb}-{target}",
             seed=seed,
-            instruction=WORDINGS[number].format(colour=target),
+            instruction=wording.format(colour=target),
             time_limit_s=self._options.time_limit_s,
         )
 
 
 class CubesScene:
-    """One open scene; follows the protocol `Scene`."""
+    """One open scene; follows the protocol `Scene`.
 
+    Attributes:
+        cell: the arms at the table.
+    """
+
+    cell: ClassVar[Cell] = FR3
     tick_s = STEP_S
     judge_ticks = max(1, round(0.1 / STEP_S))
 
@@ -149,7 +172,10 @@ class CubesScene:
         assert setup.controller is not None  # the FR3 is an installed robot
         self._controller = setup.controller
         self._arm = DeployedArm(setup, setup.controller)
-        self._simulation = ArmSimulation(episode.seed, colours=colours, engine=options.engine)
+        self._poses = poses_of(setup.controller)
+        self._simulation = ArmSimulation(
+            episode.seed, colours=colours, engine=options.engine, cell=self.cell
+        )
         self._simulation.open()
         self._turned_rad = self._turn_to_target()
 
@@ -168,14 +194,16 @@ class CubesScene:
         }
         state: Mapping[str, object] = {}
         if self._setup.needs_state:
-            joints, gripper = self._joints(stamp_ns), self._setup.profile.gripper
-            finger = None if gripper is None else joints.position[joints.names.index(gripper.joint)]
+            joints, profile = self._joints(stamp_ns), self._setup.profile
+            arms = [
+                ArmState(ee_pose=pose, gripper_open=_opening(arm.gripper, joints))
+                for arm, pose in zip(profile.each_arm, self._poses(joints), strict=True)
+            ]
             state = {
                 "joints": joints,
-                "ee_pose": self._controller.forward(joints),
-                "gripper_open": None
-                if gripper is None or finger is None
-                else gripper.to_opening(float(finger)),
+                "ee_pose": arms[0].ee_pose,
+                "gripper_open": arms[0].gripper_open,
+                "arms": {arm.name: told for arm, told in zip(profile.arms, arms, strict=False)},
             }
         return Observation(
             frames=frames,
@@ -246,4 +274,13 @@ class CubesScene:
 
     def _joints(self, stamp_ns: int) -> JointSample:
         position, velocity = self._simulation.joint_states()
-        return JointSample(names=JOINTS, position=position, velocity=velocity, stamp_ns=stamp_ns)
+        return JointSample(
+            names=self.cell.joints, position=position, velocity=velocity, stamp_ns=stamp_ns
+        )
+
+
+def _opening(gripper: GripperProfile | None, joints: JointSample) -> float | None:
+    """How far a gripper is open; None without one."""
+    if gripper is None:
+        return None
+    return gripper.to_opening(float(joints.position[joints.names.index(gripper.joint)]))

@@ -1,4 +1,6 @@
-"""What this package offers: the command "eval" with its hook for suites, and the suite "cubes"."""
+"""What this package offers: the command "eval" with its hook for suites, and the suites "cubes" and
+"hand-over".
+"""
 
 from __future__ import annotations
 
@@ -21,6 +23,14 @@ CUBES = SuiteSpec(
     robot="fr3",
     case="rn_eval.contract_cases:cubes_case",
 )
+HAND_OVER = SuiteSpec(
+    name="hand-over",
+    summary="Two simulated FR3s hand the named cube over; the simulator judges",
+    target="rn_eval.hand_over:HandOver",
+    config="rn_eval.hand_over:HandOverOptions",
+    robot="fr3-pair",
+    case="rn_eval.contract_cases:hand_over_case",
+)
 
 
 @hookimpl
@@ -31,5 +41,5 @@ def roboneuron_commands() -> Sequence[CommandSpec]:
 
 @hookimpl
 def roboneuron_suites() -> Sequence[SuiteSpec]:
-    """The suite "cubes"."""
-    return [CUBES]
+    """The suites "cubes" and "hand-over"."""
+    return [CUBES, HAND_OVER]

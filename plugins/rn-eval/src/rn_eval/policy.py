@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from typing import Protocol, cast, runtime_checkable
 
 from rn_eval.plan import EvalPlan
+from rn_standard.inference.agreement import SpaceAgreement
 from roboneuron import ActionChunk, Backend, Observation
 from roboneuron.command import Registry, build
 
@@ -39,6 +40,23 @@ class BatchBackend(Protocol):
     def predict_batch(self, observations: Sequence[Observation]) -> Sequence[ActionChunk]:
         """One chunk for each observation, in their order."""
         ...
+
+
+class AgreedPolicy:
+    """A policy whose chunks come in the space that control executes.
+
+    Args:
+        policy: yields what it has declared; closed by its owner.
+        agreement: on its space.
+    """
+
+    def __init__(self, policy: Policy, agreement: SpaceAgreement) -> None:
+        self._policy, self._agreement = policy, agreement
+        self.reset, self.close = policy.reset, policy.close
+
+    def predict(self, observation: Observation) -> ActionChunk:
+        """As `Backend.predict`; raises InvalidInputError also for what was not agreed on."""
+        return self._agreement.convert(self._policy.predict(observation), observation.joints)
 
 
 def load_backend(plan: EvalPlan, registry: Registry, preset: str) -> Backend:

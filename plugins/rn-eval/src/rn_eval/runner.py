@@ -17,14 +17,15 @@ import numpy as np
 from rn_eval.episode import EpisodeClock
 from rn_eval.latency import parse_latency
 from rn_eval.plan import EvalPlan, Job, with_body
-from rn_eval.policy import Policy, load_backend
+from rn_eval.policy import AgreedPolicy, Policy, load_backend
 from rn_eval.record import EpisodeOutcome, EpisodeRecord, MachineFacts
 from rn_eval.suite import Setup
 from rn_eval.versions import installed_versions
 from rn_standard.execution.adaptive import AdaptiveExecutor
 from rn_standard.execution.mode import Mode, abilities_of
+from rn_standard.inference.agreement import SpaceAgreement, agree_on_space
 from rn_standard.inference.execution import Bounds
-from roboneuron import BackendSpec, Controller, RoboNeuronError
+from roboneuron import EE_DELTA, BackendSpec, Controller, RoboNeuronError
 from roboneuron.command import build, collision_of, discover, load_profile
 
 _DEFAULT_IMAGE_AGE_S = 0.5
@@ -49,6 +50,7 @@ class Runner:
         self._policy: Policy | None = None
         self._is_cold = True
         self._versions = installed_versions(plan, self._registry)
+        self._agreement: SpaceAgreement | None = None
         self._setup, self._spec = self._prepare()
 
     def _prepare(self) -> tuple[Setup, BackendSpec]:
@@ -66,6 +68,14 @@ class Runner:
                 build(parts.controller, config.options(parts.controller.name), profile),
             )
             controller.load()
+            if parts.backend.space is not None:
+                options = {
+                    **config.options(parts.backend.name),
+                    **({} if plan.checkpoint is None else {"checkpoint": plan.checkpoint}),
+                }
+                self._agreement = agree_on_space(
+                    self._registry, parts.backend, options, parts.robot.name, config.control
+                )
         cameras = {role: profile.camera(name) for role, name in parts.cameras.items()}
         setup = Setup(
             profile=profile,
@@ -73,6 +83,7 @@ class Runner:
             controller=controller,
             config=config,
             needs_state=parts.backend.needs_state,
+            space=EE_DELTA if self._agreement is None else self._agreement.executed,
         )
         return setup, parts.backend
 
@@ -115,6 +126,8 @@ class Runner:
 
     def _play(self, job: Job, policy: Policy) -> tuple[EpisodeOutcome, list[float], bytes | None]:
         random = np.random.default_rng([job.key.seed, crc32(job.key.task.encode())])
+        if self._agreement is not None:
+            policy = AgreedPolicy(policy, self._agreement)
         policy.reset()
         scene = self._suite.open(job.episode, self._setup)
         try:

@@ -9,7 +9,14 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from roboneuron import CameraProfile, Controller, Observation, RobotProfile
+from roboneuron import (
+    EE_DELTA,
+    CameraProfile,
+    Controller,
+    ControlSpace,
+    Observation,
+    RobotProfile,
+)
 from roboneuron.command import Config
 
 F64 = NDArray[np.float64]
@@ -43,6 +50,7 @@ class Setup:
             own.
         config: limits, timeouts and options as the robot would be run with.
         needs_state: the backend reads joints, TCP pose and gripper.
+        space: of the rows that `Scene.act` gets.
     """
 
     profile: RobotProfile
@@ -50,6 +58,7 @@ class Setup:
     controller: Controller | None
     config: Config
     needs_state: bool
+    space: ControlSpace = EE_DELTA
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -88,8 +97,8 @@ class Scene(Protocol):
         ...
 
     def act(self, vector: F64, now_s: float) -> str:
-        """Execute one action, float64 (7,) in contract units; returns "" or a word for what the
-        limits did to it.
+        """Execute one row of `Setup.space`, float64 (7,) by default, in contract units; returns ""
+        or a word for what the limits did to it.
         """
         ...
 

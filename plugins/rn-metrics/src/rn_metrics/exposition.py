@@ -12,11 +12,15 @@ from typing import ClassVar
 from prometheus_client import CollectorRegistry
 from prometheus_client.core import Metric
 from prometheus_client.exposition import choose_encoder
+from starlette.authentication import AuthenticationError
 from starlette.datastructures import Headers
+from starlette.middleware.authentication import AuthenticationMiddleware
+from starlette.requests import HTTPConnection
 from starlette.responses import PlainTextResponse, Response
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from rn_standard.http.addresses import bind
+from rn_standard.http.authentication import TokenBackend
 from rn_standard.http.bounded_server import BoundedServer
 from rn_standard.http.connections import ConnectionTable
 from rn_standard.http.listener import BoundedListener, other_bounds
@@ -50,11 +54,15 @@ class Exposition:
         """
         self._address = (host, port)
         self._rules = rules
-        self._tokens = tokens
         self._robots: dict[str, CollectorRegistry] = {}
         bound = bind("metrics", host, port, tokens)
         self.port: int = bound.getsockname()[1]
-        self._is_open = ipaddress.ip_address(bound.getsockname()[0].partition("%")[0]).is_loopback
+        address = ipaddress.ip_address(bound.getsockname()[0].partition("%")[0])
+        self._metrics: ASGIApp = (
+            self._encode
+            if address.is_loopback
+            else AuthenticationMiddleware(self._encode, TokenBackend(tokens), _unauthorized)
+        )
         self._own = CollectorRegistry()
         self._own.register(self)
         self._server = _Server(self._answer, ConnectionTable())
@@ -129,29 +137,29 @@ class Exposition:
             asyncio.run(self._server.serve(sockets=[listener]))
 
     async def _answer(self, scope: Scope, receive: Receive, send: Send) -> None:
-        await self._response(scope)(scope, receive, send)
+        await self._application(scope)(scope, receive, send)
 
-    def _response(self, scope: Scope) -> Response:
-        headers = Headers(scope=scope)
-        if not self._rules.allows_host(headers.getlist("host")):
+    def _application(self, scope: Scope) -> ASGIApp:
+        if not self._rules.allows_host(Headers(scope=scope).getlist("host")):
             return PlainTextResponse("Invalid Host header\n", 421, _CLOSE)
         if scope["path"] != PATH:
             return PlainTextResponse(f"Metrics are at {PATH}\n", 404, _CLOSE)
         if scope["method"] != "GET":
             return PlainTextResponse("Use GET\n", 405, {"Allow": "GET", **_CLOSE})
-        if not self._is_open and not self._has_token(headers):
-            return PlainTextResponse(
-                "A valid bearer token of [[http.tokens]] is needed.\n",
-                401,
-                {"WWW-Authenticate": "Bearer", **_CLOSE},
-            )
-        encode, content_type = choose_encoder(headers.get("accept", ""))
-        return Response(encode(self._own), headers={"Content-Type": content_type, **_CLOSE})
+        return self._metrics
 
-    def _has_token(self, headers: Headers) -> bool:
-        found = headers.getlist("authorization")
-        scheme, _, token = found[0].partition(" ") if len(found) == 1 else ("", "", "")
-        return scheme.lower() == "bearer" and self._tokens.find(token.strip()) is not None
+    async def _encode(self, scope: Scope, receive: Receive, send: Send) -> None:
+        encode, content_type = choose_encoder(Headers(scope=scope).get("accept", ""))
+        headers = {"Content-Type": content_type, **_CLOSE}
+        await Response(encode(self._own), headers=headers)(scope, receive, send)
+
+
+def _unauthorized(conn: HTTPConnection, error: AuthenticationError) -> Response:
+    return PlainTextResponse(
+        "A valid bearer token of [[http.tokens]] is needed.\n",
+        401,
+        {"WWW-Authenticate": "Bearer", **_CLOSE},
+    )
 
 
 class _Server(BoundedServer):

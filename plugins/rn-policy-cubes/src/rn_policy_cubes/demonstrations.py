@@ -18,8 +18,9 @@ from rn_controller_urdf.controller import UrdfController
 from rn_policy_cubes.replacing import replacing
 from rn_policy_cubes.teacher import STEP_S, Situations, act, tilt_of, yaw_of
 from rn_robot_fr3.profile import profile
-from rn_robot_fr3.scene import DEFAULT_COLOURS, REGION_X_M, REGION_Y_M, SPACING_M
+from rn_robot_fr3.scene import REGION_X_M, REGION_Y_M, SPACING_M
 from rn_robot_fr3.simulation import JOINTS, ArmSimulation
+from rn_simulation.cubes import DEFAULT_COLOURS
 from roboneuron import Action, Hold, JointSample, matrix_from_quaternion
 
 F64 = NDArray[np.float64]

@@ -14,9 +14,15 @@ from typing import Any
 from rn_recorder.options import RecorderOptions
 from rn_recorder.process import RecorderProcess
 from rn_recorder.tools import RecordingEnds, recording_tools
-from rn_recorder_runs.settings import PLAY, SWITCH, RecorderSettings, RulesSettings, spawn_recorder
+from rn_recorder_runs.settings import (
+    PLAY,
+    SWITCH,
+    CameraMount,
+    RecorderSettings,
+    RulesSettings,
+    spawn_recorder,
+)
 from rn_recorder_runs.store import Store
-from rn_recorder_runs.transforms import CameraMount
 from roboneuron import (
     ConfigurationError,
     Feature,
@@ -48,7 +54,8 @@ CONTRACT = {
     "action_frame": "base; p' = p + d, R' = exp(r) R",
     "action_spaces": "other control spaces: names in roboneuron.fields of the channel",
     "joint_states": "rad, rad/s (m, m/s for prismatic joints)",
-    "ee_pose": "TCP in the base frame; m, quaternion x y z w",
+    "ee_pose": "TCP in the base frame; m, quaternion x y z w; of the first of several arms",
+    "<arm>/ee_pose": "the same of each of several arms",
     "images": "rgb8, stamped with capture time",
     "time": "ns since 1970 (ROS clock)",
 }
@@ -254,6 +261,7 @@ class Recorder(Feature[RecorderOptions]):
 def _mounts(profile: RobotProfile) -> tuple[CameraMount, ...]:
     """Where the cameras are whose mount is known."""
     links = {"base": profile.base_link, "tcp": profile.tcp_link}
+    links |= {f"{arm.name}/tcp": arm.tcp_link for arm in profile.arms}
     found = []
     for camera in profile.cameras:
         calibration = camera.calibration

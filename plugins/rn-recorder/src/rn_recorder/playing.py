@@ -103,7 +103,10 @@ def _play(
         )
     exposed = next((e for e in host.gate.exposed if e.hidden and e.label == ENDPOINT), None)
     if exposed is None:
-        raise NotReadyError(f"The robot {config.robot.name!r} has no arm that follows actions.")
+        raise NotReadyError(
+            f"The robot {config.robot.name!r} has no single arm that follows TCP displacements; "
+            "only those can be played."
+        )
     streams = read_streams([Path(name) for name in arguments.files])
     check_playable(streams)
     requests = _motions(host, exposed, streams, context, arguments)

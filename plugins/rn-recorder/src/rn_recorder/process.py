@@ -47,7 +47,8 @@ class RecorderProcess:
     def __init__(self, spawn: Spawn, observe: Callable[[int], object] = lambda pid: None) -> None:
         self._spawn = spawn
         self._observe = observe
-        self._orders: queue.Queue[dict[str, object]] = queue.Queue(MOST_ORDERS)
+        # bounded by `_put`, because `queue.Queue` takes locks of Python on the thread of calls
+        self._orders: queue.SimpleQueue[dict[str, object]] = queue.SimpleQueue()
         self._answers: dict[int, dict[str, Any]] = {}
         self._changed = threading.Condition()
         self._closing = threading.Event()
@@ -95,10 +96,15 @@ class RecorderProcess:
             "facts": dict(facts),
             "incident": incident,
         }
-        try:
-            self._orders.put_nowait(order)
-        except queue.Full:
+        if not self._put(order):
             self.dropped += 1
+
+    def _put(self, order: dict[str, object]) -> bool:
+        """Queue an order unless there are too many; threads at once may exceed that by one each."""
+        has_room = self._orders.qsize() < MOST_ORDERS
+        if has_room:
+            self._orders.put(order)
+        return has_room
 
     def ask(self, order: Mapping[str, object], timeout_s: float) -> dict[str, Any]:
         """Have it do something and return its answer.
@@ -109,12 +115,10 @@ class RecorderProcess:
         with self._changed:
             self._number += 1
             number, ends = self._number, self.ends
-        try:
-            self._orders.put_nowait({**order, "number": number})
-        except queue.Full:
+        if not self._put({**order, "number": number}):
             raise NotReadyError(
                 "The recorder takes no orders.", hint="list_recordings tells how it is."
-            ) from None
+            )
         with self._changed:
             self._changed.wait_for(lambda: number in self._answers or self.ends > ends, timeout_s)
             if number not in self._answers and self.ends > ends:
@@ -152,8 +156,7 @@ class RecorderProcess:
             self._changed.notify_all()
         child, thread = self._child, self._thread
         if child is not None and child.poll() is None:
-            with suppress(queue.Full):
-                self._orders.put_nowait({"do": "leave"})
+            self._put({"do": "leave"})
             try:
                 child.wait(_LEAVE_S)
             except subprocess.TimeoutExpired:

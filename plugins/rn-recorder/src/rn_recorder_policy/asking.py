@@ -14,6 +14,8 @@ from rn_recorder_policy.name_mapping import POSITION, QUATERNION, NameMapping, R
 from rn_recorder_runs.deployed import DeployedBackend
 from roboneuron import (
     ActionChunk,
+    ArmProfile,
+    ArmState,
     ConfigurationError,
     Frame,
     InvalidInputError,
@@ -105,8 +107,9 @@ def ask(deployed: DeployedBackend, demonstration: Demonstration, question: Quest
     horizon = min(len(chunk.actions) for chunk in chunks)
     joints = np.full_like(recorded, np.nan)
     for place, channel in enumerate(space.channels):
-        if channel.name in deployed.profile.arm_joints and channel.key in states.values:
-            joints[:, place] = states.values[channel.key]
+        # names of joints are those of one arm already
+        if channel.name in deployed.profile.arm_joints and channel.name in states.values:
+            joints[:, place] = states.values[channel.name]
     orientations = states.stacked(QUATERNION)
     answers = Answers(
         space=space,
@@ -122,6 +125,44 @@ def ask(deployed: DeployedBackend, demonstration: Demonstration, question: Quest
         else np.stack([matrix_from_quaternion(q) for q in orientations]),
     )
     return Asked(answers=answers, refused=len(rows) - len(chunks), refusal=refusal)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class _ArmStates:
+    """What was recorded of one arm; None where something was not.
+
+    Attributes:
+        positions_m, quaternions: of the TCP, base frame, float64 (n, 3) and (n, 4).
+        openings: 0 closed .. 1 open, float64 (n,).
+    """
+
+    positions_m: F64 | None
+    quaternions: F64 | None
+    openings: F64 | None
+
+    @classmethod
+    def of(cls, arm: ArmProfile, states: RecordedStates) -> _ArmStates:
+        """Those of an arm, by the names of its channels."""
+
+        def stacked(names: Sequence[str]) -> F64 | None:
+            return states.stacked([f"{arm.name}/{x}" if arm.name else x for x in names])
+
+        return cls(
+            positions_m=stacked(POSITION),
+            quaternions=stacked(QUATERNION),
+            openings=states.openings(arm),
+        )
+
+    def at(self, row: int, stamp_ns: int) -> tuple[Pose | None, float | None]:
+        """TCP pose and opening of a row."""
+        pose = None
+        if self.positions_m is not None and self.quaternions is not None:
+            pose = Pose(
+                position_m=self.positions_m[row],
+                quaternion_xyzw=self.quaternions[row],
+                stamp_ns=stamp_ns,
+            )
+        return pose, None if self.openings is None else float(self.openings[row])
 
 
 class _Observations:
@@ -142,15 +183,15 @@ class _Observations:
             )
         profile = deployed.profile
         self._joints = states.stacked(profile.arm_joints)
-        self._positions, self._quaternions = states.stacked(POSITION), states.stacked(QUATERNION)
-        self._openings = states.openings(profile)
         self._names = profile.arm_joints
-        gripper = profile.gripper
-        if self._joints is not None and gripper is not None and self._openings is not None:
-            # the driver reports the gripper's joint beside the arm's
-            fingers = [gripper.to_position(float(opening)) for opening in self._openings]
-            self._joints = np.column_stack([self._joints, fingers])
-            self._names = (*self._names, gripper.joint)
+        self._arms = {arm.name: _ArmStates.of(arm, states) for arm in profile.each_arm}
+        for arm in profile.each_arm:
+            openings = self._arms[arm.name].openings
+            if self._joints is not None and arm.gripper is not None and openings is not None:
+                # the driver reports the gripper's joint beside the arm's
+                fingers = [arm.gripper.to_position(float(opening)) for opening in openings]
+                self._joints = np.column_stack([self._joints, fingers])
+                self._names = (*self._names, arm.gripper.joint)
         self._sources = self._choose_cameras(question.cameras)
         self._frames: dict[int, dict[str, Frame]] = {}
 
@@ -199,25 +240,25 @@ class _Observations:
     def at(self, row: int) -> Observation:
         """The observation of a row that was read."""
         stamp_ns = self._stamp_ns(row)
-        joints = pose = opening = None
+        joints = None
+        measured: dict[str, tuple[Pose | None, float | None]] = {}
         if self._deployed.spec.needs_state:
             if self._joints is not None:
                 joints = JointSample(
                     names=self._names, position=self._joints[row], stamp_ns=stamp_ns
                 )
-            if self._positions is not None and self._quaternions is not None:
-                pose = Pose(
-                    position_m=self._positions[row],
-                    quaternion_xyzw=self._quaternions[row],
-                    stamp_ns=stamp_ns,
-                )
-            if self._openings is not None:
-                opening = float(self._openings[row])
+            measured = {name: arm.at(row, stamp_ns) for name, arm in self._arms.items()}
+        pose, opening = next(iter(measured.values()), (None, None))
         return Observation(
             frames=self._frames.get(row, {}),
             instruction=self._instruction,
             joints=joints,
             ee_pose=pose,
             gripper_open=opening,
+            arms={
+                name: ArmState(ee_pose=at, gripper_open=hand)
+                for name, (at, hand) in measured.items()
+                if name and at is not None
+            },
             stamp_ns=stamp_ns,
         )

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from rn_recorder_policy.demonstration import STATE, Column, Demonstration
 from roboneuron import (
     GRIPPER,
+    ArmProfile,
     ConfigurationError,
     ControlSpace,
     InvalidInputError,
@@ -133,11 +134,14 @@ class RecordedStates:
             return None
         return np.stack([self.values[name] for name in names], axis=1)
 
-    def openings(self, profile: RobotProfile) -> F64 | None:
-        """The gripper's opening, 0 closed .. 1 open, float64 (n,); None when not recorded."""
-        if GRIPPER in self.values:
-            return self.values[GRIPPER]
-        gripper = profile.gripper
+    def openings(self, arm: ArmProfile) -> F64 | None:
+        """The opening of an arm's gripper, 0 closed .. 1 open, float64 (n,); None when not
+        recorded.
+        """
+        key = f"{arm.name}/{GRIPPER}" if arm.name else GRIPPER
+        if key in self.values:
+            return self.values[key]
+        gripper = arm.gripper
         if gripper is None or gripper.joint not in self.values:
             return None
         return np.array([gripper.to_opening(float(p)) for p in self.values[gripper.joint]])

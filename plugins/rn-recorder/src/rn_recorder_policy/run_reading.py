@@ -12,7 +12,6 @@ from rn_recorder_policy.demonstration import ACTION, IMAGES, STATE, Column, Demo
 from rn_recorder_runs.episodes import RecordedEpisode, read_episodes, stamp_of
 from rn_recorder_runs.files import read_about, read_records
 from rn_recorder_runs.images import pixels_of
-from rn_recorder_runs.lerobot_meta import POSE_NAMES
 from rn_recorder_runs.reading import RecordDecoder, camera_of
 from roboneuron import InvalidInputError, channel_keys
 
@@ -50,9 +49,9 @@ def read_run(files: Sequence[Path], episode: int) -> Demonstration:
         columns[STATE] = Column(
             names=streams.joint_names, values=np.stack([row.joints for row in found.rows])
         )
-    if all(row.ee_pose.size == len(POSE_NAMES) for row in found.rows):
+    if all(row.ee_pose.size == len(streams.pose_names) for row in found.rows):
         columns["observation.ee_pose"] = Column(
-            names=POSE_NAMES, values=np.stack([row.ee_pose for row in found.rows])
+            names=streams.pose_names, values=np.stack([row.ee_pose for row in found.rows])
         )
     period_s = float(np.median(np.diff([row.sent_ns for row in found.rows]))) / 1e9
     return Demonstration(

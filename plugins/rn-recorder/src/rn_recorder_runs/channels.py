@@ -7,15 +7,21 @@ Source: rosbag2_storage_mcap of ROS 2 Jazzy, keys `offered_qos_profiles` (YAML) 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING
 
 from rn_recorder_runs.files import LATCHED
+
+if TYPE_CHECKING:
+    from enum import IntEnum
+
+    from rclpy.qos import QoSProfile
+    from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 _TRANSIENT_LOCAL = "transient_local"
 _FOREVER_NS = 2**63 - 1
 
 
-def describe_channel(publishers: Sequence[Any]) -> dict[str, str]:
+def describe_channel(publishers: Sequence[TopicEndpointInfo]) -> dict[str, str]:
     """Metadata of a topic by what its publishers offer
     (`rclpy.node.Node.get_publishers_info_by_topic`).
     """
@@ -42,7 +48,7 @@ def plain_channel() -> dict[str, str]:
     return {"offered_qos_profiles": _yaml("keep_last", 100, "reliable", "volatile")}
 
 
-def _to_yaml(profile: Any) -> str:
+def _to_yaml(profile: QoSProfile) -> str:
     durations = [
         int(getattr(profile, name).nanoseconds)
         for name in ("deadline", "lifespan", "liveliness_lease_duration")
@@ -89,6 +95,6 @@ def _duration(name: str, parts: tuple[int, int]) -> list[str]:
     return [f"  {name}:", f"    sec: {parts[0]}", f"    nsec: {parts[1]}"]
 
 
-def _word(policy: Any) -> str:
+def _word(policy: IntEnum) -> str:
     """A policy as rosbag2 names it."""
     return str(policy.name).lower()

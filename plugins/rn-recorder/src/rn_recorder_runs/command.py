@@ -80,6 +80,12 @@ class Runs:
             default="av1",
             help="of the data set's videos (default: av1)",
         )
+        add(
+            "--with-lerobot",
+            type=Path,
+            metavar="PYTHON",
+            help="interpreter whose lerobot 0.6 writes the data set",
+        )
 
     def _configure_replay(self, parser: ArgumentParser) -> None:
         add = parser.add_argument
@@ -320,6 +326,10 @@ def _export(store: Store, arguments: Namespace) -> int:
     """Status 1 when something was left out."""
     from rn_recorder_runs.files import copy_records, read_about
 
+    if arguments.with_lerobot is not None and arguments.lerobot is None:
+        raise InvalidInputError(
+            "--with-lerobot writes a data set.", hint="Give --lerobot DIRECTORY instead of --mcap."
+        )
     runs = [found for name in arguments.runs for found in find_runs(store, name)]
     if arguments.lerobot is not None:
         from rn_recorder_runs.lerobot import export
@@ -330,6 +340,7 @@ def _export(store: Store, arguments: Namespace) -> int:
             outcome=arguments.outcome,
             fps=arguments.fps,
             codec=arguments.codec,
+            with_lerobot=arguments.with_lerobot,
         )
         frames = f"{written.frames} frames at {written.fps} Hz"
         print(f"{arguments.lerobot}: {written.episodes} episodes, {frames}")

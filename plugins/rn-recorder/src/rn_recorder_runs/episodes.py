@@ -27,6 +27,7 @@ EVENTS = "/roboneuron/events"
 EPISODE_END = "episode_end"
 """Event that closes an episode: facts `outcome` and `reason`."""
 UNKNOWN = "unknown"
+POSE_NAMES = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +55,8 @@ class EpisodeRow:
         sent_ns: when it was sent [ns].
         images: capture time [ns] by camera.
         joints: float64 (n,), rad or m; empty when there were none.
-        ee_pose: float64 (7,), x y z [m] and quaternion x y z w; empty when there was none.
+        ee_pose: float64 (7 n,), x y z [m] and quaternion x y z w of each arm, see
+            `Streams.pose_names`; empty when one of them was not measured.
     """
 
     action: F64
@@ -97,16 +99,30 @@ class RecordedPrediction:
 class Streams:
     """The numbers of a run, in order of time; images by their stamps.
 
-    Predictions from images that came before the run began are left out.
+    Predictions from images that came before the run began are left out. `poses` are those of the
+    first arm; `arm_poses` those of each of several arms by its name.
     """
 
     actions: list[RecordedAction] = field(default_factory=list)
     predictions: list[RecordedPrediction] = field(default_factory=list)
     joints: list[tuple[int, F64]] = field(default_factory=list)
     poses: list[tuple[int, F64]] = field(default_factory=list)
+    arm_poses: dict[str, list[tuple[int, F64]]] = field(default_factory=dict)
     images: dict[str, list[tuple[int, int]]] = field(default_factory=dict)
     events: list[dict[str, Any]] = field(default_factory=list)
     joint_names: tuple[str, ...] = ()
+
+    @property
+    def pose_streams(self) -> dict[str, list[tuple[int, F64]]]:
+        """The measured TCP poses by arm; "" for the only one."""
+        return dict(sorted(self.arm_poses.items())) or {"": self.poses}
+
+    @property
+    def pose_names(self) -> tuple[str, ...]:
+        """Names of the values of `EpisodeRow.ee_pose`: "x_m"; "left/x_m" of several arms."""
+        return tuple(
+            f"{arm}/{name}" if arm else name for arm in self.pose_streams for name in POSE_NAMES
+        )
 
 
 def stamp_of(data: bytes) -> int:
@@ -119,6 +135,7 @@ def read_streams(files: Sequence[Path]) -> Streams:
     """Read everything but pixels."""
     found = Streams()
     names = ("action", "predictions", "joint_states", "ee_pose")
+    poses: dict[str, list[tuple[int, F64]]] = {}
     for entry in iterate(
         files, lambda topic: topic == EVENTS or camera_of(topic) != "", decode=False
     ):
@@ -149,7 +166,9 @@ def read_streams(files: Sequence[Path]) -> Streams:
                 found.joints.append((record.log_ns, np.array(message.position, dtype=np.float64)))
         elif name == "ee_pose":
             p, q = message.pose.position, message.pose.orientation
-            found.poses.append((record.log_ns, np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w])))
+            pose = np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w])
+            poses.setdefault(record.topic, []).append((record.log_ns, pose))
+    _sort_poses(found, poses)
     found.actions.sort(key=lambda action: action.sent_ns)
     first_ns = {
         camera: min(stamp_ns for _, stamp_ns in seen) for camera, seen in found.images.items()
@@ -163,6 +182,22 @@ def read_streams(files: Sequence[Path]) -> Streams:
         )
     ]
     return found
+
+
+def _sort_poses(found: Streams, poses: dict[str, list[tuple[int, F64]]]) -> None:
+    """Tell the robot's own TCP from those of several arms.
+
+    Args:
+        found: takes them.
+        poses: by topic: `/<robot>/ee_pose`, and `/<robot>/<arm>/ee_pose`.
+    """
+    own = min(poses, key=len, default="")
+    base = own.removesuffix("ee_pose")
+    for topic, stream in poses.items():
+        if topic == own:
+            found.poses = stream
+        elif topic.startswith(base):
+            found.arm_poses[topic.removeprefix(base).removesuffix("/ee_pose")] = stream
 
 
 def read_episodes(
@@ -224,7 +259,9 @@ def _rows(streams: Streams, begin_ns: int, end_ns: int) -> list[EpisodeRow]:
     times = [action.sent_ns for action in streams.actions]
     predicted = [prediction.at_ns for prediction in streams.predictions]
     image_times = {camera: [at for at, _ in seen] for camera, seen in streams.images.items()}
-    joint_times, pose_times = [at for at, _ in streams.joints], [at for at, _ in streams.poses]
+    joint_times = [at for at, _ in streams.joints]
+    pose_streams = streams.pose_streams
+    pose_times = {arm: [at for at, _ in seen] for arm, seen in pose_streams.items()}
     rows: list[EpisodeRow] = []
     used = -1
     for index in range(bisect_right(times, begin_ns - 1), len(times)):
@@ -238,7 +275,7 @@ def _rows(streams: Streams, begin_ns: int, end_ns: int) -> list[EpisodeRow]:
             if (place := bisect_right(seen, sent_ns)) > 0
         }
         joints = _newest(streams.joints, joint_times, sent_ns)
-        pose = _newest(streams.poses, pose_times, sent_ns)
+        poses = {arm: _newest(seen, pose_times[arm], sent_ns) for arm, seen in pose_streams.items()}
         latest = bisect_right(predicted, sent_ns) - 1
         if latest > used:  # the first action of a chunk: what the backend saw is told
             used = latest
@@ -248,13 +285,22 @@ def _rows(streams: Streams, begin_ns: int, end_ns: int) -> list[EpisodeRow]:
                     images[frame["camera"]] = int(frame["stamp_ns"])
             if "joints" in facts and tuple(facts["joints"]["names"]) == streams.joint_names:
                 joints = np.array(facts["joints"]["position"])
-            if "ee_pose" in facts:
-                pose = np.array(
-                    [*facts["ee_pose"]["position_m"], *facts["ee_pose"]["quaternion_xyzw"]]
-                )
+            poses |= {arm: pose for arm, pose in _seen_poses(facts).items() if arm in poses}
         if len(images) == len(image_times):
+            is_whole = all(pose.size for pose in poses.values())
+            pose = np.concatenate(list(poses.values())) if is_whole else np.zeros(0)
             rows.append(EpisodeRow(action.values, action.label, sent_ns, images, joints, pose))
     return rows
+
+
+def _seen_poses(facts: dict[str, Any]) -> dict[str, F64]:
+    """The TCP poses that a backend saw, by arm."""
+    told = dict(facts.get("arms", {}))
+    if "ee_pose" in facts:
+        told[""] = facts["ee_pose"]
+    return {
+        arm: np.array([*pose["position_m"], *pose["quaternion_xyzw"]]) for arm, pose in told.items()
+    }
 
 
 def _newest(stream: list[tuple[int, F64]], times: list[int], at_ns: int) -> F64:

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections import Counter, deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from importlib.util import find_spec
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rn_recorder_runs import lerobot_meta as meta
-from rn_recorder_runs.episodes import RecordedEpisode, stamp_of
-from rn_recorder_runs.files import Record, read_records
-from rn_recorder_runs.images import pixels_of
+from rn_recorder_runs.episodes import RecordedEpisode
 from rn_recorder_runs.lerobot_meta import ExportSource
-from rn_recorder_runs.reading import RecordDecoder, camera_of
+from rn_recorder_runs.lerobot_process import lerobot_writer
+from rn_recorder_runs.row_images import row_images
 from rn_recorder_runs.statistics import Stats, image_stats, merge, stats_of
 from rn_recorder_runs.store import Run
 from rn_recorder_runs.video import CameraVideo, Codec, sample_every
@@ -47,7 +47,13 @@ class Written:
 
 
 def export(
-    runs: Sequence[Run], directory: Path, *, outcome: str | None, fps: int | None, codec: Codec
+    runs: Sequence[Run],
+    directory: Path,
+    *,
+    outcome: str | None,
+    fps: int | None,
+    codec: Codec,
+    with_lerobot: Path | None = None,
 ) -> Written:
     """Write the episodes of these runs; those that lack something are left out and named in the
     result.
@@ -61,27 +67,26 @@ def export(
         outcome: only episodes that ended so.
         fps: rows per second; by default the rate at which actions were sent.
         codec: of the videos.
+        with_lerobot: an interpreter that has lerobot, whose own writer then writes; by default the
+            files are written here, without lerobot.
 
     Raises:
-        ConfigurationError: the directory exists.
+        ConfigurationError: the directory exists, or there is no such interpreter.
         InvalidInputError: there is nothing to export, or nothing that is whole; says why of each.
-        StateError: the directory cannot be written.
-        MissingDependencyError: pyarrow or PyAV is not installed.
+        StateError: the directory cannot be written, or lerobot has failed.
+        MissingDependencyError: pyarrow or PyAV is not installed, or lerobot is not there.
     """
-    try:
-        import pyarrow as pa  # type: ignore[import-untyped]  # heavy
-        import pyarrow.parquet as pq  # type: ignore[import-untyped]
-    except ImportError as error:
+    if with_lerobot is None and find_spec("pyarrow") is None:
         raise MissingDependencyError(
             "Data sets need pyarrow.",
             hint="Install it: pip install './plugins/rn-recorder[export]'.",
-        ) from error
+        )
     if directory.exists():
         raise ConfigurationError(f"{directory} exists.", hint="Name another folder, or delete it.")
     unfinished = directory.with_name(f".{directory.name}.part")
     shutil.rmtree(unfinished, ignore_errors=True)
     try:
-        written = _export(pa, pq, runs, unfinished, outcome, fps, codec)
+        written = _export(runs, unfinished, outcome, fps, codec, with_lerobot)
         unfinished.rename(directory)
     except OSError as error:
         raise StateError(
@@ -95,13 +100,12 @@ def export(
 
 
 def _export(
-    pa: Any,
-    pq: Any,
     runs: Sequence[Run],
     directory: Path,
     outcome: str | None,
     fps: int | None,
     codec: Codec,
+    with_lerobot: Path | None,
 ) -> Written:
     sources, skipped = whole_sources(runs, outcome)
     episodes = [episode for source in sources for episode in source.episodes]
@@ -111,8 +115,49 @@ def _export(
             "be exported.",
             hint=" ".join(f"{left}." for left in skipped),
         )
-    first = sources[0]
     rate = fps or _rate(episodes)
+    if with_lerobot is None:
+        _write(sources, directory, rate, codec)
+    else:
+        _write_with_lerobot(with_lerobot, sources, directory, rate, codec)
+    _write_json(directory / "meta/roboneuron.json", meta.origin(sources, episodes))
+    frames = sum(len(episode.rows) for episode in episodes)
+    return Written(len(episodes), frames, rate, tuple(skipped))
+
+
+def _write_with_lerobot(
+    python: Path, sources: Sequence[ExportSource], directory: Path, rate: int, codec: Codec
+) -> None:
+    first = sources[0]
+    features = meta.row_features(first, first.shapes)
+    with lerobot_writer(
+        python,
+        directory,
+        fps=rate,
+        features=features,
+        robot_type=first.robot_type,
+        codec=codec,
+    ) as writer:
+        for source in sources:
+            pictures = row_images(source)
+            for episode in source.episodes:
+                writer.begin(episode.instruction)
+                values = _values(episode)
+                for number, images in enumerate(islice(pictures, len(episode.rows))):
+                    row = {name: np.asarray(column[number]) for name, column in values.items()}
+                    for camera, image in images.items():
+                        row[f"observation.images.{camera}"] = image
+                    writer.add(row)
+                writer.end()
+    shutil.rmtree(directory / "images", ignore_errors=True)  # empty folders that lerobot leaves
+
+
+def _write(sources: Sequence[ExportSource], directory: Path, rate: int, codec: Codec) -> None:
+    import pyarrow as pa  # type: ignore[import-untyped]  # heavy
+    import pyarrow.parquet as pq  # type: ignore[import-untyped]
+
+    first = sources[0]
+    episodes = [episode for source in sources for episode in source.episodes]
     videos = {
         camera: CameraVideo(
             directory / f"videos/observation.images.{camera}/{_FILE}.mp4", rate, codec
@@ -126,9 +171,11 @@ def _export(
     begin = 0
     try:
         for source in sources:
-            samples = _write_videos(source, videos)
-            for episode, sample in zip(source.episodes, samples, strict=True):
-                rows = _columns(episode, len(listed), begin, tasks.index(episode.instruction), rate)
+            pictures = row_images(source)
+            for episode in source.episodes:
+                sample = _write_videos(len(episode.rows), pictures, videos)
+                task = tasks.index(episode.instruction)
+                rows = _values(episode) | _counters(episode, len(listed), begin, task, rate)
                 stats = {name: stats_of(_matrix(values)) for name, values in rows.items()}
                 stats |= {
                     f"observation.images.{camera}": image_stats(*sample[camera])
@@ -144,7 +191,7 @@ def _export(
     finally:
         for video in videos.values():
             video.close()
-    features = meta.features(first, videos, rate, codec)
+    features = meta.features(first, first.shapes, rate, codec)
     table = pa.table(
         {name: meta.array(pa, values, features[name]) for name, values in columns.items()}
     )
@@ -159,8 +206,6 @@ def _export(
     whole = {name: merge([part[name] for part in parts]).to_lists() for name in parts[0]}
     _write_json(directory / "meta/stats.json", whole)
     _write_json(directory / "meta/info.json", meta.info(first, features, episodes, tasks, rate))
-    _write_json(directory / "meta/roboneuron.json", meta.origin(sources, episodes))
-    return Written(len(episodes), begin, rate, tuple(skipped))
 
 
 def _rate(episodes: Sequence[RecordedEpisode]) -> int:
@@ -177,69 +222,45 @@ def _rate(episodes: Sequence[RecordedEpisode]) -> int:
 
 
 def _write_videos(
-    source: ExportSource, videos: Mapping[str, CameraVideo]
-) -> list[dict[str, tuple[NDArray[np.float64], int]]]:
-    """Add the images of the rows, in their order, and return drawn pixels by episode and camera.
-
-    One pass through the file; an image is kept undecoded from when it comes until no row needs it
-    any more.
-    """
-    samples: list[dict[str, tuple[NDArray[np.float64], int]]] = [{} for _ in source.episodes]
-    wanted = {
-        camera: deque(
-            (row.images[camera], number)
-            for number, episode in enumerate(source.episodes)
-            for row in episode.rows
-        )
-        for camera in videos
-    }
-    needed = {camera: Counter(stamp for stamp, _ in rows) for camera, rows in wanted.items()}
-    held: dict[str, dict[int, Record]] = {camera: {} for camera in videos}
-    decoder = RecordDecoder()
-    for record in (
-        record for path in source.run.files for record in read_records(path, decoder.definitions)
-    ):
-        camera = camera_of(record.topic)
-        if camera not in videos:
-            continue
-        stamp_ns = stamp_of(record.data)
-        if not needed[camera][stamp_ns]:
-            continue
-        held[camera].setdefault(stamp_ns, record)
-        rows, video = wanted[camera], videos[camera]
-        while rows and (found := held[camera].get(rows[0][0])) is not None:
-            stamp_ns, number = rows.popleft()
-            image = pixels_of(decoder.decode(found), found.type)
-            video.add(image, 1, sample_every(len(source.episodes[number].rows)))
-            needed[camera][stamp_ns] -= 1
-            if not needed[camera][stamp_ns]:
-                del held[camera][stamp_ns]
-            if not rows or rows[0][1] != number:
-                samples[number][camera] = video.take_sample()
-    assert not any(wanted.values()), "all images were there when the episodes were chosen"
-    return samples
+    rows: int,
+    pictures: Iterator[dict[str, NDArray[np.uint8]]],
+    videos: Mapping[str, CameraVideo],
+) -> dict[str, tuple[NDArray[np.float64], int]]:
+    """Add the images of an episode, and return drawn pixels by camera."""
+    for images in islice(pictures, rows):
+        for camera, video in videos.items():
+            video.add(images[camera], 1, sample_every(rows))
+    return {camera: video.take_sample() for camera, video in videos.items()}
 
 
-def _columns(
-    episode: RecordedEpisode, index: int, begin: int, task: int, fps: int
-) -> dict[str, list[object]]:
+def _values(episode: RecordedEpisode) -> dict[str, list[Any]]:
+    """What was recorded, one value for each row, in the types of `meta.row_features`."""
     rows = episode.rows
     leading = next(iter(rows[0].images))
-    columns: dict[str, list[object]] = {}
+    columns: dict[str, list[Any]] = {}
     if rows[0].joints.size:
         columns["observation.state"] = [row.joints.astype(np.float32) for row in rows]
     if rows[0].ee_pose.size:
         columns["observation.ee_pose"] = [row.ee_pose.astype(np.float32) for row in rows]
     columns["action"] = [row.action.astype(np.float32) for row in rows]
     columns["roboneuron.action"] = [row.action for row in rows]
-    columns["roboneuron.sent_ns"] = [row.sent_ns for row in rows]
-    columns["roboneuron.image_ns"] = [row.images[leading] for row in rows]
-    columns["timestamp"] = [np.float32(number / fps) for number in range(len(rows))]
-    columns["frame_index"] = list(range(len(rows)))
-    columns["episode_index"] = [index] * len(rows)
-    columns["index"] = list(range(begin, begin + len(rows)))
-    columns["task_index"] = [task] * len(rows)
+    columns["roboneuron.sent_ns"] = [np.int64(row.sent_ns) for row in rows]
+    columns["roboneuron.seen_ns"] = [np.int64(row.images[leading]) for row in rows]
     return columns
+
+
+def _counters(
+    episode: RecordedEpisode, index: int, begin: int, task: int, fps: int
+) -> dict[str, list[Any]]:
+    """Where the rows are in the data set."""
+    count = len(episode.rows)
+    return {
+        "timestamp": [np.float32(number / fps) for number in range(count)],
+        "frame_index": list(range(count)),
+        "episode_index": [index] * count,
+        "index": list(range(begin, begin + count)),
+        "task_index": [task] * count,
+    }
 
 
 def _matrix(values: list[object]) -> NDArray[np.float64]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -12,65 +12,75 @@ import numpy as np
 from rn_recorder_runs.episodes import RecordedEpisode
 from rn_recorder_runs.files import read_about
 from rn_recorder_runs.store import Run
-from rn_recorder_runs.video import CameraVideo, Codec
+from rn_recorder_runs.video import Codec
 from roboneuron import channel_keys
 
 VERSION = "v3.0"
-POSE_NAMES = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
+_COUNTER: Mapping[str, object] = {"dtype": "int64", "shape": [1], "names": None}
 
 
 @dataclass(frozen=True, slots=True)
 class ExportSource:
-    """A run and its episodes."""
+    """A run and its episodes.
+
+    Attributes:
+        shapes: (H, W, 3) of the images by camera; empty until its episodes are chosen.
+    """
 
     run: Run
     episodes: list[RecordedEpisode]
     joint_names: tuple[str, ...]
+    pose_names: tuple[str, ...]
     cameras: tuple[str, ...]
+    shapes: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
+
+    @property
+    def robot_type(self) -> str | None:
+        """The name of the robot, as its files tell it."""
+        return read_about(self.run.files[0]).get("robot")
 
 
 def features(
-    source: ExportSource, videos: Mapping[str, CameraVideo], fps: int, codec: Codec
+    source: ExportSource, shapes: Mapping[str, tuple[int, ...]], fps: int, codec: Codec
 ) -> dict[str, Any]:
-    """What the columns are, by name."""
-    features: dict[str, Any] = {}
-    if source.episodes[0].rows[0].joints.size:
-        features["observation.state"] = _feature("float32", source.joint_names)
-    if source.episodes[0].rows[0].ee_pose.size:
-        features["observation.ee_pose"] = _feature("float32", POSE_NAMES)
-    names = channel_keys(source.episodes[0].labels[0])
-    features["action"] = _feature("float32", names)
-    features["roboneuron.action"] = _feature("float64", names)
-    for camera, video in videos.items():
-        height, width, channels = video.shape
-        facts = {
+    """What the columns are, by name; `shapes` are those of the images by camera."""
+    features: dict[str, Any] = row_features(source, shapes)
+    for camera, (height, width, _) in shapes.items():
+        features[f"observation.images.{camera}"]["info"] = {
             "video.height": height,
             "video.width": width,
             "video.codec": codec,
             "video.pix_fmt": "yuv420p",
-        }
-        features[f"observation.images.{camera}"] = {
-            "dtype": "video",
-            "shape": [height, width, channels],
-            "names": ["height", "width", "channels"],
-            "info": {
-                **facts,
-                "video.fps": fps,
-                "video.channels": 3,
-                "has_audio": False,
-                "is_depth_map": False,
-            },
+            "video.fps": fps,
+            "video.channels": 3,
+            "has_audio": False,
+            "is_depth_map": False,
         }
     features["timestamp"] = {"dtype": "float32", "shape": [1], "names": None}
-    for name in (
-        "roboneuron.sent_ns",
-        "roboneuron.image_ns",
-        "frame_index",
-        "episode_index",
-        "index",
-        "task_index",
-    ):
-        features[name] = {"dtype": "int64", "shape": [1], "names": None}
+    for name in ("frame_index", "episode_index", "index", "task_index"):
+        features[name] = _COUNTER
+    return features
+
+
+def row_features(source: ExportSource, shapes: Mapping[str, tuple[int, ...]]) -> dict[str, Any]:
+    """Those that RoboNeuron gives a value; every data set has others besides."""
+    features: dict[str, Any] = {}
+    if source.episodes[0].rows[0].joints.size:
+        features["observation.state"] = _feature("float32", source.joint_names)
+    if source.episodes[0].rows[0].ee_pose.size:
+        features["observation.ee_pose"] = _feature("float32", source.pose_names)
+    names = channel_keys(source.episodes[0].labels[0])
+    features["action"] = _feature("float32", names)
+    features["roboneuron.action"] = _feature("float64", names)
+    for camera, shape in shapes.items():
+        features[f"observation.images.{camera}"] = {
+            "dtype": "video",
+            "shape": list(shape),
+            "names": ["height", "width", "channels"],
+        }
+    # none has "image" in its name, because lerobot takes such a feature for a camera's
+    for name in ("roboneuron.sent_ns", "roboneuron.seen_ns"):
+        features[name] = _COUNTER
     return features
 
 
@@ -135,7 +145,7 @@ def info(
         "video_files_size_in_mb": 200,
         "data_path": "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet",
         "video_path": "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4",
-        "robot_type": read_about(source.run.files[0]).get("robot"),
+        "robot_type": source.robot_type,
         "splits": {"train": f"0:{len(episodes)}"},
     }
 

@@ -115,6 +115,16 @@ def prediction_record(
             "quaternion_xyzw": pose.quaternion_xyzw.tolist(),
         }
         record["ee_pose"]["stamp_ns"] = pose.stamp_ns
+    if observation.arms:
+        record["arms"] = {
+            name: {
+                "position_m": arm.ee_pose.position_m.tolist(),
+                "quaternion_xyzw": arm.ee_pose.quaternion_xyzw.tolist(),
+                "stamp_ns": arm.ee_pose.stamp_ns,
+                "gripper_open": arm.gripper_open,
+            }
+            for name, arm in observation.arms.items()
+        }
     if ahead is not None:
         record["ahead"] = {
             "rows": ahead.rows.tolist(),

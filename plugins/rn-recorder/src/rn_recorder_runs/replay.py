@@ -23,6 +23,7 @@ from roboneuron import (
     ACTION_LABEL,
     ActionChunk,
     Ahead,
+    ArmState,
     Backend,
     CameraProfile,
     Frame,
@@ -234,6 +235,10 @@ class Observations:
             joints=self._joints(joints, prediction.at_ns),
             ee_pose=None if pose is None else _pose(pose),
             gripper_open=facts.get("gripper_open"),
+            arms={
+                name: ArmState(ee_pose=_pose(told), gripper_open=told["gripper_open"])
+                for name, told in facts.get("arms", {}).items()
+            },
             stamp_ns=min(frame.stamp_ns for frame in frames.values()),
             ahead=None if ahead is None else _ahead(ahead),
         )

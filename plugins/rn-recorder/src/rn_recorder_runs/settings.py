@@ -11,7 +11,6 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict
 
-from rn_recorder_runs.transforms import CameraMount
 from roboneuron.command import environment, log_files
 
 SWITCH, PLAY = "ROBONEURON_RECORDER", "play"
@@ -20,6 +19,19 @@ PLAY neither, but the server offers play_recording.
 """
 _SLOT = 14
 """Ports of the first recorder: those that modules use last, see `port_offset`."""
+
+
+class CameraMount(BaseModel):
+    """Where a camera's optical frame is, as the profile has it: position [m] and quaternion x y z w
+    in `parent`.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    parent: str
+    frame_id: str
+    position_m: tuple[float, float, float]
+    quaternion_xyzw: tuple[float, float, float, float]
 
 
 class RulesSettings(BaseModel):

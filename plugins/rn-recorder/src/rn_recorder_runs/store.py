@@ -19,7 +19,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from rn_recorder_runs.files import is_finished, read_about, read_statistics, repair
 from roboneuron import InvalidInputError, StateError
 
 log = logging.getLogger(__name__)
@@ -56,10 +55,14 @@ class Run:
     @property
     def is_complete(self) -> bool:
         """Whether every file of it has an index."""
+        from rn_recorder_runs.files import is_finished  # heavy
+
         return all(is_finished(path) for path in self.files)
 
     def span(self) -> tuple[int, int, int]:
         """First and last time [ns] and number of messages, of its files with an index."""
+        from rn_recorder_runs.files import read_statistics  # heavy
+
         first, last, count = 0, 0, 0
         for path in self.files:
             statistics, _ = read_statistics(path)
@@ -127,6 +130,8 @@ class Store:
         """Give every file that was cut short an index, unless a recorder works here; returns those
         that needed it.
         """
+        from rn_recorder_runs.files import repair  # heavy
+
         held = None
         with suppress(OSError):
             held = self.lock()
@@ -223,6 +228,8 @@ class Store:
                 yield Run(id=folder.name, kind="recording", files=files, facts=facts)
 
     def _incidents(self) -> Iterator[Run]:
+        from rn_recorder_runs.files import read_about  # heavy
+
         for path in self.incidents.glob("*.mcap"):
             with suppress(OSError):
                 yield Run(

@@ -15,10 +15,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict
 
 from rn_recorder_runs.files import Record
 from rn_recorder_runs.images import to_string
+from rn_recorder_runs.settings import CameraMount
 from roboneuron import quaternion_from_matrix
 
 F64 = NDArray[np.float64]
@@ -26,19 +26,6 @@ TF, TF_STATIC, DESCRIPTION = "/tf", "/tf_static", "robot_description"
 TF_TYPE, STRING = "tf2_msgs/msg/TFMessage", "std_msgs/msg/String"
 _HEADER = b"\x00\x01\x00\x00"
 _MOVING = frozenset({"revolute", "continuous", "prismatic"})
-
-
-class CameraMount(BaseModel):
-    """Where a camera's optical frame is, as the profile has it: position [m] and quaternion x y z w
-    in `parent`.
-    """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    parent: str
-    frame_id: str
-    position_m: tuple[float, float, float]
-    quaternion_xyzw: tuple[float, float, float, float]
 
 
 @dataclass(frozen=True, slots=True)

@@ -82,7 +82,8 @@ def whole_sources(
             if kind != wanted
         ]
         if alike:
-            sources.append(replace(source, episodes=alike))
+            shapes = {camera: (*size, 3) for camera, size in wanted[2]}
+            sources.append(replace(source, episodes=alike, shapes=shapes))
     return sources, skipped
 
 
@@ -132,7 +133,8 @@ def _differences(kind: Kind, wanted: Kind) -> str:
 def _read(run: Run, outcome: str | None) -> ExportSource:
     episodes, streams = read_episodes(run.id, run.files, run.facts)
     kept = [episode for episode in episodes if outcome is None or episode.outcome == outcome]
-    return ExportSource(run, kept, streams.joint_names, tuple(sorted(streams.images)))
+    cameras = tuple(sorted(streams.images))
+    return ExportSource(run, kept, streams.joint_names, streams.pose_names, cameras)
 
 
 def _sizes(run: Run, source: ExportSource) -> Sizes:

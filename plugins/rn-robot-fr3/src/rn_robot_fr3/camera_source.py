@@ -1,29 +1,26 @@
-"""The cameras of the simulated FR3, as a perception source that runs in a process of its own."""
+"""The cameras of the simulated FR3s."""
 
 from __future__ import annotations
 
-import threading
-import time
 from collections.abc import Sequence
 from typing import ClassVar
 
+import numpy as np
+from numpy.typing import NDArray
 from std_msgs.msg import Float64MultiArray
 
-from rn_robot_fr3.cameras import PinholeCamera, cell_cameras
+from rn_robot_fr3.cameras import cell_cameras
 from rn_robot_fr3.cell import FR3, PAIR, Cell
 from rn_robot_fr3.options import SimulatedCamerasOptions
 from rn_robot_fr3.state_message import TOPIC, SceneState, from_message
 from rn_robot_fr3.twin import RenderTwin
-from roboneuron import CameraProfile, ConfigurationError, Frame, NotReadyError, StateError, Topics
+from rn_simulation.pinhole import PinholeCamera
+from rn_simulation.state_cameras import StateCameras
+from roboneuron import CameraProfile, Topics
 
 
-class SimulatedCameras:
-    """Draws the newest simulated state, one camera after the other; follows the protocol
-    `PerceptionSource`.
-
-    A frame's stamp is the time of the state it shows, so that its age is true. Each state is shown
-    at most once per camera: when the simulation stops, so do the frames. It may start before or
-    after the simulation, and follows it to another scene.
+class SimulatedCameras(StateCameras[SceneState]):
+    """Front and wrist camera of the simulated FR3.
 
     Attributes:
         cell: whose cameras they are.
@@ -38,139 +35,28 @@ class SimulatedCameras:
         cameras: Sequence[CameraProfile],
     ) -> None:
         """Remember what to serve; `cameras` are profiles of the robot's cameras."""
-        self._options = config or SimulatedCamerasOptions()
-        self._topics = topics
-        self._wanted = tuple(cameras)
-        self._served: list[PinholeCamera] = []
+        super().__init__(config or SimulatedCamerasOptions(), topics, cameras)
+        self.robot, self.topic = self.cell.robot, TOPIC
         self._twin = RenderTwin()
-        self._drawing = threading.Lock()
-        self._arrived = threading.Condition()
-        self._open = False
-        self._subscribed = False
-        self._message: Float64MultiArray | None = None
-        self._received = 0
-        self._shown_by_camera: dict[str, int] = {}
-        self._turn = 0
-        self._due_s = 0.0
 
-    def open(self) -> None:
-        """Begin to listen for the simulation's state.
+    def known(self) -> Sequence[PinholeCamera]:
+        """See `StateCameras`."""
+        return cell_cameras(self.cell)
 
-        Raises:
-            ConfigurationError: no camera, or one that the simulation does not have.
-            StateError: it is open already.
-        """
-        if self._open:
-            raise StateError("The simulated cameras are open already.")
-        known = {camera.name: camera for camera in cell_cameras(self.cell)}
-        unknown = [camera.name for camera in self._wanted if camera.name not in known]
-        if unknown or not self._wanted:
-            what = f"no camera {unknown[0]!r}" if unknown else "nothing to show"
-            raise ConfigurationError(
-                f"The simulated {self.cell.robot} has {what}, expected some of {', '.join(known)}."
-            )
-        self._served = [known[camera.name] for camera in self._wanted]
-        self._shown_by_camera = {}
-        self._message = None
-        self._open = True
-        if not self._subscribed:
-            self._subscribed = True
-            self._topics.subscribe(TOPIC, Float64MultiArray, self._take)
-
-    def read(self, timeout_s: float) -> Frame:
-        """Return the next frame of the next camera in turn.
-
-        Frames come at `rate_hz` per camera, evenly spread; when drawing is slower, all cameras slow
-        down alike.
-
-        Raises:
-            NotReadyError: no newer state arrived on `sim/state`, or no frame was due, within
-                `timeout_s`.
-            StateError: not open.
-            InvalidInputError: a message on `sim/state` that is not a simulation's state.
-        """
-        deadline_s = time.monotonic() + timeout_s
-        self._await_turn(deadline_s, timeout_s)
-        camera = self._served[self._turn % len(self._served)]
-        state = self._await_state(camera, deadline_s, timeout_s)
-        began_s = time.monotonic()
-        width, height = self._options.width, self._options.height
-        calibration = camera.calibration(width, height)
-        with self._drawing:
-            if not self._open:
-                raise StateError("The simulated cameras were closed.")
-            self._twin.show(state)
-            image = self._twin.render(calibration, width, height)
-        self._turn += 1
-        self._schedule_next(began_s)
-        return Frame(
-            camera=camera.name,
-            image=image,
-            stamp_ns=state.stamp_ns,
-            frame_id=camera.frame_id,
-            calibration=calibration if calibration.mount in ("base", "tcp") else None,
-        )
-
-    def close(self) -> None:
-        """Stop listening and release the twin; a `read` in progress ends with StateError. May be
-        called twice.
-        """
-        with self._arrived:
-            self._open = False
-            self._arrived.notify_all()
-        with self._drawing:
-            self._twin.close()
-
-    def _take(self, message: Float64MultiArray) -> None:
-        with self._arrived:
-            self._message = message
-            self._received += 1
-            self._arrived.notify_all()
-
-    def _schedule_next(self, began_s: float) -> None:
-        """Keep the beat when the last frame was late by less than a slot, otherwise start a new
-        one.
-        """
-        slot_s = 1.0 / (self._options.rate_hz * len(self._served))
-        if began_s - self._due_s > slot_s:
-            self._due_s = began_s
-        self._due_s += slot_s
-
-    def _await_turn(self, deadline_s: float, timeout_s: float) -> None:
-        with self._arrived:
-            while self._open and time.monotonic() < min(self._due_s, deadline_s):
-                self._arrived.wait(min(self._due_s, deadline_s) - time.monotonic())
-            if not self._open:
-                raise StateError("The simulated cameras are not open.")
-        if time.monotonic() < self._due_s:
-            raise NotReadyError(
-                f"No simulated image was due within {timeout_s:g} s.",
-                hint=f"At rate_hz = {self._options.rate_hz:g} wait longer, or raise the rate.",
-            )
-
-    def _await_state(
-        self, camera: PinholeCamera, deadline_s: float, timeout_s: float
-    ) -> SceneState:
-        def is_newer() -> bool:
-            return self._message is not None and self._received > self._shown_by_camera.get(
-                camera.name, 0
-            )
-
-        with self._arrived:
-            self._arrived.wait_for(
-                lambda: not self._open or is_newer(), max(0.0, deadline_s - time.monotonic())
-            )
-            if not self._open:
-                raise StateError("The simulated cameras are not open.")
-            if not is_newer() or self._message is None:
-                raise NotReadyError(
-                    f"No new state of the simulation arrived on topic {TOPIC!r} within "
-                    f"{timeout_s:g} s.",
-                    hint=f"Start the robot {self.cell.robot} with its simulated driver.",
-                )
-            message, received = self._message, self._received
-            self._shown_by_camera[camera.name] = received
+    def parse(self, message: Float64MultiArray) -> SceneState:
+        """See `StateCameras`."""
         return from_message(message)
+
+    def draw(
+        self, state: SceneState, camera: PinholeCamera, size: tuple[int, int]
+    ) -> NDArray[np.uint8]:
+        """See `StateCameras`."""
+        self._twin.show(state)
+        return self._twin.render(camera.calibration(*size), *size)
+
+    def release(self) -> None:
+        """See `StateCameras`."""
+        self._twin.close()
 
 
 class SimulatedPairCameras(SimulatedCameras):

@@ -10,10 +10,10 @@ import numpy as np
 from std_msgs.msg import Float64, Float64MultiArray
 
 from rn_robot_fr3.cell import CELLS, FR3
-from rn_robot_fr3.ground_truth import CubeState
 from rn_robot_fr3.options import SimulatedDriverOptions
 from rn_robot_fr3.simulation import STEP_S, ArmSimulation, opening
 from rn_robot_fr3.state_message import HANDED_OVER_TOPIC, TOPIC, SceneState, to_message
+from rn_simulation.ground_truth import CubeState
 from rn_simulation.real_time import RealTimeThread
 from roboneuron import (
     ConfigurationError,

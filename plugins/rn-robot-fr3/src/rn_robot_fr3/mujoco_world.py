@@ -10,19 +10,17 @@ from numpy.typing import NDArray
 
 from rn_robot_fr3.cell import FR3, Cell
 from rn_robot_fr3.description import TCP_LINK, cell_urdf
-from rn_robot_fr3.raycast import render
-from rn_robot_fr3.scene import RGBA_BY_COLOUR, Cube
-from rn_robot_fr3.world import (
+from rn_robot_fr3.scene import (
     CUBE_FRICTION,
     FINGER_FRICTION,
     TABLE_FRICTION,
     TABLE_RGBA,
     WOOD_KG_M3,
-    RawPose,
-    mount_of,
 )
+from rn_simulation.cubes import RGBA_BY_COLOUR, Cube, RawPose
 from rn_simulation.engine import Engine
 from rn_simulation.mujoco_scene import VISUAL_GROUP, read_urdf
+from rn_simulation.raycast import render
 from roboneuron import CameraCalibration, ConfigurationError
 
 F64 = NDArray[np.float64]
@@ -129,7 +127,7 @@ class MujocoArmWorld:
 
     def render(self, calibration: CameraCalibration, width: int, height: int) -> NDArray[np.uint8]:
         """See `World`."""
-        arm = mount_of(self._cell, calibration)
+        arm = self._cell.arm_that_carries(calibration.mount)
         mount = np.eye(4) if arm is None else self.T_base_tcp(arm)
         return render(self._model, self._data, calibration, mount, width, height)
 

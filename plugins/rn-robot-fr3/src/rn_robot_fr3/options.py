@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
-from rn_robot_fr3.scene import DEFAULT_COLOURS, check_colours
+from rn_simulation.cubes import DEFAULT_COLOURS, check_colours
 from rn_simulation.engine import EngineChoice
 from roboneuron import ConfigurationError
 

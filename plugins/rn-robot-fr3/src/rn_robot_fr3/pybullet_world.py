@@ -15,16 +15,14 @@ from rn_robot_fr3.cell import FR3, Cell
 from rn_robot_fr3.description import TCP_LINK, urdf_with_meshes
 from rn_robot_fr3.display import check_display
 from rn_robot_fr3.renderer import render
-from rn_robot_fr3.scene import RGBA_BY_COLOUR, Cube
-from rn_robot_fr3.world import (
+from rn_robot_fr3.scene import (
     CUBE_FRICTION,
     FINGER_FRICTION,
     TABLE_FRICTION,
     TABLE_RGBA,
     WOOD_KG_M3,
-    RawPose,
-    mount_of,
 )
+from rn_simulation.cubes import RGBA_BY_COLOUR, Cube, RawPose
 from rn_simulation.engine import Engine
 from roboneuron import CameraCalibration, ConfigurationError, matrix_from_quaternion
 
@@ -238,7 +236,7 @@ class PybulletArmWorld:
 
     def render(self, calibration: CameraCalibration, width: int, height: int) -> NDArray[np.uint8]:
         """See `World`."""
-        arm = mount_of(self._cell, calibration)
+        arm = self._cell.arm_that_carries(calibration.mount)
         mount = np.eye(4) if arm is None else self.T_base_tcp(arm)
         return render(self.client, calibration, mount, width, height)
 

@@ -8,7 +8,7 @@ import numpy as np
 import pybullet
 from numpy.typing import NDArray
 
-from rn_robot_fr3.light import AMBIENT, DIFFUSE, LIGHT_DIRECTION, backdrop
+from rn_simulation.light import AMBIENT, DIFFUSE, LIGHT_DIRECTION, backdrop
 from roboneuron import CameraCalibration
 
 F64 = NDArray[np.float64]

@@ -10,10 +10,8 @@ from types import TracebackType
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rn_robot_fr3.cameras import DEFAULT_SIZE_PX, cell_cameras
+from rn_robot_fr3.cameras import cell_cameras
 from rn_robot_fr3.cell import FR3, MOVED, Cell
-from rn_robot_fr3.command import checked
-from rn_robot_fr3.ground_truth import CubeState, LiftClock
 from rn_robot_fr3.limits import (
     ACCELERATION_RAD_S2,
     ARM_JOINTS,
@@ -25,10 +23,14 @@ from rn_robot_fr3.limits import (
     VELOCITY_RAD_S,
 )
 from rn_robot_fr3.profile import HOME_RAD
-from rn_robot_fr3.scene import DEFAULT_COLOURS, random_cubes
-from rn_robot_fr3.setpoint import JointSetpoint
+from rn_robot_fr3.scene import random_cubes
 from rn_robot_fr3.world import JOINTS, ArmWorld, build_world
+from rn_simulation.command import checked
+from rn_simulation.cubes import DEFAULT_COLOURS
 from rn_simulation.engine import EngineChoice, choose_engine
+from rn_simulation.ground_truth import CubeState, LiftClock
+from rn_simulation.pinhole import DEFAULT_SIZE_PX
+from rn_simulation.setpoint import JointSetpoint
 from roboneuron import InvalidInputError, JointCommand, Pose, StateError, quaternion_from_matrix
 
 F64 = NDArray[np.float64]

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
 from rn_robot_fr3.cell import CELLS, FR3
-from rn_robot_fr3.scene import RGBA_BY_COLOUR
+from rn_simulation.cubes import RGBA_BY_COLOUR
 from rn_simulation.engine import ENGINES, Engine
 from roboneuron import InvalidInputError
 

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rn_robot_fr3.cell import CELLS
-from rn_robot_fr3.scene import Cube
 from rn_robot_fr3.state_message import SceneState
 from rn_robot_fr3.world import ArmWorld, build_world
+from rn_simulation.cubes import Cube
 from roboneuron import CameraCalibration, StateError
 
 

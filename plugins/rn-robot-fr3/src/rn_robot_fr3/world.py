@@ -14,25 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rn_robot_fr3.cell import FR3, Cell
-from rn_robot_fr3.scene import Cube
+from rn_simulation.cubes import Cube, RawPose
 from rn_simulation.engine import Engine
 from roboneuron import CameraCalibration
 
 F64 = NDArray[np.float64]
-RawPose = tuple[Sequence[float], Sequence[float]]
-"""Position [m] and quaternion (x y z w) in the base frame."""
-
 JOINTS = FR3.joints
 """Every moving joint of one arm, in the order of all joint arrays of its simulation."""
-
-WOOD_KG_M3 = 700.0
-TABLE_RGBA = (0.80, 0.76, 0.70, 1.0)
-TABLE_FRICTION = 0.8
-"""Sliding friction; the other coefficients are sliding, spinning and rolling (spinning and rolling
-in m).
-"""
-FINGER_FRICTION = (1.2, 0.02, 0.0)
-CUBE_FRICTION = (1.0, 0.005, 0.0005)
 
 
 class ArmWorld(Protocol):
@@ -82,14 +70,6 @@ class ArmWorld(Protocol):
     def close(self) -> None:
         """Release it; may be called twice."""
         ...
-
-
-def mount_of(cell: Cell, calibration: CameraCalibration) -> int | None:
-    """Number of the arm that carries a camera; None for one beside the table."""
-    if calibration.mount == "base":
-        return None
-    names = [f"{mount.name}/tcp" for mount in cell.mounts]
-    return names.index(calibration.mount) if calibration.mount in names else 0
 
 
 def build_world(

@@ -4,22 +4,25 @@ thread.
 
 from __future__ import annotations
 
-import http.client
-import io
-import select
 import socket
 import ssl
+import threading
 import time
-from contextlib import suppress
+from collections.abc import Mapping
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from typing import Any
 from urllib.parse import urlsplit
+
+import httpx2
 
 from roboneuron import NotReadyError
 
 MAX_ANSWER_BYTES = 4 << 20
 """No honest answer is longer."""
 _LOCAL = ("127.0.0.1", "::1", "localhost")
+_JSON = {"Content-Type": "application/json"}
+_CONNECTED = ("connection.connect_tcp.complete", "connection.start_tls.complete")
 
 
 class ServerLost(NotReadyError):
@@ -38,7 +41,7 @@ class Access:
         url: "http://host:port" or "https://host:port".
         key: API key, empty for none.
         connect_timeout_s: bound on opening a connection [s].
-        tls: what to check certificates with, for https.
+        tls: what to check certificates with; needed for https.
     """
 
     url: str
@@ -61,41 +64,20 @@ class HttpAnswer:
     body: bytes
 
 
-class _TimedReader(io.RawIOBase):
-    """Reads from a socket until a deadline, however the bytes trickle in."""
-
-    def __init__(self, sock: socket.socket, deadline_s: float) -> None:
-        super().__init__()
-        self._sock = sock
-        self._deadline_s = deadline_s
-
-    def readable(self) -> bool:
-        return True
-
-    def readinto(self, buffer: Any) -> int:
-        remaining_s = self._deadline_s - time.monotonic()
-        if remaining_s <= 0:
-            raise TimeoutError
-        self._sock.settimeout(remaining_s)
-        return self._sock.recv_into(buffer)
-
-
-def _is_dropped(sock: socket.socket | None) -> bool:
-    """Whether the other side has closed an idle connection, as servers do after a while."""
-    if sock is None:
-        return True
-    readable = select.poll()  # select() knows no descriptor above 1023
-    readable.register(sock, select.POLLIN)
-    return bool(readable.poll(0))
-
-
 class HttpConnection:
     """Used by one thread at a time; `cut` may be called from any."""
 
     def __init__(self, access: Access) -> None:
         self._access = access
-        self._open: http.client.HTTPConnection | None = None
-        self._deadline_s = 0.0
+        # no Client, because that writes a line into the log for each request
+        self._transport = httpx2.HTTPTransport(
+            # without `tls` no certificate is trusted: the default ones take 0.1 s to read
+            verify=access.tls or ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT),
+            trust_env=False,
+            limits=httpx2.Limits(max_connections=1, keepalive_expiry=None),
+        )
+        self._headers = {"Authorization": f"Bearer {access.key}"} if access.key else {}
+        self._socket: socket.socket | None = None
 
     def request(
         self, method: str, path: str, deadline_s: float, body: bytes | None = None
@@ -111,78 +93,65 @@ class HttpConnection:
             ServerLost: no connection, or it broke.
             AnswerTooLate: the deadline passed.
         """
-        if self._open is not None and _is_dropped(self._open.sock):
-            self.close()
         url = self._access.url
-        self._deadline_s = deadline_s
+        left_s = deadline_s - time.monotonic()
+        late = AnswerTooLate(f"{url} did not answer {path} in time.")
+        if left_s <= 0:
+            raise late
+        connect_s = min(self._access.connect_timeout_s, left_s)
+        # the timeouts bound each step, and an answer may trickle in
+        end = threading.Timer(left_s, self.cut)
+        end.daemon = True
+        end.start()
         try:
-            connection = self._open = self._open or self._connect(deadline_s)
-            assert connection.sock is not None
-            connection.sock.settimeout(max(0.001, deadline_s - time.monotonic()))
-            headers = {"Content-Type": "application/json"} if body is not None else {}
-            if self._access.key:
-                headers["Authorization"] = f"Bearer {self._access.key}"
-            connection.request(method, path, body=body, headers=headers)
-            response = connection.getresponse()
-            content = response.read(MAX_ANSWER_BYTES)
-            if not response.isclosed():
-                raise ServerLost(
-                    f"{url} sent an answer of over {MAX_ANSWER_BYTES} bytes to {path}."
-                )
-            if response.will_close:
-                self.close()
-            return HttpAnswer(status=response.status, body=content)
-        except TimeoutError as error:
-            self.close()
-            raise AnswerTooLate(f"{url} did not answer {path} in time.") from error
-        except (OSError, http.client.HTTPException, ValueError, AttributeError) as error:
-            # ValueError and AttributeError: `cut` or `close` took the socket away meanwhile.
-            self.close()
+            return self._exchange(method, path, body, httpx2.Timeout(left_s, connect=connect_s))
+        except httpx2.ConnectTimeout as error:
+            raise ServerLost(
+                f"{url} cannot be reached (no connection within {connect_s:.2f} s)."
+            ) from error
+        except httpx2.TransportError as error:
+            if isinstance(error, httpx2.TimeoutException) or time.monotonic() >= deadline_s:
+                raise late from error
             text = str(error) or type(error).__name__
             raise ServerLost(f"{url} cannot be reached or hung up ({text}).") from error
-        except ServerLost:
-            self.close()
-            raise
+        finally:
+            end.cancel()
+            end.join()  # it must not cut the next request
 
-    def _connect(self, deadline_s: float) -> http.client.HTTPConnection:
-        parts = urlsplit(self._access.url)
-        assert parts.hostname is not None
-        remaining_s = deadline_s - time.monotonic()
-        if remaining_s <= 0:
-            raise TimeoutError
-        timeout_s = min(self._access.connect_timeout_s, remaining_s)
-        connection: http.client.HTTPConnection
-        if parts.scheme == "https":
-            connection = http.client.HTTPSConnection(
-                parts.hostname, parts.port, timeout=timeout_s, context=self._access.tls
-            )
-        else:
-            connection = http.client.HTTPConnection(parts.hostname, parts.port, timeout=timeout_s)
-        connection.response_class = self._make_response  # type: ignore[assignment]
-        try:
-            connection.connect()
-        except TimeoutError as error:
-            raise OSError(f"no connection within {timeout_s:.2f} s") from error
-        connection.sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        return connection
+    def _exchange(
+        self, method: str, path: str, body: bytes | None, timeout: httpx2.Timeout
+    ) -> HttpAnswer:
+        request = httpx2.Request(
+            method,
+            f"{self._access.url}{path}",
+            content=body,
+            headers=self._headers if body is None else {**self._headers, **_JSON},
+            extensions={"timeout": timeout.as_dict(), "trace": self._note_socket},
+        )
+        response = self._transport.handle_request(request)
+        content = bytearray()
+        with closing(response):
+            for part in response.iter_raw():
+                content += part
+                if len(content) > MAX_ANSWER_BYTES:
+                    raise ServerLost(
+                        f"{self._access.url} sent an answer of over {MAX_ANSWER_BYTES} bytes to "
+                        f"{path}."
+                    )
+        return HttpAnswer(status=response.status_code, body=bytes(content))
 
-    def _make_response(self, sock: socket.socket, **options: Any) -> http.client.HTTPResponse:
-        response = http.client.HTTPResponse(sock, **options)
-        response.fp.close()
-        response.fp = io.BufferedReader(_TimedReader(sock, self._deadline_s))
-        return response
+    def _note_socket(self, event: str, facts: Mapping[str, Any]) -> None:
+        """Called by the transport at each step of a request."""
+        if event in _CONNECTED:
+            self._socket = facts["return_value"].get_extra_info("socket")
 
     def cut(self) -> None:
         """Break off a request that another thread is waiting for; harmless when there is none."""
-        connection = self._open
-        sock = None if connection is None else connection.sock
-        if sock is not None:
+        if self._socket is not None:
             with suppress(OSError):
-                sock.shutdown(socket.SHUT_RDWR)
+                # not that of an SSLSocket, which would leave the other thread without its TLS
+                socket.socket.shutdown(self._socket, socket.SHUT_RDWR)
 
     def close(self) -> None:
-        """Close the connection; the next request opens another one."""
-        connection, self._open = self._open, None
-        if connection is not None:
-            with suppress(OSError):
-                connection.close()
+        """Close the connection."""
+        self._transport.close()

@@ -16,6 +16,8 @@ from rn_standard.inference.execution import Bounds
 from roboneuron.contract import (
     EE_DELTA,
     ActionChunk,
+    ArmProfile,
+    ArmState,
     ControlSpace,
     GripperProfile,
     JointSample,
@@ -146,6 +148,42 @@ def test_a_pose_is_where_the_predicted_tcp_is(space: ControlSpace) -> None:
     assert after.ee_pose.quaternion_xyzw == pytest.approx(turned(1.0))
     assert after.joints is not None
     assert after.joints.position.tolist() == [0.05, 2.0, 1.0], "not known from a pose"
+
+
+ARMS = tuple(
+    ArmProfile(
+        name=name,
+        joints=(joint,),
+        base_link="base",
+        tcp_link=f"{name}_tcp",
+        gripper=ROBOT.gripper,
+    )
+    for name, joint in (("left", "a"), ("right", "b"))
+)
+
+
+@pytest.mark.parametrize("kind", ["ee_pose", "joint_position"])
+def test_each_arm_is_where_its_own_channels_lead(kind: str) -> None:
+    space = robot_space(kind, replace(ROBOT, arms=ARMS))
+    now = observation()
+    assert now.ee_pose is not None
+    state = ArmState(ee_pose=now.ee_pose, gripper_open=0.5)
+    seen = replace(now, arms={"left": state, "right": state})
+    at = {"left": 0.4, "right": 0.8}
+    row = [
+        {"gripper_open": at[channel.arm], "qw": 1.0, "x": at[channel.arm]}.get(channel.name, 0.0)
+        for channel in space.channels
+    ]
+    after = roll_forward(seen, np.array([row]), 0.0, space, STEP_S)
+    assert {name: arm.gripper_open for name, arm in after.arms.items()} == at
+    assert after.gripper_open == 0.4
+    if kind == "ee_pose":
+        found = {name: float(arm.ee_pose.position_m[0]) for name, arm in after.arms.items()}
+        assert found == at
+        assert after.ee_pose is not None
+        assert after.ee_pose.position_m[0] == 0.4
+    else:
+        assert all(arm.ee_pose is now.ee_pose for arm in after.arms.values())
 
 
 # Rows in progress

@@ -328,6 +328,16 @@ def test_a_page_that_is_allowed_may_read_the_answers(server: Server) -> None:
     assert (unknown.status_code, unknown.headers["access-control-allow-origin"]) == (401, PAGE)
 
 
+def test_a_request_with_two_tokens_is_refused(server: Server) -> None:
+    """A proxy in front might have judged the other one."""
+    tokens = [("Authorization", f"Bearer {TOKENS[role]}") for role in ("admin", "viewer")]
+    one = httpx2.delete(server.url, headers=tokens[:1], timeout=30)
+    assert one.status_code != 401
+    two = httpx2.delete(server.url, headers=tokens, timeout=30)
+    assert (two.status_code, two.headers["connection"]) == (401, "close")
+    assert "send the header `Authorization: Bearer" in two.json()["error"]["message"]
+
+
 def test_other_pages_get_nothing(server: Server) -> None:
     for origin in ("https://panel.lan.evil", "https://panel.lan:444", "null"):
         headers = {"Origin": origin, "Access-Control-Request-Method": "POST"}

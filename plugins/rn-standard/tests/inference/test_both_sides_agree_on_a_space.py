@@ -4,6 +4,7 @@ of the backend's chunks.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -17,6 +18,7 @@ from roboneuron.contract import (
     GRIPPER,
     SPACE_KINDS,
     ActionChunk,
+    ArmProfile,
     Channel,
     ControlSpace,
     GripperProfile,
@@ -259,3 +261,35 @@ def test_the_period_of_a_chunk_is_the_declared_one(step_s: float, is_good: bool)
         return
     with pytest.raises(InvalidInputError, match="with 5 rows a second; it declares 10"):
         agreement.convert(chunk, None)
+
+
+def pair() -> RobotProfile:
+    """A robot with two arms."""
+    arms = tuple(
+        ArmProfile(
+            name=side, joints=(f"{side}_a", f"{side}_b"), base_link="base", tcp_link=f"{side}_tcp"
+        )
+        for side in ("left", "right")
+    )
+    joints = tuple(joint for arm in arms for joint in arm.joints)
+    return RobotProfile(name="pair", base_link="base", arm_joints=joints, arms=arms)
+
+
+def test_a_chunk_that_changes_its_arms_midway_is_refused() -> None:
+    both = robot_space("joint_position", pair(), 10.0)
+    agreement = agree(both, pair(), SPACE_KINDS, backend="policy", controller="ik")
+    row = [0.1, 0.2, 0.3, 0.4]
+    assert agreement.convert(chunk_of(both, row), None).actions.tolist() == [row]
+    left = replace(both, channels=both.channels[:2])
+    swapped = replace(both, channels=(*both.channels[2:], *both.channels[:2]))
+    fast = robot_space("joint_velocity", pair(), 10.0)
+    told = "it declares joint_position (left/left_a, left/left_b, right/right_a, right/right_b"
+    for other in (left, swapped, fast, EE_DELTA):
+        numbers = np.zeros(other.size).tolist()
+        with pytest.raises(InvalidInputError, match=re.escape(told)):
+            agreement.convert(chunk_of(other, numbers), None)
+
+
+def test_fourteen_values_for_one_arm_are_no_chunk() -> None:
+    with pytest.raises(InvalidInputError, match="14"):
+        chunk_of(robot_space("joint_position", ROBOT, 10.0), np.zeros(14).tolist())

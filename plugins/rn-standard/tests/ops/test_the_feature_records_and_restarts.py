@@ -142,7 +142,7 @@ def test_logs_are_bounded_and_say_what_is_left_out(application: Application) -> 
     assert len(json.dumps(answer)) < 25_000
     assert answer["more"] > 0
     assert answer["entries"][-1]["text"].startswith("299 ")
-    assert len(application.resources.read("roboneuron://logs/server").text) < 45_000
+    assert len(application.resources["roboneuron://logs/server"].read()) < 45_000
 
 
 def test_the_log_begins_before_ros_is_joined_and_goes_on_until_all_is_closed(

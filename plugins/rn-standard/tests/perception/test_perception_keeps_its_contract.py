@@ -1,10 +1,17 @@
-"""The contract of packages for rn-perception."""
+"""The feature keeps the contract of features, and its package that of plugins."""
 
 from __future__ import annotations
 
 import pytest
 
-from rn_testing import PackageCase, PackageContract
+from rn_standard.perception.plugin import FEATURE
+from rn_testing import FeatureCase, FeatureContract, PackageCase, PackageContract
+
+
+class TestPerception(FeatureContract):
+    @pytest.fixture
+    def plugin(self) -> FeatureCase:
+        return FeatureCase(spec=FEATURE)
 
 
 class TestPackage(PackageContract):

@@ -19,6 +19,7 @@ import pytest
 from rn_standard.selection.choosing import choose
 from rn_standard.selection.requests import StartChosenInference
 from rn_standard.switching.replacing import Switched, Switching
+from rn_standard.tools_loop.instructing import give_instruction
 from roboneuron.config import parse_config
 from roboneuron.errors import PlanningError, RefusedError
 from roboneuron.modules.report import Report
@@ -183,7 +184,7 @@ def test_a_preset_that_does_not_fit_leaves_the_former_one_in_force(
 
 def test_one_call_goes_back_and_the_instruction_is_kept(cell: tuple[Switching, Witness]) -> None:
     switching, _ = cell
-    switching.loop.set_instruction("move further", 10.0)
+    give_instruction(switching.loop, "move further", 10.0)
     switch(switching, "half")
     switch(switching, "quarter")
     back = switching.roll_back("inference", "warm")

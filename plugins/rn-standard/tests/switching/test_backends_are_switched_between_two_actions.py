@@ -14,6 +14,7 @@ import pytest
 
 from rn_standard.selection.requests import StartChosenInference
 from rn_standard.switching.replacing import Switching
+from rn_standard.tools_loop.instructing import give_instruction
 from roboneuron.errors import NotReadyError, RefusedError, RoboNeuronError, StateError
 
 sys.path.insert(0, str(Path(__file__).parents[4] / "benchmarks"))
@@ -198,7 +199,7 @@ def test_what_does_not_act_when_its_turn_comes_gives_it_back(
 def test_one_call_goes_back_and_a_cold_switch_says_its_gap(cell: tuple[Switching, Witness]) -> None:
     switching, witness = cell
     loop = switching.loop
-    loop.set_instruction("move further", 5.0)
+    give_instruction(loop, "move further", 5.0)
     cold = switching.switch("inference", StartChosenInference(backend="second"), "cold", quiet)
     assert cold.change.gap is not None
     assert cold.change.gap.gap_s > 0.3

@@ -114,11 +114,11 @@ def test_a_fault_becomes_an_event_that_subscribers_hear_of(application: Applicat
 
 
 def test_all_kinds_of_events_and_the_predicates_are_resources(application: Application) -> None:
-    uris = {resource.uri for resource in application.resources.listing()}
+    uris = {resource.uri for resource in application.resources.values()}
     assert {
         f"roboneuron://events/{kind}" for kind in ("incidents", "tasks", "battery", "thresholds")
     } <= uris
-    predicates = json.loads(application.resources.read("roboneuron://tasks/predicates").text)
+    predicates = json.loads(application.resources["roboneuron://tasks/predicates"].read())
     assert "colour-lifted" in predicates["monitors"]
     assert "discriminator" in json.dumps(predicates["schema"])
 
@@ -143,7 +143,7 @@ def test_a_low_battery_is_an_event(application: Application) -> None:
     low = Crossing(None, 0.2, 0.05)
     for share in (0.5, 0.19, 0.18, 0.3):
         feature._watching._on_battery(low, SimpleNamespace(percentage=share))
-    events = json.loads(application.resources.read("roboneuron://events/battery").text)["events"]
+    events = json.loads(application.resources["roboneuron://events/battery"].read())["events"]
     assert [(event["low"], event["charge"]) for event in events] == [(True, 0.19), (False, 0.3)]
 
 

@@ -14,8 +14,9 @@ from rn_standard.tasks.examples import EXAMPLES
 from rn_standard.tasks.judging import PredicateJudge
 from rn_standard.tasks.monitor import Score
 from rn_standard.tasks.predicates import parse_predicate
-from rn_standard.tasks.snapshot import Snapshot, StillClock
-from roboneuron import Pose
+from rn_standard.tasks.run_task import TaskTool
+from rn_standard.tasks.snapshot import ArmSnapshot, Snapshot, StillClock
+from roboneuron import ArmProfile, Pose, RobotProfile
 from roboneuron.errors import InvalidInputError
 
 TRUE = {"kind": "joints_in", "joints": {"a": [0, 1]}}
@@ -32,7 +33,7 @@ def judge(data: Any, **parts: Any) -> PredicateJudge:
         parse_predicate(data),
         "try",
         parts.pop("monitor_for", lambda named: pytest.fail("no monitor is named")),
-        "finger",
+        {"": "finger", "right": "other"},
     )
     made.reset(replace(NOW, now_s=0.0))
     return made
@@ -229,3 +230,46 @@ def test_the_still_clock_begins_again_with_every_motion() -> None:
     assert clock.observe(1.0, {"a": 0.001}) == 1.0
     assert clock.observe(2.0, {"a": 0.05}) == 0.0
     assert clock.observe(2.5, {"a": 0.05}) == 0.5
+
+
+def test_predicates_look_at_the_arm_that_they_name() -> None:
+    there = replace(HERE, position_m=np.array([0.9, 0.0, 0.3]))
+    arms = {
+        "left": ArmSnapshot(tcp=HERE, gripper_open=1.0),
+        "right": ArmSnapshot(tcp=there, gripper_open=0.5),
+    }
+    box = {"kind": "tcp_in", "lower_m": [0.8, -1, 0], "upper_m": [1, 1, 1]}
+    assert value(box, arms=arms) is False
+    assert value({**box, "arm": "left"}, arms=arms) is False
+    assert value({**box, "arm": "right"}, arms=arms) is True
+    holds = {"kind": "gripper_holds", "least_effort": 2.0}
+    effort = {"finger": 0.0, "other": 3.0}
+    assert value({**holds, "arm": "left"}, arms=arms, effort=effort) is False
+    of_right = judge({**holds, "arm": "right"})
+    of_right.look(replace(NOW, now_s=9.0, arms=arms))
+    assert of_right.look(replace(NOW, arms=arms, effort=effort)).value is True
+    assert value({**box, "arm": "right"}, arms={}) is None
+
+
+def test_each_gripper_has_to_stand_still_by_itself() -> None:
+    def at(now_s: float, opening: float) -> Snapshot:
+        return replace(NOW, now_s=now_s, arms={"right": ArmSnapshot(gripper_open=opening)})
+
+    judge_of_right = judge({"kind": "gripper_holds", "arm": "right"})
+    judge_of_right.reset(at(0.0, 0.8))
+    assert judge_of_right.look(at(1.0, 0.5)).value is False, "it is moving"
+    assert judge_of_right.look(at(1.5, 0.5)).value is True
+
+
+def test_a_predicate_of_an_arm_that_is_not_there_is_refused() -> None:
+    tool = TaskTool.__new__(TaskTool)
+    arms = tuple(
+        ArmProfile(name=name, joints=(name,), base_link="b", tcp_link=name)
+        for name in ("left", "right")
+    )
+    pair = RobotProfile(name="pair", arm_joints=("left", "right"), arms=arms)
+    told = parse_predicate({"kind": "not", "of": {"kind": "gripper_holds", "arm": "middle"}})
+    with pytest.raises(InvalidInputError, match="There is no arm 'middle'") as caught:
+        tool._judge(told, "try", pair)
+    assert caught.value.hint == "The arms are: left, right."
+    tool._judge(parse_predicate({"kind": "gripper_holds", "arm": "right"}), "try", pair)

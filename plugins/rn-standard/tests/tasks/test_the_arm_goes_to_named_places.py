@@ -22,7 +22,11 @@ SHELF = PlaceOptions(
 )
 OPTIONS = TasksSections(
     postures={"retract": PostureOptions(joints={"a": 0.5}, summary="out of the way")},
-    places={"shelf": SHELF, "above": PlaceOptions(position_m=(0.5, 0.0, 0.7))},
+    places={
+        "shelf": SHELF,
+        "above": PlaceOptions(position_m=(0.5, 0.0, 0.7)),
+        "beside": PlaceOptions(position_m=(0.5, 0.1, 0.3), gripper_open=0.5, arm="right"),
+    },
 )
 
 
@@ -32,6 +36,7 @@ class Arm:
     def __init__(self) -> None:
         self.position = np.array([0.45, 0.0, 0.3])
         self.rotation = np.eye(3)
+        self.asked: set[str] = set()
         self.calls: list[tuple[str, dict[str, Any]]] = []
         self.is_stuck = self.is_stopped = False
         self.answer: dict[str, Any] = {"allowed": True, "error": 0.001, "duration_s": 0.5}
@@ -56,17 +61,21 @@ class Arm:
 
         return call
 
+    def _pose(self, arm: str) -> Any:
+        self.asked.add(arm)
+        return self.position, self.rotation
+
     def move_to(self, name: str) -> Any:
         async def run(work: Any) -> Any:
             return work(lambda _: None)
 
-        mover = Mover(self.host, Places(self.host, OPTIONS), lambda: (self.position, self.rotation))
+        mover = Mover(self.host, Places(self.host, OPTIONS), self._pose)
         return anyio.run(mover, name, SimpleNamespace(run=run))
 
 
 @pytest.fixture
 def arm(monkeypatch: pytest.MonkeyPatch) -> Arm:
-    profile = SimpleNamespace(home_rad=np.array([0.1, 0.2]), arm_joints=("a", "b"))
+    profile = SimpleNamespace(home_rad=np.array([0.1, 0.2]), arm_joints=("a", "b"), arms=())
     monkeypatch.setattr(moving, "profile_of", lambda host: profile)
     return Arm()
 
@@ -87,6 +96,7 @@ def test_home_is_the_robots_own_unless_the_configuration_has_another(arm: Arm) -
         "retract": "out of the way",
         "shelf": "",
         "above": "",
+        "beside": "",
     }
 
 
@@ -132,7 +142,7 @@ def test_what_does_not_come_about_is_an_error(arm: Arm) -> None:
 def test_an_unknown_name_is_refused_with_those_there_are(arm: Arm) -> None:
     with pytest.raises(InvalidInputError) as caught:
         arm.move_to("kitchen")
-    assert caught.value.hint == "There are: home, retract, shelf, above."
+    assert caught.value.hint == "There are: home, retract, shelf, above, beside."
     assert arm.calls == []
 
 
@@ -165,3 +175,19 @@ def test_what_is_left_of_a_way_is_not_made_after_a_stop(arm: Arm) -> None:
     with pytest.raises(StateError, match="stopped on its way to 'shelf': a reflex"):
         arm.move_to("shelf")
     assert len(arm.calls) == 1
+
+
+def test_the_arm_that_a_place_names_goes_there(arm: Arm, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(InvalidInputError, match="'beside' names the arm 'right'"):
+        arm.move_to("beside")
+    arms = (SimpleNamespace(name="left"), SimpleNamespace(name="right"))
+    monkeypatch.setattr(
+        moving, "profile_of", lambda host: SimpleNamespace(home_rad=None, arms=arms)
+    )
+    arm.move_to("beside")
+    assert arm.asked == {"right"}
+    assert {call[1]["arm"] for call in arm.calls} == {"right"}
+    with pytest.raises(
+        InvalidInputError, match="'above' names no arm; the arms are 'left', 'right'"
+    ):
+        arm.move_to("above")

@@ -5,10 +5,20 @@ judged by it.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rn_standard.tools_arm.prediction import PredictedArm
 from roboneuron.config import LimitsConfig
-from roboneuron.contract import Action, Hold, JointCommand, JointSample, Pose, Posture, RobotProfile
+from roboneuron.contract import (
+    EE_DELTA,
+    Action,
+    Hold,
+    JointCommand,
+    JointSample,
+    Pose,
+    Posture,
+    RobotProfile,
+)
 from roboneuron.gate.motion import MotionLimiter, motion_rules
 
 PROFILE = RobotProfile(name="gantry", arm_joints=("x", "y"))
@@ -54,42 +64,42 @@ def predicted(gantry: Gantry, longest_s: float = 1.0, **limits: object) -> Predi
     return PredictedArm(gantry, limiter, JointSample(names=("x", "y"), position=np.zeros(2)))
 
 
-def move(x: float, y: float = 0.0, z: float = 0.0) -> Action:
-    return Action(translation_m=np.array([x, y, z]), rotation_rad=np.zeros(3), gripper_open=1.0)
+def move(x: float, y: float = 0.0, z: float = 0.0) -> NDArray[np.float64]:
+    return np.array([x, y, z, 0.0, 0.0, 0.0, 1.0])
 
 
 def test_the_arm_follows_actions_one_by_one() -> None:
     arm = predicted(Gantry())
     for _ in range(5):
-        arm.follow(move(0.03, 0.01), 0.1)
+        arm.follow(EE_DELTA, move(0.03, 0.01), 0.1)
         assert arm.held == ""
-    np.testing.assert_allclose(arm.pose().position_m, [0.15, 0.05, 0.3])
+    np.testing.assert_allclose(arm.poses()[0].position_m, [0.15, 0.05, 0.3])
 
 
 def test_a_slow_command_is_followed_for_the_time_of_the_step_only() -> None:
     arm = predicted(Gantry(duration_s=0.2))
-    arm.follow(move(0.03), 0.1)
-    np.testing.assert_allclose(arm.pose().position_m, [0.015, 0.0, 0.3])
+    arm.follow(EE_DELTA, move(0.03), 0.1)
+    np.testing.assert_allclose(arm.poses()[0].position_m, [0.015, 0.0, 0.3])
 
 
 def test_a_zone_between_start_and_end_holds_the_arm_before_it() -> None:
     arm = predicted(Gantry(), zones=[PANE])
     for _ in range(10):
-        arm.follow(move(0.03), 0.1)
+        arm.follow(EE_DELTA, move(0.03), 0.1)
     assert "would enter 'pane'" in arm.held
-    assert arm.pose().position_m[0] < 0.095
-    arm.follow(move(-0.02), 0.1)
+    assert arm.poses()[0].position_m[0] < 0.095
+    arm.follow(EE_DELTA, move(-0.02), 0.1)
     assert arm.held == ""
 
 
 def test_what_the_controller_refuses_and_what_lasts_too_long_holds() -> None:
     arm = predicted(Gantry())
-    arm.follow(move(0.0, 0.0, 0.1), 0.1)
+    arm.follow(EE_DELTA, move(0.0, 0.0, 0.1), 0.1)
     assert arm.held == "It has no third axis."
     slow = predicted(Gantry(duration_s=3.0))
-    slow.follow(move(0.03), 0.1)
+    slow.follow(EE_DELTA, move(0.03), 0.1)
     assert "lasts 3 s" in slow.held
-    np.testing.assert_allclose(slow.pose().position_m, [0.0, 0.0, 0.3])
+    np.testing.assert_allclose(slow.poses()[0].position_m, [0.0, 0.0, 0.3])
 
 
 def test_closing_releases_the_controller() -> None:

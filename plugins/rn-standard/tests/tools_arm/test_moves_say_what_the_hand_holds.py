@@ -153,7 +153,7 @@ def exposed() -> Any:
 
 def mover(arm: Arm) -> EndEffectorMover:
     tcp: Any = arm
-    return EndEffectorMover(exposed(), PROFILE, arm.host, ArmToolsOptions(), tcp)
+    return EndEffectorMover(exposed(), PROFILE, arm.host, ArmToolsOptions(), {"": tcp})
 
 
 def move(arm: Arm, **arguments: Any) -> Any:

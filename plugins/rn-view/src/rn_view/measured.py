@@ -46,16 +46,41 @@ class ShownAction(NamedTuple):
     values: tuple[float, ...]
 
 
+class TcpTrack:
+    """Where the TCP of one arm is, and was.
+
+    Attributes:
+        pose: measured position [m] (3,) and orientation wxyz (4,) in the base frame; None before
+            the first.
+        trail: positions [m], oldest first.
+    """
+
+    def __init__(self) -> None:
+        self.pose: tuple[F64, F64] | None = None
+        self.trail: deque[F64] = deque(maxlen=_TRAIL)
+
+    def add(self, message: PoseStamped) -> None:
+        """Take a measured pose."""
+        at, turn = message.pose.position, message.pose.orientation
+        position = np.array([at.x, at.y, at.z])
+        self.pose = position, np.array([turn.w, turn.x, turn.y, turn.z])
+        if not self.trail or np.linalg.norm(position - self.trail[-1]) > _LEAST_STEP_M:
+            self.trail.append(position)
+
+    def clear(self) -> None:
+        """Forget all."""
+        self.pose = None
+        self.trail.clear()
+
+
 class MeasuredTopics:
     """The newest messages; `open` subscribes and `close` ends that. Fields may be read from any
     thread.
 
     Attributes:
         joints: measured position [rad or m] by joint name.
-        tcp: measured position [m] (3,) and orientation wxyz (4,) of the TCP in the base frame; None
-            before the first.
+        tracks: the TCP of each arm by its name; "" for the only one.
         commanded: positions by joint name that were commanded last; empty before the first command.
-        trail: positions of the TCP [m], oldest first.
         actions: the newest, oldest first.
         images: number, pixels (H, W, 3) and capture time [ns] of each camera's newest picture.
         news: notified with every picture.
@@ -66,9 +91,8 @@ class MeasuredTopics:
         self._profile = profile
         self._ends: list[Callable[[], None]] = []
         self.joints: dict[str, float] = {}
-        self.tcp: tuple[F64, F64] | None = None
+        self.tracks = {arm.name: TcpTrack() for arm in profile.each_arm}
         self.commanded: dict[str, float] = {}
-        self.trail: deque[F64] = deque(maxlen=_TRAIL)
         self.actions: deque[ShownAction] = deque(maxlen=_ACTIONS)
         self.images: dict[str, tuple[int, U8, int]] = {}
         self.news = threading.Condition()
@@ -82,7 +106,8 @@ class MeasuredTopics:
 
         control = self._source.config().control
         self._take(JointState, "joint_states", self._on_joints)
-        self._take(PoseStamped, "ee_pose", self._on_pose)
+        for arm, track in self.tracks.items():
+            self._take(PoseStamped, f"{arm}/ee_pose" if arm else "ee_pose", track.add)
         self._take(Float64MultiArray, "action", self._on_action)
         if control is not None and control.command == "joint_state":
             self._take(JointState, "joint_command", self._on_command_state)
@@ -100,8 +125,9 @@ class MeasuredTopics:
 
     def clear(self) -> None:
         """Forget what came before a jump in a recording; pictures stay until there are others."""
-        self.joints, self.tcp, self.commanded = {}, None, {}
-        self.trail.clear()
+        self.joints, self.commanded = {}, {}
+        for track in self.tracks.values():
+            track.clear()
         self.actions.clear()
 
     def _take(self, message_type: type[M], topic: str, callback: Callable[[M], None]) -> None:
@@ -109,13 +135,6 @@ class MeasuredTopics:
 
     def _on_joints(self, message: JointState) -> None:
         self.joints = dict(zip(message.name, message.position, strict=False))
-
-    def _on_pose(self, message: PoseStamped) -> None:
-        at, turn = message.pose.position, message.pose.orientation
-        position = np.array([at.x, at.y, at.z])
-        self.tcp = position, np.array([turn.w, turn.x, turn.y, turn.z])
-        if not self.trail or np.linalg.norm(position - self.trail[-1]) > _LEAST_STEP_M:
-            self.trail.append(position)
 
     def _on_action(self, message: Float64MultiArray) -> None:
         dims = message.layout.dim

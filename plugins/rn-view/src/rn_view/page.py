@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from contextlib import AbstractContextManager, ExitStack
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 import viser
@@ -84,19 +84,22 @@ class Page:
         self._admit = admit
         self._lock = threading.Lock()
         self._content: _Content | None = None
-        self._login: Any = None
         self._tries = _TRIES
         self._is_gone = False
         self._presence = ExitStack()
-        self._stop_text: Any = None
-        self._full_text: Any = None
+        self._stop_text: viser.GuiHtmlHandle | None = None
+        self._full_text: viser.GuiHtmlHandle | None = None
         client.gui.add_html(markup.STYLE)
-        self._choice: Any = None
+        self._choice: viser.GuiDropdownHandle[str] | None = None
         if len(sources) > 1:
             self._choice = client.gui.add_dropdown(
                 "Robot", tuple(sources), initial_value=next(iter(sources))
             )
-            self._choice.on_update(lambda _: on_choice(self))
+
+            def choose(_: object) -> None:
+                on_choice(self)
+
+            self._choice.on_update(choose)
         if self._source.playback is None:
             self._stop_text = client.gui.add_html(markup.stop_text(None, self._source.label))
 

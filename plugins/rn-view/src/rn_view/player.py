@@ -5,7 +5,7 @@ happened.
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rn_view import markup
 from rn_view.playback import SPEEDS, Playback
@@ -69,12 +69,12 @@ class Player:
         self._mark.content = markup.mark_text(here[-1], playback.position_s) if here else ""
         self._speed.value = f"{playback.speed:g} x"  # type: ignore[misc]
 
-    def _on_slider(self, event: Any) -> None:
+    def _on_slider(self, event: viser.GuiEvent[viser.GuiSliderHandle[float]]) -> None:
         if event.client is not None:  # not this page's own update
             self._moved_s = time.monotonic()
             self._playback.seek(self._slider.value)
 
-    def _on_speed(self, event: Any) -> None:
+    def _on_speed(self, event: viser.GuiEvent[viser.GuiDropdownHandle[str]]) -> None:
         if event.client is not None:
             self._playback.set_speed(float(self._speed.value.split()[0]))
 

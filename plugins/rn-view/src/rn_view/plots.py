@@ -103,13 +103,18 @@ def action_panels(label: str) -> tuple[ActionPanel, ...]:
     grippers = tuple(i for i, key in enumerate(keys) if key.rpartition("/")[2] == GRIPPER)
     motion = tuple(i for i in range(len(keys)) if i not in grippers)
     told = kind.replace("_", " ")
-    panels = (
-        ActionPanel(
-            f"action: {told} [{_UNITS.get(kind, '?')}]", tuple(keys[i] for i in motion), motion
-        ),
-        ActionPanel("action: gripper [0..1]", tuple(keys[i] for i in grippers), grippers),
-    )
+    panels: list[ActionPanel] = []
+    for arm in dict.fromkeys(_arm_of(keys[i]) for i in motion):
+        own = tuple(i for i in motion if _arm_of(keys[i]) == arm)
+        title = f"{arm or 'action'}: {told} [{_UNITS.get(kind, '?')}]"
+        panels.append(ActionPanel(title, tuple(keys[i] for i in own), own))
+    panels.append(ActionPanel("action: gripper [0..1]", tuple(keys[i] for i in grippers), grippers))
     return tuple(panel for panel in panels if panel.columns)
+
+
+def _arm_of(key: str) -> str:
+    """The arm that the key of a channel names; "" for the only one."""
+    return key.rpartition("/")[0]
 
 
 class Plots:

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rn_view.measured import MeasuredTopics
-from roboneuron import RobotProfile
+from rn_view.measured import MeasuredTopics, TcpTrack
+from roboneuron import ArmProfile, RobotProfile
 from roboneuron.feature import Config, MotionRules, collision_of, motion_rules
 
 if TYPE_CHECKING:
@@ -29,6 +29,8 @@ _BOX_RGB, _OBSTACLE_RGB, _ZONE_RGB, _TARGET_RGB = (
 _TRAIL_RGB, _CAMERA_RGB = (40, 160, 110), (90, 90, 100)
 _FRUSTUM_M = 0.12
 _TARGET_M = 0.018
+_BESIDE_TCP_M = np.array([0.0, 0.0, 0.12])
+"""Where the name of an arm stands, from its TCP."""
 _PHONE_PX = 576
 """viser puts the panel over the lower part of a page up to this wide."""
 _BELOW_M = 1.0
@@ -52,12 +54,82 @@ class RobotModel:
         """Positions in the order of the URDF; 0 for a joint that is not known."""
         return np.array([joints.get(name, 0.0) for name in self.urdf.actuated_joint_names])
 
-    def tcp_of(self, joints: Mapping[str, float]) -> F64:
-        """Pose (4, 4) of the TCP in the base frame at these positions; leaves the model there."""
+    def tcps_of(self, joints: Mapping[str, float]) -> dict[str, F64]:
+        """Pose (4, 4) of the TCP of each arm in the base frame at these positions; leaves the model
+        there.
+        """
         self.urdf.update_cfg(self.configuration(joints))
-        return np.asarray(
-            self.urdf.get_transform(self.profile.tcp_link, self.profile.base_link), dtype=np.float64
+        base = self.profile.base_link
+        return {
+            arm.name: np.asarray(self.urdf.get_transform(arm.tcp_link, base), dtype=np.float64)
+            for arm in self.profile.each_arm
+        }
+
+
+class ArmScene:
+    """The measured TCP of one arm, its trail, and where it was sent last; on one page.
+
+    Args:
+        scene: of the page.
+        arm: whose.
+    """
+
+    def __init__(self, scene: viser.SceneApi, arm: ArmProfile) -> None:
+        self._scene, self._arm = scene, arm
+        self.place = f"/{arm.name}" if arm.name else ""
+        self._tcp = scene.add_frame(
+            f"{self.place}/tcp", axes_length=0.08, axes_radius=0.004, visible=False
         )
+        self._label = (
+            scene.add_label(f"{self.place}/label", arm.name, font_screen_scale=0.8, visible=False)
+            if arm.name
+            else None
+        )
+        self._target = scene.add_icosphere(
+            f"{self.place}/target",
+            radius=_TARGET_M,
+            color=_TARGET_RGB,
+            opacity=0.75,
+            visible=False,
+        )
+        self._trail: viser.LineSegmentsHandle | None = None
+        self._shown: tuple[object, int] = (None, 0)
+
+    def target(self, position_m: F64) -> None:
+        """Show where the TCP was sent [m]."""
+        self._target.position = position_m
+        self._target.visible = True
+
+    def update(self, track: TcpTrack, joints: Mapping[str, float]) -> None:
+        """Show what is measured now."""
+        if track.pose is not None and track.pose is not self._shown[0]:
+            self._tcp.position, self._tcp.wxyz = track.pose
+            self._tcp.visible = True
+            if self._label is not None:
+                # a label does not move with the frame that it is in
+                self._label.position = track.pose[0] + _BESIDE_TCP_M
+                self._label.visible = True
+        gripper = self._arm.gripper
+        if self._label is not None and gripper is not None and gripper.joint in joints:
+            text = f"{self._arm.name}: {gripper.to_opening(joints[gripper.joint]):.0%} open"
+            if self._label.text != text:
+                self._label.text = text
+        trail = list(track.trail)
+        mark = len(trail) + hash(trail[-1].tobytes()) if trail else 0
+        if len(trail) > 1 and mark != self._shown[1]:
+            points = np.stack([trail[:-1], trail[1:]], axis=1)
+            if self._trail is None:
+                self._trail = self._scene.add_line_segments(
+                    f"{self.place}/trail",
+                    points=points,
+                    colors=_TRAIL_RGB,
+                    thickness=2.0,
+                    thickness_units="screen",
+                )
+            self._trail.points = points.astype(np.float32)
+        if self._trail is not None:
+            self._trail.visible = len(trail) > 1  # none yet at the beginning of a recording
+        self._shown = (track.pose, mark)
 
 
 class PageScene:
@@ -68,7 +140,7 @@ class PageScene:
 
         self._scene = client.scene
         self._profile = profile
-        self._shown: tuple[object, object, int] = (None, None, 0)
+        self._joints: object = None
         self._target_at: Mapping[str, float] = {}
         self._model = RobotModel(profile) if profile.urdf else None
         self._arm = (
@@ -83,13 +155,7 @@ class PageScene:
                 else dict(zip(profile.arm_joints, profile.home_rad, strict=True))
             )
             self._move(home)
-        self._tcp = self._scene.add_frame(
-            "/tcp", axes_length=0.08, axes_radius=0.004, visible=False
-        )
-        self._target = self._scene.add_icosphere(
-            "/target", radius=_TARGET_M, color=_TARGET_RGB, opacity=0.75, visible=False
-        )
-        self._trail: viser.LineSegmentsHandle | None = None
+        self._arms = {arm.name: ArmScene(self._scene, arm) for arm in profile.each_arm}
         self._pictures = {
             camera.name: self._add_camera(camera)
             for camera in profile.cameras
@@ -101,37 +167,20 @@ class PageScene:
 
     def update(self, measured: MeasuredTopics) -> None:
         """Show what is measured now."""
-        if self._model is not None and measured.joints is not self._shown[0]:
+        if self._model is not None and measured.joints is not self._joints:
+            self._joints = measured.joints
             self._move(measured.joints)
-        if measured.tcp is not None and measured.tcp is not self._shown[1]:
-            self._tcp.position, self._tcp.wxyz = measured.tcp
-            self._tcp.visible = True
         if (
             self._model is not None
             and measured.commanded
             and measured.commanded is not self._target_at
         ):
             self._target_at = measured.commanded
-            self._target.position = self._model.tcp_of({**measured.joints, **measured.commanded})[
-                :3, 3
-            ]
-            self._target.visible = True
-        trail = list(measured.trail)
-        if len(trail) > 1 and len(trail) + hash(trail[-1].tobytes()) != self._shown[2]:
-            points = np.stack([trail[:-1], trail[1:]], axis=1)
-            if self._trail is None:
-                self._trail = self._scene.add_line_segments(
-                    "/trail",
-                    points=points,
-                    colors=_TRAIL_RGB,
-                    thickness=2.0,
-                    thickness_units="screen",
-                )
-            self._trail.points = points.astype(np.float32)
-        if self._trail is not None:
-            self._trail.visible = len(trail) > 1  # none yet at the beginning of a recording
-        mark = len(trail) + hash(trail[-1].tobytes()) if trail else 0
-        self._shown = (measured.joints, measured.tcp, mark)
+            poses = self._model.tcps_of({**measured.joints, **measured.commanded})
+            for arm, pose in poses.items():
+                self._arms[arm].target(pose[:3, 3])
+        for arm, track in measured.tracks.items():
+            self._arms[arm].update(track, measured.joints)
 
     def show_picture(self, camera: str, pixels: NDArray[np.uint8]) -> None:
         """Show a picture where the camera stands."""
@@ -145,7 +194,7 @@ class PageScene:
 
     def _add_camera(self, camera: Any) -> Any:
         calibration = camera.calibration
-        place = "/tcp/" if calibration.mount == "tcp" else "/cameras/"
+        place = self._mount(calibration.mount)
         turn = _wxyz(calibration.T_mount_camera[:3, :3])
         return self._scene.add_camera_frustum(
             f"{place}{camera.name}",
@@ -158,6 +207,13 @@ class PageScene:
             wxyz=turn,
             position=calibration.T_mount_camera[:3, 3],
         )
+
+    def _mount(self, mount: str) -> str:
+        """The frame of the scene that a camera is mounted on, "/" at its end."""
+        if mount == "base":
+            return "/cameras/"
+        arm = mount.removesuffix("tcp").removesuffix("/") or next(iter(self._arms))
+        return f"{self._arms[arm].place}/tcp/"
 
     def _add_limits(self, limits: MotionRules, config: Config) -> None:
         """The workspace box as lines, forbidden zones and obstacles as boxes."""

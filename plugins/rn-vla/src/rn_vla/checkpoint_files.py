@@ -33,6 +33,7 @@ FAMILIES = {
     "pi0": "pi0",
     "pi05": "pi0",
     "pi0_fast": "pi0-fast",
+    **dict.fromkeys(("act", "diffusion", "smolvla", "vqbet", "xvla"), "lerobot"),
 }
 """Backends that run a checkpoint, by the family that its config.json names."""
 _LISTED = 12

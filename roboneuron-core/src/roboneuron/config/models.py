@@ -1,4 +1,6 @@
-"""roboneuron.toml as frozen models: the sections of core, and the whole."""
+"""roboneuron.toml as frozen models: the sections of core, the whole, and what one module process is
+told of it.
+"""
 
 from __future__ import annotations
 
@@ -26,6 +28,7 @@ Reaction = Literal["hold", "scale", "refuse"]
 """At a limit: stop where the arm is measured, shorten the command, or send nothing and let the last
 command end.
 """
+ModuleKind = Literal["robot", "perception", "inference", "control"]
 CHECKPOINT_START_S = 900.0
 """15 GB from a slow disk, and the warm-up of a large model, take several minutes."""
 
@@ -292,3 +295,42 @@ class Config(Section):
         ):
             return max(CHECKPOINT_START_S, self.supervisor.start_timeout_s)
         return self.supervisor.start_timeout_s
+
+
+class ModuleSettings(BaseModel):
+    """One line of JSON on the stdin of a module process.
+
+    Attributes:
+        kind: which module to run.
+        node_name: name of its ROS node under the robot's namespace; the kind unless several run
+            side by side.
+        config: the effective configuration, overrides of the start call included.
+        state_directory: where the emergency-stop latch is kept.
+        needs_start: why a module that moves the robot obeys nothing until somebody asks for motion;
+            empty for nothing.
+        on_join: "module:attribute" of functions that features want called with the module's node
+            (`ModuleHost`).
+        tightened: limits that hold instead of the configured ones, none of them wider.
+        shadow: work on live inputs without publishing until the handover, see `Handover`.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    kind: ModuleKind
+    node_name: str = Field(pattern=r"^[a-z][a-z0-9_]*$")
+    config: Config
+    state_directory: str
+    tightened: LimitsConfig | None = None
+    shadow: bool = False
+    needs_start: str = ""
+    on_join: tuple[str, ...] = ()
+
+    @property
+    def status_name(self) -> str:
+        """Name of the module's DiagnosticStatus: "<namespace>/<node name>"."""
+        return f"{self.config.namespace}/{self.node_name}"
+
+    def to_line(self) -> str:
+        """The line for the module's stdin; plugins have no use for the server's own section."""
+        config = self.config.model_copy(update={"server": ServerConfig()})
+        return self.model_copy(update={"config": config}).model_dump_json()

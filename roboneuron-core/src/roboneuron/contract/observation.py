@@ -26,7 +26,8 @@ class CameraCalibration:
     Attributes:
         intrinsics: float64 (3, 3) in pixels; u to the right, v down, pixel centres at integers +
             0.5.
-        mount: "base" (fixed beside the robot) or "tcp" (carried by the end effector).
+        mount: "base" (fixed beside the robot), "tcp" (carried by the end effector; of several arms
+            the first one's), or "<arm>/tcp" of another arm.
         T_mount_camera: float64 (4, 4), pose of the optical frame in the mount frame [m]; the
             optical frame looks along +z with x right and y down (REP 103).
     """
@@ -37,6 +38,11 @@ class CameraCalibration:
 
     def __post_init__(self) -> None:
         freeze(self, "intrinsics", "T_mount_camera")
+
+    @property
+    def arm(self) -> str | None:
+        """The arm that carries it, "" for the first or only one; None for a fixed camera."""
+        return None if self.mount == "base" else self.mount.removesuffix("tcp").removesuffix("/")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -11,7 +11,6 @@ from roboneuron.estop.latch import (
     RESET_SUFFIX,
     EmergencyStopLatch,
     LatchState,
-    press_together,
 )
 
 __all__ = [
@@ -19,5 +18,4 @@ __all__ = [
     "RESET_SUFFIX",
     "EmergencyStopLatch",
     "LatchState",
-    "press_together",
 ]

@@ -18,7 +18,7 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
 
-from roboneuron.errors import NotReadyError, UnsafeError
+from roboneuron.errors import NotReadyError, RefusedError, UnsafeError
 from roboneuron.estop.latch import EmergencyStopLatch
 from roboneuron.estop.motion_starts import MotionStarts
 from roboneuron.gate.audit import AUDIT_FILE, AuditLog, AuditRecord
@@ -96,6 +96,16 @@ class EmergencyStop:
             view.report is not None and view.report.emergency_stop is True
             for view in self._supervisor.views()
         )
+
+    def check(self) -> None:
+        """Do nothing unless it is latched. Raises RefusedError: it is; says by whom."""
+        if self.is_latched():
+            cause = self.cause()
+            raise RefusedError(
+                f"The emergency stop is latched{f' ({cause})' if cause else ''}: nothing would "
+                "move.",
+                hint="A person releases it: see reset_emergency_stop.",
+            )
 
     def cause(self) -> str:
         """Who latched it and why, as far as that is known; empty when it is not latched."""

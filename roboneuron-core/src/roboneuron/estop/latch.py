@@ -256,10 +256,46 @@ class EmergencyStopLatch:
             UnsafeError: the file cannot be created: only this process is stopped, the others do not
                 know.
         """
-        failures = press_together([self], who=who, reason=reason)
+        failures = self.press_together([self], who=who, reason=reason)
         if failures:
             raise failures[0]
         return self.read_state()
+
+    @staticmethod
+    def press_together(
+        latches: Iterable[EmergencyStopLatch], *, who: str, reason: str
+    ) -> list[UnsafeError]:
+        """`press` of all of them, each step for all before the next; returns what failed.
+
+        What stops the last robot is sent before the first file is written, and every file is
+        written before a thread is woken: each system call gives the interpreter away, and woken
+        threads keep it for up to a millisecond each time.
+
+        Args:
+            latches: of one robot each.
+            who: a client, person or signal.
+            reason: may be empty.
+        """
+        pressed: list[tuple[EmergencyStopLatch, LatchState]] = []
+        failures: list[UnsafeError] = []
+        for latch in latches:
+            state = LatchState(
+                latched=True, who=who[:200], reason=reason[:500], time_ns=latch._clock_ns()
+            )
+            if latch._hold(state):
+                pressed.append((latch, state))
+        for latch, _ in pressed:
+            for listener in latch._stop_listeners:
+                listener()
+        for latch, state in pressed:
+            try:
+                latch._write(state)
+            except UnsafeError as error:  # the others are written all the same
+                failures.append(error)
+        for latch, _ in pressed:
+            for listener in latch._written_listeners:
+                listener()
+        return failures
 
     def _hold(self, state: LatchState) -> bool:
         """Stop this process at once, whatever the disk says; False when the file is known to be
@@ -362,43 +398,6 @@ class EmergencyStopLatch:
                 )
                 raise StateError(text) from error
             self._held = self._seen = None
-
-
-def press_together(
-    latches: Iterable[EmergencyStopLatch], *, who: str, reason: str
-) -> list[UnsafeError]:
-    """`EmergencyStopLatch.press` of all of them, each step for all before the next; returns what
-    failed.
-
-    What stops the last robot is sent before the first file is written, and every file is written
-    before a thread is woken: each system call gives the interpreter away, and woken threads keep it
-    for up to a millisecond each time.
-
-    Args:
-        latches: of one robot each.
-        who: a client, person or signal.
-        reason: may be empty.
-    """
-    pressed: list[tuple[EmergencyStopLatch, LatchState]] = []
-    failures: list[UnsafeError] = []
-    for latch in latches:
-        state = LatchState(
-            latched=True, who=who[:200], reason=reason[:500], time_ns=latch._clock_ns()
-        )
-        if latch._hold(state):
-            pressed.append((latch, state))
-    for latch, _ in pressed:
-        for listener in latch._stop_listeners:
-            listener()
-    for latch, state in pressed:
-        try:
-            latch._write(state)
-        except UnsafeError as error:  # the others are written all the same
-            failures.append(error)
-    for latch, _ in pressed:
-        for listener in latch._written_listeners:
-            listener()
-    return failures
 
 
 def _identity(path: Path) -> tuple[int, int]:

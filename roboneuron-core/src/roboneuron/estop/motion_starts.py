@@ -36,8 +36,6 @@ _SETTLED_S = 5.0
 """Bound on the wait for instructions that are being taken back; each of them ends within `_TOLD_S`
 or with its process.
 """
-_ARM: tuple[ModuleKind, ...] = ("robot", "control")
-"""What moves the arm."""
 
 
 class MotionStarts:
@@ -299,10 +297,7 @@ class MotionStarts:
 
     def _set(self, slot: Slot, values: dict[str, str | int], timeout_s: float) -> str:
         """Set parameters of a module; returns why it refuses, empty when it does not."""
-        choice, process = slot.choice, slot.process
-        if choice is None or process is None:
-            return "it has ended"
-        client = self._supervisor.parameters(f"/{choice.settings.status_name}", process)
+        client = self._supervisor.parameters(slot)
         return client.set(values, timeout_s, lambda: slot.check_alive("told what to do"))
 
     def _await_obeying(self, slot: Slot, stops: int) -> None:

@@ -10,8 +10,6 @@ from collections.abc import Callable
 from typing import TypeVar
 
 from roboneuron.contract import Hold, JointCommand, Pose
-from roboneuron.errors import ConfigurationError
-from roboneuron.modules.settings import ModuleSettings
 from roboneuron.modules.status import StatusWriter
 
 Output = TypeVar("Output", Pose, JointCommand)
@@ -74,18 +72,3 @@ class Handover:
 
     def note_sent(self, what: str) -> None:
         """An output of that name has gone out."""
-
-
-def check_replaceable(settings: ModuleSettings, handover: Handover) -> None:
-    """Refuse to work in shadow with nothing that ends it: the module would never act.
-
-    Raises:
-        ConfigurationError: the feature that replaces modules is not installed here.
-    """
-    if settings.shadow and type(handover) is Handover:
-        raise ConfigurationError(
-            "This process was started to replace a running module, but nothing here says when "
-            "it takes over.",
-            hint="Install the package of the feature that replaces modules in this "
-            "interpreter's environment too.",
-        )

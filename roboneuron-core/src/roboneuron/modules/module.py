@@ -20,9 +20,10 @@ from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Bool
 
-from roboneuron.errors import RoboNeuronError, StateError, UnsafeError
+from roboneuron.config import ModuleSettings
+from roboneuron.errors import ConfigurationError, RoboNeuronError, StateError, UnsafeError
 from roboneuron.estop.latch import EmergencyStopLatch
-from roboneuron.modules.handover import check_replaceable
+from roboneuron.modules.handover import Handover
 from roboneuron.modules.module_host import Module, ModuleHost, join
 from roboneuron.modules.parent_watch import Signals, watch_stdin
 from roboneuron.modules.plugin import module_class
@@ -32,7 +33,6 @@ from roboneuron.modules.settings import (
     EMERGENCY_STOP_TOPIC,
     SERVER_SILENT,
     START_PARAMETER,
-    ModuleSettings,
 )
 from roboneuron.modules.status import StatusReporter
 from roboneuron.plugins.discovery import discover
@@ -172,8 +172,19 @@ class ModuleNode(ModuleHost):
             self._reporter.stop()
 
     def _configure(self) -> None:
-        """Make the module; what it has acquired is released when that or an extension fails."""
-        check_replaceable(self.settings, self.handover)
+        """Make the module; what it has acquired is released when that or an extension fails.
+
+        Raises:
+            ConfigurationError: it is to work in shadow, and nothing would end that.
+            RoboNeuronError: as the module.
+        """
+        if self.settings.shadow and type(self.handover) is Handover:
+            raise ConfigurationError(
+                "This process was started to replace a running module, but nothing here says when "
+                "it takes over.",
+                hint="Install the package of the feature that replaces modules in this "
+                "interpreter's environment too.",
+            )
         try:
             self.module = self._kind(self)
             # What is loaded stays: a full collection over it all would be a pause of up to half a

@@ -9,13 +9,14 @@ from contextlib import ExitStack
 from typing import Any, TypeVar, cast
 
 from rcl_interfaces.msg import SetParametersResult
+from rclpy.callback_groups import CallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode, LifecyclePublisher
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 
+from roboneuron.config import ModuleSettings
 from roboneuron.modules.handover import Handover
-from roboneuron.modules.settings import ModuleSettings
 from roboneuron.modules.status import StatusWriter
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.loading import load_attribute
@@ -112,6 +113,7 @@ class ModuleHost(LifecycleNode):  # type: ignore[misc]
         topic: str,
         callback: Callable[..., None],
         qos: QoSProfile = NEWEST,
+        group: CallbackGroup | None = None,
     ) -> None:
         """Call `callback` with each message until cleanup, on the executor's thread.
 
@@ -120,10 +122,12 @@ class ModuleHost(LifecycleNode):  # type: ignore[misc]
             topic: under the robot's namespace.
             callback: takes the message, and its info where it has a second argument.
             qos: only the newest message is kept by default.
+            group: says who calls; None for the executor.
         """
-        self.resources.callback(
-            self.destroy_subscription, self.create_subscription(message_type, topic, callback, qos)
+        subscription = self.create_subscription(
+            message_type, topic, callback, qos, callback_group=group
         )
+        self.resources.callback(self.destroy_subscription, subscription)
 
     def repeat(self, period_s: float, callback: Callable[[], None]) -> None:
         """Call `callback` once a period [s] until cleanup, on the executor's thread."""

@@ -29,9 +29,7 @@ from roboneuron.gate.motion import (
     LimitedCommand,
     Motion,
     MotionLimiter,
-    inspector_of,
     motion_rules,
-    poses_of,
 )
 from roboneuron.gate.motion.command import pick
 from roboneuron.modules.status import StatusWriter
@@ -178,12 +176,10 @@ class MotionGuard:
                 "The controller tells no distances: collisions of %s are not checked.", profile.name
             )
         status.set_value("collision_checked", is_checked and profile.collision is not None)
-        self._limiter = MotionLimiter(
+        self._limiter = MotionLimiter.of(
             motion_rules(limits, profile),
             profile,
-            controller.forward,
-            inspector_of(controller),
-            poses=poses_of(controller),
+            controller,
             immediate=immediate,
             longest_s=longest_s,
         )

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationIn
 from pydantic import ValidatorFunctionWrapHandler as Parse
 
 from roboneuron.errors import InternalError, RoboNeuronError
-from roboneuron.modules.settings import FOLLOWING_NOTE, GRIPPER_COMMANDED
+from roboneuron.modules.settings import FOLLOWING_NOTE, GRIPPER_COMMANDED, arm_metric
 
 _TABLES = {"dropped": "dropped_by", "detail": "detail"}
 """Fields of several pairs, by what stands before the dot in their names."""
@@ -144,11 +144,18 @@ class Report(ModuleFacts):
 
     @property
     def gripper_commanded(self) -> float | None:
+        """Of a robot with one arm: see `gripper_commanded_of`."""
+        return self.gripper_commanded_of("")
+
+    def gripper_commanded_of(self, arm: str) -> float | None:
         """Of the robot: the opening last commanded, 0 closed .. 1 open; None when none was since
         its start.
+
+        Args:
+            arm: name of one of several arms; "" for the only one.
         """
         try:
-            opening = float(self.metrics.get(GRIPPER_COMMANDED, ""))
+            opening = float(self.metrics.get(arm_metric(GRIPPER_COMMANDED, arm), ""))
         except ValueError:
             return None
         return opening if math.isfinite(opening) else None

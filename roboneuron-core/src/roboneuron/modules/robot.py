@@ -12,11 +12,17 @@ from typing import Any, cast
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
-from roboneuron.contract import JointCommand, RobotDriver
+from roboneuron.contract import JointCommand, RobotDriver, RobotState
 from roboneuron.errors import ConfigurationError, InvalidInputError, NotReadyError, RoboNeuronError
 from roboneuron.modules.module_host import Module, ModuleHost
 from roboneuron.modules.plugin import build, load_profile
-from roboneuron.modules.settings import FAULT_DETAIL, FUTURE_S, GRIPPER_COMMANDED, NEEDS_NEW_START
+from roboneuron.modules.settings import (
+    FAULT_DETAIL,
+    FUTURE_S,
+    GRIPPER_COMMANDED,
+    NEEDS_NEW_START,
+    arm_metric,
+)
 from roboneuron.modules.worker import LIMIT_S, Worker
 from roboneuron.plugins.specs import RobotSpec
 from roboneuron.ros.host import NodeTopics
@@ -68,7 +74,8 @@ class RobotModule(Module):
         self._arrived = threading.Condition()
         self._moving = False
         self._command_s = 0.0
-        self._opening = -1.0
+        # by name of the arm: the openings last commanded
+        self._openings: dict[str, float] = {}
         robot = self.registry.get(RobotSpec, self.config.robot.name)
         spec = robot.driver(self.config.robot.driver)
         if spec is None:
@@ -78,7 +85,10 @@ class RobotModule(Module):
                 f"are {names}."
             )
         profile = load_profile(self.registry, robot.name)
-        self._gripper = profile.gripper
+        self._grippers = {
+            arm.name: arm.gripper for arm in profile.each_arm if arm.gripper is not None
+        }
+        self._measured_hands = tuple(self._grippers) if profile.arms else ("",)
         self._topics = NodeTopics(node, accepts=lambda: self._active and not self._must_hold())
         node.resources.callback(self._topics.close)
         options = self.config.options(robot.name)
@@ -255,16 +265,16 @@ class RobotModule(Module):
         not tell it.
 
         Args:
-            sent: what the driver has sent; without the gripper's joint, nothing has changed.
+            sent: what the driver has sent; of a gripper whose joint it lacks, nothing has changed.
         """
-        gripper = self._gripper
-        if gripper is None or gripper.joint not in sent.names:
-            return
-        opening = gripper.to_opening(float(sent.position[sent.names.index(gripper.joint)]))
-        self.status.set_value(GRIPPER_COMMANDED, opening)
-        if abs(opening - self._opening) > _GRIPPER_CHANGE:
-            self._opening = opening
-            self.status.changed.set()
+        for arm, gripper in self._grippers.items():
+            if gripper.joint not in sent.names:
+                continue
+            opening = gripper.to_opening(float(sent.position[sent.names.index(gripper.joint)]))
+            self.status.set_value(arm_metric(GRIPPER_COMMANDED, arm), opening)
+            if abs(opening - self._openings.get(arm, -1.0)) > _GRIPPER_CHANGE:
+                self._openings[arm] = opening
+                self.status.changed.set()
 
     def _hold_when_silent(self) -> None:
         """Hold once when commands have ceased for `command_timeout_s`."""
@@ -291,7 +301,9 @@ class RobotModule(Module):
             state = self.driver.read()
         except Exception:
             # what was true at the last state may not be any more
-            self.status.forget_details("gripper_open")
+            self.status.forget_details(
+                *(arm_metric("gripper_open", arm) for arm in self._measured_hands)
+            )
             self._detail_s = 0.0
             raise
         # first of all: control waits for it
@@ -303,8 +315,23 @@ class RobotModule(Module):
         if now_s - self._detail_s > _DETAIL_PERIOD_S:
             self._detail_s = now_s
             self.status.set_details(state.detail)
-            if state.gripper_open is not None:
-                self.status.set_value("gripper_open", float(state.gripper_open))
+            self._note_openings(state)
+
+    def _note_openings(self, state: RobotState) -> None:
+        """Report how far each gripper is open: as the driver tells it, of several arms by their
+        joints.
+        """
+        for arm in self._measured_hands:
+            opening = state.gripper_open
+            if arm:
+                names, gripper = state.joints.names, self._grippers[arm]
+                opening = (
+                    gripper.to_opening(float(state.joints.position[names.index(gripper.joint)]))
+                    if gripper.joint in names
+                    else None
+                )
+            if opening is not None:
+                self.status.set_value(arm_metric("gripper_open", arm), float(opening))
 
     def _check_fault(self, fault: str) -> None:
         """A fault has stopped the robot: whoever clears it, also on the robot itself, sets nothing

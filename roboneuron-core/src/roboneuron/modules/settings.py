@@ -1,59 +1,14 @@
-"""Settings of a module process, and the names under which it reports."""
+"""Names and times that the server and its module processes agree on."""
 
 from __future__ import annotations
 
-from typing import Literal
 from unicodedata import category
 
-from pydantic import BaseModel, ConfigDict, Field
+from roboneuron.config.models import ModuleKind as ModuleKind
 
-from roboneuron.config import Config, LimitsConfig, ServerConfig
-
-ModuleKind = Literal["robot", "perception", "inference", "control"]
 MODULE_KINDS: tuple[ModuleKind, ...] = ("robot", "perception", "inference", "control")
 ARM_KINDS: tuple[ModuleKind, ...] = ("robot", "control")
 """Modules that move the arm: after a stop they obey nothing until somebody asks for motion."""
-
-
-class ModuleSettings(BaseModel):
-    """One line of JSON on the stdin of a module process.
-
-    Attributes:
-        kind: which module to run.
-        node_name: name of its ROS node under the robot's namespace; the kind unless several run
-            side by side.
-        config: the effective configuration, overrides of the start call included.
-        state_directory: where the emergency-stop latch is kept.
-        needs_start: why a module that moves the robot obeys nothing until somebody asks for motion;
-            empty for nothing.
-        on_join: "module:attribute" of functions that features want called with the module's node
-            (`ModuleHost`).
-        tightened: limits that hold instead of the configured ones, none of them wider.
-        shadow: work on live inputs without publishing until the handover, see `Handover`.
-    """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    kind: ModuleKind
-    node_name: str = Field(pattern=r"^[a-z][a-z0-9_]*$")
-    config: Config
-    state_directory: str
-    tightened: LimitsConfig | None = None
-    shadow: bool = False
-    needs_start: str = ""
-    on_join: tuple[str, ...] = ()
-
-    @property
-    def status_name(self) -> str:
-        """Name of the module's DiagnosticStatus: "<namespace>/<node name>"."""
-        return f"{self.config.namespace}/{self.node_name}"
-
-    def to_line(self) -> str:
-        """The line for the module's stdin; plugins have no use for the server's own section."""
-        config = self.config.model_copy(update={"server": ServerConfig()})
-        return self.model_copy(update={"config": config}).model_dump_json()
-
-
 INSTRUCTION_PARAMETER = "instruction"
 """ROS parameter of the inference node that sets the instruction without a restart."""
 START_PARAMETER = "start"
@@ -79,7 +34,13 @@ _BREAKS = "\t\n\r"
 """Control characters that may stand between the words of an instruction."""
 GRIPPER_COMMANDED = "gripper_commanded"
 """Metric of the robot module: the opening that was last commanded, 0 closed .. 1 open, by whomever.
+Of each of several arms under `arm_metric`.
 """
+
+
+def arm_metric(name: str, arm: str) -> str:
+    """Name of a metric of one arm: "left/gripper_open"; the plain name for the only arm."""
+    return f"{arm}/{name}" if arm else name
 
 
 def instruction_problem(text: str) -> str:

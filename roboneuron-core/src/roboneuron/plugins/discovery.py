@@ -5,6 +5,8 @@ Whatever one plugin does wrong is written into its record and hurts nobody else.
 
 from __future__ import annotations
 
+import importlib
+import os
 import re
 import sys
 import traceback
@@ -12,7 +14,8 @@ from collections import defaultdict
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import redirect_stdout
 from dataclasses import replace
-from importlib.metadata import EntryPoint, entry_points
+from functools import lru_cache
+from importlib.metadata import Distribution, EntryPoint, entry_points
 from types import ModuleType
 from typing import NamedTuple
 
@@ -53,7 +56,27 @@ def discover(disabled: Collection[str] = ()) -> Registry:
         ConfigurationError: `disabled` names neither an installed plugin nor a distribution with
             plugins.
     """
+    return _discover_in(_search_path(), tuple(disabled))
+
+
+@lru_cache(maxsize=1)
+def _discover_in(path: tuple[tuple[str, int], ...], disabled: tuple[str, ...]) -> Registry:
+    """Kept until a folder changes: a start asks twice before it answers, and a server with each
+    start of a module.
+    """
+    importlib.invalidate_caches()
     return discover_from(entry_points(group=PROJECT), disabled)
+
+
+def _search_path() -> tuple[tuple[str, int], ...]:
+    """Folders that modules are imported from, with the time of their last change [ns]."""
+    found = []
+    for entry in sys.path:
+        try:
+            found.append((entry, os.stat(entry or ".").st_mtime_ns))
+        except OSError:
+            found.append((entry, 0))
+    return tuple(found)
 
 
 def discover_from(points: Iterable[EntryPoint], disabled: Collection[str] = ()) -> Registry:
@@ -121,10 +144,7 @@ def _bringing_hooks(claim: _Claim) -> tuple[FeatureSpec | CommandSpec, ...]:
 
 def _identify(point: EntryPoint) -> _Claim:
     """An entry point with the record of its plugin, whose module is not imported for that."""
-    distribution, version = point.name, ""
-    if point.dist is not None:
-        metadata = point.dist.metadata  # read from a file each time it is asked for
-        distribution, version = metadata["Name"], metadata["Version"] or ""
+    distribution, version = (point.name, "") if point.dist is None else _named(point.dist)
     record = PluginRecord(
         name=point.name,
         distribution=distribution,
@@ -133,6 +153,15 @@ def _identify(point: EntryPoint) -> _Claim:
         status=Status.READY,
     )
     return _Claim(point, record)
+
+
+@lru_cache
+def _named(found: Distribution) -> tuple[str, str]:
+    """Name and version of a distribution, which is one object for all of its entry points: it
+    reads them from a file each time.
+    """
+    metadata = found.metadata
+    return metadata["Name"], metadata["Version"] or ""
 
 
 def _normalise(name: str) -> str:

@@ -1,17 +1,22 @@
-"""Who calls, and what a role may call."""
+"""Who calls, over which transport, and what a role may call."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
 from roboneuron.errors import RefusedError
 from roboneuron.gate.roles import ADMIN, OPERATOR, VIEWER, has_role
 from roboneuron.server.tool import CallContext, Tool
 
+if TYPE_CHECKING:
+    from anyio import Event
+
 _LOCAL_CLIENT = "local HTTP client"
+Transport: TypeAlias = "Callable[[Event], Awaitable[None]]"
+"""Serves clients on the event loop until the event is set."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -9,7 +9,7 @@ import logging
 import signal
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
@@ -24,17 +24,18 @@ from roboneuron.estop.emergency import SafetyReports, press_on_signal
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.loading import load_attribute
 from roboneuron.ros.environment import state_directory
+from roboneuron.server.access import Transport
 from roboneuron.server.events import Events
-from roboneuron.server.feature import Features, Transport
+from roboneuron.server.feature import Features
 from roboneuron.server.host import Host
 from roboneuron.server.loop import ClosedLoop
 from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.server.registry import ToolRegistry
-from roboneuron.server.resources import Resources
 from roboneuron.server.selection import check_configuration
 from roboneuron.server.stdio import serve_stdio
 from roboneuron.server.stop_tools import emergency_tools, stop_tools
 from roboneuron.server.surface import Served, make_server
+from roboneuron.server.tool import Resource
 from roboneuron.supervisor.health import Watch
 from roboneuron.supervisor.launching import Command, Connect, Connection, module_command
 from roboneuron.supervisor.supervisor import LEAVE_S, Supervisor
@@ -72,7 +73,7 @@ class Application:
         attached: clients come to `server`; not so for one of several robots.
     """
 
-    resources: Resources
+    resources: Mapping[str, Resource]
 
     def __init__(
         self,
@@ -119,7 +120,7 @@ class Application:
             events=self.events,
             started_s=self.started_s,
             state_directory=self.supervisor.state_directory,
-            check_resource=lambda uri: self.resources.check(uri),
+            check_resource=self.server.find_resource,
             end_motion=self.end_motion,
             _link=lambda: self.supervisor.link,
         )
@@ -130,7 +131,10 @@ class Application:
         self.server.introduce(
             f"RoboNeuron operates one {self.loop.robot_facts}.", self.tools.names()
         )
-        self.resources = Resources(offered)
+        found: dict[str, Resource] = {}
+        for resource in offered:
+            found.setdefault(resource.uri, resource)
+        self.resources = found
         if attached:
             self.features.attach(self.host)
 

@@ -5,7 +5,7 @@ gets an answer.
 from __future__ import annotations
 
 import json
-from typing import Any, Final, Self
+from typing import Final, Self
 
 from mcp.types import JSONRPCMessage, jsonrpc_message_adapter
 from pydantic import ValidationError
@@ -67,7 +67,7 @@ def read_message(data: bytes) -> JSONRPCMessage:
         raise EnvelopeError(INVALID_REQUEST, "This is no JSON-RPC request.", found) from error
 
 
-def check_id(raw: Any) -> None:
+def check_id(raw: object) -> None:
     """Raise EnvelopeError for a request whose id is no text and no integer: it would pass for a
     notification.
     """

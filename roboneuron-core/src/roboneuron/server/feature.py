@@ -5,10 +5,9 @@ others' faults.
 from __future__ import annotations
 
 import logging
-from collections.abc import Awaitable, Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from roboneuron.config import STDIO, Config, feature_options, transport_feature
 from roboneuron.errors import ConfigurationError, InternalError, PluginError, RoboNeuronError
@@ -17,36 +16,14 @@ from roboneuron.plugins.registry import Registry
 from roboneuron.plugins.specs import FeatureSpec
 
 if TYPE_CHECKING:
-    from anyio import Event
-
+    from roboneuron.server.access import Transport
     from roboneuron.server.host import Host
     from roboneuron.server.motion_gate import MotionGate
     from roboneuron.server.registry import ToolRegistry
-    from roboneuron.server.tool import Tool
+    from roboneuron.server.tool import Resource, Tool
 
 log = logging.getLogger(__name__)
 OptionsT = TypeVar("OptionsT")
-Transport: TypeAlias = "Callable[[Event], Awaitable[None]]"
-"""Serves clients on the event loop until the event is set."""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Resource:
-    """An MCP resource.
-
-    Attributes:
-        uri: such as "roboneuron://logs/robot".
-        name, title, description: what clients see.
-        read: returns the text; called on the event loop, so it must be quick.
-        mime_type: of that text.
-    """
-
-    uri: str
-    name: str
-    title: str
-    description: str
-    read: Callable[[], str]
-    mime_type: str = "text/plain"
 
 
 class Feature(Generic[OptionsT]):

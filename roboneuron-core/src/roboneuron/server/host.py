@@ -22,10 +22,10 @@ if TYPE_CHECKING:
     from roboneuron.server.events import Events
     from roboneuron.server.feature import Feature, Features
     from roboneuron.server.loop import ClosedLoop
-    from roboneuron.server.module_views import Modules
     from roboneuron.server.motion_gate import MotionGate
     from roboneuron.server.registry import ToolRegistry
     from roboneuron.server.surface import AnnouncingServer
+    from roboneuron.supervisor.health import Modules
 
 
 F = TypeVar("F")
@@ -61,7 +61,7 @@ class Host:
     events: Events
     started_s: float
     state_directory: Path
-    check_resource: Callable[[str], None]
+    check_resource: Callable[[str], object]
     end_motion: Callable[[str, float], None]
     _link: Callable[[], RosLink]
 

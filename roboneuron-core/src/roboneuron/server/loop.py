@@ -5,7 +5,6 @@ call.
 from __future__ import annotations
 
 import threading
-import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -13,18 +12,16 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 from roboneuron.config import Config, LimitsConfig
-from roboneuron.errors import InvalidInputError, NotReadyError, RefusedError, StateError
+from roboneuron.errors import InvalidInputError, StateError
 from roboneuron.estop.emergency import EmergencyStop
 from roboneuron.estop.motion_starts import MotionStarts
-from roboneuron.modules.report import Report
 from roboneuron.modules.settings import EMERGENCY_STOP, LIMITS_PARAMETER, MODULE_KINDS, ModuleKind
 from roboneuron.plugins.specs import RobotSpec
-from roboneuron.server.module_views import Modules
 from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.server.replacements import Replacements
-from roboneuron.server.selection import Choose, Selection, check_instruction, choose_configured
+from roboneuron.server.selection import Choose, Selection, choose_configured
 from roboneuron.server.tool import Arguments
-from roboneuron.supervisor.health import ModuleView, Stopped
+from roboneuron.supervisor.health import Modules, ModuleView, Stopped
 from roboneuron.supervisor.launching import Stage
 from roboneuron.supervisor.slot import Slot
 from roboneuron.supervisor.supervisor import Supervisor
@@ -33,7 +30,6 @@ if TYPE_CHECKING:
     from roboneuron.ros.link import RosLink
 
 
-_PARAMETER_S = 5.0
 _KEPT_ACTIONS = 4096
 
 
@@ -145,7 +141,7 @@ class ClosedLoop:
     def robot_facts(self) -> RobotFacts:
         """Which robot is or would be started, and whether it is a real one."""
         robot = self.config.robot
-        spec = self.plugins.current().specs(RobotSpec).get(robot.name)
+        spec = self.plugins.latest.specs(RobotSpec).get(robot.name)
         driver = None if spec is None else spec.driver(robot.driver)
         kind: Literal["real", "simulated"] = (
             "simulated" if driver is not None and driver.simulated else "real"
@@ -187,7 +183,7 @@ class ClosedLoop:
         check_compatible(selection, {view.kind: view for view in self.modules.views()})
         section = selection.config.inference
         if selection.kind == "inference" and section is not None and section.instruction:
-            self._check_not_latched()
+            self.emergency_stop.check()
 
     def start(
         self,
@@ -287,64 +283,6 @@ class ClosedLoop:
             if refused := self.replacements.parameters(slot).set(values, timeout_s):
                 return refused
         return ""
-
-    def set_instruction(self, text: str, timeout_s: float) -> tuple[Report, float]:
-        """Hand the backend a new instruction; returns when its first action for it was published,
-        and after how long.
-
-        Raises:
-            InvalidInputError: the instruction is empty or refused by the module.
-            StateError: no backend is running, or a stop came meanwhile.
-            RefusedError: the emergency stop is latched, so nothing would happen.
-            UngroundedError: the backend cannot act on it; nothing moves.
-            NotReadyError: no action within the time; the message says what is missing.
-        """
-        text = check_instruction(text)
-        view = self.modules.require_running("inference")
-        self._check_not_latched()
-        before = view.report
-        count = before.instruction_count if before is not None else 0
-        errors = before.error_count if before is not None else 0
-        started_s = time.monotonic()
-        stops = self.starts.permit()
-        _, refused = self.starts.give(text, _PARAMETER_S)
-        if refused:
-            raise InvalidInputError(
-                f"The backend refused the instruction: {refused}.", path="instruction"
-            )
-
-        def settled() -> Report | None:
-            self.starts.check(stops)
-            report = self.modules.require_running("inference").report
-            if report is None or report.instruction_count <= count:
-                return None
-            if report.actions_for_instruction > 0:
-                return report
-            failure = report.failure()
-            if failure is not None and report.error_count > errors:
-                raise failure
-            return None
-
-        report = self.modules.changes.wait_for(settled, timeout_s)
-        if report is None:
-            newest = self.modules.view("inference").report
-            missing = newest.waiting_for or newest.note if newest is not None else "its status"
-            raise NotReadyError(
-                f"The backend has published no action for {text!r} within {timeout_s:g} s; it "
-                "waits for: "
-                f"{missing or 'its first inference'}.",
-                hint="The instruction stays set; see get_status, or give another one.",
-            )
-        return report, time.monotonic() - started_s
-
-    def _check_not_latched(self) -> None:
-        if self.emergency_stop.is_latched():
-            cause = self.emergency_stop.cause()
-            raise RefusedError(
-                f"The emergency stop is latched{f' ({cause})' if cause else ''}: nothing would "
-                "move.",
-                hint="A person releases it: see reset_emergency_stop.",
-            )
 
 
 def _has_started(slot: Slot) -> bool:

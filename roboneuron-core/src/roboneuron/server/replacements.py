@@ -46,11 +46,8 @@ class Replacements:
         return self._supervisor.report_of(slot)
 
     def parameters(self, slot: Slot) -> NodeClient:
-        """The parameters of the module in a slot, while its process is there."""
-        assert slot.choice is not None
-        assert slot.process is not None
-        node = f"/{slot.choice.settings.status_name}"
-        return self._supervisor.parameters(node, slot.process)
+        """The parameters of the module in a slot. Raises StateError: its process has ended."""
+        return self._supervisor.parameters(slot)
 
     def start_again(self, view: ModuleView, config: Config) -> None:
         """Start once more what has ended, as it was chosen, with `config`. Raises as

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
@@ -11,11 +10,13 @@ from functools import cache, cached_property
 from typing import Any, Generic, TypeVar
 
 from pydantic import BaseModel, ValidationError
+from pydantic_core import to_json
 
 from roboneuron.errors import InvalidInputError, nearest
 from roboneuron.plugins.loading import option_names
 
 Schema = dict[str, Any]
+_NO_JSON = "The call holds text that is no Unicode, or is nested too deeply."
 M = TypeVar("M", bound=BaseModel)
 M_co = TypeVar("M_co", bound=BaseModel, covariant=True)
 
@@ -194,9 +195,11 @@ def parse(
             given[name] = int(value)
     try:
         # as JSON: strict, but a list is a tuple where one is due
-        parsed = model.model_validate_json(json.dumps(given))
+        parsed = model.model_validate_json(to_json(given, inf_nan_mode="constants"))
     except ValidationError as error:
         raise _explain(model, error) from error
+    except ValueError as error:
+        raise InvalidInputError(_NO_JSON) from error
     for name, allowed in (choices or {}).items():
         value = getattr(parsed, name)
         for item in value if isinstance(value, list) else [] if value is None else [value]:
@@ -225,7 +228,7 @@ def _explain(model: type[BaseModel], error: ValidationError) -> InvalidInputErro
     if first["type"] == "literal_error":
         return no_choice(path, first["input"], re.findall(r"'([^']*)'", first["ctx"]["expected"]))
     if first["type"] == "json_invalid":
-        return InvalidInputError("The call holds text that is no Unicode, or is nested too deeply.")
+        return InvalidInputError(_NO_JSON)
     what = first["msg"].replace("Input should be ", "expected ")
     return InvalidInputError(
         f"Argument {path!r} is {shortened(first['input'])}, {what}.", path=path

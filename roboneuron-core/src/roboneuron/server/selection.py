@@ -61,8 +61,6 @@ class KindEntry:
         offer: kind of the plugins that offer it.
         section: model of its section.
         request: arguments of its start tool.
-        title, start_text: of its start tool.
-        proof: what shows that a start has succeeded.
         stop_text: effect of its stop tool.
     """
 
@@ -71,9 +69,6 @@ class KindEntry:
     offer: str
     section: type[ModuleSection]
     request: type[Arguments]
-    title: str
-    start_text: str
-    proof: str
     stop_text: str
 
     def configured(self, config: Config, registry: Registry) -> ModuleSection:
@@ -147,10 +142,6 @@ _ENTRIES = (
         offer="robot",
         section=RobotConfig,
         request=NoArguments,
-        title="Start the robot",
-        start_text="Connect to the robot, or start its simulation. It stands still until "
-        "something moves it.",
-        proof="its joints are measured",
         stop_text="Let the robot hold its position, and disconnect from it or end its simulation.",
     ),
     KindEntry(
@@ -159,9 +150,6 @@ _ENTRIES = (
         offer="perception",
         section=PerceptionConfig,
         request=NoArguments,
-        title="Start the cameras",
-        start_text="Start the cameras. A simulated robot's cameras need start_robot first.",
-        proof="each camera has delivered an image",
         stop_text="Close the cameras; a policy without images sends no more actions.",
     ),
     KindEntry(
@@ -170,11 +158,6 @@ _ENTRIES = (
         offer="controller",
         section=ControlConfig,
         request=NoArguments,
-        title="Start the controller",
-        start_text="Start the controller, which turns the policy's actions, and move_ee, into "
-        "joint commands. Needs "
-        "start_robot. The arm stands still until actions come.",
-        proof="it measures the pose of the end effector",
         stop_text="Stop the controller; the arm holds its position.",
     ),
     KindEntry(
@@ -183,12 +166,6 @@ _ENTRIES = (
         offer="backend",
         section=InferenceConfig,
         request=StartInference,
-        title="Start the policy",
-        start_text="Load a policy (a vision-language-action model or a classical one). With an "
-        "instruction the robot "
-        "moves at once. Needs start_perception; to move, also start_robot and start_control.",
-        proof="the policy receives its inputs and, if it has an instruction, has sent its first "
-        "action",
         stop_text="Stop the policy; the arm holds its position.",
     ),
 )

@@ -1,7 +1,8 @@
 """Two descriptors as the MCP wire: messages in lanes, and lines out.
 
 Reading and writing happen on daemon threads, so that neither a silent nor a stuck client can keep
-the server from leaving.
+the server from leaving. The SDK's own `stdio_server` reads on a thread that cannot be left, leaves
+what is no message unanswered, and hands messages over in the order in which they came.
 """
 
 from __future__ import annotations
@@ -15,7 +16,6 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Any
 
 import anyio
 from anyio import EndOfStream
@@ -223,7 +223,7 @@ class MessageReader(ObjectReceiveStream[SessionMessage]):
         self._waiting[lane].append((message, size))
         self._waiting_bytes += size
 
-    def _drop(self, request_id: Any) -> None:
+    def _drop(self, request_id: object) -> None:
         """A request that still waits is cancelled: it will not be worked on, nor answered."""
         if not isinstance(request_id, int | str):
             return

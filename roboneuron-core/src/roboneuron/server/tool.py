@@ -1,4 +1,4 @@
-"""One tool as data: what the agent reads of it, and the function that does it."""
+"""Tools and resources as data: what the agent reads of one, and the function behind it."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
 from pydantic import BaseModel, ConfigDict
+from pydantic.version import version_short
 
 from roboneuron.server.schema import Schema, Shape, model_schema, parse, with_choices
 
@@ -19,8 +20,7 @@ Stage = Callable[[str], None]
 class Arguments(BaseModel):
     """Base of all argument models: nothing unknown, nothing converted, no NaN and no infinity."""
 
-    # built when first used: a start makes many of them, and most are never called; results are
-    # not, for they may be made by several threads at once, which pydantic below 2.14 does not bear
+    # built when first used: a start makes many of them, and most are never called
     model_config = ConfigDict(
         extra="forbid", frozen=True, strict=True, allow_inf_nan=False, defer_build=True
     )
@@ -42,7 +42,8 @@ class Result(BaseModel):
             fields.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    # built when first used, which may be by several threads at once: pydantic 2.14 bears that first
+    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=version_short() >= "2.14")
 
     sparse: ClassVar[bool] = False
 
@@ -190,3 +191,22 @@ class Tool(Generic[A]):
 
     def _choices(self) -> dict[str, dict[str, str]]:
         return {name: ask() for name, ask in self.choices.items()}
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Resource:
+    """An MCP resource.
+
+    Attributes:
+        uri: such as "roboneuron://logs/robot".
+        name, title, description: what clients see.
+        read: returns the text; called on the event loop, so it must be quick.
+        mime_type: of that text.
+    """
+
+    uri: str
+    name: str
+    title: str
+    description: str
+    read: Callable[[], str]
+    mime_type: str = "text/plain"

@@ -13,7 +13,7 @@ from roboneuron.modules.settings import ModuleKind
 from roboneuron.planning import Plan
 from roboneuron.ros.claim import LEAVE_S, claimant, runs_already
 from roboneuron.supervisor.changes import Lasting
-from roboneuron.supervisor.health import ModuleTable
+from roboneuron.supervisor.health import Modules
 from roboneuron.supervisor.launching import Launch, Spawner, Stage
 from roboneuron.supervisor.lifecycle import NodeClient
 from roboneuron.supervisor.process import ModuleProcess, end_processes
@@ -49,7 +49,7 @@ class Bringup:
         self,
         launch: Launch,
         spawner: Spawner,
-        modules: ModuleTable,
+        modules: Modules,
         slot: Slot,
         plan: Plan | None,
         on_stage: Stage,

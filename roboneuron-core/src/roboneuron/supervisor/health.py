@@ -8,12 +8,13 @@ import logging
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from roboneuron.modules.report import Report
 from roboneuron.modules.settings import MODULE_KINDS, ModuleKind
 from roboneuron.supervisor.changes import Changes, Periodic
-from roboneuron.supervisor.process import ModuleProcess
+from roboneuron.supervisor.process import ModuleProcess, ProcessEvents
 from roboneuron.supervisor.slot import Choice, Exit, Phase, Slot
 
 if TYPE_CHECKING:
@@ -130,8 +131,8 @@ class StatusBoard:
         self.changes.notify()
 
 
-class ModuleTable:
-    """The modules of one server.
+class Modules:
+    """The modules of one server and their processes, as features may read them and be told of them.
 
     Args:
         on_change: called from any thread, with the kind, when a module started, stopped or ended by
@@ -142,7 +143,14 @@ class ModuleTable:
         slots: by kind, the one of the module that works first; others are about to replace it, or
             were replaced.
         board: what the modules report.
+        log_directory: where this server's modules log, one file for each.
+        process_events: what happens to module processes, for listeners.
+        secret_variables: environment variables that modules do not get; features may add some.
     """
+
+    log_directory: Path
+    process_events: ProcessEvents
+    secret_variables: set[str]
 
     def __init__(self, on_change: Callable[[ModuleKind], object]) -> None:
         self.on_change = on_change
@@ -189,6 +197,21 @@ class ModuleTable:
     def views(self) -> list[ModuleView]:
         """All modules, in the order robot, perception, inference, control."""
         return [self.view(kind) for kind in MODULE_KINDS]
+
+    def processes(self, kind: ModuleKind) -> list[ModuleProcess]:
+        """Those of a kind: of the module that works, and of one that is to replace it."""
+        with self.changes.lock:
+            return [slot.process for slot in self.slots[kind] if slot.process is not None]
+
+    def log_path(self, kind: ModuleKind) -> Path:
+        """Where the present module of that kind logs; without one, where it would.
+
+        Args:
+            kind: a module that has replaced another one may log under the other of its two names.
+        """
+        choice = self.slot(kind).choice
+        name = choice.settings.node_name if choice is not None else kind
+        return self.log_directory / f"{name}.log"
 
     def require_running(self, kind: ModuleKind) -> ModuleView:
         """The view of a running module.

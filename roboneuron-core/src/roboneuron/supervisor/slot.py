@@ -7,8 +7,9 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Literal, NamedTuple
 
+from roboneuron.config import ModuleSettings
 from roboneuron.errors import NotReadyError, StateError
-from roboneuron.modules.settings import ModuleKind, ModuleSettings
+from roboneuron.modules.settings import ModuleKind
 from roboneuron.planning import Plan
 from roboneuron.supervisor.changes import Changes
 from roboneuron.supervisor.process import ModuleProcess

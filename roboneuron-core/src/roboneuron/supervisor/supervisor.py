@@ -14,14 +14,14 @@ from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from roboneuron.config import Config, LimitsConfig
+from roboneuron.config import Config, LimitsConfig, ModuleSettings
 from roboneuron.errors import RoboNeuronError, StateError
-from roboneuron.modules.settings import ARM_KINDS, MODULE_KINDS, ModuleKind, ModuleSettings
+from roboneuron.modules.settings import ARM_KINDS, MODULE_KINDS, ModuleKind
 from roboneuron.planning import Plan
 from roboneuron.ros.environment import check_state_directory
 from roboneuron.supervisor.bringup import Bringup
 from roboneuron.supervisor.changes import Periodic
-from roboneuron.supervisor.health import ModuleTable, ModuleView, Stopped
+from roboneuron.supervisor.health import Modules, ModuleView, Stopped
 from roboneuron.supervisor.launching import (
     Command,
     Connect,
@@ -32,7 +32,7 @@ from roboneuron.supervisor.launching import (
     module_command,
 )
 from roboneuron.supervisor.lifecycle import NodeClient
-from roboneuron.supervisor.process import KILL_S, ModuleProcess, end_processes
+from roboneuron.supervisor.process import KILL_S, end_processes
 from roboneuron.supervisor.slot import Choice, Claim, Slot
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ s.
 """
 
 
-class Supervisor(ModuleTable):
+class Supervisor(Modules):
     """At most one process of each kind, and a second one while it is being replaced.
 
     Args:
@@ -63,16 +63,13 @@ class Supervisor(ModuleTable):
             logs.
 
     Attributes:
-        log_directory: where this server's modules log, one file for each;
-            `<state>/log/<time>-<pid>`.
-        process_events: what happens to module processes, for listeners.
+        log_directory: `<state>/log/<time>-<pid>`.
         tightened: limits that modules are started with instead of the configured ones; None for
             these.
         on_join: functions of features that modules call with their node, as "module:attribute"; see
             `ModuleHost`.
         needs_start: which stop keeps robot and control still, when they are started, until somebody
             asks for motion.
-        secret_variables: environment variables that modules do not get.
         connection: the server's node.
         spawner: starts processes.
         heartbeat: shows them that the server lives.
@@ -107,13 +104,16 @@ class Supervisor(ModuleTable):
         """The ROS node of the control plane; opened on first use."""
         return self.connection.link()
 
-    def parameters(self, node: str, process: ModuleProcess) -> NodeClient:
-        """The parameters of a module, for one request or several.
+    def parameters(self, slot: Slot) -> NodeClient:
+        """The parameters of the module in a slot, for one request or several.
 
-        Args:
-            node: absolute name of its node.
-            process: is told of each request before it is sent; refuses those of anybody else.
+        Raises:
+            StateError: its process has ended.
         """
+        choice, process = slot.choice, slot.process
+        if choice is None or process is None:
+            raise StateError(f"{slot.kind} has ended.")
+        node = f"/{choice.settings.status_name}"
         return NodeClient(self.link, self.changes, node, process.announce)
 
     def open(self) -> None:
@@ -253,21 +253,6 @@ class Supervisor(ModuleTable):
             with suppress(StateError):
                 claims.append(slot.begin_stop())
         return self._finish(claims, within_s)
-
-    def processes(self, kind: ModuleKind) -> list[ModuleProcess]:
-        """Those of a kind: of the module that works, and of one that is to replace it."""
-        return [slot.process for slot in self._all(kind) if slot.process is not None]
-
-    def log_path(self, kind: ModuleKind) -> Path:
-        """Where the present module of that kind logs; without one, where it would.
-
-        Args:
-            kind: a module that has replaced another one may log under the other of its two names.
-        """
-        choice = self.slot(kind).choice
-        return (
-            self.log_directory / f"{choice.settings.node_name if choice is not None else kind}.log"
-        )
 
     def close(self) -> None:
         """Stop everything, leave the ROS graph, end all threads; idempotent.

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rn_robot_fr3.command import checked
+from rn_robot_fr3.cell import MOVED
 from rn_robot_fr3.fci import faults
 from rn_robot_fr3.fci.arm import ArmState, ClientError, FciArm
 from rn_robot_fr3.fci.faults import Fault
@@ -22,6 +22,7 @@ from rn_robot_fr3.fci.planner import plan
 from rn_robot_fr3.fci.scene import SceneFeed
 from rn_robot_fr3.fci.state_topics import StateTopics, described
 from rn_robot_fr3.limits import ARM_JOINTS, FINGER_JOINT, FINGER_OPEN_M, MIMIC_FINGER_JOINT
+from rn_simulation.command import checked
 from roboneuron import (
     ConfigurationError,
     JointCommand,
@@ -153,7 +154,7 @@ class FciDriver:
             StateError: not open.
             UnsafeError: the arm has a fault; says which, and what to do.
         """
-        values = checked(command)
+        values = checked(command, MOVED)
         if (braking := self._arm) is not None:
             braking.await_rest()  # without the lock: states are measured meanwhile
         with self._commanding:

@@ -13,10 +13,10 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from std_msgs.msg import Float64MultiArray
 
-from rn_robot_fr3.ground_truth import LiftClock
-from rn_robot_fr3.scene import Cube
 from rn_robot_fr3.state_message import TOPIC, SceneState, to_message
+from rn_simulation.cubes import Cube
 from rn_simulation.engine import choose_engine
+from rn_simulation.ground_truth import LiftClock
 from roboneuron import NotReadyError, Topics
 
 _PERIOD_S = 1.0 / 60.0

@@ -25,13 +25,14 @@ from rn_robot_fr3.description import urdf
 from rn_robot_fr3.fci.addresses import free_address
 from rn_robot_fr3.fci.counterpart import Counterpart
 from rn_robot_fr3.profile import HOME_RAD
-from rn_robot_fr3.scene import DEFAULT_COLOURS, random_cubes
-from rn_robot_fr3.world import (
+from rn_robot_fr3.scene import (
     CUBE_FRICTION,
     FINGER_FRICTION,
     TABLE_FRICTION,
     WOOD_KG_M3,
+    random_cubes,
 )
+from rn_simulation.cubes import DEFAULT_COLOURS
 
 PORT, GRIPPER_PORT, SCENE_PORT = 1337, 1338, 1339
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import base64
 import json
+import socket
 import threading
 import time
 from collections.abc import Mapping
@@ -116,7 +117,7 @@ class _Http(ThreadingHTTPServer):
 
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
-        self._sockets: set[Any] = set()
+        self._sockets: set[socket.socket] = set()
 
     def process_request(self, request: Any, client_address: Any) -> None:
         self._sockets.add(request)

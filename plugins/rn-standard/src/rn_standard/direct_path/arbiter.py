@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
 
-from rn_standard.direct_path.exposed import ACTION_LABEL
+from rn_standard.direct_path.exposed import ACTION_LABELS
 from rn_standard.direct_path.gate import Gate
 from roboneuron import NotReadyError, RefusedError, RoboNeuronError, StateError
 from roboneuron.feature import ExposedEndpoint, MotionStarts
@@ -237,7 +237,7 @@ class MotionArbiter:
                 )
             self._moving[key] = motion
         try:
-            if exposed.moves and exposed.label != ACTION_LABEL:
+            if exposed.moves and exposed.label not in ACTION_LABELS:
                 self._await_hold(motion)
             yield motion
         finally:

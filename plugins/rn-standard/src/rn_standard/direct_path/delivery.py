@@ -13,7 +13,7 @@ import numpy as np
 from opentelemetry import trace
 
 from rn_standard.direct_path.arbiter import ActiveMotion, Ending, MotionEnd
-from rn_standard.direct_path.exposed import ACTION_LABEL, stop_message
+from rn_standard.direct_path.exposed import ACTION_LABELS, stop_message
 from rn_standard.direct_path.gate import Gate
 from roboneuron import (
     JointCommand,
@@ -130,7 +130,7 @@ def _end(
     if message is not None:
         writer.publish(message)
         return Ending.STOP_MESSAGE
-    if exposed.hidden and exposed.label == ACTION_LABEL:
+    if exposed.hidden and exposed.label in ACTION_LABELS:
         return Ending.CONTROL
     if not exposed.endpoint.joint_limited or not (moving or _is_velocity(last)):
         return Ending.NONE
@@ -153,14 +153,14 @@ def _is_velocity(message: Any) -> bool:
 def _hold(message: Any, joints: JointSample | None, profile: RobotProfile | None) -> Any:
     """What keeps the joints of a command where they were measured; None when one of them was not.
 
-    The gripper is left to its last command: fingers that are told to be where an object blocks them
+    Grippers are left to their last command: fingers that are told to be where an object blocks them
     lose their force.
     """
     if _is_velocity(message):
         return type(message)(name=list(message.name), velocity=[0.0] * len(message.name))
-    gripper = profile.gripper.joint if profile is not None and profile.gripper is not None else None
+    fingers = {gripper.joint for gripper in profile.grippers} if profile is not None else set()
     named = message.joint_names if hasattr(message, "points") else message.name
-    names = [name for name in named if name != gripper]
+    names = [name for name in named if name not in fingers]
     if joints is None or not names or any(name not in joints.names for name in names):
         return None
     position = [float(joints.position[joints.names.index(name)]) for name in names]

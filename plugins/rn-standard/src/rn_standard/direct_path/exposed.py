@@ -36,8 +36,13 @@ _TRANSITION = re.compile(rf"({'|'.join(MODULE_KINDS)})(_b)?/transition_event")
 """What the middleware publishes for each module below a robot's namespace."""
 _SYSTEM_TOPICS = frozenset({topics.DIAGNOSTICS, "/rosout", "/parameter_events"})
 """Health of the modules, and what ROS itself tells."""
-ACTION_LABEL = "ee_delta"
-"""Label of the hidden endpoint that is the action topic of an arm."""
+ACTION_LABEL, POSES_LABEL = "ee_delta", "ee_pose"
+"""Label of the hidden endpoint that is the action topic of one arm, and of several: each message
+says where all of them are to be.
+"""
+ACTION_LABELS = (ACTION_LABEL, POSES_LABEL)
+_FARTHEST_M = 10.0
+"""No TCP is farther from its base; poses of several arms are in the frame of one of them."""
 
 
 def allowed_endpoint(exposed: ExposedEndpoint) -> AllowedEndpoint:
@@ -81,25 +86,26 @@ def profile_endpoints(
 
 
 def action_endpoint(exposed: ExposedEndpoint) -> ExposedEndpoint | None:
-    """The action topic of the robot of `exposed`, when that is one arm with a TCP: what control
-    follows. Several arms take no TCP deltas, which name no arm.
+    """The action topic of the robot of `exposed`, when that has a TCP: what control follows. TCP
+    deltas name no arm, so several arms take poses.
     """
     profile = exposed.profile
-    if profile is None or profile.arms or not (profile.arm_joints and profile.tcp_link):
+    if profile is None or not (profile.arm_joints and profile.tcp_link):
         return None
+    label, farthest = (POSES_LABEL, _FARTHEST_M) if profile.arms else (ACTION_LABEL, 1.0)
     endpoint = Endpoint(
-        name=ACTION_LABEL,
+        name=label,
         kind="publish",
         topic=topics.ACTION,
         type=_ACTION_TYPE,
-        summary="TCP deltas for control.",
-        bounds={"data": (-1.0, 1.0)},
+        summary="TCP poses of all arms for control." if profile.arms else "TCP deltas for control.",
+        bounds={"data": (-farthest, farthest)},
         rate_hz=20.0,
     )
     return ExposedEndpoint(
         robot=exposed.robot,
         namespace=exposed.namespace,
-        label=ACTION_LABEL,
+        label=label,
         endpoint=endpoint,
         profile=profile,
         hidden=True,

@@ -245,29 +245,34 @@ def _item_writer(values: Any, index: int) -> Callable[[float], None]:
     return write
 
 
-def find_nonfinite(message: Any, allowed: frozenset[str], plain: str = "", path: str = "") -> str:
+def find_nonfinite(message: Any, allowed: frozenset[str]) -> str:
     """Return the path of the first NaN or infinity that is not allowed there; empty when there is
     none.
+    """
+    return next((path for plain, path in _nonfinite(message) if plain not in allowed), "")
+
+
+def _nonfinite(message: Any) -> Iterator[tuple[str, str]]:
+    """Yield the path without indices, and the whole path, of each NaN or infinity; of an array of
+    numbers that of the first one. Paths are made for what is found only: every call is looked at.
     """
     ros_type: Any = type(message)
     for name in _names_of_fields(ros_type):
         value = getattr(message, name)
-        bare = f"{plain}.{name}" if plain else name
-        here = f"{path}.{name}" if path else name
-        if is_message(value):
-            found = find_nonfinite(value, allowed, bare, here)
-        elif isinstance(value, float):
-            found = "" if math.isfinite(value) or bare in allowed else here
+        if isinstance(value, float):
+            if not math.isfinite(value):
+                yield name, name
+        elif is_message(value):
+            for plain, path in _nonfinite(value):
+                yield f"{name}.{plain}", f"{name}.{path}"
         elif isinstance(value, array | np.ndarray):
-            found = "" if bare in allowed else _first_nonfinite(value, here)
+            found = _first_nonfinite(value, name)
+            if found:
+                yield name, found
         elif isinstance(value, list) and value and is_message(value[0]):
-            inner = (find_nonfinite(v, allowed, bare, f"{here}[{i}]") for i, v in enumerate(value))
-            found = next((f for f in inner if f), "")
-        else:
-            found = ""
-        if found:
-            return found
-    return ""
+            for index, item in enumerate(value):
+                for plain, path in _nonfinite(item):
+                    yield f"{name}.{plain}", f"{name}[{index}].{path}"
 
 
 @functools.cache

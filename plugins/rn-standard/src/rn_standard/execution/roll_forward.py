@@ -13,6 +13,7 @@ from roboneuron import (
     EE_DELTA,
     GRIPPER,
     Action,
+    ArmState,
     ControlSpace,
     JointSample,
     Observation,
@@ -32,8 +33,8 @@ def roll_forward(
 ) -> Observation:
     """Return the observation with the state after `rows`.
 
-    What the space moves is rolled: the TCP pose by TCP deltas and poses, the joints by joint
-    positions and velocities, and the gripper; pose and gripper are those of the first arm. The rest
+    What the space moves is rolled: the TCP poses by TCP deltas and poses, the joints by joint
+    positions and velocities, and the grippers; of several arms each that it moves. The rest
     stays as measured, since joints cannot be told from TCP deltas nor the TCP from joints here.
     Commands overstate motion where the arm lags behind.
 
@@ -49,32 +50,52 @@ def roll_forward(
     """
     left = np.ones(len(rows))
     left[0] -= done_share
-    names = [channel.name for channel in space.channels]
-    opening = observation.gripper_open
-    if opening is not None and GRIPPER in names:
-        opening = float(rows[-1, names.index(GRIPPER)])
-    pose, joints = observation.ee_pose, observation.joints
-    if pose is not None and space.kind.startswith("ee"):
-        pose = _rolled_pose(pose, rows, left, space)
+    # the state without an arm's name is that of the robot's first
+    first = next(iter(observation.arms), "")
+    opening, pose = observation.gripper_open, observation.ee_pose
+    if opening is not None:
+        opening = _rolled_opening(opening, rows, space, first)
+    if pose is not None:
+        pose = _rolled_pose(pose, rows, left, space, first)
+    arms = {
+        name: ArmState(
+            ee_pose=_rolled_pose(arm.ee_pose, rows, left, space, name),
+            gripper_open=None
+            if arm.gripper_open is None
+            else _rolled_opening(arm.gripper_open, rows, space, name),
+        )
+        for name, arm in observation.arms.items()
+    }
+    joints = observation.joints
     if joints is not None and space.kind.startswith("joint"):
         joints = _rolled_joints(joints, rows, left * step_s, space)
-    return replace(observation, ee_pose=pose, joints=joints, gripper_open=opening)
+    return replace(observation, ee_pose=pose, joints=joints, gripper_open=opening, arms=arms)
 
 
-def _rolled_pose(pose: Pose, rows: F64, left: F64, space: ControlSpace) -> Pose:
+def _rolled_opening(opening: float, rows: F64, space: ControlSpace, arm: str) -> float:
+    for column, channel in enumerate(space.channels):
+        if channel.name == GRIPPER and channel.arm == arm:
+            return float(rows[-1, column])
+    return opening
+
+
+def _rolled_pose(pose: Pose, rows: F64, left: F64, space: ControlSpace, arm: str) -> Pose:
     if space.kind == "ee_pose":
-        first = space.channels[0].arm
         end = {
             channel.name: value
             for channel, value in zip(space.channels, rows[-1].tolist(), strict=True)
-            if channel.arm == first
+            if channel.arm == arm
         }
+        if not end:
+            return pose
         quaternion = np.array([end[f"q{name}"] for name in "xyzw"])
         return Pose(
             position_m=np.array([end[name] for name in "xyz"]),
             quaternion_xyzw=quaternion / np.linalg.norm(quaternion),
             stamp_ns=pose.stamp_ns,
         )
+    if space.kind != "ee_delta":
+        return pose
     for row, share in zip(rows, left, strict=True):
         pose = apply_delta(
             pose,

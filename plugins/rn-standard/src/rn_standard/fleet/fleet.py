@@ -10,6 +10,7 @@ from __future__ import annotations
 import logging
 import os
 import time
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -18,7 +19,7 @@ from typing import Any
 from rn_standard.fleet.connection import PARTICIPANTS, SharedConnection, participants_of
 from rn_standard.fleet.fleet_tools import emergency_stop_tool, list_fleet_tool
 from rn_standard.fleet.middleware import RobotMiddleware
-from rn_standard.fleet.resources import FleetResources, uri_of
+from rn_standard.fleet.resources import resources_of, uri_of
 from rn_standard.fleet.tools import FleetTools
 from roboneuron import ConfigurationError, RoboNeuronError, Tool, UnsafeError
 from roboneuron.feature import (
@@ -30,7 +31,6 @@ from roboneuron.feature import (
     Transport,
     emergency,
     estop,
-    launching,
     log_files,
     make_server,
     reading,
@@ -63,7 +63,7 @@ class Fleet:
         state: Path,
         *,
         plugins: PluginCatalogue | None = None,
-        command: launching.Command | None = None,
+        command: Callable[[str | None], Sequence[str]] | None = None,
     ) -> None:
         logs = state / "log" / f"{time.strftime('%Y%m%d-%H%M%S')}-{os.getpid()}"
         self._state = state
@@ -87,7 +87,7 @@ class Fleet:
             raise
         own: list[Tool[Any]] = [list_fleet_tool(self.robots), emergency_stop_tool(self)]
         self.tools = FleetTools(self.robots, own, lambda who: self.events.client.tell(who, True))
-        self.resources = FleetResources(self.robots)
+        self.resources = resources_of(self.robots)
         named = ", ".join(
             f"{name} ({robot.loop.robot_facts})" for name, robot in self.robots.items()
         )
@@ -104,7 +104,10 @@ class Fleet:
         self.server.introduce(robots, tools)
         self.server.middleware.append(RobotMiddleware(self.tools, list(self.robots.values())))
         self._host = replace(
-            first.host, server=self.server, events=self.events, check_resource=self.resources.check
+            first.host,
+            server=self.server,
+            events=self.events,
+            check_resource=self.server.find_resource,
         )
         first.features.attach(self._host)
 
@@ -154,7 +157,7 @@ class Fleet:
         """Latch the emergency stop of all robots without waiting for anything; what fails is told
         by `latch`.
         """
-        estop.press_together(
+        estop.EmergencyStopLatch.press_together(
             [robot.loop.emergency_stop.file for robot in self.robots.values()],
             who=who,
             reason=reason,
@@ -211,7 +214,7 @@ class Fleet:
         config: Config,
         folder: Path,
         plugins: PluginCatalogue,
-        command: launching.Command | None,
+        command: Callable[[str | None], Sequence[str]] | None,
     ) -> Application:
         made = Application.in_directory(
             config,

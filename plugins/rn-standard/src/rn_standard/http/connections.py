@@ -100,7 +100,7 @@ class BoundedProtocol(H11Protocol):
         self.peer: str | None = None
         """Its client's process, once that was asked."""
         self._timer: asyncio.TimerHandle | None = None
-        self._waits_for: Any = None
+        self._waits_for: object = None
 
     @property
     def is_idle(self) -> bool:

@@ -7,21 +7,20 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 
-from anyio import to_thread
-from mcp.server.auth.middleware.bearer_auth import AuthenticatedUser
-from mcp.server.auth.provider import AccessToken
 from pydantic_core import from_json
+from starlette.authentication import AuthenticationError
 from starlette.datastructures import Headers
+from starlette.middleware.authentication import AuthenticationMiddleware
 from starlette.middleware.cors import CORSMiddleware
+from starlette.requests import HTTPConnection
 from starlette.responses import JSONResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from rn_standard.http.authentication import LocalBackend, TokenBackend, holder_of, protocol_of
 from rn_standard.http.connection_loss import RequestConnection
-from rn_standard.http.connections import PROTOCOL_KEY, BoundedProtocol, ConnectionTable
+from rn_standard.http.connections import ConnectionTable
 from rn_standard.http.local_clients import account_of
 from rn_standard.http.origins import HostRules
-from rn_standard.http.peers import peer_process
-from rn_standard.http.sessions import SESSION_HEADER
 from rn_standard.http.tokens import TokenTable
 from roboneuron.feature import access, envelope
 
@@ -32,12 +31,8 @@ _CLOSE = {"Connection": "close"}
 
 
 class AccessMiddleware:
-    """ASGI application around another: checks Host and Origin, then the token, and notes the Holder
-    in the scope.
-
-    Without tokens everybody who gets here is a local process with every role, told apart by its
-    session or, where the protocol has none, by its process; `server.listen` sees to it that this is
-    so on loopback only. Whoever has a request or a stream open is `present`.
+    """ASGI application around another: checks Host and Origin, then who sends the request, and
+    notes the Holder in the scope. Whoever has a request or a stream open is `present`.
     """
 
     def __init__(
@@ -50,10 +45,11 @@ class AccessMiddleware:
     ) -> None:
         self._app = app
         self._rules = rules
-        self._tokens = tokens
         self._connections = connections or ConnectionTable()
         self._present = present
-        self._for_pages = _Pages(self._admit, rules)
+        backend = TokenBackend(tokens) if tokens else LocalBackend(self._connections)
+        known = AuthenticationMiddleware(self._admit, backend, _unauthorized)
+        self._for_pages = _Pages(known, rules)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] != "http":
@@ -75,19 +71,9 @@ class AccessMiddleware:
             await self._for_pages(scope, receive, send)
 
     async def _admit(self, scope: Scope, receive: Receive, send: Send) -> None:
-        headers = Headers(scope=scope)
-        transport = scope.get("state", {}).get(PROTOCOL_KEY)
-        if isinstance(transport, BoundedProtocol) and not self._tokens:
-            # before its process is looked up, which takes milliseconds
-            self._connections.keep(transport)
-        holder = await self._holder(headers, scope, transport)
-        if holder is None:
-            log.warning("Refused a request without a valid token.")
-            await _unauthorized()(scope, receive, send)
-            return
-        if isinstance(transport, BoundedProtocol) and not self._connections.prove(
-            transport, account_of(holder)
-        ):
+        holder = holder_of(scope["user"])
+        protocol = protocol_of(HTTPConnection(scope))
+        if protocol is not None and not self._connections.prove(protocol, account_of(holder)):
             is_stop, receive = await _look_for_stop(receive)
             if not is_stop:
                 log.warning(
@@ -95,33 +81,11 @@ class AccessMiddleware:
                 )
                 await _too_many(holder)(scope, receive, send)
                 return
-            self._connections.prove(transport, account_of(holder), is_stop=True)
-        # The SDK binds a session to this user: a session of one token cannot be used with another.
-        user = AuthenticatedUser(
-            AccessToken(token="", client_id=account_of(holder), scopes=[holder.role])
-        )
+            self._connections.prove(protocol, account_of(holder), is_stop=True)
         connection = RequestConnection(receive)
-        inner = {
-            **scope,
-            access.Holder.KEY: replace(holder, watched=connection.watched),
-            "user": user,
-        }
+        inner = {**scope, access.Holder.KEY: replace(holder, watched=connection.watched)}
         with self._present(holder.who):
             await self._app(inner, connection.receive, send)
-
-    async def _holder(
-        self, headers: Headers, scope: Scope, transport: object
-    ) -> access.Holder | None:
-        if not self._tokens:
-            session = headers.get(SESSION_HEADER)
-            if session is not None:
-                return access.Holder.local(session_name(session))
-            return access.Holder.local(await _process_of(scope, transport))
-        found = headers.getlist("authorization")
-        if len(found) != 1:
-            return None
-        scheme, _, token = found[0].partition(" ")
-        return self._tokens.find(token.strip()) if scheme.lower() == "bearer" else None
 
 
 class _Pages(CORSMiddleware):
@@ -143,24 +107,6 @@ class _Pages(CORSMiddleware):
     def is_allowed_origin(self, origin: str) -> bool:
         """See CORSMiddleware."""
         return self._rules.allows_origin(origin)
-
-
-def session_name(session: str) -> str:
-    """What a client without a token is called after its session."""
-    return f"session {''.join(c for c in session[:8] if c.isalnum())}"
-
-
-async def _process_of(scope: Scope, transport: object) -> str:
-    """ "pid 123" for the process at the other end of a loopback connection; empty where that is not
-    known.
-    """
-    client = scope.get("client")
-    if not isinstance(transport, BoundedProtocol) or client is None:
-        return ""
-    if transport.peer is None:
-        pid = await to_thread.run_sync(peer_process, int(client[1]), int(scope["server"][1]))
-        transport.peer = f"pid {pid}" if pid else ""
-    return transport.peer
 
 
 async def _look_for_stop(receive: Receive) -> tuple[bool, Receive]:
@@ -200,10 +146,10 @@ def _too_many(holder: access.Holder) -> JSONResponse:
     )
 
 
-def _unauthorized() -> JSONResponse:
-    text = "A valid bearer token is needed: send the header `Authorization: Bearer <token>`."
+def _unauthorized(conn: HTTPConnection, error: AuthenticationError) -> JSONResponse:
+    log.warning("Refused a request without a valid token.")
     return JSONResponse(
-        {"jsonrpc": "2.0", "id": None, "error": {"code": -32001, "message": text}},
+        {"jsonrpc": "2.0", "id": None, "error": {"code": -32001, "message": str(error)}},
         status_code=401,
         headers={"WWW-Authenticate": 'Bearer realm="roboneuron"', **_CLOSE},
     )

@@ -16,10 +16,11 @@ from mcp.server import Server
 from mcp.server.transport_security import TransportSecuritySettings
 
 from rn_standard.http.addresses import bind
+from rn_standard.http.authentication import session_name
 from rn_standard.http.bounded_server import BoundedServer
 from rn_standard.http.connections import ConnectionTable
 from rn_standard.http.listener import BoundedListener, stop_bounds
-from rn_standard.http.middleware import AccessMiddleware, session_name
+from rn_standard.http.middleware import AccessMiddleware
 from rn_standard.http.options import HttpOptions
 from rn_standard.http.origins import HostRules
 from rn_standard.http.sessions import (
@@ -68,7 +69,8 @@ def make_server(
         max_request_body_size=options.max_request_bytes,
         session_idle_timeout=IDLE_S,
         max_sessions=MOST_SESSIONS,
-        # AccessMiddleware does it
+        # AccessMiddleware does it, because the SDK compares how the text begins: "robot.lan:evil"
+        # would pass, "ROBOT.LAN" would not; starlette's TrustedHostMiddleware knows no IPv6
         transport_security=TransportSecuritySettings(enable_dns_rebinding_protection=False),
     )
     server.middleware.append(note_handled)

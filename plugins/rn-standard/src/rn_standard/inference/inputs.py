@@ -1,8 +1,7 @@
-"""The newest of everything a backend needs, kept by callbacks, taken by the inference thread."""
+"""The newest of everything a backend needs, handed out to the predicting thread."""
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -26,8 +25,6 @@ from roboneuron import (
 )
 from roboneuron.node import StatusWriter, messages, settings, topics
 
-_HAND_OVER_S = 1e-5
-"""Any sleep gives the interpreter lock away; the kernel makes about 60 us of it."""
 _IMAGE_TYPE = "sensor_msgs/msg/Image"
 
 
@@ -38,7 +35,7 @@ class CalibratedCamera:
     `camera_info` published beside the images, and from the profile, scaled to the image, as long as
     none was published for that image size.
 
-    Used from the executor's thread.
+    Used from one thread.
     """
 
     def __init__(self, profile: CameraProfile) -> None:
@@ -98,8 +95,8 @@ class NewestInputs:
     `wait` hands out an observation when the first role has a frame that was not handed out before,
     all else is there, and nothing is older than `max_age_s` or from the future.
 
-    The `on_...` methods come on the executor's thread, all others on the predicting one; what they
-    share is guarded by the condition `_fresh`.
+    Images come and observations go on the predicting thread. Joints and poses come on the
+    executor's, which replaces each as a whole.
 
     Args:
         cameras: camera by role of the backend; the first role paces the loop.
@@ -109,6 +106,8 @@ class NewestInputs:
         max_age_s: older images and states are never handed out [s].
         status: where refusals are counted.
         now_ns: ROS time [ns].
+        take_images: waits for images for at most a time [s], and calls `on_camera_info` and
+            `on_image` with the newest.
     """
 
     def __init__(
@@ -122,6 +121,7 @@ class NewestInputs:
         max_age_s: float,
         status: StatusWriter,
         now_ns: Callable[[], int],
+        take_images: Callable[[float], None],
     ) -> None:
         self.cameras = dict(cameras)
         self.needs_state = needs_state
@@ -132,11 +132,11 @@ class NewestInputs:
         self.max_age_s = max_age_s
         self._status = status
         self._now_ns = now_ns
+        self._take_images = take_images
         self._frames: dict[str, Frame] = {}
         self._calibrated = {role: CalibratedCamera(camera) for role, camera in self.cameras.items()}
         self._joints: JointSample | None = None
         self._ee_pose: Pose | None = None
-        self._fresh = threading.Condition()
         self._used_ns = -1
         self._usable_s = time.monotonic()
         self._refused = "image"
@@ -146,19 +146,11 @@ class NewestInputs:
         """Subscription callback for the camera with that role; a damaged image is counted, and the
         one before it kept until it is too old.
         """
-        with self._fresh:
-            # first: the thread wakes while the image is decoded, and looks when it is there
-            self._fresh.notify()
-            try:
-                self._frames[role] = self._calibrated[role].to_frame(message)
-            except InvalidInputError as error:
-                self._status.dropped.add("bad_image")
-                self._status.set_error(error)
-                return
-        # Give the interpreter lock to the waiting inference thread now: otherwise it waits until
-        # the executor has rebuilt its wait set, which takes longer than everything else between
-        # image and action.
-        time.sleep(_HAND_OVER_S)
+        try:
+            self._frames[role] = self._calibrated[role].to_frame(message)
+        except InvalidInputError as error:
+            self._status.dropped.add("bad_image")
+            self._status.set_error(error)
 
     def on_camera_info(self, role: str, message: CameraInfo) -> None:
         """Subscription callback for the calibration of the camera with that role."""
@@ -171,23 +163,18 @@ class NewestInputs:
     def on_joint_state(self, message: JointState) -> None:
         """Subscription callback."""
         try:
-            joints = messages.joints_from_message(message)
+            self._joints = messages.joints_from_message(message)
         except InvalidInputError as error:
             self._status.dropped.add("bad_joint_state")
             self._status.set_error(error)
-            return
-        with self._fresh:
-            self._joints = joints
 
     def on_ee_pose(self, message: PoseStamped) -> None:
         """Subscription callback."""
-        with self._fresh:
-            self._ee_pose = messages.pose_from_message(message)
+        self._ee_pose = messages.pose_from_message(message)
 
     def on_arm_pose(self, arm: str, message: PoseStamped) -> None:
         """Subscription callback for the TCP of one of several arms."""
-        with self._fresh:
-            self._arm_poses[arm] = messages.pose_from_message(message)
+        self._arm_poses[arm] = messages.pose_from_message(message)
 
     def check_types(self, types: Mapping[str, list[str]], namespace: str) -> None:
         """Compare the graph's types with the contract's: DDS does not connect different types, and
@@ -210,19 +197,16 @@ class NewestInputs:
 
     def missing(self) -> str:
         """What has not arrived yet, as a phrase; empty when everything has."""
-        with self._fresh:
-            absent = [
-                f"images on {topics.camera_image(self.cameras[role].name)}"
-                for role in self.cameras
-                if role not in self._frames and role not in self._optional
-            ]
-            if self.needs_state:
-                if self._joints is None:
-                    absent.append(f"joint states on {topics.JOINT_STATES}")
-                if self._ee_pose is None:
-                    absent.append(
-                        f"the end-effector pose on {topics.EE_POSE} (is control running?)"
-                    )
+        absent = [
+            f"images on {topics.camera_image(self.cameras[role].name)}"
+            for role in self.cameras
+            if role not in self._frames and role not in self._optional
+        ]
+        if self.needs_state:
+            if self._joints is None:
+                absent.append(f"joint states on {topics.JOINT_STATES}")
+            if self._ee_pose is None:
+                absent.append(f"the end-effector pose on {topics.EE_POSE} (is control running?)")
         return " and ".join(absent)
 
     def captured_ns(self, observation: Observation) -> int:
@@ -239,8 +223,7 @@ class NewestInputs:
         """What keeps observations from being handed out: "image", also when none comes,
         "joint_state" or "ee_pose".
         """
-        with self._fresh:
-            frame = self._frames.get(self._leading)
+        frame = self._frames.get(self._leading)
         return (
             "image"
             if frame is None or self._doubt(frame.stamp_ns, self._now_ns())
@@ -251,12 +234,17 @@ class NewestInputs:
         """Return the newest observation not handed out yet, without its instruction; None after
         `timeout_s`.
         """
-        with self._fresh:
-            if not self._fresh.wait_for(self._is_fresh, timeout_s):
+        end_s = time.monotonic() + timeout_s
+        # first: what is here was looked at, and something newer may have come
+        self._take_images(timeout_s)
+        while not self._is_fresh():
+            left_s = end_s - time.monotonic()
+            if left_s <= 0.0:
                 return None
-            frames = {role: self._frames[role] for role in self.cameras if role in self._frames}
-            joints, ee_pose, arm_poses = self._joints, self._ee_pose, dict(self._arm_poses)
-            self._used_ns = frames[self._leading].stamp_ns
+            self._take_images(left_s)
+        frames = {role: self._frames[role] for role in self.cameras if role in self._frames}
+        joints, ee_pose, arm_poses = self._joints, self._ee_pose, dict(self._arm_poses)
+        self._used_ns = frames[self._leading].stamp_ns
         now_ns = self._now_ns()
         for role, frame in list(frames.items()):
             doubt = self._doubt(frame.stamp_ns, now_ns)
@@ -307,9 +295,7 @@ class NewestInputs:
         self._refused = what
 
     def _is_fresh(self) -> bool:
-        """Whether every role that is needed has a frame, the first one a new one; the lock is
-        held.
-        """
+        """Whether every role that is needed has a frame, the first one a new one."""
         needed = [role for role in self.cameras if role not in self._optional]
         if any(role not in self._frames for role in needed) or self._leading not in self._frames:
             return False

@@ -23,6 +23,7 @@ from rn_standard.inference.execution import Bounds, Prediction, Row, executor_ma
 from rn_standard.inference.inputs import NewestInputs
 from rn_standard.inference.instruction import Instruction
 from rn_standard.inference.player import RowPlayer
+from rn_standard.inference.polled import PolledSubscriptions
 from roboneuron import (
     ActionChunk,
     AnyRuntime,
@@ -138,6 +139,8 @@ class InferenceModule(Module):
         self.accepts: list[Callable[[int], bool]] = []
         self.deliver = self._deliver
         self._took_s: deque[float] = deque(maxlen=_RECENT)
+        # read by the predicting thread: handing each over to it took longer than all of our work
+        self._images = PolledSubscriptions(node)
         self._inputs = NewestInputs(
             cameras=cameras,
             optional=frozenset(spec.optional_cameras),
@@ -147,6 +150,7 @@ class InferenceModule(Module):
             max_age_s=config.max_image_age_s,
             status=self.status,
             now_ns=node.now_ns,
+            take_images=self._images.take,
         )
         self._subscribe(cameras, with_state=spec.needs_state)
         self._actions = node.advertise(Float64MultiArray, topics.ACTION)
@@ -216,13 +220,13 @@ class InferenceModule(Module):
 
     def _subscribe(self, cameras: dict[str, CameraProfile], *, with_state: bool) -> None:
         for role, camera in cameras.items():
+            take_info = partial(self._inputs.on_camera_info, role)
             self.node.subscribe(
-                CameraInfo,
-                topics.camera_info(camera.name),
-                partial(self._inputs.on_camera_info, role),
+                CameraInfo, topics.camera_info(camera.name), take_info, group=self._images
             )
+            take_image = partial(self._inputs.on_image, role)
             self.node.subscribe(
-                Image, topics.camera_image(camera.name), partial(self._inputs.on_image, role)
+                Image, topics.camera_image(camera.name), take_image, group=self._images
             )
         if with_state:
             self.node.subscribe(JointState, topics.JOINT_STATES, self._inputs.on_joint_state)

@@ -37,7 +37,7 @@ def locate(observation: Observation, colour: str) -> F64 | str:
     """Centre (3,) of the coloured object in the base frame [m] from two views, or why it cannot be
     told.
     """
-    rays = rays_of(observation.frames, observation.ee_pose, colour)
+    rays = rays_of(observation, colour)
     if len(rays) < 2 or all(ray.is_coarse for ray in rays.values()):
         seen = " and ".join(
             f"{role}{' (cut)' if ray.is_coarse else ''}" for role, ray in rays.items()
@@ -116,13 +116,17 @@ class ColourLifted:
 
 
 def _is_held(place: F64, observation: Observation) -> bool:
-    """Whether an object at that place is between the fingers: near the TCP, which stands neither
-    open nor closed.
+    """Whether an object at that place is between fingers: near a TCP whose hand stands neither open
+    nor closed.
     """
-    pose, opening = observation.ee_pose, observation.gripper_open
-    if pose is None or opening is None or not _HOLDS[0] < opening < _HOLDS[1]:
-        return False
-    return bool(np.linalg.norm(place - pose.position_m) < _HELD_M)
+    hands = [(observation.ee_pose, observation.gripper_open)]
+    hands += [(arm.ee_pose, arm.gripper_open) for arm in observation.arms.values()]
+    for pose, opening in hands:
+        if pose is None or opening is None or not _HOLDS[0] < opening < _HOLDS[1]:
+            continue
+        if np.linalg.norm(place - pose.position_m) < _HELD_M:
+            return True
+    return False
 
 
 class RegionOptions(_Options):
@@ -168,7 +172,7 @@ class ObjectInRegion:
         options = self._options
         if options.rests_at_m is None:
             return locate(observation, options.colour)
-        rays = rays_of(observation.frames, observation.ee_pose, options.colour)
+        rays = rays_of(observation, options.colour)
         points = [
             point
             for ray in rays.values()

@@ -15,7 +15,7 @@ from rn_standard.tasks.approval import Approval
 from rn_standard.tasks.arbiter import TaskArbiter
 from rn_standard.tasks.events import TASKS, EventLog, Watching, check_thresholds
 from rn_standard.tasks.examples import EXAMPLES
-from rn_standard.tasks.inputs import Inputs, pose_of
+from rn_standard.tasks.inputs import Inputs, pose_of, pose_topic
 from rn_standard.tasks.lifecycle import list_models_tool, start_all_tool
 from rn_standard.tasks.moving import Mover, Places, check_places, move_to_tool
 from rn_standard.tasks.options import TasksSections
@@ -128,9 +128,9 @@ class TasksFeature(Feature[TasksSections]):
             {"examples": EXAMPLES, "monitors": monitors, "schema": ADAPTER.json_schema()}, indent=1
         )
 
-    def _pose_now(self) -> tuple[F64, F64]:
+    def _pose_now(self, arm: str) -> tuple[F64, F64]:
         self._host.modules.require_running("control")
-        inputs, topic = Inputs(self._host), f"/{self._host.config.namespace}/ee_pose"
+        inputs, topic = Inputs(self._host), pose_topic(self._host.config.namespace, arm)
         inputs.open(topic, "geometry_msgs/msg/PoseStamped")
         try:
             deadline_s = time.monotonic() + _POSE_S

@@ -108,6 +108,11 @@ def _stamp_ns(stamp: Time) -> int:
     return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
 
 
+def pose_topic(namespace: str, arm: str = "") -> str:
+    """Topic of the measured TCP pose; of one of several arms where it is named."""
+    return f"/{namespace}/{f'{arm}/' if arm else ''}ee_pose"
+
+
 def pose_of(message: PoseStamped | None) -> Pose | None:
     """geometry_msgs/PoseStamped -> Pose."""
     if message is None:

@@ -55,7 +55,8 @@ class PredicateJudge:
         predicate: what is judged.
         instruction: shown to monitors with each observation.
         monitor_for: builds monitors; called once for each that is named.
-        gripper_joint: name of the gripper's joint, for its effort; empty without one.
+        gripper_joints: of each arm by its name ("" for the only or first) the name of its gripper's
+            joint, for its effort.
 
     Attributes:
         lasts_s: longest time that a part of the predicate has to be true for [s].
@@ -66,15 +67,18 @@ class PredicateJudge:
         predicate: Predicate,
         instruction: str,
         monitor_for: MonitorFor,
-        gripper_joint: str = "",
+        gripper_joints: Mapping[str, str] | None = None,
     ) -> None:
         self._root = predicate
         self._instruction = instruction
-        self._gripper_joint = gripper_joint
+        self._gripper_joints = gripper_joints or {}
         self._monitors: dict[int, Monitor] = {}
         self._scores: dict[int, tuple[Mapping[str, int], Score]] = {}
         self._true_since_s: dict[int, float] = {}
-        self._opening: tuple[float, float] = (-1.0, 0.0)
+        # of each arm that a predicate names: the opening that it has come to, and when
+        self._openings = {
+            part.arm: (-1.0, 0.0) for part in flat(predicate) if isinstance(part, GripperHolds)
+        }
         self._is_lenient = False
         self.lasts_s = max(
             (part.for_s for part in flat(predicate) if isinstance(part, Held | Still)), default=0.0
@@ -85,18 +89,17 @@ class PredicateJudge:
         """Begin an attempt with how things are."""
         self._true_since_s.clear()
         self._scores.clear()
-        self._opening = (-1.0, snapshot.now_s)
+        self._openings = dict.fromkeys(self._openings, (-1.0, snapshot.now_s))
         observation = snapshot.observation(self._instruction)
         for monitor in self._monitors.values():
             monitor.reset(observation)
 
     def look(self, snapshot: Snapshot) -> PredicateState:
         """Judge now; to be called in the order of time."""
-        if (
-            snapshot.gripper_open is not None
-            and abs(snapshot.gripper_open - self._opening[0]) > _GRIPPER_MOVED
-        ):
-            self._opening = (snapshot.gripper_open, snapshot.now_s)
+        for arm, (before, _) in self._openings.items():
+            opening = snapshot.of_arm(arm).gripper_open
+            if opening is not None and abs(opening - before) > _GRIPPER_MOVED:
+                self._openings[arm] = (opening, snapshot.now_s)
         return self._judge(self._root, snapshot)
 
     def may_last(self, snapshot: Snapshot) -> bool:
@@ -165,17 +168,20 @@ class PredicateJudge:
         )
 
     def _gripper(self, predicate: GripperHolds, snapshot: Snapshot) -> PredicateState:
-        opening = snapshot.gripper_open
+        opening = snapshot.of_arm(predicate.arm).gripper_open
         if opening is None:
             return PredicateState(value=None, reason="the opening of the gripper is not measured")
         if not predicate.least_open <= opening <= predicate.most_open:
             where = "closed on nothing" if opening < predicate.least_open else "open"
             return PredicateState(value=False, reason=f"the gripper is {where} ({opening:.2f})")
-        if snapshot.now_s - self._opening[1] < GRIPPER_STILL_S and not self._is_lenient:
+        if (
+            snapshot.now_s - self._openings[predicate.arm][1] < GRIPPER_STILL_S
+            and not self._is_lenient
+        ):
             return PredicateState(value=False, reason=f"the gripper is moving ({opening:.2f})")
         reason = f"the gripper stands at {opening:.2f}"
         if predicate.least_effort is not None:
-            effort = snapshot.effort.get(self._gripper_joint)
+            effort = snapshot.effort.get(self._gripper_joints.get(predicate.arm, ""))
             if effort is None:
                 return PredicateState(
                     value=None, reason=f"{reason}, and its effort is not measured"
@@ -213,9 +219,10 @@ def _negated(judgement: PredicateState) -> PredicateState:
 
 
 def _tcp(predicate: TcpIn, snapshot: Snapshot) -> PredicateState:
-    if snapshot.tcp is None:
+    tcp = snapshot.of_arm(predicate.arm).tcp
+    if tcp is None:
         return PredicateState(value=None, reason="the pose of the TCP is not measured")
-    place = snapshot.tcp.position_m.tolist()
+    place = tcp.position_m.tolist()
     inside = all(
         low <= value <= high
         for low, value, high in zip(predicate.lower_m, place, predicate.upper_m, strict=True)

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 from pydantic import Field
 
 from rn_standard.selection.choosing import choose
@@ -12,7 +9,16 @@ from rn_standard.selection.options import NamedModelOptions, named_models
 from rn_standard.selection.requests import StartChosenInference
 from rn_standard.tasks.starting import ParallelStart, requests_for
 from rn_standard.tools_loop.results import ModuleSummary
-from roboneuron import Arguments, CallContext, Host, NoArguments, Result, RoboNeuronError, Tool
+from roboneuron import (
+    Arguments,
+    BackendSpec,
+    CallContext,
+    Host,
+    NoArguments,
+    Result,
+    RoboNeuronError,
+    Tool,
+)
 from roboneuron.feature import ModuleKind, Registry, settings
 
 
@@ -153,5 +159,5 @@ def _problem(name: str, host: Host) -> str:
 
 
 def _summary(registry: Registry, backend: str) -> str:
-    specs: Mapping[str, Any] = registry.specs("backend")
-    return specs[backend].summary if backend in specs else ""
+    spec = registry.specs(BackendSpec).get(backend)
+    return "" if spec is None else spec.summary

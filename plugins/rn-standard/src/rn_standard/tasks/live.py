@@ -9,15 +9,17 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 
 from rn_standard.selection.requests import StartChosenInference
-from rn_standard.tasks.inputs import Inputs, pose_of
+from rn_standard.tasks.inputs import Inputs, pose_of, pose_topic
 from rn_standard.tasks.runner import PolicyState
-from rn_standard.tasks.snapshot import Snapshot, StillClock
+from rn_standard.tasks.snapshot import ArmSnapshot, Snapshot, StillClock
 from roboneuron import (
     Frame,
+    GripperProfile,
     Host,
     InvalidInputError,
     NotReadyError,
     Picture,
+    Pose,
     RefusedError,
     RobotProfile,
 )
@@ -56,6 +58,7 @@ class LiveCell:
     ) -> None:
         self._host = host
         self._profile = profile
+        self._arms = {arm.name: arm for arm in (() if profile is None else profile.arms)}
         self._role = role
         self._stage = stage
         self._halt = halt
@@ -80,7 +83,8 @@ class LiveCell:
         """
         space = self._host.config.namespace
         self._inputs.open(f"/{space}/joint_states", "sensor_msgs/msg/JointState")
-        self._inputs.open(f"/{space}/ee_pose", "geometry_msgs/msg/PoseStamped")
+        for arm in ("", *self._arms):
+            self._inputs.open(pose_topic(space, arm), "geometry_msgs/msg/PoseStamped")
         for topic, type_name in self._topics.items():
             self._inputs.open(topic, type_name)
         for camera in self._cameras:
@@ -214,20 +218,24 @@ class LiveCell:
                 for name, value in zip(message.name, message.effort, strict=False)
             }
         gripper = self._profile.gripper if self._profile is not None else None
-        opening = None
-        if gripper is not None and joints is not None and gripper.joint in joints:
-            opening = gripper.to_opening(joints[gripper.joint])
         return Snapshot(
             now_s=now_s,
             joints=joints,
             effort=effort,
-            tcp=pose_of(self._inputs.newest(f"/{space}/ee_pose")),
-            gripper_open=opening,
+            tcp=self._tcp(""),
+            gripper_open=_opening(gripper, joints),
+            arms={
+                name: ArmSnapshot(tcp=self._tcp(name), gripper_open=_opening(arm.gripper, joints))
+                for name, arm in self._arms.items()
+            },
             still_s=None if joints is None else self._still.observe(now_s, joints),
             policy_done=self._done(),
             frames=self._frames(),
             messages={topic: self._inputs.last(topic) for topic in self._topics},
         )
+
+    def _tcp(self, arm: str) -> Pose | None:
+        return pose_of(self._inputs.newest(pose_topic(self._host.config.namespace, arm)))
 
     def end(self) -> None:
         """See `Cell`: the instruction is taken back from whoever holds it; a process that keeps it
@@ -282,6 +290,13 @@ class LiveCell:
 
     def _frame(self, camera: str) -> Frame | None:
         return self._inputs.frame(self._image_topic(camera), camera, self._profile)
+
+
+def _opening(gripper: GripperProfile | None, joints: Mapping[str, float] | None) -> float | None:
+    """Measured opening of a gripper; None when it is not measured."""
+    if gripper is None or joints is None or gripper.joint not in joints:
+        return None
+    return gripper.to_opening(joints[gripper.joint])
 
 
 def _jpeg(frame: Frame) -> Picture:

@@ -15,6 +15,7 @@ from rn_standard.tasks.options import PlaceOptions, PostureOptions, TasksSection
 from rn_standard.tasks.run_task import profile_of
 from roboneuron import (
     Arguments,
+    ArmProfile,
     CallContext,
     Host,
     InvalidInputError,
@@ -34,8 +35,10 @@ _MOST_M, _MOST_RAD = 0.3, 1.2
 _PARTS = 32
 _THERE_M, _THERE_RAD = 0.004, 0.02
 F64 = NDArray[np.float64]
-PoseNow = Callable[[], tuple[F64, F64]]
-"""Waits for the measured TCP pose: position (3,) [m] and rotation (3, 3) in the base frame."""
+PoseNow = Callable[[str], tuple[F64, F64]]
+"""Waits for the measured TCP pose of an arm, "" for the only one: position (3,) [m] and rotation
+(3, 3) in the base frame.
+"""
 
 
 class MoveToArguments(Arguments):
@@ -118,9 +121,20 @@ class Mover:
     async def _to_place(self, name: str, place: PlaceOptions, context: CallContext) -> MovedTo:
         """Along straight parts, each by what is measured at its begin."""
         took_s, stops = 0.0, self._host.loop.starts.arm_stops
+        arms = [arm.name for arm in _arms(self._host)]
+        if place.arm not in (arms or [""]):
+            told = f"names the arm {place.arm!r}" if place.arm else "names no arm"
+            known = (
+                f"the arms are {', '.join(map(repr, arms))}" if arms else "the only one has none"
+            )
+            raise InvalidInputError(
+                f"The place {name!r} {told}; {known}.",
+                hint=f"Set arm in [places.{name}].",
+            )
+        arm: dict[str, object] = {"arm": place.arm} if place.arm else {}
         gripper = {} if place.gripper_open is None else {"gripper_open": place.gripper_open}
         for _ in range(_PARTS):
-            position, rotation = await context.run(lambda _: self._pose_now())
+            position, rotation = await context.run(lambda _: self._pose_now(place.arm))
             if self._host.loop.starts.arm_stops != stops:
                 raise StateError(
                     f"It was stopped on its way to {name!r}: {self._host.loop.starts.reason}."
@@ -130,13 +144,15 @@ class Mover:
             share = min(1.0, _MOST_M / max(far_m, 1e-9), _MOST_RAD / max(far_rad, 1e-9))
             if far_m < _THERE_M and far_rad < _THERE_RAD:
                 if gripper:
-                    took_s += (await self._call("move_ee", gripper, context))["duration_s"]
+                    took_s += (await self._call("move_ee", {**arm, **gripper}, context))[
+                        "duration_s"
+                    ]
                 return MovedTo(
                     name=name, kind="place", error=round(far_m, 5), took_s=round(took_s, 3)
                 )
             axes = ("dx_m", "dy_m", "dz_m", "rx_rad", "ry_rad", "rz_rad")
             part = dict(zip(axes, (share * np.concatenate([delta, turn])).tolist(), strict=True))
-            took_s += (await self._call("move_ee", part, context))["duration_s"]
+            took_s += (await self._call("move_ee", {**arm, **part}, context))["duration_s"]
         raise NotReadyError(f"The TCP does not reach {name!r}; it is {far_m * 1000:.0f} mm away.")
 
     def _left(self, place: PlaceOptions, position: F64, rotation: F64) -> tuple[F64, F64]:
@@ -162,6 +178,12 @@ class Mover:
                 f"The arm was not moved: {answer.structured.get('reason') or 'dry run'}."
             )
         return dict(answer.structured)
+
+
+def _arms(host: Host) -> tuple[ArmProfile, ...]:
+    """The arms of a robot that has several."""
+    profile = profile_of(host)
+    return () if profile is None else profile.arms
 
 
 def check_places(options: TasksSections) -> None:

@@ -67,6 +67,7 @@ class PostureOptions(_Section):
 class PlaceOptions(_Section):
     """`[places.<name>]`: a pose of the TCP in the base frame that move_to knows by name."""
 
+    arm: str = Field(default="", description="whose TCP; needed where there are several arms")
     position_m: Annotated[tuple[Finite, Finite, Finite], Field(strict=False)] = Field(
         description="[x, y, z]"
     )

@@ -107,6 +107,7 @@ class TcpIn(_Predicate):
     """The TCP is in a box, in the base frame."""
 
     kind: Literal["tcp_in"]
+    arm: Annotated[str, Field(description="whose, of several arms")] = ""
     lower_m: _Point
     upper_m: _Point
 
@@ -127,6 +128,7 @@ class GripperHolds(_Predicate):
     """
 
     kind: Literal["gripper_holds"]
+    arm: Annotated[str, Field(description="whose, of several arms")] = ""
     least_open: Annotated[float, Field(ge=0, le=1)] = 0.1
     most_open: Annotated[float, Field(ge=0, le=1)] = 0.9
     least_effort: Annotated[

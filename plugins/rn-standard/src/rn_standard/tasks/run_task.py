@@ -20,13 +20,15 @@ from rn_standard.tasks.options import TaskOptions
 from rn_standard.tasks.predicates import (
     UNTIL,
     FieldIs,
+    GripperHolds,
     MonitorSays,
     Predicate,
+    TcpIn,
     flat,
     parse_predicate,
 )
 from rn_standard.tasks.runner import Outcome, Task, TaskEnd, TaskPlan
-from rn_standard.tasks.snapshot import Snapshot
+from rn_standard.tasks.snapshot import ArmSnapshot, Snapshot
 from roboneuron import (
     Arguments,
     CallContext,
@@ -73,13 +75,19 @@ class RunTask(Arguments):
     )
 
 
-class FinalState(Result):
-    """What was measured at the end; what was not is null."""
+class FinalArm(Result):
+    """Of one arm, of the first of several; what was not measured is null."""
 
-    joints: dict[str, float] | None = Field(default=None, description="rad or m")
     tcp_position_m: list[float] | None = Field(default=None, description="base frame")
     tcp_quaternion_xyzw: list[float] | None = None
     gripper_open: float | None = Field(default=None, description="0 closed .. 1 open")
+
+
+class FinalState(FinalArm):
+    """What was measured at the end; what was not is null."""
+
+    joints: dict[str, float] | None = Field(default=None, description="rad or m")
+    arms: dict[str, FinalArm] = Field(default_factory=dict, description="of several, by name")
     still_s: float | None = Field(default=None, description="for so long no joint has moved")
 
 
@@ -200,10 +208,18 @@ class TaskTool:
     def _judge(
         self, predicate: Predicate, instruction: str, profile: RobotProfile | None
     ) -> PredicateJudge:
-        gripper = profile.gripper if profile is not None else None
-        return PredicateJudge(
-            predicate, instruction, self._monitor, "" if gripper is None else gripper.joint
-        )
+        arms = {} if profile is None else {arm.name: arm for arm in profile.arms}
+        for part in flat(predicate):
+            if isinstance(part, TcpIn | GripperHolds) and part.arm not in ("", *arms):
+                raise InvalidInputError(
+                    f"There is no arm {part.arm[:64]!r}.",
+                    hint=f"The arms are: {', '.join(arms) or 'one without a name'}.",
+                    path="until",
+                )
+        grippers = {name: arm.gripper for name, arm in arms.items()}
+        grippers[""] = None if profile is None else profile.gripper
+        joints = {name: grip.joint for name, grip in grippers.items() if grip is not None}
+        return PredicateJudge(predicate, instruction, self._monitor, joints)
 
     def _monitor(self, predicate: MonitorSays) -> Monitor:
         spec = self._host.registry.get("monitor", predicate.name)
@@ -285,17 +301,24 @@ def _result(end: TaskEnd, ended_with: str) -> TaskResult:
     )
 
 
-def _state(snapshot: Snapshot) -> FinalState:
-    tcp = snapshot.tcp
-    return FinalState(
-        joints=None
-        if snapshot.joints is None
-        else {name: round(v, 4) for name, v in snapshot.joints.items()},
+def _arm_state(arm: ArmSnapshot) -> FinalArm:
+    tcp, opening = arm.tcp, arm.gripper_open
+    return FinalArm(
         tcp_position_m=None if tcp is None else [round(float(v), 4) for v in tcp.position_m],
         tcp_quaternion_xyzw=None
         if tcp is None
         else [round(float(v), 4) for v in tcp.quaternion_xyzw],
-        gripper_open=None if snapshot.gripper_open is None else round(snapshot.gripper_open, 3),
+        gripper_open=None if opening is None else round(opening, 3),
+    )
+
+
+def _state(snapshot: Snapshot) -> FinalState:
+    return FinalState(
+        **_arm_state(snapshot.of_arm("")).model_dump(),
+        arms={name: _arm_state(arm) for name, arm in snapshot.arms.items()},
+        joints=None
+        if snapshot.joints is None
+        else {name: round(v, 4) for name, v in snapshot.joints.items()},
         still_s=None if snapshot.still_s is None else round(snapshot.still_s, 2),
     )
 

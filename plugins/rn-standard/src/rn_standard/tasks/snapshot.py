@@ -5,7 +5,20 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from roboneuron import Frame, Observation, Pose
+from roboneuron import ArmState, Frame, Observation, Pose
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ArmSnapshot:
+    """One of several arms; what is not measured now is None.
+
+    Attributes:
+        tcp: pose of its TCP in the base frame.
+        gripper_open: 0 closed .. 1 open.
+    """
+
+    tcp: Pose | None = None
+    gripper_open: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -16,8 +29,9 @@ class Snapshot:
         now_s: monotonic time [s].
         joints: position by joint [rad or m].
         effort: effort by joint [Nm or N], of joints whose effort is measured.
-        tcp: pose of the TCP in the base frame.
-        gripper_open: 0 closed .. 1 open.
+        tcp: pose of the TCP in the base frame; of the first arm.
+        gripper_open: 0 closed .. 1 open; likewise.
+        arms: each of several arms by its name.
         still_s: time since a joint last moved [s].
         policy_done: what the policy says of its own end; None when it says nothing.
         frames: newest image by role of the camera.
@@ -29,10 +43,17 @@ class Snapshot:
     effort: Mapping[str, float] = field(default_factory=dict)
     tcp: Pose | None = None
     gripper_open: float | None = None
+    arms: Mapping[str, ArmSnapshot] = field(default_factory=dict)
     still_s: float | None = None
     policy_done: bool | None = None
     frames: Mapping[str, Frame] = field(default_factory=dict)
     messages: Mapping[str, object] = field(default_factory=dict)
+
+    def of_arm(self, name: str) -> ArmSnapshot:
+        """One of several arms, nothing of it measured where there is none; with "" the first."""
+        if not name:
+            return ArmSnapshot(tcp=self.tcp, gripper_open=self.gripper_open)
+        return self.arms.get(name, ArmSnapshot())
 
     def observation(self, instruction: str) -> Observation:
         """As a monitor is shown it."""
@@ -42,6 +63,11 @@ class Snapshot:
             instruction=instruction,
             ee_pose=self.tcp,
             gripper_open=self.gripper_open,
+            arms={
+                name: ArmState(ee_pose=arm.tcp, gripper_open=arm.gripper_open)
+                for name, arm in self.arms.items()
+                if arm.tcp is not None
+            },
             stamp_ns=stamp_ns,
         )
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from roboneuron import Frame, Pose, matrix_from_quaternion
+from roboneuron import CameraCalibration, Observation, Pose, matrix_from_quaternion
 
 F64 = NDArray[np.float64]
 
@@ -99,19 +98,22 @@ def _mask(image: NDArray[np.uint8], colour: str) -> NDArray[np.bool_]:
     return mask
 
 
-def rays_of(frames: Mapping[str, Frame], tcp: Pose | None, colour: str) -> dict[str, Ray]:
+def rays_of(observation: Observation, colour: str) -> dict[str, Ray]:
     """A ray towards the object by role, of every calibrated camera that sees it."""
     rays: dict[str, Ray] = {}
-    for role, frame in frames.items():
+    for role, frame in observation.frames.items():
         calibration = frame.calibration
-        if calibration is None or (calibration.mount == "tcp" and tcp is None):
+        if calibration is None:
+            continue
+        tcp = _carrier(observation, calibration)
+        if calibration.arm is not None and tcp is None:
             continue
         seen = centre_of(frame.image, colour)
         if seen is None:
             continue
         centre, is_cut = seen
         pose = calibration.T_mount_camera
-        if calibration.mount == "tcp" and tcp is not None:
+        if tcp is not None:
             mount = np.eye(4)
             mount[:3, :3], mount[:3, 3] = (
                 matrix_from_quaternion(tcp.quaternion_xyzw),
@@ -123,6 +125,18 @@ def rays_of(frames: Mapping[str, Frame], tcp: Pose | None, colour: str) -> dict[
             origin=pose[:3, 3], direction=direction / np.linalg.norm(direction), is_coarse=is_cut
         )
     return rays
+
+
+def _carrier(observation: Observation, calibration: CameraCalibration) -> Pose | None:
+    """TCP pose of the arm that carries a camera; None for a fixed one, and where it is not
+    measured.
+    """
+    if calibration.arm is None:
+        return None
+    if not calibration.arm:
+        return observation.ee_pose
+    arm = observation.arms.get(calibration.arm)
+    return None if arm is None else arm.ee_pose
 
 
 def crossing(one: Ray, other: Ray) -> tuple[F64, float] | None:

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass, replace
 from itertools import count
@@ -16,6 +16,7 @@ import numpy as np
 from pydantic import Field
 
 from rn_standard.direct_path.exposed import gate_request
+from rn_standard.tools_arm.arm_rows import ArmRows, Rest, of_named_arm, to_message
 from rn_standard.tools_arm.ee_line import (
     F64,
     STEP_S,
@@ -30,9 +31,6 @@ from rn_standard.tools_arm.measured import MeasuredPose
 from rn_standard.tools_arm.options import ArmToolsOptions
 from rn_standard.tools_arm.prediction import PredictedArm, control_of
 from roboneuron import (
-    ACTION_LABEL,
-    ACTION_SIZE,
-    Action,
     Arguments,
     CallContext,
     Host,
@@ -65,6 +63,7 @@ _Turn = Annotated[float, Field(ge=-_FURTHEST_RAD, le=_FURTHEST_RAD)]
 class MoveEndEffector(Arguments):
     """Arguments of move_ee."""
 
+    arm: str = Field(default="", description="Which arm moves; the others stay where they are.")
     dx_m: _Delta = Field(default=0.0, description="Along x of the base (forwards) [m].")
     dy_m: _Delta = Field(default=0.0, description="Along y of the base (to the left) [m].")
     dz_m: _Delta = Field(default=0.0, description="Along z of the base (up) [m].")
@@ -89,6 +88,7 @@ class EndEffectorMove(Result):
     """What the arm did, measured."""
 
     robot: str
+    arm: str = Field(default="", description="which of several arms")
     asked: dict[str, float] = Field(description="the move that was asked for")
     moved: dict[str, float] = Field(description="the move that was measured, in the base frame")
     position_m: list[float] = Field(
@@ -128,7 +128,7 @@ class _Forecast:
 
 
 class EndEffectorMover:
-    """The handler of move_ee."""
+    """The handler of move_ee for one arm."""
 
     def __init__(
         self,
@@ -136,24 +136,39 @@ class EndEffectorMover:
         profile: RobotProfile,
         host: Host,
         options: ArmToolsOptions,
-        tcp: MeasuredPose,
+        tcps: Mapping[str, MeasuredPose],
+        arm: str = "",
     ) -> None:
+        """Args:
+        exposed: the action topic of the robot.
+        profile: of the robot.
+        host: of the feature.
+        options: of the feature.
+        tcps: the measured pose of each arm, by its name.
+        arm: which one moves.
+        """
         self._exposed = exposed
         self._profile = profile
         self._gate = host.gate
         self._host = host
         self._options = options
-        self._tcp = tcp
-        self._grip = Grip(host, self._gate, exposed)
+        self._arm = arm
+        self._tcp, self._tcps = tcps[arm], tcps
+        self._grips = {name: Grip(host, self._gate, exposed, name) for name in tcps}
+        self._grip = self._grips[arm]
+        self._number = [part.name for part in profile.each_arm].index(arm)
 
     async def __call__(self, arguments: MoveEndEffector, context: CallContext) -> EndEffectorMove:
         """Raises InvalidInputError, RefusedError, NotReadyError, StateError."""
         order = self._order(arguments)
+        # stands for the actions to come, which are judged one by one; it is never sent
+        any_rows = ArmRows.of(self._profile, self._arm, dict.fromkeys(self._tcps, Rest()))
+        row = any_rows.row(Rest().pose, np.zeros(6), order.gripper_open or 0.0)
         request = gate_request(
             context,
             "move_ee",
             self._exposed,
-            [self._message(np.zeros(6), order.gripper_open or 0.0)],
+            [to_message(any_rows.space, row)],
             arguments.given(),
             dry_run=arguments.dry_run,
         )
@@ -176,6 +191,8 @@ class EndEffectorMover:
     def _order(self, arguments: MoveEndEffector) -> Order:
         values = np.array([getattr(arguments, name) for name in _AXES])
         gripper = arguments.gripper_open
+        if gripper is not None and self._arm and self._grip.profile is None:
+            raise InvalidInputError(f"The arm {self._arm!r} has no gripper.", path="gripper_open")
         if gripper is None and not values.any():
             raise InvalidInputError(
                 "The call asks for no move.", hint="Give one of the deltas, or gripper_open."
@@ -207,13 +224,23 @@ class EndEffectorMover:
             options.ee_turn_rad_s, limits.max_turn_rad_s
         )
 
-    def _message(self, delta: F64, gripper_open: float) -> object:
-        """An action of the contract: deltas of the TCP in the base frame, and the gripper."""
-        from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayout  # heavy
+    def _rows(self, poses: Mapping[str, Pose]) -> ArmRows:
+        """What is sent in a motion that begins now.
 
-        values = np.append(delta, min(1.0, max(0.0, gripper_open))).tolist()
-        dimension = MultiArrayDimension(label=ACTION_LABEL, size=ACTION_SIZE, stride=ACTION_SIZE)
-        return Float64MultiArray(layout=MultiArrayLayout(dim=[dimension]), data=values)
+        Args:
+            poses: TCP of each arm, by its name.
+
+        Raises:
+            NotReadyError: a gripper is not measured.
+        """
+        return ArmRows.of(
+            self._profile,
+            self._arm,
+            {
+                name: Rest(pose=pose, opening=self._grips[name].kept())
+                for name, pose in poses.items()
+            },
+        )
 
     def _move(
         self, order: Order, request: GateRequest, stage: Stage, halt: threading.Event
@@ -291,7 +318,9 @@ class EndEffectorMover:
             StateError: the arm did not get there.
         """
         order = line.order
-        start = line.start = self._tcp.wait(_MEASURED_S)
+        poses = {name: tcp.wait(_MEASURED_S) for name, tcp in self._tcps.items()}
+        start = line.start = poses[self._arm]
+        rows = self._rows(poses)
         line.kept, line.held = self._grip.kept(), self._grip.holding()
         gripper = line.kept if order.gripper_open is None else order.gripper_open
         began_s = time.monotonic()
@@ -302,12 +331,11 @@ class EndEffectorMover:
             lambda: time.monotonic() - began_s,
             self._note,
         )
-        for sent, (fraction, distance_m, delta) in enumerate(deltas):
+        for sent, (fraction, distance_m, here, delta) in enumerate(deltas):
             if sent % 5 == 0:
                 stage(f"{100 * fraction:.0f} % of the way, {distance_m * 1000:.0f} mm to go")
-            yield TimedCommand(
-                message=self._message(delta, gripper), due_s=time.monotonic() + STEP_S
-            )
+            message = to_message(rows.space, rows.row(here, delta, gripper))
+            yield TimedCommand(message=message, due_s=time.monotonic() + STEP_S)
 
     def _predict(self, order: Order, forecast: _Forecast) -> None:
         """Raise RefusedError unless control would bring the arm there; its path is that of
@@ -319,18 +347,20 @@ class EndEffectorMover:
         gripper = self._grip.kept() if order.gripper_open is None else order.gripper_open
         steps = count()
         with closing(PredictedArm(*control_of(self._host, self._exposed), joints)) as arm:
+            rows = self._rows(dict(zip(self._tcps, arm.poses(), strict=True)))
+
+            def pose() -> Pose:
+                return arm.poses()[self._number]
 
             def note() -> str:
                 return f"holding: {arm.held}" if arm.held else "limits shorten its steps"
 
             forecast.took_s = 0.0
             try:
-                for _, _, delta in self._deltas(
-                    order, arm.pose(), arm.pose, lambda: next(steps) * STEP_S, note
+                for _, _, here, delta in self._deltas(
+                    order, pose(), pose, lambda: next(steps) * STEP_S, note
                 ):
-                    arm.follow(
-                        Action.from_vector(np.append(delta, min(1.0, max(0.0, gripper)))), STEP_S
-                    )
+                    arm.follow(rows.space, rows.row(here, delta, gripper), STEP_S)
                     forecast.took_s += STEP_S
             except StateError as error:
                 raise RefusedError(error.message) from error
@@ -342,9 +372,9 @@ class EndEffectorMover:
         pose: Callable[[], Pose],
         elapsed_s: Callable[[], float],
         note: Callable[[], str],
-    ) -> Iterator[tuple[float, float, F64]]:
+    ) -> Iterator[tuple[float, float, Pose, F64]]:
         """Steps towards the end of the line by the present pose: share of the line, distance left
-        [m], delta (6,).
+        [m], that pose, delta from it (6,).
 
         Raises:
             RefusedError, StateError: the arm does not get there; `note` says what control does.
@@ -373,7 +403,7 @@ class EndEffectorMover:
                 raise StateError(f"{text} ({told or 'no report of control'}).")
             fraction = min(1.0, (now_s + STEP_S) / order.duration_s)
             delta = limit_step(remaining(start, order, fraction, here), speed_m_s, turn_rad_s)
-            yield fraction, left_m, delta
+            yield fraction, left_m, here, delta
 
     def _note(self) -> str:
         """What control is doing, in its own words."""
@@ -419,6 +449,7 @@ class EndEffectorMover:
             asked["gripper_open"] = order.gripper_open
         return EndEffectorMove(
             robot=self._exposed.robot,
+            arm=self._arm,
             asked=asked,
             moved=dict(zip(_AXES, rounded(moved), strict=True)),
             position_m=rounded(here.position_m) if here is not None else [],
@@ -431,3 +462,14 @@ class EndEffectorMover:
             allowed=allowed,
             reason=reason,
         )
+
+
+class MoveOfArm:
+    """The handler of move_ee for several arms."""
+
+    def __init__(self, movers: Mapping[str, EndEffectorMover]) -> None:
+        self._movers = movers
+
+    async def __call__(self, arguments: MoveEndEffector, context: CallContext) -> EndEffectorMove:
+        """Raises as `EndEffectorMover`; InvalidInputError also for an arm that is not there."""
+        return await of_named_arm(self._movers, arguments.arm)(arguments, context)

@@ -26,22 +26,32 @@ class Grip:
     direct call did it.
     """
 
-    def __init__(self, host: Host, gate: MotionGate, exposed: ExposedEndpoint) -> None:
+    def __init__(
+        self, host: Host, gate: MotionGate, exposed: ExposedEndpoint, arm: str = ""
+    ) -> None:
+        """Args:
+        host, gate: of the feature.
+        exposed: an endpoint of the robot.
+        arm: name of one of several arms; "" for the only one.
+        """
         self._host = host
         self._gate = gate
         self._exposed = exposed
+        self.arm = arm
 
     @property
     def profile(self) -> GripperProfile | None:
-        """The gripper of the robot; None without one."""
-        return None if self._exposed.profile is None else self._exposed.profile.gripper
+        """The gripper of the arm; None without one."""
+        profile = self._exposed.profile
+        arms = () if profile is None else profile.each_arm
+        return next((arm.gripper for arm in arms if arm.name == self.arm), None)
 
     def commanded(self) -> float | None:
         """The opening that was last commanded, 0 closed .. 1 open; None when none was since the
         robot started.
         """
         report = self._report()
-        return None if report is None else report.gripper_commanded
+        return None if report is None else report.gripper_commanded_of(self.arm)
 
     def kept(self) -> float:
         """The opening that keeps what the hand holds: as last commanded, else as measured; 1
@@ -72,7 +82,8 @@ class Grip:
         for their rest.
         """
         report = self._report()
-        told = "" if report is None else report.detail.get("holding", "")
+        key = f"{self.arm}/holding" if self.arm else "holding"
+        told = "" if report is None else report.detail.get(key, "")
         if told:
             return told == "true"
         opening = self.commanded()

@@ -77,6 +77,11 @@ class JointMove(Result):
         default=None, description="the hand holds something; null: unknown"
     )
     lost_on_the_way: bool = False
+    hands: dict[str, bool | None] = Field(
+        default_factory=dict,
+        description="of several arms that were moved, by name: the hand holds something; "
+        "`holding`: one of them does",
+    )
 
 
 def joint_tools(
@@ -137,7 +142,13 @@ class _JointMover:
         self._limits = limits
         self._gate = gate
         self._host = host
-        self._grip = Grip(host, gate, exposed)
+        assert exposed.profile is not None
+        # by joint: the hand of the arm that it belongs to
+        self._grip_of: dict[str, Grip] = {}
+        for arm in exposed.profile.each_arm:
+            grip = Grip(host, gate, exposed, arm.name)
+            fingers = () if arm.gripper is None else (arm.gripper.joint,)
+            self._grip_of |= dict.fromkeys((*arm.joints, *fingers), grip)
 
     async def __call__(self, arguments: MoveJoints, context: CallContext) -> JointMove:
         """Raises InvalidInputError, RefusedError, NotReadyError, StateError."""
@@ -182,7 +193,8 @@ class _JointMover:
         if dry_run:
             verdict = gate.ask(exposed, request)
             return self._answer(target, joints, duration_s, verdict.allowed, verdict.reason, True)
-        kept, held = self._grip.commanded(), self._grip.holding()
+        grips = list(dict.fromkeys(self._grip_of[name] for name in target))
+        before = [(grip.commanded(), grip.holding()) for grip in grips]
         commands = self._commands(target, request.messages[0], duration_s, stage)
         sent = gate.play(
             exposed, request, commands, total_s=duration_s, timeout_s=_MEASURED_S, halt=halt
@@ -194,14 +206,15 @@ class _JointMover:
         answer = self._answer(
             target, gate.newest_joints(exposed) or joints, sent.duration_s, True, "", False
         )
-        holding, gripper = self._grip.holding(), self._grip.profile
-        asked = (
-            None
-            if gripper is None or gripper.joint not in target
-            else gripper.to_opening(target[gripper.joint])
+        hands = {grip.arm: grip.holding() for grip in grips}
+        lost = any(
+            is_lost(held, hands[grip.arm], _asked_opening(grip, target), kept)
+            for grip, (kept, held) in zip(grips, before, strict=True)
         )
-        lost = is_lost(held, holding, asked, kept)
-        return answer.model_copy(update={"holding": holding, "lost_on_the_way": lost})
+        told: dict[str, object] = {"holding": _any(hands.values()), "lost_on_the_way": lost}
+        if exposed.profile is not None and exposed.profile.arms:
+            told["hands"] = hands
+        return answer.model_copy(update=told)
 
     def _unmeasured(self) -> NotReadyError:
         """Why there are no joints: the robot is not running, or its states do not come through."""
@@ -235,14 +248,15 @@ class _JointMover:
         )
 
     def _left(self, target: Mapping[str, float], joints: JointSample) -> Mapping[str, float]:
-        """The targets, without that of a gripper which something keeps from closing: it grasps."""
-        gripper = self._grip.profile
-        if gripper is None or gripper.joint not in target:
-            return target
-        asked, measured = target[gripper.joint], _position(joints, gripper.joint)
-        if gripper.to_opening(measured) <= gripper.to_opening(asked):
-            return target
-        return {name: value for name, value in target.items() if name != gripper.joint}
+        """The targets, without those of grippers which something keeps from closing: they grasp."""
+        left = dict(target)
+        for gripper in {self._grip_of[name].profile for name in target}:
+            if gripper is None or gripper.joint not in target:
+                continue
+            asked, measured = target[gripper.joint], _position(joints, gripper.joint)
+            if gripper.to_opening(measured) > gripper.to_opening(asked):
+                del left[gripper.joint]
+        return left
 
     def _commands(
         self, target: Mapping[str, float], message: object, duration_s: float, stage: Stage
@@ -300,6 +314,20 @@ class _JointMover:
             allowed=allowed,
             reason=reason,
         )
+
+
+def _asked_opening(grip: Grip, target: Mapping[str, float]) -> float | None:
+    """The opening that targets ask of a gripper; None when they do not name it."""
+    gripper = grip.profile
+    if gripper is None or gripper.joint not in target:
+        return None
+    return gripper.to_opening(target[gripper.joint])
+
+
+def _any(held: Iterable[bool | None]) -> bool | None:
+    """Whether one of several hands holds something; None when that is unknown."""
+    told = list(held)
+    return True if True in told else None if None in told else False
 
 
 def _message(target: Mapping[str, float], duration_s: float) -> object:

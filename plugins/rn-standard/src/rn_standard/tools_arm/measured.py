@@ -20,13 +20,18 @@ _POLL_S = 0.01
 
 
 class MeasuredPose:
-    """Listens to `ee_pose` of one robot from the first time on that it is asked for; usable from
+    """Listens to `ee_pose` of one arm from the first time on that it is asked for; usable from
     any thread.
     """
 
-    def __init__(self, host: Host, namespace: str) -> None:
+    def __init__(self, host: Host, namespace: str, arm: str = "") -> None:
+        """Args:
+        host: of the feature.
+        namespace: of the robot.
+        arm: name of one of several arms; "" for the only one.
+        """
         self._host = host
-        self._topic = f"/{namespace}/ee_pose"
+        self._topic = f"/{namespace}/{f'{arm}/' if arm else ''}ee_pose"
         self._lock = threading.Lock()
         self._is_open = False
         self._newest: tuple[float, object] | None = None

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import logging
 import time
+from collections.abc import Mapping
 
 from pydantic import Field
 
+from rn_standard.direct_path.derived import Derived
+from rn_standard.tools_arm.arm_rows import of_named_arm
 from rn_standard.tools_arm.end_effector import EndEffectorMove, EndEffectorMover, MoveEndEffector
 from rn_standard.tools_arm.grip import Grip
 from rn_standard.tools_arm.measured import MeasuredPose
@@ -21,7 +24,7 @@ from roboneuron import (
     StateError,
     Tool,
 )
-from roboneuron.feature import ExposedEndpoint, MotionGate
+from roboneuron.feature import ExposedEndpoint, MotionGate, Schema
 
 log = logging.getLogger(__name__)
 _CLEAR_M = 0.08
@@ -39,6 +42,7 @@ _LONGEST_M = 0.5
 class PlaceArguments(Arguments):
     """Arguments of place."""
 
+    arm: str = Field(default="", description="Whose hand holds it.")
     dx_m: float = Field(
         default=0.0, ge=-0.5, le=0.5, description="Forwards from where the hand is [m]."
     )
@@ -55,6 +59,7 @@ class Placed(Result):
     """What was let go, and where."""
 
     robot: str
+    arm: str = Field(default="", description="which of several arms")
     released_at_m: list[float] = Field(description="TCP when the hand opened, base frame")
     moved: dict[str, float] = Field(description="from where the hand was at the call")
     holding: bool | None = Field(description="the hand still holds something; null: unknown")
@@ -65,9 +70,14 @@ class GripHeight(Grip):
     """Knows how high the TCP was when the hand last closed, whoever closed it."""
 
     def __init__(
-        self, host: Host, gate: MotionGate, exposed: ExposedEndpoint, tcp: MeasuredPose
+        self,
+        host: Host,
+        gate: MotionGate,
+        exposed: ExposedEndpoint,
+        tcp: MeasuredPose,
+        arm: str = "",
     ) -> None:
-        super().__init__(host, gate, exposed)
+        super().__init__(host, gate, exposed, arm)
         self._tcp = tcp
         self._opening: float | None = None
         self.closed_at_m: float | None = None
@@ -129,6 +139,7 @@ class _Placer:
         await self._go(context, dz_m=_CLEAR_M)
         return Placed(
             robot=opened.robot,
+            arm=opened.arm,
             released_at_m=place,
             moved={"dx_m": round(place[0] - start[0], 4), "dy_m": round(place[1] - start[1], 4)},
             holding=opened.holding,
@@ -156,16 +167,46 @@ def _check(moved: EndEffectorMove) -> None:
         raise StateError(f"The hand has lost what it held, at {moved.position_m} m or before.")
 
 
-def place_tool(mover: EndEffectorMover, grip: GripHeight, robot: str) -> Tool[PlaceArguments]:
-    """place."""
+class _PlaceOfArm:
+    """The handler of place for several arms."""
+
+    def __init__(self, placers: Mapping[str, _Placer]) -> None:
+        self._placers = placers
+
+    async def __call__(self, arguments: PlaceArguments, context: CallContext) -> Placed:
+        """Raises as `_Placer`; InvalidInputError also for an arm that is not there, or that has no
+        gripper.
+        """
+        return await of_named_arm(self._placers, arguments.arm)(arguments, context)
+
+
+def place_tool(
+    movers: Mapping[str, EndEffectorMover], grips: Mapping[str, GripHeight], robot: str
+) -> Tool[PlaceArguments]:
+    """place, for the arms that have a gripper.
+
+    Args:
+        movers: of the arms by name, those without a gripper too.
+        grips: of those with one.
+        robot: its name.
+    """
+    placers = {arm: _Placer(movers[arm], grip) for arm, grip in grips.items()}
+    properties: dict[str, Schema] = {name: {} for name in PlaceArguments.model_fields}
+    several = [*placers] != [""]
+    if several:
+        properties["arm"] = {"enum": [*placers]}
+    else:
+        del properties["arm"]
     return Tool(
         name="place",
         title="Put down what the hand holds",
         description=f"Carry what {robot!r} holds by dx_m, dy_m, lower it to where it was grasped, "
         "let go, leave "
         "upwards. Stop the policy first; needs control.",
-        arguments=PlaceArguments,
+        arguments=Derived(
+            model=PlaceArguments, properties=properties, required=["arm"] if several else []
+        ),
         result=Placed,
-        handler=_Placer(mover, grip),
+        handler=_PlaceOfArm(placers) if several else placers[""],
         open_world=True,
     )

@@ -4,9 +4,23 @@ follow at once.
 
 from __future__ import annotations
 
+from typing import cast
+
 from rn_standard.direct_path.allow_list import ArmPaths
-from roboneuron import Action, Controller, Hold, Host, JointCommand, JointSample, Pose
-from roboneuron.feature import ExposedEndpoint, MotionLimiter, inspector_of, poses_of
+from rn_standard.tools_arm.ee_line import F64
+from roboneuron import (
+    EE_DELTA,
+    Action,
+    Controller,
+    ControlSpace,
+    Hold,
+    Host,
+    JointCommand,
+    JointSample,
+    Pose,
+    SpaceController,
+)
+from roboneuron.feature import ExposedEndpoint, MotionLimiter, poses_of
 
 
 def control_of(host: Host, exposed: ExposedEndpoint) -> tuple[Controller, MotionLimiter]:
@@ -20,12 +34,10 @@ def control_of(host: Host, exposed: ExposedEndpoint) -> tuple[Controller, Motion
     config = host.loop.base
     paths = ArmPaths(config, lambda: host.registry, lambda: host.loop.limits)
     controller, profile = paths.load(exposed.robot, exposed.profile)
-    limiter = MotionLimiter(
+    limiter = MotionLimiter.of(
         paths.rules(exposed.robot, profile),
         profile,
-        controller.forward,
-        inspector_of(controller),
-        poses=poses_of(controller),
+        controller,
         immediate=config.control is not None and config.control.command == "joint_state",
         longest_s=config.robot.server_timeout_s,
     )
@@ -33,7 +45,7 @@ def control_of(host: Host, exposed: ExposedEndpoint) -> tuple[Controller, Motion
 
 
 class PredictedArm:
-    """An arm in computation only; used from one thread.
+    """The arms of a robot in computation only; used from one thread.
 
     Attributes:
         held: why the newest action was not carried out; empty when it was, shortened or not.
@@ -46,19 +58,27 @@ class PredictedArm:
         """
         self.held = ""
         self._controller, self._limiter, self._joints = controller, limiter, joints
+        self._poses = poses_of(controller)
         self._now_s = 0.0
         limiter.rest(joints, self._now_s)
 
-    def pose(self) -> Pose:
-        """TCP pose in the base frame. Raises UnsafeError as `Controller.forward`."""
-        return self._controller.forward(self._joints)
+    def poses(self) -> tuple[Pose, ...]:
+        """TCP pose of each arm in the base frame. Raises UnsafeError as `Controller.forward`."""
+        return self._poses(self._joints)
 
-    def follow(self, action: Action, step_s: float) -> None:
-        """Carry out an action for `step_s`, as far as the limits allow; the arm stays where one
-        holds it.
+    def follow(self, space: ControlSpace, row: F64, step_s: float) -> None:
+        """Carry out a row of a space for `step_s`, as far as the limits allow; the arm stays where
+        one holds it.
         """
         self._now_s += step_s
-        outcome: JointCommand | Hold | None = self._controller.compute(action, self._joints, step_s)
+        outcome: JointCommand | Hold | None
+        if space is EE_DELTA:
+            outcome = self._controller.compute(Action.from_vector(row), self._joints, step_s)
+        else:
+            start = self._limiter.reference(self._joints, self._now_s)
+            # control has looked whether it can
+            spaces = cast("SpaceController", self._controller)
+            outcome = spaces.execute(space, row, start, step_s)
         self.held = outcome.reason if isinstance(outcome, Hold) else ""
         if isinstance(outcome, JointCommand):
             verdict = self._limiter.limit(outcome, self._joints, self._now_s)

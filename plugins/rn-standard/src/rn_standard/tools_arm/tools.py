@@ -5,8 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 from rn_standard.direct_path.derived import Derived
-from rn_standard.direct_path.exposed import ACTION_LABEL
-from rn_standard.tools_arm.end_effector import EndEffectorMove, EndEffectorMover, MoveEndEffector
+from rn_standard.direct_path.exposed import ACTION_LABELS
+from rn_standard.tools_arm.end_effector import (
+    EndEffectorMove,
+    EndEffectorMover,
+    MoveEndEffector,
+    MoveOfArm,
+)
 from rn_standard.tools_arm.joints import joint_tools
 from rn_standard.tools_arm.measured import MeasuredPose
 from rn_standard.tools_arm.options import ArmToolsOptions
@@ -21,41 +26,58 @@ def arm_tools(
     poses: dict[str, MeasuredPose],
     grips: dict[str, GripHeight],
 ) -> list[Tool[Any]]:
-    """move_ee, move_joints and place, for the arm among the exposed endpoints.
+    """move_ee, move_joints and place, for the robot among the exposed endpoints.
 
-    `poses` and `grips` keep what is measured, by namespace.
+    `poses` and `grips` keep what is measured, by namespace and arm.
     """
     gate = host.gate
     listed = gate.exposed
     tools = joint_tools(host, [e for e in listed if not e.hidden], gate)
-    action = next((e for e in listed if e.hidden and e.label == ACTION_LABEL), None)
+    action = next((e for e in listed if e.hidden and e.label in ACTION_LABELS), None)
     if action is None or action.profile is None:
         return tools
-    tcp = poses.setdefault(action.namespace, MeasuredPose(host, action.namespace))
-    grip = grips.setdefault(action.namespace, GripHeight(host, gate, action, tcp))
-    mover = EndEffectorMover(action, action.profile, host, options, tcp)
+    space, profile = action.namespace, action.profile
+    tcps: dict[str, MeasuredPose] = {}
+    hands: dict[str, GripHeight] = {}
+    for arm in profile.each_arm:
+        key = f"{space}/{arm.name}"
+        tcp = tcps[arm.name] = poses.setdefault(key, MeasuredPose(host, space, arm.name))
+        if arm.gripper is not None:
+            grip = GripHeight(host, gate, action, tcp, arm.name)
+            hands[arm.name] = grips.setdefault(key, grip)
+    movers = {arm: EndEffectorMover(action, profile, host, options, tcps, arm) for arm in tcps}
     properties: dict[str, Schema] = {name: {} for name in MoveEndEffector.model_fields}
     properties["duration_s"] = {"maximum": gate.max_duration_s}
-    if action.profile.gripper is None:
+    if not hands:
         del properties["gripper_open"]
+    if profile.arms:
+        properties["arm"] = {"enum": [*movers]}
+    else:
+        del properties["arm"]
     move: Tool[Any] = Tool(
         name="move_ee",
         title="Move the end effector",
         description=(
-            f"Move the TCP of {action.robot!r} by a delta in the base frame in a straight line, "
-            "at up to "
-            f"{options.ee_speed_m_s:g} m/s and {options.ee_turn_rad_s:g} rad/s, and set the "
-            "gripper. Without "
-            "gripper_open the hand holds its last commanded grip. Needs start_robot and "
-            "start_control; refused while "
-            "a policy runs. Returns what was measured when the arm is there; an error says where "
-            "it stopped and why."
+            f"Move the TCP of {_one_of(action.robot, [*movers])} by a delta in the base frame in a "
+            f"straight line, at up to {options.ee_speed_m_s:g} m/s and "
+            f"{options.ee_turn_rad_s:g} rad/s, and set the gripper. Needs start_control; refused "
+            "while a policy runs. Returns when the arm is measured there; an error says where it "
+            "stopped and why."
         ),
-        arguments=Derived(model=MoveEndEffector, properties=properties),
+        arguments=Derived(
+            model=MoveEndEffector,
+            properties=properties,
+            required=["arm"] if profile.arms else [],
+        ),
         result=EndEffectorMove,
-        handler=mover,
+        handler=MoveOfArm(movers) if profile.arms else movers[""],
         open_world=True,
     )
-    if action.profile.gripper is None:
+    if not hands:
         return [move, *tools]
-    return [move, *tools, place_tool(mover, grip, action.robot)]
+    return [move, *tools, place_tool(movers, hands, action.robot)]
+
+
+def _one_of(robot: str, arms: list[str]) -> str:
+    """What a tool moves, in its description."""
+    return repr(robot) if arms == [""] else f"one arm of {robot!r} ({' or '.join(arms)})"

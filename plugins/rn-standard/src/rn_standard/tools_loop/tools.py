@@ -3,13 +3,59 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from pydantic import Field
 
+from rn_standard.tools_loop.instructing import give_instruction
 from rn_standard.tools_loop.results import InstructionResult, StartResult
 from roboneuron import Arguments, CallContext, Tool
-from roboneuron.feature import KIND_ENTRIES, ClosedLoop, KindEntry, settings
+from roboneuron.feature import KIND_ENTRIES, ClosedLoop, ModuleKind, settings
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class StartTexts:
+    """What the start tool of a kind of module says.
+
+    Attributes:
+        title, effect: of the tool.
+        proof: what shows that a start has succeeded.
+    """
+
+    title: str
+    effect: str
+    proof: str
+
+
+_TEXTS: Mapping[ModuleKind, StartTexts] = {
+    "robot": StartTexts(
+        title="Start the robot",
+        effect="Connect to the robot, or start its simulation. It stands still until something "
+        "moves it.",
+        proof="its joints are measured",
+    ),
+    "perception": StartTexts(
+        title="Start the cameras",
+        effect="Start the cameras. A simulated robot's cameras need start_robot first.",
+        proof="each camera has delivered an image",
+    ),
+    "control": StartTexts(
+        title="Start the controller",
+        effect="Start the controller, which turns the policy's actions, and move_ee, into joint "
+        "commands. Needs start_robot. The arm stands still until actions come.",
+        proof="it measures the pose of the end effector",
+    ),
+    "inference": StartTexts(
+        title="Start the policy",
+        effect="Load a policy (a vision-language-action model or a classical one). With an "
+        "instruction the robot moves at once. Needs start_perception; to move, also start_robot "
+        "and start_control.",
+        proof="the policy receives its inputs and, if it has an instruction, has sent its first "
+        "action",
+    ),
+}
 
 
 class SetInstruction(Arguments):
@@ -28,13 +74,13 @@ def start_tools(loop: ClosedLoop) -> list[Tool[Any]]:
     """A tool for each kind of module, and set_instruction, in the order in which an agent uses
     them.
     """
-    return [*(_start_tool(loop, entry) for entry in KIND_ENTRIES.values()), _set_instruction(loop)]
+    return [*(_start_tool(loop, kind) for kind in KIND_ENTRIES), _set_instruction(loop)]
 
 
 def _set_instruction(loop: ClosedLoop) -> Tool[Any]:
     async def set_instruction(arguments: SetInstruction, context: CallContext) -> InstructionResult:
         report, took_s = await context.run(
-            lambda _: loop.set_instruction(arguments.instruction, arguments.timeout_s)
+            lambda _: give_instruction(loop, arguments.instruction, arguments.timeout_s)
         )
         return InstructionResult(
             instruction=report.instruction, took_s=round(took_s, 3), note=report.note
@@ -58,7 +104,8 @@ def _set_instruction(loop: ClosedLoop) -> Tool[Any]:
     )
 
 
-def _start_tool(loop: ClosedLoop, entry: KindEntry) -> Tool[Any]:
+def _start_tool(loop: ClosedLoop, kind: ModuleKind) -> Tool[Any]:
+    entry, texts = KIND_ENTRIES[kind], _TEXTS[kind]
     which = f" The configured one is the {loop.robot_facts}." if entry.kind == "robot" else ""
 
     async def handler(request: Arguments, context: CallContext) -> StartResult:
@@ -71,8 +118,8 @@ def _start_tool(loop: ClosedLoop, entry: KindEntry) -> Tool[Any]:
 
     return Tool(
         name=f"start_{entry.kind}",
-        title=entry.title,
-        description=f"{entry.start_text}{which} Returns when {entry.proof}; if it fails, nothing "
+        title=texts.title,
+        description=f"{texts.effect}{which} Returns when {texts.proof}; if it fails, nothing "
         "is left running.",
         offered=loop.takes_policies if entry.kind == "inference" else lambda: True,
         arguments=entry.request,

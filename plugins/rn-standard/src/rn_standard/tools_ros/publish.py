@@ -19,6 +19,7 @@ from rn_standard.tools_ros.calls import (
 )
 from rn_standard.tools_ros.calls import duration_s as trajectory_s
 from rn_standard.tools_ros.exposed_types import message_of
+from rn_standard.tools_ros.interfaces import MessageInterface
 from rn_standard.tools_ros.steps import MessageStep, publish_steps
 from rn_standard.tools_ros.targets import Targets
 from roboneuron import CallContext, InvalidInputError, Result
@@ -116,15 +117,15 @@ def encode_step(
     """The message of a call, encoded. Raises InvalidInputError with the path inside the
     arguments.
     """
-    message = encode_argument(message_of(exposed), value, "message")
-    return MessageStep(
-        message=message, duration_s=duration_s, stamped=is_stamp_omitted(exposed, value)
-    )
+    interface = message_of(exposed)
+    message = encode_argument(interface, value, "message")
+    stamped = is_stamp_omitted(interface, value)
+    return MessageStep(message=message, duration_s=duration_s, stamped=stamped)
 
 
-def is_stamp_omitted(exposed: ExposedEndpoint, value: Mapping[str, object]) -> bool:
+def is_stamp_omitted(interface: MessageInterface, value: Mapping[str, object]) -> bool:
     """Whether the message has a header whose stamp the agent left to us."""
-    if not any(field.name == "header" for field in message_of(exposed).fields):
+    if not hasattr(interface.ros_type, "header"):
         return False
     header = value.get("header")
     return not (isinstance(header, Mapping) and header.get("stamp") is not None)

@@ -9,11 +9,22 @@ from roboneuron.feature import ExposedEndpoint, Schema
 
 
 class Targets:
-    """Endpoints of the same label, kind and type, one per robot."""
+    """Endpoints of the same label, kind and type, one per robot.
+
+    Attributes:
+        trajectory: a message has a duration of its own.
+        lasting: a published value is given a duration: it is stopped after it, repeated, or to be
+            reached within.
+    """
 
     def __init__(self, endpoints: Sequence[ExposedEndpoint]) -> None:
         self.endpoints = tuple(endpoints)
         self._by_robot = {exposed.robot: exposed for exposed in endpoints}
+        self.trajectory = self.first.endpoint.type == TRAJECTORY
+        self.lasting = not self.trajectory and any(
+            e.endpoint.stop_message or e.endpoint.repeat_hz or e.endpoint.joint_limited
+            for e in self.endpoints
+        )
 
     @property
     def first(self) -> ExposedEndpoint:
@@ -24,23 +35,6 @@ class Targets:
     def arguments(self) -> list[str]:
         """Names of the arguments that choose: "robot" when there is a choice."""
         return ["robot"] if len(self.endpoints) > 1 else []
-
-    @property
-    def lasting(self) -> bool:
-        """Whether a published value is given a duration: it is stopped after it, repeated, or to be
-        reached within.
-        """
-        if self.trajectory:
-            return False
-        return any(
-            e.endpoint.stop_message or e.endpoint.repeat_hz or e.endpoint.joint_limited
-            for e in self.endpoints
-        )
-
-    @property
-    def trajectory(self) -> bool:
-        """Whether a message has a duration of its own."""
-        return self.first.endpoint.type == TRAJECTORY
 
     def schema(self) -> dict[str, Schema]:
         """The properties that choose."""

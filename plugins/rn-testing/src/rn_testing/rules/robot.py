@@ -18,7 +18,7 @@ ENDPOINT_KINDS = ("publish", "read", "service", "action")
 """Values of `Endpoint.kind`."""
 _ENDPOINT_NAME = re.compile(r"[a-z][a-z0-9]*(_[a-z0-9]+)*")
 MOUNTS = ("base", "tcp")
-"""Values of `CameraCalibration.mount`."""
+"""Values of `CameraCalibration.mount`; of several arms also "<arm>/tcp"."""
 FARTHEST_CAMERA_M = 20.0
 """Farthest a camera may be from what carries it."""
 SLACK = 1e-3
@@ -182,10 +182,12 @@ def _check_cameras(case: RobotCase) -> None:
             f"camera {camera.name!r} is {camera.width}x{camera.height}",
         )
         if camera.calibration is not None:
-            _check_calibration(camera, camera.calibration)
+            _check_calibration(profile, camera, camera.calibration)
 
 
-def _check_calibration(camera: CameraProfile, calibration: CameraCalibration) -> None:
+def _check_calibration(
+    profile: RobotProfile, camera: CameraProfile, calibration: CameraCalibration
+) -> None:
     """A pinhole inside its image, mounted upright in a right-handed frame some metres away."""
     who = f"the calibration of camera {camera.name!r}"
     intrinsics, pose = calibration.intrinsics, calibration.T_mount_camera
@@ -194,9 +196,10 @@ def _check_calibration(camera: CameraProfile, calibration: CameraCalibration) ->
         f"{who} has shapes {intrinsics.shape}, {pose.shape}",
     )
     require(bool(np.isfinite(intrinsics).all() and np.isfinite(pose).all()), f"{who} is not finite")
+    mounts = (*MOUNTS, *(f"{arm.name}/tcp" for arm in profile.arms))
     require(
-        calibration.mount in MOUNTS,
-        f"{who} has the mount {calibration.mount!r}, expected {' or '.join(MOUNTS)}",
+        calibration.mount in mounts,
+        f"{who} has the mount {calibration.mount!r}, expected {' or '.join(mounts)}",
     )
     focal, centre = intrinsics[[0, 1], [0, 1]], intrinsics[:2, 2]
     size = np.array([camera.width, camera.height])

@@ -29,15 +29,17 @@ class TinyCommand:
     Attributes:
         program: its name.
         model: what the checkpoint is of, as people call it.
-        options: what to use it with.
-        load: imports and returns what writes it; called once the arguments are parsed, so that
-            `--help` is quick.
+        options: what to use it with; "{}" stands for the platform.
+        load: imports and returns what writes it, for one of `platforms`; called once the arguments
+            are parsed, so that `--help` is quick.
+        platforms: what `--constants` may name, the default first; none without such an option.
     """
 
     program: str
     model: str
     options: str
-    load: Callable[[], MakeTiny]
+    load: Callable[[str], MakeTiny]
+    platforms: tuple[str, ...] = ("",)
 
     def run(self, arguments: Sequence[str] | None = None) -> int:
         """Parse the arguments (those of the process when None) and do it; returns the exit
@@ -51,11 +53,20 @@ class TinyCommand:
         )
         make.add_argument("directory", type=Path, help="new or empty directory")
         make.add_argument("--seed", type=int, default=0, help="of the random weights (default 0)")
+        if len(self.platforms) > 1:
+            make.add_argument(
+                "--constants",
+                choices=self.platforms,
+                default=self.platforms[0],
+                help="platform whose chunk, widths and state it has (default %(default)s)",
+            )
+        else:
+            make.set_defaults(constants=self.platforms[0])
         given = parser.parse_args(arguments)
         from rn_vla.openvla.tiny import STATISTICS_KEY
 
         try:
-            self.load()(given.directory, seed=given.seed)
+            self.load(given.constants)(given.directory, seed=given.seed)
         except RoboNeuronError as error:
             print(f"{self.program}: {error}", file=sys.stderr)
             return 2
@@ -63,5 +74,6 @@ class TinyCommand:
             f'Wrote {given.directory}: checkpoint = "{given.directory}", unnorm_key = '
             f'"{STATISTICS_KEY}".'
         )
-        print(f"Its actions are random; use it with {self.options}.")
+        options = self.options.format(given.constants)
+        print(f"Its actions are random; use it with {options}.")
         return 0

@@ -88,23 +88,28 @@ class Setpoint:
     sent_s: float
     immediate: bool
 
-    def at(self, now_s: float) -> tuple[F64, F64]:
+    def at(self, now_s: float, braking: F64) -> tuple[F64, F64]:
         """Position and velocity at a monotonic time.
 
         Args:
             now_s: before `sent_s` counts as then.
+            braking: float64 (n,), the joints' limits of acceleration, with which the velocity ends
+                once the command has come to its end: no arm stops at once.
 
         Returns:
-            Both float64 (n,); at rest once the command has come to its end.
+            Both float64 (n,).
         """
         passed = (now_s - self.sent_s) / self.duration_s
         # An immediate one was chosen for the time before it; the arm has that velocity until the
         # next one is due.
-        is_moving = passed <= 2.0 if self.immediate else passed < 1.0
+        ends = 2.0 if self.immediate else 1.0
         velocity = self.displacement / self.duration_s
         share = 1.0 if self.immediate else min(1.0, max(0.0, passed))
         position = self.start + self.displacement * share
-        return position, velocity if is_moving else np.zeros_like(velocity)
+        if passed > ends:
+            left = np.maximum(np.abs(velocity) - braking * ((passed - ends) * self.duration_s), 0.0)
+            velocity = np.copysign(left, velocity)
+        return position, velocity
 
 
 @dataclass(kw_only=True, slots=True, eq=False)

@@ -8,6 +8,8 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from roboneuron.contract import RobotProfile
 from roboneuron.contract.arrays import F64
 from roboneuron.gate.motion.rules import MotionRules
@@ -123,11 +125,15 @@ class JointSpace:
     (n,).
 
     Plain floats inside: for seven joints a loop over them is faster than the calls into numpy.
+
+    Attributes:
+        braking: hardest acceleration of each joint [per s^2].
     """
 
     def __init__(self, names: Sequence[str], limits: Sequence[JointLimit]) -> None:
         self._names, self._limits = names, limits
         self._acceleration = [limit.acceleration for limit in limits]
+        self.braking = np.array(self._acceleration)
 
     def violations(
         self, start: F64, change: F64, step_s: float

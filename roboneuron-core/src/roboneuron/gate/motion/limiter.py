@@ -9,17 +9,26 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
+from typing import Self
 
 import numpy as np
 
-from roboneuron.contract import Hold, JointCommand, JointSample, Pose, Posture, RobotProfile
+from roboneuron.contract import (
+    Controller,
+    Hold,
+    JointCommand,
+    JointSample,
+    Pose,
+    Posture,
+    RobotProfile,
+)
 from roboneuron.contract.arrays import F64
 from roboneuron.contract.profile import prismatic_joints
 from roboneuron.errors import UnsafeError
 from roboneuron.gate.motion.command import LimitedCommand, Setpoint, Step, pick, pick_others
 from roboneuron.gate.motion.joint_space import JointLimit, JointSpace, joint_limits
 from roboneuron.gate.motion.path import Reach
-from roboneuron.gate.motion.rules import MotionRules
+from roboneuron.gate.motion.rules import MotionRules, inspector_of, poses_of
 from roboneuron.gate.motion.task_space import Motion, TaskSpace, largest
 
 LOST, LOST_M = 0.1, 0.02
@@ -100,6 +109,27 @@ class MotionLimiter:
         self._arms = [f"{arm.name}: " if arm.name else "" for arm in profile.each_arm]
         self._immediate, self._longest_s = immediate, longest_s
         self._sent: Setpoint | None = None
+
+    @classmethod
+    def of(
+        cls,
+        rules: MotionRules,
+        profile: RobotProfile,
+        controller: Controller,
+        *,
+        immediate: bool,
+        longest_s: float,
+    ) -> Self:
+        """One that asks a controller for poses and postures. Arguments as of the class."""
+        return cls(
+            rules,
+            profile,
+            controller.forward,
+            inspector_of(controller),
+            poses=poses_of(controller),
+            immediate=immediate,
+            longest_s=longest_s,
+        )
 
     def use(self, rules: MotionRules) -> None:
         """Apply other numbers and reactions from the next command on.
@@ -185,7 +215,7 @@ class MotionLimiter:
             return joints
         with suppress(UnsafeError):
             measured = pick(joints.names, joints.position, self._names)
-            position, _ = sent.at(now_s)
+            position, _ = sent.at(now_s, self._joints.braking)
             if (np.abs(position - measured) <= self._lost).all():
                 ends = np.array(joints.position)
                 arm = [joints.names.index(name) for name in self._names]
@@ -240,7 +270,7 @@ class MotionLimiter:
         since_s = math.inf if self._sent is None else now_s - self._sent.sent_s
         start, before, is_lost = measured, np.zeros_like(measured), False
         if self._sent is not None and since_s < _MEMORY_S:
-            position, velocity = self._sent.at(now_s)
+            position, velocity = self._sent.at(now_s, self._joints.braking)
             is_lost = bool((np.abs(position - measured) > self._lost).any())
             if not is_lost:
                 start, before = position, velocity

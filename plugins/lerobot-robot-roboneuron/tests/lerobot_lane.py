@@ -1,0 +1,160 @@
+"""What tests with lerobot's own commands start and watch."""
+
+from __future__ import annotations
+
+import os
+import pty
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from anyio.from_thread import BlockingPortal
+from sensor_msgs.msg import JointState
+
+from rn_standard.console.client import spawned_server
+from rn_standard.demo.agent import Agent
+from rn_testing.waiting import wait_until
+from roboneuron.command import RosLink, qos
+
+ROOT = Path(__file__).parents[3]
+BIN = ROOT / ".venv-lerobot" / "bin"
+CONFIG = ROOT / "examples" / "so101.toml"
+LEADER = ROOT / "examples" / "scripted_leader.py"
+JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll")
+AT_REST_RAD = 2e-3
+"""Travel of a joint in a tenth of a second that noise of the simulation may make."""
+
+
+class Watch:
+    """Everything that is measured of the arm's joints, with the time of arrival [monotonic s]."""
+
+    def __init__(self, namespace: str, joints: Sequence[str]) -> None:
+        self._joints = joints
+        self.seen: list[tuple[float, np.ndarray]] = []
+        self._link = RosLink("watch")
+        self._link.open()
+        self._link.subscribe(JointState, f"/{namespace}/joint_states", self._take, qos.NEWEST)
+
+    def _take(self, message: JointState) -> None:
+        by_name = dict(zip(message.name, message.position, strict=True))
+        row = np.array([by_name[name] for name in self._joints])
+        self.seen.append((time.monotonic(), row))
+
+    def since(self, begun_s: float) -> np.ndarray:
+        return np.array([row for at_s, row in self.seen if at_s >= begun_s])
+
+    def is_moving(self) -> bool:
+        recent = self.since(time.monotonic() - 0.3)
+        return len(recent) > 3 and bool(np.ptp(recent, axis=0).max() > 10 * AT_REST_RAD)
+
+    def rest_after_s(self, fault_s: float) -> float:
+        """Time from a fault until no joint travels any more [s], looked at for 1.5 s after."""
+        wait_until(lambda: time.monotonic() > fault_s + 2.5, 10.0)
+        rows = [(at_s, row) for at_s, row in self.seen if at_s >= fault_s]
+        last = rows[-1][1]
+        away = [at_s for at_s, row in rows if np.abs(row - last).max() > AT_REST_RAD]
+        return (away[-1] - fault_s) if away else 0.0
+
+    def close(self) -> None:
+        self._link.close()
+
+
+class Served:
+    """A server that a client has started robot, perception and control with."""
+
+    def __init__(self, portal: BlockingPortal, config: Path, log: Path) -> None:
+        self._portal = portal
+        self._context = portal.wrap_async_context_manager(
+            spawned_server(["--config", str(config)], log)
+        )
+        self._agent = Agent(self._context.__enter__())
+
+    def call(self, tool: str, **arguments: object) -> dict[str, Any]:
+        return dict(self._portal.call(self._agent.call, tool, arguments))
+
+    def close(self) -> None:
+        self._context.__exit__(None, None, None)
+
+
+class Lerobot:
+    """Processes of lerobot's environment and of the leader; all are ended with the test."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._running: list[subprocess.Popen[str]] = []
+        self._logs: dict[int, Path] = {}
+        self.environment = {
+            **os.environ,
+            "HF_HUB_OFFLINE": "1",
+            "HF_HOME": str(folder / "hf"),
+            "PYTHONWARNINGS": "ignore",
+        }
+
+    def start(self, command: str, *options: str) -> subprocess.Popen[str]:
+        return self._spawn([str(BIN / command), *options], self.environment)
+
+    def teleoperate(self, *options: str) -> subprocess.Popen[str]:
+        return self.start(
+            "lerobot-teleoperate",
+            "--robot.type=roboneuron",
+            "--robot.robot=so101",
+            "--robot.start_timeout_s=30",
+            "--teleop.type=roboneuron",
+            "--teleop.robot=so101",
+            "--fps=30",
+            *options,
+        )
+
+    def lead(self, robot: str = "so101") -> subprocess.Popen[str]:
+        return self._spawn([sys.executable, str(LEADER), "--robot", robot], dict(os.environ))
+
+    def _spawn(self, command: list[str], variables: dict[str, str]) -> subprocess.Popen[str]:
+        path = self._folder / f"process-{len(self._running)}.log"
+        with path.open("w", encoding="utf-8") as log:
+            process = subprocess.Popen(
+                command, stdout=log, stderr=subprocess.STDOUT, text=True, env=variables, cwd=ROOT
+            )
+        self._logs[process.pid] = path
+        self._running.append(process)
+        return process
+
+    def told(self, process: subprocess.Popen[str]) -> str:
+        """What a process has printed so far."""
+        return self._logs[process.pid].read_text(encoding="utf-8")
+
+    def last_line(self, process: subprocess.Popen[str]) -> str:
+        """The sentence that a failed command of lerobot ends with, below its traceback."""
+        lines = [line for line in self.told(process).splitlines() if "Error: " in line]
+        return lines[-1] if lines else self.told(process)[-2000:]
+
+    def close(self) -> None:
+        for process in reversed(self._running):
+            if process.poll() is None:
+                process.terminate()
+                try:
+                    process.wait(20)
+                except subprocess.TimeoutExpired:
+                    process.kill()
+                    process.wait()
+
+
+def release_stop(state: Path) -> None:
+    """What a person does: say yes in a terminal."""
+    person, terminal = pty.openpty()
+    try:
+        os.write(person, b"y\n")
+        command = [sys.executable, "-m", "roboneuron.cli.main", "estop", "--reset"]
+        subprocess.run(
+            [*command, "--state", str(state)],
+            stdin=terminal,
+            check=True,
+            timeout=60,
+            capture_output=True,
+        )
+    finally:
+        os.close(person)
+        os.close(terminal)

@@ -1,0 +1,33 @@
+"""The contract kit: the package here, the backend where LeRobot is installed."""
+
+from __future__ import annotations
+
+import functools
+
+import pytest
+
+from rn_testing import BackendCase, BackendContract, PackageCase, PackageContract
+from roboneuron.plugins.availability import is_importable
+
+
+@functools.cache
+def _case() -> BackendCase:
+    from rn_backend_lerobot.case import lerobot_case  # heavy
+
+    return lerobot_case()
+
+
+@pytest.mark.skipif(
+    not is_importable("lerobot"),
+    reason="LeRobot is in an environment of its own: make test-lerobot-policies",
+)
+class TestLeRobot(BackendContract):
+    @pytest.fixture
+    def plugin(self) -> BackendCase:
+        return _case()
+
+
+class TestLeRobotPackage(PackageContract):
+    @pytest.fixture
+    def plugin(self) -> PackageCase:
+        return PackageCase(distribution="rn-backend-lerobot")

@@ -1,0 +1,77 @@
+"""Chunks of a shared model in another space than TCP deltas."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from rn_backend_shared.batching import _with_metrics
+from rn_backend_shared.space import shared_space
+from rn_backend_shared.wire import decode, encode, from_answer, to_answer
+from roboneuron import (
+    EE_DELTA,
+    GRIPPER,
+    ActionChunk,
+    ArmProfile,
+    Channel,
+    ConfigurationError,
+    ControlSpace,
+    GripperProfile,
+    RobotProfile,
+)
+
+JOINTS = [f"{arm}{i}" for arm in ("left", "right") for i in range(6)]
+ROBOT = RobotProfile(
+    name="pair",
+    base_link="table",
+    tcp_link="left_tcp",
+    arm_joints=tuple(JOINTS),
+    arms=tuple(
+        ArmProfile(
+            name=arm,
+            joints=tuple(name for name in JOINTS if name.startswith(arm)),
+            base_link=f"{arm}_base",
+            tcp_link=f"{arm}_tcp",
+            gripper=GripperProfile(joint=f"{arm}_finger", closed_position=0.0, open_position=0.08),
+        )
+        for arm in ("left", "right")
+    ),
+)
+
+
+def sent(chunk: ActionChunk) -> ActionChunk:
+    """As it arrives at the robot."""
+    frame = encode(from_answer(chunk))
+    head = int.from_bytes(frame[:4], "big")
+    return to_answer(decode(frame[8 : 8 + head], frame[8 + head :]))
+
+
+def test_the_space_travels_with_the_chunk() -> None:
+    channels = (
+        Channel(name="joint1", unit="rad", arm="left"),
+        Channel(name="x", unit="m", frame="base"),
+        Channel(name=GRIPPER, unit="opening"),
+    )
+    space = ControlSpace(kind="joint_position", channels=channels, rate_hz=30.0)
+    chunk = ActionChunk(actions=np.full((2, 3), 0.5), step_s=1 / 30, space=space)
+    counted = _with_metrics(chunk, 1, 0.1)
+    assert isinstance(counted, ActionChunk)
+    assert sent(counted).space == space
+
+
+def test_deltas_of_the_tcp_stay_the_contracts_own() -> None:
+    assert sent(ActionChunk(actions=np.zeros((1, 7)), step_s=0.1)).space is EE_DELTA
+
+
+def test_the_backend_that_holds_the_model_says_its_space() -> None:
+    own = {"profile": "own", "constants": "aloha", "joints": JOINTS}
+    space = shared_space({"backend": "oft", "options": own}, ROBOT)
+    assert space.kind == "joint_position"
+    assert space.size == 14
+    with pytest.raises(ConfigurationError, match="needs the option 'joints'"):
+        shared_space({"backend": "oft", "options": {**own, "joints": None}}, ROBOT)
+
+
+@pytest.mark.parametrize("options", [{"backend": "elsewhere"}, {"backend": "oft"}, {"no": 1}])
+def test_other_models_move_the_tcp(options: dict[str, object]) -> None:
+    assert shared_space(options, ROBOT) is EE_DELTA

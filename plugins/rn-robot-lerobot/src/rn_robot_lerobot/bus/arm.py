@@ -1,0 +1,122 @@
+"""A simulated SO-101 behind a serial port: physics and motors in threads of this process."""
+
+from __future__ import annotations
+
+import os
+import pty
+import select
+import threading
+import time
+import tty
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rn_robot_lerobot.arm import JOINTS
+from rn_robot_lerobot.bus.motors import MotorChain
+from rn_robot_lerobot.bus.packets import PacketReader
+from rn_robot_lerobot.calibration import MotorCalibration
+from rn_robot_lerobot.simulation import START
+from rn_robot_lerobot.world import STEP_S, So101World
+from rn_simulation.pace import Pace
+from rn_simulation.setpoint import JointSetpoint
+
+F64 = NDArray[np.float64]
+
+_MOTOR_SPEED_RAD_S, _MOTOR_ACCELERATION_RAD_S2 = 4.7, 60.0
+"""Of a motor without load, which is what it does with a goal that jumps."""
+_POLL_S = 0.02
+
+
+class SerialArm:
+    """An arm whose port is a pseudo terminal; use it as a context manager.
+
+    Attributes:
+        motors: on its bus, with what is wrong with it.
+        port: path of the device.
+        history: (monotonic time [s], joints float64 (6,) [rad]) of every step.
+    """
+
+    def __init__(
+        self, encoder_zeros: Mapping[str, int], calibration: Mapping[str, MotorCalibration] | None
+    ) -> None:
+        """Args:
+        encoder_zeros: see `MotorChain`.
+        calibration: what was written into the motors; None for motors fresh from the factory.
+        """
+        self.motors = MotorChain(encoder_zeros)
+        if calibration is not None:
+            self.motors.calibrate(calibration)
+        self._master, self._slave = pty.openpty()
+        tty.setraw(self._slave)
+        self.port = os.ttyname(self._slave)
+        self.history: list[tuple[float, F64]] = []
+        self._lock = threading.Lock()
+        self._ending = threading.Event()
+        self._threads = [
+            threading.Thread(target=self._move, name="serial-arm-physics", daemon=True),
+            threading.Thread(target=self._listen, name="serial-arm-bus", daemon=True),
+        ]
+
+    def __enter__(self) -> SerialArm:
+        self._world = So101World([])
+        self._world.set_joints(START.tolist())
+        self.motors.measure(*self._world.joint_states())
+        for thread in self._threads:
+            thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ending.set()
+        for thread in self._threads:
+            thread.join()
+        os.close(self._master)
+        os.close(self._slave)
+
+    @property
+    def position(self) -> F64:
+        """Joints now, float64 (6,) [rad]."""
+        return self.history[-1][1] if self.history else START
+
+    def rest_after_s(self, fault_s: float, tolerance_rad: float = 5e-3) -> float:
+        """Time from `fault_s` [monotonic s] until no joint was away from where it is now [s]."""
+        rows = [(at_s, row[:-1]) for at_s, row in self.history if at_s >= fault_s]
+        away = [at_s for at_s, row in rows if np.abs(row - rows[-1][1]).max() > tolerance_rad]
+        return away[-1] - fault_s if away else 0.0
+
+    def _move(self) -> None:
+        count = len(JOINTS)
+        speed = np.full(count, _MOTOR_SPEED_RAD_S)
+        setpoint = JointSetpoint(START, speed, np.full(count, _MOTOR_ACCELERATION_RAD_S2))
+        pace = Pace(step_s=STEP_S)
+        while not self._ending.is_set():
+            steps = pace.due_steps(time.monotonic())
+            for _ in range(steps):
+                with self._lock:
+                    goals, torque = self.motors.goals()
+                # without torque a joint stays: the simulation carries its weight
+                limp = [i for i in range(count) if not torque[i]]
+                setpoint.target[limp] = setpoint.position[limp]
+                powered = [i for i in range(count) if torque[i]]
+                setpoint.aim(goals, powered, STEP_S)
+                setpoint.advance(STEP_S)
+                self._world.step(setpoint.position, setpoint.velocity)
+                position, velocity = self._world.joint_states()
+                with self._lock:
+                    self.motors.measure(position, velocity)
+            if steps:
+                self.history.append((time.monotonic(), position.copy()))
+            self._ending.wait(pace.until_next_s(time.monotonic()))
+
+    def _listen(self) -> None:
+        reader = PacketReader()
+        while not self._ending.is_set():
+            if not select.select([self._master], [], [], _POLL_S)[0]:
+                continue
+            for packet in reader.feed(os.read(self._master, 4096)):
+                with self._lock:
+                    answer = self.motors.answer(packet)
+                if answer:
+                    time.sleep(self.motors.faults.answer_delay_s)
+                    os.write(self._master, answer)

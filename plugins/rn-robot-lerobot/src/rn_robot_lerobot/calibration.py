@@ -1,0 +1,96 @@
+"""LeRobot's calibration files: `calibration/robots/<robot>/<id>.json`, one entry for each motor.
+
+Pure reading: lerobot itself reads the file again; here it is checked first, so that what is wrong
+with it is one sentence and no arm moves.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from roboneuron import ConfigurationError
+
+STEPS = 4096
+"""Of an encoder in one turn."""
+_FIELDS = ("id", "drive_mode", "homing_offset", "range_min", "range_max")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class MotorCalibration:
+    """One motor.
+
+    Attributes:
+        id: its number on the bus.
+        drive_mode: 1 where it is inverted.
+        homing_offset: steps that are subtracted from the encoder's.
+        range_min, range_max: ends of its range, in steps after the offset.
+    """
+
+    id: int
+    drive_mode: int
+    homing_offset: int
+    range_min: int
+    range_max: int
+
+    @property
+    def half_range_rad(self) -> float:
+        """Half of its range [rad]; LeRobot counts 4095 steps to a turn."""
+        return (self.range_max - self.range_min) / (STEPS - 1) * math.pi
+
+
+def read_calibration(
+    path: Path, motors: Collection[str], calibrate: str
+) -> dict[str, MotorCalibration]:
+    """The calibration in a file.
+
+    Args:
+        path: of the file.
+        motors: names that there have to be.
+        calibrate: the command that makes the file.
+
+    Raises:
+        ConfigurationError: there is no file, it is damaged, a motor lacks or is unknown, or a range
+            is none.
+    """
+    hint = f"Make it with: {calibrate}"
+    try:
+        told = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise ConfigurationError(f"There is no calibration {path}.", hint=hint) from error
+    except (OSError, ValueError) as error:
+        raise ConfigurationError(f"The calibration {path} cannot be read: {error}.") from error
+    if not isinstance(told, dict):
+        raise ConfigurationError(f"The calibration {path} holds no motors.", hint=hint)
+    unknown = [name for name in told if name not in motors]
+    absent = [name for name in motors if name not in told]
+    if unknown or absent:
+        what = f"names the unknown motor {unknown[0]!r}" if unknown else f"lacks {absent[0]!r}"
+        raise ConfigurationError(
+            f"The calibration {path} {what}; expected {', '.join(motors)}.", hint=hint
+        )
+    return {name: _motor(path, name, told[name], hint) for name in motors}
+
+
+def _motor(path: Path, name: str, facts: object, hint: str) -> MotorCalibration:
+    if not isinstance(facts, Mapping) or set(facts) != set(_FIELDS):
+        raise ConfigurationError(
+            f"Motor {name!r} of the calibration {path} does not have {', '.join(_FIELDS)}.",
+            hint=hint,
+        )
+    values = [facts[field] for field in _FIELDS]
+    if not all(isinstance(value, int) and not isinstance(value, bool) for value in values):
+        raise ConfigurationError(
+            f"Motor {name!r} of the calibration {path} has {values}, expected whole numbers."
+        )
+    found = MotorCalibration(**dict(zip(_FIELDS, values, strict=True)))
+    if not 0 <= found.range_min < found.range_max < STEPS:
+        raise ConfigurationError(
+            f"The range of motor {name!r} in the calibration {path} is {found.range_min}.."
+            f"{found.range_max}, expected one within 0..{STEPS - 1}.",
+            hint=hint,
+        )
+    return found

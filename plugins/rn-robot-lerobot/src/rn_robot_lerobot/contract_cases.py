@@ -1,0 +1,49 @@
+"""How the contract kit tries the robot and its cameras; loaded by the kit only."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from std_msgs.msg import Float64MultiArray
+
+from rn_robot_lerobot.plugin import roboneuron_perceptions, roboneuron_robots
+from rn_robot_lerobot.profile import profile
+from rn_robot_lerobot.scene import random_cubes
+from rn_robot_lerobot.simulation import START
+from rn_robot_lerobot.state_message import TOPIC, SceneState, to_message
+from rn_testing.cases import PerceptionCase, RobotCase
+from rn_testing.fakes import MemoryTopics
+
+
+def state_at_home(seed: int, stamp_ns: int) -> Float64MultiArray:
+    """What the simulation tells its cameras before anything has moved."""
+    cubes = random_cubes(seed)
+    poses = [
+        (c.x_m, c.y_m, c.edge_m / 2, 0.0, 0.0, math.sin(c.yaw_rad / 2), math.cos(c.yaw_rad / 2))
+        for c in cubes
+    ]
+    return to_message(
+        SceneState(
+            cubes=tuple((cube.name, cube.edge_m) for cube in cubes),
+            joints=START,
+            cube_poses=np.array(poses),
+            stamp_ns=stamp_ns,
+        )
+    )
+
+
+def robot_case() -> RobotCase:
+    """The robot with its simulated driver."""
+    return RobotCase(spec=roboneuron_robots()[0], driver="simulated")
+
+
+def cameras_case() -> PerceptionCase:
+    """The simulated cameras, fed with the scene at rest."""
+
+    def feed(source: object, topics: MemoryTopics) -> None:
+        topics.deliver(TOPIC, state_at_home(0, topics.now_ns()))
+
+    return PerceptionCase(
+        spec=roboneuron_perceptions()[0], cameras=lambda: profile().cameras, feed=feed
+    )

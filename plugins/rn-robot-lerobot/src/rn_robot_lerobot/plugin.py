@@ -1,0 +1,67 @@
+"""What this package offers: the robot "so101" with its drivers, and the simulated cameras."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from roboneuron import CameraSpec, DriverSpec, PerceptionSpec, Requirement, RobotSpec, hookimpl
+
+_MUJOCO = Requirement(module="mujoco", install="pip install mujoco")
+_LEROBOT = Requirement(
+    module="lerobot", install='pip install "lerobot[feetech]>=0.6.1,<0.7" (Python 3.12)'
+)
+
+
+@hookimpl
+def roboneuron_robots() -> Sequence[RobotSpec]:
+    """The SO-101 follower."""
+    return [
+        RobotSpec(
+            name="so101",
+            summary="SO-101 follower: 5-joint arm with gripper, a camera beside the table and one "
+            "on the gripper",
+            target="rn_robot_lerobot.profile:profile",
+            case="rn_robot_lerobot.contract_cases:robot_case",
+            robot_kind="arm",
+            cameras=(
+                CameraSpec(name="front", role="primary"),
+                CameraSpec(name="wrist", role="wrist"),
+            ),
+            action_widths=(7,),
+            drivers=(
+                DriverSpec(
+                    name="simulated",
+                    summary="MuJoCo simulation: a table with coloured cubes in random places",
+                    target="rn_robot_lerobot.driver:SimulatedDriver",
+                    config="rn_robot_lerobot.options:SimulatedDriverOptions",
+                    simulated=True,
+                    requires=(_MUJOCO,),
+                ),
+                DriverSpec(
+                    name="lerobot",
+                    summary="The arm itself by lerobot's own driver, in lerobot's environment; any "
+                    "arm of LeRobot with these joints",
+                    target="rn_robot_lerobot.lerobot_driver:LerobotDriver",
+                    config="rn_robot_lerobot.lerobot_options:LerobotDriverOptions",
+                    requires=(_LEROBOT,),
+                ),
+            ),
+        )
+    ]
+
+
+@hookimpl
+def roboneuron_perceptions() -> Sequence[PerceptionSpec]:
+    """The cameras of the simulated SO-101."""
+    return [
+        PerceptionSpec(
+            name="so101-sim-camera",
+            summary="Front and wrist camera of the simulated SO-101, drawn on the CPU",
+            target="rn_robot_lerobot.camera_source:SimulatedCameras",
+            config="rn_robot_lerobot.options:SimulatedCamerasOptions",
+            case="rn_robot_lerobot.contract_cases:cameras_case",
+            requires=(_MUJOCO,),
+            robots=("so101",),
+            drivers=("simulated",),
+        )
+    ]

@@ -1,0 +1,207 @@
+"""LeRobot's numbers and the joints they mean, by name: degrees, percent of an opening, -100..100
+of a calibrated range, each with sign and offset. Pure computation.
+
+LeRobot calls a value `<motor>.pos`; which unit it has is a setting of LeRobot's robot and is not in
+the number, so that it is always declared here and never guessed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roboneuron import InvalidInputError, RobotProfile, UnsafeError, robot_space
+
+F64 = NDArray[np.float64]
+
+SUFFIX = ".pos"
+PERCENT = 100.0
+_SLACK = 1e-6
+"""What rounding may add to a value of a bounded unit."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class MotorUnit:
+    """How a value of one motor becomes a joint position: position = scale * value + offset.
+
+    Attributes:
+        motor: its name in LeRobot, without ".pos".
+        joint: name of the joint in the robot's profile.
+        scale: radians or metres per unit; its sign is that of the motor.
+        offset: position at the value 0 [rad or m].
+        lowest, highest: of a value that may be commanded; infinite for angles.
+    """
+
+    motor: str
+    joint: str
+    scale: float
+    offset: float = 0.0
+    lowest: float = -math.inf
+    highest: float = math.inf
+
+    @property
+    def key(self) -> str:
+        """Its name among LeRobot's features."""
+        return f"{self.motor}{SUFFIX}"
+
+
+def degrees(motor: str, joint: str, *, sign: float = 1.0, offset_rad: float = 0.0) -> MotorUnit:
+    """Degrees from the middle of the calibrated range (`use_degrees` of LeRobot)."""
+    return MotorUnit(motor=motor, joint=joint, scale=sign * math.pi / 180.0, offset=offset_rad)
+
+
+def percent(
+    motor: str, joint: str, closed: float, opened: float, *, inverted: bool = False
+) -> MotorUnit:
+    """0..100 of a gripper between its joint positions `closed` and `opened`.
+
+    Args:
+        inverted: 0 is open.
+    """
+    first, last = (opened, closed) if inverted else (closed, opened)
+    return MotorUnit(
+        motor=motor,
+        joint=joint,
+        scale=(last - first) / PERCENT,
+        offset=first,
+        lowest=0.0,
+        highest=PERCENT,
+    )
+
+
+def share_of_range(
+    motor: str, joint: str, half_range_rad: float, *, sign: float = 1.0, offset_rad: float = 0.0
+) -> MotorUnit:
+    """-100..100 of a calibrated range that is twice `half_range_rad` wide [rad]."""
+    return MotorUnit(
+        motor=motor,
+        joint=joint,
+        scale=sign * half_range_rad / PERCENT,
+        offset=offset_rad,
+        lowest=-PERCENT,
+        highest=PERCENT,
+    )
+
+
+class MotorMap:
+    """The motors of one robot, each with its joint.
+
+    Attributes:
+        units: in LeRobot's order.
+        keys: names of its features.
+        joints: names of the joints, in the same order.
+    """
+
+    def __init__(self, units: Sequence[MotorUnit]) -> None:
+        """Raises InvalidInputError when a motor or a joint comes twice, or a scale is none."""
+        self.units = tuple(units)
+        self.keys = tuple(unit.key for unit in units)
+        self.joints = tuple(unit.joint for unit in units)
+        for what, names in (("motor", self.keys), ("joint", self.joints)):
+            if len(set(names)) != len(names):
+                raise InvalidInputError(f"A {what} comes twice among {', '.join(names)}.")
+        bad = [u.motor for u in units if not math.isfinite(u.scale + u.offset) or u.scale == 0.0]
+        if bad:
+            raise InvalidInputError(f"The unit of motor {bad[0]!r} has no finite scale and offset.")
+
+    def positions(self, values: Mapping[str, float]) -> F64:
+        """Joint positions [rad or m], float64 (n,), in the order of `joints`, of commanded values.
+
+        Raises:
+            InvalidInputError: a value lacks, is of an unknown motor, or outside its unit.
+            UnsafeError: a value is NaN or infinite.
+        """
+        self.check_names(values)
+        numbers = [float(values[key]) for key in self.keys]
+        for unit, value in zip(self.units, numbers, strict=True):
+            if not math.isfinite(value):
+                raise UnsafeError(f"{unit.key} is {value}; nothing was sent.")
+            if not unit.lowest - _SLACK <= value <= unit.highest + _SLACK:
+                raise InvalidInputError(
+                    f"{unit.key} is {value:g}, expected {unit.lowest:g} .. {unit.highest:g}."
+                )
+        return self._positions(numbers)
+
+    def measured(self, values: Mapping[str, float]) -> F64:
+        """Joint positions of measured values, which may lie beyond the bounds of their unit.
+
+        Raises:
+            InvalidInputError: a value lacks.
+            UnsafeError: a value is NaN or infinite.
+        """
+        absent = [key for key in self.keys if key not in values]
+        if absent:
+            raise InvalidInputError(f"The robot does not tell {', '.join(absent)}.")
+        numbers = [float(values[key]) for key in self.keys]
+        if not np.isfinite(numbers).all():
+            raise UnsafeError(f"The robot tells {dict(zip(self.keys, numbers, strict=True))}.")
+        return self._positions(numbers)
+
+    def values(self, positions: Mapping[str, float]) -> dict[str, float]:
+        """Values by key for positions by joint [rad or m].
+
+        Raises:
+            InvalidInputError: a joint lacks.
+        """
+        absent = [joint for joint in self.joints if joint not in positions]
+        if absent:
+            raise InvalidInputError(f"No position of {', '.join(absent)} is known.")
+        return {
+            unit.key: min(
+                max((positions[unit.joint] - unit.offset) / unit.scale, unit.lowest), unit.highest
+            )
+            for unit in self.units
+        }
+
+    def check_names(self, values: Mapping[str, float]) -> None:
+        """Raise InvalidInputError unless there is a value of each motor and of nothing else."""
+        unknown = [key for key in values if key not in self.keys]
+        absent = [key for key in self.keys if key not in values]
+        if unknown or absent:
+            what = f"{unknown[0]!r} is no motor of it" if unknown else f"{absent[0]!r} lacks"
+            raise InvalidInputError(
+                f"The values do not fit the robot: {what}; expected {', '.join(self.keys)}."
+            )
+
+    def _positions(self, numbers: Sequence[float]) -> F64:
+        return np.array(
+            [u.scale * value + u.offset for u, value in zip(self.units, numbers, strict=True)]
+        )
+
+
+def motors_of(profile: RobotProfile, *, use_degrees: bool = True) -> MotorMap:
+    """LeRobot's names and units for a robot of RoboNeuron: each joint by its own name, in degrees,
+    and each gripper as "gripper" or "<arm>_gripper", 0 closed .. 100 open.
+
+    Args:
+        profile: of the robot.
+        use_degrees: False for radians. Slides are in metres in either case.
+
+    Raises:
+        InvalidInputError: the robot has no arm.
+    """
+    if not profile.arm_joints:
+        raise InvalidInputError(f"Robot {profile.name!r} has no arm.")
+    slides = _slides(profile)
+    units: list[MotorUnit] = []
+    for arm in profile.each_arm:
+        for joint in arm.joints:
+            plain = joint in slides or not use_degrees
+            unit = MotorUnit(motor=joint, joint=joint, scale=1.0)
+            units.append(unit if plain else degrees(joint, joint))
+        if arm.gripper is not None:
+            name = f"{arm.name}_gripper" if arm.name else "gripper"
+            gripper = arm.gripper
+            closed, opened = gripper.closed_position, gripper.open_position
+            units.append(percent(name, gripper.joint, closed, opened))
+    return MotorMap(units)
+
+
+def _slides(profile: RobotProfile) -> set[str]:
+    """Joints whose positions are metres, by the unit that the robot's own space gives them."""
+    space = robot_space("joint_position", profile)
+    return {channel.name for channel in space.channels if channel.unit == "m"}

@@ -1,0 +1,27 @@
+"""Every rule of robots, drivers, perception sources and packages, on what this package offers."""
+
+from __future__ import annotations
+
+import pytest
+
+from rn_robot_lerobot.contract_cases import cameras_case, robot_case
+from rn_testing.cases import PackageCase, PerceptionCase, RobotCase
+from rn_testing.contracts import PackageContract, PerceptionContract, RobotContract
+
+
+class TestSo101(RobotContract):
+    @pytest.fixture
+    def plugin(self) -> RobotCase:
+        return robot_case()
+
+
+class TestSimulatedCameras(PerceptionContract):
+    @pytest.fixture
+    def plugin(self) -> PerceptionCase:
+        return cameras_case()
+
+
+class TestPackage(PackageContract):
+    @pytest.fixture
+    def plugin(self) -> PackageCase:
+        return PackageCase(distribution="rn-robot-lerobot")

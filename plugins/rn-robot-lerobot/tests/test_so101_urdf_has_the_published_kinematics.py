@@ -1,0 +1,115 @@
+"""The shipped URDF, in frames of our own, against an independent evaluation of the published
+table.
+"""
+
+from __future__ import annotations
+
+import time
+import xml.etree.ElementTree as ET
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from numpy.typing import NDArray
+
+from rn_controller_urdf.controller import UrdfController
+from rn_robot_lerobot.arm import (
+    ARM_JOINTS,
+    EFFORT_NM,
+    HOME_RAD,
+    JAW_CLOSED_RAD,
+    JAW_OPEN_RAD,
+    JOINTS,
+    LOWER_RAD,
+    UPPER_RAD,
+    VELOCITY_RAD_S,
+)
+from rn_robot_lerobot.profile import profile
+from roboneuron import JointSample
+
+F64 = NDArray[np.float64]
+
+# xyz [m] and rpy [rad] of each joint's origin; every joint turns about its own z. Source:
+# TheRobotStudio/SO-ARM100 Simulation/SO101 so101_new_calib.
+ORIGINS = (
+    ((0.0388353, -8.97657e-09, 0.0624), (3.14159, 4.18253e-17, -3.14159)),
+    ((-0.0303992, -0.0182778, -0.0542), (-1.5708, -1.5708, 0.0)),
+    ((-0.11257, -0.028, 1.73763e-16), (-3.63608e-16, 8.74301e-16, 1.5708)),
+    ((-0.1349, 0.0052, 3.62355e-17), (4.02456e-15, 8.67362e-16, -1.5708)),
+    ((5.55112e-17, -0.0611, 0.0181), (1.5708, 0.0486795, 3.14159)),
+)
+FRAME = ((-0.0079, -0.000218121, -0.0981274), (0.0, 3.14159, 0.0))
+ROUNDING = 5e-5
+"""The table has angles of five digits, arms of 0.4 m; ours has none to round."""
+
+
+def transform(xyz: tuple[float, ...], rpy: tuple[float, ...]) -> F64:
+    pose = np.eye(4)
+    pose[:3, :3] = pin.rpy.rpyToMatrix(*rpy)
+    pose[:3, 3] = xyz
+    return pose
+
+
+def frame_from_table(q: F64) -> F64:
+    pose = np.eye(4)
+    for (xyz, rpy), angle in zip(ORIGINS, q, strict=True):
+        pose = pose @ transform(xyz, rpy) @ transform((0, 0, 0), (0, 0, float(angle)))
+    return pose @ transform(*FRAME)
+
+
+def place(link: str, q: F64) -> F64:
+    model = pin.buildModelFromXML(profile().urdf)
+    data = model.createData()
+    full = np.zeros(model.nq)
+    for name, angle in zip(ARM_JOINTS, q, strict=True):
+        full[model.joints[model.getJointId(name)].idx_q] = angle
+    pin.framesForwardKinematics(model, data, full)
+    pose: F64 = data.oMf[model.getFrameId(link)].homogeneous
+    return pose
+
+
+def test_the_published_gripper_frame_is_where_the_table_puts_it() -> None:
+    random = np.random.default_rng(7)
+    for q in (np.zeros(5), np.array(HOME_RAD), *random.uniform(LOWER_RAD, UPPER_RAD, (50, 5))):
+        np.testing.assert_allclose(
+            place("gripper_frame_link", q), frame_from_table(q), atol=ROUNDING
+        )
+
+
+def test_home_points_down_inside_the_workspace() -> None:
+    pose, workspace = place(profile().tcp_link, np.array(HOME_RAD)), profile().workspace
+    assert workspace is not None
+    # a tenth of a degree
+    np.testing.assert_allclose(pose[:3, 2], [0, 0, -1], atol=2e-3)
+    assert (workspace.lower_m < pose[:3, 3]).all()
+    assert (pose[:3, 3] < workspace.upper_m).all()
+
+
+def test_urdf_limits_are_those_of_the_profile() -> None:
+    limits = {joint.get("name"): joint.find("limit") for joint in ET.fromstring(profile().urdf)}
+    rows = zip(ARM_JOINTS, LOWER_RAD, UPPER_RAD, VELOCITY_RAD_S, EFFORT_NM, strict=True)
+    for name, *expected in rows:
+        limit = limits[name]
+        assert limit is not None
+        keys = ("lower", "upper", "velocity", "effort")
+        assert [float(limit.get(key, "nan")) for key in keys] == expected
+    jaw = limits[JOINTS[-1]]
+    assert jaw is not None
+    assert [float(jaw.get(k, "nan")) for k in ("lower", "upper")] == [JAW_CLOSED_RAD, JAW_OPEN_RAD]
+
+
+def test_every_link_has_a_positive_definite_inertia() -> None:
+    model = pin.buildModelFromXML(profile().urdf)
+    for name, inertia in list(zip(model.names, model.inertias, strict=True))[1:]:
+        assert inertia.mass > 0, name
+        assert np.linalg.eigvalsh(inertia.inertia).min() > 0, name
+
+
+@pytest.mark.parametrize("jaw_rad", [JAW_CLOSED_RAD, 0.13, JAW_OPEN_RAD])
+def test_no_opening_of_the_jaws_counts_as_a_collision(jaw_rad: float) -> None:
+    controller = UrdfController(None, profile())
+    controller.load()
+    posture = JointSample(
+        names=JOINTS, position=np.array([*HOME_RAD, jaw_rad]), stamp_ns=time.time_ns()
+    )
+    assert controller.inspect(posture).near == ()

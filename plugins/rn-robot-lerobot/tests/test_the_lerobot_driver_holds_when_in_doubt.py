@@ -1,0 +1,382 @@
+"""The driver for LeRobot's arms, with a stand-in for lerobot's robot that scales raw numbers as
+lerobot does (see data/scaling.json), in front of the simulated motors.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict, dataclass
+from enum import Enum
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from rn_robot_lerobot import lerobot_driver
+from rn_robot_lerobot.arm import HOME_RAD, JOINTS
+from rn_robot_lerobot.bus.arm import SerialArm
+from rn_robot_lerobot.bus.motors import BusFaults
+from rn_robot_lerobot.bus.packets import READ, SYNC_WRITE, WRITE, Packet
+from rn_robot_lerobot.bus.reference import ENCODER_ZEROS, reference_calibration
+from rn_robot_lerobot.lerobot_arm import calibration_of, connect, map_motors
+from rn_robot_lerobot.lerobot_driver import LerobotDriver
+from rn_robot_lerobot.lerobot_options import LerobotDriverOptions, MotorOption
+from rn_robot_lerobot.profile import profile
+from rn_testing.fakes import MemoryTopics
+from rn_testing.waiting import wait_until
+from roboneuron import (
+    ConfigurationError,
+    InvalidInputError,
+    JointCommand,
+    NotReadyError,
+    StateError,
+    UnsafeError,
+)
+
+TORQUE, GOAL, POSITION = 40, 42, 56
+REST_S = 0.5
+
+
+class NormMode(Enum):
+    DEGREES = "degrees"
+    RANGE_0_100 = "range_0_100"
+    RANGE_M100_100 = "range_m100_100"
+
+
+@dataclass(frozen=True)
+class StandInMotor:
+    id: int
+    norm_mode: NormMode
+
+
+class StandInFollower:
+    """What the driver uses of lerobot's robot, with lerobot's scaling."""
+
+    name = "so_follower"
+
+    def __init__(self, arm: SerialArm, path: Path, cap: float | None = None) -> None:
+        self._arm, self.calibration_fpath, self.cap = arm, path, cap
+        self.bus = SimpleNamespace(
+            motors={
+                name: StandInMotor(
+                    number, NormMode.RANGE_0_100 if name == "gripper" else NormMode.DEGREES
+                )
+                for number, name in enumerate(JOINTS, 1)
+            }
+        )
+        self.action_features = dict.fromkeys((f"{name}.pos" for name in JOINTS), float)
+        self.is_calibrated = True
+        self.is_connected = False
+        self.calibration = reference_calibration()
+        self.wild = 0
+        """So many readings to come are wild ones."""
+
+    def connect(self, calibrate: bool = True) -> None:
+        assert not calibrate  # it would wait for a person
+        self.is_connected = True
+        for number in range(1, 7):
+            self._ask(Packet(number, WRITE, bytes((TORQUE, 1))))
+
+    def get_observation(self) -> dict[str, float]:
+        values = {}
+        for name, motor in self.bus.motors.items():
+            answer = self._ask(Packet(motor.id, READ, bytes((POSITION, 2))))
+            raw = int.from_bytes(answer[5:7], "little")
+            low, high = self.calibration[name].range_min, self.calibration[name].range_max
+            if name == "gripper":
+                values[f"{name}.pos"] = (min(high, max(low, raw)) - low) / (high - low) * 100
+            else:
+                values[f"{name}.pos"] = (raw - (low + high) / 2) * 360 / 4095
+        if self.wild > 0:
+            self.wild -= 1
+            values["wrist_flex.pos"] -= 80.0
+        return values
+
+    def send_action(self, action: dict[str, float]) -> Mapping[str, float]:
+        goals = dict(action)
+        if self.cap is not None:
+            for key, present in self.get_observation().items():
+                goals[key] = present + min(max(goals[key] - present, -self.cap), self.cap)
+        data = b""
+        for name, motor in self.bus.motors.items():
+            low, high = self.calibration[name].range_min, self.calibration[name].range_max
+            value = goals[f"{name}.pos"]
+            is_jaw = name == "gripper"
+            raw = value / 100 * (high - low) + low if is_jaw else value * 4095 / 360
+            raw += 0.0 if is_jaw else (low + high) / 2
+            data += bytes((motor.id, *int(raw).to_bytes(2, "little")))
+        self._ask(Packet(254, SYNC_WRITE, bytes((GOAL, 2)) + data), is_answered=False)
+        return goals
+
+    def disconnect(self) -> None:
+        self.is_connected = False
+
+    def _ask(self, packet: Packet, *, is_answered: bool = True) -> bytes:
+        answer = self._arm.motors.answer(packet)
+        if is_answered and not answer:
+            raise ConnectionError("There is no status packet!")
+        return answer
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    path = tmp_path / "so101.json"
+    told = {name: asdict(motor) for name, motor in reference_calibration().items()}
+    path.write_text(json.dumps(told))
+    return path
+
+
+@pytest.fixture
+def arm() -> Iterator[SerialArm]:
+    with SerialArm(ENCODER_ZEROS, reference_calibration()) as arm:
+        yield arm
+
+
+@pytest.fixture
+def follower(arm: SerialArm, path: Path, monkeypatch: pytest.MonkeyPatch) -> StandInFollower:
+    follower = StandInFollower(arm, path)
+    monkeypatch.setattr(lerobot_driver, "make_robot", lambda _: follower)
+    return follower
+
+
+@pytest.fixture
+def driver(follower: StandInFollower) -> Iterator[LerobotDriver]:
+    driver = LerobotDriver(LerobotDriverOptions(), profile(), MemoryTopics())
+    driver.open()
+    yield driver
+    driver.close()
+
+
+def turn(driver: LerobotDriver, target: float = 1.2, seconds: float = 4.0) -> JointCommand:
+    return driver.send(
+        JointCommand(names=("shoulder_pan",), position=np.array([target]), duration_s=seconds)
+    )
+
+
+def turning(driver: LerobotDriver, arm: SerialArm) -> float:
+    """A long turn is under way; the time now [monotonic s]."""
+    turn(driver)
+    wait_until(lambda: arm.position[0] > 0.15, 15.0, "the arm to turn")
+    return time.monotonic()
+
+
+def later(since_s: float, seconds: float) -> Callable[[], bool]:
+    return lambda: time.monotonic() > since_s + seconds
+
+
+def test_it_reads_the_joints_and_moves_them_where_it_is_sent(
+    driver: LerobotDriver, arm: SerialArm
+) -> None:
+    state = driver.read()
+    assert state.joints.names == JOINTS
+    np.testing.assert_allclose(state.joints.position[:5], HOME_RAD, atol=0.01)
+    assert state.gripper_open == pytest.approx(1.0, abs=0.01)
+    command = JointCommand(
+        names=("shoulder_pan", "wrist_roll", "gripper"),
+        position=np.array([0.4, -0.5, 0.6]),
+        duration_s=0.5,
+    )
+    assert driver.send(command).duration_s >= 0.5
+    expected = [0.4, *HOME_RAD[1:4], -0.5, 0.6]
+    wait_until(lambda: np.abs(arm.position - expected).max() < 0.01, 10.0)
+    assert arm.motors.broken_rules == []
+    # a step of the encoder is 1.5 mrad, and LeRobot cuts off what is less
+    wait_until(lambda: np.abs(driver.read().joints.position - expected).max() < 0.01, 5.0)
+
+
+def test_nothing_is_sent_before_the_first_command(driver: LerobotDriver, arm: SerialArm) -> None:
+    begun_s = time.monotonic()
+    wait_until(later(begun_s, 0.5))
+    assert arm.rest_after_s(begun_s) == 0.0
+
+
+def test_a_hold_brakes_the_arm_and_keeps_the_grasp(driver: LerobotDriver, arm: SerialArm) -> None:
+    driver.send(
+        JointCommand(
+            names=("shoulder_pan", "gripper"), position=np.array([1.2, 0.0]), duration_s=3.0
+        )
+    )
+    wait_until(lambda: arm.position[0] > 0.15, 15.0)
+    begun_s = time.monotonic()
+    driver.hold()
+    wait_until(later(begun_s, 1.0))
+    assert arm.rest_after_s(begun_s) < REST_S or arm.position[0] < 0.6
+    assert arm.position[0] < 0.6
+    wait_until(lambda: arm.position[5] < 0.05, 15.0, "the gripper to go on closing")
+
+
+@pytest.mark.parametrize(
+    ("faults", "words"),
+    [
+        (BusFaults(silent=True), "the motor bus so101_follower is silent: There is no status"),
+        (BusFaults(wrong={"elbow_flex": 700}), "motor 'elbow_flex' tells"),
+    ],
+    ids=["silent", "wrong"],
+)
+def test_a_bad_bus_is_a_fault_after_which_nothing_moves_by_itself(
+    driver: LerobotDriver, arm: SerialArm, faults: BusFaults, words: str
+) -> None:
+    begun_s = turning(driver, arm)
+    arm.motors.faults = faults
+    wait_until(lambda: words in driver.read().detail["fault"], 3.0, "the fault to be told")
+    with pytest.raises(UnsafeError, match="held by a fault"):
+        turn(driver)
+    wait_until(later(begun_s, 1.5))
+    assert arm.rest_after_s(begun_s) < REST_S
+    np.testing.assert_allclose(arm.position[1:5], HOME_RAD[1:], atol=0.02)
+    arm.motors.faults = BusFaults()
+    over_s = time.monotonic()
+    wait_until(later(over_s, 1.5))
+    assert arm.rest_after_s(over_s) == 0.0
+    wait_until(later(over_s, 2.5))
+    assert driver.read().detail["fault"] == ""
+    turn(driver, 0.0, 0.5)
+    wait_until(lambda: abs(arm.position[0]) < 0.01, 10.0)
+
+
+def test_the_stamp_of_a_state_grows_old_with_a_silent_bus(
+    driver: LerobotDriver, arm: SerialArm
+) -> None:
+    arm.motors.faults = BusFaults(silent=True)
+    wait_until(lambda: driver.read().detail["fault"], 3.0)
+    first = driver.read().joints.stamp_ns
+    begun_s = time.monotonic()
+    wait_until(later(begun_s, 0.2))
+    assert driver.read().joints.stamp_ns == first
+
+
+def test_single_wild_readings_are_left_out(
+    driver: LerobotDriver, follower: StandInFollower, arm: SerialArm
+) -> None:
+    turning(driver, arm)
+    for _ in range(3):
+        follower.wild = 2
+        wait_until(lambda: follower.wild == 0, 5.0)
+        begun_s = time.monotonic()
+        wait_until(later(begun_s, 0.1))
+    assert driver.read().detail["fault"] == ""
+    assert np.abs(arm.position[3] - HOME_RAD[3]) < 0.02
+
+
+def test_goals_stay_near_an_arm_that_does_not_follow(
+    follower: StandInFollower, arm: SerialArm
+) -> None:
+    driver = LerobotDriver(LerobotDriverOptions(max_relative_target=2.0), profile(), MemoryTopics())
+    driver.open()
+    try:
+        turn(driver, 1.2, 0.4)
+        wait_until(lambda: int(driver.read().detail["clipped"]) > 5, 5.0)
+        driver.hold()
+        here = arm.position[0]
+        begun_s = time.monotonic()
+        wait_until(later(begun_s, 1.0))
+        assert arm.position[0] - here < 0.3
+    finally:
+        driver.close()
+
+
+def test_a_bound_of_lerobots_own_is_counted_too(
+    driver: LerobotDriver, follower: StandInFollower, arm: SerialArm
+) -> None:
+    follower.cap = 0.5
+    turn(driver, 1.2, 0.4)
+    wait_until(lambda: int(driver.read().detail["clipped"]) > 5, 5.0)
+    assert arm.position[0] < 1.0
+
+
+@pytest.mark.parametrize(
+    ("names", "position", "words"),
+    [
+        (("tail",), [0.0], "'tail' is not known"),
+        (("shoulder_pan",), [np.nan], "not finite"),
+        (("shoulder_pan",), [0.0, 1.0], "shape"),
+    ],
+)
+def test_nonsense_is_refused(
+    driver: LerobotDriver, names: tuple[str, ...], position: list[float], words: str
+) -> None:
+    with pytest.raises(InvalidInputError, match=words):
+        driver.send(JointCommand(names=names, position=np.array(position), duration_s=0.5))
+
+
+def test_it_is_opened_once_and_closed_often(driver: LerobotDriver, arm: SerialArm) -> None:
+    with pytest.raises(StateError, match="open already"):
+        driver.open()
+    turning(driver, arm)
+    begun_s = time.monotonic()
+    driver.close()
+    driver.close()
+    wait_until(later(begun_s, 1.0))
+    assert arm.rest_after_s(begun_s) < REST_S
+    with pytest.raises(StateError, match="not open"):
+        driver.read()
+
+
+def test_a_bus_that_does_not_answer_and_another_calibration_are_refused(
+    follower: StandInFollower, arm: SerialArm
+) -> None:
+    arm.motors.faults = BusFaults(silent=True)
+    options = LerobotDriverOptions(port="/dev/ttyACM7")
+    with pytest.raises(NotReadyError, match=r"on /dev/ttyACM7 does not answer: There is no"):
+        connect(follower, options)
+    arm.motors.faults = BusFaults()
+    follower.is_calibrated = False
+    with pytest.raises(ConfigurationError, match="hold another calibration"):
+        connect(follower, options)
+    assert not follower.is_connected
+
+
+def test_a_lacking_calibration_is_refused_before_the_bus_is_opened(
+    follower: StandInFollower,
+) -> None:
+    follower.calibration_fpath.unlink()
+    driver = LerobotDriver(None, profile(), MemoryTopics())
+    with pytest.raises(ConfigurationError, match="There is no calibration"):
+        driver.open()
+    assert not follower.is_connected
+
+
+@pytest.mark.parametrize(
+    ("motors", "words"),
+    [
+        ({"tail": MotorOption()}, "motors names 'tail'"),
+        ({"elbow_flex": MotorOption(joint="elbow")}, "moves the joint 'elbow', which robot"),
+        ({"elbow_flex": MotorOption(unit="range")}, "in degrees .*expects range"),
+        ({"elbow_flex": MotorOption(joint="wrist_flex")}, "joint comes twice"),
+        ({"elbow_flex": MotorOption(joint="gripper", unit="degrees")}, "joint comes twice"),
+    ],
+)
+def test_motors_that_fit_no_joint_are_refused_by_name(
+    follower: StandInFollower, motors: dict[str, MotorOption], words: str
+) -> None:
+    options = LerobotDriverOptions(motors=motors)
+    calibration = calibration_of(follower, options)
+    with pytest.raises(ConfigurationError, match=words):
+        map_motors(follower, options, profile(), calibration)
+
+
+def test_an_arm_with_a_motor_too_few_is_refused_by_the_joint(follower: StandInFollower) -> None:
+    del follower.action_features["wrist_roll.pos"]
+    options = LerobotDriverOptions()
+    with pytest.raises(ConfigurationError, match="moves the joint 'wrist_roll'"):
+        map_motors(follower, options, profile(), calibration_of(follower, options))
+
+
+def test_an_inverted_motor_with_an_offset_and_one_in_shares_are_mapped(
+    follower: StandInFollower,
+) -> None:
+    follower.bus.motors["wrist_roll"] = StandInMotor(5, NormMode.RANGE_M100_100)
+    options = LerobotDriverOptions(
+        motors={
+            "elbow_flex": MotorOption(inverted=True, offset_deg=90.0),
+            "wrist_roll": MotorOption(unit="range"),
+        }
+    )
+    motors = map_motors(follower, options, profile(), calibration_of(follower, options))
+    values = dict.fromkeys(motors.keys, 0.0)
+    position = motors.positions(values | {"elbow_flex.pos": 30.0, "wrist_roll.pos": 100.0})
+    assert position[2] == pytest.approx(np.radians(60.0))
+    assert position[4] == pytest.approx(np.pi)

@@ -1,0 +1,118 @@
+"""Where the cubes really are and how long one has been lifted: for judging, never for policies."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rn_simulation.cubes import Cube, RawPose
+
+F64 = NDArray[np.float64]
+
+HELD_M, FREE_M = 0.03, 0.08
+"""A lifted cube counts as held by an arm whose TCP is within the first distance of its centre, and
+as held by that arm alone when all other TCPs are beyond the second.
+"""
+LIFTED_M = 0.10
+"""A cube counts as lifted when its centre is at least this much above where it rests on the table.
+"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class CubeState:
+    """A cube's true state.
+
+    Attributes:
+        name: its colour.
+        edge_m: length of its edges.
+        position_m: float64 (3,), centre in the base frame.
+        quaternion_xyzw: float64 (4,).
+        lifted_m: height of the centre above its height at rest on the table.
+        held_s: simulated seconds for which `lifted_m` has been enough without a break; 0 when it is
+            not.
+        holders: names of the arms that hold it; in a cell of one arm that has no name.
+        handed_over_s: simulated seconds for which it has been held alone by another arm than the
+            one that had lifted it, without a break and without having been put down; 0 when it is
+            not.
+    """
+
+    name: str
+    edge_m: float
+    position_m: F64
+    quaternion_xyzw: F64
+    lifted_m: float
+    held_s: float
+    holders: tuple[str, ...] = ()
+    handed_over_s: float = 0.0
+
+
+class LiftClock:
+    """Measures how long each cube has been lifted, by which arm, and by which one after it."""
+
+    def __init__(
+        self, scene: Sequence[Cube], arms: Sequence[str] = ("",), lifted_m: float = LIFTED_M
+    ) -> None:
+        """Args:
+        scene: the cubes.
+        arms: names of what may hold them.
+        lifted_m: height from which on one counts as lifted.
+        """
+        self._threshold_m = lifted_m
+        self._edge_m = {cube.name: cube.edge_m for cube in scene}
+        self._arms = tuple(arms)
+        self._lifted_since_s: dict[str, float] = {}
+        self._holders: dict[str, tuple[str, ...]] = {}
+        self._lifted_by: dict[str, str] = {}
+        self._handed_since_s: dict[str, float] = {}
+        self._now_s = 0.0
+
+    def _lifted_m(self, name: str, pose: RawPose) -> float:
+        return pose[0][2] - self._edge_m[name] / 2
+
+    def observe(
+        self, now_s: float, poses: Mapping[str, RawPose], tcps_m: Sequence[F64] = ()
+    ) -> None:
+        """Note the poses by cube name and the TCPs of the arms at simulated time `now_s`; to be
+        called at least every 1/60 s.
+        """
+        self._now_s = now_s
+        for name, pose in poses.items():
+            if self._lifted_m(name, pose) >= self._threshold_m:
+                self._lifted_since_s.setdefault(name, now_s)
+                self._note_holders(name, now_s, [math.dist(tcp, pose[0]) for tcp in tcps_m])
+            else:
+                for facts in (self._lifted_since_s, self._handed_since_s):
+                    facts.pop(name, None)
+                self._lifted_by.pop(name, None)
+                self._holders.pop(name, None)
+
+    def _note_holders(self, name: str, now_s: float, distances_m: Sequence[float]) -> None:
+        by_arm = dict(zip(self._arms, distances_m, strict=False))
+        self._holders[name] = tuple(arm for arm, far in by_arm.items() if far <= HELD_M)
+        is_alone = sum(far <= FREE_M for far in by_arm.values()) == 1
+        if is_alone and len(self._holders[name]) == 1:
+            (holder,) = self._holders[name]
+            if self._lifted_by.setdefault(name, holder) != holder:
+                self._handed_since_s.setdefault(name, now_s)
+                return
+        self._handed_since_s.pop(name, None)
+
+    def states(self, poses: Mapping[str, RawPose]) -> dict[str, CubeState]:
+        """The cubes' states at the last time observed, by name."""
+        return {
+            name: CubeState(
+                name=name,
+                edge_m=self._edge_m[name],
+                position_m=np.array(position),
+                quaternion_xyzw=np.array(rotation),
+                lifted_m=self._lifted_m(name, (position, rotation)),
+                held_s=self._now_s - self._lifted_since_s.get(name, self._now_s),
+                holders=self._holders.get(name, ()),
+                handed_over_s=self._now_s - self._handed_since_s.get(name, self._now_s),
+            )
+            for name, (position, rotation) in poses.items()
+        }

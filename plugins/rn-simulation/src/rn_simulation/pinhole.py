@@ -1,0 +1,74 @@
+"""Ideal cameras of simulated robots: where they are, what they look at, and their calibration for
+any image size.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roboneuron import CameraCalibration, CameraProfile
+
+F64 = NDArray[np.float64]
+
+DEFAULT_SIZE_PX = (224, 224)
+"""Nominal width and height: what most VLA models take."""
+
+
+def look_at(eye_m: F64, target_m: F64, up: F64) -> F64:
+    """Pose (4, 4) of an optical frame (x right, y down, z forward) at `eye_m` that looks at
+    `target_m`.
+    """
+    z = (target_m - eye_m) / np.linalg.norm(target_m - eye_m)
+    x = np.cross(z, up)
+    x /= np.linalg.norm(x)
+    pose = np.eye(4)
+    pose[:3, :3] = np.column_stack([x, np.cross(z, x), z])
+    pose[:3, 3] = eye_m
+    return pose
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class PinholeCamera:
+    """An ideal pinhole camera with square pixels and its principal point in the middle.
+
+    Attributes:
+        name, role, frame_id: as in `CameraProfile`.
+        mount: "base", "tcp", or "<arm>/tcp" for an arm after the first.
+        T_mount_camera: float64 (4, 4), optical frame in the mount frame [m].
+        vertical_view_rad: angle between the top and the bottom edge of the image.
+    """
+
+    name: str
+    role: str
+    frame_id: str
+    mount: str
+    T_mount_camera: F64
+    vertical_view_rad: float
+
+    def calibration(self, width: int, height: int) -> CameraCalibration:
+        """Calibration of an image of `width` x `height` [px]; the vertical angle of view stays the
+        same.
+        """
+        focal_px = height / 2.0 / np.tan(self.vertical_view_rad / 2.0)
+        intrinsics = np.array(
+            [[focal_px, 0.0, width / 2.0], [0.0, focal_px, height / 2.0], [0.0, 0.0, 1.0]]
+        )
+        return CameraCalibration(
+            intrinsics=intrinsics, mount=self.mount, T_mount_camera=self.T_mount_camera.copy()
+        )
+
+    def profile(
+        self, width: int = DEFAULT_SIZE_PX[0], height: int = DEFAULT_SIZE_PX[1]
+    ) -> CameraProfile:
+        """The camera as the robot's profile lists it."""
+        return CameraProfile(
+            name=self.name,
+            role=self.role,
+            frame_id=self.frame_id,
+            width=width,
+            height=height,
+            calibration=self.calibration(width, height),
+        )

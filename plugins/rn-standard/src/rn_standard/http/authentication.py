@@ -1,0 +1,122 @@
+"""Backends of starlette's AuthenticationMiddleware: clients with a token of `[[http.tokens]]`, and
+clients of this machine where there are none.
+
+Both name the SDK's AuthenticatedUser. The SDK binds a session to its `client_id`, so that a session
+of one token cannot be used with another.
+"""
+
+from __future__ import annotations
+
+from anyio import to_thread
+from mcp.server.auth.middleware.bearer_auth import AuthenticatedUser, BearerAuthBackend
+from mcp.server.auth.provider import AccessToken, TokenVerifier
+from starlette.authentication import AuthCredentials, AuthenticationBackend, AuthenticationError
+from starlette.requests import HTTPConnection
+
+from rn_standard.http.connections import PROTOCOL_KEY, BoundedProtocol, ConnectionTable
+from rn_standard.http.local_clients import account_of
+from rn_standard.http.peers import peer_process
+from rn_standard.http.sessions import SESSION_HEADER
+from rn_standard.http.tokens import TokenTable
+from roboneuron.feature import access
+
+_CLIENT = "client"
+"""Claim of a client without a token: its session or process."""
+
+
+class TableVerifier(TokenVerifier):
+    """Looks a token up in a TokenTable, in constant time."""
+
+    def __init__(self, tokens: TokenTable) -> None:
+        self._tokens = tokens
+
+    async def verify_token(self, token: str) -> AccessToken | None:
+        """See TokenVerifier."""
+        holder = self._tokens.find(token.strip())
+        return None if holder is None else _access_token(holder)
+
+
+class TokenBackend(BearerAuthBackend):
+    """Every request needs the token of a holder."""
+
+    def __init__(self, tokens: TokenTable) -> None:
+        super().__init__(TableVerifier(tokens))
+
+    async def authenticate(self, conn: HTTPConnection) -> tuple[AuthCredentials, AuthenticatedUser]:
+        """See AuthenticationBackend.
+
+        Raises:
+            AuthenticationError: no valid token. Not left to RequireAuthMiddleware of the SDK,
+                because its answer does not say what to send, and keeps the connection open.
+        """
+        # of two headers the SDK reads the first, because it expects one; a proxy may read the other
+        found: tuple[AuthCredentials, AuthenticatedUser] | None = None
+        if len(conn.headers.getlist("authorization")) == 1:
+            found = await super().authenticate(conn)
+        if found is None:
+            raise AuthenticationError(
+                "A valid bearer token is needed: send the header `Authorization: Bearer <token>`."
+            )
+        return found
+
+
+class LocalBackend(AuthenticationBackend):
+    """Everybody who gets here is a process of this machine with every role; `server.listen` sees to
+    it that this is so on loopback only.
+
+    Clients are told apart by their session or, where the protocol has none, by their process.
+
+    Args:
+        connections: told that a connection needs not give way to others.
+    """
+
+    def __init__(self, connections: ConnectionTable) -> None:
+        self._connections = connections
+
+    async def authenticate(self, conn: HTTPConnection) -> tuple[AuthCredentials, AuthenticatedUser]:
+        """See AuthenticationBackend."""
+        protocol = protocol_of(conn)
+        if protocol is not None:
+            # before its process is looked up, which takes milliseconds
+            self._connections.keep(protocol)
+        session = conn.headers.get(SESSION_HEADER)
+        name = await _process_of(conn, protocol) if session is None else session_name(session)
+        user = AuthenticatedUser(_access_token(access.Holder.local(name)))
+        return AuthCredentials(user.scopes), user
+
+
+def holder_of(user: AuthenticatedUser) -> access.Holder:
+    """The Holder whom one of these backends has found."""
+    token = user.access_token
+    if token.claims is not None:
+        return access.Holder.local(token.claims[_CLIENT])
+    return access.Holder(who=token.client_id, role=token.scopes[0])
+
+
+def protocol_of(conn: HTTPConnection) -> BoundedProtocol | None:
+    """The connection that a request came on; None on another server than BoundedServer."""
+    found = conn.scope.get("state", {}).get(PROTOCOL_KEY)
+    return found if isinstance(found, BoundedProtocol) else None
+
+
+def session_name(session: str) -> str:
+    """What a client without a token is called after its session."""
+    return f"session {''.join(c for c in session[:8] if c.isalnum())}"
+
+
+def _access_token(holder: access.Holder) -> AccessToken:
+    claims = {_CLIENT: holder.client} if access.Holder.is_local(holder.who) else None
+    return AccessToken(token="", client_id=account_of(holder), scopes=[holder.role], claims=claims)
+
+
+async def _process_of(conn: HTTPConnection, protocol: BoundedProtocol | None) -> str:
+    """ "pid 123" for the process at the other end of a loopback connection; empty where that is not
+    known.
+    """
+    if protocol is None or conn.client is None:
+        return ""
+    if protocol.peer is None:
+        own_port = int(conn.scope["server"][1])
+        pid = await to_thread.run_sync(peer_process, conn.client.port, own_port)
+        protocol.peer = f"pid {pid}" if pid else ""
+    return protocol.peer

@@ -1,0 +1,60 @@
+"""An instruction for the policy that runs, up to its first action."""
+
+from __future__ import annotations
+
+import time
+
+from roboneuron import InvalidInputError, NotReadyError
+from roboneuron.feature import ClosedLoop, Report, check_instruction
+
+_PARAMETER_S = 5.0
+
+
+def give_instruction(loop: ClosedLoop, text: str, timeout_s: float) -> tuple[Report, float]:
+    """Hand the backend a new instruction; returns when its first action for it was published,
+    and after how long.
+
+    Raises:
+        InvalidInputError: the instruction is empty or refused by the module.
+        StateError: no backend is running, or a stop came meanwhile.
+        RefusedError: the emergency stop is latched, so nothing would happen.
+        UngroundedError: the backend cannot act on it; nothing moves.
+        NotReadyError: no action within the time; the message says what is missing.
+    """
+    text = check_instruction(text)
+    view = loop.modules.require_running("inference")
+    loop.emergency_stop.check()
+    before = view.report
+    count = before.instruction_count if before is not None else 0
+    errors = before.error_count if before is not None else 0
+    started_s = time.monotonic()
+    stops = loop.starts.permit()
+    _, refused = loop.starts.give(text, _PARAMETER_S)
+    if refused:
+        raise InvalidInputError(
+            f"The backend refused the instruction: {refused}.", path="instruction"
+        )
+
+    def settled() -> Report | None:
+        loop.starts.check(stops)
+        report = loop.modules.require_running("inference").report
+        if report is None or report.instruction_count <= count:
+            return None
+        if report.actions_for_instruction > 0:
+            return report
+        failure = report.failure()
+        if failure is not None and report.error_count > errors:
+            raise failure
+        return None
+
+    report = loop.modules.changes.wait_for(settled, timeout_s)
+    if report is None:
+        newest = loop.modules.view("inference").report
+        missing = newest.waiting_for or newest.note if newest is not None else "its status"
+        raise NotReadyError(
+            f"The backend has published no action for {text!r} within {timeout_s:g} s; it "
+            "waits for: "
+            f"{missing or 'its first inference'}.",
+            hint="The instruction stays set; see get_status, or give another one.",
+        )
+    return report, time.monotonic() - started_s
