@@ -179,6 +179,8 @@ def wide_text(data: bytes | bytearray) -> str:
 
 COUNT = Run("I").at
 _PACK_COUNT = tuple(one.pack for one in COUNT)
+_CONTINUING = bytes(range(0x80, 0xC0))
+"""Bytes of UTF-8 that continue a character."""
 EMPTY = "x"
 """rosidl gives an empty structure one byte."""
 
@@ -198,6 +200,11 @@ def _format(slot: BasicType) -> str:
     if slot.typename not in FORMATS:
         raise CdrError(f"fields of type {slot.typename} have no encoding here")
     return FORMATS[slot.typename]
+
+
+def number_size(slot: BasicType) -> int:
+    """Size of a number [B], which is its alignment too. Raises CdrError."""
+    return calcsize(f"<{_format(slot)}")
 
 
 def _length_check(slot: AbstractNestedType, name: str) -> Callable[[int], None]:
@@ -463,11 +470,14 @@ def _read_text(slot: AbstractGenericString) -> Read:
         _check_rest(count, size, place, end)
         after = place + count * size
         if wide:
-            text = wide_text(data[place:after])
+            length, text = count, wide_text(data[place:after])
         else:  # some vendors send an empty text without its closing zero
-            text = str(data[place : after - 1], "utf-8", "replace") if count else ""
-        if len(text) > most:
-            raise CdrError(f"a text of {len(text)} characters, the type allows {most}")
+            encoded = data[place : after - 1] if count else b""
+            length, text = count - 1, encoded.decode("utf-8", "replace")
+            if length > most:  # a bound counts characters, and replaced ones as native.c does
+                length = len(encoded.translate(None, _CONTINUING))
+        if length > most:
+            raise CdrError(f"a text of {length} characters, the type allows {most}")
         return text, after
 
     return read

@@ -10,6 +10,7 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 from rn_interfaces import structures as c
+from rn_interfaces.kept import address_of
 
 HASH_PREFIX = "RIHS01_"
 
@@ -43,12 +44,9 @@ class TypeDescription:
         found: str = names[self._facts["type_description_msg"]["type_description"]["type_name"]]
         return found
 
-    def functions(self) -> tuple[int, int, int]:
-        """Addresses of the C functions that return hash, description and sources."""
-        return self._functions
-
     @cached_property
-    def _functions(self) -> tuple[int, int, int]:
+    def addresses(self) -> tuple[int, int, int]:
+        """Of the structures of hash, description and sources."""
         value = bytes.fromhex(self.type_hash.removeprefix(HASH_PREFIX))
         described = self._facts["type_description_msg"]
         referenced = [_individual(one) for one in described["referenced_type_descriptions"]]
@@ -61,15 +59,8 @@ class TypeDescription:
             ),
             _sequence(c.Sources, c.Source, sources),
         )
-        at_hash, at_description, at_sources = map(_returning, parts)
+        at_hash, at_description, at_sources = map(address_of, parts)
         return at_hash, at_description, at_sources
-
-
-def _returning(part: ctypes.Structure) -> int:
-    from rn_interfaces.support import address_of, address_of_function
-
-    place = address_of(part)
-    return address_of_function(c.GET, lambda _: place)
 
 
 def _individual(facts: dict[str, Any]) -> c.IndividualDescription:

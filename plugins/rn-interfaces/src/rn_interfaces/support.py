@@ -1,23 +1,16 @@
 """Type supports of rclpy made at run time: what the compiled module
 `<package>_s__rosidl_typesupport_c` of a package holds.
 
-The Python classes are those that rosidl_generator_py writes. A ROS message in C is a block of
-memory whose address stands for a Python object: its CDR on the way out, the message on the way in.
+The Python classes are those that rosidl_generator_py writes. rclpy turns a message into a ROS
+message and back by functions that are Python here, between its calls of the middleware; the ROS
+message is a block that holds CDR. What the middleware calls is C (`rn_interfaces.native`).
 Everything that C keeps a pointer to lives as long as the process.
-
-rclpy publishes and takes with the GIL held, and Fast DDS calls these functions with the lock of a
-reader or writer held. Python may hand the GIL to another thread within such a function; if that one
-published or took on the same topic, it would wait for that lock with the GIL in its hands, forever.
-So a lock of each type is held from the moment when rclpy makes a ROS message until it destroys it,
-and whoever waits for it waits without the GIL. This does not cover all: four threads that publish
-one topic at full speed while others take it have been seen to stop.
 """
 
 from __future__ import annotations
 
 import ctypes
 import logging
-import threading
 from collections.abc import Callable, Sequence
 from functools import cache
 from importlib import import_module
@@ -37,100 +30,80 @@ from rosidl_pycommon import (  # type: ignore[import-untyped]
     convert_camel_case_to_lower_case_underscore as lowered,
 )
 
+from rn_interfaces import native
 from rn_interfaces import structures as c
-from rn_interfaces.codec import CdrError, Parts, codec, type_of
+from rn_interfaces.codec import CdrError, codec, type_of
 from rn_interfaces.description import TypeDescription
+from rn_interfaces.kept import address_of, keep
+from rn_interfaces.program import program
 
 logger = logging.getLogger(__name__)
-Kept = TypeVar("Kept")
-_kept: list[object] = []
-"""What C code has pointers to."""
-_held: dict[int, object] = {}
-"""By the address of a ROS message: what it stands for."""
-PATIENCE_S = 1.0
-"""For another thread with a message of the type: publishing and taking last milliseconds."""
-BLOCK = 16
-"""Size of a ROS message [B]; only its address is used."""
-
-BUFFER_OFFSET = 14 * ctypes.sizeof(ctypes.c_void_p)
-"""Of the reference to its FastBuffer in a Cdr [B], after the pointers to its member functions."""
+Support = TypeVar("Support", c.MessageSupport, c.ServiceSupport, c.ActionSupport)
+Handle = TypeVar("Handle", c.MessageSupport, c.ServiceSupport)
+_POINTER = ctypes.sizeof(ctypes.c_void_p)
 
 CREATE = ctypes.CFUNCTYPE(ctypes.c_void_p)
 DESTROY = ctypes.CFUNCTYPE(None, ctypes.c_void_p)
 FROM_PYTHON = ctypes.CFUNCTYPE(ctypes.c_bool, ctypes.py_object, ctypes.c_void_p)
 TO_PYTHON = ctypes.CFUNCTYPE(ctypes.py_object, ctypes.c_void_p)
-SERIALIZE = ctypes.CFUNCTYPE(ctypes.c_bool, ctypes.c_void_p, ctypes.c_void_p)
-SIZE = ctypes.CFUNCTYPE(ctypes.c_uint32, ctypes.c_void_p)
-MAX_SIZE = ctypes.CFUNCTYPE(ctypes.c_size_t, ctypes.POINTER(ctypes.c_char))
 
 
-def keep(value: Kept) -> Kept:
-    """Let a value live as long as the process."""
-    _kept.append(value)
-    return value
-
-
-def address_of(value: ctypes.Structure) -> int:
-    """Address of a structure, which then lives as long as the process."""
-    return ctypes.addressof(keep(value))
-
-
-def address_of_function(prototype: type, body: Callable[..., object]) -> int:
-    """Address of a function for C, which then lives as long as the process."""
+def capsule_of_function(prototype: type, body: Callable[..., object]) -> object:
+    """Capsule of a function for rclpy, which then lives as long as the process."""
     pointer = ctypes.cast(keep(prototype(body)), ctypes.c_void_p).value
     assert pointer is not None
-    return pointer
+    return c.capsule_of(pointer)
 
 
-class FastCdr:
-    """Functions of libfastcdr, by the names of its symbols (Fast CDR 2.2)."""
+def support_of(
+    cls: type[Handle],
+    name: bytes,
+    data: ctypes.Structure,
+    description: TypeDescription | None = None,
+    others: dict[bytes, int] | None = None,
+) -> Handle:
+    """Make a type support whose functions are C.
 
-    def __init__(self) -> None:
-        library = c.library("libfastcdr.so.2")
-        self.write = library["_ZN8eprosima7fastcdr3Cdr15serialize_arrayEPKcm"]
-        self.write.argtypes = (ctypes.c_void_p, ctypes.c_char_p, ctypes.c_size_t)
-        self.write.restype = ctypes.c_void_p
-        # a second object of the same function, for memory that is not of Python's bytes
-        self.write_block = library["_ZN8eprosima7fastcdr3Cdr15serialize_arrayEPKcm"]
-        self.write_block.argtypes = (ctypes.c_void_p, ctypes.c_void_p, ctypes.c_size_t)
-        self.write_block.restype = ctypes.c_void_p
-        self.begin = library["_ZN8eprosima7fastcdr3Cdr18get_buffer_pointerEv"]
-        self.begin.argtypes = (ctypes.c_void_p,)
-        self.begin.restype = ctypes.c_void_p
-        self.place = library["_ZN8eprosima7fastcdr3Cdr20get_current_positionEv"]
-        self.place.argtypes = (ctypes.c_void_p,)
-        self.place.restype = ctypes.c_void_p
-
-    def rest(self, cdr: int) -> bytes:
-        """Return all bytes that are left.
-
-        No function says how many: the size stands in the buffer that a Cdr refers to.
-        """
-        buffer = ctypes.c_void_p.from_address(cdr + BUFFER_OFFSET).value
-        if not buffer:
-            raise CdrError("Fast CDR gives no buffer where 2.2 does")
-        _, memory, size = (ctypes.c_size_t * 3).from_address(buffer)
-        place = self.place(cdr)
-        if memory != self.begin(cdr) or not memory <= place <= memory + size:
-            raise CdrError("the buffer of Fast CDR is not laid out as that of 2.2")
-        return ctypes.string_at(place, memory + size - place)
-
-
-@cache
-def fast_cdr() -> FastCdr:
-    """The library, loaded once.
-
-    Raises
-    ------
-    LayoutError
-        It is of another release.
+    Args:
+        cls: its structure.
+        name: by which it is asked for.
+        data: what that name says it has.
+        description: of the type; its functions are missing when None.
+        others: addresses of type supports that it is asked for too, by name.
     """
-    try:
-        return FastCdr()
-    except (OSError, AttributeError) as error:
-        raise c.LayoutError(
-            f"types cannot be made at run time with this Fast CDR: {error}"
-        ) from error
+    support = placed(cls)
+    handles = {name: ctypes.addressof(support), **(others or {})}
+    describe(support, description, handles)
+    support.identifier = identifier(name)
+    support.data = address_of(data)
+    support.handle = native.entries()["get_handle"]
+    return support
+
+
+def placed(cls: type[Support]) -> Support:
+    """Make a structure with the place of its facts right before it."""
+    memory = keep((ctypes.c_char * (_POINTER + ctypes.sizeof(cls)))())
+    return keep(cls.from_buffer(memory, _POINTER))
+
+
+def describe(
+    support: ctypes.Structure, description: TypeDescription | None, handles: dict[bytes, int]
+) -> None:
+    """Let a structure of `placed` tell its description and its handles."""
+    found = description.addresses if description else (None, None, None)
+    facts = native.Facts(
+        (ctypes.c_char_p * 2)(*handles),
+        (ctypes.c_void_p * 2)(*handles.values()),
+        *found,
+        address_of(native.functions()),
+    )
+    place = ctypes.addressof(support) - _POINTER
+    ctypes.c_void_p.from_address(place).value = address_of(facts)
+    if description is not None:
+        called = native.entries()
+        support.type_hash = called["get_hash"]
+        support.description = called["get_description"]
+        support.sources = called["get_sources"]
 
 
 class MessageType:
@@ -140,98 +113,78 @@ class MessageType:
         """`namespace` is that of the C++ type, such as `("weld_msgs", "msg")`."""
         self._cls = cls
         self._codec = codec(cls)
-        self._cdr = fast_cdr()
-        self._lock = threading.RLock()
-        self._taken: dict[int, threading.RLock] = {}  # by block, what its destruction releases
-        self._spare: list[int] = []  # blocks that were destroyed: as many as a thread has at a time
+        self._program = ctypes.addressof(program(cls))
+        self._functions = address_of(native.functions())
+        self._release = native.release()
+        self._blocks: dict[int, native.Block] = {}
+        self._spare: list[int] = []  # addresses of blocks that were destroyed
+        called = native.entries()
         callbacks = c.MessageCallbacks(
             "::".join(namespace).encode(),
             cls.__name__.encode(),
-            address_of_function(SERIALIZE, self._serialize),
-            address_of_function(SERIALIZE, self._deserialize),
-            address_of_function(SIZE, self._size),
-            address_of_function(MAX_SIZE, _no_maximum),
+            *(called[name] for name in ("serialize", "deserialize", "size", "max_size")),
             None,
         )
-        self.support = c.MessageSupport()
-        introspection = introspection_of(cls, tuple(namespace))
-        self.support.identifier = identifier(c.FASTRTPS)
-        self.support.data = address_of(callbacks)
-        self.support.handle = handles(
-            {c.FASTRTPS: address_of(self.support), c.INTROSPECTION: introspection}
+        introspection = {c.INTROSPECTION: introspection_of(cls, tuple(namespace))}
+        self.support = support_of(
+            c.MessageSupport, c.FASTRTPS, callbacks, description, introspection
         )
-        described = description.functions()
-        self.support.type_hash, self.support.description, self.support.sources = described
-        self.create = c.capsule_of(address_of_function(CREATE, self._create))
-        self.destroy = c.capsule_of(address_of_function(DESTROY, self._destroy))
-        self.from_python = c.capsule_of(address_of_function(FROM_PYTHON, self._from_python))
-        self.to_python = c.capsule_of(address_of_function(TO_PYTHON, _held.__getitem__))
+        self.create = capsule_of_function(CREATE, self._create)
+        self.destroy = capsule_of_function(DESTROY, self._destroy)
+        self.from_python = capsule_of_function(FROM_PYTHON, self._from_python)
+        self.to_python = capsule_of_function(TO_PYTHON, self._to_python)
         self.address = ctypes.addressof(self.support)
         self.capsule = c.capsule_of(self.address)
 
     def _create(self) -> int:
-        lock = self._lock
-        if not lock.acquire(timeout=PATIENCE_S):
-            logger.error("The lock of %s was not released; it is replaced.", self._cls.__name__)
-            lock = self._lock = threading.RLock()
-            lock.acquire()
-        place = self._block()
-        self._taken[place] = lock
-        return place
-
-    def _block(self) -> int:
-        if self._spare:
+        try:
             return self._spare.pop()
-        block = ctypes.create_string_buffer(BLOCK)
-        place = ctypes.addressof(block)
-        keep(block)
-        return place
+        except IndexError:
+            block = native.Block(program=self._program, functions=self._functions)
+            place = ctypes.addressof(block)
+            self._blocks[place] = block
+            return place
 
     def _destroy(self, place: int) -> None:
-        _held.pop(place, None)
-        lock = self._taken.pop(place)
+        block = self._blocks[place]
+        if block.taken:
+            self._release(block.taken)
+            block.taken = None
+        block.data = None  # which lets go of the bytes
+        block.views = ()
         self._spare.append(place)
-        lock.release()
 
     def _from_python(self, message: object, place: int) -> bool:
         try:
-            _held[place] = self._codec.encode(message)
+            data = self._codec.encode(message)
         except CdrError as error:
             # rclpy then raises a RuntimeError that does not know the reason
             logger.error("%s", error)
             return False
-        return True
-
-    def _serialize(self, place: int, cdr: int) -> bool:
-        data = _held[place]
+        block = self._blocks[place]
         if data.__class__ is bytes:
-            self._cdr.write(cdr, data, len(data))
-            return True
-        assert isinstance(data, Parts)
-        for part in data:
-            block = np.frombuffer(part, np.uint8)
-            self._cdr.write_block(cdr, block.ctypes.data, len(block))
+            block.data = data
+            block.size = block.total = len(data)
+            block.count = 0
+        else:
+            block.size = 0
+            views = [np.frombuffer(part, np.uint8) for part in data]
+            parts = (native.Part * len(views))()
+            for part, view in zip(parts, views, strict=True):
+                part.data, part.size = view.ctypes.data, len(view)
+            block.parts = parts
+            block.count = len(views)
+            block.total = sum(map(len, views))
+            block.views = views
         return True
 
-    def _deserialize(self, cdr: int, place: int) -> bool:
+    def _to_python(self, place: int) -> object:
+        block = self._blocks[place]
         try:
-            _held[place] = self._codec.decode(self._cdr.rest(cdr))
-        except CdrError as error:
-            logger.warning("A message is dropped: %s", error)
-            return False
-        return True
-
-    def _size(self, place: int) -> int:
-        data = _held[place]
-        if data.__class__ is bytes:
-            return len(data)
-        assert isinstance(data, Parts)
-        return len(data) + sum(len(block) for _, block in data.blocks)
-
-
-def _no_maximum(bounds: ctypes._Pointer[ctypes.c_char]) -> int:
-    bounds[0] = b"\0"  # unbounded
-    return 0
+            return self._codec.decode(ctypes.string_at(block.taken, block.taken_size))
+        except Exception:  # rclpy has no way to be told
+            logger.exception("A %s cannot be decoded; None stands for it.", self._cls.__name__)
+            return None
 
 
 @cache
@@ -247,11 +200,6 @@ def identifier(name: bytes) -> int:
     return found
 
 
-def handles(by_name: dict[bytes, int]) -> int:
-    """Address of a function that returns a typesupport by its identifier."""
-    return address_of_function(c.GET_HANDLE, lambda _, name: by_name.get(name))
-
-
 @cache
 def introspection_of(cls: type, namespace: tuple[str, ...]) -> int:
     """Address of the type support by which rmw_fastrtps describes a type to others."""
@@ -265,17 +213,13 @@ def introspection_of(cls: type, namespace: tuple[str, ...]) -> int:
         "__".join(namespace).encode(),
         cls.__name__.encode(),
         len(members),
-        BLOCK,
+        ctypes.sizeof(native.Block),
         False,
         block,
         None,
         None,
     )
-    support = c.MessageSupport()
-    support.identifier = identifier(c.INTROSPECTION)
-    support.data = address_of(described)
-    support.handle = handles({c.INTROSPECTION: address_of(support)})
-    return ctypes.addressof(support)
+    return ctypes.addressof(support_of(c.MessageSupport, c.INTROSPECTION, described))
 
 
 def _number(name: str, kind: int) -> c.Member:
@@ -310,6 +254,7 @@ class Supports:
     def __init__(self, package: str, describe: Callable[[str], TypeDescription]) -> None:
         """`describe` takes a full name, such as `weld_msgs/msg/Seam`."""
         c.check_layout()
+        native.check()
         self._package = package
         self._describe = describe
         self._classes: dict[str, MessageType] = {}
@@ -372,13 +317,9 @@ class Supports:
         )
         namespace = f"{self._package}::{kind}".encode()
         callbacks = c.ServiceCallbacks(namespace, cls.__name__.encode(), request, response)
-        support = c.ServiceSupport()
-        support.identifier = identifier(c.FASTRTPS)
-        support.data = address_of(callbacks)
-        support.handle = handles({c.FASTRTPS: address_of(support)})
-        support.request, support.response, support.event = request, response, event
         description = self._describe(f"{self._package}/{kind}/{cls.__name__}")
-        support.type_hash, support.description, support.sources = description.functions()
+        support = support_of(c.ServiceSupport, c.FASTRTPS, callbacks, description)
+        support.request, support.response, support.event = request, response, event
         return ctypes.addressof(support)
 
     def _action(self, kind: str, lower: str) -> int:
@@ -386,15 +327,15 @@ class Supports:
         from action_msgs.srv import CancelGoal
 
         cls = self._class(kind, lower)
-        support = c.ActionSupport()
+        support = placed(c.ActionSupport)
         support.goal_service = self._service(kind, f"{lower}__send_goal")
         support.result_service = self._service(kind, f"{lower}__get_result")
         support.cancel_service = compiled(CancelGoal)
         support.feedback_message = self._message(kind, f"{lower}__feedback_message").address
         support.status_message = compiled(GoalStatusArray)
         description = self._describe(f"{self._package}/{kind}/{cls.__name__}")
-        support.type_hash, support.description, support.sources = description.functions()
-        return address_of(support)
+        describe(support, description, {})
+        return ctypes.addressof(support)
 
 
 def compiled(cls: type) -> int:
