@@ -8,6 +8,7 @@ Needs gcc and binutils on x86-64; see plugins/rn-interfaces/src/rn_interfaces/na
 from __future__ import annotations
 
 import base64
+import hashlib
 import subprocess
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -29,6 +30,7 @@ def run(*command: str | Path) -> str:
 
 def main() -> None:
     """Write `machine_code.py`."""
+    digest = hashlib.sha256((FOLDER / "native.c").read_bytes()).hexdigest()
     with TemporaryDirectory() as scratch:
         made, binary = Path(scratch, "native.o"), Path(scratch, "native.bin")
         run("gcc", *FLAGS, "-c", FOLDER / "native.c", "-o", made)
@@ -46,7 +48,9 @@ def main() -> None:
         f"X86_64 = (\n{text}\n)\n"
         '"""Base 64."""\n'
         "ENTRIES = {\n" + "\n".join(lines) + "\n}\n"
-        '"""Offset of each function [B]."""\n',
+        '"""Offset of each function [B]."""\n'
+        f'SOURCE = "{digest}"\n'
+        '"""SHA-256 of native.c."""\n',
         encoding="utf-8",
     )
 

@@ -30,3 +30,5 @@ ENTRIES = {
     "get_sources": 941,
 }
 """Offset of each function [B]."""
+SOURCE = "3a5d2f3cc028905a02b09a306389775b2ebd066cd8b7aae1bbe6fcced43de788"
+"""SHA-256 of native.c."""
