@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import array
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import cache
 from importlib import import_module
 from operator import attrgetter
@@ -30,6 +30,7 @@ from rosidl_parser.definition import (
     BasicType,
     BoundedSequence,
     NamespacedType,
+    UnboundedSequence,
 )
 
 assert sys.byteorder == "little"  # as all platforms of the wheels are
@@ -88,6 +89,10 @@ class Parts(bytearray):
         yield bytes(memoryview(self)[place:])
 
 
+Bytes = bytes | bytearray | memoryview
+"""What is decoded; nothing that is decoded refers to it."""
+
+
 class Codec(NamedTuple):
     """The two directions of one class."""
 
@@ -95,7 +100,7 @@ class Codec(NamedTuple):
     """Message -> CDR without the encapsulation header; in parts where there is a large array.
     Raises CdrError.
     """
-    decode: Callable[[bytes | bytearray], object]
+    decode: Callable[[Bytes], object]
     """CDR without the encapsulation header -> message. Raises CdrError."""
 
 
@@ -119,7 +124,7 @@ def codec(cls: type) -> Codec:
             raise CdrError(f"this {name} cannot be encoded: {error}") from error
         return out if out.blocks else bytes(out)
 
-    def decode(data: bytes | bytearray) -> object:
+    def decode(data: Bytes) -> object:
         try:
             # What follows is padding: rmw_fastrtps takes a message for longer than it becomes.
             message, _ = read(data, 0, len(data))
@@ -130,7 +135,6 @@ def codec(cls: type) -> Codec:
     return Codec(encode, decode)
 
 
-Bytes = bytes | bytearray
 Write = Callable[[object, bytearray], None]
 """Appends a message."""
 Read = Callable[[Bytes, int, int], tuple[Any, int]]
@@ -252,7 +256,7 @@ def _add_writes(cls: type, place: str, steps: list[Write], pending: list[tuple[s
             _add_writes(type_of(cls, slot), f"{path}.", steps, pending)
         else:
             _end_run(steps, pending)
-            steps.append(_of_field(attrgetter(path), _write_value(cls, path, slot)))
+            steps.append(_write_field(cls, path, slot))
 
 
 def _end_run(steps: list[Write], pending: list[tuple[str, str]]) -> None:
@@ -282,9 +286,37 @@ def _end_run(steps: list[Write], pending: list[tuple[str, str]]) -> None:
     steps.append(write)
 
 
-def _of_field(get: Callable[[object], object], write: Callable[[Any, bytearray], None]) -> Write:
+def _write_field(cls: type, path: str, slot: object) -> Write:
+    get = attrgetter(path)
+    if isinstance(slot, UnboundedSequence) and isinstance(slot.value_type, BasicType):
+        form = _format(slot.value_type)
+        if form in array.typecodes and slot.value_type.typename not in ("octet", "boolean"):
+            return _write_array(get, form, _write_value(cls, path, slot))
+    write = _write_value(cls, path, slot)
+
     def step(message: object, out: bytearray) -> None:
         write(get(message), out)
+
+    return step
+
+
+def _write_array(
+    get: Callable[[object], Any], form: str, write: Callable[[Any, bytearray], None]
+) -> Write:
+    """A step for what rosidl keeps in an `array.array`, with as few calls as possible."""
+    size = calcsize(f"<{form}")
+    most = LARGE // size
+    padded = [f"<{-place % 4}xI{-(place + -place % 4 + 4) % size}x" for place in range(8)]
+    packs = [Struct(one).pack for one in padded]
+
+    def step(message: object, out: bytearray) -> None:
+        value = get(message)
+        count = len(value)
+        if 0 < count < most and value.__class__ is array.array and value.typecode == form:
+            out += packs[len(out) & 7](count)
+            out += value
+        else:
+            write(value, out)
 
     return step
 
@@ -329,11 +361,19 @@ def _write_text(slot: AbstractGenericString) -> Callable[[Any, bytearray], None]
     return write_wide if isinstance(slot, AbstractWString) else write
 
 
+def _write_texts(entries: Iterable[str], out: bytearray) -> None:
+    for entry in entries:
+        data = entry.encode() + b"\0"
+        out += _PACK_COUNT[len(out) & 7](len(data)) + data
+
+
 def _write_entries(owner: type, name: str, value: object) -> Callable[[Any, bytearray], None]:
     if isinstance(value, BasicType):
         return _write_numbers(value)
     one: Callable[[Any, bytearray], None]
     if isinstance(value, AbstractGenericString):
+        if not value.has_maximum_size() and not isinstance(value, AbstractWString):
+            return _write_texts
         one = _write_value(owner, name, value)
     else:
         one = _functions(type_of(owner, value))[0]
@@ -470,9 +510,9 @@ def _read_text(slot: AbstractGenericString) -> Read:
         _check_rest(count, size, place, end)
         after = place + count * size
         if wide:
-            length, text = count, wide_text(data[place:after])
+            length, text = count, wide_text(bytes(data[place:after]))
         else:  # some vendors send an empty text without its closing zero
-            encoded = data[place : after - 1] if count else b""
+            encoded = bytes(data[place : after - 1]) if count else b""
             length, text = count - 1, encoded.decode("utf-8", "replace")
             if length > most:  # a bound counts characters, and replaced ones as native.c does
                 length = len(encoded.translate(None, _CONTINUING))

@@ -228,7 +228,16 @@ def compiled() -> dict[str, int]:
         place.parent.mkdir(parents=True, exist_ok=True)
         with TemporaryDirectory(dir=place.parent, prefix=".new-") as scratch:
             made = Path(scratch, place.name)
-            command = [compiler, "-std=c11", "-O2", "-fPIC", "-shared", str(_SOURCE), "-o", made]
+            command = [
+                compiler,
+                "-std=c11",
+                "-O2",
+                "-fPIC",
+                "-shared",
+                str(_SOURCE),
+                "-o",
+                str(made),
+            ]
             try:
                 subprocess.run(
                     command,

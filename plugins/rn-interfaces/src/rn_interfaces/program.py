@@ -74,4 +74,4 @@ def _text_operands(slot: AbstractGenericString) -> tuple[int, int]:
 def _address(owner: type, entry: object) -> int:
     if isinstance(entry, AbstractGenericString):
         return ctypes.addressof(_text(*_text_operands(entry)))
-    return ctypes.addressof(program(type_of(owner, entry)))  # type: ignore[arg-type]
+    return ctypes.addressof(program(type_of(owner, entry)))

@@ -32,7 +32,7 @@ from rosidl_pycommon import (  # type: ignore[import-untyped]
 
 from rn_interfaces import native
 from rn_interfaces import structures as c
-from rn_interfaces.codec import CdrError, codec, type_of
+from rn_interfaces.codec import LARGE, CdrError, codec, type_of
 from rn_interfaces.description import TypeDescription
 from rn_interfaces.kept import address_of, keep
 from rn_interfaces.program import program
@@ -151,7 +151,8 @@ class MessageType:
             self._release(block.taken)
             block.taken = None
         block.data = None  # which lets go of the bytes
-        block.views = ()
+        if block.views:
+            block.views = ()
         self._spare.append(place)
 
     def _from_python(self, message: object, place: int) -> bool:
@@ -162,7 +163,7 @@ class MessageType:
             logger.error("%s", error)
             return False
         block = self._blocks[place]
-        if data.__class__ is bytes:
+        if isinstance(data, bytes):
             block.data = data
             block.size = block.total = len(data)
             block.count = 0
@@ -181,7 +182,10 @@ class MessageType:
     def _to_python(self, place: int) -> object:
         block = self._blocks[place]
         try:
-            return self._codec.decode(ctypes.string_at(block.taken, block.taken_size))
+            if block.taken_size < LARGE:
+                return self._codec.decode(ctypes.string_at(block.taken, block.taken_size))
+            memory = (ctypes.c_char * block.taken_size).from_address(block.taken)
+            return self._codec.decode(memoryview(memory).cast("B"))
         except Exception:  # rclpy has no way to be told
             logger.exception("A %s cannot be decoded; None stands for it.", self._cls.__name__)
             return None
