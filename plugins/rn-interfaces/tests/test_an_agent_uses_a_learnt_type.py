@@ -1,5 +1,5 @@
-"""A real server: an agent publishes and reads a learnt type within limits, the audit and the
-recording hold it.
+"""A real server: an agent publishes, reads, calls and sends goals of learnt types within limits;
+audit, events and recording hold them.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ import rclpy
 from made_packages import WELD, write_package
 from mcap.reader import make_reader
 from mcp import Client, StdioServerParameters
+from rclpy.action import ActionServer
 from rclpy.exceptions import InvalidHandle
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
@@ -51,15 +52,36 @@ name = "done"
 kind = "read"
 topic = "done"
 type = "weld_msgs/msg/Path"
+[[expose]]
+name = "strike"
+kind = "service"
+topic = "strike"
+type = "weld_msgs/srv/Strike"
+moves = false
+bounds = {{ "seam.offset" = [-0.5, 0.5] }}
+[[expose]]
+name = "weld"
+kind = "action"
+topic = "weld"
+type = "weld_msgs/action/Weld"
+moves = false
+bounds = {{ "seam.offset" = [-0.5, 0.5] }}
+[events.thresholds.far]
+topic = "seam"
+type = "weld_msgs/msg/Seam"
+field = "offset[0]"
+above = 0.05
 """
 
 
 class Welder:
-    """A node that notes seams and reports paths."""
+    """A node that notes seams, reports paths, strikes and welds."""
 
     def __init__(self) -> None:
+        from weld_msgs.action import Weld
         from weld_msgs.msg import Path as Welds
         from weld_msgs.msg import Seam
+        from weld_msgs.srv import Strike
 
         self.context = rclpy.Context()
         rclpy.init(context=self.context)
@@ -70,6 +92,18 @@ class Welder:
         message = Welds(seams=[Seam(tool="mag")], note="漢", mark=b"\x07")
         self.node.create_timer(0.1, lambda: done.publish(message))
         self.node.create_publisher(Welds, "/unused", 10)
+
+        def strike(request: Strike.Request, response: Strike.Response) -> Strike.Response:
+            response.success, response.message = request.dry, request.seam.tool
+            return response
+
+        def weld(goal: Any) -> Weld.Result:
+            goal.publish_feedback(Weld.Feedback(done=0.5))
+            goal.succeed()
+            return Weld.Result(length=goal.request.seam.offset[0])
+
+        self.node.create_service(Strike, "strike", strike)
+        self._welding = ActionServer(self.node, Weld, "weld", weld)
         self._executor = SingleThreadedExecutor(context=self.context)
         self._executor.add_node(self.node)
         self._thread = threading.Thread(target=self._spin, daemon=True)
@@ -134,6 +168,17 @@ def test_an_agent_publishes_reads_and_records_a_learnt_type(
             refused = await client.call_tool("publish_seam", {"message": {"offset": [0, 0, 9]}})
             assert refused.is_error
             assert "offset" in refused.content[0].text  # type: ignore[union-attr]
+            struck = await do("call_strike", request={"seam": {"tool": "mag"}, "dry": True})
+            assert struck["response"] == {"success": True, "message": "mag"}
+            welded = await do("send_weld_goal", goal={"seam": {"offset": [0.25, 0.0, 0.0]}})
+            assert (welded["status"], welded["result"]) == ("succeeded", {"length": 0.25})
+            far = {"seam": {"offset": [9.0, 0.0, 0.0]}}
+            for tool, part in (("call_strike", "request"), ("send_weld_goal", "goal")):
+                refused = await client.call_tool(tool, {part: far})
+                assert refused.is_error
+                assert "offset" in refused.content[0].text  # type: ignore[union-attr]
+            events = await client.read_resource("roboneuron://events/thresholds")
+            assert '"far"' in events.contents[0].text  # type: ignore[union-attr]
             unknown = await do("list_unknown_types")
             assert {"weld_msgs/msg/Path", "weld_msgs/msg/Seam"} <= set(unknown["learnt"])
             assert unknown["unknown"] == []
@@ -142,12 +187,9 @@ def test_an_agent_publishes_reads_and_records_a_learnt_type(
     anyio.run(scenario)
     assert [list(seam.offset) for seam in welder.seams] == [[0.1, 0.2, 0.3]]
     audit = (tmp_path / "state" / "audit.jsonl").read_text().splitlines()
-    verdicts = [
-        record["verdict"]
-        for record in map(json.loads, audit)
-        if record.get("tool") == "publish_seam"
-    ]
-    assert verdicts == ["allowed", "refused"]
+    for tool in ("publish_seam", "call_strike", "send_weld_goal"):
+        records = [one for one in map(json.loads, audit) if one.get("tool") == tool]
+        assert [one["verdict"] for one in records] == ["allowed", "refused"], tool
     files = sorted((tmp_path / "state" / "runs").rglob("*.mcap"))
     schemas: dict[str, str] = {}
     for path in files:
