@@ -3,7 +3,8 @@
     python benchmarks/bench_interfaces.py [--rounds 30]
 
 Prints, for a JointState of seven joints and an image of 640x480, the least time of this thread in
-microseconds and the ratio. The definitions are those of the wheels, learnt under another package's name.
+microseconds and the ratio. The definitions are those of the wheels, learnt under another package's
+name.
 """
 
 from __future__ import annotations
@@ -13,7 +14,8 @@ import array
 import os
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -55,7 +57,7 @@ def learn_copies(scratch: Path) -> None:
     learn(Store(), texts)
 
 
-def least_us(rounds: int, calls: int, functions: list[Callable[[], object]]) -> list[float]:
+def least_us(rounds: int, calls: int, functions: Sequence[Callable[[], object]]) -> list[float]:
     """Least thread time of each function [us]; they take turns."""
     times: list[list[float]] = [[] for _ in functions]
     for _ in range(rounds):
@@ -84,8 +86,8 @@ def main() -> None:
             ]
             messages = [fill(cls()) for cls in classes]
             data = serialize_message(messages[0])
-            encode = [lambda one=one: serialize_message(one) for one in messages]
-            decode = [lambda cls=cls, data=data: deserialize_message(data, cls) for cls in classes]
+            encode = [partial(serialize_message, one) for one in messages]
+            decode = [partial(deserialize_message, data, cls) for cls in classes]
             for what, functions in (("encode", encode), ("decode", decode)):
                 compiled, made = least_us(rounds, CALLS[word], functions)
                 print(f"{word + ' ' + what:24}{compiled:12.1f}{made:12.1f}{made / compiled:7.2f}")
