@@ -84,7 +84,8 @@ NEEDS = {
 """Packages of rn_standard by those beside them that they may import."""
 PUBLISHED = {
     "console": "chosen_plugins client diagnostics plugin_options status",
-    "direct_path": "allow_list arbiter delivery derived exposed fields joints limits speeds twists",
+    "direct_path": "allow_list arbiter delivery derived exposed fields joints limits speeds twists "
+    "type_hashes",
     "execution": "adaptive mode",
     "http": "addresses authentication bounded_server connections feature listener operator_lease "
     "options origins plugin tokens",

@@ -224,6 +224,33 @@ def test_a_disabled_plugin_is_never_imported(site):
     assert record.traceback == ""
 
 
+def _telling(body):
+    """A plugin whose feature is told of its discovery."""
+    return f"""
+def told():
+    {body}
+@hookimpl
+def roboneuron_features():
+    return [FeatureSpec(name="x", summary="X.", target="m:X", on_discovery=__name__ + ":told")]
+"""
+
+
+def test_a_feature_is_told_of_its_discovery_unless_it_is_disabled(site, capsys):
+    site.install("rn-told", _telling("print('discovered')"))
+    (record,) = site.discover(disabled=["rn-told"]).plugins
+    assert capsys.readouterr().err == ""
+    (record,) = site.discover().plugins
+    assert record.status is Status.READY
+    assert capsys.readouterr().err == "discovered\n"
+
+
+def test_a_feature_that_fails_on_its_discovery_is_named(site):
+    site.install("rn-told", _telling("raise OSError('no disk')"))
+    (record,) = site.discover().plugins
+    assert record.status is Status.FAILED
+    assert "no disk" in record.reason
+
+
 def test_disabling_what_is_not_installed_names_the_nearest(site):
     site.install("rn-good", GOOD)
     with pytest.raises(

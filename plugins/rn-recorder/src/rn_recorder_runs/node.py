@@ -29,7 +29,7 @@ from rn_recorder_runs.recording import Recording, Rules
 from rn_recorder_runs.settings import RecorderSettings
 from rn_recorder_runs.store import Store
 from roboneuron import RoboNeuronError, StateError
-from roboneuron.command import AuditLog, Signals, environment, log_files
+from roboneuron.command import AuditLog, Signals, discover, environment, log_files
 
 log = logging.getLogger("recorder")
 EVENTS_TOPIC, AUDIT_TOPIC = "/roboneuron/events", "/roboneuron/audit"
@@ -274,6 +274,7 @@ def main() -> None:
     signals = Signals()
     signals.listen()
     environment.prepare_environment(settings.state_directory / "log" / "ros")
+    discover()  # because features may bring message types
     import rclpy  # heavy
     from rclpy.node import Node
     from rclpy.parameter import Parameter

@@ -24,6 +24,7 @@ REFERENCES = (
     "config",
     "case",
     "hooks",
+    "on_discovery",
     "on_join",
     "module",
     "module_check",

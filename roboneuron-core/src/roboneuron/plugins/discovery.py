@@ -25,6 +25,7 @@ from roboneuron.errors import ConfigurationError, PluginError, RoboNeuronError, 
 from roboneuron.plugins import availability, hookspecs
 from roboneuron.plugins.descriptor import TARGET_PATTERN, check_spec
 from roboneuron.plugins.hookspecs import PROJECT, Hooks
+from roboneuron.plugins.loading import load_attribute
 from roboneuron.plugins.registry import Offer, PluginRecord, Registry, Status
 from roboneuron.plugins.specs import CONTRACT_VERSION, CommandSpec, FeatureSpec, Spec
 
@@ -197,6 +198,8 @@ def _examine(claim: _Claim, hooks: Hooks, manager: pluggy.PluginManager) -> Plug
     try:
         with redirect_stdout(sys.stderr):
             specs = _read(claim.point.load(), hooks, manager)
+            offers = tuple(_offer(spec, claim.record) for spec in specs)
+            _tell_discovered(offers)
     except PluginError as error:
         return _failed(claim, error)
     except (Exception, SystemExit) as error:
@@ -204,7 +207,17 @@ def _examine(claim: _Claim, hooks: Hooks, manager: pluggy.PluginManager) -> Plug
         return replace(
             claim.record, status=Status.FAILED, reason=where, traceback=traceback.format_exc()
         )
-    return replace(claim.record, offers=tuple(_offer(spec, claim.record) for spec in specs))
+    return replace(claim.record, offers=offers)
+
+
+def _tell_discovered(offers: Iterable[Offer]) -> None:
+    for offer in offers:
+        function = getattr(offer.spec, "on_discovery", None)
+        if function is not None and offer.status is Status.READY:
+            found = load_attribute(function, f"`on_discovery` of feature {offer.spec.name!r}")
+            if not callable(found):
+                raise PluginError(f"{function} is {found!r}, expected a function.")
+            found()
 
 
 def read_module(module: object, hooks: Hooks | None = None) -> tuple[Spec, ...]:

@@ -262,6 +262,9 @@ class FeatureSpec(Spec):
             classes; the module also holds a hook specification (`hookspec`) of each of these names.
             Imported while plugins are discovered, so it must be as light as a plugin module.
         needs: names of features without which it does not work.
+        on_discovery: "module:attribute" of a function without arguments that every process calls
+            while it discovers plugins (server, modules, commands); as light as a plugin module, and
+            harmless when called again. None for none.
         on_join: "module:attribute" of a function that every module process calls with its
             `ModuleHost` once it has joined ROS; None for none. In the server, `start` is the place
             for that.
@@ -285,6 +288,7 @@ class FeatureSpec(Spec):
     transports: tuple[str, ...] = ()
     hooks: str | None = None
     needs: tuple[str, ...] = ()
+    on_discovery: str | None = None
     on_join: str | None = None
     module: str | None = None
     module_check: str | None = None

@@ -18,6 +18,7 @@ from rclpy.qos import (
     ReliabilityPolicy,
 )
 
+from rn_standard.direct_path.type_hashes import check_type_hash
 from roboneuron import ConfigurationError
 
 if TYPE_CHECKING:
@@ -133,6 +134,7 @@ class TopicWriter:
             raise ConfigurationError(
                 f"Topic {self.topic} carries {foreign[0]}, it is exposed as {self._type_name}."
             )
+        check_type_hash(self.topic, self._type_name, found)
         return found
 
     def _offer(self, profile: Any) -> None:

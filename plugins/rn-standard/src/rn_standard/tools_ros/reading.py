@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from rn_standard.direct_path.fields import load_type
+from rn_standard.direct_path.type_hashes import check_type_hash
 from roboneuron import ConfigurationError, Host, StateError
 from roboneuron.feature import ExposedEndpoint
 
@@ -63,6 +64,7 @@ def read_messages(
                     f"Topic {exposed.topic} carries {foreign[0]}, it is exposed as "
                     f"{exposed.endpoint.type}."
                 )
+            check_type_hash(exposed.topic, exposed.endpoint.type, infos)
             if infos:
                 heard.publishers = len(infos)
                 offered = {

@@ -1,0 +1,1 @@
+"""ROS interfaces from their definitions at run time, without a compiler."""

@@ -1,0 +1,173 @@
+"""Classes made of learnt interfaces, each in a folder of the user's cache that is named by a digest
+of what it was made of. What is there is never changed, so that processes may share it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Mapping
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from rn_interfaces.description import TypeDescription, TypeSource
+from rn_interfaces.store import KINDS, Name, Store, parse_name, write
+from roboneuron import ConfigurationError
+
+_TIMEOUT_S = 60.0
+_EACH_S = 5.0
+"""For each interface, which takes 0.1 s on a machine that does nothing else."""
+PACKAGES = "packages"
+_OF_PACKAGE = '"""Interfaces made at run time."""\n'
+_OF_KIND = f"""{_OF_PACKAGE}
+from rn_interfaces.finder import attach
+
+__getattr__, __dir__ = attach(__name__)
+"""
+
+
+def default_folder() -> Path:
+    """The cache of this user: below XDG_CACHE_HOME."""
+    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(base) / "roboneuron" / "interfaces"
+
+
+def packages(store: Store, package: str) -> Path:
+    """Folder of a package's `__init__.py` and those of its kinds, for what looks at folders."""
+    folder = default_folder() / PACKAGES / package
+    for kind in ("", *(kind for kind in KINDS if store.words(package, kind))):
+        path = folder / kind / "__init__.py"
+        if not path.is_file():
+            write(path, _OF_KIND if kind else _OF_PACKAGE)
+    return folder
+
+
+def installed(package: str, besides: Path) -> Path | None:
+    """The folder of a package of the wheels or of another prefix, with `<kind>/<Name>.json`.
+
+    Args:
+        package: that is looked for.
+        besides: a prefix that does not count, that of the store.
+    """
+    prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+    for prefix in (*prefixes, sys.prefix):
+        folder = Path(prefix) / "share" / package
+        if prefix and Path(prefix) != besides and next(folder.glob("*/*.json"), None) is not None:
+            return folder
+    return None
+
+
+class Cache:
+    """The cache of what is in a store."""
+
+    def __init__(self, store: Store) -> None:
+        self._store = store
+        self._folder = default_folder()
+
+    def module(self, name: Name) -> Path:
+        """The file of an interface's classes, made now where it is not there; those of learnt
+        interfaces that it uses are made with it.
+
+        Raises
+        ------
+        ConfigurationError
+            The generators fail.
+        """
+        place = self._place(name)
+        if not place.is_file():
+            used = {name, *filter(self._store.has, self._used(name))}
+            self._make({one: self._place(one) for one in used if not self._place(one).is_file()})
+        return place
+
+    def describe(self, full_name: str) -> TypeDescription:
+        """The description of an interface or of a part of one, such as
+        `weld_msgs/srv/Strike_Request`.
+        """
+        path = self._store.share / f"{full_name}.json"
+        facts = json.loads(path.read_text(encoding="utf-8"))
+        described = facts["type_description_msg"]["referenced_type_descriptions"]
+        names = [full_name, *(one["type_name"] for one in described)]
+        return TypeDescription(facts, [self._source(one) for one in names])
+
+    def _source(self, full_name: str) -> TypeSource:
+        if "_" in full_name.rpartition("/")[2]:
+            return TypeSource(full_name, "implicit", "")
+        name = parse_name(full_name)
+        folder = installed(name.package, self._store.prefix) or self._store.share / name.package
+        path = folder / name.kind / f"{name.word}.{name.kind}"
+        if not path.is_file():
+            return TypeSource(full_name, "implicit", "")
+        return TypeSource(full_name, name.kind, path.read_text(encoding="utf-8"))
+
+    def _used(self, name: Name) -> list[Name]:
+        path = (self._store.share / name.file).with_suffix(".json")
+        described = json.loads(path.read_text(encoding="utf-8"))["type_description_msg"]
+        names = [one["type_name"] for one in described["referenced_type_descriptions"]]
+        return [parse_name(one) for one in names if "_" not in one.rpartition("/")[2]]
+
+    def _place(self, name: Name) -> Path:
+        idl = (self._store.share / name.file).with_suffix(".idl").read_text(encoding="utf-8")
+        digest = hashlib.sha256(f"{generators()} {name}\n{idl}".encode()).hexdigest()[:40]
+        return self._folder / digest / f"_{lowered(name.word)}.py"
+
+    def _make(self, places: Mapping[Name, Path]) -> None:
+        self._folder.mkdir(parents=True, exist_ok=True)
+        with TemporaryDirectory(dir=self._folder, prefix=".new-") as scratch:
+            work = Path(scratch)
+            for name in places:
+                for path in (name.file.with_suffix(".idl"), name.file.with_suffix(".json")):
+                    (work / path).parent.mkdir(parents=True, exist_ok=True)
+                    shutil.copyfile(self._store.share / path, work / path)
+            names = ", ".join(sorted(map(str, places)))
+            run_generators(work, [str(name) for name in sorted(places)], names)
+            for name, place in places.items():
+                made = work / name.package / name.kind / place.name
+                write(place, made.read_text(encoding="utf-8"))
+
+
+@cache
+def generators() -> str:
+    """Versions of what classes are made by."""
+    return " ".join(version(f"ros-rosidl-{name}") for name in ("generator-py", "parser"))
+
+
+def lowered(word: str) -> str:
+    """`joint_state` for `JointState`, as rosidl names modules."""
+    from rosidl_pycommon import (  # type: ignore[import-untyped]
+        convert_camel_case_to_lower_case_underscore,
+    )
+
+    found: str = convert_camel_case_to_lower_case_underscore(word)
+    return found
+
+
+def run_generators(work: Path, names: list[str], what: str) -> None:
+    """Run the generators in a process of their own; see `rn_interfaces.generate.main`.
+
+    Raises
+    ------
+    ConfigurationError
+        They fail; with their last words.
+    """
+    bound_s = _TIMEOUT_S + _EACH_S * len(names)
+    command = [sys.executable, "-P", "-m", "rn_interfaces.generate", str(work)]
+    try:
+        subprocess.run(
+            command,
+            input="\n".join(names),
+            capture_output=True,
+            text=True,
+            timeout=bound_s,
+            check=True,
+        )
+    except subprocess.TimeoutExpired as error:
+        raise ConfigurationError(f"Making {what} took more than {bound_s:g} s.") from error
+    except subprocess.CalledProcessError as error:
+        last = (error.stderr.strip().splitlines() or ["without a word"])[-1]
+        raise ConfigurationError(f"{what} cannot be made: {last[:300]}") from error

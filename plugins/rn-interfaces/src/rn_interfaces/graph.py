@@ -1,0 +1,61 @@
+"""Which types the running graph speaks, and which of them are known here."""
+
+from __future__ import annotations
+
+import json
+from typing import Protocol
+
+from rn_interfaces.cache import installed
+from rn_interfaces.store import Name, Store, parse_name
+from roboneuron import ConfigurationError
+
+_PARTS = "_action/"
+
+
+class Graph(Protocol):
+    """What the server's `Host.graph` and `NodeGraph` have."""
+
+    def topics(self) -> dict[str, list[str]]:
+        """Types by absolute topic name."""
+
+    def services(self) -> dict[str, list[str]]:
+        """Types by absolute service name."""
+
+
+def is_known(store: Store, name: Name) -> bool:
+    """Whether a type is compiled here or learnt."""
+    folder = installed(name.package, besides=store.prefix)
+    if folder is not None:
+        return (folder / name.kind / f"{name.word}.json").is_file()
+    return store.has(name)
+
+
+def hash_here(store: Store, name: Name) -> str:
+    """RIHS01 of a known type; empty when it is unknown."""
+    folder = installed(name.package, besides=store.prefix) or store.share / name.package
+    path = folder / name.kind / f"{name.word}.json"
+    if not path.is_file():
+        return ""
+    hashes: list[dict[str, str]] = json.loads(path.read_text(encoding="utf-8"))["type_hashes"]
+    return next(one["hash_string"] for one in hashes if one["type_name"] == str(name))
+
+
+def interface_of(type_name: str) -> Name | None:
+    """The interface that a type of the graph is or is a part of; None where it has no such name."""
+    try:
+        name = parse_name(type_name.partition("_SendGoal")[0].partition("_GetResult")[0])
+    except ConfigurationError:
+        try:
+            return parse_name(type_name.partition("_FeedbackMessage")[0])
+        except ConfigurationError:
+            return None
+    return name
+
+
+def uses(graph: Graph) -> dict[Name, list[str]]:
+    """Topics and services by the interface that they carry; an action is its own name alone."""
+    found: dict[Name, set[str]] = {}
+    for topic, types in {**graph.services(), **graph.topics()}.items():
+        for name in filter(None, map(interface_of, types)):
+            found.setdefault(name, set()).add(topic.partition(f"/{_PARTS}")[0])
+    return {name: sorted(topics) for name, topics in sorted(found.items())}

@@ -1,0 +1,260 @@
+"""The C functions that Fast DDS calls of a type support, and the structures that they work on.
+
+Fast DDS calls them with locks of its own held, so none of them is Python; `native.c` says why.
+"""
+
+from __future__ import annotations
+
+import base64
+import ctypes
+import hashlib
+import mmap
+import os
+import platform
+import shutil
+import subprocess
+from collections.abc import Callable, Sequence
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from rn_interfaces import structures as c
+from rn_interfaces.kept import keep
+from rn_interfaces.machine_code import ENTRIES, X86_64
+
+_SOURCE = Path(__file__).with_name("native.c")
+_COMPILER_TIMEOUT_S = 60.0
+
+
+class Functions(ctypes.Structure):
+    """Functions of others that those of native.c call."""
+
+    _fields_ = (
+        ("write", ctypes.c_void_p),
+        ("begin", ctypes.c_void_p),
+        ("place", ctypes.c_void_p),
+        ("allocate", ctypes.c_void_p),
+        ("release", ctypes.c_void_p),
+        ("copy", ctypes.c_void_p),
+        ("compare", ctypes.c_void_p),
+    )
+
+
+class Part(ctypes.Structure):
+    """A piece of CDR."""
+
+    _fields_ = (("data", ctypes.c_void_p), ("size", ctypes.c_size_t))
+
+
+class Block(ctypes.Structure):
+    """A ROS message as rclpy passes it around; its address is that of the message."""
+
+    _fields_ = (
+        ("data", ctypes.c_char_p),
+        ("size", ctypes.c_size_t),
+        ("parts", ctypes.POINTER(Part)),
+        ("count", ctypes.c_size_t),
+        ("total", ctypes.c_size_t),
+        ("taken", ctypes.c_void_p),
+        ("taken_size", ctypes.c_size_t),
+        ("program", ctypes.c_void_p),
+        ("functions", ctypes.c_void_p),
+    )
+    views: Sequence[object] = ()
+    """What the parts point into."""
+
+
+class Facts(ctypes.Structure):
+    """What the functions of a handle return; its address stands right before the handle."""
+
+    _fields_ = (
+        ("names", ctypes.c_char_p * 2),
+        ("handles", ctypes.c_void_p * 2),
+        ("hash", ctypes.c_void_p),
+        ("description", ctypes.c_void_p),
+        ("sources", ctypes.c_void_p),
+        ("functions", ctypes.c_void_p),
+    )
+
+
+@cache
+def functions() -> Functions:
+    """Functions of libfastcdr 2 and of the C library.
+
+    Raises
+    ------
+    LayoutError
+        Fast CDR is of another release.
+    """
+    libc = ctypes.CDLL(None)
+    try:
+        cdr = c.library("libfastcdr.so.2")
+        found = (
+            cdr["_ZN8eprosima7fastcdr3Cdr15serialize_arrayEPKcm"],
+            cdr["_ZN8eprosima7fastcdr3Cdr18get_buffer_pointerEv"],
+            cdr["_ZN8eprosima7fastcdr3Cdr20get_current_positionEv"],
+            *(libc[name] for name in ("malloc", "free", "memcpy", "strcmp")),
+        )
+    except (OSError, AttributeError) as error:
+        raise c.LayoutError(
+            f"ROS types cannot be made at run time with this Fast CDR: {error}. Install the "
+            "ros-jazzy wheels, or compile the types with colcon."
+        ) from error
+    return Functions(*(ctypes.cast(one, ctypes.c_void_p).value for one in found))
+
+
+@cache
+def entries() -> dict[str, int]:
+    """Address of each function of native.c: its bytes where there are any for this processor, else
+    what the C compiler makes of it.
+
+    Raises
+    ------
+    LayoutError
+        The system maps no code, or there is no compiler.
+    """
+    if platform.machine() == "x86_64":
+        base = _mapped(base64.b64decode(X86_64))
+        return {name: base + offset for name, offset in ENTRIES.items()}
+    return compiled()
+
+
+@cache
+def release() -> Callable[[int], None]:
+    """The function that frees what `deserialize` has allocated; it keeps the GIL."""
+    free = ctypes.PyDLL(None).free
+    free.argtypes = (ctypes.c_void_p,)
+    free.restype = None
+    return free
+
+
+@cache
+def check() -> None:
+    """Read and write bytes through Fast CDR, which the functions reach into.
+
+    Raises
+    ------
+    LayoutError
+        They do not come out as they went in: Fast CDR is of another release, or none of the ways
+        to the functions is open.
+    """
+    sent = b"\0\1\0\0" + bytes(range(1, 9))
+    size = len(sent) - _HEAD
+    numbers = (ctypes.c_int64 * 6)(1, 1, size, 0, 0, 0)
+    block = Block(program=ctypes.addressof(numbers), functions=ctypes.addressof(functions()))
+    called = entries()
+    of_two = ctypes.CFUNCTYPE(ctypes.c_bool, ctypes.c_void_p, ctypes.c_void_p)
+    with_memory = ctypes.create_string_buffer(sent, len(sent))
+    cdr = _cdr(with_memory)
+    taken = b""
+    if of_two(called["deserialize"])(cdr, ctypes.addressof(block)) and block.taken:
+        taken = ctypes.string_at(block.taken, block.taken_size)
+        release()(block.taken)
+    block.data, block.size, block.total = taken[::-1], len(taken), len(taken)
+    written = ctypes.create_string_buffer(sent[:_HEAD], len(sent))
+    of_two(called["serialize"])(ctypes.addressof(block), _cdr(written))
+    if taken != sent[_HEAD:] or written.raw[_HEAD:] != taken[::-1]:
+        raise c.LayoutError(
+            "ROS types cannot be made at run time with this Fast CDR, which is laid out as no 2.2 "
+            "is. Install the ros-jazzy wheels, or compile the types with colcon."
+        )
+
+
+_HEAD = 4
+"""Size of the encapsulation of CDR [B]."""
+
+
+def _cdr(memory: ctypes.Array[ctypes.c_char]) -> int:
+    """Address of a Cdr that stands behind the head of some memory."""
+    library = c.library("libfastcdr.so.2")
+    buffer = keep(ctypes.create_string_buffer(_ROOM))
+    cdr = keep(ctypes.create_string_buffer(_ROOM))
+    keep(memory)
+    new_buffer = library["_ZN8eprosima7fastcdr10FastBufferC1EPcm"]
+    new_buffer.argtypes = (ctypes.c_void_p, ctypes.c_void_p, ctypes.c_size_t)
+    new_buffer(buffer, memory, len(memory))
+    new = library["_ZN8eprosima7fastcdr3CdrC1ERNS0_10FastBufferENS1_10EndiannessENS0_10CdrVersionE"]
+    new.argtypes = (ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int, ctypes.c_int)
+    new(cdr, buffer, 1, 1)  # little-endian, as DDS has it
+    read_head = library["_ZN8eprosima7fastcdr3Cdr18read_encapsulationEv"]
+    read_head.argtypes = (ctypes.c_void_p,)
+    read_head(cdr)
+    return ctypes.addressof(cdr)
+
+
+_ROOM = 4096
+"""More than a Cdr or its buffer takes [B]."""
+
+
+def _mapped(code: bytes) -> int:
+    # through a file, because memory that was ever writable may not become code everywhere
+    libc = ctypes.CDLL(None, use_errno=True)
+    libc.mmap.restype = ctypes.c_void_p
+    libc.mmap.argtypes = (ctypes.c_void_p, ctypes.c_size_t, *[ctypes.c_int] * 3, ctypes.c_long)
+    file = os.memfd_create("roboneuron-interfaces")
+    try:
+        os.write(file, code)
+        protection = mmap.PROT_READ | mmap.PROT_EXEC
+        place = libc.mmap(None, len(code), protection, mmap.MAP_PRIVATE, file, 0)
+    finally:
+        os.close(file)
+    if place in (None, ctypes.c_void_p(-1).value):
+        raise c.LayoutError(
+            "ROS types cannot be made at run time: the system does not let this process map code "
+            f"({os.strerror(ctypes.get_errno())}). Compile the types with colcon."
+        )
+    return int(place)
+
+
+def compiled() -> dict[str, int]:
+    """Address of each function of native.c as the C compiler makes them, once for this user.
+
+    Raises
+    ------
+    LayoutError
+        There is no compiler, or it fails.
+    """
+    from rn_interfaces.cache import default_folder
+
+    digest = hashlib.sha256(_SOURCE.read_bytes()).hexdigest()[:40]
+    place = default_folder() / f"native-{platform.machine()}-{digest}.so"
+    compiler = shutil.which("cc")
+    if not place.is_file():
+        if compiler is None:
+            raise c.LayoutError(
+                f"ROS types cannot be made at run time on {platform.machine()} without a C "
+                "compiler; install one, such as the package gcc."
+            )
+        place.parent.mkdir(parents=True, exist_ok=True)
+        with TemporaryDirectory(dir=place.parent, prefix=".new-") as scratch:
+            made = Path(scratch, place.name)
+            command = [
+                compiler,
+                "-std=c11",
+                "-O2",
+                "-fPIC",
+                "-shared",
+                str(_SOURCE),
+                "-o",
+                str(made),
+            ]
+            try:
+                subprocess.run(
+                    command,
+                    check=True,
+                    capture_output=True,
+                    text=True,
+                    timeout=_COMPILER_TIMEOUT_S,
+                )
+            except (subprocess.SubprocessError, OSError) as error:
+                told = getattr(error, "stderr", "") or str(error)
+                raise c.LayoutError(f"{compiler} does not compile {_SOURCE}: {told}") from error
+            os.replace(made, place)
+    library = ctypes.CDLL(str(place))
+    return {name: _address(library[name]) for name in ENTRIES}
+
+
+def _address(function: object) -> int:
+    found = ctypes.cast(function, ctypes.c_void_p).value  # type: ignore[arg-type]
+    assert found is not None
+    return found

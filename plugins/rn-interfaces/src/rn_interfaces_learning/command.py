@@ -1,0 +1,109 @@
+"""The command `roboneuron ros`."""
+
+from __future__ import annotations
+
+import json
+import sys
+from argparse import ArgumentParser, Namespace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rn_interfaces.store import Store, parse_name
+from roboneuron import ConfigurationError
+
+if TYPE_CHECKING:
+    from rn_interfaces.learning import Learnt
+
+GRAPH = "graph"
+
+
+class Ros:
+    """Learn ROS interfaces from their definitions, and look at what is learnt."""
+
+    def configure(self, parser: ArgumentParser) -> None:
+        """Arguments of `roboneuron ros`."""
+        actions = parser.add_subparsers(
+            dest="action", required=True, metavar="ACTION", help="what to do (each: --help)"
+        )
+        learn = actions.add_parser("learn", help="keep the definitions of interfaces")
+        learn.add_argument(
+            "sources",
+            nargs="+",
+            metavar="SOURCE",
+            help='"graph": what nodes that run now say about types that are unknown here; or a '
+            "folder, tarball or MCAP file",
+        )
+        listing = actions.add_parser("list", help="what is learnt, and where from")
+        listing.add_argument("--json", action="store_true", help="for programs")
+        show = actions.add_parser("show", help="the definition of a learnt interface")
+        show.add_argument("type", metavar="TYPE", help="package/kind/Name")
+        forget = actions.add_parser("forget", help="remove a learnt package")
+        forget.add_argument("package", metavar="PACKAGE", help="such as weld_msgs")
+
+    def run(self, arguments: Namespace) -> int:
+        """Run `roboneuron ros`."""
+        store = Store()
+        if arguments.action == "learn":
+            return max(_learn(store, source) for source in arguments.sources)
+        if arguments.action == "list":
+            return _list(store, arguments.json)
+        if arguments.action == "forget":
+            return _forget(store, arguments.package)
+        return _show(store, arguments.type)
+
+
+def _learn(store: Store, source: str) -> int:
+    from rn_interfaces.learning import learn  # heavy
+    from rn_interfaces.sources import definitions
+    from rn_interfaces_learning.nodes import Found, ask_nodes, with_graph
+
+    if source == GRAPH and not Path(source).exists():
+        found = with_graph(lambda graph: ask_nodes(graph, store))
+    else:
+        found = Found(texts=definitions(Path(source)))
+    learnt = learn(store, found.texts)
+    refused = {str(name): reason for name, reason in learnt.refused.items()} | found.unanswered
+    _report(learnt, refused)
+    return 1 if refused else 0
+
+
+def _report(learnt: Learnt, refused: dict[str, str]) -> None:
+    lines = [f"{name}  {found}" for name, found in sorted(learnt.added.items())]
+    lines += [f"{package}  is compiled here already" for package in sorted(learnt.compiled)]
+    lines += [f"{name}  refused: {reason}" for name, reason in sorted(refused.items())]
+    counted = f"{len(learnt.added)} learnt, {len(learnt.known)} known, {len(refused)} refused."
+    sys.stdout.write("".join(f"{line}\n" for line in [*lines, counted]))
+
+
+def _list(store: Store, as_json: bool) -> int:
+    origins = store.origins()
+    if as_json:
+        facts = {name: origin._asdict() for name, origin in sorted(origins.items())}
+        sys.stdout.write(json.dumps(facts, indent=2) + "\n")
+        return 0
+    if not origins:
+        sys.stdout.write("Nothing is learnt. Try `roboneuron ros learn graph`.\n")
+    width = max(map(len, origins), default=0)
+    for name, origin in sorted(origins.items()):
+        sys.stdout.write(f"{name:<{width}}  {origin.type_hash[:19]}  {origin.source}\n")
+    return 0
+
+
+def _show(store: Store, type_name: str) -> int:
+    name = parse_name(type_name)
+    if not store.has(name):
+        raise ConfigurationError(
+            f"{name} is not learnt.",
+            hint="`roboneuron ros list` shows what is; `roboneuron describe` shows compiled types.",
+        )
+    origin = store.origins()[str(name)]
+    sys.stdout.write(f"# {name}\n# {origin.type_hash}\n# from {origin.source}\n{store.text(name)}")
+    return 0
+
+
+def _forget(store: Store, package: str) -> int:
+    count = store.forget(package)
+    if not count:
+        raise ConfigurationError(f"Nothing of a package {package!r} is learnt.")
+    sys.stdout.write(f"{count} interfaces of {package} are forgotten.\n")
+    return 0

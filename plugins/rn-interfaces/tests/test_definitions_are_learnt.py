@@ -1,0 +1,178 @@
+"""Definitions from folders, tarballs, recordings and rosbags: kept, or refused with a reason."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tarfile
+from contextlib import suppress
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+from made_packages import WELD, write_package
+from mcap.writer import Writer
+
+from rn_interfaces.finder import PREFIXES
+from rn_interfaces.learning import Learnt, Text, learn
+from rn_interfaces.sources import definitions
+from rn_interfaces.store import MOST_TEXT, Name, Store, parse_name
+from roboneuron import ConfigurationError
+
+SEAM = Name("weld_msgs", "msg", "Seam")
+
+
+@pytest.fixture
+def empty(tmp_path: Path, user: Path, monkeypatch: pytest.MonkeyPatch) -> Store:
+    """A store of somebody else, who does not have this user's."""
+    monkeypatch.setenv(PREFIXES, sys.prefix)
+    return Store(tmp_path / "store")
+
+
+def taught(store: Store, **texts: str) -> Learnt:
+    """Learn messages of a package `own_msgs`."""
+    return learn(store, {Name("own_msgs", "msg", n): Text(t, "a test") for n, t in texts.items()})
+
+
+def test_a_folder_and_a_tarball_give_the_same(tmp_path: Path) -> None:
+    folder = write_package(tmp_path / "src", "any_folder", WELD)
+    (folder / "package.xml").write_text("<package><name>weld_msgs</name></package>")
+    with tarfile.open(tmp_path / "src.tar.gz", "w:gz") as archive:
+        archive.add(folder, "src/any_folder")
+    found = definitions(tmp_path / "src")
+    assert {str(name) for name in found} == {
+        *(f"weld_msgs/msg/{word}" for word in ("Seam", "Path", "EmptyPart")),
+        "weld_msgs/srv/Strike",
+        "weld_msgs/action/Weld",
+    }
+    packed = definitions(tmp_path / "src.tar.gz")
+    assert {n: t.text for n, t in packed.items()} == {n: t.text for n, t in found.items()}
+    assert definitions(folder / "msg" / "EmptyPart.msg").keys() == {
+        Name("any_folder", "msg", "EmptyPart")
+    }
+
+
+def test_a_recording_gives_its_schemas(tmp_path: Path, empty: Store) -> None:
+    path = tmp_path / "weld.mcap"
+    rule = "=" * 80
+    text = f"Seam[] seams\n{rule}\nMSG: weld_msgs/Seam\nint32 number\n"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start("ros2")
+        writer.register_schema("weld_msgs/msg/Welds", "ros2msg", text.encode())
+        writer.finish()
+    learnt = learn(empty, definitions(path))
+    assert {name.word for name in learnt.added} == {"Welds", "Seam"}
+    path.write_bytes(path.read_bytes()[:60])
+    with pytest.raises(ConfigurationError, match="MCAP"):
+        definitions(path)
+
+
+def test_what_is_no_definition_is_refused_and_the_rest_is_kept(empty: Store) -> None:
+    learnt = taught(
+        empty,
+        Good="int32 number\n",
+        Bad="int3 number\n",
+        OnBad="Bad bad\n",
+        Lost="nobody_msgs/Thing thing\n",
+        Absent="std_msgs/NoSuch thing\n",
+        Huge="float64[99999999] numbers\n",
+        Long="# " + "x" * MOST_TEXT,
+    )
+    assert [name.word for name in learnt.added] == ["Good"]
+    reasons = {name.word: reason for name, reason in learnt.refused.items()}
+    assert "is no definition" in reasons["Bad"]
+    assert "own_msgs/msg/Bad" in reasons["OnBad"]
+    assert "nobody_msgs/msg/Thing, which is not known" in reasons["Lost"]
+    assert "std_msgs/msg/NoSuch" in reasons["Absent"]
+    assert "99999999 elements" in reasons["Huge"]
+    assert "bytes of text" in reasons["Long"]
+    assert [str(name) for name in empty.names()] == ["own_msgs/msg/Good"]
+
+
+def test_messages_that_hold_each_other_are_refused(empty: Store) -> None:
+    with pytest.raises(ConfigurationError, match="hold themselves"):
+        taught(empty, A="B b\n", B="A a\n")
+
+
+def test_compiled_packages_are_left_alone(empty: Store) -> None:
+    learnt = learn(empty, {Name("std_msgs", "msg", "Own"): Text("int32 a\n", "a test")})
+    assert learnt.compiled == {"std_msgs"}
+    assert not empty.names()
+
+
+def test_a_hash_that_the_node_does_not_have_is_refused(empty: Store) -> None:
+    wrong = "RIHS01_" + "0" * 64
+    learnt = learn(empty, {SEAM: Text("int32 a\n", "node /welder", wrong)})
+    assert f"the node says {wrong}" in learnt.refused[SEAM]
+    assert not empty.names()
+
+
+def test_missing_messages_come_from_rosbags(empty: Store) -> None:
+    taught(empty, Frames="tf2_msgs/TFMessage frames\n")
+    origins = empty.origins()
+    assert origins["tf2_msgs/msg/TFMessage"].source.startswith("rosbags")
+    assert origins["own_msgs/msg/Frames"].source == "a test"
+
+
+def test_another_text_changes_what_uses_it(empty: Store) -> None:
+    first = taught(empty, Part="int32 a\n", Whole="Part part\n")
+    again = taught(empty, Part="int32 a\n")
+    assert (len(again.added), len(again.known)) == (0, 1)
+    changed = taught(empty, Part="int64 a\n")
+    assert {name.word for name in changed.added} == {"Part", "Whole"}
+    assert set(changed.added.values()).isdisjoint(first.added.values())
+    assert empty.forget("own_msgs") == 2
+    assert not empty.names()
+    assert not empty.origins()
+
+
+@pytest.mark.parametrize("name", ["std_msgs/Header", "../msg/A", "a/msg/../B", "a/msg/a", "a/x/A"])
+def test_names_that_are_none_are_refused(name: str) -> None:
+    with pytest.raises(ConfigurationError, match="not the name of an interface"):
+        parse_name(name)
+
+
+def test_text_of_strangers_is_never_run(user: Path, tmp_path: Path) -> None:
+    mark = tmp_path / "mark"
+    code = f"open('{mark}', 'w')"
+    quoted = code.replace("'", "\\'")
+    learnt = taught(
+        Store(),
+        Quotes=f"string A='' + str({code}) + ''\n",
+        Double=f"string B=\"'+str({quoted})+'\"\n",
+        Slashes=f"string c '\\\\\"+str({quoted})+\"'\n",
+        Comment=f'# """ + {code} + """\nint32 d  # \'\'\' {code}\n',
+        Lines=f"string E='a\\n{quoted}'\n",
+        Braces=f"string F='@(({quoted}))'\n",
+    )
+    assert len(learnt.added) + len(learnt.refused) == 6
+    assert learnt.added
+    package = import_module("own_msgs.msg")
+    for name in learnt.added:
+        with suppress(SyntaxError):  # a class that cannot be read is no way in either
+            getattr(package, name.word)()
+    assert not mark.exists()
+
+
+def test_the_command_learns_lists_shows_and_forgets(user: Path, tmp_path: Path) -> None:
+    folder = write_package(tmp_path, "weld_msgs", WELD)
+    environment = {**os.environ, "XDG_DATA_HOME": str(tmp_path / "data"), PREFIXES: sys.prefix}
+
+    def ros(*words: str) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, "-m", "roboneuron.cli.main", "ros", *words]
+        return subprocess.run(
+            command, capture_output=True, text=True, env=environment, timeout=60, check=False
+        )
+
+    learnt = ros("learn", str(folder))
+    assert learnt.returncode == 0, learnt.stderr
+    assert learnt.stdout.endswith("5 learnt, 0 known, 0 refused.\n")
+    listed = json.loads(ros("list", "--json").stdout)
+    assert listed["weld_msgs/msg/Seam"]["source"] == str(folder)
+    assert 'string<=16 tool "tig"' in ros("show", "weld_msgs/msg/Seam").stdout
+    assert ros("show", "weld_msgs/msg/None").returncode == 2
+    assert ros("forget", "weld_msgs").stdout.startswith("5 interfaces")
+    assert ros("learn", str(tmp_path / "nowhere")).returncode == 2

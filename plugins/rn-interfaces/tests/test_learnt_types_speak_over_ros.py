@@ -1,0 +1,158 @@
+"""Learnt messages, services and actions through plain rclpy, beside what strangers send."""
+
+from __future__ import annotations
+
+import random
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import suppress
+from typing import Any
+
+import pytest
+import rclpy
+from made_messages import filled
+from rclpy.action import ActionClient, ActionServer
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.exceptions import InvalidHandle
+from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
+from rclpy.node import Node
+from rclpy.serialization import serialize_message
+
+from rn_interfaces.finder import PREFIXES
+from rn_interfaces.graph import hash_here
+from rn_interfaces.store import Name, Store
+from rn_interfaces_learning.nodes import NodeGraph, ask_nodes
+from rn_testing.domain import free_ros_domain
+from rn_testing.waiting import wait_until
+from roboneuron.ros.environment import prepare_environment
+from roboneuron.ros.link import RosLink
+
+pytestmark = [pytest.mark.ros, pytest.mark.timeout(120)]
+SEAM = Name("weld_msgs", "msg", "Seam")
+
+
+@pytest.fixture
+def node(store: Store, tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> Iterator[Node]:
+    """A node that four threads spin, in a domain without nodes of other tests."""
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(free_ros_domain()))
+    prepare_environment(tmp_path)
+    context = rclpy.Context()
+    rclpy.init(context=context)
+    made = Node("welder", context=context)
+    executor = MultiThreadedExecutor(4, context=context)
+    executor.add_node(made)
+
+    def spin() -> None:
+        with suppress(ExternalShutdownException, InvalidHandle):
+            executor.spin()
+
+    thread = threading.Thread(target=spin, daemon=True)
+    thread.start()
+    yield made
+    executor.shutdown(timeout_sec=2.0)
+    thread.join(5.0)
+    made.destroy_node()
+    context.try_shutdown()
+
+
+def result_of(future: Any) -> Any:
+    """What a future becomes."""
+    wait_until(future.done, 10.0)
+    return future.result()
+
+
+def test_topic_service_and_action_carry_learnt_types(node: Node) -> None:
+    from weld_msgs.action import Weld
+    from weld_msgs.msg import Path, Seam
+    from weld_msgs.srv import Strike
+
+    group = ReentrantCallbackGroup()
+    got: list[Path] = []
+    node.create_subscription(Path, "/path", got.append, 10, callback_group=group)
+    publisher = node.create_publisher(Path, "/path", 10)
+    wait_until(lambda: publisher.get_subscription_count() == 1, 10.0)
+    sent = filled(Path, random.Random(1))
+    publisher.publish(sent)
+    wait_until(lambda: got == [sent], 10.0)
+
+    def strike(request: Strike.Request, response: Strike.Response) -> Strike.Response:
+        response.success, response.message = request.dry, request.seam.tool
+        return response
+
+    node.create_service(Strike, "/strike", strike, callback_group=group)
+    client = node.create_client(Strike, "/strike", callback_group=group)
+    assert client.wait_for_service(10.0)
+    answer = result_of(client.call_async(Strike.Request(dry=True, seam=Seam(tool="mag"))))
+    assert (answer.success, answer.message) == (True, "mag")
+
+    def weld(goal: Any) -> Weld.Result:
+        goal.publish_feedback(Weld.Feedback(done=0.5))
+        goal.succeed()
+        return Weld.Result(length=goal.request.seam.offset[0])
+
+    server = ActionServer(node, Weld, "/weld", weld, callback_group=group)
+    asking = ActionClient(node, Weld, "/weld", callback_group=group)
+    assert asking.wait_for_server(10.0)
+    told: list[float] = []
+    goal = result_of(
+        asking.send_goal_async(
+            Weld.Goal(seam=Seam(offset=[1.5, 2.0, 3.0])),
+            feedback_callback=lambda message: told.append(message.feedback.done),
+        )
+    )
+    assert result_of(goal.get_result_async()).result.length == 1.5
+    wait_until(lambda: told == [0.5], 10.0)
+    asking.destroy()
+    server.destroy()
+
+
+def test_what_a_stranger_sends_is_dropped_and_the_next_message_comes(node: Node) -> None:
+    from weld_msgs.msg import Path
+
+    rng = random.Random(5)
+    got: list[Path] = []
+    node.create_subscription(Path, "/odd", got.append, 100)
+    publisher = node.create_publisher(Path, "/odd", 100)
+    wait_until(lambda: publisher.get_subscription_count() == 1, 10.0)
+    good = filled(Path, rng)
+    data = serialize_message(good)
+    for _ in range(50):
+        publisher.publish(data[:4] + bytes(rng.randrange(256) for _ in range(len(data) // 3)))
+    publisher.publish(good)
+    wait_until(lambda: bool(got) and got[-1] == good, 10.0)
+
+
+@pytest.fixture
+def link(node: Node) -> Iterator[RosLink]:
+    """The node of a command, beside the other one."""
+    made = RosLink("roboneuron_asks")
+    made.open()
+    yield made
+    made.close()
+
+
+def until_discovered(link: RosLink, *topics: str) -> NodeGraph:
+    """The graph, once its topics and the node's services are there."""
+    graph = NodeGraph(link)
+    wait_until(lambda: graph.topics().keys() >= set(topics), 10.0)
+    wait_until(lambda: "/welder/get_type_description" in graph.services(), 10.0)
+    return graph
+
+
+def test_a_node_gives_the_definition_of_what_it_publishes(
+    node: Node, link: RosLink, store: Store, tmp_path: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from weld_msgs.msg import Seam
+    from weld_msgs.srv import Strike
+
+    node.create_publisher(Seam, "/seam", 10)
+    node.create_service(Strike, "/strike", lambda request, response: response)
+    monkeypatch.setenv(PREFIXES, sys.prefix)  # another user has another store
+    empty = Store(tmp_path / "empty")
+    found = ask_nodes(until_discovered(link, "/seam"), empty)
+    assert SEAM in found.texts, found.unanswered
+    assert found.texts[SEAM].text == store.text(SEAM)
+    assert found.texts[SEAM].type_hash == hash_here(store, SEAM)
+    assert "learn it from a folder" in found.unanswered["weld_msgs/srv/Strike"]
+    assert not ask_nodes(NodeGraph(link), store).texts, "all of it is known"

@@ -1,0 +1,59 @@
+"""Whether others mean the same type by its name: the RIHS01 hashes of REP 2016."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections.abc import Sequence
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from roboneuron import ConfigurationError
+
+if TYPE_CHECKING:
+    from rclpy.topic_endpoint_info import TopicEndpointInfo
+
+_KNOWN = "RIHS01_"
+_NAMELESS = "_NODE_NAME_UNKNOWN_"
+"""rcl's name for the node of an endpoint that was discovered before its node."""
+
+
+@cache
+def _own_hash(type_name: str) -> str:
+    """Of the type as this process has it, empty where nothing says it; kept, as the class is."""
+    for prefix in [*os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep), sys.prefix]:
+        path = Path(prefix, "share", f"{type_name}.json")
+        if prefix and path.is_file():
+            hashes = json.loads(path.read_text(encoding="utf-8"))["type_hashes"]
+            return next(
+                (str(one["hash_string"]) for one in hashes if one["type_name"] == type_name), ""
+            )
+    return ""
+
+
+def check_type_hash(topic: str, type_name: str, infos: Sequence[TopicEndpointInfo]) -> None:
+    """Refuse a topic whose other end has another definition of the type.
+
+    ROS 2 before Iron and other vendors send no hash; nothing can be said about them.
+
+    Args:
+        topic: for the message.
+        type_name: as in the exposure, package/msg/Name.
+        infos: the publishers or subscriptions.
+
+    Raises:
+        ConfigurationError: names the node and what to do.
+    """
+    own = _own_hash(type_name)
+    for info in infos:
+        spoken = str(info.topic_type_hash)
+        if own and spoken.startswith(_KNOWN) and spoken != own:
+            who = "A node" if info.node_name == _NAMELESS else str(info.node_name)
+            raise ConfigurationError(
+                f"{who} has another definition of {type_name} on {topic} than this "
+                f"server: {spoken[:15]}, not {own[:15]}.",
+                hint="Learn the node's: `roboneuron ros learn graph`, and start the server again; "
+                "or install the package of its version.",
+            )
