@@ -220,17 +220,14 @@ class AuditLog:
         """A record as one line of ASCII; fields that are empty are left out."""
         now_ns = self._clock_ns()
         written = datetime.fromtimestamp(now_ns / 1e9, UTC).isoformat(timespec="milliseconds")
-        given = {name: getattr(record, name) for name in record.__dataclass_fields__}
-        facts = {"time": written, "time_ns": now_ns, **{k: v for k, v in given.items() if v}}
-        text = ""
-        # of one piece, because an agent waits for it; only arguments can be no JSON, or too long
-        with contextlib.suppress(ValueError, TypeError, RecursionError):
-            text = _STRICT.encode(facts)
-        if not text or len(text) > _MAX_ARGUMENTS:
-            if record.arguments:
-                facts["arguments"] = _bounded(record.arguments)
-            text = _STRICT.encode(facts)
-        return f"{text}\n".encode("ascii")
+        parts = [f'"time":"{written}","time_ns":{now_ns}']
+        # field by field, so that the arguments, the most of it, become JSON once
+        for name in record.__dataclass_fields__:
+            value = getattr(record, name)
+            if value:
+                text = _bounded(value) if name == "arguments" else _PLAIN.encode(value)
+                parts.append(f'"{name}":{text}')
+        return f"{{{','.join(parts)}}}\n".encode("ascii")
 
 
 def _placeholder(value: object) -> str:
@@ -238,25 +235,35 @@ def _placeholder(value: object) -> str:
 
 
 # made once: to make one costs as much as to write a record
+_PLAIN = json.JSONEncoder(separators=(",", ":"), allow_nan=False)
 _STRICT = json.JSONEncoder(separators=(",", ":"), allow_nan=False, default=_placeholder)
 _LENIENT = json.JSONEncoder(separators=(",", ":"), default=_placeholder)
 
 
-def _bounded(arguments: Mapping[str, Any]) -> object:
-    """What JSON can hold of the arguments: truncated, or the reason why they cannot be
-    serialized.
+def _bounded(arguments: Mapping[str, Any]) -> str:
+    """The arguments as JSON, truncated, or the reason why they cannot be serialized."""
+    try:
+        text = _to_json(arguments)
+    except (ValueError, TypeError, RecursionError) as error:
+        return _PLAIN.encode({"unwritable": type(error).__name__})
+    if len(text) > _MAX_ARGUMENTS:
+        return _PLAIN.encode({"length": len(text), "begins": text[:_MAX_ARGUMENTS]})
+    return text
+
+
+def _to_json(arguments: Mapping[str, Any]) -> str:
+    """JSON that every reader takes.
+
+    Raises:
+        ValueError, TypeError, RecursionError: of an encoder, for a circle or too deep a tree.
     """
     try:
+        return _STRICT.encode(arguments)
+    except ValueError:  # a NaN, which JSON has not: it becomes text
         text = _LENIENT.encode(arguments)
-        kept: object = {}
-        if len(text) <= _MAX_ARGUMENTS:
-            kept = json.loads(text, parse_constant=str)  # JSON has no NaN: it becomes text
-            text = _STRICT.encode(kept)
-    except (ValueError, TypeError, RecursionError) as error:
-        return {"unwritable": type(error).__name__}
-    if len(text) <= _MAX_ARGUMENTS:
-        return kept
-    return {"length": len(text), "begins": text[:_MAX_ARGUMENTS]}
+        if len(text) > _MAX_ARGUMENTS:
+            return text
+        return _STRICT.encode(json.loads(text, parse_constant=str))
 
 
 @contextlib.contextmanager
