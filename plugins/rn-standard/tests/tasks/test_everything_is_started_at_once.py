@@ -44,7 +44,7 @@ class FakeLoop:
         self.prepared: list[str] = []
         for kind in MODULE_KINDS:
             setattr(self, kind, object() if kind in configured else None)
-        self.phases = dict.fromkeys(MODULE_KINDS, "stopped")
+        self.slots = self.phases = dict.fromkeys(MODULE_KINDS, "stopped")
         self.cancelled = {kind: threading.Event() for kind in MODULE_KINDS}
         self.stopped: list[str] = []
         self.begin: Callable[[str], None] = lambda kind: None

@@ -51,7 +51,7 @@ def choose(
         config, request = _with_model(config, request, model)
     configured = _configured_names(kind, config)
     section = _section(kind, config, registry, request)
-    update = {kind: section}
+    update: dict[str, Section] = {kind: section}
     plan, spec, names = KIND_ENTRIES[kind].plan(config.model_copy(update=update), registry)
     config = _merge(config, next(iter(names.values())), spec, getattr(request, "options", {}), role)
     if chosen_by_agent:
