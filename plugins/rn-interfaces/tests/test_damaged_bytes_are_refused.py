@@ -62,6 +62,7 @@ def test_rclpy_goes_on_after_damaged_bytes(store: Store) -> None:
     ("field", "value", "words"),
     [
         ("flags", [1, 2, 3, 4, 5], "5 entries, more than 4"),
+        ("flags", [300], "cannot be encoded"),
         ("offset", [1.0], "1 entries, not 3"),
         ("tool", "x" * 17, "17 bytes, the type allows 16"),
         ("tool", 5, "cannot be encoded"),

@@ -59,6 +59,8 @@ class CdrError(ValueError):
     """Bytes that are no message of the type, or a message that its type has no bytes for."""
 
 
+_UNFIT = (StructError, TypeError, AttributeError, ValueError, IndexError, OverflowError)
+"""What values of other types than a field's raise when they are encoded."""
 LARGE = 65_536
 """Size of an array [B] from which on it is not copied into what is encoded."""
 
@@ -120,7 +122,7 @@ def codec(cls: type) -> Codec:
         out = Parts()
         try:
             write(message, out)
-        except (StructError, TypeError, AttributeError, ValueError, IndexError) as error:
+        except _UNFIT as error:
             raise CdrError(f"this {name} cannot be encoded: {error}") from error
         return out if out.blocks else bytes(out)
 
