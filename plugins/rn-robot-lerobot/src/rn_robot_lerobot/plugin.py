@@ -58,7 +58,7 @@ def roboneuron_perceptions() -> Sequence[PerceptionSpec]:
             name="so101-sim-camera",
             summary="Front and wrist camera of the simulated SO-101, drawn on the CPU",
             target="rn_robot_lerobot.camera_source:SimulatedCameras",
-            config="rn_robot_lerobot.options:SimulatedCamerasOptions",
+            config="rn_simulation.arm_options:SimulatedCamerasOptions",
             case="rn_robot_lerobot.contract_cases:cameras_case",
             requires=(_MUJOCO,),
             robots=("so101",),

@@ -17,8 +17,8 @@ from rn_robot_lerobot.arm import JOINTS
 from rn_robot_lerobot.bus.motors import MotorChain
 from rn_robot_lerobot.bus.packets import PacketReader
 from rn_robot_lerobot.calibration import MotorCalibration
-from rn_robot_lerobot.simulation import START
-from rn_robot_lerobot.world import STEP_S, So101World
+from rn_robot_lerobot.simulation import CELL, build_world
+from rn_simulation.arm_cell import STEP_S
 from rn_simulation.pace import Pace
 from rn_simulation.setpoint import JointSetpoint
 
@@ -60,8 +60,9 @@ class SerialArm:
         ]
 
     def __enter__(self) -> SerialArm:
-        self._world = So101World([])
-        self._world.set_joints(START.tolist())
+        self._world = build_world([])
+        self._world.prepare_physics(STEP_S, CELL.force.tolist())
+        self._world.set_joints(CELL.start.tolist())
         self.motors.measure(*self._world.joint_states())
         for thread in self._threads:
             thread.start()
@@ -77,7 +78,7 @@ class SerialArm:
     @property
     def position(self) -> F64:
         """Joints now, float64 (6,) [rad]."""
-        return self.history[-1][1] if self.history else START
+        return self.history[-1][1] if self.history else CELL.start
 
     def rest_after_s(self, fault_s: float, tolerance_rad: float = 5e-3) -> float:
         """Time from `fault_s` [monotonic s] until no joint was away from where it is now [s]."""
@@ -88,7 +89,7 @@ class SerialArm:
     def _move(self) -> None:
         count = len(JOINTS)
         speed = np.full(count, _MOTOR_SPEED_RAD_S)
-        setpoint = JointSetpoint(START, speed, np.full(count, _MOTOR_ACCELERATION_RAD_S2))
+        setpoint = JointSetpoint(CELL.start, speed, np.full(count, _MOTOR_ACCELERATION_RAD_S2))
         pace = Pace(step_s=STEP_S)
         while not self._ending.is_set():
             steps = pace.due_steps(time.monotonic())
