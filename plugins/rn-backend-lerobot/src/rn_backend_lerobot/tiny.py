@@ -111,11 +111,33 @@ def _statistics(shape: TinyShape) -> dict[str, dict[str, object]]:
     return {**images, "observation.state": values, "action": values}
 
 
-def _save(directory: Path, policy: _Saved, config: object, shape: TinyShape) -> None:
+def _write(
+    directory: Path,
+    shape: TinyShape,
+    configure: Callable[..., object],
+    policy: Callable[[object], _Saved],
+    **settings: object,
+) -> None:
+    """Save a policy of random weights with its processors.
+
+    Args:
+        directory: where to.
+        shape: what it takes and gives.
+        configure, policy: LeRobot's classes of its configuration and of itself.
+        settings: of its configuration, beside those of every policy here.
+    """
     from lerobot.policies.factory import make_pre_post_processors
 
+    inputs, outputs = _features(shape)
+    config = configure(
+        input_features=inputs,
+        output_features=outputs,
+        device="cpu",
+        n_action_steps=8,
+        **settings,
+    )
     before, after = make_pre_post_processors(config, dataset_stats=_statistics(shape))
-    for part in (policy, before, after):
+    for part in (policy(config), before, after):
         part.save_pretrained(directory)
 
 
@@ -123,13 +145,12 @@ def _write_act(directory: Path, shape: TinyShape) -> None:
     from lerobot.policies.act.configuration_act import ACTConfig
     from lerobot.policies.act.modeling_act import ACTPolicy
 
-    inputs, outputs = _features(shape)
-    config = ACTConfig(
-        input_features=inputs,
-        output_features=outputs,
-        device="cpu",
+    _write(
+        directory,
+        shape,
+        ACTConfig,
+        ACTPolicy,
         chunk_size=16,
-        n_action_steps=8,
         dim_model=32,
         n_heads=2,
         dim_feedforward=64,
@@ -139,21 +160,19 @@ def _write_act(directory: Path, shape: TinyShape) -> None:
         latent_dim=8,
         pretrained_backbone_weights=None,
     )
-    _save(directory, ACTPolicy(config), config, shape)
 
 
 def _write_diffusion(directory: Path, shape: TinyShape) -> None:
     from lerobot.policies.diffusion.configuration_diffusion import DiffusionConfig
     from lerobot.policies.diffusion.modeling_diffusion import DiffusionPolicy
 
-    inputs, outputs = _features(shape)
-    config = DiffusionConfig(
-        input_features=inputs,
-        output_features=outputs,
-        device="cpu",
+    _write(
+        directory,
+        shape,
+        DiffusionConfig,
+        DiffusionPolicy,
         n_obs_steps=2,
         horizon=16,
-        n_action_steps=8,
         down_dims=(32, 64),
         diffusion_step_embed_dim=16,
         spatial_softmax_num_keypoints=8,
@@ -161,7 +180,6 @@ def _write_diffusion(directory: Path, shape: TinyShape) -> None:
         num_inference_steps=2,
         pretrained_backbone_weights=None,
     )
-    _save(directory, DiffusionPolicy(config), config, shape)
 
 
 def _write_smolvla(directory: Path, shape: TinyShape) -> None:
@@ -169,13 +187,12 @@ def _write_smolvla(directory: Path, shape: TinyShape) -> None:
     from lerobot.policies.smolvla.modeling_smolvla import SmolVLAPolicy
 
     _write_backbone(directory / BACKBONE)
-    inputs, outputs = _features(shape)
-    config = SmolVLAConfig(
-        input_features=inputs,
-        output_features=outputs,
-        device="cpu",
+    _write(
+        directory,
+        shape,
+        SmolVLAConfig,
+        SmolVLAPolicy,
         chunk_size=16,
-        n_action_steps=8,
         num_steps=4,
         num_vlm_layers=2,
         expert_width_multiplier=0.5,
@@ -183,7 +200,6 @@ def _write_smolvla(directory: Path, shape: TinyShape) -> None:
         vlm_model_name=str(directory / BACKBONE),
         load_vlm_weights=False,
     )
-    _save(directory, SmolVLAPolicy(config), config, shape)
 
 
 def _write_backbone(directory: Path) -> None:
@@ -258,26 +274,24 @@ def _write_pi05(directory: Path, shape: TinyShape) -> None:
     from lerobot.policies.pi05.modeling_pi05 import PI05Policy
 
     _tokenizer().save_pretrained(directory / TOKENIZER)
-    inputs, outputs = _features(shape)
-    config = PI05Config(
-        input_features=inputs,
-        output_features=outputs,
-        device="cpu",
-        chunk_size=16,
-        n_action_steps=8,
-        num_inference_steps=4,
-        max_state_dim=32,
-        max_action_dim=32,
-        image_resolution=(64, 64),
-        tokenizer_max_length=64,
-    )
     step = processor_pi05.TokenizerProcessorStep
 
     def local(**options: object) -> object:
         return step(**{**options, "tokenizer_name": str(directory / TOKENIZER)})
 
     with small_gemma(), mock.patch.object(processor_pi05, "TokenizerProcessorStep", local):
-        _save(directory, PI05Policy(config), config, shape)
+        _write(
+            directory,
+            shape,
+            PI05Config,
+            PI05Policy,
+            chunk_size=16,
+            num_inference_steps=4,
+            max_state_dim=32,
+            max_action_dim=32,
+            image_resolution=(64, 64),
+            tokenizer_max_length=64,
+        )
 
 
 _WRITERS: dict[Policy, Callable[[Path, TinyShape], None]] = {
