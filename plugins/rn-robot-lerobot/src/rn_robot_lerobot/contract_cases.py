@@ -35,6 +35,11 @@ def robot_case() -> RobotCase:
     return RobotCase(spec=roboneuron_robots()[0], driver="simulated")
 
 
+def koch_case() -> RobotCase:
+    """The Koch arm, which no driver may move: it has no simulation."""
+    return RobotCase(spec=roboneuron_robots()[1], driver=None)
+
+
 def cameras_case() -> PerceptionCase:
     """The simulated cameras, fed with the scene at rest."""
 
