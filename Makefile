@@ -179,14 +179,15 @@ LEROBOT_POLICIES := roboneuron-core $(addprefix plugins/,rn-standard rn-simulati
 	@touch $@
 
 test-lerobot-robots: $(VENV)/.develop .venv-lerobot/.ready-robots ## lerobot's own commands with our robots, and our driver with lerobot's
-	$(BIN)/python -m pytest plugins/lerobot-robot-roboneuron/tests -m "slow or not slow" $(ARGS)
+	$(BIN)/python -m pytest plugins/lerobot-robot-roboneuron/tests plugins/rn-robot-lerobot/tests \
+	  -m "slow or not slow" $(ARGS)
 
 LEROBOT_PACKAGES := roboneuron-core plugins/rn-simulation plugins/rn-robot-fr3 plugins/rn-robot-lerobot \
   plugins/lerobot-robot-roboneuron
 
 .venv-lerobot/.ready-robots: .venv-lerobot/.ready $(addsuffix /pyproject.toml,$(LEROBOT_PACKAGES))
 	.venv-lerobot/bin/python -m pip install --quiet --disable-pip-version-check \
-	  'lerobot[dataset,hardware,feetech]==0.6.1' $(addprefix --editable ,$(LEROBOT_PACKAGES))
+	  'lerobot[dataset,hardware,feetech,dynamixel]==0.6.1' $(addprefix --editable ,$(LEROBOT_PACKAGES))
 	@touch $@
 
 # Checkouts of https://github.com/Physical-Intelligence/openpi (15a9616 made the numbers that are here) and

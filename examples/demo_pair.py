@@ -9,20 +9,19 @@ Exit status 0 means that it says yes. Film strip, GIF and the server's log go to
 
 from __future__ import annotations
 
-import argparse
+import functools
 import json
-import random
 import sys
 import time
 from contextlib import suppress
 from pathlib import Path
 
 import anyio
+from cube_demo import run_demo
 
-from rn_standard.console.client import spawned_server
 from rn_standard.demo.agent import Agent, module_status
 from rn_standard.demo.film import DemoFilm
-from roboneuron import NotReadyError, RoboNeuronError
+from roboneuron import NotReadyError
 
 CONFIG = Path(__file__).with_name("pair.toml")
 COLOURS = ("red", "green", "blue", "yellow")
@@ -36,11 +35,8 @@ HANDED_OVER = {
 ATTEMPT_S, ATTEMPTS, LOOK_S = 90.0, 2, 0.3
 
 
-async def play(agent: Agent, colour: str, film: DemoFilm) -> dict[str, object]:
-    """Start everything and have the cube handed over; the answer of run_task."""
-    for tool in ("start_robot", "start_perception", "start_control"):
-        await agent.call(tool)
-        print(f"  {tool}", flush=True)
+async def play(agent: Agent, colour: str, film: DemoFilm) -> bool:
+    """Have the cube handed over; whether run_task says that it was."""
     answer: dict[str, object] = {}
     begun_s = time.monotonic()
     async with anyio.create_task_group() as group:
@@ -65,34 +61,18 @@ async def play(agent: Agent, colour: str, film: DemoFilm) -> dict[str, object]:
     detail = module_status(await agent.status(), "robot").get("detail") or {}
     cube = json.loads(detail.get("cubes", "{}"))[colour]
     print(f"  the simulator says: {cube}", flush=True)
-    return answer
-
-
-async def main() -> int:
-    """0 when the cube was handed over."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seed", type=int, default=None, help="of the scene; default: a new one")
-    parser.add_argument("--colour", choices=COLOURS, default="red")
-    parser.add_argument("--output", type=Path, default=Path("out/demo-pair"))
-    chosen = parser.parse_args()
-    seed = random.SystemRandom().randrange(10_000) if chosen.seed is None else chosen.seed
-    chosen.output.mkdir(parents=True, exist_ok=True)
-    config = chosen.output / "pair.toml"
-    text = CONFIG.read_text(encoding="utf-8")
-    config.write_text(f"{text}\n[plugins.fr3-pair]\nseed = {seed}\n", encoding="utf-8")
-    print(f"scene {seed}: hand over the {chosen.colour} cube", flush=True)
-    film = DemoFilm()
-    async with spawned_server(["--config", str(config)], chosen.output / "server.log") as client:
-        agent = Agent(client)
-        try:
-            answer = await play(agent, chosen.colour, film)
-        finally:
-            with suppress(RoboNeuronError):  # the server ends next and takes what is left along
-                await agent.call("stop_all")
-    strip, gif = film.save(chosen.output)
-    print(f"  {answer['outcome']}: {answer['reason']}\n  film strip  {strip}\n  film  {gif}")
-    return 0 if answer["outcome"] == "succeeded" else 1
+    print(f"  {answer['outcome']}: {answer['reason']}", flush=True)
+    return answer["outcome"] == "succeeded"
 
 
 if __name__ == "__main__":
-    sys.exit(anyio.run(main))
+    demo = functools.partial(
+        run_demo,
+        __doc__ or "",
+        robot="fr3-pair",
+        config=CONFIG,
+        task="hand over the {colour} cube",
+        colours=COLOURS,
+        play=play,
+    )
+    sys.exit(anyio.run(demo))

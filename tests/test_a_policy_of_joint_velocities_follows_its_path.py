@@ -5,7 +5,6 @@ real processes; judged at the TCP.
 from __future__ import annotations
 
 import sys
-import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -29,6 +28,7 @@ sys.path.pop(0)
 
 from rn_robot_fr3.profile import profile
 from rn_simulation.engine import ENGINES
+from rn_testing.spinning import spinning_node
 from rn_testing.waiting import wait_until
 from roboneuron.config import parse_config
 from roboneuron.plugins.availability import is_importable
@@ -110,42 +110,21 @@ class Witness:
 @contextmanager
 def listening() -> Iterator[Witness]:
     """A node of its own that sees what moves the arm, and where it is."""
-    import rclpy
-    from rclpy.executors import SingleThreadedExecutor
     from sensor_msgs.msg import JointState
     from std_msgs.msg import Float64MultiArray
 
     from roboneuron.ros.qos import NEWEST
 
-    context = rclpy.Context()
-    rclpy.init(context=context)
-    node = rclpy.create_node("witness", namespace="fr3", context=context)
     seen = Witness()
-    node.create_subscription(
-        JointState,
-        "joint_states",
-        lambda state: seen.joints.append(tuple(state.position[:7])),
-        NEWEST,
-    )
-    node.create_subscription(Float64MultiArray, "action", seen.note_action, NEWEST)
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(node)
-    stop = threading.Event()
-
-    def spin() -> None:
-        while not stop.is_set():
-            executor.spin_once(timeout_sec=0.05)
-
-    thread = threading.Thread(target=spin)
-    thread.start()
-    try:
+    with spinning_node("fr3") as node:
+        node.create_subscription(
+            JointState,
+            "joint_states",
+            lambda state: seen.joints.append(tuple(state.position[:7])),
+            NEWEST,
+        )
+        node.create_subscription(Float64MultiArray, "action", seen.note_action, NEWEST)
         yield seen
-    finally:
-        stop.set()
-        thread.join()
-        executor.shutdown(timeout_sec=1.0)
-        node.destroy_node()
-        rclpy.try_shutdown(context=context)
 
 
 # Rows that come late because others use the processor are lost: nothing may run beside this.

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import json
 import sys
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -34,6 +33,7 @@ from rn_backend_pi0.profiles import JOINT_PROFILES
 from rn_backend_pi0.tiny import make_tiny
 from rn_runtime_torch.config import TorchRuntimeConfig
 from rn_runtime_torch.runtime import TorchRuntime
+from rn_testing.spinning import spinning_node
 from rn_testing.waiting import wait_until
 from roboneuron.config import parse_config
 from roboneuron.contract import (
@@ -113,36 +113,17 @@ class Witness:
 @contextmanager
 def listening() -> Iterator[Witness]:
     """A node of its own that sees what moves the arms, and where they are."""
-    import rclpy
-    from rclpy.executors import SingleThreadedExecutor
     from rclpy.qos import QoSProfile
     from sensor_msgs.msg import JointState
     from std_msgs.msg import Float64MultiArray
 
-    context = rclpy.Context()
-    rclpy.init(context=context)
-    node = rclpy.create_node("witness", namespace="two_arms", context=context)
     seen = Witness()
-    node.create_subscription(JointState, "joint_states", seen.note_state, QoSProfile(depth=200))
-    node.create_subscription(Float64MultiArray, "action", seen.note_action, QoSProfile(depth=200))
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(node)
-    stop = threading.Event()
-
-    def spin() -> None:
-        while not stop.is_set():
-            executor.spin_once(timeout_sec=0.05)
-
-    thread = threading.Thread(target=spin)
-    thread.start()
-    try:
+    with spinning_node("two_arms") as node:
+        node.create_subscription(JointState, "joint_states", seen.note_state, QoSProfile(depth=200))
+        node.create_subscription(
+            Float64MultiArray, "action", seen.note_action, QoSProfile(depth=200)
+        )
         yield seen
-    finally:
-        stop.set()
-        thread.join()
-        executor.shutdown(timeout_sec=1.0)
-        node.destroy_node()
-        rclpy.try_shutdown(context=context)
 
 
 def at_home() -> Observation:

@@ -4,12 +4,16 @@ are current.
 
 from __future__ import annotations
 
-import os
 import re
 import subprocess
 import sys
 import tomllib
 from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent))
+from contract_run import contract_run
+
+sys.path.pop(0)
 
 from roboneuron.cli.main import main
 from roboneuron.plugins import hookspecs
@@ -17,6 +21,8 @@ from roboneuron.plugins.registry import Status
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "writing-a-plugin.md").read_text(encoding="utf-8")
+
+STRICT = ("-W", "error")
 
 
 def test_the_plugin_of_the_page_keeps_its_contract(tmp_path):
@@ -28,28 +34,7 @@ def test_the_plugin_of_the_page_keeps_its_contract(tmp_path):
     for name, text in files:
         assert (project / name).exists(), name
         (project / name).write_text(text)
-    done = subprocess.run(
-        [
-            sys.executable,
-            "-m",
-            "pytest",
-            "-q",
-            "-p",
-            "no:cacheprovider",
-            "-W",
-            "error",
-            "-k",
-            "TestNod",
-        ],
-        cwd=project,
-        env={**os.environ, "PYTHONPATH": str(project / "src"), "PYTHONDONTWRITEBYTECODE": "1"},
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert re.search(r"\d\d passed", done.stdout)
+    assert re.search(r"\d\d passed", contract_run(project, "TestNod", options=STRICT))
 
 
 def test_the_extra_with_what_tests_need_has_one_name():
@@ -78,16 +63,7 @@ def test_the_feature_of_the_page_keeps_its_contract_and_is_short(tmp_path):
     )
     assert len([line for line in text.splitlines() if line.strip()]) <= 40
     (project / name).write_text(text)
-    done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-k", "TestOdometer"],
-        cwd=project,
-        env={**os.environ, "PYTHONPATH": str(project / "src"), "PYTHONDONTWRITEBYTECODE": "1"},
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
+    contract_run(project, "TestOdometer")
 
 
 def test_the_page_explains_every_status():

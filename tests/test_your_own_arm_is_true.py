@@ -4,7 +4,6 @@ moves.
 
 from __future__ import annotations
 
-import os
 import re
 import subprocess
 import sys
@@ -12,12 +11,19 @@ from pathlib import Path
 
 import pytest
 
+sys.path.insert(0, str(Path(__file__).parent))
+from contract_run import contract_run
+
+sys.path.pop(0)
+
 from roboneuron.cli.main import main
 
 PAGE = (Path(__file__).parents[1] / "docs" / "tutorials" / "your-own-arm.md").read_text(
     encoding="utf-8"
 )
 FILES = dict(re.findall(r"<!-- file: (\S+) -->\n```\w+\n(.*?)```", PAGE, flags=re.DOTALL))
+
+STRICT = ("-W", "error")
 
 
 @pytest.fixture
@@ -44,28 +50,9 @@ def test_the_page_has_all_files() -> None:
 
 
 def test_the_arm_of_the_page_keeps_its_contract(project: Path) -> None:
-    done = subprocess.run(
-        [
-            sys.executable,
-            "-m",
-            "pytest",
-            "-q",
-            "-p",
-            "no:cacheprovider",
-            "-W",
-            "error",
-            "-k",
-            "TestMyarm",
-        ],
-        cwd=project,
-        env={**os.environ, "PYTHONPATH": str(project / "src"), "PYTHONDONTWRITEBYTECODE": "1"},
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
+    assert re.search(
+        r"\d\d passed", contract_run(project, "TestMyarm", options=STRICT, timeout_s=300.0)
     )
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert re.search(r"\d\d passed", done.stdout)
 
 
 @pytest.mark.ros

@@ -21,7 +21,7 @@ from lerobot_lane import BIN, Served
 
 from rn_robot_lerobot.arm import HOME_RAD
 from rn_robot_lerobot.bus.arm import SerialArm
-from rn_robot_lerobot.bus.motors import BusFaults
+from rn_robot_lerobot.bus.chain import BusFaults
 from rn_robot_lerobot.bus.reference import ENCODER_ZEROS, reference_calibration
 from rn_robot_lerobot.calibration import MotorCalibration
 from rn_testing.waiting import wait_until

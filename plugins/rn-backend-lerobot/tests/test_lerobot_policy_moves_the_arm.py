@@ -10,7 +10,6 @@ import os
 import shutil
 import signal
 import subprocess
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -23,6 +22,7 @@ import pytest
 
 from rn_robot_fr3.profile import profile
 from rn_testing.domain import free_ros_domain
+from rn_testing.spinning import spinning_node
 from rn_testing.waiting import holds_within, wait_until
 from roboneuron import RoboNeuronError
 from roboneuron.config import Config, parse_config
@@ -130,44 +130,23 @@ def _apart_rad(one: dict[str, float], other: dict[str, float]) -> float:
 @contextmanager
 def listening() -> Iterator[Witness]:
     """A node of its own that hears images, joints and actions."""
-    import rclpy
-    from rclpy.executors import SingleThreadedExecutor
     from sensor_msgs.msg import Image, JointState
     from std_msgs.msg import Float64MultiArray
 
     from roboneuron.ros.qos import NEWEST
 
-    context = rclpy.Context()
-    rclpy.init(context=context)
-    node = rclpy.create_node("witness", namespace="fr3", context=context)
     seen = Witness()
-    for camera in ("front", "wrist"):
-        node.create_subscription(
-            Image,
-            f"camera/{camera}/image",
-            lambda message, camera=camera: seen.on_image(camera, message),
-            NEWEST,
-        )
-    node.create_subscription(JointState, "joint_states", seen.on_joints, NEWEST)
-    node.create_subscription(Float64MultiArray, "action", seen.on_action, 100)
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(node)
-    stop = threading.Event()
-
-    def spin() -> None:
-        while not stop.is_set():
-            executor.spin_once(timeout_sec=0.05)
-
-    thread = threading.Thread(target=spin)
-    thread.start()
-    try:
+    with spinning_node("fr3") as node:
+        for camera in ("front", "wrist"):
+            node.create_subscription(
+                Image,
+                f"camera/{camera}/image",
+                lambda message, camera=camera: seen.on_image(camera, message),
+                NEWEST,
+            )
+        node.create_subscription(JointState, "joint_states", seen.on_joints, NEWEST)
+        node.create_subscription(Float64MultiArray, "action", seen.on_action, 100)
         yield seen
-    finally:
-        stop.set()
-        thread.join()
-        executor.shutdown(timeout_sec=1.0)
-        node.destroy_node()
-        rclpy.try_shutdown(context=context)
 
 
 @pytest.fixture(scope="module")

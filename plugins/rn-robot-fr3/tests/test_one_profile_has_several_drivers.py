@@ -6,10 +6,10 @@ import inspect
 
 import pytest
 
-from rn_robot_fr3 import state_message
 from rn_robot_fr3.fci import state_topics
 from rn_robot_fr3.plugin import roboneuron_robots
 from rn_robot_fr3.profile import profile
+from rn_simulation.scene_state import TOPIC
 from roboneuron.plugins.availability import is_importable
 from roboneuron.plugins.loading import load_options_model, load_target
 
@@ -43,6 +43,4 @@ def test_the_topics_that_drivers_write_are_named_in_the_profile():
         "CURRENT_POSE",
         "ROBOT_STATE",
     )
-    assert {state_message.TOPIC, *(getattr(state_topics, name) for name in names)} == set(
-        profile().own_topics
-    )
+    assert {TOPIC, *(getattr(state_topics, name) for name in names)} == set(profile().own_topics)

@@ -14,11 +14,11 @@ import pytest
 from rn_robot_fr3.camera_source import SimulatedCameras
 from rn_robot_fr3.cameras import cameras
 from rn_robot_fr3.limits import FINGER_JOINT
-from rn_robot_fr3.options import SimulatedCamerasOptions
 from rn_robot_fr3.profile import profile
 from rn_robot_fr3.simulation import ArmSimulation
-from rn_robot_fr3.state_message import TOPIC, SceneState, to_message
+from rn_simulation.arm_options import SimulatedCamerasOptions
 from rn_simulation.engine import Engine
+from rn_simulation.scene_state import TOPIC, SceneState, poses_of, to_message
 from rn_testing.fakes import MemoryTopics
 from roboneuron.contract import CameraProfile
 from roboneuron.errors import ConfigurationError, NotReadyError, StateError
@@ -29,13 +29,12 @@ Open = Callable[..., SimulatedCameras]
 def state_of(simulation: ArmSimulation, stamp_ns: int) -> SceneState:
     cubes = simulation.cubes()
     return SceneState(
+        robot=simulation.cell.robot,
         engine=simulation.engine,
         seed=simulation.seed,
         cubes=tuple((cube.name, cube.edge_m) for cube in cubes.values()),
         joints=simulation.joint_positions(),
-        cube_poses=np.array(
-            [np.concatenate([c.position_m, c.quaternion_xyzw]) for c in cubes.values()]
-        ),
+        cube_poses=poses_of(cubes),
         stamp_ns=stamp_ns,
     )
 

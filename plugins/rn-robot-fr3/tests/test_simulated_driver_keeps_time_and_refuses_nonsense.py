@@ -11,16 +11,19 @@ import pytest
 from pydantic import ValidationError
 from std_msgs.msg import Float64MultiArray
 
+from rn_robot_fr3.cell import FR3
 from rn_robot_fr3.driver import SimulatedDriver
 from rn_robot_fr3.limits import ARM_JOINTS, FINGER_JOINT
 from rn_robot_fr3.options import SimulatedDriverOptions
 from rn_robot_fr3.profile import HOME_RAD, profile
-from rn_robot_fr3.state_message import TOPIC, from_message, to_message
 from rn_simulation.engine import Engine
+from rn_simulation.scene_state import TOPIC, from_message, to_message
 from rn_testing.fakes import MemoryTopics, gantry_profile
 from rn_testing.waiting import wait_until
 from roboneuron.contract import JointCommand
 from roboneuron.errors import ConfigurationError, InvalidInputError, StateError
+
+COUNTS = {FR3.robot: len(FR3.joints)}
 
 
 @pytest.fixture
@@ -102,7 +105,9 @@ def test_states_are_published_in_order_with_stamps(
     driver: SimulatedDriver, topics: MemoryTopics
 ) -> None:
     wait_until(lambda: len(topics.published(TOPIC)) > 20)
-    states = [from_message(m) for m in topics.published(TOPIC) if isinstance(m, Float64MultiArray)]
+    states = [
+        from_message(m, COUNTS) for m in topics.published(TOPIC) if isinstance(m, Float64MultiArray)
+    ]
     stamps = [state.stamp_ns for state in states]
     assert stamps == sorted(stamps)
     assert abs(states[-1].stamp_ns - time.time_ns()) < 5e9
@@ -152,10 +157,10 @@ def test_senseless_options_are_refused(options: dict[str, object]) -> None:
 
 def test_message_that_is_no_scene_is_refused(driver: SimulatedDriver, topics: MemoryTopics) -> None:
     with pytest.raises(InvalidInputError, match="does not describe"):
-        from_message(Float64MultiArray())
+        from_message(Float64MultiArray(), COUNTS)
     message = topics.published(TOPIC)[0]
     assert isinstance(message, Float64MultiArray)
-    short = to_message(from_message(message))
+    short = to_message(from_message(message, COUNTS))
     short.data = list(short.data)[:-1]
     with pytest.raises(InvalidInputError, match="values"):
-        from_message(short)
+        from_message(short, COUNTS)

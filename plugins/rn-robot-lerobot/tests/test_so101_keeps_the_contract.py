@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from rn_robot_lerobot.contract_cases import cameras_case, robot_case
+from rn_robot_lerobot.contract_cases import cameras_case, koch_case, robot_case
 from rn_testing.cases import PackageCase, PerceptionCase, RobotCase
 from rn_testing.contracts import PackageContract, PerceptionContract, RobotContract
 
@@ -13,6 +13,12 @@ class TestSo101(RobotContract):
     @pytest.fixture
     def plugin(self) -> RobotCase:
         return robot_case()
+
+
+class TestKoch(RobotContract):
+    @pytest.fixture
+    def plugin(self) -> RobotCase:
+        return koch_case()
 
 
 class TestSimulatedCameras(PerceptionContract):

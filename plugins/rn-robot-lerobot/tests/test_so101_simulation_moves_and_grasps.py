@@ -8,18 +8,20 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from rn_robot_lerobot.arm import ACCELERATION_RAD_S2, ARM_JOINTS, JAW_CLOSED_RAD, JOINTS
+from rn_robot_lerobot.arm import ACCELERATION_RAD_S2, ARM_JOINTS, JAW_CLOSED_RAD, JOINTS, NAME
 from rn_robot_lerobot.cameras import cameras
 from rn_robot_lerobot.driver import SimulatedDriver
 from rn_robot_lerobot.options import SimulatedDriverOptions
 from rn_robot_lerobot.profile import profile
 from rn_robot_lerobot.scene import LIFTED_M, REGION, random_cubes
-from rn_robot_lerobot.simulation import START, So101Simulation, opening
-from rn_robot_lerobot.state_message import TOPIC, from_message
-from rn_robot_lerobot.world import STEP_S
+from rn_robot_lerobot.simulation import CELL, So101Simulation
+from rn_simulation.arm_cell import STEP_S
+from rn_simulation.scene_state import TOPIC, from_message
 from rn_testing.fakes import MemoryTopics
 from rn_testing.waiting import wait_until
 from roboneuron import ConfigurationError, InvalidInputError, JointCommand
+
+START = CELL.start
 
 
 def joints_above(x_m: float, y_m: float, z_m: float, yaw_rad: float) -> np.ndarray:
@@ -53,7 +55,7 @@ def test_a_cube_is_grasped_and_lifted(seed: int) -> None:
         low = joints_above(cube.x_m, cube.y_m, 0.014, yaw)
         for arm, jaw in ((high, START[-1]), (low, START[-1]), (low, JAW_CLOSED_RAD)):
             go(simulation, arm, jaw, 1.5)
-        grasped = opening(simulation.joint_states()[0])
+        grasped = simulation.gripper_open()
         assert 0.05 < grasped < 0.3
         go(simulation, high, JAW_CLOSED_RAD, 1.5)
         simulation.step(240)
@@ -65,7 +67,7 @@ def test_a_cube_is_grasped_and_lifted(seed: int) -> None:
 def test_a_gripper_that_closes_on_nothing_is_closed() -> None:
     with So101Simulation(colours=("red",)) as simulation:
         go(simulation, START[:5], JAW_CLOSED_RAD, 1.0)
-        assert opening(simulation.joint_states()[0]) < 0.02
+        assert simulation.gripper_open() < 0.02
 
 
 def test_the_arm_follows_and_brakes_within_its_acceleration() -> None:
@@ -138,9 +140,9 @@ def test_the_driver_tells_its_state_and_keeps_a_grasp_when_it_holds() -> None:
         )
         assert driver.send(command).names == command.names
         driver.hold()
-        assert wait_until(lambda: opening(driver.read().joints.position) < 0.12)
+        assert wait_until(lambda: (driver.read().gripper_open or 0.0) < 0.12)
         assert wait_until(lambda: bool(topics.published(TOPIC)))
-        told = from_message(topics.published(TOPIC)[-1])
+        told = from_message(topics.published(TOPIC)[-1], {NAME: len(JOINTS)})
         assert [name for name, _ in told.cubes] == ["red", "green", "blue"]
     finally:
         driver.close()

@@ -18,8 +18,7 @@ import pytest
 from rn_robot_lerobot import lerobot_driver
 from rn_robot_lerobot.arm import HOME_RAD, JOINTS
 from rn_robot_lerobot.bus.arm import SerialArm
-from rn_robot_lerobot.bus.motors import BusFaults
-from rn_robot_lerobot.bus.packets import READ, SYNC_WRITE, WRITE, Packet
+from rn_robot_lerobot.bus.chain import READ, SYNC_WRITE, WRITE, BusFaults, Packet
 from rn_robot_lerobot.bus.reference import ENCODER_ZEROS, reference_calibration
 from rn_robot_lerobot.lerobot_arm import calibration_of, connect, map_motors
 from rn_robot_lerobot.lerobot_driver import LerobotDriver
@@ -71,12 +70,18 @@ class StandInFollower:
         self.is_calibrated = True
         self.is_connected = False
         self.calibration = reference_calibration()
+        self.missed = 0
+        """So many times to come it does not connect."""
         self.wild = 0
         """So many readings to come are wild ones."""
 
     def connect(self, calibrate: bool = True) -> None:
         assert not calibrate  # it would wait for a person
+        assert not self.is_connected
         self.is_connected = True
+        if self.missed > 0:
+            self.missed -= 1
+            raise ConnectionError("There is no status packet!")
         for number in range(1, 7):
             self._ask(Packet(number, WRITE, bytes((TORQUE, 1))))
 
@@ -329,6 +334,17 @@ def test_a_bus_that_does_not_answer_and_another_calibration_are_refused(
     assert not follower.is_connected
 
 
+def test_a_lost_answer_while_it_connects_is_asked_for_again(follower: StandInFollower) -> None:
+    follower.missed = 2
+    connect(follower, LerobotDriverOptions())
+    assert follower.is_connected
+    follower.disconnect()
+    follower.missed = 3
+    with pytest.raises(NotReadyError, match="does not answer"):
+        connect(follower, LerobotDriverOptions())
+    assert not follower.is_connected
+
+
 def test_a_lacking_calibration_is_refused_before_the_bus_is_opened(
     follower: StandInFollower,
 ) -> None:
@@ -344,7 +360,7 @@ def test_a_lacking_calibration_is_refused_before_the_bus_is_opened(
     [
         ({"tail": MotorOption()}, "motors names 'tail'"),
         ({"elbow_flex": MotorOption(joint="elbow")}, "moves the joint 'elbow', which robot"),
-        ({"elbow_flex": MotorOption(unit="range")}, "in degrees .*expects range"),
+        ({"elbow_flex": MotorOption(unit="range")}, "in degrees, the driver expects range"),
         ({"elbow_flex": MotorOption(joint="wrist_flex")}, "joint comes twice"),
         ({"elbow_flex": MotorOption(joint="gripper", unit="degrees")}, "joint comes twice"),
     ],

@@ -12,26 +12,25 @@ import pytest
 
 from rn_robot_lerobot.arm import JOINTS
 from rn_robot_lerobot.bus.arm import SerialArm
-from rn_robot_lerobot.bus.motors import OVERLOAD, BusFaults, MotorChain, decode, encode
-from rn_robot_lerobot.bus.packets import (
+from rn_robot_lerobot.bus.chain import (
     PING,
     READ,
     SYNC_READ,
     SYNC_WRITE,
     WRITE,
+    BusFaults,
     Packet,
-    PacketReader,
-    checksum,
-    status,
 )
+from rn_robot_lerobot.bus.motors import OVERLOAD, FeetechChain, decode, encode
+from rn_robot_lerobot.bus.packets import PacketReader, checksum, status
 from rn_robot_lerobot.bus.reference import ENCODER_ZEROS, reference_calibration
 from rn_testing.waiting import wait_until
 
 GOAL, TORQUE, LOCK, POSITION, LOWEST = 42, 40, 55, 56, 9
 
 
-def chain() -> MotorChain:
-    motors = MotorChain(ENCODER_ZEROS)
+def chain() -> FeetechChain:
+    motors = FeetechChain(ENCODER_ZEROS)
     motors.calibrate(reference_calibration())
     motors.measure(np.zeros(6), np.zeros(6))
     return motors

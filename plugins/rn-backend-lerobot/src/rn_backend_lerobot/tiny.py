@@ -115,11 +115,32 @@ def _statistics(shape: TinyShape) -> dict[str, dict[str, object]]:
     return {**images, "observation.state": values, "action": values}
 
 
-def _save(directory: Path, policy: _Saved, config: object, shape: TinyShape) -> None:
+def _write(
+    directory: Path,
+    shape: TinyShape,
+    configure: Callable[..., object],
+    policy: Callable[[object], _Saved],
+    **settings: object,
+) -> None:
+    """Save a policy of random weights with its processors.
+
+    Args:
+        directory: where to.
+        shape: what it takes and gives.
+        configure, policy: LeRobot's classes of its configuration and of itself.
+        settings: of its configuration, beside those of every policy here.
+    """
     from lerobot.policies.factory import make_pre_post_processors
 
+    inputs, outputs = _features(shape)
+    config = configure(
+        input_features=inputs,
+        output_features=outputs,
+        device="cpu",
+        **settings,
+    )
     before, after = make_pre_post_processors(config, dataset_stats=_statistics(shape))
-    for part in (policy, before, after):
+    for part in (policy(config), before, after):
         part.save_pretrained(directory)
 
 
@@ -127,11 +148,11 @@ def _write_act(directory: Path, shape: TinyShape) -> None:
     from lerobot.policies.act.configuration_act import ACTConfig
     from lerobot.policies.act.modeling_act import ACTPolicy
 
-    inputs, outputs = _features(shape)
-    config = ACTConfig(
-        input_features=inputs,
-        output_features=outputs,
-        device="cpu",
+    _write(
+        directory,
+        shape,
+        ACTConfig,
+        ACTPolicy,
         chunk_size=16,
         n_action_steps=8,
         dim_model=32,
@@ -143,18 +164,17 @@ def _write_act(directory: Path, shape: TinyShape) -> None:
         latent_dim=8,
         pretrained_backbone_weights=None,
     )
-    _save(directory, ACTPolicy(config), config, shape)
 
 
 def _write_diffusion(directory: Path, shape: TinyShape) -> None:
     from lerobot.policies.diffusion.configuration_diffusion import DiffusionConfig
     from lerobot.policies.diffusion.modeling_diffusion import DiffusionPolicy
 
-    inputs, outputs = _features(shape)
-    config = DiffusionConfig(
-        input_features=inputs,
-        output_features=outputs,
-        device="cpu",
+    _write(
+        directory,
+        shape,
+        DiffusionConfig,
+        DiffusionPolicy,
         n_obs_steps=2,
         horizon=16,
         n_action_steps=8,
@@ -165,7 +185,6 @@ def _write_diffusion(directory: Path, shape: TinyShape) -> None:
         num_inference_steps=2,
         pretrained_backbone_weights=None,
     )
-    _save(directory, DiffusionPolicy(config), config, shape)
 
 
 def _write_smolvla(directory: Path, shape: TinyShape) -> None:
@@ -173,11 +192,11 @@ def _write_smolvla(directory: Path, shape: TinyShape) -> None:
     from lerobot.policies.smolvla.modeling_smolvla import SmolVLAPolicy
 
     _write_backbone(directory / BACKBONE)
-    inputs, outputs = _features(shape)
-    config = SmolVLAConfig(
-        input_features=inputs,
-        output_features=outputs,
-        device="cpu",
+    _write(
+        directory,
+        shape,
+        SmolVLAConfig,
+        SmolVLAPolicy,
         chunk_size=16,
         n_action_steps=8,
         num_steps=4,
@@ -187,7 +206,6 @@ def _write_smolvla(directory: Path, shape: TinyShape) -> None:
         vlm_model_name=str(directory / BACKBONE),
         load_vlm_weights=False,
     )
-    _save(directory, SmolVLAPolicy(config), config, shape)
 
 
 def _write_backbone(directory: Path) -> None:
@@ -260,12 +278,17 @@ def _write_vqbet(directory: Path, shape: TinyShape) -> None:
     from lerobot.policies.vqbet.configuration_vqbet import VQBeTConfig
     from lerobot.policies.vqbet.modeling_vqbet import VQBeTPolicy
 
-    shape = replace(shape, cameras=shape.cameras[:1])  # it takes one
-    inputs, outputs = _features(shape)
-    config = VQBeTConfig(
-        input_features=inputs,
-        output_features=outputs,
-        device="cpu",
+    def trained(config: object) -> _Saved:
+        policy = VQBeTPolicy(config)
+        # as after the first phase of the training: LeRobot warns at each action otherwise
+        policy.vqbet.action_head.vqvae_model.discretized.fill_(True)
+        return policy
+
+    _write(
+        directory,
+        replace(shape, cameras=shape.cameras[:1]),  # it takes one
+        VQBeTConfig,
+        trained,
         n_obs_steps=2,
         n_action_pred_token=2,
         action_chunk_size=5,
@@ -281,10 +304,6 @@ def _write_vqbet(directory: Path, shape: TinyShape) -> None:
         gpt_hidden_dim=32,
         pretrained_backbone_weights=None,
     )
-    policy = VQBeTPolicy(config)
-    # as after the first phase of the training: LeRobot warns at each action otherwise
-    policy.vqbet.action_head.vqvae_model.discretized.fill_(True)
-    _save(directory, policy, config, shape)
 
 
 def _write_pi0(directory: Path, shape: TinyShape) -> None:
@@ -292,10 +311,8 @@ def _write_pi0(directory: Path, shape: TinyShape) -> None:
     from lerobot.policies.pi0.configuration_pi0 import PI0Config
     from lerobot.policies.pi0.modeling_pi0 import PI0Policy
 
-    inputs, outputs = _features(shape)
-    config = PI0Config(input_features=inputs, output_features=outputs, **_PI)
     with small_gemma(), _local_tokenizer(processor_pi0, directory):
-        _save(directory, PI0Policy(config), config, shape)
+        _write(directory, shape, PI0Config, PI0Policy, **_PI)
 
 
 def _write_pi05(directory: Path, shape: TinyShape) -> None:
@@ -303,14 +320,11 @@ def _write_pi05(directory: Path, shape: TinyShape) -> None:
     from lerobot.policies.pi05.configuration_pi05 import PI05Config
     from lerobot.policies.pi05.modeling_pi05 import PI05Policy
 
-    inputs, outputs = _features(shape)
-    config = PI05Config(input_features=inputs, output_features=outputs, **_PI)
     with small_gemma(), _local_tokenizer(processor_pi05, directory):
-        _save(directory, PI05Policy(config), config, shape)
+        _write(directory, shape, PI05Config, PI05Policy, **_PI)
 
 
 _PI: dict[str, object] = {
-    "device": "cpu",
     "chunk_size": 16,
     "n_action_steps": 8,
     "num_inference_steps": 4,
@@ -340,11 +354,11 @@ def _write_xvla(directory: Path, shape: TinyShape) -> None:
     from lerobot.policies.xvla.modeling_xvla import XVLAPolicy
 
     _tokenizer().save_pretrained(directory / TOKENIZER)
-    inputs, outputs = _features(shape)
-    config = XVLAConfig(
-        input_features=inputs,
-        output_features=outputs,
-        device="cpu",
+    _write(
+        directory,
+        shape,
+        XVLAConfig,
+        XVLAPolicy,
         chunk_size=16,
         n_action_steps=8,
         florence_config=_FLORENCE,
@@ -365,7 +379,6 @@ def _write_xvla(directory: Path, shape: TinyShape) -> None:
             "ACTION": NormalizationMode.MEAN_STD,
         },
     )
-    _save(directory, XVLAPolicy(config), config, shape)
 
 
 _FLORENCE: dict[str, object] = {

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from rn_backend_servo.chunk import chunk_rows, kept_rows, pose_after, rows_done
+from rn_backend_servo.episode import EpisodeBackend
 from rn_backend_servo.geometry import matrix_of
 from rn_backend_servo.history import PoseHistory
 from rn_backend_servo.instruction import parse_instruction
@@ -20,13 +21,12 @@ from roboneuron import (
     InvalidInputError,
     Observation,
     Pose,
-    StateError,
     UngroundedError,
     UnsafeError,
 )
 
 
-class ServoBackend:
+class ServoBackend(EpisodeBackend):
     """Picks up the cube that the instruction names; uses images, TCP pose and gripper opening,
     nothing else.
 
@@ -36,34 +36,25 @@ class ServoBackend:
     goes on when the cause (a black image, a hidden cube) is gone.
     """
 
+    name = "servo"
+
     def __init__(
         self,
         config: ServoOptions | None,
         runtime: AnyRuntime | None = None,
         acceleration: AnyAcceleration | None = None,
     ) -> None:
+        super().__init__()
         self._options = config or ServoOptions()
-        self._is_loaded = False
         self._policy = PickPolicy(self._options)
         self._history = PoseHistory()
         self._watches: dict[str, FrameWatch] = {}
-        self._instruction = ""
 
-    def load(self) -> None:
-        """Become ready; there are no weights."""
-        self._is_loaded = True
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget the episode."""
+    def forget(self) -> None:
+        """See `EpisodeBackend`."""
         self._policy.reset()
         self._history.clear()
         self._watches.clear()
-        self._instruction = ""
-
-    def close(self) -> None:
-        """Refuse to predict from now on."""
-        self._is_loaded = False
 
     def predict(self, observation: Observation) -> ActionChunk:
         """Return the next small motions of the TCP.
@@ -75,15 +66,10 @@ class ServoBackend:
             UnsafeError: the state is not finite.
             StateError: not loaded.
         """
-        if not self._is_loaded:
-            raise StateError(
-                "The backend 'servo' was used before it was loaded.", hint="Call load() first."
-            )
+        self.check_loaded()
         pose, gripper_open = _state(observation)
         colour = parse_instruction(observation.instruction)
-        if observation.instruction != self._instruction:
-            self.reset()
-            self._instruction = observation.instruction
+        self.follow(observation.instruction)
         self._history.add(pose)
         places = {
             role: self._history.at(frame.stamp_ns) for role, frame in observation.frames.items()

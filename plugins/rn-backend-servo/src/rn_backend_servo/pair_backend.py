@@ -8,6 +8,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from rn_backend_servo.episode import EpisodeBackend
 from rn_backend_servo.geometry import F64
 from rn_backend_servo.hand_over import ArmGoal, HandOverPolicy, Stage
 from rn_backend_servo.history import PoseHistory
@@ -27,7 +28,6 @@ from roboneuron import (
     InvalidInputError,
     Observation,
     RobotProfile,
-    StateError,
     UnsafeError,
 )
 
@@ -68,10 +68,12 @@ def _value(channel: Channel, goals: Mapping[str, ArmGoal]) -> float:
     return float(goal.pose.position_m["xyz".index(channel.name)])
 
 
-class HandOverBackend:
+class HandOverBackend(EpisodeBackend):
     """Hands the cube that the instruction names from one arm to the other; uses images, TCP poses
     and openings of both arms, nothing else. One row of `ee_pose` per prediction.
     """
+
+    name = "servo-pair"
 
     def __init__(
         self,
@@ -79,30 +81,19 @@ class HandOverBackend:
         runtime: AnyRuntime | None = None,
         acceleration: AnyAcceleration | None = None,
     ) -> None:
+        super().__init__()
         self._options = config or HandOverOptions()
-        self._is_loaded = False
         self._policy = HandOverPolicy(self._options)
         self._histories: dict[str, PoseHistory] = {}
         # by role of the camera and arm
         self._watches: dict[tuple[str, str], FrameWatch] = {}
-        self._instruction = ""
         self._space = space_of(self._options)
 
-    def load(self) -> None:
-        """Become ready; there are no weights."""
-        self._is_loaded = True
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget the episode."""
+    def forget(self) -> None:
+        """See `EpisodeBackend`."""
         self._policy.reset()
         self._histories.clear()
         self._watches.clear()
-        self._instruction = ""
-
-    def close(self) -> None:
-        """Refuse to predict from now on."""
-        self._is_loaded = False
 
     def predict(self, observation: Observation) -> ActionChunk:
         """Return the next small motions of both TCPs.
@@ -114,10 +105,7 @@ class HandOverBackend:
             UnsafeError: it is not finite.
             StateError: not loaded.
         """
-        if not self._is_loaded:
-            raise StateError(
-                "The backend 'servo-pair' was used before it was loaded.", hint="Call load() first."
-            )
+        self.check_loaded()
         options = self._options
         if "primary" not in observation.frames:
             raise InvalidInputError(
@@ -126,9 +114,7 @@ class HandOverBackend:
         giver = self._state(observation, options.giver)
         taker = self._state(observation, options.taker)
         colour = parse_hand_over(observation.instruction)
-        if observation.instruction != self._instruction:
-            self.reset()
-            self._instruction = observation.instruction
+        self.follow(observation.instruction)
         policy = self._policy
         places = self._watch(observation)
         sighting = None

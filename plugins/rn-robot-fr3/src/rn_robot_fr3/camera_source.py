@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
-import numpy as np
-from numpy.typing import NDArray
-from std_msgs.msg import Float64MultiArray
-
 from rn_robot_fr3.cameras import cell_cameras
-from rn_robot_fr3.cell import FR3, PAIR, Cell
-from rn_robot_fr3.options import SimulatedCamerasOptions
-from rn_robot_fr3.state_message import TOPIC, SceneState, from_message
-from rn_robot_fr3.twin import RenderTwin
+from rn_robot_fr3.cell import CELLS, FR3, PAIR, Cell
+from rn_robot_fr3.world import build_world
+from rn_simulation.arm_cameras import SimulatedArmCameras
+from rn_simulation.arm_world import ArmWorld
+from rn_simulation.cubes import Cube
 from rn_simulation.pinhole import PinholeCamera
-from rn_simulation.state_cameras import StateCameras
-from roboneuron import CameraProfile, Topics
+from rn_simulation.scene_state import SceneState
 
 
-class SimulatedCameras(StateCameras[SceneState]):
+class SimulatedCameras(SimulatedArmCameras):
     """Front and wrist camera of the simulated FR3.
 
     Attributes:
@@ -27,39 +23,23 @@ class SimulatedCameras(StateCameras[SceneState]):
     """
 
     cell: ClassVar[Cell] = FR3
-
-    def __init__(
-        self,
-        config: SimulatedCamerasOptions | None,
-        topics: Topics,
-        cameras: Sequence[CameraProfile],
-    ) -> None:
-        """Remember what to serve; `cameras` are profiles of the robot's cameras."""
-        super().__init__(config or SimulatedCamerasOptions(), topics, cameras)
-        self.robot, self.topic = self.cell.robot, TOPIC
-        self._twin = RenderTwin()
+    robot = FR3.robot
 
     def known(self) -> Sequence[PinholeCamera]:
         """See `StateCameras`."""
         return cell_cameras(self.cell)
 
-    def parse(self, message: Float64MultiArray) -> SceneState:
-        """See `StateCameras`."""
-        return from_message(message)
+    def joint_counts(self) -> Mapping[str, int]:
+        """See `SimulatedArmCameras`."""
+        return {name: len(cell.joints) for name, cell in CELLS.items()}
 
-    def draw(
-        self, state: SceneState, camera: PinholeCamera, size: tuple[int, int]
-    ) -> NDArray[np.uint8]:
-        """See `StateCameras`."""
-        self._twin.show(state)
-        return self._twin.render(camera.calibration(*size), *size)
-
-    def release(self) -> None:
-        """See `StateCameras`."""
-        self._twin.close()
+    def build(self, state: SceneState, cubes: Sequence[Cube]) -> ArmWorld:
+        """See `SimulatedArmCameras`."""
+        return build_world(state.engine, cubes, cell=CELLS[state.robot])
 
 
 class SimulatedPairCameras(SimulatedCameras):
     """The cameras of two simulated FR3s."""
 
     cell: ClassVar[Cell] = PAIR
+    robot = PAIR.robot

@@ -64,15 +64,6 @@ class Cell:
         """Joints that a command may name: of each arm seven and one finger."""
         return tuple(f"{mount.prefix}{joint}" for mount in self.mounts for joint in MOVED)
 
-    def arm_that_carries(self, camera_mount: str) -> int | None:
-        """Number of the arm that carries a camera with this `mount`; None for one beside the
-        table.
-        """
-        if camera_mount == "base":
-            return None
-        names = [f"{mount.name}/tcp" for mount in self.mounts]
-        return names.index(camera_mount) if camera_mount in names else 0
-
 
 FR3 = Cell(
     robot="fr3",

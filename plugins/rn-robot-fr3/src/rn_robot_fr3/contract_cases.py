@@ -2,37 +2,30 @@
 
 from __future__ import annotations
 
-import math
-
-import numpy as np
 from std_msgs.msg import Float64MultiArray
 
 from rn_robot_fr3.cell import FR3, PAIR, Cell
-from rn_robot_fr3.limits import FINGER_OPEN_M
 from rn_robot_fr3.plugin import roboneuron_perceptions, roboneuron_robots
-from rn_robot_fr3.profile import HOME_RAD, pair_profile, profile
+from rn_robot_fr3.profile import pair_profile, profile
 from rn_robot_fr3.scene import random_cubes
-from rn_robot_fr3.state_message import TOPIC, SceneState, to_message
+from rn_robot_fr3.simulated_cell import arm_cell
 from rn_simulation.engine import choose_engine
+from rn_simulation.scene_state import TOPIC, SceneState, at_rest, to_message
 from rn_testing.cases import PerceptionCase, RobotCase
 from rn_testing.fakes import MemoryTopics
 
 
 def state_at_home(seed: int, stamp_ns: int, cell: Cell = FR3) -> Float64MultiArray:
     """What the simulation tells its cameras before anything has moved."""
-    cubes = random_cubes(seed)
-    poses = [
-        (c.x_m, c.y_m, c.edge_m / 2, 0.0, 0.0, math.sin(c.yaw_rad / 2), math.cos(c.yaw_rad / 2))
-        for c in cubes
-    ]
+    cubes, arms = random_cubes(seed), arm_cell(cell)
     return to_message(
         SceneState(
             robot=cell.robot,
             engine=choose_engine("auto"),
             seed=seed,
             cubes=tuple((cube.name, cube.edge_m) for cube in cubes),
-            joints=np.tile([*HOME_RAD, FINGER_OPEN_M, FINGER_OPEN_M], len(cell.mounts)),
-            cube_poses=np.array(poses),
+            joints=arms.start[list(arms.followed)],
+            cube_poses=at_rest(cubes),
             stamp_ns=stamp_ns,
         )
     )

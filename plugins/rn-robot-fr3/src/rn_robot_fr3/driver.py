@@ -1,191 +1,27 @@
-"""The driver `simulated`: runs the simulation in real time in a thread of its own."""
+"""The driver `simulated`."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable
-from dataclasses import replace
-
-import numpy as np
-from std_msgs.msg import Float64, Float64MultiArray
-
 from rn_robot_fr3.cell import CELLS, FR3
 from rn_robot_fr3.options import SimulatedDriverOptions
-from rn_robot_fr3.simulation import STEP_S, ArmSimulation, opening
-from rn_robot_fr3.state_message import HANDED_OVER_TOPIC, TOPIC, SceneState, to_message
-from rn_simulation.ground_truth import CubeState
-from rn_simulation.real_time import RealTimeThread
-from roboneuron import (
-    ConfigurationError,
-    JointCommand,
-    JointSample,
-    RobotProfile,
-    RobotState,
-    StateError,
-    Topics,
-)
-
-_CATCH_UP_S = 1.0 / 60.0
-"""An arm whose time was held up does not jump: by the wall clock its TCP would be faster than its
-limit.
-"""
+from rn_robot_fr3.simulation import ArmSimulation
+from rn_simulation.arm_driver import SimulatedArmDriver
+from roboneuron import RobotProfile, Topics
 
 
-class SimulatedDriver:
-    """Follows the protocol `RobotDriver`; every method may be called from any thread.
-
-    The simulation steps at 240 Hz times `real_time_factor` and tells its state on the topic
-    `sim/state`, from which `SimulatedCameras` draws its pictures in another process: no picture
-    delays a step.
-    """
+class SimulatedDriver(SimulatedArmDriver):
+    """Drives one simulated FR3, or the pair of them where the profile is the pair's."""
 
     def __init__(
         self, config: SimulatedDriverOptions | None, profile: RobotProfile, topics: Topics
     ) -> None:
         """Remember what to simulate."""
-        self._options = config or SimulatedDriverOptions()
-        self._profile = profile
-        self._topics = topics
-        self._publish: Callable[[Float64MultiArray], None] | None = None
-        self._tell: Callable[[Float64], None] | None = None
-        self._cell = CELLS.get(profile.name, FR3)
-        self._simulation = ArmSimulation(
-            self._options.seed,
-            colours=self._options.colours,
-            engine=self._options.engine,
-            gui=self._options.gui,
-            cell=self._cell,
+        options = config or SimulatedDriverOptions()
+        simulation = ArmSimulation(
+            options.seed,
+            colours=options.colours,
+            engine=options.engine,
+            gui=options.gui,
+            cell=CELLS.get(profile.name, FR3),
         )
-        self._time = RealTimeThread(
-            "FR3",
-            step_s=STEP_S,
-            factor=self._options.real_time_factor,
-            publish_rate_hz=self._options.state_rate_hz,
-            catch_up_s=_CATCH_UP_S,
-        )
-        self._state: RobotState | None = None
-        self._detail: dict[str, str] = {}
-
-    def open(self) -> None:
-        """Build the scene and let time run; the robot stands at home with an open gripper.
-
-        Raises:
-            ConfigurationError: a window is asked for and there is no display, or the profile is
-                another robot's.
-            NotReadyError: the simulation did not start in time.
-            StateError: it is open already.
-        """
-        self._time.check_stopped()
-        if self._profile.arm_joints != self._cell.arm_joints:
-            raise ConfigurationError(
-                f"The simulated FR3 moves {', '.join(self._cell.arm_joints)}, the profile "
-                f"{self._profile.name!r} has others."
-            )
-        if self._publish is None:
-            self._publish = self._topics.advertise(TOPIC, Float64MultiArray)
-            if len(self._cell.mounts) > 1:
-                self._tell = self._topics.advertise(HANDED_OVER_TOPIC, Float64)
-        self._time.start(self._simulation, self._advance)
-
-    def read(self) -> RobotState:
-        """Return the newest state, measured 120 times per second; see `RobotState.detail` for the
-        cubes.
-
-        `detail` holds "cubes" (JSON: position, height lifted and seconds held of each, of several
-        arms also which hold it and for how long it has been handed over: the simulator's truth),
-        "sim_time_s", "real_time_factor" (achieved during the last second),
-        "seed" and "engine".
-
-        Raises:
-            StateError: not open.
-            UnsafeError: the simulation failed while running.
-        """
-        self._time.check_running()
-        state = self._state
-        if state is None:
-            raise StateError("The simulated FR3 is not open.")
-        return state
-
-    def send(self, command: JointCommand) -> JointCommand:
-        """Move towards `command`; it replaces the one before, without a jump in position or
-        velocity.
-
-        Returns:
-            The command with positions clamped to the limits and the duration that velocity and
-            acceleration allow.
-
-        Raises:
-            InvalidInputError: an unknown joint, a wrong size, a non-finite value, a duration <= 0;
-                nothing is sent.
-            StateError, UnsafeError: as `read`.
-        """
-        self._time.check_running()
-        with self._time.stepping:
-            sent = self._simulation.set_target(command.names, command.position, command.duration_s)
-        return replace(command, position=sent.position, duration_s=sent.duration_s)
-
-    def hold(self) -> None:
-        """Brake the arm to a standstill; the gripper keeps its grasp. Raises as `read`."""
-        self._time.check_running()
-        with self._time.stepping:
-            self._simulation.hold()
-
-    def close(self) -> None:
-        """End the simulation; may be called twice and before `open`."""
-        self._time.stop()
-        self._state = None
-
-    def _advance(self, steps: int, factor: float, publish: bool) -> None:
-        simulation = self._simulation
-        with self._time.stepping:
-            simulation.step(steps)
-            position, velocity = simulation.joint_states()
-            cubes = simulation.cubes() if publish else None
-        stamp_ns = self._topics.now_ns()
-        if cubes is not None and self._publish is not None:
-            poses = [
-                np.concatenate([cube.position_m, cube.quaternion_xyzw]) for cube in cubes.values()
-            ]
-            state = SceneState(
-                robot=self._cell.robot,
-                engine=simulation.engine,
-                seed=simulation.seed,
-                cubes=tuple((cube.name, cube.edge_m) for cube in cubes.values()),
-                joints=position,
-                cube_poses=np.array(poses),
-                stamp_ns=stamp_ns,
-            )
-            self._publish(to_message(state))
-            if self._tell is not None:
-                handed_over_s = max(cube.handed_over_s for cube in cubes.values())
-                self._tell(Float64(data=handed_over_s))
-            facts = {
-                name: {
-                    "position_m": [round(float(value), 4) for value in cube.position_m],
-                    "lifted_m": round(cube.lifted_m, 4),
-                    "held_s": round(cube.held_s, 3),
-                    **_hand_over(cube),
-                }
-                for name, cube in cubes.items()
-            }
-            self._detail = {
-                "cubes": json.dumps(facts, separators=(",", ":")),
-                "sim_time_s": f"{simulation.time_s:.3f}",
-                "real_time_factor": f"{factor:.3f}",
-                "seed": str(simulation.seed),
-                "engine": simulation.engine,
-            }
-        self._state = RobotState(
-            joints=JointSample(
-                names=self._cell.joints, position=position, velocity=velocity, stamp_ns=stamp_ns
-            ),
-            gripper_open=opening(position),
-            detail=self._detail,
-        )
-
-
-def _hand_over(cube: CubeState) -> dict[str, object]:
-    """Which of several arms hold a cube; nothing for one arm, which has no name."""
-    if "" in cube.holders or not cube.holders:
-        return {}
-    return {"holders": list(cube.holders), "handed_over_s": round(cube.handed_over_s, 3)}
+        super().__init__("FR3", simulation, options, profile, topics)

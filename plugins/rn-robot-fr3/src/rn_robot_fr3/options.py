@@ -1,26 +1,16 @@
-"""Options a user may set for the simulated driver and its cameras."""
+"""Options a user may set for the simulated driver."""
 
 from __future__ import annotations
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import Field
 
-from rn_simulation.cubes import DEFAULT_COLOURS, check_colours
+from rn_simulation.arm_options import SimulatedArmOptions
 from rn_simulation.engine import EngineChoice
-from roboneuron import ConfigurationError
 
 
-class SimulatedDriverOptions(BaseModel):
+class SimulatedDriverOptions(SimulatedArmOptions):
     """Options of the driver `simulated`."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    seed: int = Field(
-        default=0, ge=0, description="Where the cubes lie; the same seed gives the same scene."
-    )
-    colours: tuple[str, ...] = Field(
-        default=DEFAULT_COLOURS,
-        description="One cube each: red, green, blue, yellow, orange, purple.",
-    )
     engine: EngineChoice = Field(
         default="auto",
         description="Physics engine; auto is PyBullet where it is installed, otherwise MuJoCo.",
@@ -28,32 +18,3 @@ class SimulatedDriverOptions(BaseModel):
     gui: bool = Field(
         default=False, description="Show PyBullet's window; needs a display. MuJoCo shows none."
     )
-    real_time_factor: float = Field(
-        default=1.0, gt=0.0, le=10.0, description="Simulated seconds per second of wall time."
-    )
-    state_rate_hz: float = Field(
-        default=60.0,
-        ge=1.0,
-        le=240.0,
-        description="How often the cameras are told the simulation's state.",
-    )
-
-    @field_validator("colours")
-    @classmethod
-    def _known_colours(cls, colours: tuple[str, ...]) -> tuple[str, ...]:
-        try:
-            return check_colours(colours)
-        except ConfigurationError as error:
-            raise ValueError(str(error)) from error
-
-
-class SimulatedCamerasOptions(BaseModel):
-    """Options of the perception `fr3-sim-camera`."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    rate_hz: float = Field(
-        default=10.0, gt=0.0, le=60.0, description="Images per second of each camera."
-    )
-    width: int = Field(default=224, ge=32, le=1280, description="Image width [px].")
-    height: int = Field(default=224, ge=32, le=960, description="Image height [px].")

@@ -15,14 +15,17 @@ from rn_robot_fr3.cell import FR3, Cell
 from rn_robot_fr3.description import TCP_LINK, urdf_with_meshes
 from rn_robot_fr3.display import check_display
 from rn_robot_fr3.renderer import render
-from rn_robot_fr3.scene import (
+from rn_robot_fr3.scene import FINGER_FRICTION
+from rn_simulation.arm_cell import carrying_arm
+from rn_simulation.cubes import (
     CUBE_FRICTION,
-    FINGER_FRICTION,
+    RGBA_BY_COLOUR,
     TABLE_FRICTION,
     TABLE_RGBA,
     WOOD_KG_M3,
+    Cube,
+    RawPose,
 )
-from rn_simulation.cubes import RGBA_BY_COLOUR, Cube, RawPose
 from rn_simulation.engine import Engine
 from roboneuron import CameraCalibration, ConfigurationError, matrix_from_quaternion
 
@@ -44,7 +47,7 @@ def _gui_client() -> int:
 
 
 class PybulletArmWorld:
-    """One PyBullet client; follows the protocol `World`.
+    """One PyBullet client; follows the protocol `ArmWorld`.
 
     Attributes:
         client: PyBullet's id of the physics client.
@@ -129,7 +132,7 @@ class PybulletArmWorld:
         return body
 
     def set_cubes(self, poses: Mapping[str, RawPose]) -> None:
-        """See `World`."""
+        """See `ArmWorld`."""
         for name, (position, rotation) in poses.items():
             body = self.cube_bodies[name]
             pybullet.resetBasePositionAndOrientation(
@@ -137,19 +140,19 @@ class PybulletArmWorld:
             )
 
     def cube_poses(self) -> dict[str, RawPose]:
-        """See `World`."""
+        """See `ArmWorld`."""
         return {
             name: pybullet.getBasePositionAndOrientation(body, physicsClientId=self.client)
             for name, body in self.cube_bodies.items()
         }
 
     def set_joints(self, position: Sequence[float]) -> None:
-        """See `World`."""
+        """See `ArmWorld`."""
         for index, value in zip(self.joint_indices, position, strict=True):
             pybullet.resetJointState(self.robot, index, float(value), physicsClientId=self.client)
 
     def prepare_physics(self, step_s: float, force: Sequence[float]) -> None:
-        """See `World`."""
+        """See `ArmWorld`."""
         client = self.client
         self._force = list(force)
         pybullet.setGravity(0.0, 0.0, -9.81, physicsClientId=client)
@@ -199,14 +202,14 @@ class PybulletArmWorld:
         )
         pybullet.changeConstraint(gear, gearRatio=-1, erp=0.2, maxForce=100, physicsClientId=client)
 
-    def step(self, position: Sequence[float], velocity: Sequence[float]) -> None:
-        """See `World`."""
+    def step(self, position: F64, velocity: F64) -> None:
+        """See `ArmWorld`."""
         pybullet.setJointMotorControlArray(
             self.robot,
             self.joint_indices,
             pybullet.POSITION_CONTROL,
-            targetPositions=position,
-            targetVelocities=velocity,
+            targetPositions=position.tolist(),
+            targetVelocities=velocity.tolist(),
             forces=self._force,
             positionGains=[_POSITION_GAIN] * len(self.joint_indices),
             velocityGains=[_VELOCITY_GAIN] * len(self.joint_indices),
@@ -215,14 +218,14 @@ class PybulletArmWorld:
         pybullet.stepSimulation(physicsClientId=self.client)
 
     def joint_states(self) -> tuple[F64, F64]:
-        """See `World`."""
+        """See `ArmWorld`."""
         states = pybullet.getJointStates(
             self.robot, self.joint_indices, physicsClientId=self.client
         )
         return np.array([state[0] for state in states]), np.array([state[1] for state in states])
 
     def T_base_tcp(self, arm: int = 0) -> F64:
-        """See `World`."""
+        """See `ArmWorld`."""
         state = pybullet.getLinkState(
             self.robot,
             self._tcp_indices[arm],
@@ -235,8 +238,8 @@ class PybulletArmWorld:
         return pose
 
     def render(self, calibration: CameraCalibration, width: int, height: int) -> NDArray[np.uint8]:
-        """See `World`."""
-        arm = self._cell.arm_that_carries(calibration.mount)
+        """See `ArmWorld`."""
+        arm = carrying_arm(calibration.mount, [mount.name for mount in self._cell.mounts])
         mount = np.eye(4) if arm is None else self.T_base_tcp(arm)
         return render(self.client, calibration, mount, width, height)
 

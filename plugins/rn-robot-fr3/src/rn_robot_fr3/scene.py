@@ -1,6 +1,4 @@
-"""Which cubes lie where, and what they and the table are made of: a scene is data, drawn from a
-seed, the same on every machine.
-"""
+"""Which cubes lie where: a scene is data, drawn from a seed, the same on every machine."""
 
 from __future__ import annotations
 
@@ -17,14 +15,8 @@ cube's corner.
 """
 EDGE_M = (0.040, 0.048)
 """Cube edges: the diagonal of the largest still passes the open gripper (80 mm)."""
-WOOD_KG_M3 = 700.0
-TABLE_RGBA = (0.80, 0.76, 0.70, 1.0)
-TABLE_FRICTION = 0.8
-"""Sliding friction; the other coefficients are sliding, spinning and rolling (spinning and rolling
-in m).
-"""
 FINGER_FRICTION = (1.2, 0.02, 0.0)
-CUBE_FRICTION = (1.0, 0.005, 0.0005)
+"""Sliding, spinning and rolling (the last two in m)."""
 
 
 def random_cubes(seed: int, colours: Sequence[str] = DEFAULT_COLOURS) -> tuple[Cube, ...]:

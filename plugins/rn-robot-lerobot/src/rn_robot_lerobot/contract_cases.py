@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import math
-
-import numpy as np
 from std_msgs.msg import Float64MultiArray
 
+from rn_robot_lerobot.arm import NAME
 from rn_robot_lerobot.plugin import roboneuron_perceptions, roboneuron_robots
 from rn_robot_lerobot.profile import profile
 from rn_robot_lerobot.scene import random_cubes
-from rn_robot_lerobot.simulation import START
-from rn_robot_lerobot.state_message import TOPIC, SceneState, to_message
+from rn_robot_lerobot.simulation import CELL
+from rn_simulation.scene_state import TOPIC, SceneState, at_rest, to_message
 from rn_testing.cases import PerceptionCase, RobotCase
 from rn_testing.fakes import MemoryTopics
 
@@ -19,15 +17,14 @@ from rn_testing.fakes import MemoryTopics
 def state_at_home(seed: int, stamp_ns: int) -> Float64MultiArray:
     """What the simulation tells its cameras before anything has moved."""
     cubes = random_cubes(seed)
-    poses = [
-        (c.x_m, c.y_m, c.edge_m / 2, 0.0, 0.0, math.sin(c.yaw_rad / 2), math.cos(c.yaw_rad / 2))
-        for c in cubes
-    ]
     return to_message(
         SceneState(
+            robot=NAME,
+            engine="mujoco",
+            seed=seed,
             cubes=tuple((cube.name, cube.edge_m) for cube in cubes),
-            joints=START,
-            cube_poses=np.array(poses),
+            joints=CELL.start,
+            cube_poses=at_rest(cubes),
             stamp_ns=stamp_ns,
         )
     )
@@ -36,6 +33,11 @@ def state_at_home(seed: int, stamp_ns: int) -> Float64MultiArray:
 def robot_case() -> RobotCase:
     """The robot with its simulated driver."""
     return RobotCase(spec=roboneuron_robots()[0], driver="simulated")
+
+
+def koch_case() -> RobotCase:
+    """The Koch arm, which no driver may move: it has no simulation."""
+    return RobotCase(spec=roboneuron_robots()[1], driver=None)
 
 
 def cameras_case() -> PerceptionCase:

@@ -7,6 +7,7 @@ from __future__ import annotations
 import importlib
 import pkgutil
 from collections.abc import Mapping
+from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Protocol, cast
@@ -32,6 +33,10 @@ from roboneuron import (
 
 VERSIONS = ("0.6.1", "0.7")
 """From the first on, before the second."""
+_ATTEMPTS = 3
+"""LeRobot asks each of some sixty questions once when it connects, and a bus loses an answer now
+and then.
+"""
 _UNIT_BY_MODE = {"degrees": "degrees", "range_0_100": "percent", "range_m100_100": "range"}
 """Our words for LeRobot's `MotorNormMode`."""
 
@@ -66,7 +71,8 @@ def check_version(found: str | None) -> None:
         ConfigurationError: it is another version.
     """
     first, end = VERSIONS
-    hint = f'Run: pip install "lerobot[feetech]>={first},<{end}" in the environment of [robot].'
+    wanted = f'"lerobot[feetech,dynamixel]>={first},<{end}"'
+    hint = f"Run: pip install {wanted} in the environment of [robot]."
     if found is None:
         raise MissingDependencyError(
             "The driver 'lerobot' runs in an environment with lerobot, and here is none.",
@@ -161,8 +167,13 @@ def map_motors(
                 f"have; it has {', '.join(joints)}.",
                 hint=f"Say which one: motors.{name}.joint.",
             )
-        unit = option.unit or ("percent" if joint in grippers else "degrees")
-        _check_unit(robot, name, unit)
+        told = _told_unit(robot, name)
+        unit = option.unit or told or ("percent" if joint in grippers else "degrees")
+        if told and told != unit:
+            raise ConfigurationError(
+                f"LeRobot yields motor {name!r} in {told}, the driver expects {unit}.",
+                hint=f"Leave motors.{name}.unit out, or set use_degrees of the robot.",
+            )
         units.append(_unit(name, joint, unit, option, grippers.get(joint), calibration.get(name)))
     try:
         motors = MotorMap(units)
@@ -177,18 +188,13 @@ def map_motors(
     return motors
 
 
-def _check_unit(robot: LerobotRobot, name: str, unit: str) -> None:
-    """Compare with what LeRobot says of its motor, where it says so."""
+def _told_unit(robot: LerobotRobot, name: str) -> str:
+    """Our word for the unit that LeRobot says a motor has; empty where it does not say so."""
     motors = getattr(getattr(robot, "bus", None), "motors", {})
     if name not in motors:
-        return
+        return ""
     mode = str(motors[name].norm_mode.value)
-    yielded = _UNIT_BY_MODE.get(mode, mode)
-    if yielded != unit:
-        raise ConfigurationError(
-            f"LeRobot yields motor {name!r} in {yielded} ({mode}), the driver expects {unit}.",
-            hint=f"Say motors.{name}.unit = {yielded!r}, or set use_degrees of the robot.",
-        )
+    return _UNIT_BY_MODE.get(mode, mode)
 
 
 def _unit(
@@ -236,19 +242,26 @@ def connect(robot: LerobotRobot, options: LerobotDriverOptions) -> None:
     """Open the bus; never begins a calibration, which would wait for a person.
 
     Raises:
-        NotReadyError: the bus or a motor does not answer.
+        NotReadyError: the bus or a motor does not answer, also when it is asked again.
         ConfigurationError: the motors hold another calibration than the file.
     """
     where = f" on {options.port}" if options.port else ""
-    try:
-        robot.connect(calibrate=False)
-        is_calibrated = bool(robot.is_calibrated)
-    except (OSError, RuntimeError) as error:
-        words = " ".join(str(error).split())
-        raise NotReadyError(
-            f"LeRobot's {options.type!r}{where} does not answer: {words}",
-            hint="Is it powered and plugged in, and does nothing else use the port?",
-        ) from error
+    for attempt in range(1, _ATTEMPTS + 1):
+        try:
+            robot.connect(calibrate=False)
+            is_calibrated = bool(robot.is_calibrated)
+            break
+        except (OSError, RuntimeError) as error:
+            _drop(robot)
+            if attempt < _ATTEMPTS:
+                continue
+            # lerobot hides an answer that lacks; what follows repeats the whole list of motors
+            told = str(error.__cause__ or error).split("Full expected motor list")[0]
+            words = " ".join(told.split())
+            raise NotReadyError(
+                f"LeRobot's {options.type!r}{where} does not answer: {words}",
+                hint="Is it powered and plugged in, and does nothing else use the port?",
+            ) from error
     if not is_calibrated:
         robot.disconnect()
         raise ConfigurationError(
@@ -256,3 +269,10 @@ def connect(robot: LerobotRobot, options: LerobotDriverOptions) -> None:
             hint=f"Run lerobot-calibrate --robot.type={options.type} --robot.id={options.id} and "
             "press Enter to write the file into the motors.",
         )
+
+
+def _drop(robot: LerobotRobot) -> None:
+    """Close a port whose bus does not answer."""
+    with suppress(OSError, RuntimeError):
+        if robot.is_connected:
+            robot.disconnect()

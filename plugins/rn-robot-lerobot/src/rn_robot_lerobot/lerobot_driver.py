@@ -23,6 +23,7 @@ from rn_simulation.setpoint import JointSetpoint
 from roboneuron import (
     JointCommand,
     JointSample,
+    NotReadyError,
     RoboNeuronError,
     RobotProfile,
     RobotState,
@@ -95,9 +96,13 @@ class LerobotDriver:
         connect(robot, options)
         try:
             position = motors.measured(robot.get_observation())
-        except (OSError, RuntimeError, RoboNeuronError):
+        except RoboNeuronError:
             robot.disconnect()
             raise
+        except (OSError, RuntimeError) as error:
+            robot.disconnect()
+            words = " ".join(str(error).split())
+            raise NotReadyError(f"The first reading of the arm failed: {words}") from error
         self._robot, self._motors = robot, motors
         self._setpoint = self._setpoint_at(position, motors)
         self._take(position, time.monotonic(), np.zeros_like(position))

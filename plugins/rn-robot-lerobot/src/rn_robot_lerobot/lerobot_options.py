@@ -12,8 +12,8 @@ from roboneuron import AgentMaySet, ConfigurationOnly
 class MotorOption(BaseModel):
     """Which joint a motor moves, where names or units are not the usual ones.
 
-    Usual are: the motor's name is the joint's, joints are in degrees, a gripper is 0 closed .. 100
-    open.
+    Usual are: the motor's name is the joint's, the unit is the one that LeRobot says its motor has
+    (without a word of it degrees, and for a gripper 0 closed .. 100 open).
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -75,4 +75,15 @@ class LerobotDriverOptions(BaseModel):
     )
     release_on_close: bool = Field(
         default=False, description="Switch the torque off at the end: the arm falls down."
+    )
+
+
+class KochOptions(LerobotDriverOptions):
+    """Options of the driver `lerobot` of a Koch arm."""
+
+    type: Annotated[str, ConfigurationOnly()] = Field(
+        default="koch_follower", description="LeRobot's `--robot.type`."
+    )
+    id: Annotated[str, ConfigurationOnly()] = Field(
+        default="koch", description="LeRobot's `--robot.id`, by which calibrations are called."
     )

@@ -1,20 +1,33 @@
-"""What this package offers: the robot "so101" with its drivers, and the simulated cameras."""
+"""What this package offers: the robots "so101" and "koch" with their drivers, and the simulated
+cameras.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from roboneuron import CameraSpec, DriverSpec, PerceptionSpec, Requirement, RobotSpec, hookimpl
 
 _MUJOCO = Requirement(module="mujoco", install="pip install mujoco")
 _LEROBOT = Requirement(
-    module="lerobot", install='pip install "lerobot[feetech]>=0.6.1,<0.7" (Python 3.12)'
+    module="lerobot", install='pip install "lerobot[feetech,dynamixel]>=0.6.1,<0.7" (Python 3.12)'
 )
+_CAMERAS = (CameraSpec(name="front", role="primary"), CameraSpec(name="wrist", role="wrist"))
+_LEROBOT_DRIVER = DriverSpec(
+    name="lerobot",
+    summary="The arm itself by lerobot's own driver, in lerobot's environment; any arm of LeRobot "
+    "with these joints",
+    target="rn_robot_lerobot.lerobot_driver:LerobotDriver",
+    config="rn_robot_lerobot.lerobot_options:LerobotDriverOptions",
+    requires=(_LEROBOT,),
+)
+_KOCH_DRIVER = replace(_LEROBOT_DRIVER, config="rn_robot_lerobot.lerobot_options:KochOptions")
 
 
 @hookimpl
 def roboneuron_robots() -> Sequence[RobotSpec]:
-    """The SO-101 follower."""
+    """The SO-101 and the Koch follower."""
     return [
         RobotSpec(
             name="so101",
@@ -23,10 +36,7 @@ def roboneuron_robots() -> Sequence[RobotSpec]:
             target="rn_robot_lerobot.profile:profile",
             case="rn_robot_lerobot.contract_cases:robot_case",
             robot_kind="arm",
-            cameras=(
-                CameraSpec(name="front", role="primary"),
-                CameraSpec(name="wrist", role="wrist"),
-            ),
+            cameras=_CAMERAS,
             action_widths=(7,),
             drivers=(
                 DriverSpec(
@@ -37,16 +47,22 @@ def roboneuron_robots() -> Sequence[RobotSpec]:
                     simulated=True,
                     requires=(_MUJOCO,),
                 ),
-                DriverSpec(
-                    name="lerobot",
-                    summary="The arm itself by lerobot's own driver, in lerobot's environment; any "
-                    "arm of LeRobot with these joints",
-                    target="rn_robot_lerobot.lerobot_driver:LerobotDriver",
-                    config="rn_robot_lerobot.lerobot_options:LerobotDriverOptions",
-                    requires=(_LEROBOT,),
-                ),
+                _LEROBOT_DRIVER,
             ),
-        )
+        ),
+        RobotSpec(
+            name="koch",
+            summary="Koch v1.1 follower: 5-joint arm with gripper, Dynamixel motors, cameras that "
+            "are not calibrated",
+            target="rn_robot_lerobot.profile:koch_profile",
+            case="rn_robot_lerobot.contract_cases:koch_case",
+            robot_kind="arm",
+            cameras=_CAMERAS,
+            action_widths=(7,),
+            drivers=(
+                replace(_LEROBOT_DRIVER, config="rn_robot_lerobot.lerobot_options:KochOptions"),
+            ),
+        ),
     ]
 
 
@@ -58,7 +74,7 @@ def roboneuron_perceptions() -> Sequence[PerceptionSpec]:
             name="so101-sim-camera",
             summary="Front and wrist camera of the simulated SO-101, drawn on the CPU",
             target="rn_robot_lerobot.camera_source:SimulatedCameras",
-            config="rn_robot_lerobot.options:SimulatedCamerasOptions",
+            config="rn_simulation.arm_options:SimulatedCamerasOptions",
             case="rn_robot_lerobot.contract_cases:cameras_case",
             requires=(_MUJOCO,),
             robots=("so101",),

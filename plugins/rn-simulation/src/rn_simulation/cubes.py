@@ -24,6 +24,14 @@ RGBA_BY_COLOUR: dict[str, tuple[float, float, float, float]] = {
 """Cube colours by name; no two share a hue."""
 DEFAULT_COLOURS = ("red", "green", "blue", "yellow")
 
+WOOD_KG_M3 = 700.0
+"""Density of the cubes."""
+CUBE_FRICTION = (1.0, 0.005, 0.0005)
+"""Sliding, spinning and rolling (the last two in m)."""
+TABLE_RGBA = (0.80, 0.76, 0.70, 1.0)
+TABLE_FRICTION = 0.8
+"""Sliding."""
+
 _ATTEMPTS = 2000
 
 

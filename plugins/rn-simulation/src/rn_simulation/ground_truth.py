@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -116,3 +117,26 @@ class LiftClock:
             )
             for name, (position, rotation) in poses.items()
         }
+
+
+def described(cubes: Mapping[str, CubeState]) -> str:
+    """The truth about cubes as a driver reports it: JSON with position, height lifted and seconds
+    held of each, of several arms also which hold it and for how long it has been handed over.
+    """
+    facts = {
+        name: {
+            "position_m": [round(float(value), 4) for value in cube.position_m],
+            "lifted_m": round(cube.lifted_m, 4),
+            "held_s": round(cube.held_s, 3),
+            **_hand_over(cube),
+        }
+        for name, cube in cubes.items()
+    }
+    return json.dumps(facts, separators=(",", ":"))
+
+
+def _hand_over(cube: CubeState) -> dict[str, object]:
+    """Which of several arms hold a cube; nothing for one arm, which has no name."""
+    if "" in cube.holders or not cube.holders:
+        return {}
+    return {"holders": list(cube.holders), "handed_over_s": round(cube.handed_over_s, 3)}

@@ -4,6 +4,7 @@ any image size.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -72,3 +73,40 @@ class PinholeCamera:
             height=height,
             calibration=self.calibration(width, height),
         )
+
+
+UP = np.array([0.0, 0.0, 1.0])
+
+
+def front_camera(
+    eye_m: Sequence[float], target_m: Sequence[float], vertical_view_deg: float
+) -> PinholeCamera:
+    """The camera "front" beside the table, which looks from one point of the base frame at
+    another.
+    """
+    return PinholeCamera(
+        name="front",
+        role="primary",
+        frame_id="front_camera_optical_frame",
+        mount="base",
+        T_mount_camera=look_at(np.array(eye_m), np.array(target_m), UP),
+        vertical_view_rad=np.deg2rad(vertical_view_deg),
+    )
+
+
+def wrist_camera(
+    eye_m: Sequence[float], tilt_deg: float, vertical_view_deg: float
+) -> PinholeCamera:
+    """The camera "wrist" on the hand, in front of it (+x of the TCP frame): it looks along the
+    fingers, tilted back towards their tips.
+    """
+    eye, tilt = np.array(eye_m), np.deg2rad(tilt_deg)
+    ahead = eye + np.array([-np.sin(tilt), 0.0, np.cos(tilt)])
+    return PinholeCamera(
+        name="wrist",
+        role="wrist",
+        frame_id="wrist_camera_optical_frame",
+        mount="tcp",
+        T_mount_camera=look_at(eye, ahead, np.array([1.0, 0.0, 0.0])),
+        vertical_view_rad=np.deg2rad(vertical_view_deg),
+    )

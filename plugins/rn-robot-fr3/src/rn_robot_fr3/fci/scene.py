@@ -13,10 +13,11 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from std_msgs.msg import Float64MultiArray
 
-from rn_robot_fr3.state_message import TOPIC, SceneState, to_message
+from rn_robot_fr3.cell import FR3
 from rn_simulation.cubes import Cube
 from rn_simulation.engine import choose_engine
-from rn_simulation.ground_truth import LiftClock
+from rn_simulation.ground_truth import LiftClock, described
+from rn_simulation.scene_state import TOPIC, SceneState, to_message
 from roboneuron import NotReadyError, Topics
 
 _PERIOD_S = 1.0 / 60.0
@@ -98,6 +99,7 @@ class SceneFeed:
             )
         self._lifts.observe(float(told["time_s"]), poses)
         state = SceneState(
+            robot=FR3.robot,
             engine=choose_engine("auto"),
             seed=int(told["seed"]),
             cubes=tuple(sizes.items()),
@@ -106,16 +108,8 @@ class SceneFeed:
             stamp_ns=self._topics.now_ns(),
         )
         self._publish(to_message(state))
-        facts = {
-            name: {
-                "position_m": [round(float(value), 4) for value in cube.position_m],
-                "lifted_m": round(cube.lifted_m, 4),
-                "held_s": round(cube.held_s, 3),
-            }
-            for name, cube in self._lifts.states(poses).items()
-        }
         self._detail = {
-            "cubes": json.dumps(facts, separators=(",", ":")),
+            "cubes": described(self._lifts.states(poses)),
             "sim_time_s": f"{float(told['time_s']):.3f}",
             "seed": str(told["seed"]),
             "engine": "franka-sim",

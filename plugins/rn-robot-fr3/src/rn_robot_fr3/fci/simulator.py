@@ -25,14 +25,8 @@ from rn_robot_fr3.description import urdf
 from rn_robot_fr3.fci.addresses import free_address
 from rn_robot_fr3.fci.counterpart import Counterpart
 from rn_robot_fr3.profile import HOME_RAD
-from rn_robot_fr3.scene import (
-    CUBE_FRICTION,
-    FINGER_FRICTION,
-    TABLE_FRICTION,
-    WOOD_KG_M3,
-    random_cubes,
-)
-from rn_simulation.cubes import DEFAULT_COLOURS
+from rn_robot_fr3.scene import FINGER_FRICTION, random_cubes
+from rn_simulation.cubes import CUBE_FRICTION, DEFAULT_COLOURS, TABLE_FRICTION, WOOD_KG_M3
 
 PORT, GRIPPER_PORT, SCENE_PORT = 1337, 1338, 1339
 

@@ -1,4 +1,4 @@
-"""A simulated SO-101 behind a serial port: physics and motors in threads of this process."""
+"""A simulated arm behind a serial port: physics and motors in threads of this process."""
 
 from __future__ import annotations
 
@@ -8,17 +8,21 @@ import select
 import threading
 import time
 import tty
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rn_robot_lerobot.arm import JOINTS
-from rn_robot_lerobot.bus.motors import MotorChain
-from rn_robot_lerobot.bus.packets import PacketReader
+from rn_robot_lerobot import koch
+from rn_robot_lerobot.bus import dynamixel_packets, packets
+from rn_robot_lerobot.bus.chain import MotorChain, Packet
+from rn_robot_lerobot.bus.dynamixel_motors import DynamixelChain
+from rn_robot_lerobot.bus.motors import FeetechChain
 from rn_robot_lerobot.calibration import MotorCalibration
-from rn_robot_lerobot.simulation import START
-from rn_robot_lerobot.world import STEP_S, So101World
+from rn_robot_lerobot.simulation import CELL, build_world
+from rn_simulation.arm_cell import STEP_S
 from rn_simulation.pace import Pace
 from rn_simulation.setpoint import JointSetpoint
 
@@ -29,23 +33,97 @@ _MOTOR_SPEED_RAD_S, _MOTOR_ACCELERATION_RAD_S2 = 4.7, 60.0
 _POLL_S = 0.02
 
 
+class Plant(Protocol):
+    """What the motors move."""
+
+    def step(self, position: F64, velocity: F64) -> None:
+        """Let `STEP_S` pass, the motors aiming at these, float64 (n,) [rad, rad/s]."""
+
+    def joint_states(self) -> tuple[F64, F64]:
+        """Positions and velocities now."""
+
+
+class Reader(Protocol):
+    """Finds packets in a stream of bytes."""
+
+    def feed(self, data: bytes) -> Sequence[Packet]:
+        """Packets that are complete with these bytes."""
+
+
+class Massless:
+    """Joints that are where their motors aim."""
+
+    def __init__(self, start: F64) -> None:
+        self._states = start.copy(), np.zeros_like(start)
+
+    def step(self, position: F64, velocity: F64) -> None:
+        """See `Plant`."""
+        self._states = position.copy(), velocity.copy()
+
+    def joint_states(self) -> tuple[F64, F64]:
+        """See `Plant`."""
+        return self._states
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class SerialKind:
+    """One kind of arm.
+
+    Attributes:
+        start: joints at the beginning, float64 (n,) [rad].
+        plant: makes what the motors move, at `start`.
+        chain: makes the motors, from the step of each encoder at the joint's position 0.
+        reader: makes the reader of their packets.
+    """
+
+    start: F64
+    plant: Callable[[], Plant]
+    chain: Callable[[Mapping[str, int]], MotorChain]
+    reader: Callable[[], Reader]
+
+
+def _so101_world() -> Plant:
+    world = build_world([])
+    world.prepare_physics(STEP_S, CELL.force.tolist())
+    world.set_joints(CELL.start.tolist())
+    return world
+
+
+SO101 = SerialKind(
+    start=CELL.start, plant=_so101_world, chain=FeetechChain, reader=packets.PacketReader
+)
+"""With MuJoCo as its physics."""
+_KOCH_START = np.array((*koch.HOME_RAD, koch.JAW_OPEN_RAD))
+KOCH = SerialKind(
+    start=_KOCH_START,
+    plant=lambda: Massless(_KOCH_START),
+    chain=DynamixelChain,
+    reader=dynamixel_packets.PacketReader,
+)
+
+
 class SerialArm:
     """An arm whose port is a pseudo terminal; use it as a context manager.
 
     Attributes:
         motors: on its bus, with what is wrong with it.
         port: path of the device.
-        history: (monotonic time [s], joints float64 (6,) [rad]) of every step.
+        history: (monotonic time [s], joints float64 (n,) [rad]) of every step.
     """
 
     def __init__(
-        self, encoder_zeros: Mapping[str, int], calibration: Mapping[str, MotorCalibration] | None
+        self,
+        encoder_zeros: Mapping[str, int],
+        calibration: Mapping[str, MotorCalibration] | None,
+        kind: SerialKind = SO101,
     ) -> None:
         """Args:
         encoder_zeros: see `MotorChain`.
         calibration: what was written into the motors; None for motors fresh from the factory.
+        kind: of arm.
         """
-        self.motors = MotorChain(encoder_zeros)
+        self._kind = kind
+        self.motors = kind.chain(encoder_zeros)
         if calibration is not None:
             self.motors.calibrate(calibration)
         self._master, self._slave = pty.openpty()
@@ -60,9 +138,8 @@ class SerialArm:
         ]
 
     def __enter__(self) -> SerialArm:
-        self._world = So101World([])
-        self._world.set_joints(START.tolist())
-        self.motors.measure(*self._world.joint_states())
+        self._plant = self._kind.plant()
+        self.motors.measure(*self._plant.joint_states())
         for thread in self._threads:
             thread.start()
         return self
@@ -76,8 +153,8 @@ class SerialArm:
 
     @property
     def position(self) -> F64:
-        """Joints now, float64 (6,) [rad]."""
-        return self.history[-1][1] if self.history else START
+        """Joints now, float64 (n,) [rad]."""
+        return self.history[-1][1] if self.history else self._kind.start
 
     def rest_after_s(self, fault_s: float, tolerance_rad: float = 5e-3) -> float:
         """Time from `fault_s` [monotonic s] until no joint was away from where it is now [s]."""
@@ -86,9 +163,11 @@ class SerialArm:
         return away[-1] - fault_s if away else 0.0
 
     def _move(self) -> None:
-        count = len(JOINTS)
+        count = len(self._kind.start)
         speed = np.full(count, _MOTOR_SPEED_RAD_S)
-        setpoint = JointSetpoint(START, speed, np.full(count, _MOTOR_ACCELERATION_RAD_S2))
+        setpoint = JointSetpoint(
+            self._kind.start, speed, np.full(count, _MOTOR_ACCELERATION_RAD_S2)
+        )
         pace = Pace(step_s=STEP_S)
         while not self._ending.is_set():
             steps = pace.due_steps(time.monotonic())
@@ -101,8 +180,8 @@ class SerialArm:
                 powered = [i for i in range(count) if torque[i]]
                 setpoint.aim(goals, powered, STEP_S)
                 setpoint.advance(STEP_S)
-                self._world.step(setpoint.position, setpoint.velocity)
-                position, velocity = self._world.joint_states()
+                self._plant.step(setpoint.position, setpoint.velocity)
+                position, velocity = self._plant.joint_states()
                 with self._lock:
                     self.motors.measure(position, velocity)
             if steps:
@@ -110,7 +189,7 @@ class SerialArm:
             self._ending.wait(pace.until_next_s(time.monotonic()))
 
     def _listen(self) -> None:
-        reader = PacketReader()
+        reader = self._kind.reader()
         while not self._ending.is_set():
             if not select.select([self._master], [], [], _POLL_S)[0]:
                 continue

@@ -6,27 +6,10 @@ error of an answer), parameters, checksum (the complement of the sum from the nu
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from rn_robot_lerobot.bus.chain import Packet
 
-PING, READ, WRITE, SYNC_READ, SYNC_WRITE = 0x01, 0x02, 0x03, 0x82, 0x83
-BROADCAST = 0xFE
 _HEADER = b"\xff\xff"
 _LONGEST = 250
-
-
-@dataclass(frozen=True, slots=True)
-class Packet:
-    """One instruction.
-
-    Attributes:
-        motor: number of the motor, or `BROADCAST`.
-        instruction: one of those above.
-        parameters: what follows it.
-    """
-
-    motor: int
-    instruction: int
-    parameters: bytes
 
 
 def checksum(body: bytes) -> int:

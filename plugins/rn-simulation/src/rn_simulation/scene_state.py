@@ -1,4 +1,5 @@
-"""What the simulation tells its cameras: one message with everything that is needed to draw it.
+"""What the simulation of an arm tells its cameras: one message with everything that is needed to
+draw it.
 
 `std_msgs/Float64MultiArray`: the label of the only dimension describes the scene as JSON, the data
 are stamp (seconds, nanoseconds), joints in the order of the cell's `joints`, then position and
@@ -8,15 +9,17 @@ quaternion (x y z w) of each cube.
 from __future__ import annotations
 
 import json
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
-from rn_robot_fr3.cell import CELLS, FR3
-from rn_simulation.cubes import RGBA_BY_COLOUR
+from rn_simulation.cubes import RGBA_BY_COLOUR, Cube
 from rn_simulation.engine import ENGINES, Engine
+from rn_simulation.ground_truth import CubeState
 from roboneuron import InvalidInputError
 
 F64 = NDArray[np.float64]
@@ -30,26 +33,41 @@ _POSE_SIZE = 7
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class SceneState:
-    """The simulated cell at one moment.
+    """A simulated cell at one moment.
 
     Attributes:
-        robot: whose arms stand there, a key of `CELLS`.
+        robot: whose arms stand there.
         engine: that moves it, and is to draw it.
         seed: of the scene.
         cubes: name and edge [m] of each cube.
-        joints: float64 (9 for each arm,), in the order of the cell's `joints` [rad, m].
+        joints: float64 (n,), in the order of the cell's `joints` [rad, m].
         cube_poses: float64 (n, 7), position [m] and quaternion x y z w in the base frame, in the
             order of `cubes`.
         stamp_ns: ROS time of this moment [ns].
     """
 
-    robot: str = FR3.robot
+    robot: str
     engine: Engine
     seed: int
     cubes: tuple[tuple[str, float], ...]
     joints: F64
     cube_poses: F64
     stamp_ns: int
+
+
+def at_rest(cubes: Sequence[Cube]) -> F64:
+    """Poses of cubes that nothing has moved, as `SceneState.cube_poses`."""
+    return np.array(
+        [
+            (c.x_m, c.y_m, c.edge_m / 2, 0.0, 0.0, math.sin(c.yaw_rad / 2), math.cos(c.yaw_rad / 2))
+            for c in cubes
+        ]
+    )
+
+
+def poses_of(cubes: Mapping[str, CubeState]) -> F64:
+    """Poses of cubes as they are, as `SceneState.cube_poses`."""
+    return np.array([np.concatenate([c.position_m, c.quaternion_xyzw]) for c in cubes.values()])
 
 
 def to_message(state: SceneState) -> Float64MultiArray:
@@ -70,15 +88,19 @@ def to_message(state: SceneState) -> Float64MultiArray:
     return message
 
 
-def from_message(message: Float64MultiArray) -> SceneState:
+def from_message(message: Float64MultiArray, joint_counts: Mapping[str, int]) -> SceneState:
     """The state that `message` carries.
 
+    Args:
+        message: of `to_message`.
+        joint_counts: number of moving joints of each robot that may come.
+
     Raises:
-        InvalidInputError: not a message of `to_message`, or values that are not finite.
+        InvalidInputError: not such a message, another robot, or values that are not finite.
     """
     try:
         described = json.loads(message.layout.dim[0].label)
-        cell = CELLS[described["robot"]]
+        robot = str(described["robot"])
         engine = ENGINES[ENGINES.index(described["engine"])]
         seed = int(described["seed"])
         cubes = tuple((str(name), float(edge_m)) for name, edge_m in described["cubes"])
@@ -86,20 +108,20 @@ def from_message(message: Float64MultiArray) -> SceneState:
         raise InvalidInputError(
             f"A message on {TOPIC!r} does not describe a scene: {error}."
         ) from error
-    strange = [name for name, _ in cubes if name not in RGBA_BY_COLOUR]
-    if strange:
-        raise InvalidInputError(
-            f"A message on {TOPIC!r} names a cube {strange[0]!r}, which has no known colour."
-        )
+    unknown = [name for name, _ in cubes if name not in RGBA_BY_COLOUR]
+    if robot not in joint_counts or unknown:
+        is_cube = robot in joint_counts
+        what = f"a cube {unknown[0]!r}" if is_cube else f"the robot {robot!r}"
+        raise InvalidInputError(f"A message on {TOPIC!r} names {what}, which is not known.")
     values = np.array(message.data, dtype=np.float64)
-    count = len(cell.joints)
+    count = joint_counts[robot]
     expected = 2 + count + _POSE_SIZE * len(cubes)
     if values.shape != (expected,) or not np.isfinite(values).all():
         raise InvalidInputError(
             f"A message on {TOPIC!r} holds {values.size} values, expected {expected} finite ones."
         )
     return SceneState(
-        robot=cell.robot,
+        robot=robot,
         engine=engine,
         seed=seed,
         cubes=cubes,

@@ -1,0 +1,245 @@
+"""Motors on one serial bus: their registers, and the raw scale between registers and joints. Pure
+computation, whatever the protocol.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rn_robot_lerobot.calibration import STEPS, MotorCalibration
+
+F64 = NDArray[np.float64]
+
+PING, READ, WRITE, SYNC_READ, SYNC_WRITE = 0x01, 0x02, 0x03, 0x82, 0x83
+"""Instructions of both protocols."""
+BROADCAST = 0xFE
+
+
+@dataclass(frozen=True, slots=True)
+class Packet:
+    """One instruction.
+
+    Attributes:
+        motor: number of the motor, or `BROADCAST`.
+        instruction: one of those above.
+        parameters: what follows it.
+    """
+
+    motor: int
+    instruction: int
+    parameters: bytes
+
+
+@dataclass(kw_only=True)
+class BusFaults:
+    """What is wrong with the bus; may be changed at any time.
+
+    Attributes:
+        silent: nothing answers, and nothing arrives.
+        lost_share: share of instructions that no motor hears, 0..1.
+        answer_delay_s: of each answer [s].
+        wrong: steps that are added to the position that a motor tells, by the joint's name.
+        error: error bits of every answer.
+    """
+
+    silent: bool = False
+    lost_share: float = 0.0
+    answer_delay_s: float = 0.0
+    wrong: Mapping[str, int] | None = None
+    error: int = 0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Registers:
+    """Where a motor keeps what: addresses, and bytes of a number.
+
+    Attributes:
+        size: bytes of the whole memory.
+        width: bytes of the numbers below; the motor's number and the torque have one byte.
+        number, torque: of one byte.
+        model: of two bytes.
+        lowest, highest, offset, goal, position, velocity: of `width` bytes.
+        permanent_end: first address behind the permanent memory.
+    """
+
+    size: int
+    width: int
+    number: int
+    model: int
+    torque: int
+    lowest: int
+    highest: int
+    offset: int
+    goal: int
+    position: int
+    velocity: int
+    permanent_end: int
+
+
+class MotorChain(ABC):
+    """Motors 1 to n on one bus.
+
+    Attributes:
+        registers: of every motor.
+        offset_sign: of the homing offset in what a motor tells.
+        address_size: bytes of an address or a count in an instruction.
+        faults: what is wrong with them.
+        broken_rules: what a careful master would not have done, in words, oldest first.
+    """
+
+    registers: Registers
+    offset_sign: int
+    address_size: int
+
+    def __init__(
+        self,
+        joints: Sequence[str],
+        models: Sequence[int],
+        encoder_zeros: Mapping[str, int],
+        *,
+        seed: int = 0,
+    ) -> None:
+        """Args:
+        joints, models: joint and model number of each motor.
+        encoder_zeros: step of each encoder, without an offset, at the joint's position 0.
+        seed: of what is lost.
+        """
+        self.faults = BusFaults()
+        self.broken_rules: list[str] = []
+        self.joints = tuple(joints)
+        self._zeros = np.array([encoder_zeros[name] for name in self.joints])
+        self._random = np.random.default_rng(seed)
+        self.memories = [bytearray(self.registers.size) for _ in self.joints]
+        for i, model in enumerate(models):
+            memory = self.memories[i]
+            memory[self.registers.model : self.registers.model + 2] = model.to_bytes(2, "little")
+            memory[self.registers.number] = i + 1
+            self.set(i, self.registers.highest, STEPS - 1)
+
+    @abstractmethod
+    def encode(self, address: int, value: int) -> int:
+        """The unsigned number that a register holds for `value`."""
+
+    @abstractmethod
+    def decode(self, address: int, raw: int) -> int:
+        """The value of a register's unsigned number."""
+
+    @abstractmethod
+    def status(self, i: int, data: bytes = b"", *, error: int = 0) -> bytes:
+        """The answer of a motor, with `error` beside the error bits of `faults`."""
+
+    @abstractmethod
+    def answer_ping(self, i: int) -> bytes:
+        """The answer of a motor to `PING`."""
+
+    @abstractmethod
+    def write(self, i: int, address: int, data: bytes) -> int:
+        """Write into a motor's memory what it lets be written; the error of its answer."""
+
+    def turns(self, i: int) -> int:
+        """1, or -1 for a motor that runs the other way."""
+        return 1
+
+    def calibrate(self, calibration: Mapping[str, MotorCalibration]) -> None:
+        """Write what `lerobot-calibrate` writes into the motors."""
+        for i, name in enumerate(self.joints):
+            motor = calibration[name]
+            self.set(i, self.registers.offset, motor.homing_offset)
+            self.set(i, self.registers.lowest, motor.range_min)
+            self.set(i, self.registers.highest, motor.range_max)
+
+    def measure(self, position_rad: F64, velocity_rad_s: F64) -> None:
+        """Let the encoders be at these joints, float64 (n,)."""
+        steps = self._zeros + position_rad * STEPS / (2.0 * math.pi)
+        for i, step in enumerate(steps):
+            turned = self.turns(i) * round(step)
+            self.set(i, self.registers.position, turned + self._shift(i))
+            speed = round(velocity_rad_s[i] * STEPS / (2.0 * math.pi))
+            self.set(i, self.registers.velocity, self.turns(i) * speed)
+
+    def _shift(self, i: int) -> int:
+        """Steps between a motor's encoder and what it tells."""
+        return self.offset_sign * self.get(i, self.registers.offset)
+
+    def goals(self) -> tuple[F64, NDArray[np.bool_]]:
+        """Joint positions that are aimed at [rad] and whether a motor has torque, each (n,)."""
+        count = range(len(self.joints))
+        told = [self.get(i, self.registers.goal) - self._shift(i) for i in count]
+        steps = np.array([self.turns(i) * told[i] for i in count])
+        torque = np.array([self.has_torque(i) for i in count])
+        goals: F64 = (steps - self._zeros) * 2.0 * math.pi / STEPS
+        return goals, torque
+
+    def has_torque(self, i: int) -> bool:
+        """Whether a motor holds."""
+        return self.memories[i][self.registers.torque] == 1
+
+    def answer(self, packet: Packet) -> bytes:
+        """What the motors send back; nothing when they hear nothing."""
+        faults, size = self.faults, self.address_size
+        if faults.silent or self._random.random() < faults.lost_share:
+            return b""
+        parameters = packet.parameters
+        address = int.from_bytes(parameters[:size], "little")
+        count = int.from_bytes(parameters[size : 2 * size], "little")
+        if packet.instruction == SYNC_WRITE:
+            for start in range(2 * size, len(parameters), count + 1):
+                i = parameters[start] - 1
+                if 0 <= i < len(self.joints):
+                    self.write(i, address, parameters[start + 1 : start + 1 + count])
+            return b""
+        if packet.instruction == SYNC_READ:
+            return b"".join(self.read(n - 1, address, count) for n in parameters[2 * size :])
+        every = range(1, len(self.joints) + 1)
+        targets = every if packet.motor == BROADCAST else [packet.motor]
+        known = [number - 1 for number in targets if number in every]
+        if packet.instruction == PING:
+            return b"".join(map(self.answer_ping, known))
+        if packet.instruction == READ and known:
+            return self.read(known[0], address, count)
+        if packet.instruction == WRITE and known:
+            error = self.write(known[0], address, parameters[size:])
+            return self.status(known[0], error=error)
+        return b""
+
+    def read(self, i: int, address: int, count: int) -> bytes:
+        """A motor's answer with a part of its memory."""
+        data = bytes(self.memories[i][address : address + count])
+        wrong = (self.faults.wrong or {}).get(self.joints[i], 0)
+        position, width = self.registers.position, self.registers.width
+        if wrong and address == position:
+            value = self.encode(position, self.get(i, position) + wrong)
+            data = value.to_bytes(width, "little") + data[width:]
+        return self.status(i, data)
+
+    def take_goal(self, i: int, *, is_bounded: bool) -> None:
+        """Judge a goal that was written; one beyond the limits is clamped by the motor."""
+        registers, name = self.registers, self.joints[i]
+        goal = self.get(i, registers.goal)
+        low, high = self.get(i, registers.lowest), self.get(i, registers.highest)
+        if is_bounded and not low <= goal <= high:
+            self.broken_rules.append(f"{name}: goal {goal} outside {low}..{high}")
+            self.set(i, registers.goal, min(max(goal, low), high))
+        if not self.has_torque(i):
+            self.broken_rules.append(f"{name}: goal {goal} without torque")
+
+    def stay(self, i: int) -> None:
+        """Aim at where the motor is, as it does when its torque is switched on."""
+        self.set(i, self.registers.goal, self.get(i, self.registers.position))
+
+    def get(self, i: int, address: int) -> int:
+        """A number of `width` bytes."""
+        raw = self.memories[i][address : address + self.registers.width]
+        return self.decode(address, int.from_bytes(raw, "little"))
+
+    def set(self, i: int, address: int, value: int) -> None:
+        """Put a number of `width` bytes."""
+        width = self.registers.width
+        raw = self.encode(address, value).to_bytes(width, "little")
+        self.memories[i][address : address + width] = raw

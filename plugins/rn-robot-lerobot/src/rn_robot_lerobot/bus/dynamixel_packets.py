@@ -1,0 +1,76 @@
+"""Packets of Dynamixel's serial protocol 2.0.
+
+Source: ROBOTIS, DYNAMIXEL protocol 2.0: FF FF FD 00, number of the motor, length (two bytes),
+instruction, parameters, CRC-16. Where FF FF FD occurs in instruction and parameters, another FD
+follows it. An answer has the instruction 55 and begins its parameters with the error.
+"""
+
+from __future__ import annotations
+
+from rn_robot_lerobot.bus.chain import Packet
+
+_HEADER = b"\xff\xff\xfd\x00"
+_MARK, _STUFFED = b"\xff\xff\xfd", b"\xff\xff\xfd\xfd"
+_STATUS = 0x55
+_POLYNOMIAL = 0x8005
+_LONGEST = 250
+_BEFORE = 7
+"""Bytes before the instruction."""
+
+
+def crc(data: bytes) -> int:
+    """CRC-16 (polynomial 8005, begins with 0, not reflected)."""
+    value = 0
+    for byte in data:
+        value ^= byte << 8
+        for _ in range(8):
+            value = (value << 1) ^ (_POLYNOMIAL if value & 0x8000 else 0)
+            value &= 0xFFFF
+    return value
+
+
+def packed(motor: int, instruction: int, parameters: bytes) -> bytes:
+    """A packet as it goes over the line."""
+    body = (bytes((instruction,)) + parameters).replace(_MARK, _STUFFED)
+    head = _HEADER + bytes((motor,)) + (len(body) + 2).to_bytes(2, "little")
+    return head + body + crc(head + body).to_bytes(2, "little")
+
+
+def status(motor: int, error: int, data: bytes = b"") -> bytes:
+    """The answer of a motor."""
+    return packed(motor, _STATUS, bytes((error,)) + data)
+
+
+class PacketReader:
+    """Finds packets in a stream of bytes.
+
+    Attributes:
+        damaged: packets with a wrong checksum so far.
+    """
+
+    def __init__(self) -> None:
+        self._buffer = b""
+        self.damaged = 0
+
+    def feed(self, data: bytes) -> list[Packet]:
+        """Packets that are complete with these bytes."""
+        self._buffer += data
+        found: list[Packet] = []
+        while (start := self._buffer.find(_HEADER)) >= 0:
+            self._buffer = self._buffer[start:]
+            if len(self._buffer) < _BEFORE:
+                break
+            motor, length = self._buffer[4], int.from_bytes(self._buffer[5:_BEFORE], "little")
+            if not 3 <= length <= _LONGEST:
+                self._buffer = self._buffer[1:]
+                continue
+            end = _BEFORE + length
+            if len(self._buffer) < end:
+                break
+            whole, self._buffer = self._buffer[:end], self._buffer[end:]
+            if crc(whole[:-2]) != int.from_bytes(whole[-2:], "little"):
+                self.damaged += 1
+                continue
+            body = whole[_BEFORE:-2].replace(_STUFFED, _MARK)
+            found.append(Packet(motor, body[0], body[1:]))
+        return found

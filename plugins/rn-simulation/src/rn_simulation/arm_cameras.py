@@ -1,0 +1,80 @@
+"""The cameras of a simulated arm, drawn by a render twin: a second world without physics that shows
+what the simulation in another process looks like.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from std_msgs.msg import Float64MultiArray
+
+from rn_simulation.arm_options import SimulatedCamerasOptions
+from rn_simulation.arm_world import ArmWorld
+from rn_simulation.cubes import Cube
+from rn_simulation.pinhole import PinholeCamera
+from rn_simulation.scene_state import TOPIC, SceneState, from_message
+from rn_simulation.state_cameras import StateCameras
+from roboneuron import CameraProfile, Topics
+
+
+class SimulatedArmCameras(StateCameras[SceneState]):
+    """Cameras that draw the newest state on `sim/state`."""
+
+    topic = TOPIC
+
+    def __init__(
+        self,
+        config: SimulatedCamerasOptions | None,
+        topics: Topics,
+        cameras: Sequence[CameraProfile],
+    ) -> None:
+        """Remember what to serve; `cameras` are profiles of the robot's cameras. The twin is built
+        from the first state.
+        """
+        super().__init__(config or SimulatedCamerasOptions(), topics, cameras)
+        self._twin: ArmWorld | None = None
+        self._scene: tuple[object, ...] | None = None
+
+    @abstractmethod
+    def joint_counts(self) -> Mapping[str, int]:
+        """Number of moving joints of each robot that may be shown."""
+
+    @abstractmethod
+    def build(self, state: SceneState, cubes: Sequence[Cube]) -> ArmWorld:
+        """A world to draw `state` in."""
+
+    def parse(self, message: Float64MultiArray) -> SceneState:
+        """See `StateCameras`."""
+        return from_message(message, self.joint_counts())
+
+    def draw(
+        self, state: SceneState, camera: PinholeCamera, size: tuple[int, int]
+    ) -> NDArray[np.uint8]:
+        """See `StateCameras`; builds another world when scene or engine is another one (about
+        50 ms).
+        """
+        twin = self._twin_for(state)
+        twin.set_joints(state.joints.tolist())
+        poses = zip(state.cubes, state.cube_poses.tolist(), strict=True)
+        twin.set_cubes({name: (pose[:3], pose[3:]) for (name, _), pose in poses})
+        return twin.render(camera.calibration(*size), *size)
+
+    def _twin_for(self, state: SceneState) -> ArmWorld:
+        scene = (state.robot, state.engine, state.seed, state.cubes)
+        if self._twin is None or scene != self._scene:
+            self.release()
+            cubes = [
+                Cube(name=name, edge_m=edge_m, x_m=0.0, y_m=0.0, yaw_rad=0.0)
+                for name, edge_m in state.cubes
+            ]
+            self._twin, self._scene = self.build(state, cubes), scene
+        return self._twin
+
+    def release(self) -> None:
+        """See `StateCameras`."""
+        if self._twin is not None:
+            self._twin.close()
+            self._twin = None

@@ -1,0 +1,76 @@
+"""What a simulated cell of one or several arms consists of, as data: joints, limits, postures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rn_simulation.ground_truth import LIFTED_M
+
+F64 = NDArray[np.float64]
+
+STEP_S = 1.0 / 240.0
+"""Time of one step of a simulated arm [s]."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class ArmCell:
+    """Arms at one table, with the same joints each.
+
+    Arrays are float64 in the order of `commanded` [rad, m, per s]; those of what is measured have
+    the order of `joints`.
+
+    Attributes:
+        robot: its name in messages to the cameras.
+        arms: names of the arms; "" for the only one.
+        joints: every moving joint.
+        commanded: joints that a command may name, arm after arm.
+        followed: for each of `joints`, the number of the commanded joint that it follows: its own,
+            or the one that it mirrors.
+        grippers: numbers of the commanded joints that are grippers.
+        start: where the simulation begins: at home with open grippers.
+        lower, upper: position limits; a gripper's are closed and open.
+        velocity, acceleration: limits.
+        force: of the motors, in the order of `joints` [Nm, N].
+        lifted_m: height above its rest from which on a cube counts as lifted.
+    """
+
+    robot: str
+    arms: tuple[str, ...] = ("",)
+    joints: tuple[str, ...]
+    commanded: tuple[str, ...]
+    followed: tuple[int, ...]
+    grippers: tuple[int, ...]
+    start: F64
+    lower: F64
+    upper: F64
+    velocity: F64
+    acceleration: F64
+    force: F64
+    lifted_m: float = LIFTED_M
+
+    @property
+    def arm_joints(self) -> tuple[str, ...]:
+        """The commanded joints without grippers."""
+        named = enumerate(self.commanded)
+        return tuple(name for number, name in named if number not in self.grippers)
+
+    def opening(self, measured: F64) -> float:
+        """Opening of the first gripper, 0 closed .. 1 open, of positions in the order of
+        `joints`.
+        """
+        gripper = self.grippers[0]
+        closed, opened = self.lower[gripper], self.upper[gripper]
+        share = (measured[self.followed.index(gripper)] - closed) / (opened - closed)
+        return float(np.clip(share, 0.0, 1.0))
+
+
+def carrying_arm(camera_mount: str, arms: Sequence[str]) -> int | None:
+    """Number of the arm that carries a camera with this `mount`; None for one beside the table."""
+    if camera_mount == "base":
+        return None
+    names = [f"{arm}/tcp" for arm in arms]
+    return names.index(camera_mount) if camera_mount in names else 0

@@ -1,0 +1,175 @@
+"""The driver of a simulated arm: runs its simulation in real time in a thread of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from std_msgs.msg import Float64, Float64MultiArray
+
+from rn_simulation.arm_cell import STEP_S
+from rn_simulation.arm_options import SimulatedArmOptions
+from rn_simulation.arm_simulation import CellSimulation
+from rn_simulation.ground_truth import described
+from rn_simulation.real_time import RealTimeThread
+from rn_simulation.scene_state import (
+    HANDED_OVER_TOPIC,
+    TOPIC,
+    SceneState,
+    poses_of,
+    to_message,
+)
+from roboneuron import (
+    ConfigurationError,
+    JointCommand,
+    JointSample,
+    RobotProfile,
+    RobotState,
+    StateError,
+    Topics,
+)
+
+_CATCH_UP_S = 1.0 / 60.0
+"""An arm whose time was held up does not jump: by the wall clock its TCP would be faster than its
+limit.
+"""
+
+
+class SimulatedArmDriver:
+    """Follows the protocol `RobotDriver`; every method may be called from any thread.
+
+    The simulation steps at 240 Hz times `real_time_factor` and tells its state on the topic
+    `sim/state`, from which `SimulatedArmCameras` draw their pictures in another process: no picture
+    delays a step.
+    """
+
+    def __init__(
+        self,
+        title: str,
+        simulation: CellSimulation,
+        options: SimulatedArmOptions,
+        profile: RobotProfile,
+        topics: Topics,
+    ) -> None:
+        """Remember what to simulate; `title` names the robot in messages."""
+        self._title = title
+        self._simulation = simulation
+        self._profile = profile
+        self._topics = topics
+        self._publish: Callable[[Float64MultiArray], None] | None = None
+        self._tell: Callable[[Float64], None] | None = None
+        self._cell = simulation.arm_cell
+        self._time = RealTimeThread(
+            title,
+            step_s=STEP_S,
+            factor=options.real_time_factor,
+            publish_rate_hz=options.state_rate_hz,
+            catch_up_s=_CATCH_UP_S,
+        )
+        self._state: RobotState | None = None
+        self._detail: dict[str, str] = {}
+
+    def open(self) -> None:
+        """Build the scene and let time run; the robot stands at home with an open gripper.
+
+        Raises:
+            ConfigurationError: a window is asked for and there is no display, or the profile is
+                another robot's.
+            NotReadyError: the simulation did not start in time.
+            StateError: it is open already.
+        """
+        self._time.check_stopped()
+        if self._profile.arm_joints != self._cell.arm_joints:
+            raise ConfigurationError(
+                f"The simulated {self._title} moves {', '.join(self._cell.arm_joints)}, the "
+                f"profile {self._profile.name!r} has others."
+            )
+        if self._publish is None:
+            self._publish = self._topics.advertise(TOPIC, Float64MultiArray)
+            if len(self._cell.arms) > 1:
+                self._tell = self._topics.advertise(HANDED_OVER_TOPIC, Float64)
+        self._time.start(self._simulation, self._advance)
+
+    def read(self) -> RobotState:
+        """Return the newest state, measured 120 times per second; see `RobotState.detail` for the
+        cubes.
+
+        `detail` holds "cubes" (JSON: position, height lifted and seconds held of each, of several
+        arms also which hold it and for how long it has been handed over: the simulator's truth),
+        "sim_time_s", "real_time_factor" (achieved during the last second),
+        "seed" and "engine".
+
+        Raises:
+            StateError: not open.
+            UnsafeError: the simulation failed while running.
+        """
+        self._time.check_running()
+        state = self._state
+        if state is None:
+            raise StateError(f"The simulated {self._title} is not open.")
+        return state
+
+    def send(self, command: JointCommand) -> JointCommand:
+        """Move towards `command`; it replaces the one before, without a jump in position or
+        velocity.
+
+        Returns:
+            The command with positions clamped to the limits and the duration that velocity and
+            acceleration allow.
+
+        Raises:
+            InvalidInputError: an unknown joint, a wrong size, a non-finite value, a duration <= 0;
+                nothing is sent.
+            StateError, UnsafeError: as `read`.
+        """
+        self._time.check_running()
+        with self._time.stepping:
+            sent = self._simulation.set_target(command.names, command.position, command.duration_s)
+        return replace(command, position=sent.position, duration_s=sent.duration_s)
+
+    def hold(self) -> None:
+        """Brake the arm to a standstill; the gripper keeps its grasp. Raises as `read`."""
+        self._time.check_running()
+        with self._time.stepping:
+            self._simulation.hold()
+
+    def close(self) -> None:
+        """End the simulation; may be called twice and before `open`."""
+        self._time.stop()
+        self._state = None
+
+    def _advance(self, steps: int, factor: float, publish: bool) -> None:
+        simulation = self._simulation
+        with self._time.stepping:
+            simulation.step(steps)
+            position, velocity = simulation.joint_states()
+            cubes = simulation.cubes() if publish else None
+        stamp_ns = self._topics.now_ns()
+        if cubes is not None and self._publish is not None:
+            state = SceneState(
+                robot=self._cell.robot,
+                engine=simulation.engine,
+                seed=simulation.seed,
+                cubes=tuple((cube.name, cube.edge_m) for cube in cubes.values()),
+                joints=position,
+                cube_poses=poses_of(cubes),
+                stamp_ns=stamp_ns,
+            )
+            self._publish(to_message(state))
+            if self._tell is not None:
+                handed_over_s = max(cube.handed_over_s for cube in cubes.values())
+                self._tell(Float64(data=handed_over_s))
+            self._detail = {
+                "cubes": described(cubes),
+                "sim_time_s": f"{simulation.time_s:.3f}",
+                "real_time_factor": f"{factor:.3f}",
+                "seed": str(simulation.seed),
+                "engine": simulation.engine,
+            }
+        self._state = RobotState(
+            joints=JointSample(
+                names=self._cell.joints, position=position, velocity=velocity, stamp_ns=stamp_ns
+            ),
+            gripper_open=self._cell.opening(position),
+            detail=self._detail,
+        )

@@ -1,0 +1,51 @@
+"""Options that users may set for a simulated arm and its cameras."""
+
+from __future__ import annotations
+
+from pydantic import BaseModel, ConfigDict, Field, field_validator
+
+from rn_simulation.cubes import DEFAULT_COLOURS, check_colours
+from roboneuron import ConfigurationError
+
+
+class SimulatedArmOptions(BaseModel):
+    """Options of a simulated arm; a robot's own driver may have more."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    seed: int = Field(
+        default=0, ge=0, description="Where the cubes lie; the same seed gives the same scene."
+    )
+    colours: tuple[str, ...] = Field(
+        default=DEFAULT_COLOURS,
+        description="One cube each: red, green, blue, yellow, orange, purple.",
+    )
+    real_time_factor: float = Field(
+        default=1.0, gt=0.0, le=10.0, description="Simulated seconds per second of wall time."
+    )
+    state_rate_hz: float = Field(
+        default=60.0,
+        ge=1.0,
+        le=240.0,
+        description="How often the cameras are told the simulation's state.",
+    )
+
+    @field_validator("colours")
+    @classmethod
+    def _known_colours(cls, colours: tuple[str, ...]) -> tuple[str, ...]:
+        try:
+            return check_colours(colours)
+        except ConfigurationError as error:
+            raise ValueError(str(error)) from error
+
+
+class SimulatedCamerasOptions(BaseModel):
+    """Options of the cameras of a simulated arm."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    rate_hz: float = Field(
+        default=10.0, gt=0.0, le=60.0, description="Images per second of each camera."
+    )
+    width: int = Field(default=224, ge=32, le=1280, description="Image width [px].")
+    height: int = Field(default=224, ge=32, le=960, description="Image height [px].")
