@@ -319,18 +319,13 @@ def _explain(
 
 
 def _unknown_key(source: str, key: str, valid: Iterable[str]) -> str:
-    """The sentence for a key that nothing knows: where it has moved to, or what is most like it.
+    """The sentence for a key that nothing knows, with what is most like it.
 
     Args:
         source: file name.
         key: with the sections that it stands in.
         valid: keys that may stand there.
     """
-    moved = tomllib.loads(
-        files("roboneuron").joinpath("data/moved.toml").read_text(encoding="utf-8")
-    )
-    if key in moved:
-        return f"{source}: the key {key!r} has moved: write {moved[key]}."
     known = sorted(valid)
     otherwise = f"Valid keys: {', '.join(known)}. Options of a plugin stand under [plugins.<name>]."
     meant = nearest(key.rpartition(".")[2], known, otherwise, likeness=0.5)
