@@ -14,6 +14,7 @@ import pytest
 
 from rn_standard.selection.choosing import choose
 from rn_standard.selection.requests import StartControl
+from rn_standard.switching.plugin import FEATURE as SWITCHING
 from rn_standard.switching.replacing import Switching
 from roboneuron.config import ControlConfig
 from roboneuron.plugins.discovery import discover
@@ -29,6 +30,7 @@ def test_the_joints_do_not_notice_a_new_controller(
 ) -> None:
     loop = ClosedLoop(arm.config, PluginCatalogue(), arm.supervisor)
     loop.choose = choose
+    arm.supervisor.on_join += (SWITCHING.on_join,)
     switching = Switching(loop)
     loop.start("robot")
     loop.start("control")

@@ -152,7 +152,6 @@ from .server.selection import (
     Instruction as Instruction,
     KIND_ENTRIES as KIND_ENTRIES,
     ModuleSection as ModuleSection,
-    Selection as Selection,
     check_instruction as check_instruction,
 )
 from .server.surface import (
@@ -185,6 +184,7 @@ from .supervisor.process import (
 )
 from .supervisor.slot import (
     Phase as Phase,
+    Selection as Selection,
     Slot as Slot,
 )
 

@@ -185,9 +185,7 @@ def test_control_follows_from_an_action_until_it_holds_or_cannot_say(
             loop_age_s=0.0,
             ready=True,
         )
-        choice = SimpleNamespace(
-            settings=SimpleNamespace(config=SimpleNamespace(namespace=told["namespace"]))
-        )
+        choice = SimpleNamespace(config=SimpleNamespace(namespace=told["namespace"]))
         return ModuleView(kind=kind, phase="running", report=report, choice=choice)
 
     monkeypatch.setattr(application.supervisor, "view", view)

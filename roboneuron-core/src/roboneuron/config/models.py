@@ -319,7 +319,7 @@ class ModuleSettings(BaseModel):
     kind: ModuleKind
     node_name: str = Field(pattern=r"^[a-z][a-z0-9_]*$")
     config: Config
-    state_directory: str
+    state_directory: str = ""
     tightened: LimitsConfig | None = None
     shadow: bool = False
     needs_start: str = ""

@@ -33,7 +33,7 @@ from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.server.registry import ToolRegistry
 from roboneuron.server.selection import check_configuration
 from roboneuron.server.stdio import serve_stdio
-from roboneuron.server.stop_tools import emergency_tools, stop_tools
+from roboneuron.server.stop_tools import emergency_tool, stop_tools
 from roboneuron.server.surface import Served, make_server
 from roboneuron.server.tool import Resource
 from roboneuron.supervisor.health import Watch
@@ -103,7 +103,7 @@ class Application:
         reports = SafetyReports(self.loop.starts, self.loop.emergency_stop, self.events.fault)
         self._watch = Watch(reports.look, self.events.health.tell)
         self.tools = ToolRegistry(
-            [*stop_tools(self.loop), *emergency_tools(self.loop)],
+            [*stop_tools(self.loop), emergency_tool(self.loop)],
             most_calls=config.server.max_concurrent_calls,
             ready=self._join_ros,
             on_call=self.events.call.tell,

@@ -18,12 +18,12 @@ from roboneuron.estop.motion_starts import MotionStarts
 from roboneuron.modules.settings import EMERGENCY_STOP, LIMITS_PARAMETER, MODULE_KINDS, ModuleKind
 from roboneuron.plugins.specs import RobotSpec
 from roboneuron.server.plugins import PluginCatalogue
-from roboneuron.server.replacements import Replacements
-from roboneuron.server.selection import Choose, Selection, choose_configured
+from roboneuron.server.selection import Choose, choose_configured
 from roboneuron.server.tool import Arguments
 from roboneuron.supervisor.health import Modules, ModuleView, Stopped
 from roboneuron.supervisor.launching import Stage
-from roboneuron.supervisor.slot import Slot
+from roboneuron.supervisor.lifecycle import NodeClient
+from roboneuron.supervisor.slot import Selection, Slot
 from roboneuron.supervisor.supervisor import Supervisor
 
 if TYPE_CHECKING:
@@ -86,7 +86,6 @@ class ClosedLoop:
         starts: who has asked for motion, and the stops since.
         streams: what was sent on action topics, by namespace, see `stream`.
         modules: what is known of the module processes.
-        replacements: for features that replace or restart modules.
     """
 
     def __init__(self, config: Config, plugins: PluginCatalogue, supervisor: Supervisor) -> None:
@@ -94,7 +93,6 @@ class ClosedLoop:
         self.plugins = plugins
         self._supervisor = supervisor
         self.modules: Modules = supervisor
-        self.replacements = Replacements(supervisor)
         self.emergency_stop = EmergencyStop(supervisor)
         self.starts = MotionStarts(supervisor)
         self.emergency_stop.file.on_pressed(lambda: self.starts.note_stop(EMERGENCY_STOP))
@@ -110,7 +108,7 @@ class ClosedLoop:
         others: dict[str, Any] = {
             kind: getattr(self.base, kind) for kind in MODULE_KINDS if kind != "robot"
         }
-        return self.base if choice is None else choice.settings.config.model_copy(update=others)
+        return self.base if choice is None else choice.config.model_copy(update=others)
 
     @property
     def limits(self) -> LimitsConfig:
@@ -213,19 +211,42 @@ class ClosedLoop:
             if text:
                 self.starts.permit()
             ticket = self.starts.begin(text)
-        self._supervisor.start(
-            kind,
-            selection.config,
-            python=selection.python,
-            names=selection.names,
-            plan=selection.plan,
-            on_stage=on_stage,
-        )
+        self.launch(selection, on_stage)
         if kind == "inference":
             self.starts.follow(self._supervisor.slot(kind), ticket)
         else:
             self.starts.arm_started()  # motion may have been asked for while it was being started
         return self.modules.view(kind)
+
+    def launch(
+        self,
+        selection: Selection,
+        on_stage: Stage = lambda stage: None,
+        beside: Slot | None = None,
+    ) -> None:
+        """Start a process, as nobody's start of motion: once more what has ended, or in a slot
+        beside the module that works. Raises as `Supervisor.start`.
+        """
+        self._supervisor.start(
+            selection.kind,
+            selection.config,
+            names=selection.names,
+            plan=selection.plan,
+            on_stage=on_stage,
+            beside=beside,
+        )
+
+    def end(self, ended: Slot | ModuleKind) -> Stopped | None:
+        """End the process in a slot, or the module of a kind and a start in progress, for another
+        one that takes its place: nobody is told of a stop. Raises as `Supervisor.stop`.
+        """
+        if isinstance(ended, Slot):
+            return self._supervisor.end(ended)
+        return self._supervisor.stop(ended)
+
+    def parameters(self, slot: Slot) -> NodeClient:
+        """The parameters of the module in a slot. Raises StateError: its process has ended."""
+        return self._supervisor.parameters(slot)
 
     def stream(self, namespace: str) -> deque[Sent]:
         """What is sent on a robot's action topic since a backend was first started for it."""
@@ -276,11 +297,13 @@ class ClosedLoop:
         Raises:
             RoboNeuronError: one does not answer.
         """
-        for slot in self.replacements.slots(kind):
+        with self.modules.changes.lock:
+            slots = tuple(self.modules.slots[kind])
+        for slot in slots:
             self.modules.changes.wait_for(partial(_has_started, slot), start_s)
             if slot.phase != "running" or slot.choice is None or slot.process is None:
                 continue
-            if refused := self.replacements.parameters(slot).set(values, timeout_s):
+            if refused := self.parameters(slot).set(values, timeout_s):
                 return refused
         return ""
 
@@ -299,29 +322,24 @@ def check_compatible(selection: Selection, views: Mapping[ModuleKind, ModuleView
     if selection.kind == "robot":
         _check_robot(selection, views)
     elif selection.kind == "inference":
-        served = _running(views["perception"])
-        if served is not None:
-            _check_cameras(selection, served)
+        _check_cameras(selection, _running(views["perception"]))
     elif selection.kind == "perception":
-        served_backend = _running(views["inference"])
-        if served_backend is not None:
-            _check_cameras(served_backend, selection)
+        _check_cameras(_running(views["inference"]), selection)
 
 
 def _check_robot(selection: Selection, views: Mapping[ModuleKind, ModuleView]) -> None:
     for view in views.values():
-        if (
-            view.choice is not None
-            and view.choice.settings.config.namespace != selection.config.namespace
-        ):
+        if view.choice is not None and view.choice.config.namespace != selection.config.namespace:
             raise StateError(
-                f"{view.kind} works for the robot in /{view.choice.settings.config.namespace}, "
+                f"{view.kind} works for the robot in /{view.choice.config.namespace}, "
                 f"not for {selection.config.robot.name!r}.",
                 hint="Call stop_all first.",
             )
 
 
-def _check_cameras(inference: Selection, perception: Selection) -> None:
+def _check_cameras(inference: Selection | None, perception: Selection | None) -> None:
+    if inference is None or perception is None or inference.plan is None:
+        return
     backend, section = inference.plan.backend, perception.config.perception
     assert backend is not None
     assert section is not None
@@ -337,6 +355,4 @@ def _check_cameras(inference: Selection, perception: Selection) -> None:
 
 def _running(view: ModuleView) -> Selection | None:
     """What the running module was started with."""
-    if view.phase != "running" or view.choice is None or view.choice.plan is None:
-        return None
-    return Selection.running(view)
+    return view.choice if view.phase == "running" else None

@@ -33,7 +33,7 @@ from roboneuron.supervisor.launching import (
 )
 from roboneuron.supervisor.lifecycle import NodeClient
 from roboneuron.supervisor.process import KILL_S, end_processes
-from roboneuron.supervisor.slot import Choice, Claim, Slot
+from roboneuron.supervisor.slot import Claim, Selection, Slot
 
 if TYPE_CHECKING:
     from roboneuron.ros.link import RosLink
@@ -130,7 +130,6 @@ class Supervisor(Modules):
         kind: ModuleKind,
         config: Config,
         *,
-        python: str | None = None,
         names: Mapping[str, str] | None = None,
         plan: Plan | None = None,
         on_stage: Stage = lambda stage: None,
@@ -142,7 +141,6 @@ class Supervisor(Modules):
         Args:
             kind: which module.
             config: the effective configuration it is told.
-            python: interpreter of its own environment.
             names: what was chosen, for messages.
             plan: the descriptors behind these names.
             on_stage: called with a phrase whenever the start has come further.
@@ -170,14 +168,14 @@ class Supervisor(Modules):
             if beside is not None:
                 settings = self._in_shadow(settings, working)
             slot = beside or working
-            choice = Choice(settings=settings, names=names or {}, plan=plan)
-            slot.begin_start(choice, next(self._order))
+            selection = Selection(settings=settings, names=names or {}, plan=plan)
+            slot.begin_start(selection, next(self._order))
         launch = Launch(
             kind=kind,
             node_name=settings.node_name,
             status_name=settings.status_name,
             first_line=settings.to_line(),
-            python=python,
+            python=selection.python,
             start_timeout_s=config.start_timeout_s(kind),
             stop_timeout_s=config.supervisor.stop_timeout_s,
         )
