@@ -182,10 +182,15 @@ def check_sections(config: Config, registry: Registry, source: str = "roboneuron
         ConfigurationError: a key that nothing installed knows, a value that is not valid, or a
             section of a feature that cannot be used; says why.
     """
-    owners = {key: _spec(o.spec) for o in registry.offers("feature") for key in _spec(o.spec).keys}
+    owners = {
+        key: offer.spec.name
+        for offer in registry.offers("feature")
+        if isinstance(offer.spec, FeatureSpec)
+        for key in offer.spec.keys
+    }
     used: dict[str, FeatureSpec] = {}
     for key in config.sections:
-        name = owners[key].name if key in owners else key.replace("_", "-")
+        name = owners.get(key, key.replace("_", "-"))
         if key not in owners and package_of("feature", name) is None:
             error = _unknown_key(source, key, {*KEYS, *owners})
             raise ConfigurationError(
@@ -292,11 +297,6 @@ def _table(raw: Mapping[str, Any], key: str) -> dict[str, Any]:
     """A table of the file; empty where that has none."""
     found = raw.get(key, {})
     return found if isinstance(found, dict) else {}
-
-
-def _spec(spec: object) -> FeatureSpec:
-    assert isinstance(spec, FeatureSpec)
-    return spec
 
 
 def _explain(

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
@@ -174,11 +174,17 @@ class ClosedLoop:
         """Refuse what does not go together with the modules that run, or could not move now.
 
         Raises:
-            StateError, InvalidInputError: as `check_compatible`.
+            StateError: another module works for another robot.
+            InvalidInputError: the source of images does not serve all cameras of the backend.
             RefusedError: a backend with an instruction proves itself by an action, and the
                 emergency stop is latched.
         """
-        check_compatible(selection, {view.kind: view for view in self.modules.views()})
+        views = self.modules.views()
+        if selection.kind == "robot":
+            _check_namespace(selection, views)
+        running = {view.kind: view.choice for view in views if view.phase == "running"}
+        running[selection.kind] = selection
+        _check_cameras(running.get("inference"), running.get("perception"))
         section = selection.config.inference
         if selection.kind == "inference" and section is not None and section.instruction:
             self.emergency_stop.check()
@@ -312,27 +318,12 @@ def _has_started(slot: Slot) -> bool:
     return slot.phase != "starting"
 
 
-def check_compatible(selection: Selection, views: Mapping[ModuleKind, ModuleView]) -> None:
-    """Compare what is to be started with the modules that run.
-
-    Raises:
-        StateError: another module works for another robot.
-        InvalidInputError: the source of images does not serve all cameras of the backend.
-    """
-    if selection.kind == "robot":
-        _check_robot(selection, views)
-    elif selection.kind == "inference":
-        _check_cameras(selection, _running(views["perception"]))
-    elif selection.kind == "perception":
-        _check_cameras(_running(views["inference"]), selection)
-
-
-def _check_robot(selection: Selection, views: Mapping[ModuleKind, ModuleView]) -> None:
-    for view in views.values():
-        if view.choice is not None and view.choice.config.namespace != selection.config.namespace:
+def _check_namespace(robot: Selection, views: Sequence[ModuleView]) -> None:
+    for view in views:
+        if view.choice is not None and view.choice.config.namespace != robot.config.namespace:
             raise StateError(
                 f"{view.kind} works for the robot in /{view.choice.config.namespace}, "
-                f"not for {selection.config.robot.name!r}.",
+                f"not for {robot.config.robot.name!r}.",
                 hint="Call stop_all first.",
             )
 
@@ -351,8 +342,3 @@ def _check_cameras(inference: Selection | None, perception: Selection | None) ->
             f"but perception serves only {', '.join(section.cameras)}.",
             hint="Let perception serve all cameras, or name others in `cameras`.",
         )
-
-
-def _running(view: ModuleView) -> Selection | None:
-    """What the running module was started with."""
-    return view.choice if view.phase == "running" else None

@@ -7,6 +7,7 @@ beforehand.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -284,11 +285,9 @@ def _check_options(
     """Validate options here when the plugin can be imported here; a module with its own environment
     does it itself.
     """
-    try:
+    absent = () if python is None else (MissingDependencyError,)
+    with suppress(*absent):
         load_options(spec, options, section=section)
-    except MissingDependencyError:
-        if python is None:
-            raise
 
 
 def check_configuration(config: Config, registry: Registry) -> None:
