@@ -21,8 +21,8 @@ from rn_standard.selection.choosing import choose
 from rn_standard.selection.requests import StartChosenInference
 from rn_standard.switching.plugin import FEATURE as SWITCHING
 from roboneuron.config import parse_config
+from roboneuron.plugins.discovery import discover
 from roboneuron.server.loop import ClosedLoop
-from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.supervisor.supervisor import Supervisor
 
 HERE = Path(__file__).parent
@@ -207,7 +207,7 @@ def standing_loop(
             link = supervisor.link
             witness = JointWitness(link.node, link.on_executor, config.namespace)
             with repaired(supervisor):
-                loop = ClosedLoop(config, PluginCatalogue(), supervisor)
+                loop = ClosedLoop(config, discover, supervisor)
                 loop.choose = choose
                 yield loop, witness
         finally:

@@ -23,8 +23,8 @@ from rn_standard.selection.requests import StartChosenInference
 from rn_standard.switching.plugin import FEATURE as SWITCHING
 from rn_standard.switching.replacing import Switching
 from roboneuron.config import parse_config
+from roboneuron.plugins.discovery import discover
 from roboneuron.server.loop import ClosedLoop
-from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.supervisor.supervisor import Supervisor
 
 HERE = Path(__file__).parent
@@ -189,7 +189,7 @@ def moving_loop(
         supervisor = Supervisor(scratch / "state")
         supervisor.on_join = (SWITCHING.on_join or "", EXECUTION.on_join or "")
         try:
-            loop = ClosedLoop(config, PluginCatalogue(), supervisor)
+            loop = ClosedLoop(config, discover, supervisor)
             loop.choose = choose
             switching = Switching(loop)
             witness = Witness(supervisor, config.namespace)

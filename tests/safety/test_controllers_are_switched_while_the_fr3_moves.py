@@ -20,7 +20,6 @@ from roboneuron.config import ControlConfig
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.loading import load_target
 from roboneuron.server.loop import ClosedLoop
-from roboneuron.server.plugins import PluginCatalogue
 
 pytestmark = [pytest.mark.ros, pytest.mark.timing, pytest.mark.timeout(180)]
 
@@ -28,7 +27,7 @@ pytestmark = [pytest.mark.ros, pytest.mark.timing, pytest.mark.timeout(180)]
 def test_the_joints_do_not_notice_a_new_controller(
     arm: Any, wait: Callable[[Callable[[], bool], float, str], float]
 ) -> None:
-    loop = ClosedLoop(arm.config, PluginCatalogue(), arm.supervisor)
+    loop = ClosedLoop(arm.config, discover, arm.supervisor)
     loop.choose = choose
     arm.supervisor.on_join += (SWITCHING.on_join,)
     switching = Switching(loop)

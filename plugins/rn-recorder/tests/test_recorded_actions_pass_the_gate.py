@@ -25,7 +25,6 @@ from roboneuron import ConfigurationError, RefusedError, StateError
 from roboneuron.config import parse_config
 from roboneuron.gate.audit import AUDIT_FILE
 from roboneuron.server.app import Application
-from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.supervisor.supervisor import Supervisor
 
 STEP_M, STEPS = 0.004, 12
@@ -88,7 +87,7 @@ def application(tmp_path: Path) -> Iterator[Application]:
     registry = fake_registry(DIRECT_PATH)
     application = Application(
         parse_config('[robot]\nname = "gantry"\n[control]\ncontroller = "gantry"\n'),
-        plugins=PluginCatalogue(discover=lambda disabled: registry),
+        plugins=lambda: registry,
         supervisor=Supervisor(
             tmp_path, command=lambda python: pytest.fail("nothing may be spawned")
         ),

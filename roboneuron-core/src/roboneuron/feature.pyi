@@ -136,9 +136,6 @@ from .server.motion_gate import (
     TimedCommand as TimedCommand,
     Verdict as Verdict,
 )
-from .server.plugins import (
-    PluginCatalogue as PluginCatalogue,
-)
 from .server.registry import (
     ERROR_META as ERROR_META,
     ToolRegistry as ToolRegistry,

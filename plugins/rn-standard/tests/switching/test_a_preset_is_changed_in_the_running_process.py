@@ -24,8 +24,8 @@ from rn_standard.tools_loop.instructing import give_instruction
 from roboneuron.config import parse_config
 from roboneuron.errors import PlanningError, RefusedError
 from roboneuron.modules.report import Report
+from roboneuron.plugins.discovery import discover
 from roboneuron.server.loop import ClosedLoop
-from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.supervisor.health import ModuleView
 from roboneuron.supervisor.supervisor import Supervisor
 
@@ -69,7 +69,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Switching,
         supervisor = Supervisor(scratch / "state")
         supervisor.on_join = (EXECUTION, SWITCHING.on_join or "")
         try:
-            loop = ClosedLoop(config, PluginCatalogue(), supervisor)
+            loop = ClosedLoop(config, discover, supervisor)
             loop.choose = choose
             switching = Switching(loop)
             witness = Witness(supervisor, config.namespace)

@@ -23,13 +23,13 @@ from roboneuron.errors import ConfigurationError, RoboNeuronError, StateError
 from roboneuron.estop.emergency import SafetyReports, press_on_signal
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.loading import load_attribute
+from roboneuron.plugins.registry import Registry
 from roboneuron.ros.environment import state_directory
 from roboneuron.server.access import Transport
 from roboneuron.server.events import Events
 from roboneuron.server.feature import Features
 from roboneuron.server.host import Host
 from roboneuron.server.loop import ClosedLoop
-from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.server.registry import ToolRegistry
 from roboneuron.server.selection import check_configuration
 from roboneuron.server.stdio import serve_stdio
@@ -79,7 +79,7 @@ class Application:
         self,
         config: Config,
         *,
-        plugins: PluginCatalogue | None = None,
+        plugins: Callable[[], Registry] | None = None,
         supervisor: Supervisor | None = None,
         attached: bool = True,
     ) -> None:
@@ -91,14 +91,15 @@ class Application:
         self._is_joining = False
         self._joining = anyio.Lock()
         self.events = Events()
-        self.plugins = plugins or PluginCatalogue(config.disabled_plugins)
         self.supervisor = supervisor or Supervisor(
             state_directory(config.supervisor.state_directory), on_change=self.events.change.tell
         )
-        self.loop = ClosedLoop(config, self.plugins, self.supervisor)
+        self.loop = ClosedLoop(
+            config, plugins or partial(discover, config.disabled_plugins), self.supervisor
+        )
         self.loop.on_stop = self.events.stop.tell
         self.loop.emergency_stop.audit.on_record = self.events.decision.tell
-        self.features = Features(config, self.plugins.current())
+        self.features = Features(config, self.loop.registry)
         self.supervisor.on_join = self.features.on_join
         reports = SafetyReports(self.loop.starts, self.loop.emergency_stop, self.events.fault)
         self._watch = Watch(reports.look, self.events.health.tell)
@@ -144,7 +145,7 @@ class Application:
         config: Config,
         directory: Path,
         *,
-        plugins: PluginCatalogue | None = None,
+        plugins: Callable[[], Registry] | None = None,
         command: Command | None = None,
         connect: Connect = Connection,
         attached: bool = True,
@@ -166,7 +167,7 @@ class Application:
         """Check the configuration against what is installed. Raises ConfigurationError,
         PlanningError.
         """
-        check_configuration(self.loop.base, self.plugins.current())
+        check_configuration(self.loop.base, self.loop.registry)
         self.features.check()
 
     def listen(self) -> Transport | None:

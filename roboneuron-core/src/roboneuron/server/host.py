@@ -78,7 +78,7 @@ class Host:
     @property
     def registry(self) -> Registry:
         """The installed plugins."""
-        return self.loop.plugins.current()
+        return self.loop.registry
 
     @property
     def gate(self) -> MotionGate:

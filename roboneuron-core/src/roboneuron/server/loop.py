@@ -16,8 +16,8 @@ from roboneuron.errors import InvalidInputError, StateError
 from roboneuron.estop.emergency import EmergencyStop
 from roboneuron.estop.motion_starts import MotionStarts
 from roboneuron.modules.settings import EMERGENCY_STOP, LIMITS_PARAMETER, MODULE_KINDS, ModuleKind
+from roboneuron.plugins.registry import Registry
 from roboneuron.plugins.specs import RobotSpec
-from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.server.selection import Choose, choose_configured
 from roboneuron.server.tool import Arguments
 from roboneuron.supervisor.health import Modules, ModuleView, Stopped
@@ -79,6 +79,11 @@ class RobotFacts:
 class ClosedLoop:
     """One robot and the modules around it.
 
+    Args:
+        config: of the robot.
+        plugins: tells what is installed now, as `discover`.
+        supervisor: of the modules.
+
     Attributes:
         choose: selects what a client asks for; a feature that lets clients choose more puts its own
             here.
@@ -88,9 +93,12 @@ class ClosedLoop:
         modules: what is known of the module processes.
     """
 
-    def __init__(self, config: Config, plugins: PluginCatalogue, supervisor: Supervisor) -> None:
+    def __init__(
+        self, config: Config, plugins: Callable[[], Registry], supervisor: Supervisor
+    ) -> None:
         self.base = config
-        self.plugins = plugins
+        self._plugins = plugins
+        self._known: Registry | None = None
         self._supervisor = supervisor
         self.modules: Modules = supervisor
         self.emergency_stop = EmergencyStop(supervisor)
@@ -109,6 +117,16 @@ class ClosedLoop:
             kind: getattr(self.base, kind) for kind in MODULE_KINDS if kind != "robot"
         }
         return self.base if choice is None else choice.config.model_copy(update=others)
+
+    @property
+    def registry(self) -> Registry:
+        """What is installed now; callable from any thread.
+
+        Raises:
+            ConfigurationError: the configuration disables a plugin that is not installed.
+        """
+        self._known = self._plugins()
+        return self._known
 
     @property
     def limits(self) -> LimitsConfig:
@@ -139,7 +157,8 @@ class ClosedLoop:
     def robot_facts(self) -> RobotFacts:
         """Which robot is or would be started, and whether it is a real one."""
         robot = self.config.robot
-        spec = self.plugins.latest.specs(RobotSpec).get(robot.name)
+        registry = self._known or self.registry  # not looked for with each answer of a tool
+        spec = registry.specs(RobotSpec).get(robot.name)
         driver = None if spec is None else spec.driver(robot.driver)
         kind: Literal["real", "simulated"] = (
             "simulated" if driver is not None and driver.simulated else "real"
@@ -148,12 +167,12 @@ class ClosedLoop:
 
     def takes_policies(self) -> bool:
         """Whether any policy could move the present robot; true of a robot whose plugin is gone."""
-        spec = self.plugins.current().specs(RobotSpec).get(self.config.robot.name)
+        spec = self.registry.specs(RobotSpec).get(self.config.robot.name)
         return spec is None or bool(spec.action_widths)
 
     def camera_roles(self) -> dict[str, str]:
         """Camera name -> role of the present robot; empty when its plugin is gone."""
-        spec = self.plugins.current().specs(RobotSpec).get(self.config.robot.name)
+        spec = self.registry.specs(RobotSpec).get(self.config.robot.name)
         return {} if spec is None else {camera.name: camera.role for camera in spec.cameras}
 
     def select(self, kind: ModuleKind, request: Arguments | None, role: str = "") -> Selection:
@@ -166,7 +185,7 @@ class ClosedLoop:
             RoboNeuronError: as `choose` and `check`.
         """
         config = self.base if kind == "robot" else self.config
-        selection = self.choose(kind, config, self.plugins.current(), request, role)
+        selection = self.choose(kind, config, self.registry, request, role)
         self.check(selection)
         return selection
 

@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -27,8 +28,9 @@ from roboneuron.feature import (
     Config,
     Events,
     Periodic,
-    PluginCatalogue,
+    Registry,
     Transport,
+    discover,
     emergency,
     estop,
     log_files,
@@ -62,7 +64,7 @@ class Fleet:
         config: Config,
         state: Path,
         *,
-        plugins: PluginCatalogue | None = None,
+        plugins: Callable[[], Registry] | None = None,
         command: Callable[[str | None], Sequence[str]] | None = None,
     ) -> None:
         logs = state / "log" / f"{time.strftime('%Y%m%d-%H%M%S')}-{os.getpid()}"
@@ -76,7 +78,7 @@ class Fleet:
         )
         self.robots: dict[str, Application] = {}
         self.events = Events()
-        plugins = plugins or PluginCatalogue(config.disabled_plugins)
+        plugins = plugins or partial(discover, config.disabled_plugins)
         try:
             for name, one in config.robots.items():
                 self.robots[name] = self._application(
@@ -213,7 +215,7 @@ class Fleet:
         name: str,
         config: Config,
         folder: Path,
-        plugins: PluginCatalogue,
+        plugins: Callable[[], Registry],
         command: Callable[[str | None], Sequence[str]] | None,
     ) -> Application:
         made = Application.in_directory(
