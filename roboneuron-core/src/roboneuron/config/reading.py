@@ -235,11 +235,9 @@ def feature_options(
         return None
     # several sections make one model, with a field for each; a single one is the model itself
     section = "" if spec.sections else spec.keys[0]
-    raw: Any
-    if spec.sections:
-        raw = {key: config.sections[key] for key in spec.sections if key in config.sections}
-    else:
-        raw = config.sections.get(section, {})
+    raw: Any = {key: config.sections[key] for key in spec.keys if key in config.sections}
+    if section:
+        raw = raw.get(section, {})
     try:
         return model.model_validate(raw)
     except ValidationError as error:

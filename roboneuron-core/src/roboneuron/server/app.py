@@ -121,7 +121,6 @@ class Application:
             events=self.events,
             started_s=self.started_s,
             state_directory=self.supervisor.state_directory,
-            check_resource=self.server.find_resource,
             end_motion=self.end_motion,
             _link=lambda: self.supervisor.link,
         )
@@ -132,10 +131,7 @@ class Application:
         self.server.introduce(
             f"RoboNeuron operates one {self.loop.robot_facts}.", self.tools.names()
         )
-        found: dict[str, Resource] = {}
-        for resource in offered:
-            found.setdefault(resource.uri, resource)
-        self.resources = found
+        self.resources = {resource.uri: resource for resource in offered}
         if attached:
             self.features.attach(self.host)
 

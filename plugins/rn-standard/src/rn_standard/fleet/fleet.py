@@ -109,7 +109,6 @@ class Fleet:
             first.host,
             server=self.server,
             events=self.events,
-            check_resource=self.server.find_resource,
         )
         first.features.attach(self._host)
 
