@@ -332,5 +332,4 @@ class ModuleSettings(BaseModel):
 
     def to_line(self) -> str:
         """The line for the module's stdin; plugins have no use for the server's own section."""
-        config = self.config.model_copy(update={"server": ServerConfig()})
-        return self.model_copy(update={"config": config}).model_dump_json()
+        return self.model_dump_json(exclude={"config": {"server"}})

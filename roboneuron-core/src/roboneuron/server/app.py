@@ -92,8 +92,9 @@ class Application:
         self._joining = anyio.Lock()
         self.events = Events()
         self.supervisor = supervisor or Supervisor(
-            state_directory(config.supervisor.state_directory), on_change=self.events.change.tell
+            state_directory(config.supervisor.state_directory)
         )
+        self.supervisor.on_change = self.events.change.tell
         self.loop = ClosedLoop(
             config, plugins or partial(discover, config.disabled_plugins), self.supervisor
         )
@@ -155,9 +156,7 @@ class Application:
             connect: makes the server's node, see `Supervisor`.
         """
         supervisor = Supervisor(directory, command=command or module_command, connect=connect)
-        made = cls(config, plugins=plugins, supervisor=supervisor, attached=attached)
-        supervisor.on_change = made.events.change.tell
-        return made
+        return cls(config, plugins=plugins, supervisor=supervisor, attached=attached)
 
     def check(self) -> None:
         """Check the configuration against what is installed. Raises ConfigurationError,
