@@ -13,7 +13,6 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +29,6 @@ from roboneuron.feature import (
     Periodic,
     Registry,
     Transport,
-    discover,
     emergency,
     estop,
     log_files,
@@ -78,7 +76,6 @@ class Fleet:
         )
         self.robots: dict[str, Application] = {}
         self.events = Events()
-        plugins = plugins or partial(discover, config.disabled_plugins)
         try:
             for name, one in config.robots.items():
                 self.robots[name] = self._application(
@@ -214,7 +211,7 @@ class Fleet:
         name: str,
         config: Config,
         folder: Path,
-        plugins: Callable[[], Registry],
+        plugins: Callable[[], Registry] | None,
         command: Callable[[str | None], Sequence[str]] | None,
     ) -> Application:
         made = Application.in_directory(

@@ -4,8 +4,19 @@ from __future__ import annotations
 
 from datetime import UTC, datetime
 
-from roboneuron import CallContext, NoArguments, RefusedError, Tool
-from roboneuron.feature import ClosedLoop, EmergencyStopResult, roles
+from pydantic import Field
+
+from roboneuron import CallContext, NoArguments, RefusedError, Result, Tool
+from roboneuron.feature import ClosedLoop, roles
+
+
+class ReleaseResult(Result):
+    """The latch, as the modules themselves report it."""
+
+    latched: bool
+    confirmed_by: list[str] = Field(description="running modules that report it")
+    took_s: float
+    note: str = ""
 
 
 def reset_tool(loop: ClosedLoop) -> Tool[NoArguments]:
@@ -43,7 +54,7 @@ def reset_tool(loop: ClosedLoop) -> Tool[NoArguments]:
             f"{stop.release_command}",
         )
 
-    async def reset(_: NoArguments, context: CallContext) -> EmergencyStopResult:
+    async def reset(_: NoArguments, context: CallContext) -> ReleaseResult:
         who, pin = context.who, ""
         for_pin = stop.needs_pin
         if (for_pin or loop.base.server.reset_emergency_stop == "person") and stop.is_latched():
@@ -52,7 +63,7 @@ def reset_tool(loop: ClosedLoop) -> Tool[NoArguments]:
         confirmed, took_s = await context.run(
             lambda _: stop.reset(loop.config.namespace, who=who, role=context.role, pin=pin)
         )
-        return EmergencyStopResult(
+        return ReleaseResult(
             latched=False, confirmed_by=confirmed, took_s=round(took_s, 3), note=loop.starts.AGAIN
         )
 
@@ -67,7 +78,7 @@ def reset_tool(loop: ClosedLoop) -> Tool[NoArguments]:
             "instruction; set_instruction or run_task starts it again."
         ),
         arguments=NoArguments,
-        result=EmergencyStopResult,
+        result=ReleaseResult,
         handler=reset,
         destructive=True,
         idempotent=True,
