@@ -187,7 +187,7 @@ def moving_loop(
         text = CONFIG.format(rate_hz=rate_hz, camera_options=camera_options)
         config = parse_config(f"{text}{backend_options}[plugins.first]\n{backend_options}")
         supervisor = Supervisor(scratch / "state")
-        supervisor.on_join = (SWITCHING.on_join or "", EXECUTION.on_join or "")
+        supervisor.on_join = (EXECUTION.on_join or "", SWITCHING.on_join or "")
         try:
             loop = ClosedLoop(config, discover, supervisor)
             loop.choose = choose
