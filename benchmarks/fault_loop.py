@@ -19,10 +19,10 @@ from shared_memory import repaired
 from rn_standard.execution.plugin import FEATURE as EXECUTION
 from rn_standard.selection.choosing import choose
 from rn_standard.selection.requests import StartChosenInference
-from rn_standard.switching.standby import JOIN
+from rn_standard.switching.plugin import FEATURE as SWITCHING
 from roboneuron.config import parse_config
+from roboneuron.plugins.discovery import discover
 from roboneuron.server.loop import ClosedLoop
-from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.supervisor.supervisor import Supervisor
 
 HERE = Path(__file__).parent
@@ -202,12 +202,12 @@ def standing_loop(
     with environment(folder):
         config = parse_config(config_text(folder, rate_hz, **more))
         supervisor = Supervisor(folder / "state")
-        supervisor.on_join = (JOIN, EXECUTION.on_join or "")
+        supervisor.on_join = (SWITCHING.on_join or "", EXECUTION.on_join or "")
         try:
             link = supervisor.link
             witness = JointWitness(link.node, link.on_executor, config.namespace)
             with repaired(supervisor):
-                loop = ClosedLoop(config, PluginCatalogue(), supervisor)
+                loop = ClosedLoop(config, discover, supervisor)
                 loop.choose = choose
                 yield loop, witness
         finally:

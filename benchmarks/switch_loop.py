@@ -20,10 +20,11 @@ from switch_plugin import named_by
 from rn_standard.execution.plugin import FEATURE as EXECUTION
 from rn_standard.selection.choosing import choose
 from rn_standard.selection.requests import StartChosenInference
+from rn_standard.switching.plugin import FEATURE as SWITCHING
 from rn_standard.switching.replacing import Switching
 from roboneuron.config import parse_config
+from roboneuron.plugins.discovery import discover
 from roboneuron.server.loop import ClosedLoop
-from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.supervisor.supervisor import Supervisor
 
 HERE = Path(__file__).parent
@@ -186,9 +187,9 @@ def moving_loop(
         text = CONFIG.format(rate_hz=rate_hz, camera_options=camera_options)
         config = parse_config(f"{text}{backend_options}[plugins.first]\n{backend_options}")
         supervisor = Supervisor(scratch / "state")
-        supervisor.on_join = (EXECUTION.on_join or "",)
+        supervisor.on_join = (EXECUTION.on_join or "", SWITCHING.on_join or "")
         try:
-            loop = ClosedLoop(config, PluginCatalogue(), supervisor)
+            loop = ClosedLoop(config, discover, supervisor)
             loop.choose = choose
             switching = Switching(loop)
             witness = Witness(supervisor, config.namespace)

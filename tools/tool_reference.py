@@ -19,7 +19,6 @@ from roboneuron.plugins.availability import package_of
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.registry import Registry
 from roboneuron.server.app import Application
-from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.server.schema import Schema
 
 Answer = tuple[tuple[str, str, str], ...]
@@ -51,8 +50,8 @@ def tools_reference() -> str:
     features = tuple(
         offer for offer in discover().offers("feature") if package_of("feature", offer.spec.name)
     )
-    catalogue = PluginCatalogue(discover=lambda disabled: Registry(plugins=(), all_offers=features))
-    application = Application(config, plugins=catalogue)
+    registry = Registry(plugins=(), all_offers=features)
+    application = Application(config, plugins=lambda: registry)
     try:
         listing = application.tools.listing()
         found = [application.tools.get(tool.name) for tool in listing]

@@ -14,12 +14,12 @@ import pytest
 
 from rn_standard.selection.choosing import choose
 from rn_standard.selection.requests import StartControl
+from rn_standard.switching.plugin import FEATURE as SWITCHING
 from rn_standard.switching.replacing import Switching
 from roboneuron.config import ControlConfig
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.loading import load_target
 from roboneuron.server.loop import ClosedLoop
-from roboneuron.server.plugins import PluginCatalogue
 
 pytestmark = [pytest.mark.ros, pytest.mark.timing, pytest.mark.timeout(180)]
 
@@ -27,8 +27,9 @@ pytestmark = [pytest.mark.ros, pytest.mark.timing, pytest.mark.timeout(180)]
 def test_the_joints_do_not_notice_a_new_controller(
     arm: Any, wait: Callable[[Callable[[], bool], float, str], float]
 ) -> None:
-    loop = ClosedLoop(arm.config, PluginCatalogue(), arm.supervisor)
+    loop = ClosedLoop(arm.config, discover, arm.supervisor)
     loop.choose = choose
+    arm.supervisor.on_join += (SWITCHING.on_join,)
     switching = Switching(loop)
     loop.start("robot")
     loop.start("control")

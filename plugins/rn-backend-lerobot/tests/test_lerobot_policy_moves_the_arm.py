@@ -181,8 +181,7 @@ class Cell:
 
     def start(self, kind: Any) -> None:
         """Start one module, inference under its own interpreter."""
-        python = str(PYTHON) if kind == "inference" else None
-        self.supervisor.start(kind, self.config, python=python)
+        self.supervisor.start(kind, self.config)
 
     def rests(self, for_s: float) -> bool:
         """Whether the arm does not move for so long from now on."""
@@ -244,7 +243,7 @@ def test_other_policies_move_the_arm_as_lerobot_would(
 ) -> None:
     """Diffusion is asked row by row: its second row answers a second image."""
     config = parse_config(CONFIG.format(checkpoint=made(policy), python=PYTHON))
-    cell.supervisor.start("inference", config, python=str(PYTHON))
+    cell.supervisor.start("inference", config)
     wait_until(lambda: len(cell.seen.actions) >= 20, 30.0, "the policy acts")
     check_actions(cell, made(policy), tmp_path, rows)
 
@@ -313,15 +312,16 @@ def test_what_does_not_fit_is_one_sentence_and_the_arm_rests(
     older = tmp_path / "python"
     older.write_text(f'#!/bin/sh\nPYTHONPATH={other.parent} exec {PYTHON} "$@"\n')
     older.chmod(0o755)
-    said = refusal(cell, cell.config, str(older))
+    text = CONFIG.format(checkpoint=checkpoint, python=older)
+    said = refusal(cell, parse_config(text))
     assert "LeRobot 0.5.1 is installed in" in said
     assert cell.seen.actions == []
     assert cell.seen.moved_rad(began_s) < STILL_RAD
 
 
-def refusal(cell: Cell, config: Config, python: str = str(PYTHON)) -> str:
+def refusal(cell: Cell, config: Config) -> str:
     """What inference says when it cannot start."""
     with pytest.raises(RoboNeuronError) as refused:
-        cell.supervisor.start("inference", config, python=python)
+        cell.supervisor.start("inference", config)
     assert "\n" not in refused.value.message
     return refused.value.message

@@ -19,7 +19,6 @@ from rn_testing.fakes import fake_registry
 from roboneuron.config import parse_config
 from roboneuron.gate.audit import AuditRecord
 from roboneuron.server.app import Application
-from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.supervisor.health import Health
 from roboneuron.supervisor.supervisor import Supervisor
 
@@ -41,7 +40,7 @@ def exported(tmp_path_factory: pytest.TempPathFactory) -> dict[str, set[str]]:
     registry = fake_registry(HTTP, FEATURE)
     application = Application(
         parse_config('[robot]\nname = "gantry"\n[metrics]\nprometheus = true\nport = 0\n'),
-        plugins=PluginCatalogue(discover=lambda disabled: registry),
+        plugins=lambda: registry,
         supervisor=Supervisor(
             tmp_path_factory.mktemp("state"), command=lambda python: pytest.fail("not spawned")
         ),

@@ -18,7 +18,6 @@ from rn_testing.fakes import fake_registry
 from roboneuron.config import parse_config
 from roboneuron.gate.audit import AuditRecord
 from roboneuron.server.app import Application
-from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.server.registry import ERROR_META
 from roboneuron.supervisor.supervisor import Supervisor
 
@@ -43,7 +42,7 @@ def serve(tmp_path):
         registry = fake_registry(HTTP, FEATURE)
         application = Application(
             parse_config(CONFIG.format(prometheus=str(prometheus).lower(), namespace=namespace)),
-            plugins=PluginCatalogue(discover=lambda disabled: registry),
+            plugins=lambda: registry,
             supervisor=Supervisor(
                 tmp_path, command=lambda python: pytest.fail("nothing may be spawned")
             ),

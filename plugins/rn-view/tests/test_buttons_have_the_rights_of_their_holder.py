@@ -18,7 +18,6 @@ from roboneuron.config import parse_config
 from roboneuron.gate.audit import AuditRecord
 from roboneuron.server.access import Holder
 from roboneuron.server.app import Application
-from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.supervisor.supervisor import Supervisor
 
 VIEWER, OPERATOR = Holder(who="eve", role="viewer"), Holder(who="ann", role="operator")
@@ -30,7 +29,7 @@ def application(tmp_path):
     registry = fake_registry(FEATURE, HTTP)
     application = Application(
         parse_config('[robot]\nname = "gantry"\n'),
-        plugins=PluginCatalogue(discover=lambda disabled: registry),
+        plugins=lambda: registry,
         supervisor=Supervisor(
             tmp_path, command=lambda python: pytest.fail("nothing may be spawned")
         ),
@@ -86,7 +85,7 @@ def test_the_state_and_what_the_gate_refused_are_shown(application):
 def test_the_stop_of_a_view_beside_a_server_is_the_servers(application):
     config = application.loop.config
     directory = application.supervisor.state_directory
-    source = AttachedSource(config, application.plugins.current(), directory, Graph(directory))
+    source = AttachedSource(config, application.loop.registry, directory, Graph(directory))
     source.press_stop("a visitor")
     assert application.loop.emergency_stop.is_latched()
     assert "a visitor" in application.loop.emergency_stop.cause()

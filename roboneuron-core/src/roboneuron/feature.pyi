@@ -104,9 +104,6 @@ from .server.motion_gate import (
     TimedCommand as TimedCommand,
     Verdict as Verdict,
 )
-from .server.plugins import (
-    PluginCatalogue as PluginCatalogue,
-)
 from .server.registry import (
     ERROR_META as ERROR_META,
     ToolRegistry as ToolRegistry,
@@ -118,7 +115,6 @@ from .server.schema import (
 from .server.selection import (
     Instruction as Instruction,
     KIND_ENTRIES as KIND_ENTRIES,
-    Selection as Selection,
 )
 from .server.surface import (
     make_server as make_server,
@@ -148,6 +144,7 @@ from .supervisor.process import (
 )
 from .supervisor.slot import (
     Phase as Phase,
+    Selection as Selection,
     Slot as Slot,
 )
 

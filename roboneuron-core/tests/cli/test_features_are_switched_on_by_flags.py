@@ -11,7 +11,7 @@ from rn_testing.fakes import fake_registry
 from roboneuron import FeatureSpec, Section
 from roboneuron.cli.main import run_command
 from roboneuron.cli.serve import add_installed_flags, configure
-from roboneuron.config import Config, feature_options, parse_config, with_server
+from roboneuron.config import Config, feature_options, parse_config
 from roboneuron.errors import ConfigurationError
 from roboneuron.plugins.registry import Registry
 
@@ -45,8 +45,12 @@ def options(registry: Registry, *words: str, text: str = "") -> Options:
     parser = ArgumentParser()
     configure(parser)
     add_installed_flags(parser)
-    config: Config = parse_config(f'[robot]\nname = "gantry"\n{text}', registry=registry)
-    found = feature_options(SIREN, with_server(config, parser.parse_args(words), registry))
+    config: Config = parse_config(
+        f'[robot]\nname = "gantry"\n{text}',
+        registry=registry,
+        arguments=parser.parse_args(words),
+    )
+    found = feature_options(SIREN, config)
     assert isinstance(found, Options)
     return found
 

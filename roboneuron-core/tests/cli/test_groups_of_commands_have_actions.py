@@ -73,24 +73,13 @@ def test_check_without_such_a_plugin_says_what_to_install(only, capsys):
         (["config", "show"], "rn-standard"),
         (["config", "reference"], "rn-standard"),
         (["config", "check", "x.toml"], "rn-standard"),
-        (["plugins", "list", "--json"], "rn-standard"),
+        (["plugins", "list"], "rn-standard"),
         (["plugins", "show", "fr3"], "rn-standard"),
     ],
 )
 def test_a_command_that_is_not_installed_is_named_with_its_package(only, capsys, words, package):
     assert main(words) == 2
     assert f"the package {package} brings it" in capsys.readouterr().err
-
-
-def test_every_installation_lists_its_plugins_with_what_is_missing(only, capsys):
-    needs = "(Requirement(module='absent_library', install='pip install absent-library'),)"
-    backend = f"BackendSpec(name='lacking', summary='Cannot.', target='m:C', requires={needs})"
-    only.install("rn-alone", f"@hookimpl\ndef roboneuron_backends():\n    return [{backend}]\n")
-    assert main(["plugins", "list"]) == 0
-    out = capsys.readouterr().out
-    assert "rn-alone 1.0: unavailable: backend lacking\n  " in out
-    assert "run: pip install absent-library" in out
-    assert "pip install -r requirements.txt" in out
 
 
 def test_options_of_a_group_may_stand_before_its_action():

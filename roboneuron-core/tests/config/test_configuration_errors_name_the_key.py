@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import re
-import tomllib
-from importlib.resources import files
 from pathlib import Path
 
 import pytest
@@ -118,68 +115,6 @@ def test_a_checkpoint_is_given_more_time_to_load() -> None:
         parse_config(text + "[supervisor]\nstart_timeout_s = 5.0\n").start_timeout_s("control")
         == 5.0
     )
-
-
-@pytest.mark.parametrize(
-    ("text", "place"),
-    [
-        ("restart = 'never'\n", "'robot.restart' has moved: write robot under [ops.restart]"),
-        (
-            "memory_limit_mb = 500\n",
-            "'robot.memory_limit_mb' has moved: write robot under [ops.memory_limit_mb]",
-        ),
-        (
-            "[perception]\nsource='x'\nrestart = 'on_failure'\n",
-            "'perception.restart' has moved: write perception under [ops.restart]",
-        ),
-        (
-            "[supervisor]\nrestart_limit = 3\n",
-            "'supervisor.restart_limit' has moved: write restart_limit under [ops]",
-        ),
-        (
-            "[supervisor]\nunresponsive_s = 3.0\n",
-            "'supervisor.unresponsive_s' has moved: write unresponsive_s",
-        ),
-        ("[server]\nport = 1\n", "'server.port' has moved: write port under [http]"),
-        (
-            "[direct]\ndry_run = true\n",
-            "'direct.dry_run' has moved: write dry_run under [direct_path]",
-        ),
-        (
-            "[server]\nagent_options = []\n",
-            "'server.agent_options' has moved: write agent_options under [selection]",
-        ),
-        (
-            "[direct]\nmax_duration_s = 5.0\n",
-            "'direct.max_duration_s' has moved: write max_duration_s under [direct_path]",
-        ),
-        (
-            "[direct]\nee_speed_m_s = 0.1\n",
-            "'direct.ee_speed_m_s' has moved: write ee_speed_m_s under [tools_arm]",
-        ),
-        (
-            "[direct]\nee_turn_rad_s = 0.1\n",
-            "'direct.ee_turn_rad_s' has moved: write ee_turn_rad_s under [tools_arm]",
-        ),
-    ],
-)
-def test_a_key_of_an_older_file_says_where_it_is_now(text: str, place: str) -> None:
-    with pytest.raises(ConfigurationError) as caught:
-        parse_config(MINIMAL + text)
-    assert place in caught.value.message
-
-
-def test_keys_have_moved_to_keys_that_there_are() -> None:
-    moved = tomllib.loads(
-        files("roboneuron").joinpath("data/moved.toml").read_text(encoding="utf-8")
-    )
-    assert len(moved) > 20
-    for place in moved.values():
-        key, section = re.fullmatch(r"(\w+) under \[([\w.]+)\]", place).groups()  # type: ignore[union-attr]
-        with pytest.raises(ConfigurationError) as caught:
-            parse_config(f"{MINIMAL}[{section}]\n{key} = {{ no = 'value' }}\n")
-        assert "unknown key" not in caught.value.message.replace(f"'{section}.{key}.no'", ""), place
-        assert f"{section}.{key}" in caught.value.message
 
 
 def test_a_section_of_a_feature_that_is_not_installed_names_its_package() -> None:

@@ -114,10 +114,3 @@ def test_the_section_of_a_package_that_is_absent_names_the_package():
         match=r"'http': There is no feature 'http' installed; .*rn-standard.* Run: pip install",
     ):
         parse_config(f"{ROBOT}[http]\nport = 1\n", registry=REGISTRY)
-
-
-def test_a_key_that_moved_to_a_feature_is_told_where():
-    with pytest.raises(
-        ConfigurationError, match=r"'server.port' has moved: write port under \[http\]"
-    ):
-        parse_config(f"{ROBOT}[server]\nport = 1\n")

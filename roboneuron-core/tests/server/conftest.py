@@ -17,7 +17,6 @@ from rn_testing.fakes.site import PluginSite
 from roboneuron.config import parse_config
 from roboneuron.plugins.specs import BackendSpec
 from roboneuron.server.app import Application
-from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.supervisor.supervisor import Supervisor
 
 CONFIG = """
@@ -50,7 +49,7 @@ def application(tmp_path: Path) -> Iterator[Application]:
     registry = fake_registry(heavy)
     application = Application(
         config,
-        plugins=PluginCatalogue(discover=lambda disabled: registry),
+        plugins=lambda: registry,
         supervisor=Supervisor(
             tmp_path, command=lambda python: pytest.fail("nothing may be spawned")
         ),

@@ -25,7 +25,6 @@ from roboneuron.config import Config
 from roboneuron.errors import ConfigurationError, RefusedError, RoboNeuronError
 from roboneuron.server.access import Transport
 from roboneuron.server.app import Application
-from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.supervisor.supervisor import Supervisor
 
 TRACE: list[str] = []
@@ -159,7 +158,7 @@ def make(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
         registry = fake_registry(*specs)
         application = Application(
             Config.model_validate({"robot": {"name": "gantry"}, **config}),
-            plugins=PluginCatalogue(discover=lambda disabled: registry),
+            plugins=lambda: registry,
             supervisor=Supervisor(
                 tmp_path, command=lambda python: pytest.fail("nothing may be spawned")
             ),

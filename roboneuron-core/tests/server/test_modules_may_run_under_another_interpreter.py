@@ -19,7 +19,7 @@ from roboneuron.plugins.specs import (
     Requirement,
     RobotSpec,
 )
-from roboneuron.server.selection import Selection
+from roboneuron.server.selection import KIND_ENTRIES
 
 TARGET = "never_imported_module:Thing"
 ABSENT = (Requirement(module="absent_x", install="pip install x"),)
@@ -71,11 +71,11 @@ def test_its_plugin_needs_nothing_here(kind):
     sections = {
         name: {**section, "python": "/other/bin/python"} for name, section in SECTIONS.items()
     }
-    selection = Selection.of(kind, Config.model_validate(sections), REGISTRY)
+    selection = KIND_ENTRIES[kind].select(Config.model_validate(sections), REGISTRY)
     assert selection.python == "/other/bin/python"
     del sections[kind]["python"]
     with pytest.raises(RoboNeuronError, match="absent_x"):
-        Selection.of(kind, Config.model_validate(sections), REGISTRY)
+        KIND_ENTRIES[kind].select(Config.model_validate(sections), REGISTRY)
 
 
 def test_a_module_that_no_feature_brings_is_refused_before_it_is_started():
@@ -85,6 +85,7 @@ def test_a_module_that_no_feature_brings_is_refused_before_it_is_started():
     with pytest.raises(
         ConfigurationError, match="No feature that runs inference modules"
     ) as caught:
-        Selection.of("inference", Config.model_validate(sections), registry)
+        KIND_ENTRIES["inference"].select(Config.model_validate(sections), registry)
     assert "rn-inference" in caught.value.hint
-    assert Selection.of("control", Config.model_validate(sections), registry).kind == "control"
+    selection = KIND_ENTRIES["control"].select(Config.model_validate(sections), registry)
+    assert selection.kind == "control"

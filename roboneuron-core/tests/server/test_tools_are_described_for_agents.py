@@ -19,7 +19,6 @@ from roboneuron.modules.report import Report
 from roboneuron.plugins.registry import Registry
 from roboneuron.plugins.specs import DriverSpec, RobotSpec
 from roboneuron.server.app import Application
-from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.server.tool import CallContext, NoArguments, Result, Tool
 from roboneuron.supervisor.health import ModuleView
 
@@ -82,7 +81,7 @@ def test_annotations_tell_what_a_tool_may_do(application: Application) -> None:
 def test_without_plugins_there_are_no_empty_enums() -> None:
     empty = Registry(plugins=(), all_offers=())
     config = Config.model_validate({"robot": {"name": "gantry"}})
-    application = Application(config, plugins=PluginCatalogue(discover=lambda disabled: empty))
+    application = Application(config, plugins=lambda: empty)
     for tool in application.tools.listing():
         assert all(
             "enum" not in entry or entry["enum"]
@@ -150,9 +149,7 @@ def test_a_driver_that_does_not_say_that_it_is_simulated_counts_as_real() -> Non
     registry = fake_registry(robot)
     for name, named in (("arm", "arm"), ("unknown", "unknown")):
         config = Config.model_validate({"robot": {"name": name, "driver": "network"}})
-        application = Application(
-            config, plugins=PluginCatalogue(discover=lambda disabled: registry)
-        )
+        application = Application(config, plugins=lambda: registry)
         try:
             assert str(application.loop.robot_facts) == f"real robot {named} (driver network)"
         finally:

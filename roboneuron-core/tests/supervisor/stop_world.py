@@ -8,7 +8,7 @@ from typing import Any
 
 from roboneuron.config import Config, ModuleSettings
 from roboneuron.modules.settings import ModuleKind
-from roboneuron.supervisor.slot import Choice, Slot
+from roboneuron.supervisor.slot import Selection, Slot
 from roboneuron.supervisor.supervisor import Supervisor
 
 MakeConfig = Callable[..., Config]
@@ -140,7 +140,7 @@ class World:
             config=self._make_config(stop_timeout_s=stop_timeout_s),
             state_directory="state",
         )
-        slot.begin_start(Choice(settings=settings), next(self.supervisor._order))
+        slot.begin_start(Selection(settings=settings), next(self.supervisor._order))
         return slot
 
     def named(self, name: str) -> list[tuple[Any, ...]]:

@@ -12,7 +12,7 @@ from stop_world import Module, World
 
 from roboneuron.config import ModuleSettings
 from roboneuron.errors import StateError
-from roboneuron.supervisor.slot import Choice, Slot
+from roboneuron.supervisor.slot import Selection, Slot
 
 
 def test_a_start_is_cancelled_by_a_stop_which_waits_for_its_end(world: World) -> None:
@@ -82,7 +82,7 @@ def test_a_replacement_that_is_being_started_is_cancelled_too(world: World) -> N
         config=world._make_config(),
         state_directory="state",
     )
-    beside.begin_start(Choice(settings=settings), 9)
+    beside.begin_start(Selection(settings=settings), 9)
     world.supervisor.stop("control")
     with pytest.raises(StateError, match=r"cancelled: stop_control was called\."):
         beside.check_not_cancelled()

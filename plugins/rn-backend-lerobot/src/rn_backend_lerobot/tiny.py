@@ -282,7 +282,7 @@ def _write_vqbet(directory: Path, shape: TinyShape) -> None:
         policy = VQBeTPolicy(config)
         # as after the first phase of the training: LeRobot warns at each action otherwise
         policy.vqbet.action_head.vqvae_model.discretized.fill_(True)
-        return policy
+        return cast("_Saved", policy)
 
     _write(
         directory,

@@ -11,7 +11,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rn_standard.direct_path.health_diagnostics import HealthDiagnostics
 from roboneuron.supervisor.health import Health, ModuleView
 
-CHOICE = SimpleNamespace(settings=SimpleNamespace(config=SimpleNamespace(namespace="cell")))
+CHOICE = SimpleNamespace(config=SimpleNamespace(namespace="cell"))
 
 
 class Link:

@@ -25,7 +25,6 @@ from roboneuron.feature import ExposedEndpoint, GateRequest
 from roboneuron.modules.report import Report
 from roboneuron.modules.settings import FOLLOWING_NOTE
 from roboneuron.server.app import Application
-from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.supervisor.health import ModuleView
 from roboneuron.supervisor.supervisor import Supervisor
 
@@ -47,7 +46,7 @@ def make(tmp_path: Path) -> Iterator[Make]:
         registry = fake_registry(*features)
         application = Application(
             parse_config('[robot]\nname = "gantry"\n' + text),
-            plugins=PluginCatalogue(discover=lambda disabled: registry),
+            plugins=lambda: registry,
             supervisor=Supervisor(
                 tmp_path / "state", command=lambda python: pytest.fail("nothing may be spawned")
             ),
@@ -185,9 +184,7 @@ def test_control_follows_from_an_action_until_it_holds_or_cannot_say(
             loop_age_s=0.0,
             ready=True,
         )
-        choice = SimpleNamespace(
-            settings=SimpleNamespace(config=SimpleNamespace(namespace=told["namespace"]))
-        )
+        choice = SimpleNamespace(config=SimpleNamespace(namespace=told["namespace"]))
         return ModuleView(kind=kind, phase="running", report=report, choice=choice)
 
     monkeypatch.setattr(application.supervisor, "view", view)

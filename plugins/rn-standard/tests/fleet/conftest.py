@@ -18,7 +18,6 @@ from rn_standard.ops.plugin import CLIENTS
 from rn_standard.tools_ros.plugin import FEATURE as ROS_TOOLS
 from rn_testing.fakes import fake_registry
 from roboneuron.config import parse_config
-from roboneuron.server.plugins import PluginCatalogue
 
 TWO = """
 [robots.left]
@@ -42,7 +41,7 @@ def make_fleet(tmp_path: Path) -> Iterator[Callable[[str], Fleet]]:
             Fleet(
                 parse_config(text, registry=registry),
                 tmp_path,
-                plugins=PluginCatalogue(discover=lambda disabled: registry),
+                plugins=lambda: registry,
                 command=lambda python: pytest.fail("nothing may be spawned"),
             )
         )

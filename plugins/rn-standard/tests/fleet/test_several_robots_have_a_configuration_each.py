@@ -11,7 +11,7 @@ import pytest
 from rn_standard.fleet.plugin import FEATURE
 from rn_standard.selection.plugin import FEATURE as SELECTION
 from rn_testing.fakes import fake_registry
-from roboneuron.config import Config, parse_config, with_server
+from roboneuron.config import Config, parse_config
 from roboneuron.errors import ConfigurationError
 from roboneuron.plugins.specs import FeatureSpec
 
@@ -106,9 +106,11 @@ def test_what_is_wrong_is_named_with_its_robot(text: str, expected: str) -> None
 
 
 def test_the_command_line_speaks_of_the_server_of_all_robots() -> None:
-    config = parse("[robots.a]\nrobot='gantry'\n[robots.b]\nrobot='gantry'")
-    arguments = Namespace(transport="wire", host=None, port=99)
-    changed = with_server(config, arguments, fake_registry(FEATURE, HTTP))
+    changed = parse_config(
+        "[robots.a]\nrobot='gantry'\n[robots.b]\nrobot='gantry'",
+        registry=fake_registry(FEATURE, HTTP),
+        arguments=Namespace(transport="wire", host=None, port=99),
+    )
     for one in (changed, *changed.robots.values()):
         assert one.server.transport == "wire"
         assert one.sections["wire"]["port"] == 99

@@ -18,7 +18,6 @@ from rn_testing.fakes import fake_registry
 from rn_testing.fakes.site import PluginSite
 from roboneuron.config import parse_config
 from roboneuron.server.app import Application
-from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.supervisor.supervisor import Supervisor
 
 MODULES = """
@@ -81,7 +80,7 @@ def application(tmp_path: Path) -> Iterator[Application]:
     registry = fake_registry(FEATURE, CLIENTS)
     application = Application(
         parse_config(MODULES.format(source="controlled")),
-        plugins=PluginCatalogue(discover=lambda disabled: registry),
+        plugins=lambda: registry,
         supervisor=Supervisor(
             tmp_path, command=lambda python: pytest.fail("nothing may be spawned")
         ),

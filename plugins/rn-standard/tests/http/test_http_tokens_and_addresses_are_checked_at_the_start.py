@@ -15,7 +15,7 @@ from rn_standard.http.tokens import TokenFiles, TokenTable, read_tokens
 from rn_testing.fakes import fake_registry
 from roboneuron.cli.main import main
 from roboneuron.cli.serve import configure
-from roboneuron.config import Config, feature_options, parse_config, with_server
+from roboneuron.config import Config, feature_options, parse_config
 from roboneuron.errors import ConfigurationError
 from roboneuron.server.app import serve
 
@@ -178,21 +178,22 @@ def test_a_file_with_a_token_is_only_for_its_owner(tmp_path: Path) -> None:
 def test_the_command_line_goes_before_the_file() -> None:
     parser = argparse.ArgumentParser()
     configure(parser)
-    base = parse_config('[robot]\nname = "none"\n')
-    chosen = with_server(
-        base, parser.parse_args(["--transport", "http", "--port", "9000"]), REGISTRY
-    )
+    base = '[robot]\nname = "none"\n'
+
+    def said(text: str, *words: str) -> Config:
+        return parse_config(text, registry=REGISTRY, arguments=parser.parse_args(words))
+
+    chosen = said(base, "--transport", "http", "--port", "9000")
     address = feature_options(FEATURE, chosen)
     assert isinstance(address, HttpOptions)
     assert (chosen.server.transport, address.host, address.port) == ("http", "127.0.0.1", 9000)
-    there = with_server(
-        config('host = "::1"'), parser.parse_args(["--port", "1"]), REGISTRY
-    ).sections["http"]
+    file = f'{base}[server]\ntransport = "http"\n[http]\nhost = "::1"\n'
+    there = said(file, "--port", "1").sections["http"]
     assert there == {"host": "::1", "port": 1}
     with pytest.raises(ConfigurationError, match="--transport http"):
-        with_server(base, parser.parse_args(["--port", "9000"]), REGISTRY)
+        said(base, "--port", "9000")
     with pytest.raises(ConfigurationError, match=r"the command line: http\.port = 70000"):
-        with_server(base, parser.parse_args(["--transport", "http", "--port", "70000"]), REGISTRY)
+        said(base, "--transport", "http", "--port", "70000")
 
 
 def test_a_token_file_that_changes_is_read_again(tmp_path: Path) -> None:
@@ -253,15 +254,3 @@ def test_config_check_says_what_serve_would(
     assert words in capsys.readouterr().err
     path.write_text(text)
     assert main(["config", "check", str(path)]) == 0, "over stdio nobody asks for them"
-
-
-@pytest.mark.parametrize("key", sorted({*HttpOptions.model_fields} - {"lease_streams"}))
-def test_a_key_where_it_was_is_told_where_it_is(key: str) -> None:
-    value = {
-        "tokens": '[{ name = "a", role = "admin", variable = "T" }]',
-        "allowed_hosts": "[]",
-    }.get(key, "1")
-    with pytest.raises(ConfigurationError) as caught:
-        parse_config(f'[robot]\nname = "none"\n[server]\n{key} = {value}\n')
-    words = f"roboneuron.toml: the key 'server.{key}' has moved: write {key} under [http]."
-    assert str(caught.value).startswith(words)

@@ -21,7 +21,6 @@ from roboneuron.config import parse_config
 from roboneuron.errors import ConfigurationError
 from roboneuron.server.app import Application
 from roboneuron.server.host import Host
-from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.supervisor.health import ModuleView
 from roboneuron.supervisor.supervisor import Supervisor
 
@@ -37,7 +36,7 @@ def make(tmp_path: Path) -> Iterator[Make]:
     def build(text: str) -> Application:
         application = Application(
             parse_config(f'[robot]\nname = "gantry"\n{text}', registry=registry),
-            plugins=PluginCatalogue(discover=lambda disabled: registry),
+            plugins=lambda: registry,
             supervisor=Supervisor(
                 tmp_path, command=lambda python: pytest.fail("nothing may be spawned")
             ),

@@ -19,7 +19,6 @@ from roboneuron import DriverSpec, RobotSpec
 from roboneuron.config import parse_config
 from roboneuron.errors import NotReadyError
 from roboneuron.server.app import Application
-from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.supervisor.supervisor import Supervisor
 
 MODES = ("auto", "legacy")
@@ -57,7 +56,7 @@ def make(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[.
         registry = fake_registry(ARM, CLIENTS, REAL_ROBOT, SELECTION, TASKS)
         application = Application(
             parse_config(f'[robot]\nname = "arm"\ndriver = "network"\n{more}', registry=registry),
-            plugins=PluginCatalogue(discover=lambda disabled: registry),
+            plugins=lambda: registry,
             supervisor=Supervisor(
                 tmp_path, command=lambda python: pytest.fail("nothing may be spawned")
             ),

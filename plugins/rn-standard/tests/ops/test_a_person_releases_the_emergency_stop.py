@@ -23,7 +23,6 @@ from rn_testing.fakes import fake_registry
 from roboneuron.config import parse_config
 from roboneuron.estop import ESTOP_FILE, EmergencyStopLatch
 from roboneuron.server.app import Application
-from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.supervisor.supervisor import Supervisor
 
 pytestmark = pytest.mark.ros
@@ -43,7 +42,7 @@ def serve(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[
         registry = fake_registry(CLIENTS)
         application = Application(
             parse_config(f'[robot]\nname = "gantry"\n[server]\n{more}'),
-            plugins=PluginCatalogue(discover=lambda disabled: registry),
+            plugins=lambda: registry,
             supervisor=Supervisor(
                 tmp_path, command=lambda python: pytest.fail("nothing may be spawned")
             ),

@@ -17,7 +17,6 @@ from rn_testing.fakes import fake_registry
 from roboneuron import FeatureSpec
 from roboneuron.config import parse_config
 from roboneuron.server.app import Application
-from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.supervisor.supervisor import Supervisor
 
 STATUS = "roboneuron://status"
@@ -32,7 +31,7 @@ def make(tmp_path: Path) -> Iterator[Callable[..., Application]]:
         registry = fake_registry(*specs)
         application = Application(
             parse_config('[robot]\nname = "gantry"\n'),
-            plugins=PluginCatalogue(discover=lambda disabled: registry),
+            plugins=lambda: registry,
             supervisor=Supervisor(
                 tmp_path, command=lambda python: pytest.fail("nothing may be spawned")
             ),

@@ -14,8 +14,8 @@ from rn_standard.ops.restarts import Restarts
 from rn_testing.waiting import wait_until
 from roboneuron.config import Config
 from roboneuron.modules.settings import ModuleKind
+from roboneuron.plugins.discovery import discover
 from roboneuron.server.loop import ClosedLoop
-from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.supervisor.health import Watch
 from roboneuron.supervisor.supervisor import Supervisor
 
@@ -33,7 +33,7 @@ def make_restarts(supervisor: Supervisor, config: Config) -> Iterator[Make]:
         rules = OpsOptions.model_validate(
             {"restart_backoff_s": 0.1, "unresponsive_s": 0.6} | options
         )
-        loop = ClosedLoop(config, PluginCatalogue(), supervisor)
+        loop = ClosedLoop(config, discover, supervisor)
         made = Restarts(
             loop, rules, lambda kind, what: told.append(f"{kind}: {what}"), load=lambda: 0.0
         )

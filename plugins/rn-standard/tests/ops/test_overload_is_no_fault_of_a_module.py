@@ -13,8 +13,9 @@ from rn_standard.ops import restarts
 from rn_standard.ops.load import runnable_per_core
 from rn_standard.ops.options import OpsOptions
 from rn_standard.ops.restarts import Restarts
-from roboneuron.config import parse_config
+from roboneuron.config import ModuleSettings, parse_config
 from roboneuron.errors import NotReadyError
+from roboneuron.supervisor.slot import Selection
 
 BUSY, IDLE = 20.0, 0.1
 
@@ -25,11 +26,12 @@ class CountingModules:
     def __init__(self) -> None:
         self.started = 0
         self.refuses = False
+        self.modules = self
 
     def view(self, kind: str) -> Any:
         return SimpleNamespace(phase="exited")
 
-    def start_again(self, view: Any, config: Any) -> None:
+    def launch(self, selection: Any) -> None:
         self.started += 1
         if self.refuses:
             raise NotReadyError("No image came in time.")
@@ -37,8 +39,9 @@ class CountingModules:
 
 def ended(kind: str = "perception") -> Any:
     """The view of a module that has ended by itself."""
-    settings = SimpleNamespace(config=parse_config('[robot]\nname = "gantry"\n'))
-    choice = SimpleNamespace(settings=settings, names=(), plan=None)
+    config = parse_config('[robot]\nname = "gantry"\n')
+    settings = ModuleSettings(kind=kind, node_name=kind, config=config)
+    choice = Selection(settings=settings)
     return SimpleNamespace(kind=kind, phase="exited", process=None, choice=choice)
 
 
@@ -52,7 +55,7 @@ class Rig:
         rules = OpsOptions.model_validate({"restart_backoff_s": 0.001, **options})
         monkeypatch.setattr(restarts, "_LOOK_S", 0.001)
         monkeypatch.setattr(restarts, "_LONGEST_S", 0.002)
-        loop: Any = SimpleNamespace(modules=self.modules, replacements=self.modules)
+        loop: Any = self.modules
         self.restarts = Restarts(loop, rules, self.record, load=lambda: self.load)
 
     def record(self, kind: str, what: str) -> None:

@@ -21,7 +21,6 @@ from rn_standard.ops.plugin import FEATURE
 from rn_testing.fakes import fake_registry
 from roboneuron.config import Config
 from roboneuron.server.app import Application
-from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.supervisor.supervisor import Supervisor
 
 SOURCES = ("robot", "perception", "inference", "control", "server")
@@ -34,8 +33,8 @@ def application(tmp_path: Path) -> Iterator[Application]:
     supervisor = Supervisor(
         tmp_path / "state", command=lambda python: pytest.fail("nothing may be spawned")
     )
-    catalogue = PluginCatalogue(discover=lambda disabled: fake_registry(FEATURE))
-    application = Application(config, plugins=catalogue, supervisor=supervisor)
+    registry = fake_registry(FEATURE)
+    application = Application(config, plugins=lambda: registry, supervisor=supervisor)
     yield application
     application.close()
 

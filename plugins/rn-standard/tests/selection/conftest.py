@@ -12,7 +12,6 @@ from rn_testing.fakes import fake_registry
 from roboneuron.config import parse_config
 from roboneuron.plugins.specs import BackendSpec
 from roboneuron.server.app import Application
-from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.supervisor.supervisor import Supervisor
 
 
@@ -32,7 +31,7 @@ def application(tmp_path: Path) -> Iterator[Application]:
     registry = fake_registry(heavy, FEATURE)
     application = Application(
         config,
-        plugins=PluginCatalogue(discover=lambda disabled: registry),
+        plugins=lambda: registry,
         supervisor=Supervisor(
             tmp_path, command=lambda python: pytest.fail("nothing may be spawned")
         ),

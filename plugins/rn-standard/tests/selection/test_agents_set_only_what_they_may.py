@@ -26,7 +26,7 @@ from roboneuron.errors import (
 )
 from roboneuron.gate.roles import Role
 from roboneuron.plugins.specs import BackendSpec
-from roboneuron.server.selection import Selection
+from roboneuron.supervisor.slot import Selection
 
 
 class Camera(BaseModel):

@@ -14,7 +14,6 @@ from roboneuron.config import Config
 from roboneuron.plugins.registry import Registry
 from roboneuron.plugins.specs import BackendSpec
 from roboneuron.server.app import Application
-from roboneuron.server.plugins import PluginCatalogue
 
 
 def listing(application: Application) -> dict[str, types.Tool]:
@@ -41,11 +40,11 @@ def test_a_newly_installed_plugin_appears_as_a_choice(
     monkeypatch.syspath_prepend(str(site))
     installed: list[BackendSpec] = []
 
-    def discover(disabled: object) -> Registry:
+    def discover() -> Registry:
         return fake_registry(FEATURE, *installed)
 
     config = Config.model_validate({"robot": {"name": "gantry"}})
-    application = Application(config, plugins=PluginCatalogue(discover=discover))
+    application = Application(config, plugins=discover)
     assert (
         "fresh"
         not in listing(application)["start_inference"].input_schema["properties"]["backend"]["enum"]
@@ -63,7 +62,7 @@ def test_without_plugins_there_are_no_empty_enums() -> None:
     empty = Registry(plugins=(), all_offers=fake_registry(FEATURE).offers("feature"))
     application = Application(
         Config.model_validate({"robot": {"name": "gantry"}}),
-        plugins=PluginCatalogue(discover=lambda disabled: empty),
+        plugins=lambda: empty,
     )
     tools = {tool.name: tool.input_schema["properties"] for tool in application.tools.listing()}
     assert (

@@ -22,7 +22,10 @@ FIRST_S, BRIDGED_NS = 0.1, 40_000_000
 
 
 def switch_of(machine: object, check: object) -> WarmSwitch:
-    loop = SimpleNamespace(modules=machine, replacements=machine, starts=None)
+    def parameters(slot: object) -> object:
+        return machine.parameters(slot)  # type: ignore[attr-defined]
+
+    loop = SimpleNamespace(modules=machine, starts=None, parameters=parameters)
     return WarmSwitch(cast(Any, loop), cast(Any, None), cast(Any, check), lambda stage: None)
 
 
@@ -32,10 +35,8 @@ class Machine:
     def __init__(self) -> None:
         self.changes = Changes()
         self.newest = Report(received_s=time.monotonic())
-        self._slot = SimpleNamespace(check_alive=lambda doing: None, phase="running")
-
-    def slots(self, kind: str) -> Any:
-        return (self._slot,)
+        slot = SimpleNamespace(check_alive=lambda doing: None, phase="running")
+        self.slots: Any = {"control": [slot], "inference": [slot]}
 
     def report_of(self, slot: Any) -> Report:
         return self.newest
@@ -53,7 +54,7 @@ def first_output(machine: Machine) -> None:
         kind="control", noun="controller", has_taken_over=lambda new: "acted" in new.metrics
     )
     switch = switch_of(machine, check)
-    switch._await_first_output(cast(Any, machine.slots("control")[0]), time.monotonic(), 0.0)
+    switch._await_first_output(cast(Any, machine.slots["control"][0]), time.monotonic(), 0.0)
 
 
 @pytest.fixture(autouse=True)
@@ -106,7 +107,7 @@ def agree(client: Client) -> tuple[int, float]:
     machine = Machine()
     check = SimpleNamespace(kind="control", noun="controller")
     switch = switch_of(machine, check)
-    return switch._agree(cast(Any, client), cast(Any, machine.slots("control")[0]), 0.5, BRIDGED_NS)
+    return switch._agree(cast(Any, client), cast(Any, machine.slots["control"][0]), 0.5, BRIDGED_NS)
 
 
 @pytest.mark.parametrize(("has_rows", "bridged_ns"), [(True, 125_000_000), (False, 0)])
@@ -152,7 +153,7 @@ def test_an_old_one_that_cannot_go_on_is_told_beside_the_cause_and_the_cause_sta
 
     monkeypatch.setattr(switch, "_agree", fail)
     with pytest.raises(RefusedError) as told:
-        switch._hand_over(cast(Any, machine.slots("control")[0]))
+        switch._hand_over(cast(Any, machine.slots["control"][0]))
     assert told.value.hint == (
         "Look at it. The old one could not be told to go on either: It did not take its "
         "parameters in time."

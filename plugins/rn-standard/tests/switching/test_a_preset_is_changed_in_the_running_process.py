@@ -18,13 +18,14 @@ import pytest
 
 from rn_standard.selection.choosing import choose
 from rn_standard.selection.requests import StartChosenInference
+from rn_standard.switching.plugin import FEATURE as SWITCHING
 from rn_standard.switching.replacing import Switched, Switching
 from rn_standard.tools_loop.instructing import give_instruction
 from roboneuron.config import parse_config
 from roboneuron.errors import PlanningError, RefusedError
 from roboneuron.modules.report import Report
+from roboneuron.plugins.discovery import discover
 from roboneuron.server.loop import ClosedLoop
-from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.supervisor.health import ModuleView
 from roboneuron.supervisor.supervisor import Supervisor
 
@@ -66,9 +67,9 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Switching,
     with installed(scratch, "rn-preset", ("preset_plugin", "switch_plugin")):
         config = parse_config(CONFIG)
         supervisor = Supervisor(scratch / "state")
-        supervisor.on_join = (EXECUTION,)
+        supervisor.on_join = (EXECUTION, SWITCHING.on_join or "")
         try:
-            loop = ClosedLoop(config, PluginCatalogue(), supervisor)
+            loop = ClosedLoop(config, discover, supervisor)
             loop.choose = choose
             switching = Switching(loop)
             witness = Witness(supervisor, config.namespace)
@@ -232,7 +233,7 @@ def test_a_restart_after_a_crash_uses_the_new_preset(cell: tuple[Switching, Witn
     )
     view = loop.modules.view("inference")
     assert view.choice is not None
-    loop.replacements.start_again(view, view.choice.settings.config)
+    loop.launch(view.choice)
     wait_until(
         lambda: share(switching) == SHARES["quarter"], what="the new preset after the restart"
     )

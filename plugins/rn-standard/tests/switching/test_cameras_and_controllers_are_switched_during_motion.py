@@ -65,7 +65,7 @@ def refused(
     assert before is not None
     assert after.process is before
     assert after.phase == "running"
-    assert loop.replacements.slots(kind)[1:] == ()
+    assert loop.modules.slots[kind][1:] == []
     return str(caught.value)
 
 
@@ -129,7 +129,7 @@ def test_a_source_that_fails_leaves_the_old_one_at_work(
 
     def kill(stage: str) -> None:
         if stage == "perception: changing over":
-            (new,) = [slot.process for slot in loop.replacements.slots("perception")[1:]]
+            (new,) = [slot.process for slot in loop.modules.slots["perception"][1:]]
             assert new is not None
             os.kill(new.pid, signal.SIGKILL)
 

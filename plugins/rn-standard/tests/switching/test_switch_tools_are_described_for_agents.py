@@ -15,7 +15,6 @@ from rn_standard.switching.plugin import FEATURE
 from rn_testing.fakes import fake_registry
 from roboneuron.config import parse_config
 from roboneuron.server.app import Application
-from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.supervisor.supervisor import Supervisor
 
 
@@ -25,7 +24,7 @@ def application(tmp_path: Path) -> Iterator[Application]:
     registry = fake_registry(SELECTION, FEATURE)
     application = Application(
         parse_config('[robot]\nname = "gantry"\n'),
-        plugins=PluginCatalogue(discover=lambda disabled: registry),
+        plugins=lambda: registry,
         supervisor=Supervisor(
             tmp_path, command=lambda python: pytest.fail("nothing may be spawned")
         ),

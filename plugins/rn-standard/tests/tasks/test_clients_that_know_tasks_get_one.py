@@ -23,7 +23,6 @@ from rn_testing.fakes import fake_registry
 from roboneuron.config import parse_config
 from roboneuron.errors import RefusedError
 from roboneuron.server.app import Application
-from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.server.registry import ToolRegistry
 from roboneuron.server.surface import Served, make_server
 from roboneuron.server.tool import CallContext, NoArguments, Result, Stage, Tool
@@ -255,8 +254,7 @@ def test_a_client_of_an_older_revision_makes_the_plain_call() -> None:
 def test_the_feature_offers_it(tmp_path: Any) -> None:
     registry = fake_registry(SELECTION, FEATURE)
     config = parse_config('[robot]\nname = "gantry"\n', registry=registry)
-    plugins = PluginCatalogue(discover=lambda disabled: registry)
-    application = Application(config, plugins=plugins, supervisor=Supervisor(tmp_path))
+    application = Application(config, plugins=lambda: registry, supervisor=Supervisor(tmp_path))
     try:
         assert isinstance(application.server.middleware[1], TaskCalls)
     finally:

@@ -25,7 +25,6 @@ from rn_testing.waiting import wait_until
 from roboneuron.config import parse_config
 from roboneuron.errors import ConfigurationError, InvalidInputError, RefusedError
 from roboneuron.server.app import Application
-from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.supervisor.supervisor import Supervisor
 
 CONFIG = (
@@ -45,7 +44,7 @@ def make(tmp_path: Path) -> Iterator[Make]:
         registry = fake_registry(DIRECT_PATH, LIMITS)
         application = Application(
             parse_config(CONFIG),
-            plugins=PluginCatalogue(discover=lambda disabled: registry),
+            plugins=lambda: registry,
             supervisor=Supervisor(
                 tmp_path / "state", command=lambda python: pytest.fail("nothing may be spawned")
             ),

@@ -18,7 +18,6 @@ from roboneuron.config import parse_config
 from roboneuron.errors import ConfigurationError
 from roboneuron.plugins.specs import FeatureSpec
 from roboneuron.server.app import Application
-from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.supervisor.supervisor import Supervisor
 
 Make = Callable[..., Application]
@@ -33,7 +32,7 @@ def make(tmp_path: Path) -> Iterator[Make]:
         registry = fake_registry(DIRECT_PATH, *features)
         application = Application(
             parse_config('[robot]\nname = "gantry"\n' + text),
-            plugins=PluginCatalogue(discover=lambda disabled: registry),
+            plugins=lambda: registry,
             supervisor=Supervisor(
                 tmp_path / "state", command=lambda python: pytest.fail("nothing may be spawned")
             ),

@@ -15,7 +15,6 @@ from rn_testing.fakes import fake_registry
 from roboneuron.config import Config
 from roboneuron.plugins.specs import BackendSpec
 from roboneuron.server.app import Application
-from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.supervisor.supervisor import Supervisor
 
 TOOLS = {
@@ -38,7 +37,7 @@ def application(tmp_path: Path) -> Iterator[Application]:
     registry = fake_registry(heavy, FEATURE)
     application = Application(
         Config.model_validate({"robot": {"name": "gantry"}}),
-        plugins=PluginCatalogue(discover=lambda disabled: registry),
+        plugins=lambda: registry,
         supervisor=Supervisor(
             tmp_path, command=lambda python: pytest.fail("nothing may be spawned")
         ),

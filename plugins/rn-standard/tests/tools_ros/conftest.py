@@ -27,7 +27,6 @@ from roboneuron.config import parse_config
 from roboneuron.plugins.registry import Registry
 from roboneuron.ros.environment import prepare_environment
 from roboneuron.server.app import Application
-from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.supervisor.supervisor import Supervisor
 
 EXPOSED = """
@@ -270,7 +269,7 @@ def make_application(tmp_path: Path) -> Iterator[Callable[..., Application]]:
         found = registry or fake_registry(DIRECT_PATH, FEATURE, CLIENTS)
         application = Application(
             parse_config(text),
-            plugins=PluginCatalogue(discover=lambda disabled: found),
+            plugins=lambda: found,
             supervisor=Supervisor(
                 tmp_path / "state", command=lambda python: pytest.fail("nothing may be spawned")
             ),

@@ -23,7 +23,7 @@ from roboneuron.cli.terminal import (
     with_verbosity_behind,
 )
 from roboneuron.errors import PluginError, nearest
-from roboneuron.plugins.availability import WHOLE, install_command, package_of
+from roboneuron.plugins.availability import package_of
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.loading import load_target
 from roboneuron.plugins.registry import Registry, Status
@@ -57,25 +57,6 @@ COMMANDS: dict[str, Command] = {
 """Command by name, in the order of `roboneuron --help`."""
 GROUPS = ("config", "plugins")
 """Words that stand before the actions of several commands."""
-
-
-PLUGINS_LIST = "plugins-list"
-"""The command that core answers itself where the package that does so in full is not installed."""
-
-
-def list_plugins(registry: Registry) -> str:
-    """What is installed, whether it can be used, and what to do about the rest."""
-    lines = []
-    for record in registry.plugins:
-        offers = ", ".join(f"{offer.spec.kind} {offer.spec.name}" for offer in record.offers)
-        lines.append(f"{record.name} {record.version}: {record.status}: {offers}".rstrip(": "))
-        lines += [f"  {record.reason}"] if record.reason else []
-    if not lines:
-        lines = [f"No plugins are installed. For a start: {install_command(WHOLE)}"]
-    package = package_of("command", PLUGINS_LIST)
-    return "\n".join(
-        [*lines, f"Options and details of this command: {install_command(package or '')}"]
-    )
 
 
 def spoken(name: str) -> str:
@@ -214,14 +195,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         meant = nearest(spoken(name), names, f"Choose one of: {', '.join(names)}.")
         print(f"roboneuron: There is no command {spoken(name)!r}. {meant}", file=sys.stderr)
         return EXIT_USAGE
-    if (
-        registry is not None
-        and name == PLUGINS_LIST
-        and not own
-        and name not in installed_commands(registry)
-    ):
-        print(list_plugins(registry))
-        return os.EX_OK
     try:
         return run_command(load_command(name, registry), f"roboneuron {spoken(name)}", own)
     except BrokenPipeError:  # the reader of our output went away, as `| head` does

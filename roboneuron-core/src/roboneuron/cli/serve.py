@@ -8,8 +8,7 @@ import gc
 import os
 import sys
 from argparse import SUPPRESS, Action, ArgumentError, ArgumentParser, Namespace
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import redirect_stdout, suppress
 from pathlib import Path
 
 from roboneuron.log_files import begin_logging
@@ -56,7 +55,7 @@ def add_installed_flags(parser: ArgumentParser) -> None:
 
     A feature that is known and not installed has a hidden flag, which says what to install.
     """
-    with quiet_streams():
+    with redirect_stdout(sys.stderr):  # stdout may be the wire of an agent, and plugins may print
         features = switched_features()
     for spec in features:
         told = (
@@ -92,15 +91,15 @@ def run(arguments: Namespace) -> int:
     Imports stand below, in the order in which they are needed: a client waits for the first answer.
 
     Raises:
-        ConfigurationError, PlanningError: as `load_config`, `with_server` and `serve`.
+        ConfigurationError, PlanningError: as `load_config` and `serve`.
     """
     wire = divert_standard_streams()
     begin_logging(arguments.log_level.upper())
     # what a start makes stays, and to look for garbage in it takes 0.1 s; see `shorten_pauses`
     gc.disable()
-    from roboneuron.config import STDIO, load_config, with_server
+    from roboneuron.config import STDIO, load_config
 
-    config = with_server(load_config(arguments.config), arguments)
+    config = load_config(arguments.config, arguments=arguments)
     if config.server.transport == STDIO and os.isatty(wire[0]):
         print(_AT_A_TERMINAL, file=sys.stderr)
     from roboneuron.server.app import serve  # heavy
@@ -123,22 +122,3 @@ def divert_standard_streams() -> tuple[int, int]:
     os.dup2(2, 1)
     sys.stdout = sys.stderr
     return wire
-
-
-@contextmanager
-def quiet_streams() -> Iterator[None]:
-    """Within the block nothing reads from stdin or writes to stdout, which may be the wire of an
-    agent.
-
-    Discovery imports plugins, and importing them may print.
-    """
-    stdout = sys.stdout
-    streams = divert_standard_streams()
-    try:
-        yield
-    finally:
-        sys.stdout.flush()
-        for target, kept in enumerate(streams):
-            os.dup2(kept, target)
-            os.close(kept)
-        sys.stdout = stdout

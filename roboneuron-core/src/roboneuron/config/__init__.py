@@ -26,7 +26,6 @@ from roboneuron.config.reading import (
     read_state_directory,
     robot_folder,
     transport_feature,
-    with_server,
 )
 
 __all__ = [
@@ -53,5 +52,4 @@ __all__ = [
     "read_state_directory",
     "robot_folder",
     "transport_feature",
-    "with_server",
 ]

@@ -336,7 +336,7 @@ class ModuleSettings(BaseModel):
     kind: ModuleKind
     node_name: str = Field(pattern=r"^[a-z][a-z0-9_]*$")
     config: Config
-    state_directory: str
+    state_directory: str = ""
     tightened: LimitsConfig | None = None
     shadow: bool = False
     needs_start: str = ""
@@ -349,5 +349,4 @@ class ModuleSettings(BaseModel):
 
     def to_line(self) -> str:
         """The line for the module's stdin; plugins have no use for the server's own section."""
-        config = self.config.model_copy(update={"server": ServerConfig()})
-        return self.model_copy(update={"config": config}).model_dump_json()
+        return self.model_dump_json(exclude={"config": {"server"}})

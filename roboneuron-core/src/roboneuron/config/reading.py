@@ -32,7 +32,11 @@ KEYS = frozenset(name for name, field in Config.model_fields.items() if not fiel
 
 
 def parse_config(
-    text: str, *, source: str = "roboneuron.toml", registry: Registry | None = None
+    text: str,
+    *,
+    source: str = "roboneuron.toml",
+    registry: Registry | None = None,
+    arguments: Namespace | None = None,
 ) -> Config:
     """Parse the text of a roboneuron.toml.
 
@@ -40,12 +44,17 @@ def parse_config(
         text: TOML.
         source: file name for messages.
         registry: what is installed; discovered when there are sections that core does not know.
+        arguments: of `roboneuron serve`, which come before the text.
 
     Raises:
         ConfigurationError: not TOML, or a key or value is not valid; names file, key and the
             nearest valid key.
     """
     raw = _parse_toml(text, source)
+    changes = _server_changes(raw, arguments) if arguments is not None else {}
+    if changes:
+        raw |= {key: {**_table(raw, key), **change} for key, change in changes.items()}
+        source = f"{source} with the command line"
     return (_read_robots if "robots" in raw else parse_tables)(raw, source, registry)
 
 
@@ -114,15 +123,22 @@ def default_text() -> str:
     return files("roboneuron").joinpath("data/default.toml").read_text(encoding="utf-8")
 
 
-def load_config(path: Path | None = None, registry: Registry | None = None) -> Config:
+def load_config(
+    path: Path | None = None,
+    registry: Registry | None = None,
+    arguments: Namespace | None = None,
+) -> Config:
     """Read `path`, or the embedded default when None; `registry` as in `parse_config`.
 
+    Args:
+        arguments: of `roboneuron serve`, which come before the file.
+
     Raises:
-        ConfigurationError: the file cannot be read or is not valid.
+        ConfigurationError: the file cannot be read or is not valid, or the arguments are not.
     """
-    if path is None:
-        return parse_config(default_text(), source=EMBEDDED_DEFAULT, registry=registry)
-    return parse_config(_read_text(path), source=str(path), registry=registry)
+    text = default_text() if path is None else _read_text(path)
+    source = EMBEDDED_DEFAULT if path is None else str(path)
+    return parse_config(text, source=source, registry=registry, arguments=arguments)
 
 
 def read_state_directory(path: Path) -> str | None:
@@ -166,10 +182,15 @@ def check_sections(config: Config, registry: Registry, source: str = "roboneuron
         ConfigurationError: a key that nothing installed knows, a value that is not valid, or a
             section of a feature that cannot be used; says why.
     """
-    owners = {key: _spec(o.spec) for o in registry.offers("feature") for key in _spec(o.spec).keys}
+    owners = {
+        key: offer.spec.name
+        for offer in registry.offers("feature")
+        if isinstance(offer.spec, FeatureSpec)
+        for key in offer.spec.keys
+    }
     used: dict[str, FeatureSpec] = {}
     for key in config.sections:
-        name = owners[key].name if key in owners else key.replace("_", "-")
+        name = owners.get(key, key.replace("_", "-"))
         if key not in owners and package_of("feature", name) is None:
             error = _unknown_key(source, key, {*KEYS, *owners})
             raise ConfigurationError(
@@ -214,11 +235,9 @@ def feature_options(
         return None
     # several sections make one model, with a field for each; a single one is the model itself
     section = "" if spec.sections else spec.keys[0]
-    raw: Any
-    if spec.sections:
-        raw = {key: config.sections[key] for key in spec.sections if key in config.sections}
-    else:
-        raw = config.sections.get(section, {})
+    raw: Any = {key: config.sections[key] for key in spec.keys if key in config.sections}
+    if section:
+        raw = raw.get(section, {})
     try:
         return model.model_validate(raw)
     except ValidationError as error:
@@ -244,53 +263,38 @@ def transport_feature(transport: str, registry: Registry) -> FeatureSpec:
     )
 
 
-def with_server(config: Config, arguments: Namespace, registry: Registry | None = None) -> Config:
-    """The configuration, and that of each of several robots, with what the command line says about
-    the server.
+def _server_changes(raw: Mapping[str, Any], arguments: Namespace) -> dict[str, dict[str, Any]]:
+    """What the command line says about the server, by section.
 
     Args:
-        config: as the file says.
+        raw: tables of the file.
         arguments: of `roboneuron serve`; what is None leaves the file's value.
-        registry: as of `parse_config`.
 
     Raises:
-        ConfigurationError: nothing serves the transport, or it does not take that address.
+        ConfigurationError: there is an address for stdio.
     """
-    if config.robots:
-        robots = {
-            name: with_server(one, arguments, registry) for name, one in config.robots.items()
-        }
-        config = config.model_copy(update={"robots": robots})
-    if arguments.transport is not None:
-        server = config.server.model_copy(update={"transport": arguments.transport})
-        config = config.model_copy(update={"server": server})
-    for spec in getattr(arguments, "switches", None) or ():
-        section = {**config.sections.get(spec.keys[0], {}), spec.switch: True}
-        config = config.model_copy(update={"sections": {**config.sections, spec.keys[0]: section}})
-    address = {
-        name: getattr(arguments, name)
-        for name in ("host", "port")
-        if getattr(arguments, name) is not None
+    changes: dict[str, dict[str, Any]] = {
+        spec.keys[0]: {spec.switch: True} for spec in getattr(arguments, "switches", None) or ()
     }
-    if not address:
-        return config
-    if config.server.transport == STDIO:
-        raise ConfigurationError("--host and --port are for http.", hint="Add --transport http.")
-    registry = registry or discover(config.disabled_plugins)
-    keys = transport_feature(config.server.transport, registry).keys
-    if not keys:
-        raise ConfigurationError(
-            f"The transport {config.server.transport!r} takes no --host and no --port."
-        )
-    section = {**config.sections.get(keys[0], {}), **address}
-    config = config.model_copy(update={"sections": {**config.sections, keys[0]: section}})
-    check_sections(config, registry, "the command line")
-    return config
+    named = arguments.transport
+    if named is not None:
+        changes["server"] = {"transport": named}
+    address = {key: getattr(arguments, key) for key in ("host", "port")}
+    given = {key: value for key, value in address.items() if value is not None}
+    if given:
+        transport = named or _table(raw, "server").get("transport", STDIO)
+        if transport == STDIO:
+            raise ConfigurationError(
+                "--host and --port are for http.", hint="Add --transport http."
+            )
+        changes[transport] = given  # a transport and its section are called alike
+    return changes
 
 
-def _spec(spec: object) -> FeatureSpec:
-    assert isinstance(spec, FeatureSpec)
-    return spec
+def _table(raw: Mapping[str, Any], key: str) -> dict[str, Any]:
+    """A table of the file; empty where that has none."""
+    found = raw.get(key, {})
+    return found if isinstance(found, dict) else {}
 
 
 def _explain(
@@ -319,18 +323,13 @@ def _explain(
 
 
 def _unknown_key(source: str, key: str, valid: Iterable[str]) -> str:
-    """The sentence for a key that nothing knows: where it has moved to, or what is most like it.
+    """The sentence for a key that nothing knows, with what is most like it.
 
     Args:
         source: file name.
         key: with the sections that it stands in.
         valid: keys that may stand there.
     """
-    moved = tomllib.loads(
-        files("roboneuron").joinpath("data/moved.toml").read_text(encoding="utf-8")
-    )
-    if key in moved:
-        return f"{source}: the key {key!r} has moved: write {moved[key]}."
     known = sorted(valid)
     otherwise = f"Valid keys: {', '.join(known)}. Options of a plugin stand under [plugins.<name>]."
     meant = nearest(key.rpartition(".")[2], known, otherwise, likeness=0.5)

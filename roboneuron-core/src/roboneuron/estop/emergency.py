@@ -13,13 +13,13 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
 
 from roboneuron.errors import NotReadyError, RefusedError, UnsafeError
 from roboneuron.estop.latch import EmergencyStopLatch
 from roboneuron.estop.motion_starts import MotionStarts
+from roboneuron.estop.pin import ReleasePin
 from roboneuron.gate.audit import AuditLog, AuditRecord
 from roboneuron.modules.settings import EMERGENCY_STOP_TOPIC, FOREIGN_REQUEST, ModuleKind
 from roboneuron.supervisor.changes import Event
@@ -57,11 +57,6 @@ def press_on_signal(latch: Callable[[str], object]) -> None:
     signal.signal(signal.SIGUSR1, lambda number, _: signals.put(number))  # may interrupt itself
 
 
-def reset_command(state_directory: Path) -> str:
-    """What a person types to release the stop."""
-    return f"roboneuron estop --reset --state {shlex.quote(str(state_directory))}"
-
-
 class EmergencyStop:
     """Writes the latch file, and publishes in every namespace that a module was started in; usable
     from any thread.
@@ -85,6 +80,17 @@ class EmergencyStop:
         self.file = EmergencyStopLatch.in_directory(supervisor.state_directory)
         self.file.on_pressed(lambda: self._publish(True))
         self.audit = AuditLog.in_directory(supervisor.state_directory)
+
+    @property
+    def release_command(self) -> str:
+        """What a person types to release the stop."""
+        directory = shlex.quote(str(self.file.path.parent))
+        return f"roboneuron estop --reset --state {directory}"
+
+    @property
+    def needs_pin(self) -> bool:
+        """Whether a person has to type a PIN to release the stop."""
+        return ReleasePin(self.file.path.parent).is_set
 
     def is_latched(self) -> bool:
         """Whether the stop is latched: by the file, whoever wrote it, or in any module.

@@ -23,17 +23,17 @@ from roboneuron.errors import ConfigurationError, RoboNeuronError, StateError
 from roboneuron.estop.emergency import SafetyReports, press_on_signal
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.loading import load_attribute
+from roboneuron.plugins.registry import Registry
 from roboneuron.ros.environment import state_directory
 from roboneuron.server.access import Transport
 from roboneuron.server.events import Events
 from roboneuron.server.feature import Features
 from roboneuron.server.host import Host
 from roboneuron.server.loop import ClosedLoop
-from roboneuron.server.plugins import PluginCatalogue
 from roboneuron.server.registry import ToolRegistry
 from roboneuron.server.selection import check_configuration
 from roboneuron.server.stdio import serve_stdio
-from roboneuron.server.stop_tools import emergency_tools, stop_tools
+from roboneuron.server.stop_tools import emergency_tool, stop_tools
 from roboneuron.server.surface import Served, make_server
 from roboneuron.server.tool import Resource
 from roboneuron.supervisor.health import Watch
@@ -79,7 +79,7 @@ class Application:
         self,
         config: Config,
         *,
-        plugins: PluginCatalogue | None = None,
+        plugins: Callable[[], Registry] | None = None,
         supervisor: Supervisor | None = None,
         attached: bool = True,
     ) -> None:
@@ -91,19 +91,21 @@ class Application:
         self._is_joining = False
         self._joining = anyio.Lock()
         self.events = Events()
-        self.plugins = plugins or PluginCatalogue(config.disabled_plugins)
         self.supervisor = supervisor or Supervisor(
-            state_directory(config.supervisor.state_directory), on_change=self.events.change.tell
+            state_directory(config.supervisor.state_directory)
         )
-        self.loop = ClosedLoop(config, self.plugins, self.supervisor)
+        self.supervisor.on_change = self.events.change.tell
+        self.loop = ClosedLoop(
+            config, plugins or partial(discover, config.disabled_plugins), self.supervisor
+        )
         self.loop.on_stop = self.events.stop.tell
         self.loop.emergency_stop.audit.on_record = self.events.decision.tell
-        self.features = Features(config, self.plugins.current())
+        self.features = Features(config, self.loop.registry)
         self.supervisor.on_join = self.features.on_join
         reports = SafetyReports(self.loop.starts, self.loop.emergency_stop, self.events.fault)
         self._watch = Watch(reports.look, self.events.health.tell)
         self.tools = ToolRegistry(
-            [*stop_tools(self.loop), *emergency_tools(self.loop)],
+            [*stop_tools(self.loop), emergency_tool(self.loop)],
             most_calls=config.server.max_concurrent_calls,
             ready=self._join_ros,
             on_call=self.events.call.tell,
@@ -120,7 +122,6 @@ class Application:
             events=self.events,
             started_s=self.started_s,
             state_directory=self.supervisor.state_directory,
-            check_resource=self.server.find_resource,
             end_motion=self.end_motion,
             _link=lambda: self.supervisor.link,
         )
@@ -131,10 +132,7 @@ class Application:
         self.server.introduce(
             f"RoboNeuron operates one {self.loop.robot_facts}.", self.tools.names()
         )
-        found: dict[str, Resource] = {}
-        for resource in offered:
-            found.setdefault(resource.uri, resource)
-        self.resources = found
+        self.resources = {resource.uri: resource for resource in offered}
         if attached:
             self.features.attach(self.host)
 
@@ -144,7 +142,7 @@ class Application:
         config: Config,
         directory: Path,
         *,
-        plugins: PluginCatalogue | None = None,
+        plugins: Callable[[], Registry] | None = None,
         command: Command | None = None,
         connect: Connect = Connection,
         attached: bool = True,
@@ -158,15 +156,13 @@ class Application:
             connect: makes the server's node, see `Supervisor`.
         """
         supervisor = Supervisor(directory, command=command or module_command, connect=connect)
-        made = cls(config, plugins=plugins, supervisor=supervisor, attached=attached)
-        supervisor.on_change = made.events.change.tell
-        return made
+        return cls(config, plugins=plugins, supervisor=supervisor, attached=attached)
 
     def check(self) -> None:
         """Check the configuration against what is installed. Raises ConfigurationError,
         PlanningError.
         """
-        check_configuration(self.loop.base, self.plugins.current())
+        check_configuration(self.loop.base, self.loop.registry)
         self.features.check()
 
     def listen(self) -> Transport | None:

@@ -100,7 +100,7 @@ class Feature(Generic[OptionsT]):
         subscriptions, questions.
 
         Called once, after `tools`. A server of several robots calls it for the first one only, with
-        a host whose `server`, `events` and `check_resource` are those of all.
+        a host whose `server` and `events` are those of all.
         """
 
     def start(self, host: Host) -> None:

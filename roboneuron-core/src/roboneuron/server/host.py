@@ -48,7 +48,6 @@ class Host:
         events: what happens, for listeners.
         started_s: monotonic time of the server's start [s].
         state_directory: for files that outlive the server.
-        check_resource: raises MCPError unless there is a resource of that URI.
         end_motion: ends every motion, and the policy, for a reason: nobody looks after the robot
             any more; returns after at most so many seconds.
     """
@@ -61,7 +60,6 @@ class Host:
     events: Events
     started_s: float
     state_directory: Path
-    check_resource: Callable[[str], object]
     end_motion: Callable[[str, float], None]
     _link: Callable[[], RosLink]
 
@@ -78,7 +76,7 @@ class Host:
     @property
     def registry(self) -> Registry:
         """The installed plugins."""
-        return self.loop.plugins.current()
+        return self.loop.registry
 
     @property
     def gate(self) -> MotionGate:

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
@@ -16,14 +16,14 @@ from roboneuron.errors import InvalidInputError, StateError
 from roboneuron.estop.emergency import EmergencyStop
 from roboneuron.estop.motion_starts import MotionStarts
 from roboneuron.modules.settings import EMERGENCY_STOP, LIMITS_PARAMETER, MODULE_KINDS, ModuleKind
+from roboneuron.plugins.registry import Registry
 from roboneuron.plugins.specs import RobotSpec
-from roboneuron.server.plugins import PluginCatalogue
-from roboneuron.server.replacements import Replacements
-from roboneuron.server.selection import Choose, Selection, choose_configured
+from roboneuron.server.selection import Choose, choose_configured
 from roboneuron.server.tool import Arguments
 from roboneuron.supervisor.health import Modules, ModuleView, Stopped
 from roboneuron.supervisor.launching import Stage
-from roboneuron.supervisor.slot import Slot
+from roboneuron.supervisor.lifecycle import NodeClient
+from roboneuron.supervisor.slot import Selection, Slot
 from roboneuron.supervisor.supervisor import Supervisor
 
 if TYPE_CHECKING:
@@ -79,6 +79,11 @@ class RobotFacts:
 class ClosedLoop:
     """One robot and the modules around it.
 
+    Args:
+        config: of the robot.
+        plugins: tells what is installed now, as `discover`.
+        supervisor: of the modules.
+
     Attributes:
         choose: selects what a client asks for; a feature that lets clients choose more puts its own
             here.
@@ -86,15 +91,16 @@ class ClosedLoop:
         starts: who has asked for motion, and the stops since.
         streams: what was sent on action topics, by namespace, see `stream`.
         modules: what is known of the module processes.
-        replacements: for features that replace or restart modules.
     """
 
-    def __init__(self, config: Config, plugins: PluginCatalogue, supervisor: Supervisor) -> None:
+    def __init__(
+        self, config: Config, plugins: Callable[[], Registry], supervisor: Supervisor
+    ) -> None:
         self.base = config
-        self.plugins = plugins
+        self._plugins = plugins
+        self._known: Registry | None = None
         self._supervisor = supervisor
         self.modules: Modules = supervisor
-        self.replacements = Replacements(supervisor)
         self.emergency_stop = EmergencyStop(supervisor)
         self.starts = MotionStarts(supervisor)
         self.emergency_stop.file.on_pressed(lambda: self.starts.note_stop(EMERGENCY_STOP))
@@ -110,7 +116,17 @@ class ClosedLoop:
         others: dict[str, Any] = {
             kind: getattr(self.base, kind) for kind in MODULE_KINDS if kind != "robot"
         }
-        return self.base if choice is None else choice.settings.config.model_copy(update=others)
+        return self.base if choice is None else choice.config.model_copy(update=others)
+
+    @property
+    def registry(self) -> Registry:
+        """What is installed now; callable from any thread.
+
+        Raises:
+            ConfigurationError: the configuration disables a plugin that is not installed.
+        """
+        self._known = self._plugins()
+        return self._known
 
     @property
     def limits(self) -> LimitsConfig:
@@ -141,7 +157,8 @@ class ClosedLoop:
     def robot_facts(self) -> RobotFacts:
         """Which robot is or would be started, and whether it is a real one."""
         robot = self.config.robot
-        spec = self.plugins.latest.specs(RobotSpec).get(robot.name)
+        registry = self._known or self.registry  # not looked for with each answer of a tool
+        spec = registry.specs(RobotSpec).get(robot.name)
         driver = None if spec is None else spec.driver(robot.driver)
         kind: Literal["real", "simulated"] = (
             "simulated" if driver is not None and driver.simulated else "real"
@@ -150,12 +167,12 @@ class ClosedLoop:
 
     def takes_policies(self) -> bool:
         """Whether any policy could move the present robot; true of a robot whose plugin is gone."""
-        spec = self.plugins.current().specs(RobotSpec).get(self.config.robot.name)
+        spec = self.registry.specs(RobotSpec).get(self.config.robot.name)
         return spec is None or bool(spec.action_widths)
 
     def camera_roles(self) -> dict[str, str]:
         """Camera name -> role of the present robot; empty when its plugin is gone."""
-        spec = self.plugins.current().specs(RobotSpec).get(self.config.robot.name)
+        spec = self.registry.specs(RobotSpec).get(self.config.robot.name)
         return {} if spec is None else {camera.name: camera.role for camera in spec.cameras}
 
     def select(self, kind: ModuleKind, request: Arguments | None, role: str = "") -> Selection:
@@ -168,7 +185,7 @@ class ClosedLoop:
             RoboNeuronError: as `choose` and `check`.
         """
         config = self.base if kind == "robot" else self.config
-        selection = self.choose(kind, config, self.plugins.current(), request, role)
+        selection = self.choose(kind, config, self.registry, request, role)
         self.check(selection)
         return selection
 
@@ -176,11 +193,17 @@ class ClosedLoop:
         """Refuse what does not go together with the modules that run, or could not move now.
 
         Raises:
-            StateError, InvalidInputError: as `check_compatible`.
+            StateError: another module works for another robot.
+            InvalidInputError: the source of images does not serve all cameras of the backend.
             RefusedError: a backend with an instruction proves itself by an action, and the
                 emergency stop is latched.
         """
-        check_compatible(selection, {view.kind: view for view in self.modules.views()})
+        views = self.modules.views()
+        if selection.kind == "robot":
+            _check_namespace(selection, views)
+        running = {view.kind: view.choice for view in views if view.phase == "running"}
+        running[selection.kind] = selection
+        _check_cameras(running.get("inference"), running.get("perception"))
         section = selection.config.inference
         if selection.kind == "inference" and section is not None and section.instruction:
             self.emergency_stop.check()
@@ -213,19 +236,42 @@ class ClosedLoop:
             if text:
                 self.starts.permit()
             ticket = self.starts.begin(text)
-        self._supervisor.start(
-            kind,
-            selection.config,
-            python=selection.python,
-            names=selection.names,
-            plan=selection.plan,
-            on_stage=on_stage,
-        )
+        self.launch(selection, on_stage)
         if kind == "inference":
             self.starts.follow(self._supervisor.slot(kind), ticket)
         else:
             self.starts.arm_started()  # motion may have been asked for while it was being started
         return self.modules.view(kind)
+
+    def launch(
+        self,
+        selection: Selection,
+        on_stage: Stage = lambda stage: None,
+        beside: Slot | None = None,
+    ) -> None:
+        """Start a process, as nobody's start of motion: once more what has ended, or in a slot
+        beside the module that works. Raises as `Supervisor.start`.
+        """
+        self._supervisor.start(
+            selection.kind,
+            selection.config,
+            names=selection.names,
+            plan=selection.plan,
+            on_stage=on_stage,
+            beside=beside,
+        )
+
+    def end(self, ended: Slot | ModuleKind) -> Stopped | None:
+        """End the process in a slot, or the module of a kind and a start in progress, for another
+        one that takes its place: nobody is told of a stop. Raises as `Supervisor.stop`.
+        """
+        if isinstance(ended, Slot):
+            return self._supervisor.end(ended)
+        return self._supervisor.stop(ended)
+
+    def parameters(self, slot: Slot) -> NodeClient:
+        """The parameters of the module in a slot. Raises StateError: its process has ended."""
+        return self._supervisor.parameters(slot)
 
     def stream(self, namespace: str) -> deque[Sent]:
         """What is sent on a robot's action topic since a backend was first started for it."""
@@ -276,11 +322,13 @@ class ClosedLoop:
         Raises:
             RoboNeuronError: one does not answer.
         """
-        for slot in self.replacements.slots(kind):
+        with self.modules.changes.lock:
+            slots = tuple(self.modules.slots[kind])
+        for slot in slots:
             self.modules.changes.wait_for(partial(_has_started, slot), start_s)
             if slot.phase != "running" or slot.choice is None or slot.process is None:
                 continue
-            if refused := self.replacements.parameters(slot).set(values, timeout_s):
+            if refused := self.parameters(slot).set(values, timeout_s):
                 return refused
         return ""
 
@@ -289,39 +337,19 @@ def _has_started(slot: Slot) -> bool:
     return slot.phase != "starting"
 
 
-def check_compatible(selection: Selection, views: Mapping[ModuleKind, ModuleView]) -> None:
-    """Compare what is to be started with the modules that run.
-
-    Raises:
-        StateError: another module works for another robot.
-        InvalidInputError: the source of images does not serve all cameras of the backend.
-    """
-    if selection.kind == "robot":
-        _check_robot(selection, views)
-    elif selection.kind == "inference":
-        served = _running(views["perception"])
-        if served is not None:
-            _check_cameras(selection, served)
-    elif selection.kind == "perception":
-        served_backend = _running(views["inference"])
-        if served_backend is not None:
-            _check_cameras(served_backend, selection)
-
-
-def _check_robot(selection: Selection, views: Mapping[ModuleKind, ModuleView]) -> None:
-    for view in views.values():
-        if (
-            view.choice is not None
-            and view.choice.settings.config.namespace != selection.config.namespace
-        ):
+def _check_namespace(robot: Selection, views: Sequence[ModuleView]) -> None:
+    for view in views:
+        if view.choice is not None and view.choice.config.namespace != robot.config.namespace:
             raise StateError(
-                f"{view.kind} works for the robot in /{view.choice.settings.config.namespace}, "
-                f"not for {selection.config.robot.name!r}.",
+                f"{view.kind} works for the robot in /{view.choice.config.namespace}, "
+                f"not for {robot.config.robot.name!r}.",
                 hint="Call stop_all first.",
             )
 
 
-def _check_cameras(inference: Selection, perception: Selection) -> None:
+def _check_cameras(inference: Selection | None, perception: Selection | None) -> None:
+    if inference is None or perception is None or inference.plan is None:
+        return
     backend, section = inference.plan.backend, perception.config.perception
     assert backend is not None
     assert section is not None
@@ -333,10 +361,3 @@ def _check_cameras(inference: Selection, perception: Selection) -> None:
             f"but perception serves only {', '.join(section.cameras)}.",
             hint="Let perception serve all cameras, or name others in `cameras`.",
         )
-
-
-def _running(view: ModuleView) -> Selection | None:
-    """What the running module was started with."""
-    if view.phase != "running" or view.choice is None or view.choice.plan is None:
-        return None
-    return Selection.running(view)

@@ -77,7 +77,6 @@ class ToolRegistry:
         self._most_calls = most_calls
         self._calls: Counter[str] = Counter()
         self._owned: dict[str, dict[str, _Entry]] = {_FIXED: {}}
-        self._by_name: dict[str, _Entry] = {}
         self.add_all(tools)
 
     def add_admission(self, admit: Admission) -> None:
@@ -138,27 +137,21 @@ class ToolRegistry:
 
     def get(self, name: str) -> Tool[Any] | None:
         """The tool of that name, listed or not."""
-        entry = self._by_name.get(name)
-        return None if entry is None else entry.tool
+        found = [entries[name].tool for entries in self._owned.values() if name in entries]
+        return found[0] if found else None
 
     def _shown(self, owner: str) -> list[types.Tool]:
         return [entry.shown() for entry in self._owned.get(owner, {}).values() if entry.tool.listed]
 
     def _replace(self, owner: str, tools: Iterable[Tool[Any]]) -> None:
         with self._lock:
-            by_name = {
-                name: entry
-                for other, entries in self._owned.items()
-                if other != owner
-                for name, entry in entries.items()
-            }
+            others = [entries for other, entries in self._owned.items() if other != owner]
             own: dict[str, _Entry] = {}
             for tool in tools:
-                if tool.name in by_name:
+                if any(tool.name in entries for entries in (own, *others)):
                     raise InternalError(f"There are two tools called {tool.name!r}.")
-                by_name[tool.name] = own[tool.name] = _Entry(tool)
-            # another thread may be reading those before
-            self._owned, self._by_name = {**self._owned, owner: own}, by_name
+                own[tool.name] = _Entry(tool)
+            self._owned = {**self._owned, owner: own}  # another thread may read those before
 
     async def call(
         self, name: str, arguments: Mapping[str, Any], context: CallContext

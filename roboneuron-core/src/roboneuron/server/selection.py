@@ -7,6 +7,7 @@ beforehand.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -14,7 +15,14 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, Field
 
-from roboneuron.config import Config, ControlConfig, InferenceConfig, PerceptionConfig, RobotConfig
+from roboneuron.config import (
+    Config,
+    ControlConfig,
+    InferenceConfig,
+    ModuleSettings,
+    PerceptionConfig,
+    RobotConfig,
+)
 from roboneuron.errors import (
     CheckpointError,
     ConfigurationError,
@@ -23,7 +31,6 @@ from roboneuron.errors import (
     MissingDependencyError,
     PluginError,
     RoboNeuronError,
-    StateError,
 )
 from roboneuron.modules.plugin import check_module, module_class
 from roboneuron.modules.settings import MAX_INSTRUCTION_LENGTH, ModuleKind, instruction_problem
@@ -32,7 +39,7 @@ from roboneuron.plugins.loading import load_options
 from roboneuron.plugins.registry import Registry
 from roboneuron.plugins.specs import DriverSpec, Spec
 from roboneuron.server.tool import Arguments, NoArguments
-from roboneuron.supervisor.health import ModuleView
+from roboneuron.supervisor.slot import Selection
 
 ModuleSection = RobotConfig | PerceptionConfig | ControlConfig | InferenceConfig
 
@@ -157,6 +164,37 @@ class KindEntry:
                 }
                 return plan, plan.backend, {key: name for key, name in names.items() if name}
 
+    def select(self, config: Config, registry: Registry) -> Selection:
+        """What is configured, checked.
+
+        Raises:
+            InvalidInputError: something needed is not named, or the robot has no such camera.
+            CheckpointError: the checkpoint's path does not exist, or the backend takes none.
+            ConfigurationError: unknown or unusable names or options.
+            PlanningError: the parts do not fit together or the robot.
+        """
+        section = self.configured(config, registry)
+        plan, spec, names = self.plan(config, registry)
+        module_class(self.kind, registry)
+        name = next(iter(names.values()))
+        options = dict(config.options(name))
+        if isinstance(section, InferenceConfig):
+            if section.instruction:
+                check_instruction(section.instruction)
+            section = _check_checkpoint(section, plan, config)
+            if section.checkpoint is not None:
+                options["checkpoint"] = names["checkpoint"] = section.checkpoint
+        config = config.model_copy(update={self.kind: section})
+        is_here = section.python is None and config.robot.python is None
+        if is_here:  # the module does it again, where its own packages are
+            check_module(self.kind, registry, plan, options, config.control)
+        _check_options(spec, options, section.python, f"plugins.{name}")
+        for part in (plan.runtime, plan.acceleration):
+            if part is not None:
+                _check_options(part, config.options(part.name), section.python)
+        settings = ModuleSettings(kind=self.kind, node_name=self.kind, config=config)
+        return Selection(settings=settings, names=names, plan=plan)
+
 
 _ENTRIES = (
     KindEntry(
@@ -196,80 +234,9 @@ KIND_ENTRIES: Mapping[ModuleKind, KindEntry] = {entry.kind: entry for entry in _
 """The kinds in the order in which an agent starts them."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Selection:
-    """What to start.
-
-    Attributes:
-        kind: of the module.
-        config: the effective configuration.
-        names: what was chosen, for messages and the status.
-        plan: the descriptors behind these names.
-        python: interpreter of the module's own environment.
-    """
-
-    kind: ModuleKind
-    config: Config
-    names: Mapping[str, str]
-    plan: Plan
-    python: str | None
-
-    @classmethod
-    def of(cls, kind: ModuleKind, config: Config, registry: Registry) -> Selection:
-        """What is configured, checked.
-
-        Raises:
-            InvalidInputError: something needed is not named, or the robot has no such camera.
-            CheckpointError: the checkpoint's path does not exist, or the backend takes none.
-            ConfigurationError: unknown or unusable names or options.
-            PlanningError: the parts do not fit together or the robot.
-        """
-        entry = KIND_ENTRIES[kind]
-        section = entry.configured(config, registry)
-        plan, spec, names = entry.plan(config, registry)
-        module_class(kind, registry)
-        name = next(iter(names.values()))
-        options = dict(config.options(name))
-        if isinstance(section, InferenceConfig):
-            if section.instruction:
-                check_instruction(section.instruction)
-            section = _check_checkpoint(section, plan, config)
-            if section.checkpoint is not None:
-                options["checkpoint"] = names["checkpoint"] = section.checkpoint
-        config = config.model_copy(update={kind: section})
-        is_here = section.python is None and config.robot.python is None
-        if is_here:  # the module does it again, where its own packages are
-            check_module(kind, registry, plan, options, config.control)
-        _check_options(spec, options, section.python, f"plugins.{name}")
-        for part in (plan.runtime, plan.acceleration):
-            if part is not None:
-                _check_options(part, config.options(part.name), section.python)
-        return cls(kind=kind, config=config, names=names, plan=plan, python=section.python)
-
-    @classmethod
-    def running(cls, view: ModuleView) -> Selection:
-        """What a module was started with, to start the same again.
-
-        Raises:
-            StateError: it was not started from a plan.
-        """
-        choice = view.choice
-        if choice is None or choice.plan is None:
-            raise StateError(f"It is not known what {view.kind} was started with.")
-        config = choice.settings.config
-        section = getattr(config, view.kind)
-        return cls(
-            kind=view.kind,
-            config=config,
-            names=choice.names,
-            plan=choice.plan,
-            python=section.python if section is not None else None,
-        )
-
-
 Choose = Callable[[ModuleKind, Config, Registry, Arguments | None, str], Selection]
 """Selects what a client asks for; called with kind, configuration, plugins, request and role;
-raises as `Selection.of`.
+raises as `KindEntry.select`.
 """
 
 
@@ -285,7 +252,7 @@ def choose_configured(
         section = KIND_ENTRIES[kind].configured(config, registry)
         update = {"instruction": request.instruction}
         config = config.model_copy(update={kind: section.model_copy(update=update)})
-    return Selection.of(kind, config, registry)
+    return KIND_ENTRIES[kind].select(config, registry)
 
 
 def _check_checkpoint(section: InferenceConfig, plan: Plan, config: Config) -> InferenceConfig:
@@ -322,11 +289,9 @@ def _check_options(
     """Validate options here when the plugin can be imported here; a module with its own environment
     does it itself.
     """
-    try:
+    absent = () if python is None else (MissingDependencyError,)
+    with suppress(*absent):
         load_options(spec, options, section=section)
-    except MissingDependencyError:
-        if python is None:
-            raise
 
 
 def check_configuration(config: Config, registry: Registry) -> None:
@@ -334,7 +299,7 @@ def check_configuration(config: Config, registry: Registry) -> None:
     server starts.
 
     Raises:
-        ConfigurationError, PlanningError: as `Selection.of`; all that is wrong.
+        ConfigurationError, PlanningError: as `KindEntry.select`; all that is wrong.
     """
     configured = [
         entry for entry in KIND_ENTRIES.values() if getattr(config, entry.kind) is not None
@@ -359,7 +324,7 @@ def check_configuration(config: Config, registry: Registry) -> None:
 
 def _check_kind(entry: KindEntry, config: Config, registry: Registry) -> None:
     try:
-        Selection.of(entry.kind, config, registry)
+        entry.select(config, registry)
     except InvalidInputError as error:  # a checkpoint may be named later, by the agent
         if error.path != "checkpoint":
             raise ConfigurationError(error.message, hint=error.hint) from error

@@ -1,17 +1,14 @@
-"""The tools that stop: modules, everything, and the emergency stop with its reset."""
+"""The tools that stop: modules, everything, and the emergency stop."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import suppress
-from datetime import UTC, datetime
 from typing import Any
 
 from pydantic import Field
 
-from roboneuron.errors import RefusedError, UnsafeError
-from roboneuron.estop.emergency import reset_command
-from roboneuron.estop.pin import ReleasePin
+from roboneuron.errors import UnsafeError
 from roboneuron.gate.roles import Role
 from roboneuron.modules.settings import MODULE_KINDS, ModuleKind
 from roboneuron.server.loop import ClosedLoop
@@ -113,8 +110,8 @@ class EmergencyStopArguments(Arguments):
     )
 
 
-def emergency_tools(loop: ClosedLoop) -> list[Tool[Any]]:
-    """emergency_stop and reset_emergency_stop."""
+def emergency_tool(loop: ClosedLoop) -> Tool[Any]:
+    """emergency_stop."""
     stop = loop.emergency_stop
 
     def press(arguments: Mapping[str, Any], context: CallContext) -> None:
@@ -123,37 +120,6 @@ def emergency_tools(loop: ClosedLoop) -> list[Tool[Any]]:
         """
         with suppress(UnsafeError):  # told by the call itself, which tries again
             stop.file.press(who=context.who, reason=str(arguments.get("reason") or ""))
-
-    async def ask_person(context: CallContext, *, for_pin: bool) -> str:
-        """The PIN that a person has typed; raises RefusedError unless one agreed to release this
-        very stop.
-        """
-        before, cause = stop.file.read_state(), stop.cause()
-        since = (
-            datetime.fromtimestamp(min(max(before.time_ns, 0), 2**62) / 1e9, UTC)
-            .astimezone()
-            .isoformat(" ", "milliseconds")
-        )
-        question = (  # the time makes a question about another stop another question
-            f"The emergency stop is latched since {since}{f' by {cause}' if cause else ''}. "
-            "Release it? "
-            "Look at the robot first. Nothing moves until someone gives a new instruction or "
-            "moves the arm."
-        )
-        typed = await context.ask_for(question, "PIN") if for_pin else ""
-        agreed = (
-            (None if typed is None else bool(typed)) if for_pin else await context.ask(question)
-        )
-        if agreed and stop.file.read_state().time_ns == before.time_ns:
-            return typed or ""
-        why = {None: "this client cannot ask one", False: "the person did not agree"}.get(
-            agreed, "it was pressed again"
-        )
-        raise RefusedError(
-            f"Only a person releases the emergency stop, and {why}. It stays latched.",
-            hint="Ask a person to look at the robot and to run, in a terminal on this machine: "
-            f"{reset_command(stop.file.path.parent)}",
-        )
 
     async def latch(arguments: EmergencyStopArguments, context: CallContext) -> EmergencyStopResult:
         confirmed, took_s = await context.run(
@@ -168,56 +134,23 @@ def emergency_tools(loop: ClosedLoop) -> list[Tool[Any]]:
             latched=True, confirmed_by=confirmed, took_s=round(took_s, 3), note=note
         )
 
-    async def reset(_: NoArguments, context: CallContext) -> EmergencyStopResult:
-        who, pin = context.who, ""
-        for_pin = ReleasePin(stop.file.path.parent).is_set
-        if (for_pin or loop.base.server.reset_emergency_stop == "person") and stop.is_latched():
-            pin = await ask_person(context, for_pin=for_pin)
-            who = f"a person asked by {who}"
-        confirmed, took_s = await context.run(
-            lambda _: stop.reset(loop.config.namespace, who=who, role=context.role, pin=pin)
-        )
-        return EmergencyStopResult(
-            latched=False, confirmed_by=confirmed, took_s=round(took_s, 3), note=loop.starts.AGAIN
-        )
-
-    return [
-        Tool(
-            name="emergency_stop",
-            title="Emergency stop",
-            description=(
-                "For danger: stop all motion at once. Nothing moves until a person releases it, "
-                "even after restarts. For an ordinary stop use stop_inference or stop_all. "
-                "Returns when "
-                "every running module "
-                "has confirmed it; an error names those that have not."
-            ),
-            arguments=EmergencyStopArguments,
-            result=EmergencyStopResult,
-            handler=latch,
-            destructive=True,
-            idempotent=True,
-            open_world=True,
-            role=Role.VIEWER,  # whoever sees the robot may stop it
-            always=True,
-            urgent=press,
+    return Tool(
+        name="emergency_stop",
+        title="Emergency stop",
+        description=(
+            "For danger: stop all motion at once. Nothing moves until a person releases it, "
+            "even after restarts. For an ordinary stop use stop_inference or stop_all. "
+            "Returns when "
+            "every running module "
+            "has confirmed it; an error names those that have not."
         ),
-        Tool(
-            name="reset_emergency_stop",
-            title="Release the emergency stop",
-            description=(
-                "Release the emergency stop. A person must agree: the client asks, if it can; "
-                "otherwise the call is refused and says what a person has to do. Nothing moves "
-                "by itself: the policy "
-                "has forgotten its "
-                "instruction; set_instruction or run_task starts it again."
-            ),
-            arguments=NoArguments,
-            result=EmergencyStopResult,
-            handler=reset,
-            destructive=True,
-            idempotent=True,
-            open_world=True,
-            role=Role.ADMIN,
-        ),
-    ]
+        arguments=EmergencyStopArguments,
+        result=EmergencyStopResult,
+        handler=latch,
+        destructive=True,
+        idempotent=True,
+        open_world=True,
+        role=Role.VIEWER,  # whoever sees the robot may stop it
+        always=True,
+        urgent=press,
+    )

@@ -5,8 +5,10 @@ their calls.
 from __future__ import annotations
 
 import asyncio
+from collections import deque
 from collections.abc import Awaitable, Callable, Collection, Mapping
-from contextlib import nullcontext, suppress
+from concurrent.futures import Future
+from contextlib import nullcontext
 from functools import partial
 from typing import Any, Protocol, TypeVar, cast
 
@@ -200,6 +202,12 @@ _EVERYWHERE = (
 )
 
 
+_MOST_REPORTS = 64
+"""So many stages of a call may be on their way to the client; its answer does not wait for older
+ones.
+"""
+
+
 class RequestContext:
     """CallContext of one request: work on threads, progress to the client."""
 
@@ -212,6 +220,7 @@ class RequestContext:
         self._request = request
         self._params = params
         self._ask = ask
+        self._step = 0
         holder = holder_of(request.request)
         self.who = holder.who
         self.role = holder.role
@@ -230,9 +239,32 @@ class RequestContext:
         on_leave: Callable[[], object] | None = None,
     ) -> T:
         """See `CallContext.run`."""
+        loop = asyncio.get_running_loop()
+        reports: deque[Future[None]] = deque(maxlen=_MOST_REPORTS)
+
+        def stage(text: str) -> None:
+            if not loop.is_closed():
+                reports.append(asyncio.run_coroutine_threadsafe(self._report(text), loop))
+
         watched = self._watched
         with nullcontext() if on_leave is None or watched is None else watched(on_leave):
-            return await self._run(work, on_cancel)
+            try:
+                # of its own: a stop never waits for threads of other calls
+                thread = anyio.CapacityLimiter(1)
+                return await to_thread.run_sync(
+                    lambda: work(stage), abandon_on_cancel=True, limiter=thread
+                )
+            except anyio.get_cancelled_exc_class():
+                on_cancel()
+                raise
+            finally:  # no progress may be told after the answer
+                if reports:
+                    await asyncio.wait([asyncio.wrap_future(report) for report in reports.copy()])
+
+    async def _report(self, text: str) -> None:
+        """Tell the client how far the call has come."""
+        self._step += 1
+        await self._request.session.report_progress(self._step, message=text)
 
     async def ask(self, question: str) -> bool | None:
         """See `CallContext.ask`."""
@@ -246,47 +278,3 @@ class RequestContext:
             if self._ask is None
             else await self._ask(self._request, self._params, question, what)
         )
-
-    async def _run(self, work: Callable[[Stage], T], on_cancel: Callable[[], object]) -> T:
-        loop = asyncio.get_running_loop()
-        send, receive = anyio.create_memory_object_stream[str](64)
-        failure: Exception | None = None
-        result: list[T] = []
-
-        def put(text: str) -> None:
-            with suppress(anyio.WouldBlock, anyio.ClosedResourceError, anyio.BrokenResourceError):
-                send.send_nowait(text)
-
-        def stage(text: str) -> None:
-            if not loop.is_closed():
-                loop.call_soon_threadsafe(put, text)
-
-        async def forward() -> None:
-            with receive:
-                step = 0
-                async for text in receive:
-                    step += 1
-                    await self._request.session.report_progress(step, message=text)
-
-        async with anyio.create_task_group() as group:
-            group.start_soon(forward)
-            try:
-                # of its own: a stop never waits for threads of other calls
-                thread = anyio.CapacityLimiter(1)
-                result.append(
-                    await to_thread.run_sync(
-                        lambda: work(stage), abandon_on_cancel=True, limiter=thread
-                    )
-                )
-            except anyio.get_cancelled_exc_class():
-                on_cancel()
-                raise
-            except (
-                Exception
-            ) as error:  # raised again below, outside of the task group that would wrap it
-                failure = error
-            finally:
-                send.close()
-        if failure is not None:
-            raise failure
-        return result[0]

@@ -18,7 +18,7 @@ from roboneuron.supervisor.health import Modules
 from roboneuron.supervisor.launching import Stage
 from roboneuron.supervisor.lifecycle import NodeClient
 from roboneuron.supervisor.process import ModuleProcess, end_processes
-from roboneuron.supervisor.slot import Choice, Phase, Slot
+from roboneuron.supervisor.slot import Phase, Selection, Slot
 
 log = logging.getLogger(__name__)
 _REASON_S = 1.0
@@ -49,9 +49,9 @@ class Bringup:
     def __init__(
         self,
         slot: Slot,
-        choice: Choice,
+        choice: Selection,
         modules: Modules,
-        spawn: Callable[[Choice], ModuleProcess],
+        spawn: Callable[[Selection], ModuleProcess],
         client: Callable[[Slot, Callable[[], None]], NodeClient],
         on_stage: Stage,
     ) -> None:

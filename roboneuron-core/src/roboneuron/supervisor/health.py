@@ -15,7 +15,7 @@ from roboneuron.modules.report import Report
 from roboneuron.modules.settings import MODULE_KINDS, ModuleKind
 from roboneuron.supervisor.changes import Changes, Periodic
 from roboneuron.supervisor.process import ModuleProcess, ProcessEvents
-from roboneuron.supervisor.slot import Choice, Exit, Phase, Slot
+from roboneuron.supervisor.slot import Exit, Phase, Selection, Slot
 
 if TYPE_CHECKING:
     from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -81,7 +81,7 @@ class ModuleView:
     kind: ModuleKind
     phase: Phase
     process: ModuleProcess | None = None
-    choice: Choice | None = None
+    choice: Selection | None = None
     report: Report | None = None
     exit: Exit | None = None
 

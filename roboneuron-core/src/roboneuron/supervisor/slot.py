@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, Self
 
-from roboneuron.config import ModuleSettings
+from roboneuron.config import Config, ModuleSettings
 from roboneuron.errors import NotReadyError, StateError
 from roboneuron.modules.report import Report
 from roboneuron.modules.settings import ModuleKind
@@ -45,20 +45,38 @@ class Exit:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Choice:
-    """What a module was started with.
+class Selection:
+    """What a module is to be started with, or was.
 
     Attributes:
-        settings: what its process was told.
+        settings: what its process is told; the supervisor fills in all but kind and configuration.
         names: what was chosen, for messages and the status: {"backend": "servo", ...}.
         plan: the descriptors behind these names; None when it was started without a plan.
-        python: interpreter of its own environment; None for the server's.
     """
 
     settings: ModuleSettings
     names: Mapping[str, str] = field(default_factory=dict)
     plan: Plan | None = None
-    python: str | None = None
+
+    @property
+    def kind(self) -> ModuleKind:
+        """Of the module."""
+        return self.settings.kind
+
+    @property
+    def config(self) -> Config:
+        """The effective configuration."""
+        return self.settings.config
+
+    @property
+    def python(self) -> str | None:
+        """Interpreter of the module's own environment; None for the server's."""
+        section = getattr(self.config, self.kind)
+        return section.python if section is not None else None
+
+    def with_config(self, config: Config) -> Self:
+        """The same with another configuration."""
+        return replace(self, settings=self.settings.model_copy(update={"config": config}))
 
 
 class Claim(NamedTuple):
@@ -93,14 +111,14 @@ class Slot:
         self.kind = kind
         self.phase: Phase = "stopped"
         self.process: ModuleProcess | None = None
-        self.choice: Choice | None = None
+        self.choice: Selection | None = None
         self.report: Report | None = None
         self.order = 0
         self.exit: Exit | None = None
         self._cancelled = ""
         self._changes = changes
 
-    def begin_start(self, choice: Choice, order: int) -> None:
+    def begin_start(self, choice: Selection, order: int) -> None:
         """Claim the slot for a start.
 
         Args:

@@ -32,7 +32,7 @@ from roboneuron.supervisor.process import (
     end_processes,
     spawn,
 )
-from roboneuron.supervisor.slot import Choice, Claim, Slot
+from roboneuron.supervisor.slot import Claim, Selection, Slot
 
 if TYPE_CHECKING:
     from roboneuron.ros.link import RosLink
@@ -143,7 +143,6 @@ class Supervisor(Modules):
         kind: ModuleKind,
         config: Config,
         *,
-        python: str | None = None,
         names: Mapping[str, str] | None = None,
         plan: Plan | None = None,
         on_stage: Stage = lambda stage: None,
@@ -155,7 +154,6 @@ class Supervisor(Modules):
         Args:
             kind: which module.
             config: the effective configuration it is told.
-            python: interpreter of its own environment.
             names: what was chosen, for messages.
             plan: the descriptors behind these names.
             on_stage: called with a phrase whenever the start has come further.
@@ -183,13 +181,13 @@ class Supervisor(Modules):
             if beside is not None:
                 settings = self._in_shadow(settings, working)
             slot = beside or working
-            choice = Choice(settings=settings, names=names or {}, plan=plan, python=python)
+            choice = Selection(settings=settings, names=names or {}, plan=plan)
             slot.begin_start(choice, next(self._order))
         self.heartbeat.start()
         Bringup(slot, choice, self, self._spawn, self._client, on_stage).run()
         return self.view(kind)
 
-    def _spawn(self, choice: Choice) -> ModuleProcess:
+    def _spawn(self, choice: Selection) -> ModuleProcess:
         """Start the process of a module.
 
         Raises:

@@ -108,7 +108,7 @@ class DirectPath(Feature[DirectPathOptions]):
         view = self._host.modules.view("inference")
         if view.phase not in ("starting", "running") or view.choice is None:
             return ""
-        if view.choice.settings.config.namespace != exposed.namespace:
+        if view.choice.config.namespace != exposed.namespace:
             return ""
         return f"The policy {view.choice.names.get('backend', '')!r} moves {exposed.robot!r}."
 
@@ -119,7 +119,7 @@ class DirectPath(Feature[DirectPathOptions]):
         view = self._host.modules.view("control")
         if (
             view.choice is None
-            or view.choice.settings.config.namespace != exposed.namespace
+            or view.choice.config.namespace != exposed.namespace
             or view.report is None
         ):
             return False

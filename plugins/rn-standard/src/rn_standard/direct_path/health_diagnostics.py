@@ -41,7 +41,7 @@ class HealthDiagnostics:
             )
         told = DiagnosticStatus(
             level=level,
-            name=f"{view.choice.settings.config.namespace}/supervisor/{view.kind}",
+            name=f"{view.choice.config.namespace}/supervisor/{view.kind}",
             message=EXPLANATIONS[health],
             hardware_id=str(os.getpid()),
             values=[KeyValue(key="health", value=health), KeyValue(key="before", value=before)],

@@ -27,7 +27,7 @@ from roboneuron.feature import (
     Config,
     Events,
     Periodic,
-    PluginCatalogue,
+    Registry,
     estop,
     log_files,
     make_server,
@@ -60,7 +60,7 @@ class Fleet:
         config: Config,
         state: Path,
         *,
-        plugins: PluginCatalogue | None = None,
+        plugins: Callable[[], Registry] | None = None,
         command: Callable[[str | None], Sequence[str]] | None = None,
     ) -> None:
         logs = state / "log" / f"{time.strftime('%Y%m%d-%H%M%S')}-{os.getpid()}"
@@ -74,7 +74,6 @@ class Fleet:
         )
         self.robots: dict[str, Application] = {}
         self.events = Events()
-        plugins = plugins or PluginCatalogue(config.disabled_plugins)
         try:
             for name, one in config.robots.items():
                 self.robots[name] = self._application(
@@ -105,7 +104,6 @@ class Fleet:
             first.host,
             server=self.server,
             events=self.events,
-            check_resource=self.server.find_resource,
         )
         first.features.attach(self._host)
 
@@ -207,7 +205,7 @@ class Fleet:
         name: str,
         config: Config,
         folder: Path,
-        plugins: PluginCatalogue,
+        plugins: Callable[[], Registry] | None,
         command: Callable[[str | None], Sequence[str]] | None,
     ) -> Application:
         made = Application.in_directory(

@@ -26,7 +26,8 @@ from roboneuron import (
     RobotProfile,
     robot_space,
 )
-from roboneuron.node import Plan, Registry, load_profile, loading, models
+from roboneuron.feature import Registry
+from roboneuron.node import Plan, load_profile, loading, models
 
 _RATE_SHARE = 0.02
 """How far the period of a chunk may be from the declared rate: rates are told in whole Hz."""

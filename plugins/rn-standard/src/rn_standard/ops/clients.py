@@ -36,7 +36,7 @@ class Clients(Feature[None]):
         async def subscribe(
             context: ServerRequestContext, params: types.SubscribeRequestParams
         ) -> types.EmptyResult:
-            host.check_resource(str(params.uri))
+            host.server.find_resource(str(params.uri))
             notices.subscribe(context, str(params.uri))
             return types.EmptyResult()
 

@@ -72,6 +72,7 @@ class RealRobotFeature(Feature[RealRobotOptions]):
         before.
         """
         selection = await context.run(lambda _: host.loop.select("robot", request, context.role))
+        assert selection.plan is not None
         driver = selection.plan.driver
         which = selection.config.robot.name, driver.name
         if driver.simulated or which in self._agreed:

@@ -68,7 +68,7 @@ class Restarts:
         load: runnable tasks for each core.
         """
         self._modules = loop.modules
-        self._replacements = loop.replacements
+        self._loop = loop
         self._before = before
         self._options = options
         self._record = record
@@ -131,7 +131,7 @@ class Restarts:
 
     def _attempt(self, view: ModuleView, cancelled: threading.Event) -> None:
         assert view.choice is not None
-        kind, config = view.kind, view.choice.settings.config
+        kind, selection = view.kind, view.choice
         if view.phase == "running" and not self._is_still_frozen(
             view, cancelled, self._options.unresponsive_s
         ):
@@ -141,14 +141,15 @@ class Restarts:
             if delay_s is None:
                 return
             if view.phase == "running" and self._modules.view(kind).phase == "running":
-                self._replacements.end(kind)
+                self._loop.end(kind)
             if cancelled.wait(delay_s):
                 return
             if self._modules.view(kind).phase not in ("exited", "stopped"):
                 return
             try:
                 self._before(kind)
-                self._replacements.start_again(view, without_instruction(config))
+                config = without_instruction(selection.config)
+                self._loop.launch(selection.with_config(config))
             except RoboNeuronError as error:
                 self._record(kind, f"restart failed: {error.message}")
                 continue

@@ -12,6 +12,7 @@ import numpy as np
 from sensor_msgs.msg import CameraInfo, Image
 
 from roboneuron import (
+    F64,
     CameraProfile,
     ConfigurationError,
     NotReadyError,
@@ -19,7 +20,6 @@ from roboneuron import (
     PluginError,
 )
 from roboneuron.node import (
-    F64,
     Module,
     ModuleHost,
     NodeTopics,

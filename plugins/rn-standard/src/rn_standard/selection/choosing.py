@@ -66,7 +66,7 @@ def choose(
     checkpoint = getattr(request, "checkpoint", None)
     if checkpoint is not None and plan.takes_checkpoint:
         check_may_load(config, checkpoint)
-    selection = Selection.of(kind, config.model_copy(update=update), registry)
+    selection = KIND_ENTRIES[kind].select(config.model_copy(update=update), registry)
     return (
         selection
         if model is None

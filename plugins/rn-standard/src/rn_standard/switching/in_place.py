@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 
+from rn_standard.switching.beside import Standbys
 from rn_standard.switching.gap import Gap, action_gap
 from rn_standard.switching.standby import ACCELERATION_PARAMETER
 from rn_standard.switching.warm_switch import ARRIVAL_S, Change
@@ -32,6 +33,7 @@ def differs_in_acceleration_only(old: ModuleView, selection: Selection) -> bool:
         selection.kind != "inference"
         or old.choice is None
         or old.choice.plan is None
+        or selection.plan is None
         or old.report is None
     ):
         return False
@@ -42,8 +44,7 @@ def differs_in_acceleration_only(old: ModuleView, selection: Selection) -> bool:
         and before.acceleration != after.acceleration
         and (before.backend, before.runtime, before.cameras)
         == (after.backend, after.runtime, after.cameras)
-        and _without_acceleration(old.choice.settings.config)
-        == _without_acceleration(selection.config)
+        and _without_acceleration(old.choice.config) == _without_acceleration(selection.config)
         and section is not None
         and section.instruction == old.report.instruction
     )
@@ -62,10 +63,11 @@ class AccelerationSwitch:
     def __init__(self, loop: ClosedLoop, selection: Selection, on_stage: Stage) -> None:
         self._loop = loop
         self._changes = loop.modules.changes
-        self._modules = loop.replacements
+        self._standbys = Standbys(loop)
         self._selection = selection
+        plan = selection.plan
         self._name = (
-            selection.plan.acceleration.name if selection.plan.acceleration is not None else ""
+            plan.acceleration.name if plan is not None and plan.acceleration is not None else ""
         )
         self._on_stage = on_stage
 
@@ -78,7 +80,7 @@ class AccelerationSwitch:
             NotReadyError: no answer in time; the former one is asked for again.
             StateError: the module is being stopped or replaced.
         """
-        slot, *others = self._modules.slots("inference")
+        slot, *others = self._standbys.slots("inference")
         view = self._loop.modules.require_running("inference")
         if others:
             raise StateError(
@@ -88,7 +90,7 @@ class AccelerationSwitch:
         former = view.report.metrics.get("acceleration", "")
         answers = _answers(view.report)
         self._on_stage(f"inference: changing the acceleration to {self._name or 'none'}")
-        parameters = self._modules.parameters(slot)
+        parameters = self._loop.parameters(slot)
         refused = parameters.set(
             {ACCELERATION_PARAMETER: self._name}, _TOLD_S, lambda: self._check(slot)
         )
@@ -100,14 +102,14 @@ class AccelerationSwitch:
                 f"Acceleration {self._name or 'none'!r} was refused: {reason} "
                 f"{former or 'none'!r} stays in force."
             )
-        self._modules.note_changed(slot, self._selection)
+        self._standbys.note_changed(slot, self._selection)
         return Change(gap=self._gap(report), difference=None)
 
     def _await_answer(
         self, slot: Slot, parameters: NodeClient, answers: int, former: str
     ) -> Report:
         def answer() -> Report | None:
-            report = self._modules.report_of(slot)
+            report = self._loop.modules.report_of(slot)
             return report if report is not None and _answers(report) > answers else None
 
         report = self._changes.wait_for(answer, _DONE_S, lambda: self._check(slot))

@@ -7,6 +7,7 @@ FEATURE = FeatureSpec(
     summary="Replaces a running backend, camera source or controller while the robot moves.",
     target="rn_standard.switching.feature:SwitchingFeature",
     needs=("selection",),
+    on_join="rn_standard.switching.joining:join",
 )
 """Descriptor of the feature."""
 

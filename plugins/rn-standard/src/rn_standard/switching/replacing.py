@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import threading
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 from rn_standard.selection.requests import StartChosenInference, StartPerception
 from rn_standard.switching.in_place import AccelerationSwitch, differs_in_acceleration_only
-from rn_standard.switching.standby import JOIN
 from rn_standard.switching.switch_checks import CHECKS, SwitchCheck
 from rn_standard.switching.warm_switch import ARRIVAL_S, Change, WarmSwitch
 from roboneuron import Arguments, InvalidInputError, RoboNeuronError, StateError
@@ -54,13 +53,12 @@ class Switched:
 class Switching:
     """Replaces modules and remembers what was there before; usable from any thread.
 
-    Modules that are started before this is made can only be replaced cold: they know of no
+    Modules that do not call `joining.join` can only be replaced cold: they know of no
     `TimedHandover`.
     """
 
     def __init__(self, loop: ClosedLoop) -> None:
         self.loop = loop
-        loop.replacements.join(JOIN)
         self._before: dict[ModuleKind, Selection] = {}
         self._busy = {kind: threading.Lock() for kind in loop.modules.slots}
 
@@ -124,7 +122,9 @@ class Switching:
                 f"{old.kind} is already being replaced.", hint="Wait for the end of that call."
             )
         try:
-            replaced = Selection.running(old)
+            replaced = old.choice
+            if replaced is None or replaced.plan is None:
+                raise StateError(f"It is not known what {old.kind} was started with.")
             way, change = self._change(old, replaced, selection, mode, on_stage, ticket)
             self._before[old.kind] = replaced
         finally:
@@ -167,7 +167,7 @@ class Switching:
         kind = check.kind
         due = check.is_due()
         on_stage(f"{kind}: stopping the old {check.noun}")
-        stopped = self.loop.replacements.end(kind)
+        stopped = self.loop.end(kind)
         last = stopped.report if stopped is not None else None
         # a stop, or the end of a task
         if kind == "inference" and self.loop.starts.ticket != ticket:
@@ -200,7 +200,7 @@ def check_same_commands(old: ModuleView, selection: Selection) -> None:
         InvalidInputError: the type of the command topic would change.
     """
     assert old.choice is not None
-    before, after = old.choice.settings.config.control, selection.config.control
+    before, after = old.choice.config.control, selection.config.control
     if before is not None and after is not None and before.command != after.command:
         raise InvalidInputError(
             f"The running controller sends {before.command}, the new one would send "
@@ -218,14 +218,14 @@ def with_instruction(selection: Selection, text: str) -> Selection:
     config = selection.config.model_copy(
         update={"inference": section.model_copy(update={"instruction": text.strip()})}
     )
-    return replace(selection, config=config)
+    return selection.with_config(config)
 
 
 def _keep(old: ModuleView, request: Arguments) -> Arguments:
     """The request, with what is kept from the running module where it names nothing else."""
     assert old.choice is not None
     if isinstance(request, StartPerception) and not request.cameras:
-        section = old.choice.settings.config.perception
+        section = old.choice.config.perception
         return request.model_copy(
             update={"cameras": list(section.cameras) if section is not None else []}
         )

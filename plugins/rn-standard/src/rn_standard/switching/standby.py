@@ -15,8 +15,6 @@ import os
 from contextlib import suppress
 from pathlib import Path
 
-JOIN = "rn_standard.switching.joining:join"
-"""What every module process is told to call."""
 ACCELERATION_PARAMETER = "acceleration"
 """ROS parameter of an inference module: name of the acceleration, or empty for none."""
 ACT_FROM = "act_from_ns"

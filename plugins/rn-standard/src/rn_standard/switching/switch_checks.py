@@ -81,7 +81,7 @@ class SwitchCheck(ABC):
 
     def old(self) -> Report | None:
         """The newest report of the module that works now."""
-        return self._loop.replacements.report_of(self._loop.replacements.slots(self.kind)[0])
+        return self._modules.report_of(self._modules.slot(self.kind))
 
 
 class InferenceCheck(SwitchCheck):

@@ -16,6 +16,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
+from rn_standard.switching.beside import Standbys
 from rn_standard.switching.gap import Gap
 from rn_standard.switching.standby import (
     ACT_FROM,
@@ -98,7 +99,9 @@ class WarmSwitch:
         self._starts = loop.starts
         self._ticket = ticket
         self._changes = loop.modules.changes
-        self._modules = loop.replacements
+        self._loop = loop
+        self._modules = loop.modules
+        self._standbys = Standbys(loop)
         self._selection = selection
         self._check = check
         self._kind = check.kind
@@ -112,7 +115,7 @@ class WarmSwitch:
         Raises:
             RoboNeuronError: the reason why nothing was replaced; the old one acts as before.
         """
-        standby = self._modules.start_standby(self._selection, self._on_start)
+        standby = self._standbys.start(self._selection, self._on_start)
         try:
             self._on_stage(f"new {self._kind}: comparing it in shadow with the old one")
             difference = self._check.compare(lambda: self._healthy(standby))
@@ -120,13 +123,13 @@ class WarmSwitch:
             self._follow_instruction(standby)
             old = self._hand_over(standby)
         except BaseException:
-            self._modules.discard(standby)
+            self._standbys.discard(standby)
             self._check_instruction()  # why it showed nothing
             raise
         self._own_instruction()
         gap = self._measure(old, standby)
         self._on_stage(f"{self._kind}: ending the old {self._check.noun}")
-        self._modules.discard(old)
+        self._standbys.discard(old)
         return Change(gap=gap, difference=difference)
 
     def _check_instruction(self) -> None:
@@ -165,7 +168,7 @@ class WarmSwitch:
         """
         if not self._is_lowered:
             self._is_lowered = True
-            _, *standbys = self._modules.slots(self._kind)
+            _, *standbys = self._standbys.slots(self._kind)
             for slot in standbys:
                 if slot.process is not None:
                     lower(slot.process.pid)
@@ -208,7 +211,7 @@ class WarmSwitch:
         of its kind.
         """
         old = self._working()
-        clients = [self._modules.parameters(old), self._modules.parameters(standby)]
+        clients = [self._loop.parameters(old), self._loop.parameters(standby)]
         latency_s = self._check.latency_s(self._healthy(standby))
         # A prediction that the new one has begun when it is told of the moment ends before it.
         margin_s = min(
@@ -225,7 +228,7 @@ class WarmSwitch:
             self._tell(clients[0], leave, due_s - time.monotonic() - _LATEST_S, standby)
             if self._check.is_due():
                 self._await_first_output(standby, due_s, latency_s)
-            return self._modules.adopt(standby)
+            return self._standbys.adopt(standby)
         except BaseException as error:
             refused = self._roll_back(clients, old, error)
             if refused and isinstance(error, RoboNeuronError):
@@ -345,7 +348,7 @@ class WarmSwitch:
 
     def _working(self) -> Slot:
         """The slot of the module that works now."""
-        return self._modules.slots(self._kind)[0]
+        return self._standbys.slots(self._kind)[0]
 
 
 def _listeners(report: Report | None) -> dict[str, int]:

@@ -6,7 +6,6 @@ import io
 import threading
 import time
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import replace
 
 from rn_standard.selection.requests import StartChosenInference
 from rn_standard.tasks.inputs import Inputs, pose_of, pose_topic
@@ -147,9 +146,8 @@ class LiveCell:
             section = selection.config.inference
             assert section is not None
             section = section.model_copy(update={"instruction": ""})
-            selection = replace(
-                selection, config=selection.config.model_copy(update={"inference": section})
-            )
+            config = selection.config.model_copy(update={"inference": section})
+            selection = selection.with_config(config)
             loop.start_selected(selection, self._stage)
         finally:
             self._starting = False

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from rn_standard.tools_loop.reset import reset_tool
 from rn_standard.tools_loop.status import STATUS_URI, status_resource, status_tool
 from rn_standard.tools_loop.tools import start_tools
 from roboneuron import Feature, Host, Resource, Tool
 
 
 class LoopTools(Feature[None]):
-    """start_* for each kind of module, set_instruction and get_status."""
+    """start_* for each kind of module, set_instruction, get_status and reset_emergency_stop."""
 
     def tools(self, host: Host) -> Sequence[Tool[Any]]:
         """See Feature."""
@@ -21,7 +22,11 @@ class LoopTools(Feature[None]):
 
         host.events.health.listen(changed)
         host.events.fault.listen(changed)
-        return [status_tool(host.loop, host.started_s), *start_tools(host.loop)]
+        return [
+            reset_tool(host.loop),
+            status_tool(host.loop, host.started_s),
+            *start_tools(host.loop),
+        ]
 
     def resources(self, host: Host) -> Sequence[Resource]:
         """See Feature."""

@@ -4,7 +4,7 @@ from roboneuron import FeatureSpec, hookimpl
 
 FEATURE = FeatureSpec(
     name="tools-loop",
-    summary="start_*, set_instruction and get_status: the closed loop for agents.",
+    summary="start_*, set_instruction, get_status and reset_emergency_stop, for agents.",
     target="rn_standard.tools_loop.feature:LoopTools",
 )
 """Descriptor of the feature."""

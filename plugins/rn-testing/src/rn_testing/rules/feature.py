@@ -48,7 +48,6 @@ def _server(case: FeatureCase, with_feature: bool = True) -> Iterator[Applicatio
     from roboneuron.feature import (
         Application,  # heavy
         Config,  # heavy
-        PluginCatalogue,
     )
 
     def refuse(python: str | None) -> NoReturn:
@@ -62,7 +61,7 @@ def _server(case: FeatureCase, with_feature: bool = True) -> Iterator[Applicatio
         application = Application.in_directory(
             config,
             Path(folder),
-            plugins=PluginCatalogue(discover=lambda disabled: registry),
+            plugins=lambda: registry,
             command=refuse,
         )
         try:

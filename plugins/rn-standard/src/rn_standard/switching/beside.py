@@ -1,0 +1,95 @@
+"""The module process that works and one beside it, by slot: started in shadow, adopted or
+discarded.
+"""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import replace
+
+from roboneuron import StateError
+from roboneuron.feature import ClosedLoop, ModuleKind, Selection, Slot, Stage
+
+
+class Standbys:
+    """What is beside the modules that work; usable from any thread.
+
+    Nothing here tells listeners of stops, nor takes the policy's instruction back: another process
+    is put in the place of the old one.
+    """
+
+    def __init__(self, loop: ClosedLoop) -> None:
+        self._loop = loop
+        self._modules = loop.modules
+
+    def slots(self, kind: ModuleKind) -> tuple[Slot, ...]:
+        """The slot of the module that works now, then those beside it."""
+        with self._modules.changes.lock:
+            return tuple(self._modules.slots[kind])
+
+    def start(self, selection: Selection, on_stage: Stage) -> Slot:
+        """Start a second process beside the running one, in shadow; `adopt` or `discard` it.
+
+        Raises:
+            StateError: nothing of that kind runs, or there is a standby already.
+            RoboNeuronError: as `ClosedLoop.launch`.
+        """
+        kind, modules = selection.kind, self._modules
+        standby = Slot(kind, modules.changes)
+        with modules.changes.lock:
+            working, *others = modules.slots[kind]
+            working.check_running(f"Call start_{kind} first.")
+            if others:
+                raise StateError(
+                    f"{kind} is already being replaced.", hint="Wait for the end of that call."
+                )
+            modules.slots[kind].append(standby)
+        try:
+            self._loop.launch(selection, on_stage, beside=standby)
+        except BaseException:
+            self._forget(standby)
+            raise
+        return standby
+
+    def adopt(self, standby: Slot) -> Slot:
+        """Make the standby the module of its kind; returns the old one, which is to be discarded.
+
+        Raises:
+            StateError: the old one is being stopped, or the standby is gone.
+        """
+        with self._modules.changes.lock:
+            old = self._modules.slot(standby.kind)
+            if old.phase != "running":
+                raise StateError(f"{standby.kind} is {old.phase} now; nothing was replaced.")
+            if standby.phase != "running":
+                raise StateError(f"The new {standby.kind} is gone: {standby.explain_exit()}")
+            self._modules.slots[standby.kind].reverse()
+        self._modules.on_change(standby.kind)
+        return old
+
+    def discard(self, slot: Slot) -> None:
+        """End a standby or a replaced module, if its process is still there."""
+        try:
+            with suppress(StateError):
+                self._loop.end(slot)
+        finally:
+            self._forget(slot)
+
+    def note_changed(self, slot: Slot, selection: Selection) -> None:
+        """The module in a slot has become what `selection` says, without another process; a restart
+        uses it too.
+
+        Raises:
+            StateError: it does not run any more.
+        """
+        with self._modules.changes.lock:
+            slot.check_running()
+            assert slot.choice is not None
+            told = slot.choice.with_config(selection.config)
+            slot.choice = replace(told, names=selection.names, plan=selection.plan)
+        self._modules.on_change(slot.kind)
+
+    def _forget(self, slot: Slot) -> None:
+        with self._modules.changes.lock:
+            if slot in self._modules.slots[slot.kind][1:]:
+                self._modules.slots[slot.kind].remove(slot)

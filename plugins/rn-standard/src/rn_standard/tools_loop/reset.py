@@ -1,0 +1,87 @@
+"""The tool that releases the emergency stop, once a person agrees."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+
+from pydantic import Field
+
+from roboneuron import CallContext, NoArguments, RefusedError, Result, Tool
+from roboneuron.feature import ClosedLoop, Role
+
+
+class ReleaseResult(Result):
+    """The latch, as the modules themselves report it."""
+
+    latched: bool
+    confirmed_by: list[str] = Field(description="running modules that report it")
+    took_s: float
+    note: str = ""
+
+
+def reset_tool(loop: ClosedLoop) -> Tool[NoArguments]:
+    """reset_emergency_stop."""
+    stop = loop.emergency_stop
+
+    async def ask_person(context: CallContext, *, for_pin: bool) -> str:
+        """The PIN that a person has typed; raises RefusedError unless one agreed to release this
+        very stop.
+        """
+        before, cause = stop.file.read_state(), stop.cause()
+        since = (
+            datetime.fromtimestamp(min(max(before.time_ns, 0), 2**62) / 1e9, UTC)
+            .astimezone()
+            .isoformat(" ", "milliseconds")
+        )
+        question = (  # the time makes a question about another stop another question
+            f"The emergency stop is latched since {since}{f' by {cause}' if cause else ''}. "
+            "Release it? "
+            "Look at the robot first. Nothing moves until someone gives a new instruction or "
+            "moves the arm."
+        )
+        typed = await context.ask_for(question, "PIN") if for_pin else ""
+        agreed = (
+            (None if typed is None else bool(typed)) if for_pin else await context.ask(question)
+        )
+        if agreed and stop.file.read_state().time_ns == before.time_ns:
+            return typed or ""
+        why = {None: "this client cannot ask one", False: "the person did not agree"}.get(
+            agreed, "it was pressed again"
+        )
+        raise RefusedError(
+            f"Only a person releases the emergency stop, and {why}. It stays latched.",
+            hint="Ask a person to look at the robot and to run, in a terminal on this machine: "
+            f"{stop.release_command}",
+        )
+
+    async def reset(_: NoArguments, context: CallContext) -> ReleaseResult:
+        who, pin = context.who, ""
+        for_pin = stop.needs_pin
+        if (for_pin or loop.base.server.reset_emergency_stop == "person") and stop.is_latched():
+            pin = await ask_person(context, for_pin=for_pin)
+            who = f"a person asked by {who}"
+        confirmed, took_s = await context.run(
+            lambda _: stop.reset(loop.config.namespace, who=who, role=context.role, pin=pin)
+        )
+        return ReleaseResult(
+            latched=False, confirmed_by=confirmed, took_s=round(took_s, 3), note=loop.starts.AGAIN
+        )
+
+    return Tool(
+        name="reset_emergency_stop",
+        title="Release the emergency stop",
+        description=(
+            "Release the emergency stop. A person must agree: the client asks, if it can; "
+            "otherwise the call is refused and says what a person has to do. Nothing moves "
+            "by itself: the policy "
+            "has forgotten its "
+            "instruction; set_instruction or run_task starts it again."
+        ),
+        arguments=NoArguments,
+        result=ReleaseResult,
+        handler=reset,
+        destructive=True,
+        idempotent=True,
+        open_world=True,
+        role=Role.ADMIN,
+    )
