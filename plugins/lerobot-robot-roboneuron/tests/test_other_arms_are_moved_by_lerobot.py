@@ -1,4 +1,4 @@
-"""lerobot moves an FR3 behind ros2_control, and one behind its own network protocol."""
+"""lerobot moves an FR3 behind ros2_control."""
 
 from __future__ import annotations
 
@@ -10,14 +10,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from lerobot_lane import PATIENT, ROOT, Lerobot, Watch, serve
+from lerobot_lane import PATIENT, Lerobot, Watch, serve
 
 from rn_robot_fr3.limits import ARM_JOINTS, FINGER_JOINT
 from rn_robot_fr3.profile import HOME_RAD
 from roboneuron.plugins.availability import is_importable
 
 END_S = 300.0
-SIMULATOR = ROOT / ".venv-fr3sim" / "bin" / "python"
 pytestmark = [pytest.mark.ros, pytest.mark.slow, pytest.mark.timeout(600)]
 
 
@@ -25,29 +24,6 @@ pytestmark = [pytest.mark.ros, pytest.mark.slow, pytest.mark.timeout(600)]
 def stack() -> Iterator[ExitStack]:
     with ExitStack() as stack:
         yield stack
-
-
-def lead_and_follow(lerobot: Lerobot, config: Path, stack: ExitStack, *options: str) -> np.ndarray:
-    """What each joint travels while lerobot follows the scripted leader for 8 s [rad]."""
-    watch = Watch("roboneuron_fr3", ARM_JOINTS)
-    stack.callback(watch.close)
-    lerobot.lead("fr3", "--namespace", "roboneuron_fr3")
-    process = lerobot.start(
-        "lerobot-teleoperate",
-        "--robot.type=roboneuron",
-        "--robot.robot=fr3",
-        "--robot.namespace=roboneuron_fr3",
-        *PATIENT,
-        serve(config),
-        "--teleop.type=roboneuron",
-        "--teleop.robot=fr3",
-        "--fps=20",
-        "--teleop_time_s=8",
-        *options,
-    )
-    assert process.wait(END_S) == 0, lerobot.last_line(process)
-    travel: np.ndarray = np.ptp(watch.since(0.0), axis=0)
-    return travel
 
 
 @pytest.mark.skipif(not is_importable("control_msgs"), reason="control_msgs is not built here")
@@ -68,27 +44,23 @@ def test_an_arm_behind_ros2_control_is_teleoperated(
     log = stack.enter_context((tmp_path / "controller.log").open("wb"))
     controller = stack.enter_context(subprocess.Popen(command, stdout=log, stderr=log))
     stack.callback(controller.terminate)
-    travel = lead_and_follow(lerobot, config, stack, "--robot.perception=false")
-    assert travel[0] == pytest.approx(0.5, abs=0.05)
-    assert travel[4] == pytest.approx(0.6, abs=0.06)
-
-
-@pytest.mark.skipif(not SIMULATOR.exists(), reason="needs franka-sim: make .venv-fr3sim")
-@pytest.mark.skipif(not is_importable("pylibfranka"), reason="needs pylibfranka")
-def test_an_arm_behind_the_network_protocol_of_franka_is_teleoperated(
-    lerobot: Lerobot, tmp_path: Path, stack: ExitStack
-) -> None:
-    from rn_robot_fr3.fci.simulator import FrankaSim
-
-    sim = stack.enter_context(FrankaSim(SIMULATOR, seed=1, log=tmp_path / "franka-sim.log"))
-    text = (ROOT / "examples" / "fr3_fci.toml").read_text(encoding="utf-8")
-    config = tmp_path / "fr3.toml"
-    config.write_text(
-        text.replace("127.0.0.1", sim.host).replace(
-            'driver = "fci"\n', 'driver = "fci"\nnamespace = "roboneuron_fr3"\n'
-        ),
-        encoding="utf-8",
+    watch = Watch("roboneuron_fr3", ARM_JOINTS)
+    stack.callback(watch.close)
+    lerobot.lead("fr3", "--namespace", "roboneuron_fr3")
+    process = lerobot.start(
+        "lerobot-teleoperate",
+        "--robot.type=roboneuron",
+        "--robot.robot=fr3",
+        "--robot.namespace=roboneuron_fr3",
+        "--robot.perception=false",
+        *PATIENT,
+        serve(config),
+        "--teleop.type=roboneuron",
+        "--teleop.robot=fr3",
+        "--fps=20",
+        "--teleop_time_s=8",
     )
-    travel = lead_and_follow(lerobot, config, stack)
+    assert process.wait(END_S) == 0, lerobot.last_line(process)
+    travel = np.ptp(watch.since(0.0), axis=0)
     assert travel[0] == pytest.approx(0.5, abs=0.05)
     assert travel[4] == pytest.approx(0.6, abs=0.06)

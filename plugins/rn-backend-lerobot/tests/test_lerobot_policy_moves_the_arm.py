@@ -235,9 +235,7 @@ def test_it_moves_the_arm_as_lerobot_would_and_stands_when_its_process_is_killed
     assert cell.supervisor.view("inference").exit is not None
 
 
-@pytest.mark.parametrize(
-    ("policy", "rows"), [("smolvla", 8), ("xvla", 8), ("diffusion", 1), ("vqbet", 1)]
-)
+@pytest.mark.parametrize(("policy", "rows"), [("smolvla", 8), ("diffusion", 1)])
 def test_other_policies_move_the_arm_as_lerobot_would(
     cell: Cell, made: Callable[[str], Path], tmp_path: Path, policy: str, rows: int
 ) -> None:

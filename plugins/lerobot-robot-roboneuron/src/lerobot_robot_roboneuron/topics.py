@@ -37,6 +37,9 @@ F64 = NDArray[np.float64]
 _COMMANDS = ("joint_trajectory", "joint_command")
 _REPORT_TIMEOUT_S = 2.0
 """Control reports five times a second."""
+_UNNAMED = "_NODE_NAME_UNKNOWN_"
+"""What rmw_dds_common calls a node that is not discovered yet."""
+_NAMED_S = 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -307,11 +310,17 @@ class RobotTopics:
 
     def _check_alone(self) -> None:
         """Raise StateError when a policy or another process sends actions."""
-        others = self._link.node.get_publishers_info_by_topic(self._topic(topics.ACTION))
+        topic, deadline_s = self._topic(topics.ACTION), time.monotonic() + _NAMED_S
+        others = self._link.node.get_publishers_info_by_topic(topic)
+        # a publisher is discovered before the name of its node
+        while others and others[0].node_name == _UNNAMED and time.monotonic() < deadline_s:
+            time.sleep(0.05)
+            others = self._link.node.get_publishers_info_by_topic(topic)
         if others:
+            named = f"{others[0].node_namespace.rstrip('/')}/{others[0].node_name}"
+            who = "Another process" if others[0].node_name == _UNNAMED else named
             raise StateError(
-                f"{others[0].node_namespace.rstrip('/')}/{others[0].node_name} sends actions to "
-                "this robot.",
+                f"{who} sends actions to this robot.",
                 hint="Stop the policy (stop_inference) or the other process first.",
             )
 
