@@ -56,41 +56,14 @@ BOXES = (
             "limits, emergency stop, roles, audit",
         ),
     ),
-    Box(
-        x=30,
-        y=246,
-        width=160,
-        height=80,
-        fill="#dcfce7",
-        title="perception",
-        lines=("camera or simulation",),
-    ),
-    Box(
-        x=270,
-        y=246,
-        width=170,
-        height=80,
-        fill="#fef3c7",
-        title="inference",
-        lines=("model or visual servo",),
-    ),
-    Box(
-        x=520,
-        y=246,
-        width=160,
-        height=80,
-        fill="#fef3c7",
-        title="control",
-        lines=("kinematics, limits",),
-    ),
-    Box(
-        x=770,
-        y=246,
-        width=160,
-        height=80,
-        fill="#dcfce7",
-        title="robot",
-        lines=("driver of the arm",),
+    *(
+        Box(x=x, y=246, width=width, height=80, fill=fill, title=title, lines=(line,))
+        for x, width, fill, title, line in (
+            (30, 160, "#dcfce7", "perception", "camera or simulation"),
+            (270, 170, "#fef3c7", "inference", "model or visual servo"),
+            (520, 160, "#fef3c7", "control", "kinematics, limits"),
+            (770, 160, "#dcfce7", "robot", "driver of the arm"),
+        )
     ),
 )
 ARROWS = (
