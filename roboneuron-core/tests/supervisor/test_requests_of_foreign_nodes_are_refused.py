@@ -13,11 +13,9 @@ import pytest
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 
-from rn_standard.ops.plugin import REQUEST_GUARD
-from rn_standard.ops.request_guard import Announcements
 from roboneuron.config import Config
 from roboneuron.errors import NotReadyError
-from roboneuron.modules.requests import digest_of, parameters_request
+from roboneuron.modules.requests import Announcements, digest_of, parameters_request
 from roboneuron.ros.link import RosLink
 from roboneuron.supervisor.lifecycle import NodeClient
 from roboneuron.supervisor.process import ProcessEvents, spawn
@@ -99,12 +97,6 @@ def test_a_signal_leaves_what_has_ended_to_who_waits_for_it(tmp_path: Path) -> N
     process.reap(lambda ended: None)
     assert process.wait(10.0)
     assert process.exit_code == 0
-
-
-@pytest.fixture(autouse=True)
-def _guarded(supervisor: Supervisor) -> None:
-    assert REQUEST_GUARD.on_join is not None
-    supervisor.on_join = (REQUEST_GUARD.on_join,)
 
 
 @pytest.fixture

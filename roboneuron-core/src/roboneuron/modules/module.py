@@ -27,6 +27,7 @@ from roboneuron.modules.handover import Handover
 from roboneuron.modules.module_host import Module, ModuleHost, join
 from roboneuron.modules.parent_watch import Signals, watch_stdin
 from roboneuron.modules.plugin import module_class
+from roboneuron.modules.requests import RequestGuard
 from roboneuron.modules.settings import (
     EMERGENCY_STOP,
     EMERGENCY_STOP_TOPIC,
@@ -76,6 +77,7 @@ class ModuleNode(ModuleHost):
         self.add_parameter(START_PARAMETER, 0, self._permit, self._why_not_permit)
         if settings.needs_start:
             self.require_start(settings.needs_start)
+        self._requests = RequestGuard(self, self.status)
         for reference in settings.on_join:
             join(self, reference)
         self._reporter = StatusReporter(self, self.status)
@@ -131,7 +133,7 @@ class ModuleNode(ModuleHost):
 
     def watch_parent(self, on_end: Callable[[], None]) -> None:
         """From now on listen to the server on stdin; `on_end` is called when it is gone."""
-        self.read_stdin = watch_stdin(on_end, self.note_beat).read
+        self._requests.announcements.catch_up = watch_stdin(on_end, self.note_beat).read
 
     def note_beat(self, data: bytes = b"\n") -> None:
         """The server has shown that it lives, or announced a request; called from the thread that
@@ -143,12 +145,7 @@ class ModuleNode(ModuleHost):
         self._beat_s = now_s
         # Fed here and nowhere else: the order of signs of life and announcements is that of the
         # pipe.
-        for listener in self.on_stdin:
-            try:
-                listener(data)
-            # a failing listener must not end the thread that watches the parent
-            except Exception:
-                log.exception("A listener of stdin failed.")
+        self._requests.announcements.feed(data)
 
     def server_silence_s(self) -> float:
         """See `ModuleHost.server_silence_s`."""

@@ -17,8 +17,6 @@ from rclpy.qos import QoSProfile
 
 from roboneuron.config import ModuleSettings
 from roboneuron.modules.handover import Handover
-from roboneuron.modules.requests import digest_of
-from roboneuron.modules.settings import FOREIGN_REQUEST
 from roboneuron.modules.status import StatusWriter
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.loading import load_attribute
@@ -49,9 +47,6 @@ class ModuleHost(LifecycleNode):  # type: ignore[misc]
         handover: which inputs are this module's; a feature that replaces modules puts its own
             object here.
         lent: what features lend the module, under names that the module's package publishes.
-        on_stdin: called with what the server has written, in its order and in any pieces: empty
-            lines are signs of life. From the thread that reads it.
-        read_stdin: has `on_stdin` called with all that the server has written until now.
         on_configured: called with the module at the end of every `configure`, which fails if one
             raises.
     """
@@ -68,8 +63,6 @@ class ModuleHost(LifecycleNode):  # type: ignore[misc]
         self.outputs: dict[str, LifecyclePublisher] = {}
         self.stopped = False
         self.stops, self.needs_start = 0, ""
-        self.on_stdin: list[Callable[[bytes], None]] = []
-        self.read_stdin: Callable[[], object] = lambda: None
         self.handover = Handover(self.status)
         self.lent: dict[str, object] = {}
         self.on_configured: list[Callable[[Module], None]] = []
@@ -139,23 +132,6 @@ class ModuleHost(LifecycleNode):  # type: ignore[misc]
     def repeat(self, period_s: float, callback: Callable[[], None]) -> None:
         """Call `callback` once a period [s] until cleanup, on the executor's thread."""
         self.resources.callback(self.destroy_timer, self.create_timer(period_s, callback))
-
-    def digest(self, request: object) -> bytes:
-        """By what the server of this module announces a request of a service on stdin, in a line of
-        its own, before it sends it.
-        """
-        return digest_of(request)
-
-    def report_foreign_request(self, text: str) -> None:
-        """Count a request that was not the server's.
-
-        Args:
-            text: what was asked for and by whom; empty: only count it.
-        """
-        self.status.dropped.add(FOREIGN_REQUEST)
-        if text:
-            self.status.set_value(FOREIGN_REQUEST, text)
-            self.status.changed.set()
 
     def require_start(self, reason: str) -> None:
         """A stop has come, such as a recovery: nothing moves before somebody asks for it anew,

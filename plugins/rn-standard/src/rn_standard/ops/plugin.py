@@ -33,14 +33,6 @@ REAL_ROBOT = FeatureSpec(
 )
 """Descriptor of the feature that asks about real robots."""
 
-REQUEST_GUARD = FeatureSpec(
-    name="request-guard",
-    summary="Refuses lifecycle and parameter requests of other nodes than the server.",
-    target="roboneuron:Feature",
-    on_join="rn_standard.ops.request_guard:join",
-)
-"""Descriptor of the feature that guards the services of modules."""
-
 COMMAND = CommandSpec(
     name="doctor",
     summary="check whether this machine and a configuration are ready",
@@ -52,7 +44,7 @@ COMMAND = CommandSpec(
 @hookimpl
 def roboneuron_features() -> tuple[FeatureSpec, ...]:
     """The features of this package."""
-    return (FEATURE, CLIENTS, RECOVERY, REAL_ROBOT, REQUEST_GUARD)
+    return (FEATURE, CLIENTS, RECOVERY, REAL_ROBOT)
 
 
 @hookimpl
