@@ -1,0 +1,199 @@
+"""Record demonstrations with `lerobot-record` through ROS: `make record-lerobot`.
+
+A server simulates the FR3; `lerobot-record` drives it by the robot and the teleoperator `roboneuron`
+of lerobot_robot_roboneuron, in its own interpreter; a program leads (`cube_leader.py`). Recorded in
+blocks of some episodes: each has its own server, size of cube and data set, and one that was not
+finished, or in which a cube was not picked up, is recorded again. At last lerobot merges them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import subprocess
+import sys
+import threading
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+
+import anyio
+from cube_leader import LIFTED_M, CubeLeader
+
+from rn_standard.console.client import spawned_server
+from rn_standard.demo.agent import Agent
+from roboneuron import NotReadyError, RoboNeuronError
+from roboneuron.command import environment
+
+CONFIG = Path(__file__).with_name("lerobot_act.toml")
+FPS, EPISODE_S, RESET_S = 10, 5.0, 6.5
+SIDE_PX = 96
+"""Of the images, as in `CONFIG`."""
+TASK = "pick up the red cube"
+_BEGINS, _RESETS, _ENDS = "Recording episode", "Reset the environment", "Stop recording"
+_MOST_TRIALS = 3
+
+
+class Recording:
+    """One run of `lerobot-record`, which a leader accompanies."""
+
+    def __init__(self, lerobot: Path, folder: Path, count: int, log: Path) -> None:
+        """Args:
+        lerobot: folder with lerobot's commands.
+        folder: of the data set; must not be there.
+        count: of episodes.
+        log: file for what lerobot prints.
+        """
+        self._command = [
+            str(lerobot / "lerobot-record"),
+            "--robot.type=roboneuron",
+            "--robot.robot=fr3",
+            f"--robot.width={SIDE_PX}",
+            f"--robot.height={SIDE_PX}",
+            "--teleop.type=roboneuron",
+            "--teleop.robot=fr3",
+            "--dataset.repo_id=local/cubes",
+            f"--dataset.root={folder}",
+            f"--dataset.single_task={TASK}",
+            f"--dataset.fps={FPS}",
+            f"--dataset.num_episodes={count}",
+            f"--dataset.episode_time_s={EPISODE_S}",
+            f"--dataset.reset_time_s={RESET_S}",
+            "--dataset.video=false",
+            "--dataset.push_to_hub=false",
+            "--dataset.no_stamp=true",
+            "--play_sounds=false",
+        ]
+        self._log = log
+        self.lifted: list[bool] = []
+
+    def run(self, leader: CubeLeader) -> None:
+        """Return when it has ended; `lifted` then says of each episode whether the cube was up.
+
+        Raises:
+            NotReadyError: it failed; its last words.
+        """
+        variables = {**os.environ, "HF_HUB_OFFLINE": "1", "PYTHONWARNINGS": "ignore"}
+        with (
+            self._log.open("w", encoding="utf-8") as log,
+            subprocess.Popen(
+                self._command,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                text=True,
+                env=variables,
+            ) as process,
+        ):
+            assert process.stdout is not None
+            try:
+                for line in process.stdout:
+                    log.write(line)
+                    self._follow(line, leader)
+            except BaseException:
+                process.terminate()
+                raise
+        if process.returncode:
+            last = self._log.read_text(encoding="utf-8").strip().splitlines()[-1]
+            raise NotReadyError(f"lerobot-record failed: {last}", hint=f"See {self._log}.")
+
+    def _follow(self, line: str, leader: CubeLeader) -> None:
+        """What the leader does at a line of lerobot's log."""
+        if _BEGINS in line:
+            self._lying_m = leader.cube().position_m[2]
+            leader.demonstrate()
+        elif (_RESETS in line or _ENDS in line) and self._lying_m is not None:
+            self.lifted.append(bool(leader.cube().position_m[2] > self._lying_m + LIFTED_M))
+            self._lying_m = None
+            if _RESETS in line:
+                leader.put_elsewhere()
+
+    _lying_m: float | None = None
+
+
+async def record_block(folder: Path, count: int, seed: int, lerobot: Path) -> Sequence[bool]:
+    """Record one block; returns whether each of its cubes was picked up."""
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    config = folder.with_suffix(".toml")
+    text = CONFIG.read_text(encoding="utf-8")
+    section = "[plugins.fr3]\n"
+    config.write_text(text.replace(section, f"{section}seed = {seed}\n"), encoding="utf-8")
+    recording = Recording(lerobot, folder, count, folder.with_suffix(".log"))
+    leader = CubeLeader(seed)
+    async with spawned_server(
+        ["--config", str(config)], folder.with_suffix(".server.log")
+    ) as client:
+        agent = Agent(client)
+        for tool in ("start_robot", "start_perception", "start_control"):
+            await agent.call(tool)
+        leader.open()
+        try:
+            await anyio.to_thread.run_sync(recording.run, leader)
+        finally:
+            leader.close()
+            with suppress(RoboNeuronError):  # the server ends next and takes what is left along
+                await agent.call("stop_all")
+    return recording.lifted
+
+
+def merge(blocks: Sequence[Path], folder: Path, lerobot: Path) -> None:
+    """One data set of all blocks, by lerobot. Raises CalledProcessError."""
+    shutil.rmtree(folder, ignore_errors=True)
+    roots = "[" + ", ".join(f"'{block}'" for block in blocks) + "]"
+    names = "[" + ", ".join("'local/cubes'" for _ in blocks) + "]"
+    subprocess.run(
+        [
+            str(lerobot / "lerobot-edit-dataset"),
+            "--operation.type=merge",
+            f"--operation.repo_ids={names}",
+            f"--operation.roots={roots}",
+            "--new_repo_id=local/cubes",
+            f"--new_root={folder}",
+        ],
+        check=True,
+        env={**os.environ, "HF_HUB_OFFLINE": "1"},
+    )
+
+
+def is_whole(block: Path, count: int) -> bool:
+    """Whether a block was recorded to its end, with every cube picked up."""
+    done = block.with_suffix(".json")
+    return done.exists() and json.loads(done.read_text(encoding="utf-8")) == [True] * count
+
+
+def main() -> int:
+    """Record what lacks, and merge."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("-n", type=int, default=50, help="episodes (default: 50)")
+    parser.add_argument("--block", type=int, default=25, help="episodes of a block (default: 25)")
+    parser.add_argument("--lerobot", type=Path, default=Path(".venv-lerobot/bin"))
+    parser.add_argument("--out", type=Path, default=Path("out/lerobot"))
+    chosen = parser.parse_args()
+    environment.prepare_environment()
+    blocks = []
+    for number, first in enumerate(range(0, chosen.n, chosen.block)):
+        count = min(chosen.block, chosen.n - first)
+        block = (chosen.out / "blocks" / f"{number:03d}").absolute()
+        for trial in range(_MOST_TRIALS):
+            if is_whole(block, count):
+                break
+            shutil.rmtree(block, ignore_errors=True)
+            seed = FIRST_SEED + number * _MOST_TRIALS + trial
+            lifted = anyio.run(record_block, block, count, seed, chosen.lerobot)
+            block.with_suffix(".json").write_text(json.dumps(lifted), encoding="utf-8")
+            print(f"{block}: {sum(lifted)} of {count} cubes were picked up", flush=True)
+        else:
+            if not is_whole(block, count):
+                raise SystemExit(f"{block} was not whole after {_MOST_TRIALS} trials.")
+        blocks.append(block)
+    merge(blocks, (chosen.out / "data").absolute(), chosen.lerobot)
+    print(f"{chosen.out / 'data'}: {chosen.n} episodes")
+    return 0
+
+
+FIRST_SEED = 20_000
+"""Of the scenes; those below are for evaluation."""
+
+if __name__ == "__main__":
+    sys.exit(main())
