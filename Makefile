@@ -167,7 +167,7 @@ bench-lerobot: .venv-lerobot-policies/.ready ## what the boundary to a LeRobot p
 # LeRobot caps numpy below 2.3, so of constraints.txt only the ROS packages hold here. An inference module needs the
 # robot, the controller's descriptor and the standard features in its own interpreter.
 LEROBOT_POLICIES := roboneuron-core $(addprefix plugins/,rn-standard rn-simulation rn-robot-fr3 rn-controller-urdf rn-vla \
-  rn-runtime-torch rn-backend-shared rn-testing rn-backend-lerobot)
+  rn-runtime-torch rn-backend-servo rn-backend-shared rn-eval rn-testing rn-backend-lerobot)
 
 .venv-lerobot-policies/.ready: plugins/rn-backend-lerobot/pyproject.toml
 	@echo "Setting up .venv-lerobot-policies (once, several gigabytes; LeRobot needs Python >= 3.12) ..."
@@ -176,6 +176,31 @@ LEROBOT_POLICIES := roboneuron-core $(addprefix plugins/,rn-standard rn-simulati
 	.venv-lerobot-policies/bin/python -m pip install --quiet --disable-pip-version-check \
 	  --constraint .venv-lerobot-policies/ros-constraints.txt 'lerobot[dataset,diffusion,smolvla,pi]==0.6.1' \
 	  $(addprefix --editable ,$(LEROBOT_POLICIES)) hypothesis pytest pytest-timeout pytest-xdist
+	@touch $@
+
+# A whole turn: lerobot-record through ROS, lerobot-train, roboneuron eval. Each goes on where it was.
+ACT := out/lerobot/act
+ACT_STEPS ?= 20000
+ACT_LAST := $(ACT)/checkpoints/last/pretrained_model
+
+record-lerobot: $(VENV)/.develop .venv-lerobot/.ready-robots ## lerobot-record of N episodes with the simulated FR3, a program leads (out/lerobot/data)
+	$(BIN)/python examples/record_lerobot.py -n $(N) $(ARGS)
+
+# Weights of ImageNet would have to be downloaded: the backbone begins at random, and learns as fast as the rest.
+train-act: .venv-lerobot/.ready-robots ## lerobot-train of a small ACT on them, on the CPU, ACT_STEPS steps
+	OMP_NUM_THREADS=$(JOBS) HF_HUB_OFFLINE=1 .venv-lerobot/bin/lerobot-train --steps=$(ACT_STEPS) \
+	  $(if $(wildcard $(ACT_LAST)/train_config.json),--config_path=$(ACT_LAST)/train_config.json --resume=true,\
+	  --dataset.repo_id=local/cubes --dataset.root=out/lerobot/data --output_dir=$(ACT) \
+	  --policy.type=act --policy.device=cpu --policy.use_amp=true --policy.push_to_hub=false \
+	  --policy.pretrained_backbone_weights=null --policy.optimizer_lr=1e-4 --policy.optimizer_lr_backbone=1e-4 \
+	  --policy.dim_model=192 --policy.n_heads=4 --policy.dim_feedforward=768 --policy.n_encoder_layers=2 \
+	  --policy.use_vae=false --policy.chunk_size=20 --policy.n_action_steps=8 \
+	  --batch_size=16 --num_workers=0 --log_freq=50 --save_freq=250 --env_eval_freq=0) $(ARGS)
+
+eval-act: .venv-lerobot-policies/.ready ## that policy on 100 unseen places of the cube (out/eval/act)
+	.venv-lerobot-policies/bin/roboneuron eval run --config examples/lerobot_act.toml --backend lerobot --checkpoint $(ACT_LAST) \
+	  --suite-option objects=1 --suite-option 'colours=["red"]' --suite-option image_px=96 --suite-option engine=mujoco \
+	  --episodes 100 --seed 0 --retry-errors --out out/eval/act $(ARGS)
 
 test-lerobot-robots: $(VENV)/.develop .venv-lerobot/.ready-robots ## lerobot's own commands with our robots, and our driver with lerobot's
 	$(BIN)/python -m pytest plugins/lerobot-robot-roboneuron/tests -m "slow or not slow" $(ARGS)

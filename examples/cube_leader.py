@@ -26,8 +26,12 @@ from roboneuron.command import RosLink, messages, qos
 
 F64 = NDArray[np.float64]
 
-ROW_S = 0.1
-"""Time of one row of a motion [s]."""
+ROW_S = 0.16
+"""Time of one row of a motion [s]: 0.19 m/s at most."""
+_LEASH_RAD = 0.12
+"""The leader waits for an arm that is farther behind: control refuses a step of 0.1 m."""
+_PLANNED_S = 0.1
+"""What the teacher takes a row for [s]."""
 DEMONSTRATION_ROWS = 70
 LIFTED_M = 0.10
 """From this height on a cube counts as picked up."""
@@ -96,7 +100,7 @@ class LeaderArm:
         # a grasp presses: the commanded opening is that of the hand, not of the cube
         self._open = float(self._open + change)
         action = Action.from_vector(np.append(delta, self._open))
-        command = self._controller.compute(action, self._sample(), ROW_S)
+        command = self._controller.compute(action, self._sample(), _PLANNED_S)
         if isinstance(command, Hold):
             raise NotReadyError(f"The leader cannot go on: {command.reason}")
         by_name = dict(zip(command.names, command.position.tolist(), strict=True))
@@ -192,7 +196,7 @@ class CubeLeader:
         self._joints: dict[str, float] = {}
         self._cube: CubePlace | None = None
         self._rows: F64 | None = None
-        self._begun_s = 0.0
+        self._at = 0.0
         self._end = threading.Event()
         self._thread: threading.Thread | None = None
 
@@ -238,7 +242,7 @@ class CubeLeader:
 
     def _play(self, rows: F64) -> None:
         with self._lock:
-            self._rows, self._begun_s = rows, time.monotonic()
+            self._rows, self._at = rows, 0.0
 
     def _lead(self) -> None:
         from sensor_msgs.msg import JointState
@@ -246,17 +250,18 @@ class CubeLeader:
         robot = profile()
         assert robot.gripper is not None
         names = [*robot.arm_joints, robot.gripper.joint]
+        told_s = time.monotonic()
         while not self._end.wait(_TELL_S):
+            since_s, told_s = time.monotonic() - told_s, time.monotonic()
             with self._lock:
-                rows, since_s = self._rows, time.monotonic() - self._begun_s
-                if rows is None:
-                    if not self._joints:
-                        continue
-                    rows = np.array([[self._joints[name] for name in names]])
-            at = min(since_s / ROW_S, len(rows) - 1.0)
-            below = min(int(at), len(rows) - 1)
-            above = min(below + 1, len(rows) - 1)
-            row = rows[below] + (at - below) * (rows[above] - rows[below])
+                if not self._joints:
+                    continue
+                measured = np.array([self._joints[name] for name in names])
+                rows = self._rows if self._rows is not None else measured[None]
+                behind_rad = np.abs(_between(rows, self._at) - measured)[:-1].max()
+                if behind_rad < _LEASH_RAD:
+                    self._at += since_s / ROW_S
+                row = _between(rows, self._at)
             self._publish(JointState(name=names, position=row.tolist()))
 
     def _take_joints(self, message: object) -> None:
@@ -274,3 +279,10 @@ class CubeLeader:
         )
         with self._lock:
             self._cube = cube
+
+
+def _between(rows: F64, at: float) -> F64:
+    """Row number `at`, between two rows or the last one."""
+    below = min(int(at), len(rows) - 1)
+    above = min(below + 1, len(rows) - 1)
+    return np.asarray(rows[below] + min(at - below, 1.0) * (rows[above] - rows[below]))

@@ -2,8 +2,9 @@
 
 A server simulates the FR3; `lerobot-record` drives it by the robot and the teleoperator `roboneuron`
 of lerobot_robot_roboneuron, in its own interpreter; a program leads (`cube_leader.py`). Recorded in
-blocks of some episodes: each has its own server, size of cube and data set, and one that was not
-finished, or in which a cube was not picked up, is recorded again. At last lerobot merges them.
+blocks of some episodes: each has its own server, size of cube and data set, and one that was not finished
+is recorded again. Episodes in which the cube was not picked up are deleted, and lerobot merges the
+rest.
 """
 
 from __future__ import annotations
@@ -28,12 +29,11 @@ from roboneuron import NotReadyError, RoboNeuronError
 from roboneuron.command import environment
 
 CONFIG = Path(__file__).with_name("lerobot_act.toml")
-FPS, EPISODE_S, RESET_S = 10, 5.0, 6.5
+FPS, EPISODE_S, RESET_S = 10, 7.0, 9.0
 SIDE_PX = 96
 """Of the images, as in `CONFIG`."""
 TASK = "pick up the red cube"
 _BEGINS, _RESETS, _ENDS = "Recording episode", "Reset the environment", "Stop recording"
-_MOST_TRIALS = 3
 
 
 class Recording:
@@ -104,8 +104,10 @@ class Recording:
             self._lying_m = leader.cube().position_m[2]
             leader.demonstrate()
         elif (_RESETS in line or _ENDS in line) and self._lying_m is not None:
-            self.lifted.append(bool(leader.cube().position_m[2] > self._lying_m + LIFTED_M))
+            lifted_m = leader.cube().position_m[2] - self._lying_m
             self._lying_m = None
+            self.lifted.append(bool(lifted_m > LIFTED_M))
+            print(f"  episode {len(self.lifted)}: lifted by {lifted_m * 100:.1f} cm", flush=True)
             if _RESETS in line:
                 leader.put_elsewhere()
 
@@ -137,61 +139,85 @@ async def record_block(folder: Path, count: int, seed: int, lerobot: Path) -> Se
     return recording.lifted
 
 
+def edit(lerobot: Path, *options: str) -> None:
+    """Run `lerobot-edit-dataset`. Raises CalledProcessError."""
+    command = [str(lerobot / "lerobot-edit-dataset"), *options]
+    subprocess.run(command, check=True, env={**os.environ, "HF_HUB_OFFLINE": "1"})
+
+
 def merge(blocks: Sequence[Path], folder: Path, lerobot: Path) -> None:
     """One data set of all blocks, by lerobot. Raises CalledProcessError."""
     shutil.rmtree(folder, ignore_errors=True)
-    roots = "[" + ", ".join(f"'{block}'" for block in blocks) + "]"
-    names = "[" + ", ".join("'local/cubes'" for _ in blocks) + "]"
-    subprocess.run(
-        [
-            str(lerobot / "lerobot-edit-dataset"),
-            "--operation.type=merge",
-            f"--operation.repo_ids={names}",
-            f"--operation.roots={roots}",
-            "--new_repo_id=local/cubes",
-            f"--new_root={folder}",
-        ],
-        check=True,
-        env={**os.environ, "HF_HUB_OFFLINE": "1"},
+    roots = ", ".join(f"'{block}'" for block in blocks)
+    names = ", ".join("'local/cubes'" for _ in blocks)
+    edit(
+        lerobot,
+        "--operation.type=merge",
+        f"--operation.repo_ids=[{names}]",
+        f"--operation.roots=[{roots}]",
+        "--new_repo_id=local/cubes",
+        f"--new_root={folder}",
     )
 
 
-def is_whole(block: Path, count: int) -> bool:
-    """Whether a block was recorded to its end, with every cube picked up."""
-    done = block.with_suffix(".json")
-    return done.exists() and json.loads(done.read_text(encoding="utf-8")) == [True] * count
+def finish_block(block: Path, lifted: Sequence[bool], lerobot: Path) -> None:
+    """Delete the episodes without a lifted cube, and note how many are left.
+
+    Raises:
+        CalledProcessError: lerobot could not.
+    """
+    failed = [number for number, was_lifted in enumerate(lifted) if not was_lifted]
+    if len(failed) == len(lifted):
+        shutil.rmtree(block)
+    elif failed:
+        edit(
+            lerobot,
+            "--repo_id=local/cubes",
+            f"--root={block}",
+            "--operation.type=delete_episodes",
+            f"--operation.episode_indices={failed}",
+        )
+        shutil.rmtree(block.with_name(f"{block.name}_old"), ignore_errors=True)
+    note_of(block).write_text(json.dumps(len(lifted) - len(failed)), encoding="utf-8")
+
+
+def note_of(block: Path) -> Path:
+    """The file that says how many good episodes a finished block has."""
+    return block.with_suffix(".json")
 
 
 def main() -> int:
     """Record what lacks, and merge."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("-n", type=int, default=50, help="episodes (default: 50)")
-    parser.add_argument("--block", type=int, default=25, help="episodes of a block (default: 25)")
+    parser.add_argument("-n", type=int, default=50, help="episodes, at least (default: 50)")
+    parser.add_argument("--block", type=int, default=10, help="episodes of a block (default: 10)")
     parser.add_argument("--lerobot", type=Path, default=Path(".venv-lerobot/bin"))
     parser.add_argument("--out", type=Path, default=Path("out/lerobot"))
     chosen = parser.parse_args()
     environment.prepare_environment()
-    blocks = []
-    for number, first in enumerate(range(0, chosen.n, chosen.block)):
-        count = min(chosen.block, chosen.n - first)
+    os.environ["ROBONEURON_RECORDER"] = "off"  # lerobot records
+    good, number, blocks = 0, 0, list[Path]()
+    while good < chosen.n:
         block = (chosen.out / "blocks" / f"{number:03d}").absolute()
-        for trial in range(_MOST_TRIALS):
-            if is_whole(block, count):
-                break
+        if not note_of(block).exists():
             shutil.rmtree(block, ignore_errors=True)
-            seed = FIRST_SEED + number * _MOST_TRIALS + trial
-            lifted = anyio.run(record_block, block, count, seed, chosen.lerobot)
-            block.with_suffix(".json").write_text(json.dumps(lifted), encoding="utf-8")
-            print(f"{block}: {sum(lifted)} of {count} cubes were picked up", flush=True)
-        else:
-            if not is_whole(block, count):
-                raise SystemExit(f"{block} was not whole after {_MOST_TRIALS} trials.")
-        blocks.append(block)
+            lifted = anyio.run(
+                record_block, block, chosen.block, FIRST_SEED + number, chosen.lerobot
+            )
+            finish_block(block, lifted, chosen.lerobot)
+            print(f"{block}: {sum(lifted)} of {len(lifted)} cubes were picked up", flush=True)
+        count = int(note_of(block).read_text(encoding="utf-8"))
+        good, number = good + count, number + 1
+        blocks += [block] if count else []
+        if number > MOST_BLOCKS * chosen.n:
+            raise NotReadyError("Too few cubes are picked up.", hint="Is the machine too busy?")
     merge(blocks, (chosen.out / "data").absolute(), chosen.lerobot)
-    print(f"{chosen.out / 'data'}: {chosen.n} episodes")
+    print(f"{chosen.out / 'data'}: {good} episodes")
     return 0
 
 
+MOST_BLOCKS = 1
+"""Blocks for each wanted episode, before it gives up."""
 FIRST_SEED = 20_000
 """Of the scenes; those below are for evaluation."""
 
