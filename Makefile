@@ -187,8 +187,8 @@ record-lerobot: $(VENV)/.develop .venv-lerobot/.ready-robots ## lerobot-record o
 	$(BIN)/python examples/record_lerobot.py -n $(N) $(ARGS)
 
 # Weights of ImageNet would have to be downloaded: the backbone begins at random, and learns as fast as the rest.
-train-act: .venv-lerobot/.ready-robots ## lerobot-train of a small ACT on them, on the CPU, ACT_STEPS steps
-	OMP_NUM_THREADS=$(JOBS) HF_HUB_OFFLINE=1 .venv-lerobot/bin/lerobot-train --steps=$(ACT_STEPS) \
+train-act: .venv-lerobot-policies/.ready ## lerobot-train of a small ACT on them, on the CPU, ACT_STEPS steps
+	OMP_NUM_THREADS=$(JOBS) HF_HUB_OFFLINE=1 .venv-lerobot-policies/bin/lerobot-train --steps=$(ACT_STEPS) \
 	  $(if $(wildcard $(ACT_LAST)/train_config.json),--config_path=$(ACT_LAST)/train_config.json --resume=true,\
 	  --dataset.repo_id=local/cubes --dataset.root=out/lerobot/data --output_dir=$(ACT) \
 	  --policy.type=act --policy.device=cpu --policy.use_amp=true --policy.push_to_hub=false \

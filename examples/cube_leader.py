@@ -47,7 +47,8 @@ _KICKED_SHARE, _KICK_M, _KICK_RAD = 0.6, 0.016, 0.08
 """Share of the demonstrations that are pushed off their way, and how far in a row: the policy is to
 see how one comes back.
 """
-_KICK_HEIGHT_M = 0.14
+_KICK_HEIGHT_M, _LONGEST_M = 0.14, 0.045
+"""Lowest TCP that is pushed, and how far it goes at most in a row then."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -148,6 +149,8 @@ def demonstrate(joints: Mapping[str, float], cube: CubePlace, random: np.random.
         action = act(now)
         if row in kicked and now.tcp_m[0, 2] > _KICK_HEIGHT_M:
             action[0, :6] += kick
+            length_m = float(np.linalg.norm(action[0, :3]))
+            action[0, :3] *= min(1.0, _LONGEST_M / length_m)
         arm.move(_REACHED * action[0, :6], float(action[0, 6]))
         now = after(now, action)
     return np.array(arm.rows)

@@ -1,10 +1,10 @@
 """Record demonstrations with `lerobot-record` through ROS: `make record-lerobot`.
 
-A server simulates the FR3; `lerobot-record` drives it by the robot and the teleoperator `roboneuron`
-of lerobot_robot_roboneuron, in its own interpreter; a program leads (`cube_leader.py`). Recorded in
-blocks of some episodes: each has its own server, size of cube and data set, and one that was not finished
-is recorded again. Episodes in which the cube was not picked up are deleted, and lerobot merges the
-rest.
+A server simulates the FR3; `lerobot-record` drives it by the robot and the teleoperator
+`roboneuron` of lerobot_robot_roboneuron, in its own interpreter; a program leads
+(`cube_leader.py`). Recorded in blocks of some episodes: each has its own server, size of cube and
+data set, and one that was not finished is recorded again. Episodes in which the cube was not picked
+up are deleted, and lerobot merges the rest.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ import os
 import shutil
 import subprocess
 import sys
-import threading
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -29,10 +28,12 @@ from roboneuron import NotReadyError, RoboNeuronError
 from roboneuron.command import environment
 
 CONFIG = Path(__file__).with_name("lerobot_act.toml")
-FPS, EPISODE_S, RESET_S = 10, 7.0, 9.0
+FPS, EPISODE_S, RESET_S = 10, 7.0, 10.0
 SIDE_PX = 96
 """Of the images, as in `CONFIG`."""
 TASK = "pick up the red cube"
+LATE_S = 2.0
+"""How late states, images and the leader may be on a busy machine."""
 _BEGINS, _RESETS, _ENDS = "Recording episode", "Reset the environment", "Stop recording"
 
 
@@ -52,8 +53,11 @@ class Recording:
             "--robot.robot=fr3",
             f"--robot.width={SIDE_PX}",
             f"--robot.height={SIDE_PX}",
+            f"--robot.state_timeout_s={LATE_S}",
+            f"--robot.image_timeout_s={LATE_S}",
             "--teleop.type=roboneuron",
             "--teleop.robot=fr3",
+            f"--teleop.timeout_s={LATE_S}",
             "--dataset.repo_id=local/cubes",
             f"--dataset.root={folder}",
             f"--dataset.single_task={TASK}",
@@ -95,7 +99,7 @@ class Recording:
                 process.terminate()
                 raise
         if process.returncode:
-            last = self._log.read_text(encoding="utf-8").strip().splitlines()[-1]
+            last = self._log.read_text(encoding="utf-8").strip().rpartition("\n")[2]
             raise NotReadyError(f"lerobot-record failed: {last}", hint=f"See {self._log}.")
 
     def _follow(self, line: str, leader: CubeLeader) -> None:
@@ -115,7 +119,9 @@ class Recording:
 
 
 async def record_block(folder: Path, count: int, seed: int, lerobot: Path) -> Sequence[bool]:
-    """Record one block; returns whether each of its cubes was picked up."""
+    """Record one block; returns whether each of its cubes was picked up, nothing when lerobot
+    failed, which is printed.
+    """
     folder.parent.mkdir(parents=True, exist_ok=True)
     config = folder.with_suffix(".toml")
     text = CONFIG.read_text(encoding="utf-8")
@@ -132,6 +138,9 @@ async def record_block(folder: Path, count: int, seed: int, lerobot: Path) -> Se
         leader.open()
         try:
             await anyio.to_thread.run_sync(recording.run, leader)
+        except NotReadyError as error:
+            print(error, flush=True)
+            return []
         finally:
             leader.close()
             with suppress(RoboNeuronError):  # the server ends next and takes what is left along
@@ -167,17 +176,19 @@ def finish_block(block: Path, lifted: Sequence[bool], lerobot: Path) -> None:
         CalledProcessError: lerobot could not.
     """
     failed = [number for number, was_lifted in enumerate(lifted) if not was_lifted]
-    if len(failed) == len(lifted):
-        shutil.rmtree(block)
-    elif failed:
+    if failed:
+        kept = block.with_suffix(".kept")
+        shutil.rmtree(kept, ignore_errors=True)
         edit(
             lerobot,
             "--repo_id=local/cubes",
             f"--root={block}",
+            f"--new_root={kept}",
             "--operation.type=delete_episodes",
             f"--operation.episode_indices={failed}",
         )
-        shutil.rmtree(block.with_name(f"{block.name}_old"), ignore_errors=True)
+        shutil.rmtree(block)
+        kept.rename(block)
     note_of(block).write_text(json.dumps(len(lifted) - len(failed)), encoding="utf-8")
 
 
@@ -196,28 +207,32 @@ def main() -> int:
     chosen = parser.parse_args()
     environment.prepare_environment()
     os.environ["ROBONEURON_RECORDER"] = "off"  # lerobot records
-    good, number, blocks = 0, 0, list[Path]()
-    while good < chosen.n:
+    good, number, failures, blocks = 0, 0, 0, list[Path]()
+    while good < chosen.n and failures < MOST_FAILURES:
         block = (chosen.out / "blocks" / f"{number:03d}").absolute()
         if not note_of(block).exists():
             shutil.rmtree(block, ignore_errors=True)
             lifted = anyio.run(
                 record_block, block, chosen.block, FIRST_SEED + number, chosen.lerobot
             )
+            if not any(lifted):
+                failures += 1
+                continue
             finish_block(block, lifted, chosen.lerobot)
             print(f"{block}: {sum(lifted)} of {len(lifted)} cubes were picked up", flush=True)
-        count = int(note_of(block).read_text(encoding="utf-8"))
-        good, number = good + count, number + 1
-        blocks += [block] if count else []
-        if number > MOST_BLOCKS * chosen.n:
-            raise NotReadyError("Too few cubes are picked up.", hint="Is the machine too busy?")
+        good += int(note_of(block).read_text(encoding="utf-8"))
+        number += 1
+        blocks.append(block)
+    if good < chosen.n:
+        print(f"{failures} blocks have failed. Is the machine too busy? Begin again to go on.")
+        return 1
     merge(blocks, (chosen.out / "data").absolute(), chosen.lerobot)
     print(f"{chosen.out / 'data'}: {good} episodes")
     return 0
 
 
-MOST_BLOCKS = 1
-"""Blocks for each wanted episode, before it gives up."""
+MOST_FAILURES = 3
+"""Blocks without a good episode, before it gives up."""
 FIRST_SEED = 20_000
 """Of the scenes; those below are for evaluation."""
 
