@@ -181,6 +181,8 @@ LEROBOT_POLICIES := roboneuron-core $(addprefix plugins/,rn-standard rn-simulati
 # A whole turn: lerobot-record through ROS, lerobot-train, roboneuron eval. Each goes on where it was.
 ACT := out/lerobot/act
 ACT_STEPS ?= 20000
+# One thread alone wastes nothing where others work; take all cores of a quiet machine.
+TRAIN_THREADS ?= 1
 ACT_LAST := $(ACT)/checkpoints/last/pretrained_model
 
 record-lerobot: $(VENV)/.develop .venv-lerobot/.ready-robots ## lerobot-record of N episodes with the simulated FR3, a program leads (out/lerobot/data)
@@ -188,7 +190,8 @@ record-lerobot: $(VENV)/.develop .venv-lerobot/.ready-robots ## lerobot-record o
 
 # Weights of ImageNet would have to be downloaded: the backbone begins at random, and learns as fast as the rest.
 train-act: .venv-lerobot-policies/.ready ## lerobot-train of a small ACT on them, on the CPU, ACT_STEPS steps
-	OMP_NUM_THREADS=$(JOBS) HF_HUB_OFFLINE=1 .venv-lerobot-policies/bin/lerobot-train --steps=$(ACT_STEPS) \
+	test -e $(ACT_LAST) || rm -rf $(ACT)
+	OMP_NUM_THREADS=$(TRAIN_THREADS) HF_HUB_OFFLINE=1 .venv-lerobot-policies/bin/lerobot-train --steps=$(ACT_STEPS) \
 	  $(if $(wildcard $(ACT_LAST)/train_config.json),--config_path=$(ACT_LAST)/train_config.json --resume=true,\
 	  --dataset.repo_id=local/cubes --dataset.root=out/lerobot/data --output_dir=$(ACT) \
 	  --policy.type=act --policy.device=cpu --policy.use_amp=true --policy.push_to_hub=false \

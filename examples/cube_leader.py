@@ -69,8 +69,10 @@ class CubePlace:
 class LeaderArm:
     """The joints that the leader shows, moved by TCP deltas."""
 
-    def __init__(self, joints: Mapping[str, float]) -> None:
-        """Begin at measured positions [rad, m]."""
+    def __init__(self, joints: Mapping[str, float], *, holds: bool = False) -> None:
+        """Begin at measured positions [rad, m]; `holds` closes the gripper, because where the
+        fingers are measured they would not press.
+        """
         robot = profile()
         assert robot.gripper is not None  # the FR3 has one
         self._gripper = robot.gripper
@@ -78,6 +80,8 @@ class LeaderArm:
         self._controller.load()
         self.names = (*robot.arm_joints, self._gripper.joint)
         self._positions = np.array([joints[name] for name in self.names])
+        if holds:
+            self._positions[-1] = self._gripper.to_position(0.0)
         self._open = self._gripper.to_opening(float(self._positions[-1]))
         self.rows = [self._positions.copy()]
 
@@ -158,7 +162,7 @@ def demonstrate(joints: Mapping[str, float], cube: CubePlace, random: np.random.
 
 def put_elsewhere(joints: Mapping[str, float], random: np.random.Generator) -> F64:
     """Rows as of `demonstrate` that put a held cube to a random place, and end at home."""
-    arm = LeaderArm(joints)
+    arm = LeaderArm(joints, holds=True)
     place = np.array([random.uniform(*REGION_X_M), random.uniform(*REGION_Y_M)])
     turn_rad = float(random.uniform(-math.pi / 4.0, math.pi / 4.0))
     for height_m, gripper_open in ((_ABOVE_M, 0.0), (_PLACE_M, 0.0)):

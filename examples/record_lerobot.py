@@ -200,8 +200,8 @@ def note_of(block: Path) -> Path:
 def main() -> int:
     """Record what lacks, and merge."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("-n", type=int, default=50, help="episodes, at least (default: 50)")
-    parser.add_argument("--block", type=int, default=10, help="episodes of a block (default: 10)")
+    parser.add_argument("-n", type=int, default=50, help="episodes (default: 50)")
+    parser.add_argument("--block", type=int, default=10, help="most of a block (default: 10)")
     parser.add_argument("--lerobot", type=Path, default=Path(".venv-lerobot/bin"))
     parser.add_argument("--out", type=Path, default=Path("out/lerobot"))
     chosen = parser.parse_args()
@@ -212,9 +212,8 @@ def main() -> int:
         block = (chosen.out / "blocks" / f"{number:03d}").absolute()
         if not note_of(block).exists():
             shutil.rmtree(block, ignore_errors=True)
-            lifted = anyio.run(
-                record_block, block, chosen.block, FIRST_SEED + number, chosen.lerobot
-            )
+            count = min(chosen.block, chosen.n - good)
+            lifted = anyio.run(record_block, block, count, FIRST_SEED + number, chosen.lerobot)
             if not any(lifted):
                 failures += 1
                 continue
