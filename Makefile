@@ -157,7 +157,8 @@ test-lerobot: $(VENV)/.develop .venv-lerobot/.ready ## exported data sets, opene
 test-lerobot-policies: $(VENV)/.develop .venv-lerobot-policies/.ready ## policies of LeRobot beside LeRobot's own engines, then through ROS (its own environment)
 	.venv-lerobot-policies/bin/python -m pytest plugins/rn-backend-lerobot/tests/policies \
 	  plugins/rn-backend-lerobot/tests/test_lerobot_keeps_its_contract.py $(ARGS)
-	$(BIN)/python -m pytest plugins/rn-backend-lerobot/tests/test_lerobot_policy_moves_the_arm.py $(ARGS)
+	$(BIN)/python -m pytest plugins/rn-backend-lerobot/tests/test_lerobot_policy_moves_the_arm.py \
+	  tests/test_an_act_takes_over_from_the_servo.py -m "slow or not slow" $(ARGS)
 
 bench-lerobot: .venv-lerobot-policies/.ready ## what the boundary to a LeRobot policy costs beside calling it in its own process
 	.venv-lerobot-policies/bin/python benchmarks/bench_lerobot.py $(ARGS)

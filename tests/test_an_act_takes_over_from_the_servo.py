@@ -120,7 +120,7 @@ def test_the_arm_goes_on(policy: dict[str, Any], graph: None, tmp_path: Path) ->
     ):
         assert old in text
         text = text.replace(old, new)
-    config.write_text(f"{text}\n[supervisor]\nstart_timeout_s = 120.0\n", encoding="utf-8")
+    config.write_text(text, encoding="utf-8")
     anyio.run(play, config, policy, tmp_path / "server.log")
 
 
