@@ -201,10 +201,12 @@ train-act: .venv-lerobot-policies/.ready ## lerobot-train of a small ACT on them
 	  --policy.use_vae=false --policy.chunk_size=20 --policy.n_action_steps=8 \
 	  --batch_size=16 --num_workers=0 --log_freq=50 --save_freq=250 --env_eval_freq=0) $(ARGS)
 
-eval-act: .venv-lerobot-policies/.ready ## that policy on 100 unseen places of the cube (out/eval/act)
+# A folder for each checkpoint, which is called by its steps: a run is of one policy.
+eval-act: .venv-lerobot-policies/.ready ## that policy on 100 unseen places of the cube (out/eval/act-STEPS)
 	.venv-lerobot-policies/bin/roboneuron eval run --config examples/lerobot_act.toml --backend lerobot --checkpoint $(ACT_LAST) \
 	  --suite-option objects=1 --suite-option 'colours=["red"]' --suite-option image_px=96 --suite-option engine=mujoco \
-	  --episodes 100 --seed 0 --retry-errors --out out/eval/act $(ARGS)
+	  --suite-option camera_hz=10 --suite-option time_limit_s=10 --episodes 100 --seed 0 --retry-errors \
+	  --out out/eval/act-$(notdir $(realpath $(ACT)/checkpoints/last)) $(ARGS)
 
 test-lerobot-robots: $(VENV)/.develop .venv-lerobot/.ready-robots ## lerobot's own commands with our robots, and our driver with lerobot's
 	$(BIN)/python -m pytest plugins/lerobot-robot-roboneuron/tests -m "slow or not slow" $(ARGS)
