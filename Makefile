@@ -168,7 +168,7 @@ bench-lerobot: .venv-lerobot-policies/.ready ## what the boundary to a LeRobot p
 # LeRobot caps numpy below 2.3, so of constraints.txt only the ROS packages hold here. An inference module needs the
 # robot, the controller's descriptor and the standard features in its own interpreter.
 LEROBOT_POLICIES := roboneuron-core $(addprefix plugins/,rn-standard rn-simulation rn-robot-fr3 rn-controller-urdf rn-vla \
-  rn-runtime-torch rn-backend-servo rn-backend-shared rn-eval rn-testing rn-backend-lerobot)
+  rn-runtime-torch rn-backend-shared rn-eval rn-testing rn-backend-lerobot)
 
 .venv-lerobot-policies/.ready: plugins/rn-backend-lerobot/pyproject.toml
 	@echo "Setting up .venv-lerobot-policies (once, several gigabytes; LeRobot needs Python >= 3.12) ..."

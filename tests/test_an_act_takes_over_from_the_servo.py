@@ -35,6 +35,7 @@ pytestmark = [
     ),
 ]
 ARM = tuple(f"fr3_joint{number}" for number in range(1, 8))
+INSTRUCTION = "pick up the red cube"
 MOVED_RAD = 0.02
 LONGEST_GAP_S = 1.5
 """Between two actions at the handover. Measured: one period; a busy machine takes longer, and
@@ -101,7 +102,7 @@ def graph(environment: dict[str, str], monkeypatch: pytest.MonkeyPatch, tmp_path
 
 @pytest.fixture
 def policy(tmp_path: Path) -> dict[str, Any]:
-    """Arguments of switch_inference."""
+    """The checkpoint, and arguments of switch_inference."""
     if TRAINED.exists():
         return {"checkpoint": str(TRAINED)}
     made = tmp_path / "act"
@@ -116,7 +117,7 @@ def test_the_arm_goes_on(policy: dict[str, Any], graph: None, tmp_path: Path) ->
     text = CONFIG.read_text(encoding="utf-8")
     for old, new in (
         ('".venv-lerobot-policies/bin/python"', f'"{BIN / "python"}"'),
-        ('["out/lerobot/act"]', f'["{Path(policy["checkpoint"]).parent}"]'),
+        ('"out/lerobot/act/checkpoints/last/pretrained_model"', f'"{policy.pop("checkpoint")}"'),
     ):
         assert old in text
         text = text.replace(old, new)
@@ -128,8 +129,9 @@ async def play(config: Path, policy: dict[str, Any], log: Path) -> None:
     with looking() as seen:
         async with spawned_server(["--config", str(config)], log) as client:
             agent = Agent(client)
-            for tool in ("start_robot", "start_perception", "start_control", "start_inference"):
+            for tool in ("start_robot", "start_perception", "start_control"):
                 await agent.call(tool)
+            await agent.call("start_inference", {"backend": "servo", "instruction": INSTRUCTION})
             begun_s = time.monotonic()
             await anyio.to_thread.run_sync(
                 wait_until, lambda: seen.moved_rad(begun_s) > MOVED_RAD, 60.0, "the servo to move"
@@ -144,6 +146,6 @@ async def play(config: Path, policy: dict[str, Any], log: Path) -> None:
             await agent.call("stop_all")
     assert dict(switched["replaced"])["backend"] == "servo"
     assert dict(switched["started_with"])["backend"] == "lerobot"
-    assert module_status(status, "inference")["instruction"] == "pick up the red cube"
+    assert module_status(status, "inference")["instruction"] == INSTRUCTION
     assert seen.gap_s() < LONGEST_GAP_S
     assert seen.actions[-1][1] == f"joint_position@10:{','.join(ARM)},gripper_open"

@@ -36,8 +36,9 @@ height = {SIDE_PX}
 
 
 @pytest.fixture
-def config(config: Path) -> Path:
-    """Small images, and each of them kept as it is."""
+def config(config: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Small images, and each of them kept as it is by a recorder."""
+    monkeypatch.delenv("ROBONEURON_RECORDER", raising=False)
     config.write_text(config.read_text(encoding="utf-8") + SECTIONS, encoding="utf-8")
     return config
 
