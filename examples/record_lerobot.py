@@ -34,6 +34,10 @@ SIDE_PX = 96
 TASK = "pick up the red cube"
 LATE_S = 2.0
 """How late states, images and the leader may be on a busy machine."""
+MOST_FAILURES = 3
+"""Blocks without a good episode, before it gives up."""
+FIRST_SEED = 20_000
+"""Of the scenes; those below are for evaluation."""
 _BEGINS, _RESETS, _ENDS = "Recording episode", "Reset the environment", "Stop recording"
 
 
@@ -71,6 +75,7 @@ class Recording:
             "--play_sounds=false",
         ]
         self._log = log
+        self._lying_m: float | None = None
         self.lifted: list[bool] = []
 
     def run(self, leader: CubeLeader) -> None:
@@ -115,12 +120,10 @@ class Recording:
             if _RESETS in line:
                 leader.put_elsewhere()
 
-    _lying_m: float | None = None
-
 
 async def record_block(folder: Path, count: int, seed: int, lerobot: Path) -> Sequence[bool]:
-    """Record one block; returns whether each of its cubes was picked up, nothing when lerobot
-    failed, which is printed.
+    """Record one block; returns whether each of its cubes was picked up, nothing when lerobot or a
+    module failed, which is printed.
     """
     folder.parent.mkdir(parents=True, exist_ok=True)
     config = folder.with_suffix(".toml")
@@ -133,10 +136,10 @@ async def record_block(folder: Path, count: int, seed: int, lerobot: Path) -> Se
         ["--config", str(config)], folder.with_suffix(".server.log")
     ) as client:
         agent = Agent(client)
-        for tool in ("start_robot", "start_perception", "start_control"):
-            await agent.call(tool)
         leader.open()
         try:
+            for tool in ("start_robot", "start_perception", "start_control"):
+                await agent.call(tool)
             await anyio.to_thread.run_sync(recording.run, leader)
         except NotReadyError as error:
             print(error, flush=True)
@@ -156,7 +159,8 @@ def edit(lerobot: Path, *options: str) -> None:
 
 def merge(blocks: Sequence[Path], folder: Path, lerobot: Path) -> None:
     """One data set of all blocks, by lerobot. Raises CalledProcessError."""
-    shutil.rmtree(folder, ignore_errors=True)
+    merged = folder.with_suffix(".merged")
+    shutil.rmtree(merged, ignore_errors=True)
     roots = ", ".join(f"'{block}'" for block in blocks)
     names = ", ".join("'local/cubes'" for _ in blocks)
     edit(
@@ -165,8 +169,18 @@ def merge(blocks: Sequence[Path], folder: Path, lerobot: Path) -> None:
         f"--operation.repo_ids=[{names}]",
         f"--operation.roots=[{roots}]",
         "--new_repo_id=local/cubes",
-        f"--new_root={folder}",
+        f"--new_root={merged}",
     )
+    shutil.rmtree(folder, ignore_errors=True)
+    merged.rename(folder)
+
+
+def episodes_in(folder: Path) -> int:
+    """Of a data set; 0 where there is none."""
+    facts = folder / "meta" / "info.json"
+    if not facts.exists():
+        return 0
+    return int(json.loads(facts.read_text(encoding="utf-8"))["total_episodes"])
 
 
 def finish_block(block: Path, lifted: Sequence[bool], lerobot: Path) -> None:
@@ -225,15 +239,12 @@ def main() -> int:
     if good < chosen.n:
         print(f"{failures} blocks have failed. Is the machine too busy? Begin again to go on.")
         return 1
-    merge(blocks, (chosen.out / "data").absolute(), chosen.lerobot)
+    data = (chosen.out / "data").absolute()
+    if episodes_in(data) != good:
+        merge(blocks, data, chosen.lerobot)
     print(f"{chosen.out / 'data'}: {good} episodes")
     return 0
 
-
-MOST_FAILURES = 3
-"""Blocks without a good episode, before it gives up."""
-FIRST_SEED = 20_000
-"""Of the scenes; those below are for evaluation."""
 
 if __name__ == "__main__":
     sys.exit(main())
