@@ -157,7 +157,8 @@ test-lerobot: $(VENV)/.develop .venv-lerobot/.ready ## exported data sets, opene
 test-lerobot-policies: $(VENV)/.develop .venv-lerobot-policies/.ready ## policies of LeRobot beside LeRobot's own engines, then through ROS (its own environment)
 	.venv-lerobot-policies/bin/python -m pytest plugins/rn-backend-lerobot/tests/policies \
 	  plugins/rn-backend-lerobot/tests/test_lerobot_keeps_its_contract.py $(ARGS)
-	$(BIN)/python -m pytest plugins/rn-backend-lerobot/tests/test_lerobot_policy_moves_the_arm.py $(ARGS)
+	$(BIN)/python -m pytest plugins/rn-backend-lerobot/tests/test_lerobot_policy_moves_the_arm.py \
+	  tests/test_an_act_takes_over_from_the_servo.py -m "slow or not slow" $(ARGS)
 
 bench-lerobot: .venv-lerobot-policies/.ready ## what the boundary to a LeRobot policy costs beside calling it in its own process
 	.venv-lerobot-policies/bin/python benchmarks/bench_lerobot.py $(ARGS)
@@ -167,7 +168,7 @@ bench-lerobot: .venv-lerobot-policies/.ready ## what the boundary to a LeRobot p
 # LeRobot caps numpy below 2.3, so of constraints.txt only the ROS packages hold here. An inference module needs the
 # robot, the controller's descriptor and the standard features in its own interpreter.
 LEROBOT_POLICIES := roboneuron-core $(addprefix plugins/,rn-standard rn-simulation rn-robot-fr3 rn-controller-urdf rn-vla \
-  rn-runtime-torch rn-backend-shared rn-testing rn-backend-lerobot)
+  rn-runtime-torch rn-backend-shared rn-eval rn-testing rn-backend-lerobot)
 
 .venv-lerobot-policies/.ready: plugins/rn-backend-lerobot/pyproject.toml
 	@echo "Setting up .venv-lerobot-policies (once, several gigabytes; LeRobot needs Python >= 3.12) ..."
@@ -177,6 +178,35 @@ LEROBOT_POLICIES := roboneuron-core $(addprefix plugins/,rn-standard rn-simulati
 	  --constraint .venv-lerobot-policies/ros-constraints.txt 'lerobot[dataset,diffusion,smolvla,pi]==0.6.1' \
 	  $(addprefix --editable ,$(LEROBOT_POLICIES)) hypothesis pytest pytest-timeout pytest-xdist
 	@touch $@
+
+# A whole turn: lerobot-record through ROS, lerobot-train, roboneuron eval. Each goes on where it was.
+ACT := out/lerobot/act
+ACT_STEPS ?= 20000
+# One thread alone wastes nothing where others work; take all cores of a quiet machine.
+TRAIN_THREADS ?= 1
+ACT_LAST := $(ACT)/checkpoints/last/pretrained_model
+
+record-lerobot: $(VENV)/.develop .venv-lerobot/.ready-robots ## lerobot-record of N episodes with the simulated FR3, a program leads (out/lerobot/data)
+	$(BIN)/python examples/record_lerobot.py -n $(N) $(ARGS)
+
+# Weights of ImageNet would have to be downloaded: the backbone begins at random, and learns as fast as the rest.
+train-act: .venv-lerobot-policies/.ready ## lerobot-train of a small ACT on them, on the CPU, ACT_STEPS steps
+	test -e $(ACT_LAST) || rm -rf $(ACT)
+	OMP_NUM_THREADS=$(TRAIN_THREADS) HF_HUB_OFFLINE=1 .venv-lerobot-policies/bin/lerobot-train --steps=$(ACT_STEPS) \
+	  $(if $(wildcard $(ACT_LAST)/train_config.json),--config_path=$(ACT_LAST)/train_config.json --resume=true,\
+	  --dataset.repo_id=local/cubes --dataset.root=out/lerobot/data --output_dir=$(ACT) \
+	  --policy.type=act --policy.device=cpu --policy.use_amp=true --policy.push_to_hub=false \
+	  --policy.pretrained_backbone_weights=null --policy.optimizer_lr=1e-4 --policy.optimizer_lr_backbone=1e-4 \
+	  --policy.dim_model=192 --policy.n_heads=4 --policy.dim_feedforward=768 --policy.n_encoder_layers=2 \
+	  --policy.use_vae=false --policy.chunk_size=20 --policy.n_action_steps=8 \
+	  --batch_size=16 --num_workers=0 --log_freq=50 --save_freq=250 --env_eval_freq=0) $(ARGS)
+
+# A folder for each checkpoint, which is called by its steps: a run is of one policy.
+eval-act: .venv-lerobot-policies/.ready ## that policy on 100 unseen places of the cube (out/eval/act-STEPS)
+	.venv-lerobot-policies/bin/roboneuron eval run --config examples/lerobot_act.toml --backend lerobot --checkpoint $(ACT_LAST) \
+	  --suite-option objects=1 --suite-option 'colours=["red"]' --suite-option image_px=96 --suite-option engine=mujoco \
+	  --suite-option camera_hz=10 --suite-option time_limit_s=10 --episodes 100 --seed 0 --retry-errors \
+	  --out out/eval/act-$(notdir $(realpath $(ACT)/checkpoints/last)) $(ARGS)
 
 test-lerobot-robots: $(VENV)/.develop .venv-lerobot/.ready-robots ## lerobot's own commands with our robots, and our driver with lerobot's
 	$(BIN)/python -m pytest plugins/lerobot-robot-roboneuron/tests plugins/rn-robot-lerobot/tests \

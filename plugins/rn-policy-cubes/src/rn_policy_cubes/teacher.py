@@ -139,11 +139,11 @@ def chunks(now: Situations, rows: int) -> F64:
     actions = []
     for _ in range(rows):
         actions.append(act(now))
-        now = _after(now, actions[-1])
+        now = after(now, actions[-1])
     return np.stack(actions, axis=1)
 
 
-def _after(now: Situations, action: F64) -> Situations:
+def after(now: Situations, action: F64) -> Situations:
     """Where actions lead, as measured of the simulated arm; a closed gripper takes the cube
     along.
     """
