@@ -30,7 +30,7 @@ from roboneuron.config import LimitsConfig
 from roboneuron.contract import Action, JointCommand, JointSample, RobotProfile
 from roboneuron.errors import RefusedError
 from roboneuron.gate.motion import MotionLimiter, motion_rules
-from roboneuron.gate.motion.joint_space import joint_limits
+from roboneuron.gate.motion.joint_space import JointLimit
 from roboneuron.ros.messages import to_joint_trajectory
 
 
@@ -75,7 +75,7 @@ def joint_motions(robot: RobotProfile, moves: int, seed: int) -> None:
     data, full = model.createData(), np.zeros(model.nq)
     assert robot.limits is not None
     assert robot.home_rad is not None
-    rng, limits = np.random.default_rng(seed), joint_limits(robot)
+    rng, limits = np.random.default_rng(seed), JointLimit.by_joint(robot)
     home = JointSample(names=JOINTS, position=np.append(robot.home_rad, [FINGER_OPEN_M] * 2))
     checks, floors, looks, ratios, passed = [], [], [], [], 0
     for _ in range(moves):
