@@ -95,7 +95,7 @@ BENCHMARKS = (
         bound_s=3600.0,
     ),
     Benchmark(script="bench_eval", quick=("--episodes", "2")),
-    Benchmark(script="bench_interfaces", quick=("--repeat", "200")),
+    Benchmark(script="bench_interfaces", quick=("--rounds", "3")),
     Benchmark(script="bench_view", quick=("--seconds", "5")),
     Benchmark(script="bench_full_ports", quick=("--trials", "3")),
 )

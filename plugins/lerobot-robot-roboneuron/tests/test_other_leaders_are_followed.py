@@ -21,7 +21,7 @@ from lerobot_lane import JOINTS, PATIENT, ROOT, Lerobot, Served, Watch
 
 from rn_robot_lerobot.bus.arm import SerialArm
 from rn_robot_lerobot.bus.reference import ENCODER_ZEROS, reference_calibration
-from rn_robot_lerobot.simulation import START
+from rn_robot_lerobot.simulation import CELL
 from rn_testing.waiting import wait_until
 
 sys.path.append(str(ROOT / "plugins" / "rn-view" / "tests"))
@@ -126,7 +126,7 @@ class HandMovedArm(SerialArm):
     wanted_rad = 0.0
 
     def _move(self) -> None:
-        position, still = START.copy(), np.zeros(len(START))
+        position, still = CELL.start.copy(), np.zeros(len(CELL.start))
         while not self._ending.wait(_HAND_S):
             step = 0.2 * _HAND_S
             position[0] += float(np.clip(self.wanted_rad - position[0], -step, step))
