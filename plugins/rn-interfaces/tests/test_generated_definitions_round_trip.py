@@ -1,4 +1,4 @@
-"""Definitions with arbitrary fields: learnt, imported, encoded and decoded without a compiler."""
+"""Definitions with arbitrary fields: learnt, imported, encoded and decoded without colcon."""
 
 from __future__ import annotations
 
