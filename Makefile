@@ -1,4 +1,4 @@
-# Every target sets up what it needs in .venv; nothing else has to be installed but Python >= 3.11 and make.
+# Every target sets up what it needs in .venv; nothing else has to be installed but Python >= 3.11, make and, for the tests, a C compiler.
 # Options reach the demo through ARGS:  make demo ARGS="--seed 7 --instruction 'grab the blue block'"
 
 PYTHON ?= python3

@@ -1,4 +1,4 @@
-"""Definitions with arbitrary fields: learnt, imported, encoded and decoded without a compiler."""
+"""Definitions with arbitrary fields: learnt, imported, encoded and decoded without colcon."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def round_trip(folder: Path, package: str, count: int) -> None:
 
 
 def test_generated_definitions_round_trip(user: Path, tmp_path: Path) -> None:
-    round_trip(tmp_path, "made_hundred_msgs", 100)
+    round_trip(tmp_path, "made_thirty_msgs", 30)
 
 
 @pytest.mark.slow

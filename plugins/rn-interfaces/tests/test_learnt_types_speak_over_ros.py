@@ -133,9 +133,15 @@ def link(node: Node) -> Iterator[RosLink]:
 
 
 def until_discovered(link: RosLink, *topics: str) -> NodeGraph:
-    """The graph, once its topics and the node's services are there."""
+    """The graph, once its topics, whose node they are and the node's services are there."""
     graph = NodeGraph(link)
+
+    def owners(topic: str) -> set[str]:
+        return {endpoint.node_name for endpoint in graph.endpoints(topic)}
+
     wait_until(lambda: graph.topics().keys() >= set(topics), 10.0)
+    # DDS discovers an endpoint before ROS tells the name of its node
+    wait_until(lambda: all(owners(topic) == {"welder"} for topic in topics), 10.0)
     wait_until(lambda: "/welder/get_type_description" in graph.services(), 10.0)
     return graph
 

@@ -1,14 +1,9 @@
-"""The C functions of a type support: that their bytes are those of native.c, that they let through
-what Python decodes and nothing else.
-"""
+"""The C functions of a type support: that they let through what Python decodes and nothing else."""
 
 from __future__ import annotations
 
 import ctypes
-import hashlib
-import platform
 import random
-import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -19,24 +14,17 @@ from test_every_compiled_type_agrees import classes, compiled
 
 from rn_interfaces import native
 from rn_interfaces.codec import CdrError, codec
-from rn_interfaces.machine_code import SOURCE
 from rn_interfaces.program import program
 from rn_interfaces.store import Store
 from rn_interfaces.structures import LayoutError
 
 IS_VALID = ctypes.CFUNCTYPE(ctypes.c_bool, ctypes.c_void_p, ctypes.c_char_p, ctypes.c_size_t)
-has_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler here")
 
 
-def ways() -> dict[str, Callable[[], dict[str, int]]]:
-    """How the functions come into a process."""
-    return {"bytes": native.entries, "compiler": native.compiled}
-
-
-@pytest.fixture(params=["bytes", pytest.param("compiler", marks=has_compiler)])
-def is_valid(request: pytest.FixtureRequest, user: Path) -> Callable[[int, bytes, int], bool]:
+@pytest.fixture
+def is_valid(user: Path) -> Callable[[int, bytes, int], bool]:
     """The check of native.c."""
-    return IS_VALID(ways()[request.param]()["is_valid"])
+    return IS_VALID(native.entries()["is_valid"])
 
 
 def decodes(cls: type, data: bytes) -> bool:
@@ -89,21 +77,6 @@ def test_a_bound_counts_characters(
     data = plain.replace((17).to_bytes(4, "little") + b"x" * 16, count + text + bytes(16))
     assert is_valid(ctypes.addressof(program(Seam)), data, len(data)) == decodes(Seam, data)
     assert decodes(Seam, data) == (text != b"a" * 17)
-
-
-def test_bytes_are_those_of_the_source() -> None:
-    source = Path(native.__file__).with_name("native.c").read_bytes()
-    assert hashlib.sha256(source).hexdigest() == SOURCE, "run tools/native_code.py"
-
-
-def test_another_processor_without_a_compiler_is_told_what_to_do(
-    user: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(platform, "machine", lambda: "riscv64")
-    monkeypatch.setattr(shutil, "which", lambda _: None)
-    with pytest.raises(LayoutError, match="riscv64 without a C compiler; install one"):
-        native.entries.__wrapped__()
 
 
 def test_a_fast_cdr_of_another_layout_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,1 +1,1 @@
-"""ROS interfaces from their definitions at run time, without a compiler."""
+"""ROS interfaces from their definitions at run time, without colcon."""

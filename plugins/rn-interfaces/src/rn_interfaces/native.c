@@ -4,13 +4,14 @@
  * them is Python: a thread that waits for the interpreter's lock in there, while another one holds
  * it and waits for the lock of Fast DDS, would wait forever.
  *
- * The code has no relocations and calls others through `functions`, because rn_interfaces/native.py
- * maps its bytes as they are; tools/native_code.py writes them there. On processors without such
- * bytes it compiles this file.
+ * It calls others through `functions`, so that it compiles without the ROS wheels.
+ * rn_interfaces/library.py compiles it.
  */
 #include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
+
+#define EXPORT __attribute__((visibility("default")))
 
 struct functions {
   void *(*write)(void *cdr, const char *data, size_t size);
@@ -150,12 +151,12 @@ static bool check_all(const int64_t *program, const unsigned char *data, size_t 
   return check(program, &at);
 }
 
-bool is_valid(const int64_t *program, const unsigned char *data, size_t size)
+EXPORT bool is_valid(const int64_t *program, const unsigned char *data, size_t size)
 {
   return check_all(program, data, size);
 }
 
-bool serialize(const struct block *message, void *cdr)
+EXPORT bool serialize(const struct block *message, void *cdr)
 {
   if (message->size > 0) {
     message->functions->write(cdr, message->data, message->size);
@@ -171,7 +172,7 @@ bool serialize(const struct block *message, void *cdr)
 /* No function of Fast CDR says how long the rest is: the size stands in the buffer that a Cdr
  * refers to, after the pointers to its member functions.
  */
-bool deserialize(void *cdr, struct block *message)
+EXPORT bool deserialize(void *cdr, struct block *message)
 {
   const struct functions *functions = message->functions;
   char **buffer = ((char ***)cdr)[14];
@@ -199,12 +200,12 @@ bool deserialize(void *cdr, struct block *message)
   return true;
 }
 
-uint32_t size(const struct block *message)
+EXPORT uint32_t size(const struct block *message)
 {
   return (uint32_t)message->total;
 }
 
-size_t max_size(char *bounds)
+EXPORT size_t max_size(char *bounds)
 {
   *bounds = 0; /* unbounded */
   return 0;
@@ -215,7 +216,7 @@ static const struct facts *facts_of(const void *handle)
   return ((const struct facts *const *)handle)[-1];
 }
 
-const void *get_handle(const void *handle, const char *name)
+EXPORT const void *get_handle(const void *handle, const char *name)
 {
   const struct facts *facts = facts_of(handle);
   for (int one = 0; one < 2; one++) {
@@ -226,17 +227,17 @@ const void *get_handle(const void *handle, const char *name)
   return NULL;
 }
 
-const void *get_hash(const void *handle)
+EXPORT const void *get_hash(const void *handle)
 {
   return facts_of(handle)->hash;
 }
 
-const void *get_description(const void *handle)
+EXPORT const void *get_description(const void *handle)
 {
   return facts_of(handle)->description;
 }
 
-const void *get_sources(const void *handle)
+EXPORT const void *get_sources(const void *handle)
 {
   return facts_of(handle)->sources;
 }

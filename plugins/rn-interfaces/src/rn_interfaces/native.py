@@ -5,25 +5,19 @@ Fast DDS calls them with locks of its own held, so none of them is Python; `nati
 
 from __future__ import annotations
 
-import base64
 import ctypes
-import hashlib
-import mmap
-import os
-import platform
-import shutil
-import subprocess
 from collections.abc import Callable, Sequence
 from functools import cache
-from pathlib import Path
-from tempfile import TemporaryDirectory
 
 from rn_interfaces import structures as c
 from rn_interfaces.kept import keep
-from rn_interfaces.machine_code import ENTRIES, X86_64
+from rn_interfaces.library import LibraryError, find_library
 
-_SOURCE = Path(__file__).with_name("native.c")
-_COMPILER_TIMEOUT_S = 60.0
+ENTRIES = (
+    *("is_valid", "serialize", "deserialize", "size", "max_size"),
+    *("get_handle", "get_hash", "get_description", "get_sources"),
+)
+"""The functions of native.c."""
 
 
 class Functions(ctypes.Structure):
@@ -105,18 +99,18 @@ def functions() -> Functions:
 
 @cache
 def entries() -> dict[str, int]:
-    """Address of each function of native.c: its bytes where there are any for this processor, else
-    what the C compiler makes of it.
+    """Address of each function of native.c.
 
     Raises
     ------
     LayoutError
-        The system maps no code, or there is no compiler.
+        There is no library of it, and no compiler to make one; or it cannot be loaded.
     """
-    if platform.machine() == "x86_64":
-        base = _mapped(base64.b64decode(X86_64))
-        return {name: base + offset for name, offset in ENTRIES.items()}
-    return compiled()
+    try:
+        library = ctypes.CDLL(str(find_library()))
+        return {name: _address(library[name]) for name in ENTRIES}
+    except (LibraryError, OSError, AttributeError) as error:
+        raise c.LayoutError(f"ROS types cannot be made at run time: {error}") from error
 
 
 @cache
@@ -184,74 +178,6 @@ def _cdr(memory: ctypes.Array[ctypes.c_char]) -> int:
 
 _ROOM = 4096
 """More than a Cdr or its buffer takes [B]."""
-
-
-def _mapped(code: bytes) -> int:
-    # through a file, because memory that was ever writable may not become code everywhere
-    libc = ctypes.CDLL(None, use_errno=True)
-    libc.mmap.restype = ctypes.c_void_p
-    libc.mmap.argtypes = (ctypes.c_void_p, ctypes.c_size_t, *[ctypes.c_int] * 3, ctypes.c_long)
-    file = os.memfd_create("roboneuron-interfaces")
-    try:
-        os.write(file, code)
-        protection = mmap.PROT_READ | mmap.PROT_EXEC
-        place = libc.mmap(None, len(code), protection, mmap.MAP_PRIVATE, file, 0)
-    finally:
-        os.close(file)
-    if place in (None, ctypes.c_void_p(-1).value):
-        raise c.LayoutError(
-            "ROS types cannot be made at run time: the system does not let this process map code "
-            f"({os.strerror(ctypes.get_errno())}). Compile the types with colcon."
-        )
-    return int(place)
-
-
-def compiled() -> dict[str, int]:
-    """Address of each function of native.c as the C compiler makes them, once for this user.
-
-    Raises
-    ------
-    LayoutError
-        There is no compiler, or it fails.
-    """
-    from rn_interfaces.cache import default_folder
-
-    digest = hashlib.sha256(_SOURCE.read_bytes()).hexdigest()[:40]
-    place = default_folder() / f"native-{platform.machine()}-{digest}.so"
-    compiler = shutil.which("cc")
-    if not place.is_file():
-        if compiler is None:
-            raise c.LayoutError(
-                f"ROS types cannot be made at run time on {platform.machine()} without a C "
-                "compiler; install one, such as the package gcc."
-            )
-        place.parent.mkdir(parents=True, exist_ok=True)
-        with TemporaryDirectory(dir=place.parent, prefix=".new-") as scratch:
-            made = Path(scratch, place.name)
-            command = [
-                compiler,
-                "-std=c11",
-                "-O2",
-                "-fPIC",
-                "-shared",
-                str(_SOURCE),
-                "-o",
-                str(made),
-            ]
-            try:
-                subprocess.run(
-                    command,
-                    check=True,
-                    capture_output=True,
-                    text=True,
-                    timeout=_COMPILER_TIMEOUT_S,
-                )
-            except (subprocess.SubprocessError, OSError) as error:
-                told = getattr(error, "stderr", "") or str(error)
-                raise c.LayoutError(f"{compiler} does not compile {_SOURCE}: {told}") from error
-            os.replace(made, place)
-    library = ctypes.CDLL(str(place))
-    return {name: _address(library[name]) for name in ENTRIES}
 
 
 def _address(function: object) -> int:

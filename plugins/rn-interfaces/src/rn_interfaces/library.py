@@ -1,0 +1,107 @@
+"""The compiled library of native.c: that of the wheel, or one made once for the user of a checkout.
+
+Needs the standard library only, because `hatch_build.py` compiles the wheel's library with it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+import shutil
+import subprocess
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+SOURCE = Path(__file__).with_name("native.c")
+SHIPPED = Path(__file__).with_name("_native.so")
+"""What a wheel holds."""
+FLAGS = ("-std=c11", "-O2", "-shared", "-fPIC", "-Wall", "-Werror", "-fvisibility=hidden")
+_TIMEOUT_S = 60.0
+_PRIVATE = 0o700
+_OPEN_TO_OTHERS = 0o077
+_WRITABLE_BY_OTHERS = 0o022
+
+
+class LibraryError(RuntimeError):
+    """There is no library, and none can be made; the text says what to do."""
+
+
+def find_library(source: Path = SOURCE, shipped: Path = SHIPPED) -> Path:
+    """The library of a wheel; in a checkout that of the user's cache, compiled where it is missing.
+
+    Raises
+    ------
+    LibraryError
+        There is no compiler, it fails, or others could have written what is in the cache.
+    """
+    if shipped.is_file():
+        return shipped
+    place = cached_library(source)
+    try:
+        _check_folder(place.parent)
+        if not os.path.lexists(place):
+            with TemporaryDirectory(dir=place.parent, prefix=".new-") as scratch:
+                made = Path(scratch, place.name)
+                compile_library(source, made)
+                os.replace(made, place)
+        _check_file(place)
+    except OSError as error:
+        raise LibraryError(
+            f"{place} cannot be made: {error}. Set XDG_CACHE_HOME to a folder of yours."
+        ) from error
+    return place
+
+
+def cached_library(source: Path = SOURCE) -> Path:
+    """Where the library of a source lies for this user, made for this processor or not yet."""
+    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    made_of = (source.read_bytes(), " ".join(FLAGS).encode(), platform.machine().encode())
+    digest = hashlib.sha256(b"\0".join(made_of)).hexdigest()
+    return Path(base) / "roboneuron" / f"rn-interfaces-{digest}.so"
+
+
+def compile_library(source: Path, to: Path) -> None:
+    """Compile a library that only its user can write.
+
+    Raises
+    ------
+    LibraryError
+        There is no compiler, or it fails.
+    """
+    compiler = shutil.which("cc")
+    if compiler is None:
+        raise LibraryError(
+            f"There is no C compiler (cc) to compile {source} with: type `apt-get install gcc`, or "
+            "install a wheel of rn-interfaces, which holds the library."
+        )
+    command = [compiler, *FLAGS, str(source), "-o", str(to)]
+    try:
+        subprocess.run(command, check=True, capture_output=True, text=True, timeout=_TIMEOUT_S)
+    except (subprocess.SubprocessError, OSError) as error:
+        told = getattr(error, "stderr", None) or str(error)
+        raise LibraryError(f"{compiler} does not compile {source}: {told}") from error
+    to.chmod(_PRIVATE)
+
+
+def _check_folder(folder: Path) -> None:
+    """Make a folder that is closed to others, or close it."""
+    folder.mkdir(mode=_PRIVATE, parents=True, exist_ok=True)
+    facts = folder.stat()
+    if facts.st_uid != os.geteuid():
+        raise _not_yours(folder)
+    if facts.st_mode & _OPEN_TO_OTHERS:
+        folder.chmod(_PRIVATE)
+
+
+def _check_file(path: Path) -> None:
+    facts = path.lstat()  # all may write a link, as its mode has it
+    if facts.st_uid != os.geteuid() or facts.st_mode & _WRITABLE_BY_OTHERS:
+        raise _not_yours(path)
+
+
+def _not_yours(path: Path) -> LibraryError:
+    return LibraryError(
+        f"{path} is not loaded, because it belongs to another user or others may write it. "
+        "Delete it, or set XDG_CACHE_HOME to a folder of yours."
+    )
