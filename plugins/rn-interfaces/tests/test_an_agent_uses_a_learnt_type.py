@@ -4,7 +4,6 @@ audit, events and recording hold them.
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 import subprocess
@@ -258,7 +257,7 @@ def _end(process: subprocess.Popen[str]) -> None:
     """Not killed at once: it would stay on the graph of the next test. rclpy may lose a signal."""
     for _ in range(3):
         process.terminate()
-        with contextlib.suppress(subprocess.TimeoutExpired):
+        with suppress(subprocess.TimeoutExpired):
             process.wait(5)
             return
     process.kill()
