@@ -28,6 +28,7 @@ sys.path.pop(0)
 
 from rn_robot_fr3.profile import profile
 from rn_simulation.engine import ENGINES
+from rn_standard.tools_arm.plugin import LIMITS
 from rn_testing.spinning import spinning_node
 from rn_testing.waiting import wait_until
 from roboneuron.config import parse_config
@@ -136,6 +137,7 @@ def test_the_simulated_fr3_follows_the_path(tmp_path: Path, engine: str) -> None
     with installed(tmp_path, "rn-fci-cell", ("fci_plugin",)):
         prepare_environment(tmp_path / "log")
         supervisor = Supervisor(tmp_path / "state")
+        supervisor.on_join = (LIMITS.on_join or "",)
         try:
             with listening() as seen:
                 for kind in ("robot", "perception", "control", "inference"):

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from rn_standard.tools_arm.plugin import LIMITS
 from rn_testing.domain import free_ros_domain
 from rn_testing.waiting import wait_until
 from roboneuron.config import Config, parse_config
@@ -74,6 +75,7 @@ class Arm:
         self.state_directory = state
         self.config: Config = parse_config(self.text)
         self.supervisor = Supervisor(state)
+        self.supervisor.on_join = (LIMITS.on_join or "",)
         self.context = rclpy.Context()
         rclpy.init(context=self.context)
         self.node = rclpy.create_node(

@@ -9,12 +9,14 @@ import logging
 import threading
 
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from stop_world import NEVER, World
 
 from roboneuron.errors import NotReadyError, StateError
 from roboneuron.modules.report import Report
 from roboneuron.modules.settings import ModuleKind
 from roboneuron.supervisor import supervisor as supervisor_module
+from roboneuron.supervisor.slot import Selection
 
 
 def test_a_module_is_silenced_before_it_is_ended(world: World) -> None:
@@ -122,6 +124,19 @@ def test_the_last_report_is_told_and_then_forgotten(world: World) -> None:
     assert stopped is not None
     assert stopped.report is report
     assert slot.report is None
+
+
+def test_a_standby_is_heard_by_the_other_name_of_its_kind(world: World) -> None:
+    """A module that is to replace another one has another node name than its kind."""
+    module = world.running("inference")
+    slot = world.supervisor.slot("inference")
+    assert slot.choice is not None
+    settings = slot.choice.settings.model_copy(update={"node_name": "inference_b"})
+    slot.choice = Selection(settings=settings)
+    world.supervisor._ours.add(str(module.pid))
+    status = DiagnosticStatus(name=settings.status_name, hardware_id=str(module.pid))
+    world.supervisor.receive(DiagnosticArray(status=[status]))
+    assert world.supervisor.report_of(slot) is not None
 
 
 def test_all_are_silenced_in_the_reverse_order_of_starting_and_then_ended_together(

@@ -236,7 +236,7 @@ def test_faults_are_recorded_and_perception_is_restarted(
 
             own = await do("get_logs", module="server", contains="Spawned inference")
             assert [(e["level"], e["logger"]) for e in own["entries"]] == [
-                ("info", "roboneuron.supervisor.bringup")
+                ("info", "roboneuron.supervisor.supervisor")
             ]
             logs = await do("get_logs", module="inference", entries=3)
             assert len(logs["entries"]) <= 3

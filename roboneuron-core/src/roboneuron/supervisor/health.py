@@ -190,14 +190,12 @@ class Modules:
             now_s: monotonic time of its arrival.
         """
         name, pid = status.name, status.hardware_id
-        if not name.endswith(_KINDS):
-            return
-        if pid in self._ours:
+        if pid in self._ours:  # by any name: a standby's is not that of its kind
             values = {pair.key: pair.value for pair in status.values}
             report = Report.from_values(values, received_s=now_s)
             for slot in self.all_slots():
                 slot.accept(name, pid, report)
-        else:
+        elif name.endswith(_KINDS):
             self._foreign = dict(list(self._foreign.items())[-_FOREIGN:])
             self._foreign[name] = (pid, now_s)
 
