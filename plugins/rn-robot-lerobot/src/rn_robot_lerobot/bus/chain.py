@@ -8,6 +8,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +35,53 @@ class Packet:
     motor: int
     instruction: int
     parameters: bytes
+
+
+class PacketReader(ABC):
+    """Finds packets in a stream of bytes.
+
+    Attributes:
+        header: what each packet begins with.
+        least: bytes after which a packet's size is known.
+        damaged: packets with a wrong checksum so far.
+    """
+
+    header: ClassVar[bytes]
+    least: ClassVar[int]
+
+    def __init__(self) -> None:
+        self._buffer = b""
+        self.damaged = 0
+
+    def feed(self, data: bytes) -> list[Packet]:
+        """Packets that are complete with these bytes."""
+        self._buffer += data
+        found: list[Packet] = []
+        while (start := self._buffer.find(self.header)) >= 0:
+            self._buffer = self._buffer[start:]
+            if len(self._buffer) < self.least:
+                break
+            size = self._size(self._buffer)
+            if size is None:
+                self._buffer = self._buffer[1:]
+                continue
+            if len(self._buffer) < size:
+                break
+            whole, self._buffer = self._buffer[:size], self._buffer[size:]
+            packet = self._packet(whole)
+            if packet is None:
+                self.damaged += 1
+            else:
+                found.append(packet)
+        return found
+
+    @abstractmethod
+    def _size(self, begun: bytes) -> int | None:
+        """Bytes of the packet that begins here; None where none can begin."""
+
+    @abstractmethod
+    def _packet(self, whole: bytes) -> Packet | None:
+        """What a packet says; None when its checksum is wrong."""
 
 
 @dataclass(kw_only=True)

@@ -7,6 +7,7 @@ follows it. An answer has the instruction 55 and begins its parameters with the 
 
 from __future__ import annotations
 
+from rn_robot_lerobot.bus import chain
 from rn_robot_lerobot.bus.chain import Packet
 
 _HEADER = b"\xff\xff\xfd\x00"
@@ -41,36 +42,18 @@ def status(motor: int, error: int, data: bytes = b"") -> bytes:
     return packed(motor, _STATUS, bytes((error,)) + data)
 
 
-class PacketReader:
-    """Finds packets in a stream of bytes.
+class PacketReader(chain.PacketReader):
+    """Of this protocol."""
 
-    Attributes:
-        damaged: packets with a wrong checksum so far.
-    """
+    header = _HEADER
+    least = _BEFORE
 
-    def __init__(self) -> None:
-        self._buffer = b""
-        self.damaged = 0
+    def _size(self, begun: bytes) -> int | None:
+        length = int.from_bytes(begun[5:_BEFORE], "little")
+        return _BEFORE + length if 3 <= length <= _LONGEST else None
 
-    def feed(self, data: bytes) -> list[Packet]:
-        """Packets that are complete with these bytes."""
-        self._buffer += data
-        found: list[Packet] = []
-        while (start := self._buffer.find(_HEADER)) >= 0:
-            self._buffer = self._buffer[start:]
-            if len(self._buffer) < _BEFORE:
-                break
-            motor, length = self._buffer[4], int.from_bytes(self._buffer[5:_BEFORE], "little")
-            if not 3 <= length <= _LONGEST:
-                self._buffer = self._buffer[1:]
-                continue
-            end = _BEFORE + length
-            if len(self._buffer) < end:
-                break
-            whole, self._buffer = self._buffer[:end], self._buffer[end:]
-            if crc(whole[:-2]) != int.from_bytes(whole[-2:], "little"):
-                self.damaged += 1
-                continue
-            body = whole[_BEFORE:-2].replace(_STUFFED, _MARK)
-            found.append(Packet(motor, body[0], body[1:]))
-        return found
+    def _packet(self, whole: bytes) -> Packet | None:
+        if crc(whole[:-2]) != int.from_bytes(whole[-2:], "little"):
+            return None
+        body = whole[_BEFORE:-2].replace(_STUFFED, _MARK)
+        return Packet(whole[4], body[0], body[1:])

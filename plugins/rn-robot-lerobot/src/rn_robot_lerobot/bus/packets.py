@@ -6,6 +6,7 @@ error of an answer), parameters, checksum (the complement of the sum from the nu
 
 from __future__ import annotations
 
+from rn_robot_lerobot.bus import chain
 from rn_robot_lerobot.bus.chain import Packet
 
 _HEADER = b"\xff\xff"
@@ -23,36 +24,16 @@ def status(motor: int, error: int, data: bytes = b"") -> bytes:
     return _HEADER + body + bytes((checksum(body),))
 
 
-class PacketReader:
-    """Finds packets in a stream of bytes.
+class PacketReader(chain.PacketReader):
+    """Of this protocol."""
 
-    Attributes:
-        damaged: packets with a wrong checksum so far.
-    """
+    header = _HEADER
+    least = 4
 
-    def __init__(self) -> None:
-        self._buffer = b""
-        self.damaged = 0
+    def _size(self, begun: bytes) -> int | None:
+        motor, length = begun[2], begun[3]
+        return 4 + length if motor != 0xFF and 2 <= length <= _LONGEST else None
 
-    def feed(self, data: bytes) -> list[Packet]:
-        """Packets that are complete with these bytes."""
-        self._buffer += data
-        found: list[Packet] = []
-        while (start := self._buffer.find(_HEADER)) >= 0:
-            self._buffer = self._buffer[start:]
-            if len(self._buffer) < 4:
-                break
-            motor, length = self._buffer[2], self._buffer[3]
-            if motor == 0xFF or not 2 <= length <= _LONGEST:
-                self._buffer = self._buffer[1:]
-                continue
-            end = 4 + length
-            if len(self._buffer) < end:
-                break
-            body, check = self._buffer[2 : end - 1], self._buffer[end - 1]
-            self._buffer = self._buffer[end:]
-            if check != checksum(body):
-                self.damaged += 1
-                continue
-            found.append(Packet(motor, body[2], body[3:]))
-        return found
+    def _packet(self, whole: bytes) -> Packet | None:
+        body = whole[2:-1]
+        return Packet(body[0], body[2], body[3:]) if whole[-1] == checksum(body) else None
