@@ -30,7 +30,9 @@ page = PageClient(sys.argv[2])
 while "Lead with these sliders" not in page.labels: time.sleep(0.02)
 page.choose("Lead with these sliders", True)
 print("leads", flush=True)
-time.sleep(100)
+while True:  # a busy machine may have ended the lead: whoever leads presses again
+    time.sleep(1.0)
+    page.choose("Lead with these sliders", True)
 """
 
 
