@@ -212,7 +212,8 @@ test-lerobot-robots: $(VENV)/.develop .venv-lerobot/.ready-robots ## lerobot's o
 	$(BIN)/python -m pytest plugins/lerobot-robot-roboneuron/tests plugins/rn-robot-lerobot/tests \
 	  -m "slow or not slow" $(ARGS)
 
-LEROBOT_PACKAGES := roboneuron-core plugins/rn-simulation plugins/rn-robot-fr3 plugins/rn-robot-lerobot \
+# A driver's own interpreter needs rn-standard: it reports what the gripper was commanded, so that a grip is kept.
+LEROBOT_PACKAGES := roboneuron-core plugins/rn-standard plugins/rn-simulation plugins/rn-robot-fr3 plugins/rn-robot-lerobot \
   plugins/lerobot-robot-roboneuron
 
 .venv-lerobot/.ready-robots: .venv-lerobot/.ready $(addsuffix /pyproject.toml,$(LEROBOT_PACKAGES))
