@@ -185,21 +185,25 @@ ACT_STEPS ?= 20000
 # One thread alone wastes nothing where others work; take all cores of a quiet machine.
 TRAIN_THREADS ?= 1
 ACT_LAST := $(ACT)/checkpoints/last/pretrained_model
+TRAIN_ACT = OMP_NUM_THREADS=$(TRAIN_THREADS) HF_HUB_OFFLINE=1 .venv-lerobot-policies/bin/lerobot-train
 
 record-lerobot: $(VENV)/.develop .venv-lerobot/.ready-robots ## lerobot-record of N episodes with the simulated FR3, a program leads (out/lerobot/data)
 	$(BIN)/python examples/record_lerobot.py -n $(N) $(ARGS)
 
-# Weights of ImageNet would have to be downloaded: the backbone begins at random, and learns as fast as the rest.
-train-act: .venv-lerobot-policies/.ready ## lerobot-train of a small ACT on them, on the CPU, ACT_STEPS steps
-	test -e $(ACT_LAST) || rm -rf $(ACT)
-	OMP_NUM_THREADS=$(TRAIN_THREADS) HF_HUB_OFFLINE=1 .venv-lerobot-policies/bin/lerobot-train --steps=$(ACT_STEPS) \
-	  $(if $(wildcard $(ACT_LAST)/train_config.json),--config_path=$(ACT_LAST)/train_config.json --resume=true,\
-	  --dataset.repo_id=local/cubes --dataset.root=out/lerobot/data --output_dir=$(ACT) \
+# ImageNet's weights would have to be downloaded: the backbone learns to see from pictures of the simulation first.
+$(ACT)/.sees: .venv-lerobot-policies/.ready
+	rm -rf $(ACT)
+	$(TRAIN_ACT) --steps=1 --save_freq=1 --dataset.repo_id=local/cubes --dataset.root=out/lerobot/data --output_dir=$(ACT) \
 	  --policy.type=act --policy.device=cpu --policy.use_amp=true --policy.push_to_hub=false \
-	  --policy.pretrained_backbone_weights=null --policy.optimizer_lr=1e-4 --policy.optimizer_lr_backbone=1e-4 \
+	  --policy.pretrained_backbone_weights=null --policy.optimizer_lr=1e-4 --policy.optimizer_lr_backbone=1e-5 \
 	  --policy.dim_model=192 --policy.n_heads=4 --policy.dim_feedforward=768 --policy.n_encoder_layers=2 \
 	  --policy.use_vae=false --policy.chunk_size=20 --policy.n_action_steps=8 \
-	  --batch_size=16 --num_workers=0 --log_freq=50 --save_freq=250 --env_eval_freq=0) $(ARGS)
+	  --batch_size=16 --num_workers=0 --log_freq=50 --env_eval_freq=0
+	OMP_NUM_THREADS=$(TRAIN_THREADS) .venv-lerobot-policies/bin/python examples/pretrain_backbone.py $(ACT_LAST)
+	touch $@
+
+train-act: $(ACT)/.sees ## lerobot-train of a small ACT on them, on the CPU, ACT_STEPS steps
+	$(TRAIN_ACT) --steps=$(ACT_STEPS) --save_freq=500 --config_path=$(ACT_LAST)/train_config.json --resume=true $(ARGS)
 
 # A folder for each checkpoint, which is called by its steps: a run is of one policy.
 eval-act: .venv-lerobot-policies/.ready ## that policy on 100 unseen places of the cube (out/eval/act-STEPS)
@@ -318,8 +322,8 @@ check: $(VENV)/.develop ## lint, format and types
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy $(SOURCES)
 	$(BIN)/mypy --allow-subclassing-any plugins/lerobot-robot-roboneuron/src
-	MYPYPATH=benchmarks:plugins/rn-view/tests $(BIN)/mypy --cache-dir .mypy_cache/benchmarks \
-	  --no-explicit-package-bases --allow-subclassing-any --no-warn-return-any benchmarks tools
+	MYPYPATH=benchmarks:plugins/rn-view/tests:examples $(BIN)/mypy --cache-dir .mypy_cache/benchmarks \
+	  --no-explicit-package-bases --allow-subclassing-any --no-warn-return-any benchmarks tools examples
 
 format: $(VENV)/.develop ## put the code into shape
 	$(BIN)/ruff check --fix .

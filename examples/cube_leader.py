@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from rn_controller_urdf.controller import UrdfController
 from rn_policy_cubes.teacher import Situations, act, after, tilt_of, yaw_of
+from rn_robot_fr3.cell import FR3
 from rn_robot_fr3.profile import HOME_RAD, profile
 from rn_robot_fr3.scene import REGION_X_M, REGION_Y_M
 from roboneuron import Action, Hold, JointSample, NotReadyError, matrix_from_quaternion
@@ -272,14 +273,14 @@ class CubeLeader:
             self._publish(JointState(name=names, position=row.tolist()))
 
     def _take_joints(self, message: object) -> None:
-        sample = messages.joints_from_message(message)  # type: ignore[arg-type]
+        sample = messages.joints_from_message(message)
         with self._lock:
             self._joints = dict(zip(sample.names, sample.position.tolist(), strict=True))
 
     def _take_state(self, message: object) -> None:
-        from rn_robot_fr3.state_message import from_message
+        from rn_simulation.scene_state import from_message
 
-        state = from_message(message)  # type: ignore[arg-type]
+        state = from_message(message, {FR3.robot: len(FR3.joints)})
         (_, edge_m), pose = state.cubes[0], state.cube_poses[0]
         cube = CubePlace(
             position_m=pose[:3], yaw_rad=yaw_of(matrix_from_quaternion(pose[3:])), edge_m=edge_m

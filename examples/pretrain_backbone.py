@@ -1,0 +1,224 @@
+"""Teach the backbone of an ACT where a cube lies, before it learns to act: part of
+`make train-act`.
+
+ACT's ResNet begins with ImageNet's weights, as a rule, and its batch normalisation is frozen. Where
+those weights cannot be fetched, a random ResNet without normalisation learns slowly. So a ResNet-18
+first learns from pictures of the simulated cell, which the simulator labels, where the cube lies.
+Its weights then replace the backbone's in a checkpoint of `lerobot-train`.
+
+The poses of the arm are those of the demonstrations, changed at random; the places of the cube are
+new, and no action is learnt here.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import torch
+from numpy.typing import NDArray
+from safetensors.torch import load_file, save_file
+from torch import Tensor, nn
+from torchvision.models import resnet18
+
+from rn_robot_fr3.profile import profile
+from rn_robot_fr3.scene import REGION_X_M, REGION_Y_M
+from rn_robot_fr3.simulation import ArmSimulation
+from roboneuron import quaternion_from_matrix
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+U8 = NDArray[np.uint8]
+
+CAMERAS = ("front", "wrist")
+SIDE_PX = 96
+FIRST_SEED = 40_000
+"""Of the scenes: those of the demonstrations and of the evaluation are below."""
+PER_SCENE = 32
+"""Pictures of one size of cube."""
+MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+"""ImageNet's, with which lerobot normalises images."""
+BACKBONE = "model.backbone."
+"""What the names of the backbone's weights begin with in a checkpoint of ACT."""
+LABELS = 8
+BATCH, LEARNING_RATE, HELD_OUT = 64, 1e-3, 512
+
+
+def arm_poses(data: Path) -> F64:
+    """States of a LeRobot data set, float64 (n, 8): seven joints [rad], opening 0 .. 1."""
+    rows = pq.read_table(sorted(data.glob("data/*/*.parquet")), columns=["observation.state"])
+    states = np.stack(rows["observation.state"].to_numpy()).astype(np.float64)
+    states[:, :7] = np.radians(states[:, :7])
+    states[:, 7] /= 100.0
+    return states
+
+
+def take_pictures(poses: F64, count: int, random: np.random.Generator) -> tuple[U8, F32]:
+    """Draw `count` scenes: pictures uint8 (count, cameras, 3, side, side), labels (count, 8)."""
+    pictures = np.zeros((count, len(CAMERAS), 3, SIDE_PX, SIDE_PX), dtype=np.uint8)
+    labels = np.zeros((count, LABELS), dtype=np.float32)
+    for first in range(0, count, PER_SCENE):
+        with ArmSimulation(FIRST_SEED + first, colours=["red"], engine="mujoco") as simulation:
+            for index in range(first, min(first + PER_SCENE, count)):
+                labels[index] = _arrange(simulation, poses, random)
+                for camera, name in enumerate(CAMERAS):
+                    image = simulation.render(name, SIDE_PX, SIDE_PX)
+                    pictures[index, camera] = image.transpose(2, 0, 1)
+        if first % 2048 == 0:
+            print(f"{first} of {count} scenes drawn", flush=True)
+    return pictures, labels
+
+
+def _arrange(simulation: ArmSimulation, poses: F64, random: np.random.Generator) -> F32:
+    """Put arm and cube somewhere.
+
+    Returns:
+        Place of the cube in the base frame and in that of the TCP [m], and cosine and sine of four
+        times its turn between both fingers, float32 (8,).
+    """
+    gripper = profile().gripper
+    assert gripper is not None
+    pose = poses[random.integers(len(poses))] + np.append(random.normal(0.0, 0.04, 7), 0.0)
+    held = random.random() < 0.15
+    opening = float(random.uniform(0.5, 0.6) if held else np.clip(pose[7], 0.0, 1.0))
+    finger_m = gripper.to_position(opening)
+    simulation.world.set_joints([*pose[:7].tolist(), finger_m, finger_m])
+    T_base_tcp = simulation.world.T_base_tcp()
+    edge_m = simulation.scene[0].edge_m
+    yaw_rad = float(random.uniform(-math.pi / 4, math.pi / 4))
+    low, high = np.array([REGION_X_M, REGION_Y_M]).T
+    if held:
+        place = T_base_tcp[:3, 3] + random.normal(0.0, 0.006, 3)
+        yaw_rad = math.atan2(T_base_tcp[1, 0], T_base_tcp[0, 0]) + float(random.normal(0.0, 0.1))
+    elif random.random() < 0.5:
+        near = T_base_tcp[:2, 3] + random.normal(0.0, 0.05, 2)
+        place = np.append(np.clip(near, low - 0.03, high + 0.03), edge_m / 2)
+    else:
+        place = np.append(random.uniform(low - 0.02, high + 0.02), edge_m / 2)
+    turned = np.array(
+        [
+            [math.cos(yaw_rad), -math.sin(yaw_rad), 0.0],
+            [math.sin(yaw_rad), math.cos(yaw_rad), 0.0],
+            [0.0, 0.0, 1.0],
+        ]
+    )
+    quaternion = tuple(quaternion_from_matrix(turned).tolist())
+    simulation.world.set_cubes({"red": (tuple(place.tolist()), quaternion)})
+    in_tcp = T_base_tcp[:3, :3].T @ (place - T_base_tcp[:3, 3])
+    turn = 4.0 * (yaw_rad - math.atan2(T_base_tcp[1, 0], T_base_tcp[0, 0]))
+    return np.array([*place, *in_tcp, math.cos(turn), math.sin(turn)], dtype=np.float32)
+
+
+class Sight(nn.Module):
+    """One ResNet-18 for every camera, and a head for each that tells the labels."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        whole = resnet18(weights=None)
+        self.backbone = nn.Sequential()
+        for name, layer in whole.named_children():
+            if name not in ("avgpool", "fc"):
+                self.backbone.add_module(name, layer)
+        cells = 512 * math.ceil(SIDE_PX / 32) ** 2
+        self.heads = nn.ModuleList(
+            nn.Sequential(nn.Flatten(), nn.Linear(cells, 256), nn.ReLU(), nn.Linear(256, LABELS))
+            for _ in CAMERAS
+        )
+        self._mean = torch.tensor(MEAN)[:, None, None]
+        self._std = torch.tensor(STD)[:, None, None]
+
+    def forward(self, pictures: Tensor) -> Tensor:
+        """Labels that each camera tells, (n, cameras, 8), of pictures (n, cameras, 3, h, w)."""
+        images = (pictures.float() / 255.0 - self._mean) / self._std
+        told = []
+        for camera, head in enumerate(self.heads):
+            image = images[:, camera].contiguous(memory_format=torch.channels_last)
+            told.append(head(self.backbone(image)))
+        return torch.stack(told, dim=1).float()
+
+
+def learn(pictures: U8, labels: F32, epochs: int) -> Sight:
+    """A `Sight` that has seen the pictures `epochs` times; the last ones are held out."""
+    centre, spread = labels.mean(axis=0), labels.std(axis=0)
+    scaled = torch.from_numpy((labels - centre) / spread)
+    seen = torch.from_numpy(pictures)
+    sight = Sight()
+    count = len(seen) - HELD_OUT
+    steps = epochs * (count // BATCH)
+    optimizer = torch.optim.AdamW(sight.parameters(), lr=LEARNING_RATE, weight_decay=1e-4)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, LEARNING_RATE, total_steps=steps)
+    for epoch in range(epochs):
+        sight.train()
+        order = torch.randperm(count)
+        for step in range(count // BATCH):
+            chosen = order[step * BATCH : (step + 1) * BATCH]
+            with torch.autocast("cpu", dtype=torch.bfloat16):
+                told = sight(seen[chosen])
+            loss = nn.functional.smooth_l1_loss(told, scaled[chosen][:, None].expand_as(told))
+            optimizer.zero_grad()
+            loss.backward()  # type: ignore[no-untyped-call]
+            optimizer.step()
+            schedule.step()
+        _judge(sight, seen[count:], labels[count:], centre, spread, f"epoch {epoch + 1}/{epochs}")
+    return sight
+
+
+def _judge(sight: Sight, seen: Tensor, labels: F32, centre: F32, spread: F32, when: str) -> None:
+    """Print the median errors on pictures that were not learnt."""
+    sight.eval()
+    with torch.no_grad(), torch.autocast("cpu", dtype=torch.bfloat16):
+        told = torch.cat([sight(part) for part in torch.split(seen, BATCH)]).numpy()
+    wrong = np.abs(told * spread + centre - labels[:, None])
+    for camera, name in enumerate(CAMERAS):
+        base_mm, tcp_mm = (
+            1e3 * float(np.median(np.linalg.norm(wrong[:, camera, part], axis=1)))
+            for part in (slice(0, 3), slice(3, 6))
+        )
+        print(
+            f"{when}, {name}: cube within {base_mm:.1f} mm in the base frame, {tcp_mm:.1f} mm "
+            "seen from the TCP (medians)",
+            flush=True,
+        )
+
+
+def put_into(checkpoint: Path, sight: Sight) -> None:
+    """Replace the backbone of an ACT's checkpoint.
+
+    Raises:
+        KeyError: the checkpoint has another backbone.
+    """
+    file = checkpoint / "model.safetensors"
+    weights = load_file(file)
+    # frozen batch normalisation does not count what it has seen
+    learnt = {
+        f"{BACKBONE}{name}": value.contiguous()
+        for name, value in sight.backbone.state_dict().items()
+        if not name.endswith("num_batches_tracked")
+    }
+    own = {name for name in weights if name.startswith(BACKBONE)}
+    if own != learnt.keys():
+        raise KeyError(f"{file} has no ResNet-18 as backbone: {sorted(own ^ learnt.keys())[:3]}")
+    save_file({**weights, **learnt}, file, metadata={"format": "pt"})
+
+
+def main() -> None:
+    """The command."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("checkpoint", type=Path, help="folder pretrained_model of an ACT")
+    parser.add_argument("--data", type=Path, default=Path("out/lerobot/data"), help="data set")
+    parser.add_argument("--scenes", type=int, default=20_000)
+    parser.add_argument("--epochs", type=int, default=6)
+    chosen = parser.parse_args()
+    torch.manual_seed(0)
+    pictures, labels = take_pictures(
+        arm_poses(chosen.data), chosen.scenes, np.random.default_rng(0)
+    )
+    put_into(chosen.checkpoint, learn(pictures, labels, chosen.epochs))
+    print(f"The backbone of {chosen.checkpoint} sees now.")
+
+
+if __name__ == "__main__":
+    main()
