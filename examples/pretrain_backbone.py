@@ -209,8 +209,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("checkpoint", type=Path, help="folder pretrained_model of an ACT")
     parser.add_argument("--data", type=Path, default=Path("out/lerobot/data"), help="data set")
-    parser.add_argument("--scenes", type=int, default=20_000)
-    parser.add_argument("--epochs", type=int, default=6)
+    parser.add_argument("--scenes", type=int, default=12_000)
+    parser.add_argument("--epochs", type=int, default=3)
     chosen = parser.parse_args()
     torch.manual_seed(0)
     pictures, labels = take_pictures(
