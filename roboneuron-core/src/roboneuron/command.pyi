@@ -73,8 +73,7 @@ from .modules.settings import (
     ModuleKind as ModuleKind,
 )
 from .planning import (
-    Plan as Plan,
-    check_plan as check_plan,
+    find_controller as find_controller,
 )
 from .plugins.discovery import (
     discover as discover,

@@ -77,6 +77,9 @@ from .modules.report import (
 from .modules.settings import (
     ModuleKind as ModuleKind,
 )
+from .planning import (
+    KIND_ENTRIES as KIND_ENTRIES,
+)
 from .plugins.registry import (
     Offer as Offer,
     Registry as Registry,
@@ -113,8 +116,7 @@ from .server.schema import (
     Shape as Shape,
 )
 from .server.selection import (
-    Instruction as Instruction,
-    KIND_ENTRIES as KIND_ENTRIES,
+    select as select,
 )
 from .server.surface import (
     make_server as make_server,

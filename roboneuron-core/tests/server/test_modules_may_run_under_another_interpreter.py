@@ -19,7 +19,7 @@ from roboneuron.plugins.specs import (
     Requirement,
     RobotSpec,
 )
-from roboneuron.server.selection import KIND_ENTRIES
+from roboneuron.server.selection import select
 
 TARGET = "never_imported_module:Thing"
 ABSENT = (Requirement(module="absent_x", install="pip install x"),)
@@ -36,7 +36,13 @@ PARTS = (
     BackendSpec(name="policy", summary="P.", target=TARGET, requires=ABSENT),
 )
 FEATURES = tuple(
-    FeatureSpec(name=kind, summary="F.", target=TARGET, module=TARGET)
+    FeatureSpec(
+        name=kind,
+        summary="F.",
+        target=TARGET,
+        module=TARGET,
+        module_plan=f"rn_standard.{kind}.planning:plan_{kind}",
+    )
     for kind in ("perception", "inference")
 )
 REGISTRY = Registry(
@@ -71,11 +77,11 @@ def test_its_plugin_needs_nothing_here(kind):
     sections = {
         name: {**section, "python": "/other/bin/python"} for name, section in SECTIONS.items()
     }
-    selection = KIND_ENTRIES[kind].select(Config.model_validate(sections), REGISTRY)
+    selection = select(kind, Config.model_validate(sections), REGISTRY)
     assert selection.python == "/other/bin/python"
     del sections[kind]["python"]
     with pytest.raises(RoboNeuronError, match="absent_x"):
-        KIND_ENTRIES[kind].select(Config.model_validate(sections), REGISTRY)
+        select(kind, Config.model_validate(sections), REGISTRY)
 
 
 def test_a_module_that_no_feature_brings_is_refused_before_it_is_started():
@@ -85,7 +91,7 @@ def test_a_module_that_no_feature_brings_is_refused_before_it_is_started():
     with pytest.raises(
         ConfigurationError, match="No feature that runs inference modules"
     ) as caught:
-        KIND_ENTRIES["inference"].select(Config.model_validate(sections), registry)
+        select("inference", Config.model_validate(sections), registry)
     assert "rn-inference" in caught.value.hint
-    selection = KIND_ENTRIES["control"].select(Config.model_validate(sections), registry)
+    selection = select("control", Config.model_validate(sections), registry)
     assert selection.kind == "control"

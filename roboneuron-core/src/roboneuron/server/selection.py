@@ -1,30 +1,16 @@
-"""What a module of each kind is started with; everything unfit is refused here.
-
-Nothing is spawned, and nothing heavy imported: names, plans, options, paths and cameras are checked
-beforehand.
+"""What a module of each kind is started with; everything unfit is refused here, before anything is
+spawned.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-from pydantic import AfterValidator, Field
-
-from roboneuron.config import (
-    Config,
-    ControlConfig,
-    InferenceConfig,
-    ModuleSettings,
-    PerceptionConfig,
-    RobotConfig,
-)
+from roboneuron.config import Config, ModuleSettings
 from roboneuron.errors import (
-    CheckpointError,
     ConfigurationError,
     InternalError,
     InvalidInputError,
@@ -32,252 +18,46 @@ from roboneuron.errors import (
     PluginError,
     RoboNeuronError,
 )
-from roboneuron.modules.plugin import check_module, module_class
-from roboneuron.modules.settings import MAX_INSTRUCTION_LENGTH, ModuleKind, instruction_problem
-from roboneuron.planning import Plan, check_plan
+from roboneuron.modules.settings import ModuleKind
+from roboneuron.planning import KIND_ENTRIES
 from roboneuron.plugins.loading import load_options
 from roboneuron.plugins.registry import Registry
 from roboneuron.plugins.specs import DriverSpec, Spec
-from roboneuron.server.tool import Arguments, NoArguments
+from roboneuron.server.tool import Arguments
 from roboneuron.supervisor.slot import Selection
-
-ModuleSection = RobotConfig | PerceptionConfig | ControlConfig | InferenceConfig
-
-
-def check_instruction(text: str) -> str:
-    """Return the instruction without blanks around it.
-
-    Raises:
-        InvalidInputError: nothing is left, or it is too long or holds a control character.
-    """
-    if problem := instruction_problem(text):
-        raise InvalidInputError(
-            f"{problem}.", hint="Write plain text on one line.", path="instruction"
-        )
-    if not text.strip():
-        raise InvalidInputError(
-            "The instruction is empty.",
-            hint='Say what to do, for instance "pick up the red cube".',
-            path="instruction",
-        )
-    return text.strip()
-
-
-Instruction = Annotated[
-    str, Field(max_length=MAX_INSTRUCTION_LENGTH), AfterValidator(check_instruction)
-]
-"""An argument `instruction` of a tool, as `check_instruction` returns it."""
-
-
-class StartInference(Arguments):
-    """Arguments of start_inference."""
-
-    instruction: Instruction | None = Field(
-        default=None,
-        description='What to do at once, such as "pick up the red cube"; set_instruction gives '
-        "one later.",
-    )
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class KindEntry:
-    """One kind of module. Its section of roboneuron.toml is called as the kind is.
-
-    Attributes:
-        kind: which one; its node class is in `roboneuron.modules.plugin.module_class`.
-        noun: what such a module runs.
-        offer: kind of the plugins that offer it.
-        section: model of its section.
-        request: arguments of its start tool.
-        stop_text: effect of its stop tool.
-    """
-
-    kind: ModuleKind
-    noun: str
-    offer: str
-    section: type[ModuleSection]
-    request: type[Arguments]
-    stop_text: str
-
-    def configured(self, config: Config, registry: Registry) -> ModuleSection:
-        """The section of this kind. Raises InvalidInputError when there is none."""
-        section: ModuleSection | None = getattr(config, self.kind)
-        if section is None:
-            choices = ", ".join(registry.specs(self.offer))
-            raise InvalidInputError(
-                f"The configuration names no {self.noun}.",
-                hint=f"Name one: {choices}."
-                if choices
-                else f"No {self.offer} plugin is installed.",
-                path=self.noun,
-            )
-        return section
-
-    def plan(
-        self, config: Config, registry: Registry
-    ) -> tuple[Plan, Spec | DriverSpec, dict[str, str]]:
-        """The plan, what reads the options, and the names of what was chosen, the plugin first.
-        Raises as `configured`.
-        """
-        section, robot = self.configured(config, registry), config.robot
-        parts = {"driver": robot} if section is robot else {"driver": robot, self.offer: section}
-        elsewhere = [name for name, part in parts.items() if part.python]
-        check = partial(
-            check_plan, registry, robot=robot.name, driver=robot.driver, elsewhere=elsewhere
-        )
-        match section:
-            case RobotConfig():
-                plan = check()
-                return plan, plan.driver, {"robot": section.name, "driver": section.driver}
-            case PerceptionConfig():
-                plan = check(perception=section.source)
-                assert plan.perception is not None
-                known = [camera.name for camera in plan.robot.cameras]
-                for camera in section.cameras:
-                    if camera not in known:
-                        raise InvalidInputError(
-                            f"Robot {plan.robot.name!r} has no camera {camera!r}.",
-                            hint=f"Its cameras: {', '.join(known) or 'none'}.",
-                        )
-                return (
-                    plan,
-                    plan.perception,
-                    {"source": section.source, "cameras": ", ".join(section.cameras or known)},
-                )
-            case ControlConfig():
-                plan = check(controller=section.controller)
-                assert plan.controller is not None
-                return plan, plan.controller, {"controller": section.controller}
-            case InferenceConfig():
-                plan = check(
-                    **section.model_dump(include={"backend", "runtime", "acceleration", "cameras"})
-                )
-                assert plan.backend is not None
-                names = {
-                    "backend": section.backend,
-                    "checkpoint": section.checkpoint or "",
-                    "runtime": plan.runtime.name if plan.runtime else "",
-                    "acceleration": plan.acceleration.name if plan.acceleration else "",
-                    "cameras": ", ".join(
-                        f"{role}={camera}" for role, camera in plan.cameras.items()
-                    ),
-                }
-                return plan, plan.backend, {key: name for key, name in names.items() if name}
-
-    def select(self, config: Config, registry: Registry) -> Selection:
-        """What is configured, checked.
-
-        Raises:
-            InvalidInputError: something needed is not named, or the robot has no such camera.
-            CheckpointError: the checkpoint's path does not exist, or the backend takes none.
-            ConfigurationError: unknown or unusable names or options.
-            PlanningError: the parts do not fit together or the robot.
-        """
-        section = self.configured(config, registry)
-        plan, spec, names = self.plan(config, registry)
-        module_class(self.kind, registry)
-        name = next(iter(names.values()))
-        options = dict(config.options(name))
-        if isinstance(section, InferenceConfig):
-            if section.instruction:
-                check_instruction(section.instruction)
-            section = _check_checkpoint(section, plan, config)
-            if section.checkpoint is not None:
-                options["checkpoint"] = names["checkpoint"] = section.checkpoint
-        config = config.model_copy(update={self.kind: section})
-        is_here = section.python is None and config.robot.python is None
-        if is_here:  # the module does it again, where its own packages are
-            check_module(self.kind, registry, plan, options, config.control)
-        _check_options(spec, options, section.python, f"plugins.{name}")
-        for part in (plan.runtime, plan.acceleration):
-            if part is not None:
-                _check_options(part, config.options(part.name), section.python)
-        settings = ModuleSettings(kind=self.kind, node_name=self.kind, config=config)
-        return Selection(settings=settings, names=names, plan=plan)
-
-
-_ENTRIES = (
-    KindEntry(
-        kind="robot",
-        noun="robot",
-        offer="robot",
-        section=RobotConfig,
-        request=NoArguments,
-        stop_text="Let the robot hold its position, and disconnect from it or end its simulation.",
-    ),
-    KindEntry(
-        kind="perception",
-        noun="source",
-        offer="perception",
-        section=PerceptionConfig,
-        request=NoArguments,
-        stop_text="Close the cameras; a policy without images sends no more actions.",
-    ),
-    KindEntry(
-        kind="control",
-        noun="controller",
-        offer="controller",
-        section=ControlConfig,
-        request=NoArguments,
-        stop_text="Stop the controller; the arm holds its position.",
-    ),
-    KindEntry(
-        kind="inference",
-        noun="backend",
-        offer="backend",
-        section=InferenceConfig,
-        request=StartInference,
-        stop_text="Stop the policy; the arm holds its position.",
-    ),
-)
-KIND_ENTRIES: Mapping[ModuleKind, KindEntry] = {entry.kind: entry for entry in _ENTRIES}
-"""The kinds in the order in which an agent starts them."""
-
 
 Choose = Callable[[ModuleKind, Config, Registry, Arguments | None, str], Selection]
 """Selects what a client asks for; called with kind, configuration, plugins, request and role;
-raises as `KindEntry.select`.
+raises as `select`.
 """
+
+
+def select(kind: ModuleKind, config: Config, registry: Registry) -> Selection:
+    """What is configured, checked.
+
+    Raises:
+        RoboNeuronError: as `KindEntry.plan` and `Plan.checked`.
+        ConfigurationError: unknown or unusable options.
+    """
+    plan = KIND_ENTRIES[kind].plan(config, registry).checked(registry)
+    settings = ModuleSettings(kind=kind, node_name=kind, config=plan.config)
+    selection = Selection(settings=settings, names=plan.names, plan=plan)
+    python = selection.python
+    _check_options(plan.spec, plan.options, python, f"plugins.{plan.plugin}")
+    for part in plan.others:
+        _check_options(part, plan.config.options(part.name), python)
+    return selection
 
 
 def choose_configured(
     kind: ModuleKind, config: Config, registry: Registry, request: Arguments | None, role: str
 ) -> Selection:
-    """What is configured, with the instruction that a request names; whatever the role."""
-    if not isinstance(request, KIND_ENTRIES[kind].request | None):
+    """What is configured, whatever the role."""
+    if request is not None:
         raise InternalError(
             f"This server cannot read the {type(request).__name__} that a client sent for {kind}."
         )
-    if isinstance(request, StartInference) and request.instruction is not None:
-        section = KIND_ENTRIES[kind].configured(config, registry)
-        update = {"instruction": request.instruction}
-        config = config.model_copy(update={kind: section.model_copy(update=update)})
-    return KIND_ENTRIES[kind].select(config, registry)
-
-
-def _check_checkpoint(section: InferenceConfig, plan: Plan, config: Config) -> InferenceConfig:
-    """The section with an absolute path: the module may run in another working directory."""
-    assert plan.backend is not None
-    named = section.checkpoint or config.options(section.backend).get("checkpoint")
-    if named is None:
-        if plan.backend.needs_checkpoint:
-            raise InvalidInputError(
-                f"Backend {section.backend!r} needs a checkpoint.",
-                hint="Name the directory of the model's files in `checkpoint`.",
-                path="checkpoint",
-            )
-        return section
-    if not plan.takes_checkpoint:
-        raise CheckpointError(
-            f"Backend {section.backend!r} takes no checkpoint, but {named!r} was named."
-        )
-    path = Path(str(named)).expanduser()
-    if not path.exists():
-        raise CheckpointError(
-            f"The checkpoint {str(named)!r} does not exist.",
-            hint=f"Looked for {path.absolute()} on the server's host.",
-        )
-    return section.model_copy(update={"checkpoint": str(path.absolute())})
+    return select(kind, config, registry)
 
 
 def _check_options(
@@ -299,13 +79,12 @@ def check_configuration(config: Config, registry: Registry) -> None:
     server starts.
 
     Raises:
-        ConfigurationError, PlanningError: as `KindEntry.select`; all that is wrong.
+        ConfigurationError, PlanningError: as `select`; all that is wrong.
     """
-    configured = [
-        entry for entry in KIND_ENTRIES.values() if getattr(config, entry.kind) is not None
-    ]
     checks: list[Callable[[], None]] = [
-        partial(_check_kind, entry, config, registry) for entry in configured
+        partial(_check_kind, kind, config, registry)
+        for kind in KIND_ENTRIES
+        if getattr(config, kind) is not None
     ]
     checks += [
         partial(_check_section, name, options, registry) for name, options in config.plugins.items()
@@ -322,9 +101,9 @@ def check_configuration(config: Config, registry: Registry) -> None:
         raise ConfigurationError("\n".join(problems))
 
 
-def _check_kind(entry: KindEntry, config: Config, registry: Registry) -> None:
+def _check_kind(kind: ModuleKind, config: Config, registry: Registry) -> None:
     try:
-        entry.select(config, registry)
+        select(kind, config, registry)
     except InvalidInputError as error:  # a checkpoint may be named later, by the agent
         if error.path != "checkpoint":
             raise ConfigurationError(error.message, hint=error.hint) from error

@@ -9,10 +9,19 @@ from typing import Any
 
 from pydantic import Field
 
+from rn_standard.inference.instruction_text import InstructionText
 from rn_standard.tools_loop.instructing import give_instruction
 from rn_standard.tools_loop.results import InstructionResult, StartResult
-from roboneuron import Arguments, CallContext, Tool
-from roboneuron.feature import KIND_ENTRIES, ClosedLoop, Instruction, ModuleKind
+from roboneuron import Arguments, CallContext, InternalError, NoArguments, Tool
+from roboneuron.feature import (
+    KIND_ENTRIES,
+    ClosedLoop,
+    Config,
+    ModuleKind,
+    Registry,
+    Selection,
+    select,
+)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -61,12 +70,42 @@ _TEXTS: Mapping[ModuleKind, StartTexts] = {
 class SetInstruction(Arguments):
     """Arguments of set_instruction."""
 
-    instruction: Instruction = Field(
+    instruction: InstructionText = Field(
         description='What to do, for instance "pick up the red cube".',
     )
     timeout_s: float = Field(
         default=30.0, gt=0, le=600, description="How long to wait for the first action, in seconds."
     )
+
+
+class StartInference(Arguments):
+    """Arguments of start_inference."""
+
+    instruction: InstructionText | None = Field(
+        default=None,
+        description='What to do at once, such as "pick up the red cube"; set_instruction gives '
+        "one later.",
+    )
+
+
+def choose_instruction(
+    kind: ModuleKind, config: Config, registry: Registry, request: Arguments | None, role: str
+) -> Selection:
+    """What is configured, with the instruction that a request names; whatever the role.
+
+    Raises:
+        RoboNeuronError: as `select`.
+        InternalError: the request is none of these tools.
+    """
+    if not isinstance(request, NoArguments | StartInference | None):
+        raise InternalError(
+            f"This server cannot read the {type(request).__name__} that a client sent for {kind}."
+        )
+    if isinstance(request, StartInference) and request.instruction is not None:
+        section = KIND_ENTRIES[kind].configured(config, registry)
+        update = {"instruction": request.instruction}
+        config = config.model_copy(update={kind: section.model_copy(update=update)})
+    return select(kind, config, registry)
 
 
 def start_tools(loop: ClosedLoop) -> list[Tool[Any]]:
@@ -121,7 +160,7 @@ def _start_tool(loop: ClosedLoop, kind: ModuleKind) -> Tool[Any]:
         description=f"{texts.effect}{which} Returns when {texts.proof}; if it fails, nothing "
         "is left running.",
         offered=loop.takes_policies if entry.kind == "inference" else lambda: True,
-        arguments=entry.request,
+        arguments=StartInference if kind == "inference" else NoArguments,
         result=StartResult,
         handler=handler,
         open_world=True,
