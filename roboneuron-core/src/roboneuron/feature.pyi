@@ -96,6 +96,7 @@ from .server.events import (
 )
 from .server.loop import (
     ClosedLoop as ClosedLoop,
+    select as select,
 )
 from .server.motion_gate import (
     Clamp as Clamp,
@@ -114,9 +115,6 @@ from .server.registry import (
 from .server.schema import (
     Schema as Schema,
     Shape as Shape,
-)
-from .server.selection import (
-    select as select,
 )
 from .server.surface import (
     make_server as make_server,

@@ -7,7 +7,9 @@ Core plans the modules that move the arm; the features that bring the others pla
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from typing import cast
 
 from roboneuron.config import (
@@ -18,9 +20,16 @@ from roboneuron.config import (
     RobotConfig,
 )
 from roboneuron.config.models import ModuleKind
-from roboneuron.errors import ConfigurationError, InvalidInputError, PlanningError
+from roboneuron.errors import (
+    ConfigurationError,
+    InvalidInputError,
+    MissingDependencyError,
+    PlanningError,
+    PluginError,
+    RoboNeuronError,
+)
 from roboneuron.plugins.availability import explain, install_command, missing, package_of
-from roboneuron.plugins.loading import load_attribute
+from roboneuron.plugins.loading import load_attribute, load_options
 from roboneuron.plugins.registry import Registry
 from roboneuron.plugins.specs import ControllerSpec, DriverSpec, FeatureSpec, RobotSpec, Spec
 
@@ -253,3 +262,88 @@ _PLANS: Mapping[ModuleKind, Callable[[Config, Registry], Plan]] = {
     "robot": _plan_robot,
     "control": _plan_control,
 }
+
+
+def check_module(kind: ModuleKind, config: Config, registry: Registry) -> Plan:
+    """What is configured, as it can be started.
+
+    Raises:
+        RoboNeuronError: as `KindEntry.plan` and `Plan.checked`.
+        ConfigurationError: unknown or unusable options.
+    """
+    plan = KIND_ENTRIES[kind].plan(config, registry).checked(registry)
+    python = getattr(plan.config, kind).python
+    _check_options(plan.spec, plan.options, python, f"plugins.{plan.plugin}")
+    for part in plan.others:
+        _check_options(part, plan.config.options(part.name), python)
+    return plan
+
+
+def _check_options(
+    spec: Spec | DriverSpec,
+    options: Mapping[str, object],
+    python: str | None,
+    section: str | None = None,
+) -> None:
+    """Validate options here when the plugin can be imported here; a module with its own environment
+    does it itself.
+    """
+    absent = () if python is None else (MissingDependencyError,)
+    with suppress(*absent):
+        load_options(spec, options, section=section)
+
+
+def check_configuration(config: Config, registry: Registry) -> None:
+    """Refuse a configuration that names what is not installed or sets what is unknown, before the
+    server starts.
+
+    Raises:
+        ConfigurationError, PlanningError: as `check_module`; all that is wrong.
+    """
+    checks: list[Callable[[], None]] = [
+        partial(_check_kind, kind, config, registry)
+        for kind in KIND_ENTRIES
+        if getattr(config, kind) is not None
+    ]
+    checks += [
+        partial(_check_section, name, options, registry) for name, options in config.plugins.items()
+    ]
+    problems: dict[str, RoboNeuronError] = {}
+    for check in checks:
+        try:
+            check()
+        except RoboNeuronError as error:
+            problems.setdefault(str(error), error)
+    if len(problems) == 1:
+        raise next(iter(problems.values()))
+    if problems:
+        raise ConfigurationError("\n".join(problems))
+
+
+def _check_kind(kind: ModuleKind, config: Config, registry: Registry) -> None:
+    try:
+        check_module(kind, config, registry)
+    except InvalidInputError as error:  # a checkpoint may be named later, by the agent
+        if error.path != "checkpoint":
+            raise ConfigurationError(error.message, hint=error.hint) from error
+
+
+def _check_section(name: str, options: Mapping[str, object], registry: Registry) -> None:
+    """Refuse `[plugins.<name>]` of what does not exist, with unknown options, or with values that
+    no plugin of that name takes.
+
+    Options that are missing are no error: an agent may give them, or never choose that plugin.
+    """
+    registry.check_name(f"[plugins.{name}]", name)
+    refused: list[ConfigurationError] = []
+    for spec in registry.readers_of(name):
+        try:
+            load_options(spec, options, section=f"plugins.{name}", is_partial=True)
+        except ConfigurationError as error:
+            refused.append(error)
+        except (MissingDependencyError, PluginError):
+            return  # not to be judged here; told where it is chosen
+        else:
+            return
+    if refused:
+        raise refused[0]

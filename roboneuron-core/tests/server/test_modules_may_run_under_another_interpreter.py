@@ -19,7 +19,7 @@ from roboneuron.plugins.specs import (
     Requirement,
     RobotSpec,
 )
-from roboneuron.server.selection import select
+from roboneuron.server.loop import select
 
 TARGET = "never_imported_module:Thing"
 ABSENT = (Requirement(module="absent_x", install="pip install x"),)

@@ -11,14 +11,14 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
-from roboneuron.config import Config, LimitsConfig
-from roboneuron.errors import StateError
+from roboneuron.config import Config, LimitsConfig, ModuleSettings
+from roboneuron.errors import InternalError, StateError
 from roboneuron.estop.emergency import EmergencyStop
 from roboneuron.estop.motion_starts import MotionStarts
 from roboneuron.modules.settings import EMERGENCY_STOP, LIMITS_PARAMETER, MODULE_KINDS, ModuleKind
+from roboneuron.planning import check_module
 from roboneuron.plugins.registry import Registry
 from roboneuron.plugins.specs import RobotSpec
-from roboneuron.server.selection import Choose, choose_configured
 from roboneuron.server.tool import Arguments
 from roboneuron.supervisor.health import Modules, ModuleView, Stopped
 from roboneuron.supervisor.launching import Stage
@@ -74,6 +74,30 @@ class RobotFacts:
 
     def __str__(self) -> str:
         return f"{self.kind} robot {self.name} (driver {self.driver})"
+
+
+Choose = Callable[[ModuleKind, Config, Registry, Arguments | None, str], Selection]
+"""Selects what a client asks for; called with kind, configuration, plugins, request and role;
+raises as `select`.
+"""
+
+
+def select(kind: ModuleKind, config: Config, registry: Registry) -> Selection:
+    """What is configured, checked. Raises as `check_module`."""
+    plan = check_module(kind, config, registry)
+    settings = ModuleSettings(kind=kind, node_name=kind, config=plan.config)
+    return Selection(settings=settings, names=plan.names, plan=plan)
+
+
+def choose_configured(
+    kind: ModuleKind, config: Config, registry: Registry, request: Arguments | None, role: str
+) -> Selection:
+    """What is configured, whatever the role."""
+    if request is not None:
+        raise InternalError(
+            f"This server cannot read the {type(request).__name__} that a client sent for {kind}."
+        )
+    return select(kind, config, registry)
 
 
 class ClosedLoop:
