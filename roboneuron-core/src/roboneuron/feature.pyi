@@ -91,7 +91,7 @@ from .ros.link import (
 from .server.app import (
     Application as Application,
 )
-from .server.events import (
+from .server.host import (
     Events as Events,
 )
 from .server.loop import (

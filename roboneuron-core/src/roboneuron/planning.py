@@ -28,7 +28,7 @@ from roboneuron.errors import (
     PluginError,
     RoboNeuronError,
 )
-from roboneuron.plugins.availability import explain, install_command, missing, package_of
+from roboneuron.plugins.availability import explain, missing
 from roboneuron.plugins.loading import load_attribute, load_options
 from roboneuron.plugins.registry import Registry
 from roboneuron.plugins.specs import ControllerSpec, DriverSpec, FeatureSpec, RobotSpec, Spec
@@ -129,7 +129,7 @@ class KindEntry:
         self.configured(config, registry)
         make = _PLANS.get(self.kind)
         if make is None:
-            spec = module_feature(self.kind, registry)
+            spec = registry.get(FeatureSpec, self.kind)  # it is called as the kind
             named = load_attribute(spec.module_plan or "", f"`module_plan` of {spec.name!r}")
             make = cast("Callable[[Config, Registry], Plan]", named)
         return make(config, registry)
@@ -167,23 +167,6 @@ _ENTRIES = (
 )
 KIND_ENTRIES: Mapping[ModuleKind, KindEntry] = {entry.kind: entry for entry in _ENTRIES}
 """The kinds in the order in which an agent starts them."""
-
-
-def module_feature(kind: ModuleKind, registry: Registry) -> FeatureSpec:
-    """The feature that brings modules of that kind: it is called as they are.
-
-    Raises:
-        ConfigurationError: none is installed.
-    """
-    found = registry.specs(FeatureSpec).get(kind)
-    if found is None or found.module is None:
-        package = package_of("feature", kind)
-        raise ConfigurationError(
-            f"No feature that runs {kind} modules is installed.",
-            hint=f"For its interpreter: {install_command(*filter(None, [package]))}. "
-            f"If that is installed, take rn-{kind} out of disabled_plugins.",
-        )
-    return found
 
 
 def find_robot(

@@ -139,7 +139,7 @@ def test_the_feature_that_brings_a_module_plans_it():
     inference = {"backend": "policy"}
     with pytest.raises(PlanningError, match="policy was planned by its feature"):
         _plan("inference", _registry(ARM, FEATURE), inference=inference)
-    with pytest.raises(ConfigurationError, match="No feature that runs inference modules"):
+    with pytest.raises(ConfigurationError, match="There is no feature 'inference'"):
         _plan("inference", inference=inference)
     with pytest.raises(InvalidInputError, match="The configuration names no backend"):
         _plan("inference", _registry(ARM, FEATURE))

@@ -8,10 +8,9 @@ from typing import cast
 from roboneuron.contract import RobotProfile
 from roboneuron.errors import PluginError
 from roboneuron.modules.settings import ModuleKind
-from roboneuron.planning import module_feature
 from roboneuron.plugins.loading import load_options, load_target
 from roboneuron.plugins.registry import Registry
-from roboneuron.plugins.specs import DriverSpec, Spec
+from roboneuron.plugins.specs import DriverSpec, FeatureSpec, Spec
 
 _CLASSES: Mapping[ModuleKind, str] = {
     "robot": "roboneuron.modules.robot:RobotModule",
@@ -24,9 +23,9 @@ def module_class(kind: ModuleKind, registry: Registry) -> str:
     """What a module process of that kind runs, "module:attribute"; imported in that process alone.
 
     Raises:
-        ConfigurationError: as `module_feature`.
+        ConfigurationError: no installed feature brings such modules.
     """
-    return _CLASSES.get(kind) or str(module_feature(kind, registry).module)
+    return _CLASSES.get(kind) or registry.get(FeatureSpec, kind).module or ""
 
 
 def build(

@@ -27,9 +27,8 @@ from roboneuron.plugins.loading import load_attribute
 from roboneuron.plugins.registry import Registry
 from roboneuron.ros.environment import state_directory
 from roboneuron.server.access import Transport
-from roboneuron.server.events import Events
 from roboneuron.server.feature import Features
-from roboneuron.server.host import Host
+from roboneuron.server.host import Events, Host
 from roboneuron.server.loop import ClosedLoop
 from roboneuron.server.registry import ToolRegistry
 from roboneuron.server.stdio import serve_stdio
