@@ -29,7 +29,6 @@ from .ros import (
     topics as topics,
 )
 from .server import (
-    access as access,
     envelope as envelope,
     schema as schema,
 )
@@ -120,6 +119,7 @@ from .server.surface import (
     make_server as make_server,
 )
 from .server.tool import (
+    Holder as Holder,
     Stage as Stage,
     UnfinishedCallError as UnfinishedCallError,
 )

@@ -19,7 +19,7 @@ from roboneuron.config import (
     PerceptionConfig,
     RobotConfig,
 )
-from roboneuron.config.models import ModuleKind
+from roboneuron.config.models import ModuleKind, Section
 from roboneuron.errors import (
     ConfigurationError,
     InvalidInputError,
@@ -32,8 +32,6 @@ from roboneuron.plugins.availability import explain, missing
 from roboneuron.plugins.loading import load_attribute, load_options
 from roboneuron.plugins.registry import Registry
 from roboneuron.plugins.specs import ControllerSpec, DriverSpec, FeatureSpec, RobotSpec, Spec
-
-ModuleSection = RobotConfig | PerceptionConfig | ControlConfig | InferenceConfig
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -100,12 +98,12 @@ class KindEntry:
     kind: ModuleKind
     noun: str
     offer: str
-    section: type[ModuleSection]
+    section: type[Section]
     stop_text: str
 
-    def configured(self, config: Config, registry: Registry) -> ModuleSection:
+    def configured(self, config: Config, registry: Registry) -> Section:
         """The section of this kind. Raises InvalidInputError when there is none."""
-        section: ModuleSection | None = getattr(config, self.kind)
+        section: Section | None = getattr(config, self.kind)
         if section is None:
             choices = ", ".join(registry.specs(self.offer))
             raise InvalidInputError(

@@ -88,8 +88,7 @@ def test_a_module_that_no_feature_brings_is_refused_before_it_is_started():
     offers = tuple(offer for offer in REGISTRY.all_offers if offer.spec not in FEATURES)
     registry = Registry(plugins=(), all_offers=offers)
     sections = {name: {**section, "python": "/x"} for name, section in SECTIONS.items()}
-    with pytest.raises(ConfigurationError, match="There is no feature 'inference'") as caught:
+    with pytest.raises(ConfigurationError, match="the package rn-standard brings it"):
         select("inference", Config.model_validate(sections), registry)
-    assert "rn-inference" in caught.value.hint
     selection = select("control", Config.model_validate(sections), registry)
     assert selection.kind == "control"

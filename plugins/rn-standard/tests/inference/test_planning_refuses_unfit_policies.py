@@ -8,10 +8,10 @@ import sys
 
 import pytest
 
-from rn_standard.inference.planning import find_policy
+from rn_standard.inference.planning import find_policy, plan_inference
 from rn_standard.perception.planning import plan_perception
 from roboneuron.config import Config
-from roboneuron.errors import ConfigurationError, InvalidInputError, PlanningError
+from roboneuron.errors import CheckpointError, ConfigurationError, InvalidInputError, PlanningError
 from roboneuron.plugins.registry import Offer, Registry, Status
 from roboneuron.plugins.specs import (
     AccelerationSpec,
@@ -255,3 +255,25 @@ def test_an_unknown_source_is_a_configuration_error():
 def test_a_default_runtime_that_is_not_installed_is_no_silent_fallback():
     with pytest.raises(ConfigurationError, match="no runtime 'not-installed'"):
         _plan(backend="vla-lost")
+
+
+def test_a_checkpoint_is_given_more_time_to_load(tmp_path):
+    def timeout_s(**section: object) -> float:
+        tables = {"robot": {"name": "arm"}, "inference": {"backend": "trained", **section}}
+        plan = plan_inference(Config.model_validate(tables), registry).checked(registry)
+        assert plan.names["checkpoint"] == plan.config.inference.checkpoint == str(tmp_path)
+        return plan.config.start_timeout_s("inference")
+
+    trained = Offer(
+        spec=_named(BackendSpec, "trained", needs_checkpoint=True),
+        plugin="rn-test",
+        distribution="rn-test",
+        status=Status.READY,
+    )
+    registry = Registry(plugins=(), all_offers=(*REGISTRY.all_offers, trained))
+    assert timeout_s(checkpoint=str(tmp_path)) == 900.0
+    assert timeout_s(checkpoint=str(tmp_path), start_timeout_s=30.0) == 30.0
+    with pytest.raises(InvalidInputError, match="'trained' needs a checkpoint"):
+        timeout_s()
+    with pytest.raises(CheckpointError, match="does not exist"):
+        timeout_s(checkpoint=str(tmp_path / "absent"))

@@ -15,7 +15,7 @@ from roboneuron.config import Config, LimitsConfig, ModuleSettings
 from roboneuron.errors import InternalError, StateError
 from roboneuron.estop.emergency import EmergencyStop
 from roboneuron.estop.motion_starts import MotionStarts
-from roboneuron.modules.settings import EMERGENCY_STOP, LIMITS_PARAMETER, MODULE_KINDS, ModuleKind
+from roboneuron.modules.settings import EMERGENCY_STOP, MODULE_KINDS, ModuleKind
 from roboneuron.planning import check_module
 from roboneuron.plugins.registry import Registry
 from roboneuron.plugins.specs import RobotSpec
@@ -165,17 +165,10 @@ class ClosedLoop:
         return self._supervisor.tightened
 
     def tighten(self, limits: LimitsConfig | None) -> None:
-        """Start modules from now on with these limits; None: with the configured ones. See
-        `send_limits`.
+        """Start modules from now on with these limits; None: with the configured ones.
+        Those that run are told by `set_parameters`.
         """
         self._supervisor.tightened = limits
-
-    def send_limits(self, timeout_s: float, start_s: float) -> str:
-        """Have every control that runs, or is being started, move within the limits in force.
-        Arguments, answer and errors as of `set_parameters`.
-        """
-        text = "" if self.tightened is None else self.tightened.model_dump_json()
-        return self.set_parameters("control", {LIMITS_PARAMETER: text}, timeout_s, start_s)
 
     @property
     def robot_facts(self) -> RobotFacts:

@@ -25,6 +25,10 @@ from roboneuron import (
 from roboneuron.feature import Config, ModuleKind, Registry, loading
 from roboneuron.node import Plan, find_robot
 
+CHECKPOINT_START_S = 900.0
+"""Longest start of a policy with a checkpoint: 15 GB from a slow disk, and the warm-up of a large
+model, take several minutes.
+"""
 _EMPTY: Mapping[str, str] = MappingProxyType({})
 
 
@@ -148,7 +152,9 @@ class InferencePlan(Plan):
         return plan
 
     def _with_checkpoint(self) -> InferencePlan:
-        """The plan with an absolute path: the module may run in another working directory."""
+        """The plan with an absolute path, for the module may run in another working directory, and
+        with the time that a large model needs.
+        """
         backend, section = self.policy.backend, self.config.inference
         assert section is not None
         named = section.checkpoint or self.config.options(self.plugin).get("checkpoint")
@@ -171,7 +177,14 @@ class InferencePlan(Plan):
                 hint=f"Looked for {path.absolute()} on the server's host.",
             )
         checkpoint = str(path.absolute())
-        update = {"inference": section.model_copy(update={"checkpoint": checkpoint})}
+        usual_s = max(CHECKPOINT_START_S, self.config.supervisor.start_timeout_s)
+        told = {
+            "checkpoint": checkpoint,
+            "start_timeout_s": usual_s
+            if section.start_timeout_s is None
+            else section.start_timeout_s,
+        }
+        update = {"inference": section.model_copy(update=told)}
         return replace(
             self,
             config=self.config.model_copy(update=update),
